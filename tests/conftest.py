@@ -28,12 +28,12 @@ beartyped = beartype(conf=BeartypeConf(is_pep484_tower=True))  # where a float i
 
 def pytest_configure(config):
     """XLA compiles in less time, as compiling is most of what tests do: all programs as with `jaxbody.quick_options`, those of the quick
-    tests without optimization, each in one piece (a fifth less time), and once for all workers. The others, and those chosen for every
-    Python, run what users run."""
+    tests and of those with annotations checked without optimization, each in one piece (a fifth less time), and once for all workers.
+    The others, and those chosen for every Python, run what users run."""
     if config.option.typed:
         jaxtyping.install_import_hook("jaxbody", "conftest.beartyped")
     flags = ["--xla_cpu_use_fusion_emitters=false"] if jaxlib.version.__version__.startswith("0.10.") else []
-    if config.option.markexpr == "not long":
+    if config.option.typed or config.option.markexpr == "not long":
         flags += ["--xla_backend_optimization_level=0", "--xla_cpu_parallel_codegen_split_count=1"]
         share_programs(config)
     os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *flags])

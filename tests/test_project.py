@@ -344,41 +344,9 @@ def test_everything_public_is_explained_by_an_example(name):
     assert doctest.DocTestParser().get_examples(thing.__doc__ or ""), f"{name} has no >>> example"
 
 
-# Whose examples take more than two seconds, nearly all of it compiling.
-SLOW = [
-    "designs.objectives",
-    "identification.multistarts",
-    "identification.shootings",
-    "inference.coverages",
-    "inference.validations",
-    "mechanisms.alignment_curves",
-    "mechanisms.assemblies",
-    "mechanisms.compliances",
-    "mechanisms.ready_axles",
-    "mechanisms.ready_corners",
-    "numerics.adjoints",
-    "plots.fit_plots",
-    "plots.measured_plots",
-    "plots.mode_plots",
-    "plots.motion_plots",
-    "plots.response_plots",
-    "plots.statics_plots",
-    "presets.presets",
-    "statics.cases",
-    "statics.equilibrium_searches",
-    "vibrations.backbone_curves",
-    "vibrations.damped_modes",
-    "vibrations.mode_branches",
-    "vibrations.spins",
-]
-
-
-def marks_of(module):
-    return [pytest.mark.long] * (module in SLOW)
-
-
+@pytest.mark.long
 @pytest.mark.everywhere  # each public function has an example
-@pytest.mark.parametrize("module", [pytest.param(m, marks=marks_of(m)) for m in NAMED])
+@pytest.mark.parametrize("module", NAMED)
 def test_examples_in_docstrings_run(module):
     """With jb, jax, jnp and the public names at hand."""
     imported = importlib.import_module(f"jaxbody.{module}")

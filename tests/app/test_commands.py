@@ -82,6 +82,7 @@ def folder(tmp_path, monkeypatch, texts, record):
     return tmp_path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_the_example_of_each_command_runs(name, capsys, folder):
     _, *words = shlex.split(commands.COMMANDS[name].example)
@@ -95,6 +96,7 @@ def test_the_example_of_each_command_runs(name, capsys, folder):
     assert commands.COMMANDS[name].example in capsys.readouterr().out
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", dir(jb.presets))
 def test_every_ready_model_is_printed_and_read_again(name, capsys, folder):
     assert commands.main(["new", name]) == 0
@@ -105,7 +107,8 @@ def test_every_ready_model_is_printed_and_read_again(name, capsys, folder):
     assert commands.main(["check", "model.toml"]) == 0 and "no errors" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.long) if "wishbones" in name else name for name in dir(jb.presets)])
+@pytest.mark.long
+@pytest.mark.parametrize("name", dir(jb.presets))
 def test_measured_data_of_a_new_file_are_read_when_they_are_there(name, capsys, folder):
     assert commands.main(["new", name]) == 0
     text = capsys.readouterr().out
@@ -124,12 +127,10 @@ def test_measured_data_of_a_new_file_are_read_when_they_are_there(name, capsys, 
 
 
 WITHOUT_DESIGN = ("double_pendulum", "full_car_on_double_wishbones")
-SLOW = ("engine_on_mounts", "hydraulic_engine_mounts", "full_car", "isolated_table", "half_car", "rubber_isolators")
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.long) if name in SLOW else name for name in dir(jb.presets) if name not in WITHOUT_DESIGN]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", [name for name in dir(jb.presets) if name not in WITHOUT_DESIGN])
 def test_the_design_of_a_new_file_is_tuned(name, capsys, folder):
     assert commands.main(["new", name]) == 0
     (folder / "model.toml").write_text(capsys.readouterr().out)
@@ -155,6 +156,7 @@ link; sub frame; world; 700; 0; 400; 900; 900; 900; ; 0.5; 90 kN m/rad; 90 kN m/
 """
 
 
+@pytest.mark.long
 def test_a_data_sheet_of_mounts_becomes_a_file(capsys, folder):
     """The mounts are those that Python reads, with points in the axes of the sheet, and their numbers can be set; the masses are marked as
     placeholders in each line, and said to be."""
@@ -219,6 +221,7 @@ def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     assert "suspension.stiffness" in (folder / "fit.csv").read_text()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words, column, label",
     [
@@ -367,6 +370,7 @@ def test_a_design_is_that_of_python_and_is_written_into_the_file(capsys, folder)
     assert abs(float(expected.after["comfort"]) - float(expected.before["comfort"])) > 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", ["show", "modes --draw 2", "simulate --duration 0.2", "equilibrium"])
 def test_a_page_in_three_dimensions_is_saved(words, capsys, folder):
     pytest.importorskip("viser")
@@ -550,6 +554,7 @@ def test_a_second_process_imports_and_compiles_no_more_than_it_needs(folder, mon
     assert other != first and (code, loaded, saved) == (0, programs, [])
 
 
+@pytest.mark.long
 def test_what_is_too_large_is_refused_with_its_estimate_and_the_setting(capsys, folder):
     size = (folder / "car.toml").stat().st_size
     assert commands.main(["check", "car.toml", "--largest", "500"]) == 2

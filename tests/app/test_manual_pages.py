@@ -12,14 +12,14 @@ from jaxbody.app import commands
 
 PAGES = sorted(path for path in manual_pages.DOCS.rglob("*.md") if not path.is_relative_to(manual_pages.DOCS / "generated"))
 RUNNING = [path for path in PAGES if manual_pages.blocks(path)]
-QUICK = {"build", "conventions", "joint"}  # the others take more than five seconds, nearly all of it compiling
 
 
 def label(path):
     return path.relative_to(manual_pages.DOCS).with_suffix("").as_posix()
 
 
-@pytest.mark.parametrize("page", [pytest.param(p, id=label(p), marks=[pytest.mark.long] * (p.stem not in QUICK)) for p in RUNNING])
+@pytest.mark.long
+@pytest.mark.parametrize("page", RUNNING, ids=label)
 def test_a_page_prints_what_it_shows(page):
     blocks = manual_pages.blocks(page)
     for block, text in zip(blocks, manual_pages.printed(blocks, page.name), strict=True):

@@ -44,6 +44,7 @@ def test_a_report_holds_the_numbers_that_are_printed(engine):
     check_golden("engine", page)
 
 
+@pytest.mark.long
 def test_it_says_how_it_was_made(engine):
     import hashlib
 
@@ -132,6 +133,7 @@ def test_a_fit_to_many_records_draws_those_with_the_largest_misfits(tmp_path):
     assert len(page.pictures) == 1 and not any("are drawn" in note for note in page.notes)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
 @pytest.mark.parametrize("width", [400, 1400])
 def test_a_browser_shows_it_without_a_request_or_an_error(width, engine, tmp_path):

@@ -122,6 +122,7 @@ with warnings.catch_warnings(record=True) as told:
 with_fast_loops = pytest.mark.skipif(jaxlib.version.__version__ in ("0.7.0", "0.7.1"), reason="XLA could end the process")
 
 
+@pytest.mark.long
 @with_fast_loops
 def test_fast_loops_are_set_once_beside_what_is_there():
     held = "--xla_backend_extra_options="
@@ -134,11 +135,13 @@ def test_fast_loops_are_set_once_beside_what_is_there():
     assert kept.endswith(flags + ",xla_cpu_small_while_loop_byte_threshold=100000000")
 
 
+@pytest.mark.long
 @with_fast_loops
 def test_fast_loops_come_too_late_after_the_first_array():
     assert run(LATE) == ["TOO_LATE True False"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("version", ["0.7.1", "0.13.0"])
 def test_fast_loops_leave_an_untested_version_alone(version):
     assert run(UNTESTED, version) == ["False ['UNTESTED_JAXLIB'] False"]

@@ -49,6 +49,7 @@ WAYS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("way", WAYS)
 def test_derivatives_and_their_batches_are_right(way):
     derivative, order = WAYS[way]
@@ -123,6 +124,7 @@ def test_programs_have_the_options_of_the_function(monkeypatch, lost):
     assert ours == ({"spring"} if lost else {"spring_linearized", "spring_linearized_pullback"})
 
 
+@pytest.mark.long
 def test_what_is_under_way_is_told():
     seen = []
 

@@ -343,6 +343,7 @@ def test_two_writers_at_once_do_no_harm(kept):
     assert [path.name for path in kept.folder.iterdir()] == ["same"]
 
 
+@pytest.mark.long
 def test_calls_without_jit_or_in_search_of_nan_go_past_it(kept):
     with jax.disable_jit():
         poses(SMALL)
@@ -364,6 +365,7 @@ for device in (second, first):
 """
 
 
+@pytest.mark.long
 def test_programs_for_another_device_are_not_kept(tmp_path):
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
     command = [sys.executable, "-c", ON_TWO, str(tmp_path / "programs")]
@@ -371,6 +373,7 @@ def test_programs_for_another_device_are_not_kept(tmp_path):
     assert done.stdout.splitlines() == ["[]", "['_reference']"], done.stderr
 
 
+@pytest.mark.long
 def test_no_program_is_kept_unless_asked_for():
     """Neither by the import nor by a call of the library."""
     code = "import jax, jaxbody as jb; jb.presets.quarter_car().reference; print(jax.config.jax_compilation_cache_dir)"

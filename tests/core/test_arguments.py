@@ -141,6 +141,7 @@ KEYED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("where", KEYED)
 def test_a_number_in_place_of_a_key_is_refused_with_the_key_to_write(where, fitted):
     """So is anything else but a random key of JAX; keys of the old kind are accepted."""
@@ -175,6 +176,7 @@ def test_whole_numbers_may_be_written_as_floats():
     assert simulate(max_steps=1e3).ok
 
 
+@pytest.mark.long
 def test_names_of_numpy_are_names():
     """Strings of NumPy, as pandas and np.array return them, become Python's: the model is the same."""
     mass, base, s = np.array(["mass", "base", "s"])

@@ -62,6 +62,7 @@ def test_a_batch_of_trajectories_has_samples_and_bushings_their_components(rng):
     np.testing.assert_array_equal(dataset["times"], batch.times)
 
 
+@pytest.mark.long
 def test_statics_and_small_motions(model):
     eq = jb.equilibrium(model)
     lin = jb.linearize(model, eq)
@@ -78,6 +79,7 @@ def test_statics_and_small_motions(model):
     np.testing.assert_array_equal(dataset["shape"].sel(mode=1), modes.shapes[:, 0])
 
 
+@pytest.mark.long
 def test_a_fit():
     times = jnp.linspace(0, 1, 4)
     sensors = {"place": jb.Position("mass"), "stretch": jb.Elongation("s")}

@@ -69,10 +69,8 @@ def warned(function):
         return function(), [str(w.message) for w in seen]
 
 
-SLOW = ("MAX_STEPS", "NONFINITE", "TABLE_RANGE")
-
-
-@pytest.mark.parametrize("code", [pytest.param(code, marks=[pytest.mark.long] * (code in SLOW)) for code in FAILURES])
+@pytest.mark.long
+@pytest.mark.parametrize("code", FAILURES)
 def test_a_failed_result_issues_the_same_warnings_under_derivatives(code):
     """The derivative of a failed result is NaN; beyond a table the values are valid, and so are the derivatives."""
     number = FAILURES[code]
@@ -128,6 +126,7 @@ jb.equilibrium(free)
 """
 
 
+@pytest.mark.long
 def test_warnings_point_at_the_line_of_the_user():
     done = subprocess.run([sys.executable, "-W", "always", "-c", LINES], capture_output=True, text=True, timeout=300, check=True)
     codes = re.findall(r"^<string>:(\d+): JaxbodyWarning: .*\[(\w+)\]$", done.stderr, re.MULTILINE)
@@ -150,6 +149,7 @@ def test_a_spring_that_shrinks_to_a_point_is_named():
     assert abs(0.5 * np.cos(w * t) + 8 / w * np.sin(w * t) - 1) <= 1e-9
 
 
+@pytest.mark.long
 def test_a_derivative_that_would_reserve_too_much_memory_is_refused_before():
     """For every 128th of 1e9 steps: a state of two numbers, its rate, a polynomial of seven, and 128 lengths, 8 bytes each: over 9 GB."""
 

@@ -31,6 +31,7 @@ def test_a_motion_is_a_table_over_time():
     assert set(frame.attrs["units"]) == {"time", *frame.columns}
 
 
+@pytest.mark.long
 def test_a_batch_has_the_sample_in_its_index():
     cars = jax.tree.map(lambda *x: jnp.stack(x), *(jb.replace(CAR, {"body.mass": mass}) for mass in (300.0, 400.0)))
     lins = jax.vmap(lambda model: jb.modes(jb.linearize(model, model.reference)))(cars)

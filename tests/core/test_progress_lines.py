@@ -125,10 +125,10 @@ CALLS = {
     "sensitivities": (lambda: jb.sensitivities(on_guide(), stiff, free=FREE), "sensitivities: evaluation 1"),
     "tolerances": (lambda: jb.tolerances(on_guide(), stiff, {FREE[0]: 1.0}, samples=5), "tolerances: derivatives and 5 samples"),
 }  # fmt: skip
-LONG = ("multiple_shooting", "multistart")
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.long] if name in LONG else []) for name in CALLS])
+@pytest.mark.long
+@pytest.mark.parametrize("name", CALLS)
 def test_every_long_computation_reports_its_progress(name, monkeypatch, capsys):
     """The reports to the line are recorded; without a terminal none is printed."""
     reports = []

@@ -53,6 +53,7 @@ def test_rows_left_out_are_counted_and_the_note_says_where_they_are():
         assert f"... 7 more of {tables.MOST_ROWS + 7} rows; the result's attributes have all of them" in shown
 
 
+@pytest.mark.long
 def test_no_table_states_thousandths_of_units(mass):
     backbones = jb.backbones(jb.linearize(mass, jb.equilibrium(mass)))
     assert jnp.isfinite(backbones.frequency).all()

@@ -71,6 +71,7 @@ PROBLEMS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_the_least_within_limits_is_that_of_a_grid(car, name):
     minimize, limits = PROBLEMS[name]
@@ -127,6 +128,7 @@ def test_multipliers_are_those_of_the_problem_solved_again(car):
     np.testing.assert_allclose(held.multipliers["suspension.damping"], (ends[0] - ends[1]) / 4, rtol=1e-4)
 
 
+@pytest.mark.long
 def test_the_tuned_damper_of_a_quarter_car():
     """By the library's random response over all frequencies: c = ks sqrt(M/kt)."""
     band, road = jb.Band(1e-6, 1e7, points=1001), jb.Unevenness.iso("C").at_speed(20.0)
@@ -189,6 +191,7 @@ def frequencies(model):
     return {"lowest": -jb.objectives.smooth_min(w2, 1e-4), "first": -w2[0], "cost": x + 2 * y, "gap": w2[1] - w2[0], "x": x, "y": y}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("start", [(1.0, 1.0), (0.4, 1.9)])
 def test_frequencies_that_coincide_at_the_start_or_at_the_optimum(crossed, start):
     """The stiffest softest direction for a budget x + 2 y = 3: both equal, from where they are equal already or not, by a smooth or a
@@ -204,6 +207,7 @@ def test_frequencies_that_coincide_at_the_start_or_at_the_optimum(crossed, start
     np.testing.assert_allclose(away.after["cost"], 1.5 + 2 * 1.0, rtol=1e-4)  # the cheaper one is stiffened
 
 
+@pytest.mark.long
 def test_the_edge_of_stability_does_not_stop_the_search():
     """An upright pendulum on a spring that holds it from k = m g h on; a slow swing lies just beyond, and steps past the edge find no
     frequency."""
@@ -335,6 +339,7 @@ def test_many_starts_find_the_deepest_valley(weight):
     np.testing.assert_allclose(reverse.values["spring.stiffness"], one.values["spring.stiffness"], rtol=1e-6)
 
 
+@pytest.mark.long
 def test_optax_for_smooth_and_for_noisy_objectives(weight):
     bounds = {"spring.stiffness": (5.0, 500.0)}
     smooth = jb.tune(weight, wavy, free="spring.stiffness", bounds=bounds, method=optax.lbfgs(), max_iterations=30, starts=3)
@@ -460,6 +465,7 @@ def test_what_nothing_holds_is_no_optimum(weight, capsys):
     assert "evaluation 1, f 7.07107\n" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_search_says_to_go_on_only_where_it_was_cut_off(weight):
     """Of three variables of a valley two iterations are too few; of a kink none are enough, and no more are asked for."""
 

@@ -70,6 +70,7 @@ def test_points_of_a_front_lie_about_equally_far_apart(car):
     assert len(one) == 12 and (apart > 0.05).all() and (apart < 0.25).all(), apart
 
 
+@pytest.mark.long
 def test_three_objectives_have_the_triangle_between_their_corners(car):
     front = jb.pareto(car, distances, minimize=["one", "two", "three"], points=25, **PLANE)
     x, y = np.log(front.values["suspension.stiffness"] / 35000.0), np.log(front.values["suspension.damping"] / 1500.0)

@@ -44,6 +44,7 @@ def engine():
     return jb.linearize(model, model.reference)
 
 
+@pytest.mark.long
 def test_coupling_is_made_of_the_published_energies(engine):
     """REFERENCES, section 1, as printed to four decimals; products of inertia make some shares negative."""
     e = POWERTRAIN_ENERGIES
@@ -122,6 +123,7 @@ def test_several_seats_are_summed_and_several_tyres_averaged():
     np.testing.assert_allclose(objectives.road_holding(ride, {"left": 4000.0, "right": 2000.0}), np.sqrt(shares.mean()), rtol=1e-12)
 
 
+@pytest.mark.long
 def test_what_arrives_over_a_band():
     """A mass on a spring far above its resonance: |H| = r^-2, whose mean square over ln f is known."""
     model = jb.Model(

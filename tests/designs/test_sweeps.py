@@ -34,6 +34,7 @@ def grid(car):
     return jb.sweep(car, quantities, {"suspension.stiffness": K, "body.mass": M})
 
 
+@pytest.mark.long
 def test_a_grid_has_its_labels_and_the_values_of_closed_forms(grid):
     assert grid["frequency"].dims == ("suspension.stiffness", "body.mass", "frequency_0") and grid["sag"].shape == (7, 3)
     np.testing.assert_allclose(grid["frequency"], frequencies(K[:, None], M), rtol=1e-10)

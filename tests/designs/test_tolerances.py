@@ -135,6 +135,7 @@ def ranked():
     return car, jb.sensitivities(car, modal, free=["*.stiffness", "*.mass"], change=0.2)
 
 
+@pytest.mark.long
 def test_sensitivities_are_differences_and_ranked(ranked):
     """Slopes to differences; both ends exactly; the body's mode follows its spring and mass, the wheel's its own."""
     car, result = ranked

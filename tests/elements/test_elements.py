@@ -450,6 +450,7 @@ def with_derivatives(model, x):
     return energy(model, *at), forward(*at), first, second
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("length", LENGTHS)
 def test_a_spring_without_free_length_is_exact_down_to_zero_length(length):
     """V = k (|d| - l0)^2 / 2 at l0 = 0: gradient k d, Hessian k I, dV/dl0 = -k |d|, d2V/dl0^2 = k; forward and reverse, nothing is NaN."""
@@ -471,6 +472,7 @@ def test_a_spring_of_zero_length_beside_the_origin_has_the_stiffness_of_its_poin
     assert largest(K - 50 * J.T @ J) <= 1e-13
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["stiffness", "free_length"])
 def test_a_model_with_a_spring_of_zero_length_can_be_built_while_it_is_traced(name):
     """As in a gradient or a sweep of its stiffness or free length: the length is checked only where it is not traced."""

@@ -83,6 +83,7 @@ CARS = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("k", "c", "b", "acceleration", "deflection", "force", "undamped"), CARS)
 def test_quarter_cars_of_smith_and_wang(k, c, b, acceleration, deflection, force, undamped):
     """REFERENCES2 3.5: root mean squares on a road of white velocity, by the modes of the library's state space."""

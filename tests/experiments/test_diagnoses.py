@@ -67,6 +67,7 @@ PLANTED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", PLANTED)
 def test_a_planted_blunder_is_named(swing, case):
     change, code, words = PLANTED[case]
@@ -84,6 +85,7 @@ def test_sound_records_pass(swing):
     assert all(abs(c.gain - 1) < 0.05 and abs(c.delay) < 0.1 for c in result.channels)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", [0.0, 0.003, 0.03, 0.3])
 def test_a_sound_record_in_much_noise_is_not_called_unrelated(swing, noise):
     """Up to a hundred times the motion, 20 realizations: the correlation is low, but what is left is white noise, which is taken for
@@ -96,6 +98,7 @@ def test_a_sound_record_in_much_noise_is_not_called_unrelated(swing, noise):
         assert all(c.correlation**2 < 0.5 for c in result.channels)
 
 
+@pytest.mark.long
 def test_a_prediction_at_rest_is_unrelated_to_a_motion(swing):
     model, _, readings = swing
     run = jb.Experiment(TIMES, initial="rest", sensors=SENSORS, measured={name: np.asarray(x) for name, x in readings.items()})
@@ -167,6 +170,7 @@ def table():
     return model
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", UNITS)
 def test_a_unit_that_moves_a_size_far_away_is_named(table, case):
     change, code = UNITS[case]
@@ -182,6 +186,7 @@ def test_times_in_milliseconds_are_named(table, swing):
         jb.plausibility(table, {"run": run})
 
 
+@pytest.mark.long
 def test_the_sizes_are_those_of_closed_forms(table):
     """A mass on a spring along gravity: f = sqrt(k/m)/2 pi, sag m g/k; and sound models pass."""
     model = jb.Model(

@@ -105,6 +105,7 @@ def test_a_plan_has_no_data_to_fit(use):
         use(plan)
 
 
+@pytest.mark.long
 def test_measurements_of_one_model_share_its_linearization(monkeypatch):
     """Two responses and two modal tests of other structure; nothing is compiled here."""
     inputs, outputs = {"f": jb.PointForce("box", direction="z")}, {"z": jb.Position("box", axis="z")}

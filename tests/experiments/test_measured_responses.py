@@ -244,6 +244,7 @@ def codes_of(function):
     return [(p.code, p.where) for p in error.value.problems]
 
 
+@pytest.mark.long
 def test_what_is_wrong_with_them_is_reported_at_once(measured):
     bad = {("x1", "force"): measured["x1", "force"][:5], ("x3", "force"): measured["x1", "force"], ("x2", "base"): np.full(len(F), np.nan)}
     assert codes_of(lambda: hammer(bad, {("x1", "force"): 0.0, ("x1", "base"): 1.0})) == [

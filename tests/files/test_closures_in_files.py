@@ -99,6 +99,7 @@ MODELS = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", ["toml", "json"])
 @pytest.mark.parametrize("name", MODELS)
 def test_models_with_closures_are_the_same_again(name, suffix, tmp_path):
@@ -271,6 +272,7 @@ def test_editors_accept_what_is_read(tmp_path):
         assert not check.is_valid(values)
 
 
+@pytest.mark.long
 def test_names_and_units_are_checked_before_JAX_is_imported(tmp_path):
     path = tmp_path / "steering.toml"
     path.write_text(

@@ -100,6 +100,7 @@ def again(model, path, **options):
     return jb.read_model(path, **options)
 
 
+@pytest.mark.long
 @pytest.mark.everywhere
 @pytest.mark.parametrize("suffix", ["toml", "json"])
 @pytest.mark.parametrize("name", PRESETS)

@@ -76,6 +76,7 @@ def test_every_kind_of_result_is_the_same_again(results, tmp_path):
     assert record["a"].tobytes() == old["a"].tobytes() and record.units == old.units and record.sampling == old.sampling
 
 
+@pytest.mark.long
 def test_what_is_computed_on_demand_still_is(results, tmp_path):
     jb.write_results({name: results[name] for name in ("fit", "trajectory", "modes")}, tmp_path / "some.zip")
     again = jb.read_results(tmp_path / "some.zip")
@@ -212,6 +213,7 @@ def test_double_precision_is_not_rounded_without_a_word(tmp_path):
         jb.read_results(tmp_path / "car.zip")
 
 
+@pytest.mark.long
 def test_nothing_is_written_inside_a_program_or_under_another_name(tmp_path):
     with pytest.raises(jb.JaxbodyError, match="TRACED"):
         jax.jit(lambda k: jb.write_results({"k": k}, tmp_path / "k.zip"))(1.0)

@@ -172,6 +172,7 @@ def end_of(domain, start):
     return axes @ np.diag(values) @ axes.T
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "name"), ending(), ids=lambda x: getattr(x, "__name__", x))
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
 def test_data_that_pull_a_number_across_the_end_of_its_domain_leave_it_inside(kind, name):
@@ -324,6 +325,7 @@ def test_a_mount_that_may_be_negative_must_still_be_symmetric():
         jb.replace(holding(mount), {"s.stiffness": K + np.triu(K, 1)})
 
 
+@pytest.mark.long
 def test_what_was_allowed_to_be_negative_stays_so():
     with pytest.warns(jb.JaxbodyWarning, match="NEGATIVE_STIFFNESS"):
         spring = jb.Spring(*ENDS, stiffness=-2.0, allow_negative=True)

@@ -306,6 +306,7 @@ def fit_with_warning(code, *arguments, **options):
     return result
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["least_squares", "lbfgs"])
 def test_what_the_data_cannot_tell_is_said_in_words_and_has_no_number(method, clean):
     """Without the spring that is known, all stiffnesses, the damping and the mass may be multiplied by one number."""
@@ -458,6 +459,7 @@ def test_bounds_that_are_not_met_change_nothing(record, optimum):
     np.testing.assert_allclose(values_of(result), optimum, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_trials_that_cannot_be_simulated_are_steps_rejected_and_counted(record, optimum):
     """From far too soft a spring the first steps lead to stiffnesses that need more steps of integration than there are."""
     far = cart(START * [1e-4, 1, 1, 1])
@@ -471,6 +473,7 @@ def test_trials_that_cannot_be_simulated_are_steps_rejected_and_counted(record, 
     np.testing.assert_array_equal(values_of(result), START * [1e-4, 1, 1, 1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_at_the_largest_number_of_evaluations_the_best_is_kept_with_a_status(method, record):
     result = fit_with_warning("NOT_CONVERGED", cart(), tracked(record), method=METHODS[method], max_evaluations=3)
@@ -497,6 +500,7 @@ def problems_of(*arguments, **options):
     return caught.value.problems
 
 
+@pytest.mark.long
 def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_channel(record):
     (problem,) = problems_of(cart(hold=1.7e308), tracked(record, q=2.0))
     assert problem.code == "NONFINITE_START" and problem.where == "run.x" and problem.hint

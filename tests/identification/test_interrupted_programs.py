@@ -23,6 +23,7 @@ def answer(y):
     return 0.5 * f**2 + 0.5 * (1 - x) ** 2, np.array([-20 * x * f - (1 - x), 10 * f])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "optimizer, most",
     [

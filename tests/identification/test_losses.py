@@ -65,6 +65,7 @@ def values(result):
     return np.array([float(x) for x in result.estimates.values()])
 
 
+@pytest.mark.long
 def test_tied_parameters_are_one(record):
     result = fit(oscillator(left=24.0, right=24.0), run(record), ("left.stiffness = right.stiffness", "damper.damping"))
     expected = optimum(lambda p: (motion(2 * p[0], p[1]) - record) / SIGMA, TRUTH)
@@ -112,6 +113,7 @@ def spoiled(record):
     return spoil(record, 8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("loss", LOSSES)
 def test_a_robust_fit_has_the_optimum_of_scipys_loss(loss, spoiled):
     result = fit(oscillator(), run(spoiled), loss=loss)
@@ -202,6 +204,7 @@ def interrupting(monkeypatch):
     return at
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [1, 5])
 def test_an_interrupted_fit_keeps_its_best_and_goes_on_from_there(record, interrupting, number, tmp_path):
     whole = fit(oscillator(), run(record))

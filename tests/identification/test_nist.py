@@ -120,6 +120,7 @@ def test_certified_parameters_and_their_standard_deviations(path):
     assert arrived and digits(result, certified) >= 6 and digits(error, deviations) >= known
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_from_the_far_start_too_or_the_data_do_not_determine_the_parameters(path):
     """Three end where an exponential has died out before the first point, on a plateau: parameters have no number there."""

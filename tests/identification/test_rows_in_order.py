@@ -27,6 +27,7 @@ def measured(numbers, function, noise=0.01):
     return {"run": Given(function, {"numbers": jnp.asarray(numbers)}, noise={"numbers": jnp.asarray(noise)})}
 
 
+@pytest.mark.long
 def test_a_fitted_table_does_not_fall():
     """Measured is as much beyond a table whose last two forces are equal as the start is before it."""
     flat = jb.replace(holding(TABLE), {"s.spring.forces": [-10.0, 0.0, 10.0, 10.0]})
@@ -86,6 +87,7 @@ def test_numbers_that_the_data_would_put_out_of_order_meet():
     assert jb.replace(result.model, {"s.spring.forces": forces})["s"].spring.forces.shape == (4,)
 
 
+@pytest.mark.long
 def test_rows_have_priors_ties_and_traced_fits_but_no_bounds():
     """With a prior of the deviation of the data the estimate is halfway; two tied rows have one number each."""
     path, model = "s.spring.forces", holding(LAW)
@@ -111,6 +113,7 @@ def test_rows_have_priors_ties_and_traced_fits_but_no_bounds():
         jb.fit(both, runs, free=["s.damper.forces = s.spring.forces * [2, 2, 2, 2]"])
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
 def test_rows_stay_in_order_in_random_starts_and_when_tuned():
     path, model = "s.spring.forces", holding(LAW)
@@ -129,6 +132,7 @@ def test_rows_stay_in_order_in_random_starts_and_when_tuned():
     np.testing.assert_allclose(bent.high, [[1.2**2, 1.15**2, 1.075**2, 1.075**2]], rtol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("start", [[-2.0, -0.5, 0.25, 1.0], [0.0, 1e-3, 5.0, 5.001]])
 def test_the_numbers_of_a_row_follow_u_in_order_with_their_derivatives(start):
     form = transforms.Ordered(jnp.asarray(start), jnp.asarray(2.0))

@@ -135,6 +135,7 @@ def test_a_validation_is_drawn_over_time(result):
         validation.plot(sensor="y")
 
 
+@pytest.mark.long
 def test_a_pose_is_validated_component_by_component(result):
     """Of a sensor with two units; small rotations were read with noise. Each unit has a panel of its own."""
     noise = np.random.default_rng(9).normal(size=(len(TIMES), 6)) * np.repeat([SIGMA, 1e-3], 3)

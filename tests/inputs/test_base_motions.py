@@ -75,6 +75,7 @@ def test_a_moving_and_turning_base_is_recovered(record):
     assert "removed from the accelerations: a line" in str(result) and result.ok
 
 
+@pytest.mark.long
 def test_the_motion_is_one_function_whose_second_derivative_is_the_corrected_acceleration(record):
     """Without rates: of translation, at the samples; and continuous with its two derivatives across them."""
     result = jb.base_motion(record, "f", axes=AXES, degree=1)
@@ -183,6 +184,7 @@ def test_the_spline_is_de_boors():
         np.testing.assert_allclose(got, expected.derivative(order)(t) if order else expected(t), rtol=0, atol=1e-12 * size)
 
 
+@pytest.mark.long
 def test_the_spline_starts_near_a_motion():
     motion = jb.Harmonic(frequency=1.0, translation=[0.1, 0, 0], rotation=[0, 0, 0.2])
     spline = jb.Spline(0.0, 2.0, interval=0.05, along=[[1, 0, 0]], about=[[0, 0, 1]], like=motion)
@@ -241,6 +243,7 @@ def test_an_unknown_base_motion_is_identified_in_a_fit():
     assert np.sqrt(np.mean(error[5:-5] ** 2)) < 1.5e-4
 
 
+@pytest.mark.long
 def test_a_gap_that_was_filled_on_request_may_be_integrated():
     """Two missing samples of a 7 rad/s sine, filled by a spline: the motion is that of the whole record to a micrometer of 2 mm."""
     holed = FLAT["a"][0].copy()

@@ -107,6 +107,7 @@ def test_the_work_of_the_loads_is_the_kinetic_energy(flown):
     assert abs(simpson(power, x=flown[1].times) - energy[-1]) <= 1e-8 * energy[-1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["hold", "linear", "cubic"])
 def test_samples_are_what_their_kind_says(kind):
     t = np.array([0.0, 0.1, 0.25, 0.4, 0.6])
@@ -322,6 +323,7 @@ def hanging(law, mass=1.0, free_length=1.0, joints=None):
 SOFT = laws.Digressive(slow=1000.0, fast=0.0, knee=0.05)  # bears less than 50 N
 
 
+@pytest.mark.long
 def test_a_softening_spring_has_a_largest_load():
     eq = jb.equilibrium(hanging(SOFT), loads={"pull": jb.Force("mass", force=[0, 0, -30.0])})
     assert abs(eq.state.q[0] + brentq(lambda x: 1000 * x / np.sqrt(1 + (x / 0.05) ** 2) - (G + 30), 0, 10, xtol=1e-15)) <= 1e-12
@@ -450,6 +452,7 @@ def test_preload_of_heights_alone_is_the_equilibrium():
         jb.preload(model, moving="weel*")
 
 
+@pytest.mark.long
 def test_preload_states_what_is_impossible():
     model = hanging(laws.Linear(200.0))
     tilted = jb.replace(model, {"gravity": [0, 0, -G]})

@@ -61,6 +61,7 @@ def test_one_phase_stands_for_three_axes():
     assert worst(motion(0.0), [0, 0, 0, -4, -5, -6]) <= 1e-15
 
 
+@pytest.mark.long
 def test_motions_add_also_with_bare_functions():
     harmonic = jb.Harmonic(frequency=1.0, translation=[1, 0, 0])
     sampled = jb.Sampled(EVEN, rotation=0.1 * np.sin(EVEN)[:, None] * AXIS)
@@ -119,6 +120,7 @@ def test_a_spline_is_scipys_and_meets_its_samples(rng, times):
     assert np.abs(with_derivatives(motion, np.repeat(times, 8)[:300])[0] - np.repeat(y, 8, 0)[:300]).max() <= 1e-15
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("build", [jb.Sampled, jb.Sampled.from_accelerations], ids=["positions", "accelerations"])
 @pytest.mark.parametrize("times", [EVEN, UNEVEN], ids=["even", "uneven"])
 def test_position_velocity_and_acceleration_are_continuous_at_the_knots(rng, times, build):
@@ -206,6 +208,7 @@ NUMBERS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("record", RECORDS)
 def test_a_motion_can_be_differentiated_in_its_numbers(rng, record):
     """Forward = reverse = central differences, and a motion built under jit is the one built outside."""
@@ -305,6 +308,7 @@ def test_all_that_is_wrong_with_a_record_is_reported_at_once():
     assert [problem.code for problem in caught.value.problems] == ["DUPLICATE_TIME", "NON_FINITE", "BAD_QUATERNION"]
 
 
+@pytest.mark.long
 def test_a_sampled_motion_that_jumps_is_warned_of():
     """One step of 1 cm in 500 samples of a slow sine is over twenty times the standard deviation of the steps."""
     times = np.linspace(0, 5, 501)

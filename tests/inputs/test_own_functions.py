@@ -79,6 +79,7 @@ def test_a_motion_that_jax_cannot_trace_or_of_another_shape_is_refused_by_its_su
     assert "integrate" not in times.programs
 
 
+@pytest.mark.long
 def test_a_motion_is_traced_once_for_the_check_however_often_it_is_used():
     for amplitude in (1.0, 2.0, 3.0):
         jb.simulate(slider(), np.array([0.0, 0.1]), motion={"base": Counted(jnp.array(amplitude))})

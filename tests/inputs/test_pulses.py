@@ -17,6 +17,7 @@ PULSES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PULSES)
 def test_a_motion_has_the_acceleration_of_its_pulse(name):
     pulse, shape = PULSES[name]
@@ -71,6 +72,7 @@ def test_a_simulation_follows_a_pulse_that_jumps():
     np.testing.assert_allclose(run.poses["mass"].p[:, 2] - base - 1, stroke, atol=1e-8)
 
 
+@pytest.mark.long
 def test_bad_pulses_are_refused():
     with pytest.raises(jb.JaxbodyError) as raised:
         jb.HalfSine(np.nan, -1.0, [0, 0])

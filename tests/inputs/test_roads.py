@@ -115,6 +115,7 @@ def test_a_wheel_rises_with_speed_times_the_slope_of_the_road():
     assert road.covers() == (-np.inf, np.inf)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("footprint", [0.0, 0.05, 0.5])
 @pytest.mark.parametrize("t", [0.0, 0.7, 1.9])
 def test_a_road_can_be_differentiated_in_its_numbers(footprint, t):
@@ -160,6 +161,7 @@ def test_a_kerb_is_a_ramp_between_two_levels():
     assert np.abs(np.subtract(heights, [0, 0, 0.06, 0.12, 0.12])).max() <= 1e-14
 
 
+@pytest.mark.long
 def test_a_road_is_built_in_a_trace_as_outside():
     def height(h, ramp):
         return jb.Road([0.0, 1.0, 1.0 + ramp], [0.0, h, 0.0], speed=1.0, footprint=2 * ramp)(jnp.array(0.9))[2]
@@ -197,6 +199,7 @@ def test_a_bad_road_is_reported_by_name(case):
         np.testing.assert_equal(np.asarray(error.value), np.asarray(value))
 
 
+@pytest.mark.long
 def test_all_that_is_wrong_with_a_road_is_reported_at_once():
     with pytest.raises(jb.JaxbodyError) as caught:
         jb.Road([0, 1, 1], [0, 0], speed="fast", footprint=-1.0)

@@ -51,6 +51,7 @@ MOTIONS = {  # u = 0.01 cos(4 t) along z, in five words
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", MOTIONS)
 def test_any_signal_of_six_numbers_moves_a_support(case):
     """x - 0.3 against the closed form: m x'' + c x' + k x = k u + c u', from rest at t = 0."""
@@ -120,6 +121,7 @@ def test_a_load_may_be_a_function_that_returns_a_list():
     assert jb.Force("mass", force=lambda t: [0.0, t, 1.0]).at_point(now)[0].tolist() == [0.0, 2.0, 1.0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("part", ["amplitude", "frequency", "phase"])
 def test_a_sum_with_a_delay_can_be_differentiated_in_its_numbers(part):
     """Against derivatives by hand of a cos(w (t - d) + p) + (t - d)."""

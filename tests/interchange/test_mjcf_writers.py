@@ -142,6 +142,7 @@ def test_mujoco_simulates_the_same_motion(written, rng):
     assert np.abs(ours - fine).max() <= np.abs(coarse - fine).max() + 1e-10
 
 
+@pytest.mark.long
 def test_what_is_read_again_is_the_same(written, rng):
     """Energies at some states; the order of the bodies may be another."""
     model, path = written
@@ -165,6 +166,7 @@ def test_bodies_and_springs_keep_their_numbers(tmp_path):
 BODY, ENDS = jb.Body(1.0, [1, 1, 1]), (("body", [0, 0, 0]), ("world", [0, 0, 1]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "parts, messages",
     [

@@ -18,6 +18,7 @@ def lin():
     return jb.linearize(car, jb.equilibrium(car))
 
 
+@pytest.mark.long
 def test_another_program_finds_the_same_response(lin, tmp_path):
     jb.write_state_space(lin.state_space(ROAD, SEAT), tmp_path / "plant.mat")
     plant = scipy.io.loadmat(tmp_path / "plant.mat", simplify_cells=True)

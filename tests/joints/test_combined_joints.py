@@ -40,6 +40,7 @@ def test_a_mass_on_a_universal_joint_swings_by_the_equations_of_lagrange():
     np.testing.assert_allclose(run.state.q.T, exact[:2], atol=1e-8)  # of both integrations
 
 
+@pytest.mark.long
 def test_a_shaft_in_a_plain_bearing_falls_along_it_and_spins_on():
     """Each motion by itself: g along the axis, and no moment about it."""
     n, m, offset, about = np.array([0.0, 0.6, 0.8]), 3.0, 0.2, 0.5
@@ -54,6 +55,7 @@ def test_a_shaft_in_a_plain_bearing_falls_along_it_and_spins_on():
     np.testing.assert_allclose(found, [g @ n, m * g @ across / (about + m * offset**2)], rtol=1e-13)
 
 
+@pytest.mark.long
 def test_a_puck_moves_in_its_plane_as_a_rigid_body():
     """m (O'' + (phi'' z x r) - phi'^2 r) = F, (J + m r^2) phi'' + m r x O'' = r x F with F = m g at the center of mass."""
     m, J, c = 2.0, 0.3, np.array([0.2, 0.1])

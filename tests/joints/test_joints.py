@@ -198,6 +198,7 @@ def test_increments_displace_a_free_body_and_turn_it_in_the_axes_of_its_parent(q
             assert np.abs(after - before - delta).max(initial=0) <= 1e-15
 
 
+@pytest.mark.long
 def test_the_rate_is_the_derivative_of_the_increment(q):
     moved, moving = jax.jvp(retract, (q, 0 * V), (0 * q, V))
     assert np.abs(moved - q).max() <= 1e-15

@@ -79,6 +79,7 @@ def test_work_is_stored_or_lost():
     np.testing.assert_allclose(held.dissipation(jnp.array(1e-3), x_dot), 100 * 0.07**2 / 2 + 1500 * 0.04**2 / 2 + 4e4 * 0.04**3 / 3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("f", "X", "gap"), [(9.0, 1e-3, 0.0), (9.0, 1e-3, 2e-4), (14.0, 5e-5, 2e-4)])
 def test_first_harmonic_at_an_amplitude(f, X, gap):
     """Against scipy's steady state; within the gap only the rubber acts."""
@@ -139,6 +140,7 @@ class Absorber(jb.laws.Inertial):
         return y_dot[0] ** 2 + 0.5 * y_dot[1] ** 2 + 0.3 * y_dot[0] * y_dot[1]
 
 
+@pytest.mark.long
 def test_general_coordinates_with_mass():
     """F and y'' of a law that states V, R and T only, by hand."""
     law, z = Absorber(jnp.array(50.0)), np.array([0.1, -0.2, 0.5, 0.3])

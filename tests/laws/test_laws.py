@@ -96,6 +96,7 @@ def test_force_is_the_formula_and_energy_its_integral(case):
     assert largest(U - integral) <= 1e-12 * largest(U)
 
 
+@pytest.mark.long
 def test_slope_is_the_second_derivative_of_the_energy(case):
     law, _, (F, slope, _, _, second, _, _), kinks = case
     assert largest(slope - second) <= 1e-13 * largest(slope)
@@ -171,6 +172,7 @@ def test_an_air_spring_that_carries_a_load_has_the_absolute_pressure_for_it():
     np.testing.assert_allclose([gas.force(at_rest), gas.slope(at_rest)], [-load, n * (101325.0 * A + load) / h], rtol=1e-12)
 
 
+@pytest.mark.long
 def test_a_gas_compressed_to_zero_volume_is_nan_and_named():
     gas = laws.AirSpring(pressure=3e5, area=0.01, height=0.5)
     model = jb.Model(

@@ -147,6 +147,7 @@ class Actuator(jb.laws.Hysteretic):
         return z[0]
 
 
+@pytest.mark.long
 def test_a_hysteretic_state_that_moves_at_rest_is_refused():
     with pytest.raises(jb.JaxbodyError) as caught:
         jb.Model(

@@ -381,7 +381,7 @@ def test_elements_with_inertia_act_as_by_euler_lagrange(free):
     assert_moves_as_by_euler_lagrange(model, motions, rng)
 
 
-@pytest.mark.parametrize("inerters", [False, True])
+@pytest.mark.parametrize("inerters", [pytest.param(False, marks=pytest.mark.long), True])
 def test_matrices_are_the_hessians_that_define_them(inerters):
     rng = np.random.default_rng(5)
     joints = {

@@ -33,6 +33,7 @@ LAWS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", LAWS)
 def test_a_nonfinite_law_in_a_motion_is_named_with_its_element_and_deformation(case):
     laws, where = LAWS[case]
@@ -42,12 +43,14 @@ def test_a_nonfinite_law_in_a_motion_is_named_with_its_element_and_deformation(c
     assert trajectory.status == jb.Status.NONFINITE and "body" not in str(warned[0].message)
 
 
+@pytest.mark.long
 def test_a_nonfinite_law_in_an_equilibrium_is_named_with_its_element():
     with pytest.warns(jb.JaxbodyWarning, match="'bad' is not finite") as warned:
         eq = jb.equilibrium(slider(9.81, spring=lambda x: 5.0 * x * jnp.sqrt(0.1 - x)))  # the good one alone would stretch by 0.98 m
     assert eq.status == jb.Status.NOT_CONVERGED and "max_steps" not in str(warned[0].message)
 
 
+@pytest.mark.long
 def test_an_equilibrium_that_needs_more_steps_names_no_element():
     with pytest.warns(jb.JaxbodyWarning, match="give more max_steps"):
         jb.equilibrium(slider(9.81, spring=lambda x: 100.0 * x**3), max_steps=1)
@@ -59,6 +62,7 @@ TURNED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", TURNED)
 def test_a_bushing_past_half_a_turn_is_named_with_the_remedy(case):
     ends = ("rotor", [0.1, 0, 0]), ("base", [0.1, 0, 0])
@@ -109,6 +113,7 @@ def test_a_spring_that_passes_through_zero_length_is_named_under_derivatives_too
         jax.grad(lambda k: jb.simulate(jb.replace(on_a_line(), {"s.stiffness": k}), TIMES, initial=TOWARDS).state.q[-1, 0])(50.0)
 
 
+@pytest.mark.long
 def test_with_constant_steps_only_the_summary_shows_a_collapse():
     constant = {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 1e-3}
     trajectory = jb.simulate(on_a_line(), TIMES, initial=TOWARDS, **constant)
@@ -122,12 +127,14 @@ NO_JUMP = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", NO_JUMP)
 def test_a_spring_whose_force_does_not_jump_is_not_named(case):
     trajectory = jb.simulate(on_a_line(**NO_JUMP[case]), TIMES, initial=TOWARDS)
     assert trajectory.state.q[:, 0].min() < -1.2 and "shrunk" not in trajectory.summary()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turns", [0.5, 0.4, 2.5, 3.1])
 def test_a_spring_that_swings_round_between_two_samples_is_not_named(turns):
     """Its length stays constant, although the straight line between two samples passes near its other end, and through it at half turns."""

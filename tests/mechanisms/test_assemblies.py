@@ -192,6 +192,7 @@ def test_a_turn_of_the_crank_one_position_after_the_other():
     np.testing.assert_allclose(each[-1] - each[0], [2 * np.pi, -2 * np.pi, 0.0], atol=1e-9)  # the coupler's is relative to the crank
 
 
+@pytest.mark.long
 def test_what_cannot_be_assembled_is_named():
     with pytest.warns(jb.JaxbodyWarning, match=r"NOT_CLOSED.*'pin x' stays 0.3.* m apart"):
         done = jb.assemble(four_bar(coupler=0.5, rocker=0.08))

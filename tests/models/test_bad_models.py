@@ -452,6 +452,7 @@ def test_a_model_whose_matrices_exceed_the_memory_is_refused():
         assert refused.value.code == "TOO_LARGE"
 
 
+@pytest.mark.long
 def test_responses_at_too_many_frequencies_are_refused(monkeypatch):
     """Complex matrices of 2 x 2 at a million frequencies need 40 bytes for each number, 0.16 GB."""
     car = jb.presets.quarter_car()

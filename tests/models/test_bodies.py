@@ -108,6 +108,7 @@ def mounted(body, joint=None):
     return jb.Model(bodies={"body": body}, joints={} if joint is None else {"body": joint}, elements=ends)
 
 
+@pytest.mark.long
 def test_a_point_mass_on_a_joint_that_does_not_turn_it_is_accepted():
     lin = jb.linearize(model := mounted(jb.Body(mass=2.0), jb.Translation("world")), model.reference)
     np.testing.assert_allclose(jb.modes(lin).frequency, np.sqrt(np.array([2100, 2400, 2700]) / 2) / (2 * np.pi), rtol=1e-12)
@@ -146,6 +147,7 @@ def test_a_simulation_without_inertia_states_the_reason():
         jb.simulate(model, [0.0, 0.1])
 
 
+@pytest.mark.long
 def test_a_rod_along_no_axis_has_no_inertia_about_it():
     """Round-off leaves a moment of 1e-17, whose frequency of 1e8 Hz would reduce all others to zero."""
     R = Rotation.from_rotvec([0.3, -0.5, 0.9]).as_matrix()
@@ -155,6 +157,7 @@ def test_a_rod_along_no_axis_has_no_inertia_about_it():
         assert np.isnan(jb.modes(jb.linearize(model, model.reference)).frequency).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("letter", ["M", "K"])
 def test_a_matrix_with_nan_has_no_frequency(letter):
     import equinox as eqx

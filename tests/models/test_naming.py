@@ -283,6 +283,7 @@ def test_all_problems_of_values_are_reported_at_once(zoo):
     assert [problem.code for problem in error.problems] == ["BAD_SHAPE", "NON_FINITE", "BAD_MASS", "COMPLEX", "LISTED_TWICE"]
 
 
+@pytest.mark.long
 @pytest.mark.untyped
 def test_two_hundred_springs_are_replaced_in_a_few_operations():
     n = 200

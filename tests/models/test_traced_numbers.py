@@ -77,6 +77,7 @@ def test_good_numbers_are_those_of_the_constructor(outcomes):
     np.testing.assert_allclose(numbers[: len(frequency)], frequency, rtol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", BAD)
 def test_a_bad_number_ends_in_a_status_and_nan(case, outcomes):
     ok, numbers = (np.asarray(x)[1 + list(BAD).index(case)] for x in outcomes)

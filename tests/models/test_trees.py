@@ -35,6 +35,7 @@ def everything():
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda tree: pickle.loads(pickle.dumps(tree))], ids=["deepcopy", "pickle"])
 def test_a_copied_or_pickled_model_has_the_same_tree_and_needs_no_compilation(copied):
     model = everything()
@@ -48,6 +49,7 @@ def test_a_copied_or_pickled_model_has_the_same_tree_and_needs_no_compilation(co
     assert times.count == 0
 
 
+@pytest.mark.long
 def test_a_model_pickled_in_another_process_has_the_same_tree(tmp_path):
     file = tmp_path / "model.pickle"
     script = (
@@ -145,6 +147,7 @@ def test_laws_with_networks_of_one_structure_are_one_table_and_others_their_own(
         assert float(moved.forces[name][-1]) == pytest.approx(float(k * (x + network(seed, activation)(x[None])[0]) + 5.0 * v), rel=1e-12)
 
 
+@pytest.mark.long
 def test_the_energy_of_a_network_is_the_integral_of_its_force():
     law = Learned(network(1), 50.0)
     x = np.linspace(0.0, 0.3, 4001)

@@ -103,6 +103,7 @@ def test_reverse_mode_is_forward_mode_of_the_same_blocks(adaptive):
     np.testing.assert_allclose(np.asarray(alone), np.stack([reverse, forward])[..., 1], rtol=1e-8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", [diffrax.Tsit5(), diffrax.Dopri5(), diffrax.Bosh3(), diffrax.Heun()], ids=lambda x: type(x).__name__)
 def test_tableaus_and_polynomials_are_those_of_the_solver(solver):
     field, args, y0, end = SYSTEMS["Lotka-Volterra"]
@@ -112,6 +113,7 @@ def test_tableaus_and_polynomials_are_those_of_the_solver(solver):
     assert int(ours.stats["num_steps"]) == 150
 
 
+@pytest.mark.long
 def test_backward_in_time_with_a_first_step_and_times_to_stop_at():
     """From the end of a path back to its start, and in steps that end where they are asked to."""
     field, args, y0, end = SYSTEMS["Lotka-Volterra"]
@@ -124,6 +126,7 @@ def test_backward_in_time_with_a_first_step_and_times_to_stop_at():
     assert int(path(field, args, y0, end, stepsize_controller=steps, adjoint=jb.Blocks()).stats["num_accepted_steps"]) == 300
 
 
+@pytest.mark.long
 def test_samples_are_functions_of_the_state_and_statuses_those_of_diffrax():
     field, args, y0, end = SYSTEMS["Lotka-Volterra"]
     sums = diffrax.SaveAt(ts=jnp.array([0.5, 1.0]), fn=lambda t, y, args: t + jnp.sum(y))
@@ -177,6 +180,7 @@ def test_parts_of_a_driven_term_are_found_within_what_diffrax_makes_of_it():
     np.testing.assert_allclose(run.ys[:3, 0], np.sin(2 * times) / 2, atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "given",
     [

@@ -76,6 +76,7 @@ def test_constant_steps_are_those_of_the_tableau(model):
         assert float(slope) == pytest.approx(float(q_slope[i]), rel=1e-10)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("batches")
 def test_a_batch_of_constant_steps_is_a_loop(model):
     """More than a chunk, and with fewer steps than it takes."""
@@ -156,6 +157,7 @@ def test_gradients_to_initial_states_and_times(model):
     assert float(by_time) == pytest.approx(float(value(0.1, h) - value(0.1, -h)) / (2 * h), rel=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("batches")
 def test_a_batch_is_a_loop_and_members_do_not_disturb_one_another(model):
     """Forty members, more than a chunk of lanes, with steps of their own; one of them is NaN from the start and only it ends so."""
@@ -185,6 +187,7 @@ def test_more_samples_than_a_window_and_more_steps_than_a_block(model):
     np.testing.assert_allclose(run.state.q[some], jb.simulate(model, times[some], motion=MOTION).state.q, rtol=0, atol=1e-9)
 
 
+@pytest.mark.long
 def test_too_few_steps_keep_what_there_is(model):
     with pytest.warns(jb.JaxbodyWarning, match="MAX_STEPS"):
         run = jb.simulate(model, TIMES, motion=MOTION, max_steps=3)
@@ -290,6 +293,7 @@ def test_both_modes_in_batches_and_second_derivatives():
     np.testing.assert_allclose([value, slope], [0.3 * np.cos(w[0]), 2 * forward[0]], rtol=1e-8)
 
 
+@pytest.mark.long
 def test_forward_mode_through_another_solver_says_which_argument_allows_it():
     with pytest.raises(jb.JaxbodyError, match=r"adjoint=diffrax.ForwardMode\(\)"):
         jax.jacfwd(lambda k: oscillation(jb.laws.Linear(k), jnp.array([0.0, 0.1]), solver=diffrax.Tsit5()))(40.0)

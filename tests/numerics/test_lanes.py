@@ -66,6 +66,7 @@ def tables(x, a):
     return jax.lax.fori_loop(0, 2, lambda i, y: y + jnp.searchsorted(jnp.cumsum(jnp.abs(x)), y), between)
 
 
+@pytest.mark.long
 @batches
 @pytest.mark.parametrize("function", [vectors, loops, until_all_have, sums_of_what_is_kept, while_carrying_lanes_alone, tables])
 def test_lanes_are_vmap(function):
@@ -78,6 +79,7 @@ def test_lanes_are_vmap(function):
     jax.tree.map(lambda p, q: np.testing.assert_allclose(p, q, rtol=1e-14, atol=1e-14), alone, jax.jit(function)(x[0], a))
 
 
+@pytest.mark.long
 @batches
 def test_derivatives_forward_and_batches_of_batches():
     x = jax.random.normal(jax.random.key(1), (2, 3, 3))
@@ -136,6 +138,7 @@ def test_jitted_functions_are_kept_and_what_is_not_needed_is_left_out():
     np.testing.assert_allclose(batch(x, a), expected, rtol=1e-14, atol=1e-14)
 
 
+@pytest.mark.long
 @batches
 def test_a_yes_or_no_takes_no_part_in_derivatives():
     def of_positive(x):
@@ -147,6 +150,7 @@ def test_a_yes_or_no_takes_no_part_in_derivatives():
         np.testing.assert_allclose(jax.grad(function)(x[0]), 2 * x[0], rtol=1e-15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("why", ["a rule fails", "switched off", "a GPU"])
 def test_what_lanes_cannot_take_is_done_by_vmap_and_shown(why, monkeypatch):
     x, a = jax.random.normal(jax.random.key(3), (4, 3)), jnp.array([0.3, -1.0, 2.0])
@@ -223,6 +227,7 @@ def turned_back(x):
 turned_back.defvjp(lambda x: (x**2, x), lambda x, c: (3 * x**2 * c,))
 
 
+@pytest.mark.long
 @batches
 @pytest.mark.parametrize("reversible", [False, True])
 def test_a_rule_of_ones_own_is_kept_when_a_batch_is_differentiated(reversible):

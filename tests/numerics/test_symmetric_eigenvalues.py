@@ -24,6 +24,7 @@ def symmetric_matrices(n: int, count: int) -> np.ndarray:
     return (A + A.transpose(0, 2, 1)) / 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", [1, 2, 3, 18])
 def test_they_are_lapacks(n):
     A = symmetric_matrices(n, LANES + 8)
@@ -52,6 +53,7 @@ def test_stacks_and_hermitian_matrices_are_left_to_lapack():
         np.testing.assert_allclose(jax.jit(jax.vmap(in_lanes(jnp.linalg.eigvalsh)))(stack), np.linalg.eigvalsh(stack), atol=1e-14)
 
 
+@pytest.mark.long
 def test_a_batch_of_frequencies_calls_lapack_for_no_eigenvectors():
     K = symmetric_matrices(5, 8) + 10 * np.eye(5)
     M = np.broadcast_to(np.diag([1.0, 2.0, 3.0, 4.0, 5.0]), K.shape)

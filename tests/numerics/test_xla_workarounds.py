@@ -51,5 +51,6 @@ def test_rows_are_taken(rng, rows):
     np.testing.assert_array_equal(take(jnp.asarray(x), rows), x[rows])
 
 
+@pytest.mark.long
 def test_inverse_root_is_zero_where_its_argument_is():
     np.testing.assert_allclose(inverse_root(jnp.array([4.0, 0.25, 0.0])), [0.5, 2.0, 0.0], rtol=1e-15)

@@ -13,6 +13,7 @@ READY = {"double wishbone": jb.double_wishbone, "macpherson": jb.macpherson, "fi
 SHIFT = np.array([0.004, -0.003, 0.006])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", READY)
 def test_a_moved_corner_is_the_one_built_from_the_moved_points(name):
     """In every number of the model and the wheel, for each point by itself. (Which speeds count as independent stays as it was drawn.)"""

@@ -53,6 +53,7 @@ MODELS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MODELS)
 def test_names_of_parts_stay_apart_at_the_default_size(name):
     figure = MODELS[name]().plot().figure

@@ -18,6 +18,7 @@ def energies():
     return jb.mode_energies(jb.linearize(car, car.reference), forward="x")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "rows"), [("kinetic", 2), ("strain", 2), ("dissipation", 1)])
 def test_energies_are_a_heat_map(energies, kind, rows):
     ax = Figure().subplots()
@@ -38,6 +39,7 @@ def test_an_unknown_kind_is_refused(energies):
         plots.plot_mode_energies(energies, kind="heat")
 
 
+@pytest.mark.long
 def test_branches_have_gaps_where_they_were_lost():
     status = jnp.array([0, 0, Status.LOST_BRANCH, 0])
     frequency, quality = jnp.array([[1.0, 2.0], [1.1, 2.1], [1.2, 2.2], [1.3, 2.3]]), jnp.ones((4, 2)).at[2, 1].set(0.3)

@@ -33,6 +33,7 @@ def on_tyres():
     return jb.Model(bodies=bodies, supports={"road": jb.Support()}, joints=joints, elements=elements, gravity=[0, 0, -9.81])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("preset", ["full_car", "half_car", "engine_on_mounts", "stewart_table", "isolated_table"])
 def test_names_do_not_overprint(figure, preset):
     model = getattr(jb.presets, preset)()

@@ -48,6 +48,7 @@ def test_the_responses_of_a_car_are_all_named_and_a_panel_has_one_unit(response)
     assert_named_and_distinct(ax, 20)
 
 
+@pytest.mark.long
 def test_names_beside_the_axes_stay_within_their_height(response):
     figure = Figure(figsize=(9, 4), layout="constrained")
     ax = plots.plot_transmissibility(response, ax=figure.subplots())
@@ -106,6 +107,7 @@ def test_thirty_two_lines_look_different():
     assert len({(look["color"], str(look["ls"])) for look in looks}) == 32
 
 
+@pytest.mark.long
 def test_rows_without_energy_are_left_out_and_counted(car):
     energies = jb.mode_energies(jb.linearize(car, car.reference), forward="x")
     ax = plots.plot_mode_energies(energies, ax=Figure().subplots())
@@ -126,6 +128,7 @@ def test_a_tornado_counts_the_parameters_that_it_leaves_out():
     assert ax.get_title() == "the strongest 15 of 22 parameters" and len(ax.get_yticks()) == 15
 
 
+@pytest.mark.long
 def test_branches_beyond_eight_look_different():
     frequency = jnp.arange(1.0, 13.0) * jnp.ones((3, 1))
     names = ["body bounce"] * 12  # the same name is no reason to take one curve for another

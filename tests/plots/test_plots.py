@@ -74,6 +74,7 @@ def drawn(ax, start, end):
     return any(np.allclose(xy[0], start) and np.allclose(xy[-1], end) for xy in (line.get_xydata() for line in ax.lines))
 
 
+@pytest.mark.long
 def test_a_trajectory_is_drawn_from_the_reference_pose(trajectory, ax):
     assert plots.plot_trajectory(trajectory, ax=ax) is ax
     p = np.asarray(trajectory.poses["plate"].p)

@@ -109,6 +109,7 @@ def stroke():
     return AMPLITUDE * MASS * w**2 / abs(STIFFNESS - MASS * w**2 + 1j * w * DAMPING)
 
 
+@pytest.mark.long
 def test_without_damping_and_supports_energy_is_kinetic_and_potential():
     pendulum = jb.presets.elastic_pendulum()
     moved = jb.State(pendulum.reference.q.at[0].add(0.05), pendulum.reference.v)
@@ -117,6 +118,7 @@ def test_without_damping_and_supports_energy_is_kinetic_and_potential():
     assert names == ["kinetic", "potential", "kinetic + potential"]
 
 
+@pytest.mark.long
 def test_a_loop_encloses_what_a_damper_dissipates(run):
     """pi c w X^2 in a cycle; the polygon through n samples of an ellipse is smaller by sin(2 pi/n)/(2 pi/n)."""
     ax = plots.plot_force_strokes(run, start=5.0, ax=Figure().subplots())
@@ -158,6 +160,7 @@ def test_a_free_body_has_a_portrait_in_meters_and_one_in_radians():
 F = np.geomspace(0.5, 20, 30)
 
 
+@pytest.mark.long
 def test_the_dynamic_stiffness_of_a_spring_and_damper(lin):
     outputs = {"force": jb.LoadCell("mount"), "stroke": jb.Elongation("mount"), "y": jb.Position("mass", axis="y")}
     response = jb.frequency_response(lin, F, {"pull": jb.PointForce("mass", direction="y")}, outputs)
@@ -204,6 +207,7 @@ def test_poles_are_frequencies_over_real_parts(lin):
     assert "ζ = 0.1" in {text.get_text() for text in ax.texts}
 
 
+@pytest.mark.long
 def test_a_matrix_is_drawn_as_coupling():
     car = jb.presets.half_car()
     lin = jb.linearize(car, car.reference)
@@ -217,6 +221,7 @@ def test_a_matrix_is_drawn_as_coupling():
     np.testing.assert_allclose(np.sum(np.asarray(shapes) ** 2, 0), 1.0)  # M couples nothing here
 
 
+@pytest.mark.long
 def test_backbones_are_drawn_to_five_percent():
     bob = jb.Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
     pendulum = jb.Model(bodies={"bob": bob}, joints={"bob": jb.Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81])
@@ -250,6 +255,7 @@ def test_spectral_densities_have_a_panel_for_each_unit(lin):
     np.testing.assert_array_equal(ax.figure.axes[1].lines[0].get_ydata(), ride.psd[1])
 
 
+@pytest.mark.long
 def test_elastic_axes_go_on_the_drawing_of_their_model():
     corners = [[1, 1, -0.2], [1, -1, -0.2], [-1, 1, -0.2], [-1, -1, -0.2]]
     legs = {f"leg{i}": jb.Bushing(("box", at), ("world", at), stiffness=[1e4, 2e4, 3e4]) for i, at in enumerate(corners)}
@@ -265,6 +271,7 @@ def test_elastic_axes_go_on_the_drawing_of_their_model():
         jb.elastic_axes(lin, "box").plot(view="oblique")
 
 
+@pytest.mark.long
 def test_a_batch_is_refused_with_a_remedy(model):
     runs = jax.vmap(lambda k: jb.simulate(jb.replace(model, {"mount.stiffness": k}), jnp.linspace(0, 0.1, 5)))(jnp.array([700.0, 800.0]))
     for draw in (plots.plot_trajectory, plots.plot_forces, plots.plot_energies, plots.plot_phases, plots.plot_force_strokes):
@@ -308,6 +315,7 @@ def test_eight_lines_differ_in_gray_print_and_all_are_dark_enough():
     assert cielab(canvases.COLORS)[:, 0].max() < 77  # on white
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", DEFICIENT)
 def test_colors_differ_for_the_color_blind(kind):
     assert least(cielab(canvases.COLORS, DEFICIENT[kind])) > LEAST_DISTANCE

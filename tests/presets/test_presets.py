@@ -90,6 +90,7 @@ PRINTED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PRINTED)
 def test_frequencies_are_those_that_the_sources_print(name):
     printed, last_digit = PRINTED[name]
@@ -97,6 +98,7 @@ def test_frequencies_are_those_that_the_sources_print(name):
     np.testing.assert_allclose(jb.modes(lin).frequency, printed, atol=last_digit)
 
 
+@pytest.mark.long
 def test_the_stewart_table_stands_on_legs_of_equal_tension():
     """Six legs, by symmetry each a sixth of the weight over its slope; z and yaw by hand: K = 6 k (h/L)^2 and so on, with tension T/L
     across."""
@@ -130,6 +132,7 @@ def test_the_double_pendulum_and_the_gliders():
     np.testing.assert_allclose(np.diag(lin.M), [0.3, 0.5])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car", "engine_on_mounts", "isolated_table", "stewart_table",
                                   "elastic_pendulum", "double_pendulum", "coupled_gliders"])  # fmt: skip
 def test_every_ready_model_names_its_source(name):

@@ -30,6 +30,7 @@ def test_the_stiffness_of_an_isolator_is_the_series(isolated):
     assert angle.min() > 4.9 and angle.max() < 8  # as the docstring says
 
 
+@pytest.mark.long
 def test_transmissibilities_by_hand(isolated):
     """z by itself; x with pitch: the isolators are 0.1 m below the center of mass."""
     inputs = {axis: jb.BaseMotion("floor", axis) for axis in "xz"}

@@ -129,6 +129,7 @@ def test_the_limit_is_of_the_numbers_in_a_file_before_they_are_read(kind, tmp_pa
         jb.read_record(path, channels={"a": (channel, "g")}, rate=100.0, largest=LARGEST)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("filters", [{}, {"shuffle": True, "fletcher32": True}, {"scaleoffset": 3, "dtype": "i4"}, "twice"], ids=str)
 def test_a_chunk_that_inflates_beyond_what_the_file_states_is_refused(filters, tmp_path):
     """A thousand numbers, 8 kB as stated, that are 100 MB of zeros in truth; the same chunk, honest and as large as can be, passes."""
@@ -242,6 +243,7 @@ def test_a_heading_without_end_is_read_at_once(head, parts):
     assert split_unit(head) == parts
 
 
+@pytest.mark.long
 def test_blanks_and_digits_without_end_are_read_at_once(tmp_path):
     """The file of the report had 40 kB of blanks in its heading, for 11.5 s."""
     blanks = " " * LONG
@@ -252,6 +254,7 @@ def test_blanks_and_digits_without_end_are_read_at_once(tmp_path):
         read_text(f"t,a\n{digits}x,{digits}x\n".encode(), "run.csv")
 
 
+@pytest.mark.long
 def test_many_columns_are_named_at_once():
     n = 200_000
     text = ",".join(f"a{i}" for i in range(n)) + "\n" + ",".join("1" * n) + "\n"

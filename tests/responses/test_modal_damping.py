@@ -58,6 +58,7 @@ def test_responses_with_modal_damping_are_sums_over_the_modes(rig, method):
     assert result.ok and max_difference(result.values, expected) < 1e-9 * np.abs(expected).max()
 
 
+@pytest.mark.long
 def test_random_responses_with_modal_damping_are_sums_over_the_modes(rig):
     lin, Y = rig
     f = np.linspace(0.5, 3.0, 301)
@@ -154,6 +155,7 @@ def test_modal_damping_with_sensors_of_forces_is_refused(rig):
 # 0 Hz
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["direct", "modal"])
 def test_at_0_hz_the_response_is_the_static_one(rig, method):
     """K^-1 by NumPy, as the limit is; the base moves all with it."""
@@ -172,6 +174,7 @@ def test_at_0_hz_the_response_is_the_static_one(rig, method):
     np.testing.assert_allclose(hard.values[0, 0, 0], 1 / (50.0 * (1 + 0.2j)), rtol=1e-13)
 
 
+@pytest.mark.long
 def test_free_motions_have_no_static_response_and_are_reported():
     """Two masses on a spring between them, one dragged by a damper: NaN at 0 Hz, (K + i w C - w^2 M)^-1 elsewhere."""
     model = jb.Model(
@@ -200,6 +203,7 @@ def test_at_0_hz_velocities_and_accelerations_are_refused_as_inputs():
     assert jb.frequency_response(lin, [0.0], {"base": jb.BaseMotion("base", "z")}, outputs).values[0, 0, 0] == 0
 
 
+@pytest.mark.long
 def test_pictures_tables_and_objectives_of_a_response_with_0_hz():
     """A logarithmic scale starts above it; a NaN at it does not change the other phases and the largest magnitude."""
     from matplotlib.figure import Figure

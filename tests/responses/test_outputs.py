@@ -35,6 +35,7 @@ def test_each_component_of_a_vector_is_an_output(lin):
     np.testing.assert_allclose(H.values, expected.values, rtol=1e-12, atol=1e-12 * np.abs(expected.values).max())
 
 
+@pytest.mark.long
 def test_a_rate_is_s_times_its_motion(lin):
     """Velocity and acceleration are s and s^2 times the position, relative to the arm too; likewise of rotations; s = 2 pi i f."""
     families = [(jb.Position, jb.Velocity, jb.Acceleration), (jb.Rotation, jb.AngularVelocity, jb.AngularAcceleration)]

@@ -53,6 +53,7 @@ def test_white_noise_variances_in_closed_form(lin):
     assert np.abs(np.asarray(computed.rms) ** 2 / exact_variances(white(road)) - 1).max() < 1e-9
 
 
+@pytest.mark.long
 def test_damping_of_least_body_acceleration(lin):
     """ks sqrt(M/kt): the derivative of the variance vanishes there."""
     road = {"road": jb.Unevenness.iso("C").at_speed(SPEED)}
@@ -223,6 +224,7 @@ def test_contradictory_coherences_are_refused(lin):
     assert np.isnan(computed.rms).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("code", "call"),
     [
@@ -288,6 +290,7 @@ def test_only_accelerations_are_weighted(lin, ride):
         assert refused.value.code == code
 
 
+@pytest.mark.long
 def test_results_print_and_export(lin, ride):
     response = jb.frequency_response(lin, [1.0, 2.0], ROAD, OUTPUTS)
     for result, words in ((ride, ("stroke", "rms", "m/s2")), (response, ("stroke", "road", "m/s2 per m"))):

@@ -69,6 +69,7 @@ def test_slow_rotation_of_the_base_carries_everything_along_without_gravity_only
         assert error < 1e-9 if gravity == 0 else error > 0.1
 
 
+@pytest.mark.long
 def test_bodies_attached_to_the_world_do_not_follow_the_base():
     """Two springs in line, of 30 N/m to the base and 10 N/m to the world: three quarters of the motion arrive."""
     springs = {
@@ -347,6 +348,7 @@ def test_an_unstable_equilibrium_has_no_response():
         ride.raise_if_failed()
 
 
+@pytest.mark.long
 def test_modes_that_coincide_and_are_damped_critically_are_flagged():
     """One mass, damping ratio 1: one eigenvector for two poles, which a sum over modes lacks; elimination does not."""
     spring = jb.Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2 * np.sqrt(50.0))

@@ -270,6 +270,7 @@ def test_derivatives_of_all_instruments_agree_in_general_position(flight):
     derivatives_agree(flight.model, flight.motions, flight.times[5], jax.tree.map(lambda x: x[5], flight.state), GENERAL, flight.loads)
 
 
+@pytest.mark.long
 def test_zero_length_has_derivatives_of_zero_and_is_refused_as_a_beginning(pendulum):
     wire = jb.StringPotentiometer(("rod", [0, 0, 0]), ("world", [0, 0, 0]))
 
@@ -311,6 +312,7 @@ def test_a_delay_is_exact_well_below_the_sampling_rate(times, f, limit):
         np.testing.assert_allclose(slope[10:-10], rates[10:-10], rtol=0, atol=10 * limit * 2 * np.pi * f)
 
 
+@pytest.mark.long
 def test_at_the_ends_a_delay_goes_on_for_a_sample_and_then_does_not_count():
     tau, step = 0.0271, 0.01
     result, weight = delay(TIMES, np.stack([sine(3.0, TIMES)] * 2, 1), tau)[0], delays_and_lags.known(TIMES, tau)
@@ -511,6 +513,7 @@ def test_a_fit_finds_gain_bias_delay_and_lag_of_each_run(cart, seeds):
     np.testing.assert_allclose([result.estimates[f"s.{name}"] for name in ("stiffness", "damping")], [400.0, 4.0], rtol=1e-6)
 
 
+@pytest.mark.long
 def test_what_is_free_of_a_chain_moves_by_what_it_is_about_and_unknown_samples_do_not_count(cart):
     """A bias of zero by the size of the record, a delay of zero by a sample, a gain with its sign."""
     x = RANDOM.normal(size=50)

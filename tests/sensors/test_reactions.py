@@ -159,6 +159,7 @@ def momenta(model, t, q, v):
     return jnp.concatenate([P, J + jnp.cross(moving.point(bodies.com), P)], -1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_joints_and_all_else_exert_is_the_rate_of_momentum(kind):
     """d(momentum)/dt of the box, and of box and arm together, against gravity, load, springs and the one joint that holds them, all about
@@ -327,6 +328,7 @@ def test_an_accelerometer_is_an_output_of_responses(chain):
     np.testing.assert_allclose(H["read", "shake"], expected, rtol=1e-10)
 
 
+@pytest.mark.long
 def test_a_loss_factor_with_a_sensor_of_forces_is_refused(chain):
     """Hysteresis is no part of what such a sensor reads: its force would silently be that of the spring alone."""
     lin = jb.linearize(chain, jb.equilibrium(chain))
@@ -366,6 +368,7 @@ def test_a_reaction_on_a_support_is_what_a_force_plate_reads_in_world_axes(chain
     np.testing.assert_allclose(read["about r"], [*F, *(M - np.cross(R @ r, F))], rtol=0, atol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("sensor", "code", "words"),
     [

@@ -135,6 +135,7 @@ def test_noise_is_white_of_the_stated_level_for_each_sensor(trajectory, clean):
     assert abs(np.mean(a * b)) < 4 / np.sqrt(len(a))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("level", "meters", "radians"), [(2e-3, 2e-3, 2e-3), ([1e-4, 0.3], 1e-4, 0.3)])
 def test_noise_on_a_pose_keeps_quaternions_unit_and_is_white_in_meters_and_radians(trajectory, clean, level, meters, radians):
     noisy = jb.measure(trajectory, SENSORS, noise={"pose": level}, key=jax.random.key(5))["pose"]
@@ -154,6 +155,7 @@ def test_the_same_key_gives_the_same_noise_and_another_key_another(trajectory):
         assert (np.asarray(one[name]) != np.asarray(other[name])).mean() > 0.99, name
 
 
+@pytest.mark.long
 def test_a_batch_of_trajectories_is_measured_one_by_one(trajectory):
     two = [jax.tree.map(lambda x, s=s: x * s, trajectory.state) for s in (1.0, 1.1)]
     runs = [type(trajectory)(trajectory.times, state, trajectory.status, trajectory.statistics, trajectory.end, trajectory.model,

@@ -107,6 +107,7 @@ def test_a_half_sine_of_15_g_and_11_ms():
     np.testing.assert_allclose(sides["negative"], [5.1931, 10.0372, 19.5656, 19.5196, 13.1006, 4.2628, 1.0485], rtol=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("peaks", ["samples", "continuous"])
 def test_derivatives_agree_with_differences(rng, peaks):
     times, a = noise_record(rng, duration=2.0, rate=100.0)

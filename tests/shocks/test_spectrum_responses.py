@@ -161,6 +161,7 @@ def test_a_body_that_its_joint_carries_along_has_the_acceleration_of_its_support
     np.testing.assert_allclose(response.total_mass, [0, 2.0], atol=1e-12)
 
 
+@pytest.mark.long
 def test_supports_that_move_together_and_apart():
     """Between two bases on equal springs: together the whole base motion, apart half of it each."""
     ends = {"left": [-1.0, 0, 0], "right": [1.0, 0, 0]}

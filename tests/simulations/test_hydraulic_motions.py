@@ -68,6 +68,7 @@ def test_the_balance_of_energies_over_a_random_run():
     np.testing.assert_allclose(run.energies["kinetic"], 0.5 * 200.0 * np.asarray(run.state.v[:, 0]) ** 2 + fluid, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_free_motion_of_the_fluid():
     """A held mount whose fluid is released: an oscillator of k1 + k2, in closed form."""
     held = oscillator(LINEAR, joint=jb.Fixed("world"))

@@ -97,7 +97,8 @@ def largest_gap(trajectory):
     return float(jnp.max(trajectory.at_samples(gap)))
 
 
-@pytest.mark.parametrize("cut", ["head", pytest.param("foot", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("cut", ["head", "foot"])
 def test_a_four_bar_moves_as_its_one_equation_of_motion_and_keeps_its_energy(cut):
     times, rtol = np.linspace(0.0, 10.0, 201), 1e-10
     trajectory = jb.simulate(four_bar(cut), times, rtol=rtol)

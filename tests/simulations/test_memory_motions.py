@@ -68,6 +68,7 @@ def test_relaxation_and_ramp_of_a_held_solid():
     np.testing.assert_allclose(after.forces["s"][1:], [121.924041340, 100.401552824], rtol=1e-8)
 
 
+@pytest.mark.long
 def test_the_benchmark_of_hysteresis_in_forced_motion():
     law = jb.laws.Linear(5e4) + jb.laws.BoucWen(alpha=5e4, beta=1e3, gamma=0.8, delta=-1.1)
     model = oscillator(law, mass=2.0, damper=10.0)
@@ -78,6 +79,7 @@ def test_the_benchmark_of_hysteresis_in_forced_motion():
     np.testing.assert_allclose(-motion.state.z[1:, 0], [18.341793044, 50.765972240, 2.130618619], atol=1e-6 * 60)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("frequency", [1.0, 5.0, 10.0, 20.0, 100.0])
 def test_dynamic_stiffness_in_the_steady_state(frequency):
     """k0 + k1 i w tau/(1 + i w tau) from the force under an imposed motion."""
@@ -121,6 +123,7 @@ def test_the_balance_of_energies_over_a_random_run():
     assert np.abs(balance - work).max() < 1e-5 * largest  # of the trapezoidal rule, 1e-3 of a period squared
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("limit", "order"), [("damper", 1), ("spring", 1)])
 def test_limits_of_a_branch(limit, order):
     """tau -> 0 at constant c: a damper c; tau -> infinity at constant k: a spring k. The difference falls with tau, or with 1/tau."""
@@ -196,6 +199,7 @@ def test_rest_stays_at_rest(both):
     assert np.abs(displaced.state.v).max() < 1e-9 and np.abs(displaced.state.z[:, 0] - eq.state.z[0]).max() < 1e-9
 
 
+@pytest.mark.long
 def test_a_z_of_another_length_and_gauss_are_refused(solid):
     with pytest.raises(jb.JaxbodyError) as caught:
         jb.simulate(solid, [0.0, 1.0], initial=jb.State(np.zeros(1), np.zeros(1), np.zeros(3)))

@@ -20,6 +20,7 @@ def moved(model, times, rtol=1e-11, **options):
     return trajectory
 
 
+@pytest.mark.long
 def test_body_on_a_spring_damper_moves_as_in_adams():
     """The file has seven digits, six decimals: the limit is half of the last one."""
     names = ("Pos", "Vel", "Quat", "Avel")

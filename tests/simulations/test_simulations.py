@@ -156,6 +156,7 @@ def test_work_of_the_moving_base_is_the_change_of_energy_plus_dissipation(rig, r
 # Turning over
 
 
+@pytest.mark.long
 def test_a_body_turning_a_hundred_times_follows_the_exponential():
     """A sphere on a relaxed spring to its center: nothing turns it, R(t) = exp([w] t)."""
     turns, end = 100, 10.0
@@ -201,6 +202,7 @@ def test_the_other_quaternion_of_the_same_attitude_moves_the_same(rig, start, sh
 # Time
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("shift", "limit"), [(1.0, 1e-11), (1e3, 1e-9), (1e6, 1e-6)])
 def test_a_shift_of_time_changes_nothing(rig, start, shaken, shift, limit):
     """Except the rounding of time itself: eps times 1e6 s is 1e-10 s."""
@@ -326,6 +328,7 @@ def fallen(speed, g=9.81, samples=5001, **options):
     return times, jb.simulate(model, times, initial=thrown, **options).state.q[:, 0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("samples", [1025, 2049, 5001, 12289])  # around numbers of samples that are computed together, and far above
 def test_a_step_may_reach_over_thousands_of_samples(samples):
     """A parabola, which every step reproduces to round-off; the last step covers nearly all of the time."""
@@ -378,6 +381,7 @@ def simulated(model, times, *codes, **options):
     return trajectory, "\n".join(str(w.message) for w in caught)
 
 
+@pytest.mark.long
 def test_a_motion_of_too_many_steps_keeps_its_samples_and_reports_the_time_reached():
     whole = sampled(100.0, hung(), rtol=1e-10)
     cut, message = simulated(hung(), SHORT, "MAX_STEPS", max_steps=8, rtol=1e-10)
@@ -392,6 +396,7 @@ def test_a_motion_of_too_many_steps_keeps_its_samples_and_reports_the_time_reach
         assert (np.isnan(numbers) == ~before).all()
 
 
+@pytest.mark.long
 def test_steps_below_the_smallest_are_reported():
     """The smallest step is too large for the tolerance from the first step on; the initial state is returned."""
     controller = diffrax.PIDController(rtol=1e-12, atol=1e-12, dtmin=0.2, force_dtmin=False)
@@ -414,6 +419,7 @@ def slider(stiffness=400.0):
 PUSHED = jb.State(jnp.array([0.1]), jnp.zeros(1))
 
 
+@pytest.mark.long
 def test_a_nonfinite_motion_is_named():
     def stops(t):
         return jnp.where(t < 0.52, jnp.sin(t), jnp.nan) * jnp.array([1.0, 0, 0, 0, 0, 0])
@@ -438,6 +444,7 @@ def test_constant_steps_too_long_for_the_model_end_in_a_status_at_the_right_time
     assert times[good][-1] <= end <= times[~good][0]
 
 
+@pytest.mark.long
 def test_short_constant_steps_have_the_accuracy_of_their_order():
     exact = 0.1 * np.cos(20 * SHORT)
     options = dict(stepsize_controller=diffrax.ConstantStepSize(), solver=diffrax.Tsit5(), initial=PUSHED)
@@ -448,6 +455,7 @@ def test_short_constant_steps_have_the_accuracy_of_their_order():
     assert 4.5 < np.log2(errors[0] / errors[1]) < 6
 
 
+@pytest.mark.long
 def test_reverse_mode_by_checkpoints_is_refused_with_constant_steps():
     with pytest.raises(jb.JaxbodyError, match="DirectAdjoint") as error:
         jb.simulate(slider(), SHORT, stepsize_controller=diffrax.ConstantStepSize(), dt0=0.01, adjoint=diffrax.RecursiveCheckpointAdjoint())
@@ -552,6 +560,7 @@ print("switched", refused(jb.linearize, slider, slider.reference), refused(jb.si
 """
 
 
+@pytest.mark.long
 def test_float32_warns_once_is_refused_for_modes_and_never_mixed():
     environment = {**os.environ, "JAX_ENABLE_X64": "0"}
     run = subprocess.run([sys.executable, "-c", FLOAT32], capture_output=True, text=True, env=environment, timeout=300)
@@ -567,6 +576,7 @@ def test_float32_warns_once_is_refused_for_modes_and_never_mixed():
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "options",
     [{}, {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 0.01}, {"adjoint": diffrax.ForwardMode()}],

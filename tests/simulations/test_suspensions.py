@@ -108,6 +108,7 @@ def moved(model, start):
     return trajectory
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FORCES)
 def test_a_mass_on_every_law_moves_as_by_scipy(model, moved, start, name):
     """1e-8 of the largest value, in displacement and velocity."""

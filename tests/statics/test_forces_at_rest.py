@@ -36,7 +36,7 @@ def crane():
 LOADS = {"wind": jb.Force(("hook", [0, 0, 0.1]), force=[3.0, 5.0, -2.0], moment=[0.5, 0.2, 0.1], axes="body")}
 
 
-@pytest.mark.parametrize("loads", [None, LOADS], ids=["weights", "loads"])
+@pytest.mark.parametrize("loads", [pytest.param(None, marks=pytest.mark.long), LOADS], ids=["weights", "loads"])
 def test_they_are_those_of_a_motion_that_stays_there(crane, loads):
     """The residual of the search is 1e-9 N or less, and leaves accelerations that far from zero."""
     rest = jb.equilibrium(crane, loads=loads)
@@ -88,6 +88,7 @@ def test_a_pendulum_pulled_aside_moves_with_its_mass_as_in_closed_form():
     assert float(slope) == pytest.approx(-pull * G / ((mass * G) ** 2 + pull**2), rel=1e-9)
 
 
+@pytest.mark.long
 def test_forces_have_exact_derivatives_and_batches(crane):
     """The force of the stay changes with its free length as by central differences, whose error is 1e-4^2 of the third derivative."""
 
@@ -112,6 +113,7 @@ def test_they_are_printed_with_units_what_is_about_an_axis_apart(crane):
     assert "elongation [m]  force [N]" in plain and "rotation" not in plain
 
 
+@pytest.mark.long
 def test_they_stand_in_the_dataset(crane):
     rest = jb.equilibrium(crane)
     data = rest.to_xarray()

@@ -77,6 +77,7 @@ def lowest_stiffness(model, q):
     return values[0] / values[-1]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("batches")
 def test_no_model_ends_in_an_unstable_equilibrium_with_status_ok(plate):
     """Random springs, some compressed, on bodies of random weight, from reference poses far from an equilibrium."""
@@ -137,6 +138,7 @@ def spring_stiffness(u, L, s, k, r_A):
     return k * np.outer(U, U), k * s / L * (second - np.outer(U, U)) - k * s / 2 * third
 
 
+@pytest.mark.long
 def test_stiffness_splits_into_elastic_geometric_and_gravity_parts_by_element(plate, hanging):
     """At the equilibrium and away from it, against the paper's formulas."""
     away = jb.State(jnp.array([0.1, -0.2, 0.05, *turn(np.array([0.3, -0.5, 0.8]))]), jnp.zeros(6))
@@ -421,6 +423,7 @@ def test_derivative_through_a_failed_or_singular_equilibrium_is_nan():
         assert np.isnan(forward)
 
 
+@pytest.mark.long
 def test_an_equilibrium_of_another_model_is_not_linearized(plate, hanging):
     """Of other bodies it is refused; of the same model with other numbers it is STALE, where they matter at rest: damping and stiffness
     without tension do not."""

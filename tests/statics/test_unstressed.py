@@ -67,6 +67,7 @@ def test_two_unstressed_springs_in_line_under_a_load_across():
         jb.plots.load_path(eq)
 
 
+@pytest.mark.long
 def test_an_equilibrium_started_from_itself_is_itself():
     """The unloaded search from there ends at a soft equilibrium; it was an IndexError."""
     eq = jb.equilibrium(web(**VM9), loads=VM9_LOAD, start=jb.State(jnp.array([8.632066, 4.531907, 0.0]), jnp.zeros(3)))
@@ -93,7 +94,8 @@ FAMILY = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.long] * (name == "a net in a frame")) for name in FAMILY])
+@pytest.mark.long
+@pytest.mark.parametrize("name", FAMILY)
 def test_strings_and_nets_without_stress_carry_loads_across(name):
     nodes, links, forces = FAMILY[name]
     eq = jb.equilibrium(web(nodes, links), loads={f"on {node}": jb.Force(node, force=force) for node, force in forces.items()})
@@ -156,6 +158,7 @@ def test_load_cases_of_an_unstressed_string_are_descended():
     np.testing.assert_allclose(jb.equilibrium(model, loads=force).state.q, cases.state.q[0], atol=1e-13)
 
 
+@pytest.mark.long
 def test_a_string_under_axial_compression_buckles():
     """The compressed half buckles: on the line a saddle, status UNSTABLE, and from a start aside the equilibrium that SciPy finds."""
     nodes, links, _ = FAMILY["a string pushed sideways in its middle"]

@@ -165,6 +165,7 @@ def test_responses_of_a_mass_on_a_hydraulic_mount(published, method):
         jb.frequency_response(published, FREQUENCIES, INPUTS, OUTPUTS, loss_factor=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["displacement", "velocity", "acceleration"])
 def test_state_space_has_the_same_response(published, kind):
     inputs, outputs = {"base": jb.BaseMotion("base", "x", kind=kind)}, {"x": OUTPUTS["x"]}

@@ -36,6 +36,7 @@ def parallelogram(closed="hinge", *, ground=GROUND, soft=None, base="world", sup
     return jb.Model(bodies=bodies, joints=joints, closures=closures, elements=elements, supports=supports, gravity=[0, -G, 0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("closed", ["hinge", "ball"])
 def test_a_parallelogram_swings_as_a_pendulum(closed):
     model = parallelogram(closed)

@@ -80,7 +80,8 @@ def heavy(law):
     )
 
 
-@pytest.mark.parametrize("name", [n if n in ("maxwell", "bouc_wen") else pytest.param(n, marks=pytest.mark.long) for n in LAWS])
+@pytest.mark.long
+@pytest.mark.parametrize("name", LAWS)
 def test_linearization_against_the_slopes_of_the_equations_of_motion(name):
     """A of x' = A x, hysteretic states eliminated by their tangent, z = df/de' Delta."""
     model = heavy(LAWS[name])
@@ -140,6 +141,7 @@ def test_poles_of_the_standard_linear_solid(solid):
     assert "relaxation" in str(damped)
 
 
+@pytest.mark.long
 def test_an_overdamped_mode_keeps_its_two_poles():
     """Three real poles: the two of the damper and the fast one of a branch whose coordinate hardly follows."""
     model = jb.replace(oscillator(jb.laws.Linear(50.0) + jb.laws.Maxwell(stiffness=5.0, relaxation_time=1e-4), 1.0), {})
@@ -156,6 +158,7 @@ def test_an_overdamped_mode_keeps_its_two_poles():
     np.testing.assert_allclose(damped.relaxations, roots[2:], rtol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["direct", "modal"])
 def test_responses_of_the_standard_linear_solid(solid, method):
     response = jb.frequency_response(solid, FREQUENCIES, INPUTS, OUTPUTS, method=method)
@@ -196,6 +199,7 @@ def test_state_space_of_coupled_dissipation(kind, name):
         np.testing.assert_allclose(H, response.values[..., i], rtol=1e-8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("N", "crossing", "height"), [(3, 1.264911064067, 5 / 3), (1, 1.154700538379, 3.0), (10, 1.354006400773, 1.2)])
 def test_the_optimum_of_an_elastically_supported_damper(N, crossing, height):
     """Ruzicka's isolator: with the best damping the crossing of all curves is the maximum (REFERENCES2 1.2)."""

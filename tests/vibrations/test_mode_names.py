@@ -17,6 +17,7 @@ def car():
     return jb.linearize(car, car.reference)
 
 
+@pytest.mark.long
 def test_a_bouncing_body_is_not_named_by_the_arm_that_turns_with_it():
     """A body on an arm that carries the wheel: by shares of T from SciPy's shapes, of the body 300 q0'^2/2, of the arm about its end what
     remains. In metres against radians the arm's angle, bounce over 0.4 m, is the larger component of both modes."""
@@ -62,6 +63,7 @@ def test_hop_and_tramp_have_names_of_their_own_everywhere(car):
     assert jb.mode_energies(car, forward="x").names[1] == "car pitch 85 %"
 
 
+@pytest.mark.long
 def test_branches_are_named_by_their_modes_at_the_first_value(car):
     half = jb.presets.half_car()
     computed = jb.track(lambda k: jb.linearize(jb.replace(half, {"front spring.stiffness": k}), half.reference), [1.8e4, 2.6e4])
@@ -140,6 +142,7 @@ def test_printing_modes_compiles_one_small_program_at_most(car):
     assert second.count == 0
 
 
+@pytest.mark.long
 def test_what_is_no_linearization_is_refused_with_what_to_give(car):
     """Modes, a model or an equilibrium in its place; a rotor's linear system has complex modes only."""
     modes = jb.modes(car)

@@ -121,6 +121,7 @@ def test_springs_share_by_stiffness_and_dampers_by_damping():
     np.testing.assert_allclose(np.ravel(list(energies.dissipation.values())), [20, 80], rtol=1e-12)
 
 
+@pytest.mark.long
 def test_directions_are_named_where_they_are_known(engine):
     lin = jb.linearize(engine, engine.reference)
     assert jb.mode_energies(lin).names[0] == "engine along x 99 %"  # without gravity nothing is up

@@ -62,6 +62,7 @@ def bead(l0, angle):
     return jb.Model(bodies={"bead": jb.Body(mass=0.4, inertia=[1, 1, 1])}, joints=joints, elements=ends)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("l0", "angle"), [((0.7, 0.7), 0.0), ((0.7, 0.8), 0.6)])
 def test_a_bead_on_a_string_has_the_slope_of_the_energy_integral(l0, angle):
     """T = 2 integral of dq/sqrt(2 (E - V)/m) between turning points q1, q2; E - V = (q - q1)(q2 - q) V[q1, q2, q], a divided difference.
@@ -238,6 +239,7 @@ class Cart:
         return y[2:]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", [0, 1])
 def test_a_pendulum_on_a_cart_has_the_slope_of_its_periodic_motions(mode):
     """Its kinetic energy depends on the angle, its spring has a quadratic term, and both couple the modes."""
@@ -257,6 +259,7 @@ def trammel(length=0.45, masses=(0.8, 1.3)):
     )
 
 
+@pytest.mark.long
 def test_a_bob_on_a_rod_that_guides_hold_has_the_slope_of_its_exact_period():
     """T = (m + M cos^2) L^2 h'^2/2, V = -m g L cos h of the bob m and the carriage M; the amplitude is that of x = L sin h."""
     L, (M, m), g = 0.45, (0.8, 1.3), 9.81
@@ -367,6 +370,7 @@ def test_the_coefficient_does_not_depend_on_the_coordinates(hanging):
 # What is said where a mode has no backbone of its own
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("k", "laws", "status"),
     [
@@ -404,6 +408,7 @@ def test_masses_that_nothing_holds_have_the_backbone_of_their_distance():
     assert abs(result.curvature[1] / (-5 * 0.7**2 / (12 * 2.0**2) * (1 + 2 / 3) ** 2) - 1) < 1e-12
 
 
+@pytest.mark.long
 def test_where_there_is_no_equilibrium_nothing_is_reported():
     model = Cart().model()
     with pytest.warns(jb.JaxbodyWarning, match="2 NOT_CONVERGED"):
@@ -446,6 +451,7 @@ def test_a_mode_alone_has_derivatives_where_others_coincide():
     assert max_difference(slope, [-3 / 8 / MASS[0] ** 2, 0, 0]) < 1e-13
 
 
+@pytest.mark.long
 def test_it_prints_amplitudes_in_meters_and_radians_and_is_exported(hanging):
     result = jb.backbones(jb.linearize(hanging.model, hanging))
     rows = repr(result).splitlines()[2:8]

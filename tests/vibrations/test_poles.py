@@ -296,6 +296,7 @@ def test_elastic_axes_satisfy_their_definition(engine):
     assert max_difference(there, there.T) < 1e-9 * np.abs(K).max() and "torsional axis" in str(result)
 
 
+@pytest.mark.long
 def test_mounts_inclined_towards_a_point_decouple_there():
     """Two bushings, inclined by +-alpha at +-b, height 0 (focal mounts): coupling vanishes at the height
     b (kp - ks) sin cos/(kp sin^2 + ks cos^2) (Harris, ch. 3)."""
@@ -406,6 +407,7 @@ def test_following_is_differentiable(crossing):
     assert max_difference(rows[:, 0, :], np.diag(slope)) < 1e-12 and np.abs(rows[:, 1:]).max() == 0
 
 
+@pytest.mark.long
 def test_lost_branches_are_reported():
     def turned(angle):
         """The frame of two springs turns under a mass while they stay different: a quarter turn changes one mode into the other."""

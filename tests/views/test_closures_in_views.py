@@ -82,6 +82,7 @@ def test_rows_beyond_reach_are_left_out(curves):
         jb.view(nowhere)
 
 
+@pytest.mark.long
 def test_a_motion_moves_pins_and_rods():
     rod = jb.closures.Rod(("crank", [0, -L, 0]), ("rocker", [2 * L, -L, 0]))
     joints = {"crank": jb.Hinge("world", axis="z"), "rocker": jb.Hinge("world", axis="z", at=[2 * L, 0, 0])}

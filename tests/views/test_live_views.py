@@ -62,6 +62,7 @@ def test_the_sliders_change_mode_amplitude_and_phase(live, modes):
     assert "mode 1," in live.title.content
 
 
+@pytest.mark.long
 def test_a_view_that_does_not_play_shows_the_phase_of_the_slider(live):
     live.controls["mode"].value = 1
     at_rest = plate().reference
@@ -87,6 +88,7 @@ def test_it_plays_until_it_is_stopped(live):
     assert live.frame == frame
 
 
+@pytest.mark.long
 def test_a_motion_has_a_slider_of_time():
     motion = jb.simulate(plate(), jnp.linspace(0.0, 3.0, 76), motion=SHAKEN)
     view = jb.view(motion)
@@ -103,6 +105,7 @@ def test_a_motion_has_a_slider_of_time():
         live.stop()
 
 
+@pytest.mark.long
 def test_several_modes_side_by_side_keep_their_numbers(modes):
     live = jb.view(modes, number=[1, 2]).serve(browser=False)
     try:

@@ -39,6 +39,7 @@ def messages_of(path):
     return msgspec.msgpack.decode(inner[8 : 8 + length])
 
 
+@pytest.mark.long
 def test_a_page_needs_no_network_and_is_small(page):
     assert set(re.findall(r"https?://[^\"'`\s<>)]*", page.read_text())) <= NAME_SPACES
     assert page.stat().st_size < 1.2e6
@@ -83,7 +84,8 @@ def _tree(view):
     return [_name(part.path) for part in view.animation.parts]
 
 
-@pytest.mark.parametrize("car, most", [("quarter_car", 3e6), pytest.param("full_car", 8e6, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("car, most", [("quarter_car", 3e6), ("full_car", 8e6)])
 def test_a_minute_of_a_car_is_a_small_page(car, most, tmp_path):
     """On a rough road, so that nothing repeats."""
     model = getattr(jb.presets, car)(**({"damping": 1500.0} if car == "quarter_car" else {}))
@@ -101,6 +103,7 @@ def _rough():
     return s, 0.01 * np.random.default_rng(4).standard_normal(len(s))
 
 
+@pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
 def test_a_browser_plays_a_page(page, tmp_path):
     """It starts by itself, its slider and its pause work, it asks for nothing outside, and it has no errors."""
@@ -147,6 +150,7 @@ def test_a_gif_moves(half, tmp_path):
     assert all(difference(a, b) > 0.002 for a, b in pairwise(frames))
 
 
+@pytest.mark.long
 def test_an_mp4_moves(half, tmp_path):
     import imageio_ffmpeg
 
@@ -188,6 +192,7 @@ def test_names_in_a_picture_do_not_overprint():
         assert all(box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height for box in boxes), name
 
 
+@pytest.mark.long
 def test_plot_draws_into_axes(half):
     import matplotlib
     from matplotlib.figure import Figure
@@ -203,6 +208,7 @@ def test_a_notebook_shows_it_inline(half):
     assert html.startswith("<iframe srcdoc=") and "&lt;script" in html
 
 
+@pytest.mark.long
 def test_show_opens_a_file_in_a_browser(half, monkeypatch):
     import urllib.parse
     import webbrowser

@@ -71,6 +71,7 @@ def test_every_spring_is_drawn_with_the_length_of_the_model_in_every_frame(motio
         np.testing.assert_allclose(drawn, expected, rtol=0, atol=1e-6)
 
 
+@pytest.mark.long
 def test_springs_dampers_and_points_meet_the_bodies_that_move(motion, seen):
     """Ends by the poses that the trajectory itself states."""
     rows = [int(np.argmin(np.abs(np.asarray(motion.times) - t))) for t in seen.animation.seconds]
@@ -152,6 +153,7 @@ def _poses(model):
         yield np.asarray(model[name].position), Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PRESETS)
 def test_ready_models_are_drawn(name):
     model = getattr(jb.presets, name)()
@@ -178,6 +180,7 @@ def check_random_models(count):
     return built
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
 def test_random_models_of_every_kind_are_drawn():
     assert check_random_models(40) >= 30
@@ -192,6 +195,7 @@ def test_a_hundred_random_models_are_drawn():
 # Modes, roads, several side by side
 
 
+@pytest.mark.long
 def test_a_mode_swings_about_the_state_with_its_amplitude_and_phase():
     model = jb.presets.half_car()
     rest = jb.equilibrium(model)
@@ -327,6 +331,7 @@ def test_a_tuning_shows_the_model_before_and_after():
     assert (ends[1] - ends[0]) @ view.animation.right > 0.3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seconds, speed, played", [(0.05, 0.01, 5.0), (1.5, 0.2, 7.5), (10.0, 1.0, 10.0), (600.0, 10.0, 60.0)])
 def test_short_motions_are_slowed_and_long_ones_quickened(seconds, speed, played):
     """The pendulum is not integrated for this: its motion is stretched in time."""
@@ -360,6 +365,7 @@ def test_what_cannot_be_viewed_is_named_all_at_once():
             jb.view(what)
 
 
+@pytest.mark.long
 def test_colors_are_those_of_the_plots_and_up_is_against_gravity():
     view = jb.view(plate())
     assert view.animation.part("bodies", "plate", "solid").color == COLORS[0]

@@ -72,6 +72,7 @@ def output_of(script, **environment):
     return done.stdout.splitlines()
 
 
+@pytest.mark.long
 def test_its_name_is_the_same_in_another_process_and_from_another_line(program):
     assert output_of(NAME.format(folder=str(Path(__file__).parents[1]))) == [program.name]
     other = exported(lambda shared, rows: {"wave": jnp.cos(rows[0])}, SHARED, ROWS, 8, "test")
@@ -203,6 +204,7 @@ for f in (jnp.linalg.cholesky, jnp.sin):
 """
 
 
+@pytest.mark.long
 def test_programs_with_lapack_keep_to_one_device():
     """Two at a time in one process may wait for each other for ever, with jaxlib 0.10."""
     assert output_of(LAPACK, XLA_FLAGS="--xla_force_host_platform_device_count=2") == ["4", "8"]

@@ -74,6 +74,7 @@ def kill_one(rng):
     return True
 
 
+@pytest.mark.long
 def test_two_processes_compute_the_bits_of_one_although_one_is_killed(alone):
     """By its process id, while both compute; results are in the order of the sweep."""
     killed, end = [], threading.Event()
