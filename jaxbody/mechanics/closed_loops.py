@@ -65,7 +65,7 @@ class ClosedLoops(JointedBodies):
         """dy/dt, and the equations of which it is the solution."""
         q, v, z = self.model.layout.split(y)
         here: Any = self.holding(z)
-        v_dot, now, _, saddle, _ = here.solved(t, q, v)
+        v_dot, now, _, saddle = here.solved(t, q, v)
         rates = state_rates(here.model, now) if len(z) else z
         return self.model.layout.pack(State(self.coordinates.rate(q, v), v_dot, rates)), saddle
 
@@ -73,28 +73,34 @@ class ClosedLoops(JointedBodies):
         return self.solved(t, q, v)[:3]
 
     def solved(self, t, q, v):
-        """v', the instant with the accelerations at v' = 0, the velocities per unit of each speed, [M J'; J 0] and lambda."""
+        """v', the instant with the accelerations at v' = 0, the velocities per unit of each speed, and [M J'; J 0]."""
         now, axes = self._bias(t, q, v)
         J = jacobian(self.model.layout, now, *axes)
         saddle = self._saddle(now, q, J)
-        v_dot, multipliers = saddle.solve(generalized(*J, *self._net(now)), -self._changes(now))
-        return v_dot, now, J, saddle, multipliers
+        return saddle.solve(generalized(*J, *self._net(now)), -self._changes(now))[0], now, J, saddle
 
     def multipliers(self, t: Float[Array, ""], state: State) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
         """lambda, the least of those that are possible, and where it is unique."""
-        *_, saddle, multipliers = self.solved(t, state.q, state.v)
-        scale = scale_of(self.model, self.size)
-        J = saddle.J * scale[None]
-        free = FreeMotions(J, jnp.linalg.pinv(J, rtol=RANK))
-        return free.multipliers(-jnp.sum(J * multipliers[:, None], 0)), free.unique
+        return self._balancing(self.accelerated(t, state))
 
-    def instant(self, t: Float[Array, ""], state: State, *, reactions: bool) -> Instant:
-        now, first = self.accelerated(t, state), self.model.layout.first_body
-        if not reactions:
-            return now
-        F, M = jnp.split(self._wrenches(now, self.multipliers(t, state)[0]), 2, -1)
-        now, fixed = self.with_reactions(now, (F[first:], M[first:])), (np.arange(len(F)) < first)[:, None]
-        on_fixed = (jnp.asarray(of_bodies) + jnp.where(fixed, x, 0.0) for of_bodies, x in ((now.F, F), (now.M, M)))
+    def _balancing(self, now: Instant, extra: tuple[Array, Array] | None = None) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
+        """lambda of given accelerations, by J' lambda = Q - M v', and where it is unique. `extra`: forces and moments besides the loads."""
+        layout = self.model.layout
+        frames, axes = self.coordinates.frames_and_axes(now.state.q, now.state.v, _plain(now)[1 : layout.first_body])
+        J = jacobian(layout, frames, *axes)
+        F, M = self._net(now) if extra is None else (x + y for x, y in zip(self._net(now), extra, strict=True))
+        scale = scale_of(self.model, self.size)
+        slopes = self._slopes(frames, now.state.q, J) * scale[None]
+        free = FreeMotions(slopes, jnp.linalg.pinv(slopes, rtol=RANK))
+        return free.multipliers(-scale * generalized(*J, F, M)), free.unique
+
+    def with_reactions(self, now: Instant, extra: tuple[Array, Array] | None = None) -> Instant:
+        """F and M as in a tree, where closures push as well, with the forces that balance the accelerations."""
+        first = self.model.layout.first_body
+        F, M = jnp.split(self._wrenches(now, self._balancing(now, extra)[0]), 2, -1)
+        of_bodies = [F[first:], M[first:]] if extra is None else [F[first:] + extra[0], M[first:] + extra[1]]
+        now, fixed = super().with_reactions(now, (of_bodies[0], of_bodies[1])), (np.arange(len(F)) < first)[:, None]
+        on_fixed = (jnp.asarray(of_joints) + jnp.where(fixed, x, 0.0) for of_joints, x in ((now.F, F), (now.M, M)))
         return replace(now, **dict(zip("FM", on_fixed, strict=True)))
 
     def _wrenches(self, now: Instant, multipliers: Float[Array, "n"]) -> Float[Array, "nf 6"]:

@@ -262,12 +262,7 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ..
 def check_ports(lin: Any, inputs: Any, outputs: Any, where: str) -> tuple[tuple[Any, ...], Outputs]:
     """(names, inputs, units) and outputs; raises all errors at once."""
     with Problems() as problems:
-        checked = inputs_of(lin.model, inputs, where, problems), outputs_of(lin.model, outputs, where, problems)
-        for name, sensor in outputs.items() if lin.model.closures and not problems.collected else ():
-            if sensor.reactions and not reads_matrices(sensor, lin.model):
-                message, hint = "reads the reaction of a joint of a model with closures", "Read that of a support, or a LoadCell."
-                problems.add("CLOSED_LOOPS", f"{where}.outputs[{name!r}]", message, value=sensor, limit="other sensors", hint=hint)
-    return checked
+        return inputs_of(lin.model, inputs, where, problems), outputs_of(lin.model, outputs, where, problems)
 
 
 def _place(port: BaseMotion, layout) -> int:
