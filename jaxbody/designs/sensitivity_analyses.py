@@ -76,7 +76,7 @@ def sensitivities(
     >>> result.ranked("sag")
     ('suspension.stiffness', 'body.mass', 'tyre.stiffness')
     """
-    check_precision("sensitivities", model, closures=True)
+    check_precision("sensitivities", model)
     if not 0 < change < 1:
         raise JaxbodyError(Problem("BAD_CHANGE", "sensitivities.change", f"is {change}", change, "between 0 and 1", "0.1 is ten percent."))
     space = space_of(model, free, "sensitivities")

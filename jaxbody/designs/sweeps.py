@@ -79,7 +79,7 @@ def sweep(
     >>> round(float(quantities["sag"].sel({"suspension.stiffness": 4e4, "body.mass": 400.0})), 4)
     0.0981
     """
-    check_precision("sweep", model, closures=True)
+    check_precision("sweep", model)
     with Problems() as problems:
         given = checked_dict(over, "sweep.over", "path: [values]", problems)
         samples = None if samples is None else whole_number(samples, "sweep.samples", problems)

@@ -128,7 +128,7 @@ def tolerances(
     >>> round(float(result.first[0] / result.nominal[0]), 4), round(float(result.mean[0] / result.nominal[0]), 4)
     (0.05, 1.0025)
     """
-    check_precision("tolerances", model, closures=True)
+    check_precision("tolerances", model)
     with Problems() as problems:
         samples = whole_number(samples, "tolerances.samples", problems, least=2, code="BAD_SCATTER")
         check_key(key, "tolerances.key", problems)

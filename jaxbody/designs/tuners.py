@@ -92,7 +92,7 @@ def tune(
     >>> round(float(design.values["suspension.stiffness"]), 1), design.active
     (36787.5, ('sag <= 0.1',))
     """
-    check_precision("tune", model_of(model), allow_float32=None, closures=True)
+    check_precision("tune", model_of(model), allow_float32=None)
     if not is_concrete(model):
         raise JaxbodyError(Problem("TRACED", "tune.model", "is being traced", hint="Tune outside of jit, vmap and grad."))
     with Problems() as problems:

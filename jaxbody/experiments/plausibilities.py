@@ -63,7 +63,7 @@ def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Pla
     >>> plausibility(model).words
     ()
     """
-    check_precision("plausibility", model, closures=True)
+    check_precision("plausibility", model)
     numbers: dict[str, tuple[float, str, str]] = {}
     words: list[tuple[str, str]] = []
 

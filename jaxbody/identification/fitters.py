@@ -114,7 +114,7 @@ def fit(
     39.47842
     """
     design, model = model, model_of(model)
-    check_precision("fit", model, allow_float32=allow_float32, closures=True)
+    check_precision("fit", model, allow_float32=allow_float32)
     check_loss(loss, "fit.loss")
     with Problems() as problems:
         max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit"))

@@ -167,7 +167,7 @@ def curve_names(model: Model, drive: Mapping[str, Any], over: Mapping[str, Any],
 
 def arguments_of(model: Model, drive: Mapping[str, Any], over: Mapping[str, Any], wheel: Wheel, steer: str | None, where: str):
     """The arguments of `suspension_curves`, checked: model, drives, targets, wheel, name of the drive that steers."""
-    check_precision(where, model, closures=True)
+    check_precision(where, model)
     drives = drives_of(model, dict(drive), f"{where}.drive")
     frames = model.layout.frames
     if wheel.on not in frames:

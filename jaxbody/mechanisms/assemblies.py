@@ -93,7 +93,7 @@ def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = 
     >>> done.freedoms, round(x, 9), round(z, 9)
     (0, 0.6, -0.8)
     """
-    check_precision("assemble", model, closures=True)
+    check_precision("assemble", model)
     if not model.closures:
         raise JaxbodyError(
             Problem("NO_CLOSURE", "assemble.model", "has no closures", limit="one or more", hint="Give Model(closures={...}).")

@@ -21,16 +21,14 @@ PER_FREQUENCY = 40  # bytes for each number of a matrix: 33 were measured with 3
 _warned_of_float32 = False
 
 
-def check_precision(where: str, model: Model, *, allow_float32: bool | None = True, closures: bool = False) -> None:
+def check_precision(where: str, model: Model, *, allow_float32: bool | None = True) -> None:
     """Warn once about float32; refuse it where half the digits would be lost, unless allowed (None: it cannot be allowed). A change of the
-    x64 switch after the model was built is an error, and so are closures in a function that does not take them."""
+    x64 switch after the model was built is an error."""
     global _warned_of_float32
     if not isinstance(model, Model):
         raise JaxbodyError(
             Problem("WRONG_KIND", f"{where}.model", f"is a {type(model).__name__}", model, "jb.Model", "Give the model first.")
         )
-    if not closures:
-        refuse_closures(where, model)
     x64 = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
     dtype = model.gravity.dtype
     if x64 != (dtype == jnp.float64):

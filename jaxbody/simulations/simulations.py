@@ -101,7 +101,7 @@ def simulate(
     >>> trajectory.poses["mass"].p.shape
     (11, 3)
     """
-    check_precision("simulate", model, closures=True)
+    check_precision("simulate", model)
     initial = as_initial(initial)
     with Problems() as problems:
         motions = problems.gather(lambda: motions_of(model, motion))

@@ -172,7 +172,7 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     >>> [round(float(z), 6) for z in cases.displacements["engine"][:, 2]]
     [-0.005516, 0.001]
     """
-    check_precision("load_cases", model, closures=True)
+    check_precision("load_cases", model)
     check_memory("load_cases", model)
     check_attached(model)
     with Problems() as problems:

@@ -253,7 +253,7 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     >>> round(float(equilibrium(model).elongations["s"]), 12)
     0.02
     """
-    check_precision("equilibrium", model, closures=True)
+    check_precision("equilibrium", model)
     check_memory("equilibrium", model)
     check_attached(model)
     with Problems() as problems:

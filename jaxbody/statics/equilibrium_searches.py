@@ -88,7 +88,7 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
     >>> find_equilibria(model, starts=16).stable.tolist()
     [True, False]
     """
-    check_precision("find_equilibria", model, closures=True)
+    check_precision("find_equilibria", model)
     check_memory("find_equilibria", model)
     check_attached(model)
     with Problems() as problems:

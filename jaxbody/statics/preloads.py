@@ -112,7 +112,7 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",),
     >>> round(float(preload(model).free_lengths["spring.free_length"]), 9)
     0.7
     """
-    check_precision("preload", model, closures=True)
+    check_precision("preload", model)
     state = model.reference if pose is None else pose
     check_state(model, state, "pose")
     with Problems() as problems:

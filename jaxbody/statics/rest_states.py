@@ -119,7 +119,7 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
     >>> round(float(force[0]), 9)
     5.0
     """
-    check_precision("excitation", model, closures=True)
+    check_precision("excitation", model)
     check_independent("excitation", model)
     state = at.state if isinstance(at, Equilibrium) else at
     check_state(model, state, "state")

@@ -58,6 +58,7 @@ class LinearSystem(Labeled, Result):
     status: Int[Array, ""]
     state: State
     model: Model
+    dependent: DependentMotions | None = eqx.field(default=None, kw_only=True)  # of a model with closures
     printed: ClassVar[tuple[str, ...]] = ("M", "C", "K")  # the matrices that are printed
     exported: ClassVar[tuple[str, ...]] = ()  # those of a dataset
 
@@ -79,7 +80,10 @@ class LinearSystem(Labeled, Result):
 
     def expanded(self, shapes: Inexact[Array, "nf n"]) -> Inexact[Array, "nv n"]:
         """Shapes (columns) in all coordinates of the model, from those of the system."""
-        return shapes
+        if self.dependent is None:
+            return shapes
+        N, nf = self.dependent.N.astype(shapes.dtype), len(self.independent)
+        return jnp.concatenate([N @ shapes[:nf], shapes[nf:]]) if len(shapes) > nf else N @ shapes
 
     @property
     def inner(self) -> int:
@@ -158,7 +162,6 @@ class Linearization(LinearSystem):
     C_bb: Float[Array, "nxi nxi"]
     K_bb: Float[Array, "nxi nxi"]
     loads: tuple[Load, ...]
-    dependent: DependentMotions | None = None  # of a model with closures
     slow: bool = eqx.field(static=True, default=False)  # whether massless coordinates follow, and so have no rows
     exported = tuple(f"{name}{block}" for name in ("M", "C", "K") for block in ("", "_tilde", "_bb"))
 
@@ -167,12 +170,6 @@ class Linearization(LinearSystem):
         """K, C and M of (Delta, Xi)."""
         blocks = ((self.K, self.K_tilde, self.K_bb), (self.C, self.C_tilde, self.C_bb), (self.M, self.M_tilde, self.M_bb))
         return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)  # pyright: ignore[reportReturnType]  of three
-
-    def expanded(self, shapes):
-        if self.dependent is None:
-            return shapes
-        N, nf = self.dependent.N.astype(shapes.dtype), len(self.independent)
-        return jnp.concatenate([N @ shapes[:nf], shapes[nf:]]) if len(shapes) > nf else N @ shapes
 
     def reduced(self, H: Float[Array, "*m nv nv"]) -> Float[Array, "*m nf nf"]:
         """N' H N: a matrix of the model's coordinates in those of the system."""
@@ -274,7 +271,7 @@ def check_system(lin: Any, where: str, kind: type[LinearSystem] = Linearization,
         spins = isinstance(lin, LinearSystem)
         hint = "Use complex_modes." if spins else "Give linearize(model, equilibrium(model)): all else is computed from it."
         raise JaxbodyError(Problem("WRONG_KIND", f"{where}.lin", f"is {kind_of(lin)}", lin, "a Linearization", hint))
-    check_precision(where, lin.model, allow_float32=allow_float32, closures=True)
+    check_precision(where, lin.model, allow_float32=allow_float32)
 
 
 def linearize(model: Model, at: Equilibrium | State) -> Linearization:
@@ -293,7 +290,7 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     >>> float(lin.K[0, 0]), float(lin.M[0, 0])
     (50.0, 2.0)
     """
-    check_precision("linearize", model, closures=True)
+    check_precision("linearize", model)
     check_independent("linearize", model)
     check_memory("linearize", model)
     if isinstance(at, Equilibrium):
@@ -334,7 +331,7 @@ def _linearize_closed(model: Model, state: State, status: Int[Array, ""] | None,
         given = jnp.where(stale & ~jnp.isin(given, jnp.array(NOT_AT_REST)), Status.STALE.value, given)
     fails = [how_open(coordinates, q) > NEARLY_CLOSED, moves.smallest < SINGULAR_CLOSURES]
     given = jnp.select(fails, [Status.NOT_CLOSED.value, Status.SINGULAR_CLOSURE.value], given)
-    return Linearization(M, C, K, given, state, model, *tilde, *bb, loads, moves)  # pyright: ignore[reportCallIssue]
+    return Linearization(M, C, K, given, state, model, *tilde, *bb, loads, dependent=moves)  # pyright: ignore[reportCallIssue]
 
 
 @jit_unoptimized
@@ -376,14 +373,16 @@ def _condensed(lin: Linearization) -> Linearization:
     T = following(K, nv, ny)
     blocks = [(H[:nv, :nv], -H[:nv, nv:], H[nv:, nv:]) for H in (T.T @ H @ T for H in (M, C, K))]
     (M, C, K), tilde, bb = zip(*blocks, strict=True)
-    return Linearization(M, C, K, lin.status, lin.state, lin.model, *tilde, *bb, lin.loads, lin.dependent, slow=True)  # pyright: ignore[reportCallIssue]
+    return Linearization(M, C, K, lin.status, lin.state, lin.model, *tilde, *bb, lin.loads, slow=True, dependent=lin.dependent)  # pyright: ignore[reportCallIssue]
 
 
 def _instantaneous(lin: Linearization) -> Linearization:
     nv = lin.nv
     M, C, K = (H[..., :nv, :nv] for H in (lin.M, lin.C, lin.K))
     M_x, C_x, K_x = (H[..., :nv, :] for H in (lin.M_tilde, lin.C_tilde, lin.K_tilde))
-    return Linearization(M, C, K, lin.status, lin.state, lin.model, M_x, C_x, K_x, lin.M_bb, lin.C_bb, lin.K_bb, lin.loads, lin.dependent)
+    return Linearization(
+        M, C, K, lin.status, lin.state, lin.model, M_x, C_x, K_x, lin.M_bb, lin.C_bb, lin.K_bb, lin.loads, dependent=lin.dependent
+    )
 
 
 def _load_stiffness(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv nv"]:
