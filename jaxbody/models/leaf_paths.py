@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from dataclasses import field as attribute
 from fnmatch import fnmatchcase
+from functools import partial
 from typing import Any
 
 import jax
@@ -184,8 +185,13 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
             continue
         each = value.shape not in one
         for rows in by_array(leaves).values():
-            block = _block(value, [leaves.index(leaf) for leaf in rows] if each else len(rows), rows[0], arrays)
-            new.setdefault(rows[0].array, []).append((rows, _made(rows[0], block, where, problems)))
+            which, first = tuple(leaves.index(leaf) for leaf in rows) if each else len(rows), rows[0]
+            axis, known = None if first.row is None else first.axis(arrays), concrete(value)
+            if known is None:
+                made = _traced_rows(value, which, axis, first.rank, first.kind.domain)
+            else:
+                made = _made(first, _block(known, which, axis), where, problems)
+            new.setdefault(first.array, []).append((rows, made))
     problems.raise_if_any()
     for parts in new.values():
         leaves, blocks = [leaf for rows, _ in parts for leaf in rows], [block for _, block in parts]
@@ -195,23 +201,31 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
     return jax.tree.unflatten(treedef, arrays)
 
 
-def _block(value: Any, rows: list[int] | int, first: Leaf, arrays: list[Array]) -> Any:
-    """The rows of a value with these indices, or one value repeated in as many rows, with the rows along the same axis as in the array."""
+def _block(value: Any, rows: tuple[int, ...] | int, axis: int | None) -> Any:
+    """The rows of a value with these indices, or one value repeated in as many rows, with the rows along an axis of their array; None: the
+    array has no rows."""
     xp = module_of(value)
-    if first.row is None:
+    if axis is None:
         return value if isinstance(rows, int) else value[rows[0]]
     if isinstance(rows, int):
-        repeated, axis = xp.broadcast_to(value, (rows, *value.shape)), first.axis(arrays)
+        repeated = xp.broadcast_to(value, (rows, *value.shape))
         return xp.moveaxis(repeated, 0, axis) if axis else repeated
-    return xp.moveaxis(value[np.array(rows)], 0, first.axis(arrays))
+    return xp.moveaxis(value[np.array(rows)], 0, axis)
 
 
-def _made(leaf: Leaf, value: Any, where: str, problems: Problems) -> Any:
+@partial(jax.jit, static_argnums=(1, 2, 3, 4), inline=True)
+def _traced_rows(value: Any, rows: tuple[int, ...] | int, axis: int | None, rank: int, domain: str) -> Any:
+    """`_block` and `_made` of a traced value: one program where it is a batch outside of a `jit`."""
+    block = _block(value, rows, axis)
+    if domain in ("direction", "rotation"):
+        return block / jnp.linalg.norm(block, axis=-1, keepdims=True)
+    return nan_outside(block, domain, rank)
+
+
+def _made(leaf: Leaf, known: np.ndarray, where: str, problems: Problems) -> Any:
     """The value, checked and normalized as by the constructors of bodies, joints and elements."""
-    domain, known = leaf.kind.domain, concrete(value)
+    domain = leaf.kind.domain
     if domain not in ("direction", "rotation"):
-        if known is None:
-            return nan_outside(value, domain, leaf.rank)
         rows = [known]
         if domain in ("definite", "symmetric", "inertia"):
             rows = known.reshape(-1, *known.shape[known.ndim - leaf.rank :])
@@ -220,9 +234,7 @@ def _made(leaf: Leaf, value: Any, where: str, problems: Problems) -> Any:
                 check_inertia(row, 1e-9 * abs(np.trace(row)), where, problems)
             else:
                 in_domain(row, leaf.kind, where, problems)
-        return value
-    if known is None:
-        return value / jnp.linalg.norm(value, axis=-1, keepdims=True)
+        return known
     length = np.linalg.norm(known, axis=-1, keepdims=True)
     if domain == "direction" and not length.all():
         problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give a direction.")

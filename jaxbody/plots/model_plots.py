@@ -65,7 +65,8 @@ def draw_model(
     check_known(tuple(displaced or ()), model.layout.supports, "draw_model.displaced")
     for name, value in (displaced or {}).items():
         xi[model.layout.supports.index(name)] = value
-    scene = Scene(model, _poses_at(model, state.q, xi))
+    still = None if model.closures else np.zeros(model.layout.nv)  # an open drawing stays open; all others share a program with modes
+    scene = Scene(model, _poses_at(model, state.q, still, xi))
     look = projection(view, model, [scene])
     ax = _axes(ax, [scene], look)
     _draw(ax, scene, look, scene.size(look))
@@ -102,8 +103,7 @@ def draw_mode(
     shape = np.real(np.asarray(modes.shapes)[: model.layout.nv, number - 1])
 
     def moved(factor: float) -> Scene:
-        q = _moved(model, lin.state.q, jnp.asarray(factor * shape, model.gravity.dtype))
-        return Scene(model, _poses_at(model, q, np.zeros((len(model.layout.supports), 6))))
+        return Scene(model, _poses_at(model, lin.state.q, factor * shape, np.zeros((len(model.layout.supports), 6))))
 
     rest = moved(0.0)
     size = rest.size(np.eye(3))
@@ -375,17 +375,13 @@ def _triad(ax, look, size: float) -> None:
 
 
 @jit_unoptimized
-def _moved(model: Model, q, delta):
-    return moved_by(Coordinates(model), q, delta)
-
-
-@jit_unoptimized
-def _poses(model: Model, q, xi) -> Pose:
+def _poses(model: Model, q, delta, xi) -> Pose:
     coordinates = Coordinates(model)
-    v = jnp.zeros(model.layout.nv, q.dtype)
+    q, v = q if delta is None else moved_by(coordinates, q, delta), jnp.zeros(model.layout.nv, q.dtype)
     return coordinates.frames(q, v, coordinates.supports_at(xi, jnp.zeros_like(xi))).pose()
 
 
-def _poses_at(model: Model, q, xi) -> tuple[np.ndarray, np.ndarray]:
-    frames = _poses(model, jnp.asarray(q), jnp.asarray(xi, model.gravity.dtype))
+def _poses_at(model: Model, q, delta, xi) -> tuple[np.ndarray, np.ndarray]:
+    delta, xi = (x if x is None else jnp.asarray(x, model.gravity.dtype) for x in (delta, xi))
+    frames = _poses(model, jnp.asarray(q), delta, xi)
     return np.asarray(frames.p), np.asarray(frames.R)

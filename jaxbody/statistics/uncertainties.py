@@ -208,11 +208,12 @@ def _at_bounds(r, J, inside, records: list[ResidualSeries]) -> dict[int, tuple[f
 
 
 def in_words(null: np.ndarray, labels: list[str], ineffective: list[str]) -> list[str]:
-    """Null directions in words, "AB.stiffness up with CD.stiffness down", with few parameters in each, by elimination."""
+    """Null directions in words, "AB.stiffness up with CD.stiffness down", with few parameters in each, by elimination. Of what is equally
+    large the first counts, whatever rounding says."""
     words = [f"{label} has no effect on the data" for label in ineffective]
     moving = [i for i, label in enumerate(labels) if label not in ineffective]
     for row in _echelon(null[moving].T):
-        parts = [(labels[moving[i]], row[i]) for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) > 0.02 * np.abs(row).max()]
+        parts = [(labels[moving[i]], row[i]) for i in np.argsort(-_size(row), kind="stable") if abs(row[i]) > 0.02 * np.abs(row).max()]
         first = np.sign(parts[0][1])
         words.append(
             " with ".join(f"{label} {'up' if x * first > 0 else 'down'}" for label, x in parts[:8])
@@ -221,13 +222,17 @@ def in_words(null: np.ndarray, labels: list[str], ineffective: list[str]) -> lis
     return words
 
 
+def _size(x: np.ndarray) -> np.ndarray:
+    return np.round(np.abs(x), 6)
+
+
 def _echelon(rows: np.ndarray) -> np.ndarray:
     """The reduced echelon form of the span of rows, by elimination with complete pivoting; negligible rows are dropped."""
     A = rows.copy()
     done: list[int] = []
     while A.size and len(done) < len(A):
         left = [i for i in range(len(A)) if i not in done]
-        i, j = np.unravel_index(np.argmax(np.abs(A[left])), A[left].shape)
+        i, j = np.unravel_index(np.argmax(_size(A[left])), A[left].shape)
         i = left[i]
         if abs(A[i, j]) < 1e-3:
             break

@@ -64,8 +64,8 @@ def programs(script, *arguments):
 def test_the_script_of_readme_compiles_one_program_for_each_driver():
     found = programs(README)
     ours = [name for name in found if not name.endswith(("_linearized", "_pullback", "_batch"))]
-    assert sorted(DRIVERS + OPTIONS) == [name for name in ours if name != "broadcast_in_dim"]
-    assert ours.count("broadcast_in_dim") <= 1  # a stiffness of a batch, in rows
+    assert sorted(DRIVERS + OPTIONS) == [name for name in ours if name != "_traced_rows"]
+    assert ours.count("_traced_rows") <= 1  # of a batch of stiffnesses
     of_three = ["_linearize", "_modes", "equilibrium_of"]
     endings = ["_batch", "_linearized", "_linearized_pullback"]
     assert sorted(set(found) - set(ours)) == sorted(name + end for name in of_three for end in endings)

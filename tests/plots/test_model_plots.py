@@ -70,7 +70,7 @@ def test_an_oblique_view_has_its_axes_and_a_length_in_place_of_ticks(figure):
     assert not ax.axison and ax.get_xlabel() == ""
     axes = {line.get_gid(): line.get_xydata() for line in ax.lines if (line.get_gid() or "").startswith("axis")}
     (length,) = [float(text.get_text().removesuffix(" m")) for text in ax.texts if text.get_text().endswith(" m")]
-    scene = model_plots.Scene(model, model_plots._poses_at(model, model.reference.q, np.zeros((4, 6))))
+    scene = model_plots.Scene(model, model_plots._poses_at(model, model.reference.q, None, np.zeros((4, 6))))
     look = model_plots.projection(None, model, [scene])
     for i, name in enumerate("xyz"):
         start, end = axes[f"axis {name}"]
