@@ -18,10 +18,12 @@ from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import axial, cross, dot, product, rotate
+from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.mechanics.constraints import RANK, closure_gaps, solve, values_and_slopes
 from jaxbody.mechanics.energies import each_element
 from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.mechanisms.driven_positions import Drive, conditions, drives_of, position, positions, readings
+from jaxbody.mechanisms.resting_positions import AtRest, resting_position, resting_positions
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
@@ -111,7 +113,14 @@ def _printed(values: np.ndarray, unit: str) -> list[float]:
 
 
 def suspension_curves(
-    model: Model, *, drive: Mapping[str, Any], over: Mapping[str, Any], wheel: Wheel, steer: str | None = None
+    model: Model,
+    *,
+    drive: Mapping[str, Any],
+    over: Mapping[str, Any],
+    wheel: Wheel,
+    steer: str | None = None,
+    equilibrium: bool = False,
+    loads: dict[str, Load] | None = None,
 ) -> SuspensionCurves:
     """Curves of a wheel over its travel and steering, in the configurations in which driven readings have these values.
 
@@ -134,12 +143,15 @@ def suspension_curves(
         wheel: the wheel
         steer: the name of the drive that steers; None: the second one. Where the wheel has no kingpin, its steering axis is the screw axis
             of the motion by this drive, with the others held
+        equilibrium: whether what closures and readings leave free is in equilibrium, as in a model of bushings (`jb.compliant`)
+        loads: {name: load} of this equilibrium, such as a side force at the wheel; by default none
 
     The curves have exact derivatives by every number of the model, so that they can be part of an objective of `tune` or of a loss of your
     own: to the fourth order in all, those by the travel in ratios, rates and slopes included.
 
-    Errors: UNDRIVEN where the wheel can move while all readings are held, or a drive moves nothing; UNKNOWN_NAME, BAD_SHAPE, NON_FINITE;
-    warns NOT_CLOSED where a value is beyond reach.
+    Errors: UNDRIVEN where the wheel can move while all readings are held, unless in equilibrium, or a drive moves nothing; UNKNOWN_NAME,
+    UNKNOWN_BODY for a load, BAD_OPTION for loads without equilibrium, BAD_SHAPE, NON_FINITE; warns NOT_CLOSED where a value is beyond
+    reach, UNSTABLE where the energy has no minimum.
 
     Source: ISO 8855 for signs; the screw axis of a twist (w, v) passes through w x v/|w|^2.
 
@@ -156,7 +168,13 @@ def suspension_curves(
     >>> jnp.round(curves["wheel y"], 9).tolist(), jnp.round(jnp.abs(curves["camber"]), 9).tolist()
     ([0.75, 0.67], [0.0, 0.0])
     """
-    return warn_if_failed(_curves(*arguments_of(model, drive, over, wheel, steer, "suspension_curves")))
+    found = arguments_of(model, drive, over, wheel, steer, "suspension_curves", resting=equilibrium)
+    with Problems() as problems:
+        acting = loads_of(loads, model.layout.bodies, "suspension_curves.loads")
+        if acting and not equilibrium:
+            hint = "Say equilibrium=True, or leave the loads out."
+            problems.add("BAD_OPTION", "suspension_curves.loads", "act on what is held by its readings", limit="an equilibrium", hint=hint)
+    return warn_if_failed(_curves(*found, acting if equilibrium else None))
 
 
 def curve_names(model: Model, drive: Mapping[str, Any], over: Mapping[str, Any], wheel: Wheel, where: str) -> tuple[str, ...]:
@@ -165,7 +183,9 @@ def curve_names(model: Model, drive: Mapping[str, Any], over: Mapping[str, Any],
     return tuple(jax.eval_shape(lambda: _curves(*found).curves))
 
 
-def arguments_of(model: Model, drive: Mapping[str, Any], over: Mapping[str, Any], wheel: Wheel, steer: str | None, where: str):
+def arguments_of(
+    model: Model, drive: Mapping[str, Any], over: Mapping[str, Any], wheel: Wheel, steer: str | None, where: str, resting: bool = False
+):
     """The arguments of `suspension_curves`, checked: model, drives, targets, wheel, name of the drive that steers."""
     check_precision(where, model)
     drives = drives_of(model, dict(drive), f"{where}.drive")
@@ -177,7 +197,7 @@ def arguments_of(model: Model, drive: Mapping[str, Any], over: Mapping[str, Any]
     if steering is not None and steering not in drive:
         raise JaxbodyError(unknown(steering, f"{where}.steer", tuple(drive)))
     if is_concrete(model):
-        _check_determined(model, drives, wheel, where)
+        _check_determined(model, drives, wheel, where, resting)
     return model, drives, targets, wheel, steering
 
 
@@ -202,7 +222,7 @@ def _targets(drives: tuple[Drive, ...], over: Mapping[str, Any], where: str) -> 
     return jnp.asarray(xp.stack([xp.broadcast_to(xp.asarray(values[name]), shape) for name in names], -1))
 
 
-def _check_determined(model: Model, drives: tuple[Drive, ...], wheel: Wheel, where: str) -> None:
+def _check_determined(model: Model, drives: tuple[Drive, ...], wheel: Wheel, where: str, resting: bool) -> None:
     """Errors: UNDRIVEN."""
     slopes, closures, moved = map(np.asarray, _slopes_at_reference(model, drives, wheel))
     names, count = [drive.name for drive in drives], len(slopes) - len(drives)
@@ -216,9 +236,9 @@ def _check_determined(model: Model, drives: tuple[Drive, ...], wheel: Wheel, whe
                 )
         held = scipy.linalg.null_space(slopes, rcond=RANK)
         loose = np.abs(moved @ held).max(initial=0.0)
-        if not problems.collected and loose > FREE:
+        if not problems.collected and loose > FREE and not resting:
             worst = model.layout.coordinates[int(np.argmax(np.abs(held).max(1)))]
-            hint = f"Drive one more reading for each freedom, such as one of '{worst}'."
+            hint = f"Drive one more reading for each freedom, such as one of '{worst}'; or equilibrium=True leaves the rest in equilibrium."
             message = f"leaves the wheel free to move: {held.shape[1]} freedoms remain"
             problems.add("UNDRIVEN", f"{where}.drive", message, value=names, limit="all freedoms of the wheel", hint=hint)
 
@@ -247,17 +267,31 @@ def _reference(model: Model) -> Float[Array, "nq"]:
 
 
 @jit_unoptimized
-def _curves(model: Model, drives: tuple[Drive, ...], targets: Float[Array, "n nd"], wheel: Wheel, steer: str | None) -> SuspensionCurves:
+def _curves(
+    model: Model,
+    drives: tuple[Drive, ...],
+    targets: Float[Array, "n nd"],
+    wheel: Wheel,
+    steer: str | None,
+    loads: tuple[Load, ...] | None = None,
+) -> SuspensionCurves:
+    """`loads`: of an equilibrium; None: the readings hold all that matters."""
     names, start = [drive.name for drive in drives], _reference(model)
     targets = targets.astype(start.dtype)
     zero, row = readings(model, drives, start), model.layout.frame(wheel.on)
     side = wheel.side(Coordinates(model).at_rest(start)[row].pose())
     steering = None if steer is None else names.index(steer)
-    known, status = positions(*jax.lax.stop_gradient((model, drives, targets + zero[None], start)))
+    fixed, driven, goals, begin = jax.lax.stop_gradient((model, drives, targets + zero[None], start))
+    if loads is None:
+        known, status = positions(fixed, driven, goals, begin)
+        find = lambda x, known: position(model, drives, x, known)  # noqa: E731
+    else:
+        known, status, k = resting_positions(fixed, tuple(map(jax.lax.stop_gradient, loads)), driven, goals, begin)
+        find = lambda x, known: resting_position(AtRest(model, loads, drives, k), x, known)  # noqa: E731
 
-    def at(x: Float[Array, "nd"], known: Float[Array, "nq"]):
+    def at(x: Float[Array, "nd"], known: Any):
         def placed(x: Array):
-            q = position(model, drives, x + zero, known)
+            q = find(x + zero, known)
             return _placed(model, q, row), q
 
         def read(x: Array):
