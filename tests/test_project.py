@@ -220,6 +220,7 @@ print(*sorted({"matplotlib", "scipy.optimize", "xarray", "pandas"} & set(sys.mod
 """
 
 
+@pytest.mark.long
 @pytest.mark.everywhere
 def test_import_has_no_side_effects():
     """Precision stays as it was, no array is made (JAX has not even looked for devices), nothing slow is imported that may not be
@@ -289,6 +290,7 @@ jb.simulate(jb.presets.quarter_car(), [0.0, 0.01])
 """
 
 
+@pytest.mark.long
 @pytest.mark.everywhere
 def test_jaxbody_runs_from_a_zip(tmp_path):
     archive = shutil.make_archive(str(tmp_path / "jaxbody"), "zip", PACKAGE.parent, "jaxbody")

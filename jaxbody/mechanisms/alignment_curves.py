@@ -23,7 +23,7 @@ from jaxbody.mechanics.constraints import RANK, closure_gaps, solve, values_and_
 from jaxbody.mechanics.energies import each_element
 from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.mechanisms.driven_positions import Drive, conditions, drives_of, position, positions, readings
-from jaxbody.mechanisms.resting_positions import AtRest, resting_position, resting_positions
+from jaxbody.mechanisms.resting_positions import RestingSystem, resting_position, resting_positions
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
@@ -287,7 +287,7 @@ def _curves(
         find = lambda x, known: position(model, drives, x, known)  # noqa: E731
     else:
         known, status, k = resting_positions(fixed, tuple(map(jax.lax.stop_gradient, loads)), driven, goals, begin)
-        find = lambda x, known: resting_position(AtRest(model, loads, drives, k), x, known)  # noqa: E731
+        find = lambda x, known: resting_position(RestingSystem(model, loads, drives, k), x, known)  # noqa: E731
 
     def at(x: Float[Array, "nd"], known: Any):
         def placed(x: Array):

@@ -37,7 +37,7 @@ class Resting(NamedTuple):
     inverse: Float[Array, "m m"]
 
 
-class AtRest(NamedTuple):
+class RestingSystem(NamedTuple):
     """What is at rest: a model with driven readings and loads; k, the stiffness by which forces are divided."""
 
     model: Model
@@ -85,7 +85,7 @@ def resting_positions(
 ) -> tuple[Resting, Int[Array, "n"], Float[Array, ""]]:
     """(positions, statuses, k) for each row of targets, each from the last one reached: NOT_CLOSED where none is found, UNSTABLE where it
     is no minimum of the energy. They have no derivatives: see `resting_position`."""
-    rest, size, nv = AtRest(model, loads, drives, _stiffness(model)), size_of(model), model.layout.nv
+    rest, size, nv = RestingSystem(model, loads, drives, _stiffness(model)), size_of(model), model.layout.nv
     n = len(conditions(model, (drives, targets[0]), start))
     zero = jnp.zeros((nv + n, nv + n), start.dtype)
 
@@ -115,7 +115,7 @@ def resting_positions(
     return places, status, rest.k
 
 
-def resting_position(rest: AtRest, target: Float[Array, "nd"], at: Resting) -> Float[Array, "nq"]:
+def resting_position(rest: RestingSystem, target: Float[Array, "nd"], at: Resting) -> Float[Array, "nq"]:
     """q as a function of the model, the loads and the readings, next to a position that has them."""
     at = jax.lax.stop_gradient(at)
     step: Any = lambda at, _: (rest.moved(at, -at.inverse @ rest.equations(target, at)), None)  # noqa: E731

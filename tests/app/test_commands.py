@@ -141,6 +141,7 @@ def test_the_design_of_a_new_file_is_tuned(name, capsys, folder):
     assert any(not np.array_equal(x, jb.paths(before)[path]) for path, x in jb.paths(tuned).items())
 
 
+@pytest.mark.long
 def test_new_without_a_name_lists_the_ready_models(capsys):
     assert commands.main(["new"]) == 0
     assert set(dir(jb.presets)) == set(re.findall(r"\w+", capsys.readouterr().out.partition(":")[2]))
@@ -268,6 +269,7 @@ def test_numbers_in_parquet_have_units_and_are_read_again(capsys, folder):
     assert stated == {"frequency": "Hz", "damping_ratio": "1", "eigenvalue": "rad2/s2"}
 
 
+@pytest.mark.long
 def test_complex_numbers_have_the_same_names_in_parquet_and_netcdf(capsys, folder):
     pandas, xarray, _ = (pytest.importorskip(name) for name in ("pandas", "xarray", "pyarrow"))
     for name in ("modes.parquet", "modes.nc"):
@@ -386,6 +388,7 @@ def test_the_package_for_pages_is_named_when_it_is_missing(capsys, monkeypatch, 
     assert "MISSING_EXTRA" in said and "pip install 'jaxbody[view]'" in said and not (folder / "page.html").exists()
 
 
+@pytest.mark.long
 def test_readings_of_sensors_are_saved_with_a_motion(capsys, folder):
     assert commands.main(["simulate", "measured.toml", "--duration", "0.1", "--out", "motion.csv"]) == 0
     head, *rows = (folder / "motion.csv").read_text().splitlines()
@@ -427,6 +430,7 @@ def test_the_response_is_that_of_python(folder):
     np.testing.assert_allclose(table[:, 1] * np.exp(1j * table[:, 2]), expected, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_the_random_response_and_load_cases_are_those_of_python(capsys, folder):
     damped = ["--set", "suspension.damping=1500"]
     words = "random car.toml --input road.z --output body.z --quantity acceleration --frequencies 0.2:40 --speed 15 --out psd.csv"

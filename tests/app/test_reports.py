@@ -53,6 +53,7 @@ def test_it_says_how_it_was_made(engine):
     assert "jaxlib" in text and "UTC" in text
 
 
+@pytest.mark.long
 def test_it_refers_to_nothing_outside(engine):
     links = Page(engine[0]).links
     assert links and all(link.startswith(("data:", "#")) for link in links)

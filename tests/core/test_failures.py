@@ -96,6 +96,7 @@ def test_derivatives_of_samples_before_a_failure_are_right():
     assert abs(slope + 0.1 * np.sin(2.0 * 0.5) * 0.5 / (2 * 2.0)) <= 1e-9
 
 
+@pytest.mark.long
 def test_a_report_inside_a_transformation_has_the_values_that_are_not_traced():
     def reported(k):
         eq = jb.equilibrium(slider(k), start=PUSHED, max_steps=0)

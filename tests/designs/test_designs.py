@@ -82,6 +82,7 @@ def test_the_least_within_limits_is_that_of_a_grid(car, name):
     np.testing.assert_allclose([result.values[path] for path in BOTH], at, rtol=1e-3 if name == "grip" else 1e-4)
 
 
+@pytest.mark.long
 def test_both_optimizers_agree_and_say_what_holds_the_design_back(car):
     limits = {"travel": (None, 0.0125), "sag": (None, 0.2)}
     one, other = (

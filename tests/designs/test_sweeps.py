@@ -41,6 +41,7 @@ def test_a_grid_has_its_labels_and_the_values_of_closed_forms(grid):
     np.testing.assert_allclose(grid["sag"].sel({"body.mass": 450.0}), 450 * 9.81 / K, rtol=1e-14)
 
 
+@pytest.mark.long
 def test_chunks_change_nothing_and_values_do_not_recompile(car, grid, capsys):
     """Four chunks of six, the last one not full; progress is printed; new values of the model are arguments."""
     over = {"suspension.stiffness": K, "body.mass": M}

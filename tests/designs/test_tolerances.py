@@ -155,6 +155,7 @@ def test_sensitivities_are_differences_and_ranked(ranked):
         jb.sensitivities(car, modal, free="*.mass", change=1.5)
 
 
+@pytest.mark.long
 def test_a_tornado_and_a_histogram_show_what_was_found(ranked, result, weight):
     _, sensitive = ranked
     ax = plots.plot_tornado(sensitive, "frequency[1]")

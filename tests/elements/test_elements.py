@@ -376,6 +376,7 @@ def test_forces_are_minus_the_gradients_of_the_energies_of_the_model(rng):
     assert largest(result - np.concatenate([np.zeros((1, 6)), on_base, on_bodies])) <= 1e-13 * largest(result)
 
 
+@pytest.mark.long
 def test_a_rigid_motion_of_base_and_bodies_together_changes_no_elastic_energy(rng):
     weightless = eqx.tree_at(lambda model: model.gravity, MODEL, jnp.zeros(3))
     before = everything(weightless, NOWHERE[0], STILL[0], NOWHERE[1], STILL[1])[0]
@@ -463,6 +464,7 @@ def test_a_spring_without_free_length_is_exact_down_to_zero_length(length):
     assert abs(dll - 50) <= 1e-13
 
 
+@pytest.mark.long
 def test_a_spring_of_zero_length_beside_the_origin_has_the_stiffness_of_its_point():
     """K = k J'J with J = [I, -[r]]; no geometric part, as nothing is loaded."""
     r = np.array([0.3, -0.4, 0.5])

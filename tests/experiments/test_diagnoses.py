@@ -77,6 +77,7 @@ def test_a_planted_blunder_is_named(swing, case):
     assert [word for word in words.split() if word not in text] == [], text
 
 
+@pytest.mark.long
 def test_sound_records_pass(swing):
     """20 realizations of noise: a delay is reported at four standard errors, which white noise exceeds once in 16000."""
     for key in range(20):
@@ -180,6 +181,7 @@ def test_a_unit_that_moves_a_size_far_away_is_named(table, case):
     assert code in codes and result.words and all(word in str(result) for word in result.words)
 
 
+@pytest.mark.long
 def test_times_in_milliseconds_are_named(table, swing):
     run = jb.Experiment(1e3 * TIMES, sensors={"edge": SENSORS["edge"]}, measured={"edge": swing[2]["edge"]})
     with pytest.warns(jb.JaxbodyWarning, match=r"step of 'run' over the first period is .*in seconds.*TIME_UNIT"):

@@ -67,6 +67,7 @@ def test_what_curves_cannot_tell_is_named():
         assert any(name in text for text in fit.unidentified)
 
 
+@pytest.mark.long
 def test_a_moved_corner_moves_the_wheel_of_its_curves():
     corner = jb.double_wishbone()
     moved = corner.moved({"wheel center": [-0.02, 0.951, 0.315], "axle inner": [-0.021, 0.8, 0.309]})

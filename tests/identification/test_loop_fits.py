@@ -89,6 +89,7 @@ def run_of(measured, times=TIMES, noise=1e-6, initial=None):
     return jb.Experiment(times, sensors=sensors, measured={"x": measured}, noise=noise, initial=initial)
 
 
+@pytest.mark.long
 def test_stiffness_and_damping_of_a_slider_crank_from_its_equation_by_hand():
     noise = 1e-6 * np.random.default_rng(4).normal(size=len(TIMES))
     fit = jb.fit(slider_crank(360.0, 4.0), {"run": run_of(by_hand(TIMES) + noise)}, free=FREE)

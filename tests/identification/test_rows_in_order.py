@@ -39,6 +39,7 @@ def test_a_fitted_table_does_not_fall():
     assert (steps[:2] > 1).all() and 0 < steps[2] < 0.3
 
 
+@pytest.mark.long
 def test_the_points_of_a_fitted_table_stay_sorted_and_have_standard_errors(rng):
     """The data are of a table with other points, and noise; standard errors up to its level, by differences of the data in the points."""
     at, x = np.linspace(-0.9, 1.9, 29), np.array([-1.2, 0.1, 0.8, 2.1])

@@ -105,6 +105,7 @@ def test_an_elastic_tie_rod_gives_toe_by_a_side_force():
     assert (toe(force) - toe(-force)) / (2 * force) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.long
 def test_bushings_turn_with_the_axis_of_their_joint_and_take_derivatives():
     """K of a hinge's bushing in axes of the parent: radial, axial and tilting parts about n, whatever the body's own axes."""
     n = np.array([0.36, 0.48, 0.8])

@@ -42,6 +42,7 @@ def y_of(z, push, side=SIDE, spring=SPRING):
     return brentq(force, -0.2, 0.19, xtol=1e-15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("push", [0.0, 500.0])
 def test_a_wheel_goes_aside_until_both_springs_balance(push):
     """1e-11: brentq and the search end at 1e-12 of the size."""
@@ -74,6 +75,7 @@ def test_derivatives_by_stiffnesses_and_loads():
         np.testing.assert_allclose(y[:, i], exact, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_what_has_no_minimum_of_energy_is_unstable_and_loads_need_an_equilibrium():
     pushed = carriage(side=100.0, spring=SPRING)
     pushed = jb.replace(pushed, {"strut.b": [0, 0, OVER], "strut.free_length": 0.8})  # a compressed spring above buckles aside

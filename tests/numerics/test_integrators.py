@@ -196,6 +196,7 @@ def test_too_few_steps_keep_what_there_is(model):
     np.testing.assert_allclose(run.state.q[good], jb.simulate(model, TIMES, motion=MOTION).state.q[good], rtol=0, atol=1e-9)
 
 
+@pytest.mark.long
 def test_steps_end_where_measured_accelerations_and_forces_have_their_samples(rng):
     """White noise, held by straight lines, against the exact solution of each piece: x'' + c x' + k x = F - a, by exponentials of
     matrices."""

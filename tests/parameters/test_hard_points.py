@@ -27,6 +27,7 @@ def test_a_moved_corner_is_the_one_built_from_the_moved_points(name):
         assert changed > 1  # the list of hard points is one
 
 
+@pytest.mark.long
 def test_what_is_no_point_stays():
     """A stiffness that was changed, and the compression of the spring in the design position."""
     corner = jb.double_wishbone(force=2500.0, radius=0.32)

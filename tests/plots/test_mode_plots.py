@@ -34,6 +34,7 @@ def test_energies_are_a_heat_map(energies, kind, rows):
     assert kind != "kinetic" or f"{bounce:.1f}" in texts
 
 
+@pytest.mark.long
 def test_an_unknown_kind_is_refused(energies):
     with pytest.raises(jb.JaxbodyError, match="UNKNOWN_NAME"):
         plots.plot_mode_energies(energies, kind="heat")

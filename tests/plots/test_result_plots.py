@@ -135,6 +135,7 @@ def test_a_loop_encloses_what_a_damper_dissipates(run):
         plots.plot_force_strokes(run, elements=("bolt",))
 
 
+@pytest.mark.long
 def test_a_phase_portrait_shows_rates_over_values(run):
     ax = plots.plot_phases(run, ax=Figure().subplots())
     portrait, start = ax.lines
@@ -144,6 +145,7 @@ def test_a_phase_portrait_shows_rates_over_values(run):
         plots.plot_phases(run, coordinates=("mass turn",))
 
 
+@pytest.mark.long
 def test_a_free_body_has_a_portrait_in_meters_and_one_in_radians():
     """Turning freely by 4 rad about z: the rotation vector goes on beyond half a turn."""
     plate = jb.Model(bodies={"plate": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])})
@@ -180,6 +182,7 @@ def test_the_dynamic_stiffness_of_a_spring_and_damper(lin):
         plots.plot_dynamic_stiffness(response, pairs={"x": ("force", "strok")})
 
 
+@pytest.mark.long
 def test_a_force_opposed_to_the_motion_of_the_base_is_a_positive_stiffness(lin):
     """The mount pulls the base back: F/u = -(...) at low frequency, whose magnitude and sign are those of a mass on the mount."""
     response = jb.frequency_response(lin, F, {"base": jb.BaseMotion("base", "y")}, {"pull": jb.LoadCell("mount")})

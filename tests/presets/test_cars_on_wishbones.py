@@ -28,6 +28,7 @@ def eq(car):
     return jb.equilibrium(car)
 
 
+@pytest.mark.long
 def test_it_has_the_parts_of_a_car(car):
     assert len(car.layout.bodies) == 14 and car.layout.nv == 24
     assert len(car.independent) == 8  # heave, pitch, roll, four wheels, the rack

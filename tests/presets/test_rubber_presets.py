@@ -45,6 +45,7 @@ def test_transmissibilities_by_hand(isolated):
         np.testing.assert_allclose([response["x", "x"][i], response["ry", "x"][i]], [x, turn], rtol=1e-10)
 
 
+@pytest.mark.long
 def test_equal_isolators_have_no_mode_of_relaxations_alone(isolated):
     """Poles -1/tau of 12 directions less 6 motions, for each branch: repeated, and real although rounding splits them."""
     damped = jb.complex_modes(isolated[1])

@@ -48,6 +48,7 @@ def response(tip):
     return jb.frequency_response(jb.linearize(model, jb.equilibrium(model)), FREQUENCIES, INPUTS, OUTPUTS)
 
 
+@pytest.mark.long
 def test_they_are_those_of_a_tree():
     """1e-9: equilibria have residuals of 1e-9 of the weights."""
     tree, loop = response("joint"), response("closure")

@@ -150,7 +150,7 @@ def cam(kind):
     return on_slide({"contact": jb.closures.Coupling("follower.q", "wheel.q", function=CAMS[kind])}, {"spring": spring})
 
 
-@pytest.mark.parametrize("kind", PROFILES)
+@pytest.mark.parametrize("kind", ["function", pytest.param("table", marks=pytest.mark.long)])
 def test_a_cam_lifts_its_follower(kind):
     """x = f(y): (J + m f'^2) y'' + m f' f'' y'^2 = m g f' - k (y - y_0), and lambda = m (g - x''); of a table to its interpolation."""
     place, first, second = PROFILES[kind]

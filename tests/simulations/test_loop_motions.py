@@ -113,7 +113,8 @@ def test_a_four_bar_moves_as_its_one_equation_of_motion_and_keeps_its_energy(cut
     assert trajectory.closing is not None and float(trajectory.closing.gap) < 1e-12
 
 
-@pytest.mark.parametrize("cut", [pytest.param("head", marks=pytest.mark.long), "foot"])
+@pytest.mark.long
+@pytest.mark.parametrize("cut", ["head", "foot"])
 def test_a_support_that_moves_drives_a_closed_loop(cut):
     """The foot of the rocker shakes: c depends on time, through the tree or through the closure."""
     times = np.linspace(0.0, 2.0, 1001)

@@ -92,6 +92,7 @@ def in_order(model, z):
     return np.asarray(z)[..., [model.layout.states.index(name) for name in names]]
 
 
+@pytest.mark.long
 def test_rest(model, rest, angle):
     assert int(rest.status) == 0 and rest.stable
     turn = np.asarray(rest.state.q)[model.layout.coordinates.index("crank turn about its hinge")]

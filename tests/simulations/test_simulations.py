@@ -518,6 +518,7 @@ def test_initial_states_that_do_not_fit_are_refused(rig, state, code, text):
     assert text in str(error.value)
 
 
+@pytest.mark.long
 def test_an_unattached_body_moves_with_a_warning():
     model = jb.Model(bodies={"stone": jb.Body(mass=1.0, inertia=[1, 1, 1])}, gravity=[0, 0, -9.81])
     start = jb.State(model.reference.q, jnp.array([1.0, 0, 2, 0, 0, 0]))

@@ -98,6 +98,7 @@ def test_the_preload_of_a_slider_crank_balances_its_weight():
     np.testing.assert_allclose(forward, differences, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_a_coordinate_that_may_move_takes_the_others_along():
     """The crank goes to the angle of equilibrium for the spring that is there."""
     pose = jb.State(jnp.array([0.9, -1.5]), jnp.zeros(2))

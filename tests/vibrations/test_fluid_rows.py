@@ -201,6 +201,7 @@ def test_branches_beside_a_fluid():
         assert (loss > 0).all() and np.allclose(sum(energies.dissipation.values()), 100)
 
 
+@pytest.mark.long
 def test_a_gap_without_a_lower_chamber_leaves_the_fluid_free():
     """Within the gap nothing holds the fluid: a mode of zero frequency, which is named."""
     free = jb.laws.Hydraulic(stiffness=KR, damping=CR, upper_stiffness=KM, fluid_mass=M_F, fluid_damping=CM, gap=1e-3)

@@ -255,6 +255,7 @@ def test_an_open_state_and_another_models_equilibrium_are_reported():
         jb.linearize(stale, eq)
 
 
+@pytest.mark.long
 def test_axes_of_a_mounted_body_are_those_without_the_loop_beside_it():
     corners = {"a": [1, 1, -0.2], "b": [1, -1, -0.3], "c": [-1, 0.5, -0.1]}
     legs = {name: jb.Bushing(("box", at), ("world", at), stiffness=[1e4, 2e4, 3e4]) for name, at in corners.items()}

@@ -123,6 +123,7 @@ def test_phases_and_many_bodies_in_words():
     assert name([np.nan, 1]) == ""
 
 
+@pytest.mark.long
 def test_a_damping_ratio_that_is_rounding_prints_as_zero(car):
     modes = jb.modes(car)
     dusty = eqx.tree_at(lambda m: m.damping_ratio, modes, modes.damping_ratio.at[0].set(1.9e-33))

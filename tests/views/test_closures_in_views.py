@@ -124,6 +124,7 @@ def test_modes_stay_closed_at_the_amplitude_that_is_drawn():
     plt.close("all")
 
 
+@pytest.mark.long
 def test_every_closure_is_drawn_where_it_is():
     ends = ("world", [0.1, 0.2, 0]), ("box", [0.3, 0.1, -0.1])
     kinds = {

@@ -74,6 +74,7 @@ def test_a_view_that_does_not_play_shows_the_phase_of_the_slider(live):
     assert live.frame == 0
 
 
+@pytest.mark.long
 def test_it_plays_until_it_is_stopped(live):
     live.controls["speed"].value = 3.0
     live.controls["play"].value = True

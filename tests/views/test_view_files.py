@@ -45,6 +45,7 @@ def test_a_page_needs_no_network_and_is_small(page):
     assert page.stat().st_size < 1.2e6
 
 
+@pytest.mark.long
 def test_coils_in_a_page_have_the_length_of_the_springs(page, motion):
     """Decoded from the file and compared with the trajectory, at the times of the model that the page shows."""
     recording = messages_of(page)

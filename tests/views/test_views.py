@@ -87,6 +87,7 @@ def test_springs_dampers_and_points_meet_the_bodies_that_move(motion, seen):
     np.testing.assert_allclose(seen.animation.trails[0].points, corner, atol=1e-9)
 
 
+@pytest.mark.long
 def test_arrows_have_the_forces_of_the_trajectory_to_one_scale(motion, seen):
     rows = [int(np.argmin(np.abs(np.asarray(motion.times) - t))) for t in seen.animation.seconds]
     drawn = {name: seen.animation.part("forces", name, "on plate").scale[:, 2] for name in motion.forces}
