@@ -150,8 +150,8 @@ def suspension_curves(
     own: to the fourth order in all, those by the travel in ratios, rates and slopes included.
 
     Errors: UNDRIVEN where the wheel can move while all readings are held, unless in equilibrium, or a drive moves nothing; UNKNOWN_NAME,
-    UNKNOWN_BODY for a load, BAD_OPTION for loads without equilibrium, BAD_SHAPE, NON_FINITE; warns NOT_CLOSED where a value is beyond
-    reach, UNSTABLE where the energy has no minimum.
+    UNKNOWN_BODY for a load, BAD_OPTION for loads without equilibrium or that without elements, BAD_SHAPE, NON_FINITE; warns NOT_CLOSED
+    where a value is beyond reach, UNSTABLE where the energy has no minimum.
 
     Source: ISO 8855 for signs; the screw axis of a twist (w, v) passes through w x v/|w|^2.
 
@@ -174,6 +174,9 @@ def suspension_curves(
         if acting and not equilibrium:
             hint = "Say equilibrium=True, or leave the loads out."
             problems.add("BAD_OPTION", "suspension_curves.loads", "act on what is held by its readings", limit="an equilibrium", hint=hint)
+        if equilibrium and not model.elements:
+            limit, hint = "a model with springs or bushings", "Leave the option out, or give the model elements (`jb.compliant`)."
+            problems.add("BAD_OPTION", "suspension_curves.equilibrium", "has no elements to rest on", limit=limit, hint=hint)
     return warn_if_failed(_curves(*found, acting if equilibrium else None))
 
 

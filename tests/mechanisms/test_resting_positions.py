@@ -90,6 +90,9 @@ def test_what_has_no_minimum_of_energy_is_unstable_and_loads_need_an_equilibrium
             wheel=WHEEL,
             loads={"push": jb.Force("upright", force=[0, 1, 0])},
         )
+    bare = jb.Model(bodies={"upright": jb.Body(mass=10.0, inertia=[1, 1, 1])}, joints={"upright": jb.Translation("world")})
+    with pytest.raises(jb.JaxbodyError, match=r"equilibrium: has no elements to rest on.*BAD_OPTION"):
+        curves(bare)
     with pytest.raises(jb.JaxbodyError, match=r"freedoms remain.*equilibrium=True.*UNDRIVEN"):
         jb.suspension_curves(carriage(), drive={"travel": WHEEL}, over={"travel": TRAVEL}, wheel=WHEEL)
 
