@@ -217,6 +217,14 @@ def test_null_directions_in_words():
     assert in_words(null, labels, []) == ["AB.stiffness up with CD.stiffness down"]
 
 
+@pytest.mark.parametrize("rounding", [[0, 1e-12, 2e-12], [2e-12, 0, 1e-12], [1e-12, 2e-12, 0]])
+def test_parameters_that_count_equally_are_named_in_their_order(rounding):
+    """A scale of all forces: whichever rounding makes the largest, the words are the same."""
+    null = (np.ones((3, 1)) + np.array(rounding)[:, None]) / np.sqrt(3)
+    labels = ["AB.stiffness", "AB.damping", "plate.mass"]
+    assert in_words(null, labels, []) == ["AB.stiffness up with AB.damping up with plate.mass up"]
+
+
 def test_autoregressions_are_those_of_yule_and_walker():
     process = Autoregression(np.array([1.2, -0.5]), 2.0)
     gamma = autocovariances(process, 50)
