@@ -53,7 +53,7 @@ CODES = {
     "BAD_WIDTH": ("a smoothing width is not above 0", "give the largest negligible difference, in the unit of x"),
     "BAD_WORKERS": ("workers= cannot compute", "give a number of processes, or an open executor of processes"),
     "BASE_JUMP": ("the motion of a support jumps", "start the motion smoothly, or start from a state that matches it"),
-    "CLOSED_LOOPS": ("this function does not take models with closures yet", "replace closures by stiff bushings"),
+    "CLOSED_LOOPS": ("a tree of joints is needed, or closures of known numbers", "use stiff bushings, or build the model outside of jit"),
     "COARSE": ("frequencies are too far apart to resolve the peaks between them", "give more frequencies near the peaks"),
     "COMPLEX": ("numbers are complex where real numbers are required", "give real numbers"),
     "CORRELATED_RESIDUALS": ("residuals are correlated: the model misses something", "see jb.diagnose; standard errors account for it"),
