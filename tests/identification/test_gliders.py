@@ -3,6 +3,7 @@
 import os
 import pathlib
 import runpy
+import warnings
 from types import SimpleNamespace
 from unittest import mock
 
@@ -24,12 +25,11 @@ def gliders():
     file = data("gliders", "real_double_linear_h_1.txt")
     path = pathlib.Path(__file__).parents[2] / "examples" / "gliders.py"
     found = {"JAXBODY_DATA": str(file.parents[1]), "MPLBACKEND": "Agg"}
-    with (
-        mock.patch.dict(os.environ, found),
-        pytest.warns(jb.JaxbodyWarning, match="AT_BOUND"),  # of the first 11 s: they do not show the damping of the right spring
-        pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"),
-    ):
-        names = SimpleNamespace(**runpy.run_path(str(path)))
+    with mock.patch.dict(os.environ, found), warnings.catch_warnings():
+        # The first 11 s do not show the damping of the right spring: whether it ends at zero is up to rounding
+        warnings.filterwarnings("ignore", "(?s).*AT_BOUND", jb.JaxbodyWarning)
+        with pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):
+            names = SimpleNamespace(**runpy.run_path(str(path)))
     names.track = names.run_of(names.record)
     with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE"):
         names.loose = jb.fit(names.fit.model, {"track": names.fit.experiments["track"]}, free=[*names.free, "glider1.mass"])
