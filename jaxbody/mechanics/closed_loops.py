@@ -98,8 +98,10 @@ class ClosedLoops(JointedBodies):
         """F and M as in a tree, where closures push as well, with the forces that balance the accelerations."""
         first = self.model.layout.first_body
         F, M = jnp.split(self._wrenches(now, self._balancing(now, extra)[0]), 2, -1)
-        of_bodies = [F[first:], M[first:]] if extra is None else [F[first:] + extra[0], M[first:] + extra[1]]
-        now, fixed = super().with_reactions(now, (of_bodies[0], of_bodies[1])), (np.arange(len(F)) < first)[:, None]
+        of_bodies = F[first:], M[first:]
+        if extra is not None:
+            of_bodies = of_bodies[0] + extra[0], of_bodies[1] + extra[1]
+        now, fixed = super().with_reactions(now, of_bodies), (np.arange(len(F)) < first)[:, None]
         on_fixed = (jnp.asarray(of_joints) + jnp.where(fixed, x, 0.0) for of_joints, x in ((now.F, F), (now.M, M)))
         return replace(now, **dict(zip("FM", on_fixed, strict=True)))
 

@@ -60,10 +60,8 @@ def test_derivatives_by_stiffnesses_and_loads():
     """Differences of a closed form; the wheel rate is a derivative of the third order of the energy."""
 
     def rate(x):
-        model = jb.replace(
-            carriage(), {"side.stiffness": np.diag([1e5, 0, 0, 0, 0, 0]) + np.diag([0, 1.0, 0, 0, 0, 0]) * x[0], "strut.stiffness": x[1]}
-        )
-        found = curves(model, x[2])
+        side = np.diag([1e5, 0, 0, 0, 0, 0]) + np.diag([0, 1.0, 0, 0, 0, 0]) * x[0]
+        found = curves(jb.replace(carriage(), {"side.stiffness": side, "strut.stiffness": x[1]}), x[2])
         return found["wheel y"], found["wheel rate"]
 
     x = np.array([SIDE, SPRING, 500.0])
@@ -122,10 +120,13 @@ def test_an_elastic_corner_is_where_the_force_that_lifts_it_puts_it(elastic):
         closures={name: model[name] for name in model.closure_names},
         elements={name: model[name] for name in model.element_names},
     )
+
+    def lift(force):
+        return {"road": jb.Force(("upright", corner.wheel.center), force=[0, 0, force])}
+
+    start = jb.equilibrium(held, loads=lift(2100.0)).state
     for i, travel in enumerate(TRAVEL):
-        lift = {"road": jb.Force(("upright", corner.wheel.center), force=[0, 0, found["wheel force"][i]])}
-        start = jb.equilibrium(held, loads={"road": jb.Force(("upright", corner.wheel.center), force=[0, 0, 2100.0])}).state
-        at = jb.equilibrium(held, start=start, loads=lift)
+        at = jb.equilibrium(held, start=start, loads=lift(found["wheel force"][i]))
         pose = frames_of(held, at.state)[held.layout.frame("upright")].pose()
         center, axis = np.asarray(pose.point(corner.wheel.center)), np.asarray(pose.R @ corner.wheel.axis)
         assert center[2] - float(corner.wheel.center[2]) == pytest.approx(travel, abs=1e-8)  # 1e-9 of the force over the wheel rate
