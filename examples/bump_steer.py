@@ -71,7 +71,7 @@ TRAVEL, over_travel = np.linspace(-0.1, 0.1, 21), jax.jit(toe_and_camber)
 figure, axes = plt.subplots(1, 2, figsize=(8, 4), sharey=True, layout="constrained")
 axes[0].fill_betweenx([-40, 40], -0.024, 0.024, color="#dfe4ea")
 axes[1].fill_betweenx(1e3 * NEAR, line(NEAR) - 0.06, line(NEAR) + 0.06, color="#dfe4ea")
-for label, shown, style, color in (("as drawn", corner, "--", "#e0803a"), ("joints moved", design.corner, "-", "#1871bc")):
+for label, shown, style, color in (("as drawn", corner, "--", "#e0803a"), ("joints moved", design.suspension, "-", "#1871bc")):
     for ax, curve in zip(axes, over_travel(shown, TRAVEL), strict=True):
         ax.plot(curve, 1e3 * TRAVEL, style, label=label, color=color)
 axes[0].set_xlabel("toe [deg]")

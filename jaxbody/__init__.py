@@ -119,6 +119,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.mechanisms.alignment_curves": ("suspension_curves",),
     "jaxbody.mechanisms.ready_axles": ("Axle", "solid_axle"),
     "jaxbody.mechanisms.ready_corners": ("double_wishbone", "five_link", "macpherson"),
+    "jaxbody.mechanisms.suspensions": ("Suspension",),
     "jaxbody.mechanisms.wheels": ("Wheel",),
     "jaxbody.models.bodies": ("Body", "Support"),
     "jaxbody.models.joints": ("Fixed", "Free", "Joint"),

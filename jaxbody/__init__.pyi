@@ -109,6 +109,7 @@ from jaxbody.mechanisms.ready_axles import solid_axle as solid_axle
 from jaxbody.mechanisms.ready_corners import double_wishbone as double_wishbone
 from jaxbody.mechanisms.ready_corners import five_link as five_link
 from jaxbody.mechanisms.ready_corners import macpherson as macpherson
+from jaxbody.mechanisms.suspensions import Suspension as Suspension
 from jaxbody.mechanisms.wheels import Wheel as Wheel
 from jaxbody.models.bodies import Body as Body
 from jaxbody.models.bodies import Support as Support

@@ -25,7 +25,7 @@ from jaxbody.core.results import warn_if_failed
 from jaxbody.designs.programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of, search_by_workers
 from jaxbody.designs.searches import MET, METHODS, Search, one_thread, run, run_in_lockstep, scales
 from jaxbody.designs.tunings import Tuning, tuning_of
-from jaxbody.mechanisms.corners import Corner
+from jaxbody.mechanisms.suspensions import Suspension
 from jaxbody.models.leaf_paths import matching
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
@@ -38,7 +38,7 @@ MOST_NEIGHBORS = 6  # largest number of catalogue parameters for which all combi
 
 
 def tune(
-    model: Model | Corner,
+    model: Model | Suspension,
     evaluate: Evaluate,
     *,
     free: str | Iterable[str],
@@ -58,8 +58,8 @@ def tune(
     """The design with the smallest objective within limits, by exact gradients.
 
     Args:
-        model: the initial design; a `Corner` has its hard points as parameters by their names, free=["lower outer"], in meters.
-        evaluate: model, or corner -> {name: number or array} by JAX functions, or one number, then called "objective".
+        model: the initial design; a `Suspension` has its hard points as parameters by their names, free=["lower outer"], in meters.
+        evaluate: model, or suspension -> {name: number or array} by JAX functions, or one number, then called "objective".
         free: paths or patterns of independent parameters; "spring fl.stiffness = spring fr.stiffness" ties parameters,
             "left.a = right.a * [1, -1, 1]" with factors.
         minimize: name of the objective.

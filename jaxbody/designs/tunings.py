@@ -18,7 +18,7 @@ from jaxbody.core.results import Result
 from jaxbody.designs.kinks import at_kinks, jumping
 from jaxbody.designs.programs import NamedLimits, Program, Quantities, variables_over
 from jaxbody.designs.searches import ACTIVE, CONVERGED, MET, Multipliers, Rows, Search, multipliers, scales
-from jaxbody.mechanisms.corners import Corner
+from jaxbody.mechanisms.suspensions import Suspension
 from jaxbody.models.models import Model
 from jaxbody.parameters.spaces import Space, model_of
 from jaxbody.parameters.transforms import Positive
@@ -40,7 +40,7 @@ class Runs(eqx.Module):
 
 
 class Tuning(Labeled, Result):
-    """A tuned design: `model`, the `corner` that it is of if one was tuned, `values` {path: value}, quantities `before` and `after`
+    """A tuned design: `model`, the `suspension` that it is of if one was tuned, `values` {path: value}, quantities `before` and `after`
     {name: value}, `active` constraints as text,
     `multipliers` {limited quantity or parameter at its bound: shadow price, d objective/d limit}, `words`, the effect of one percent more
     of each limit, `history` (evaluations, 2) of the objective and the violation of limits, `evaluations`, all starts in `runs`, `places`
@@ -70,7 +70,7 @@ class Tuning(Labeled, Result):
     minimize: str = eqx.field(static=True)
     limits: NamedLimits = eqx.field(static=True)
     remedy: str = eqx.field(static=True)
-    corner: Corner | None = None
+    suspension: Suspension | None = None
 
     def explain(self) -> str:
         if int(self.status) == Status.INFEASIBLE:
@@ -180,7 +180,7 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
     design, values_of = _placed(space, device_array(best.u))
     return Tuning(
         model=model_of(design),
-        corner=design if isinstance(design, Corner) else None,
+        suspension=design if isinstance(design, Suspension) else None,
         values=values_of,
         before=quantities(program.origin),
         after=quantities(best.values),

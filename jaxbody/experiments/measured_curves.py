@@ -7,6 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float, concrete, device_array, float_array
@@ -35,7 +36,7 @@ class MeasuredCurves(Measurement):
             to leave out.
         noise: standard deviations {curve: one number or one for each row}; by default estimated from the residuals.
 
-    In a fit of a corner its hard points move the wheel here too. A row that a trial cannot reach has no prediction: a rejected step.
+    In a fit of a suspension its hard points move the wheel here too. A row that a trial cannot reach has no prediction: a rejected step.
 
     Errors, all at once: NO_DATA, BAD_SHAPE, NON_FINITE, ALL_NAN, BAD_NOISE, UNKNOWN_NAME, and those of `suspension_curves`.
 
@@ -78,11 +79,15 @@ class MeasuredCurves(Measurement):
         return {name: sensor for name, sensor in self.driven.items() if not isinstance(sensor, Wheel)}
 
     def on(self, before, after):
-        if self.wheel.on != before.wheel.on:
-            return self
-        of_same = lambda x: isinstance(x, Wheel) and x.on == self.wheel.on  # noqa: E731
-        add = lambda wheel: jax.tree.map(lambda now, old, new: now + (new - old), wheel, before.wheel, after.wheel)  # noqa: E731
-        return jax.tree.map(lambda x: add(x) if of_same(x) else x, self, is_leaf=of_same)
+        def moved(wheel: Wheel) -> Wheel:
+            for old, new in zip(before.wheels, after.wheels, strict=True):
+                if wheel.on == old.on and (wheel.kingpin is None) == (old.kingpin is None):
+                    same = jnp.sum(wheel.axis * old.axis) > 0  # the wheels of an axle point to opposite sides
+                    wheel = jax.tree.map(lambda now, old, new, same=same: now + jnp.where(same, new - old, 0.0), wheel, old, new)
+            return wheel
+
+        is_wheel = lambda x: isinstance(x, Wheel)  # noqa: E731
+        return jax.tree.map(lambda x: moved(x) if is_wheel(x) else x, self, is_leaf=is_wheel)
 
     @property
     def drive(self) -> dict[str, Any]:

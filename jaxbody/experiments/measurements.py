@@ -43,7 +43,7 @@ class Measurement(eqx.Module):
         return {}
 
     def on(self, before: Any, after: Any) -> Any:
-        """The measurement after the hard points of a corner have moved."""
+        """The measurement after the hard points of a suspension have moved."""
         return self
 
     def scale_of(self, path: str, unit: str) -> Any:

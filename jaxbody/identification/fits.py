@@ -15,7 +15,7 @@ from jaxbody.core.results import Result
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.intervals import FEW, Interval, freedoms_of, intervals_of, widening
 from jaxbody.identification.residuals import Task
-from jaxbody.mechanisms.corners import Corner
+from jaxbody.mechanisms.suspensions import Suspension
 from jaxbody.models.models import Model
 from jaxbody.parameters.spaces import arrays_of
 from jaxbody.parameters.transforms import Direction, Rotated
@@ -29,7 +29,7 @@ FLAT = 1e-9  # slope of a number, relative to the largest of its leaf, that coun
 class Fit(Labeled, Result):
     """Result of a fit: estimates, their uncertainty, residuals.
 
-    `model` and `experiments` hold the estimates, and `corner` if one was fitted.
+    `model` and `experiments` hold the estimates, and `suspension` if one was fitted.
     By path: `estimates`, `standard_errors` (infinite for what the data do not determine),
     `intervals(level)` and their `degrees_of_freedom`. `unidentified` lists combinations of parameters that the data do not determine,
     `at_bound` the parameters at a bound. `covariance` and `limits` are those of u, `singular_values` those of the Jacobian with scaled
@@ -61,7 +61,7 @@ class Fit(Labeled, Result):
     at_bound: list[str]
     rounds: tuple[int, ...] = ()
     remarks: tuple[str, ...] = ()
-    corner: Corner | None = None
+    suspension: Suspension | None = None
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -74,7 +74,7 @@ class Fit(Labeled, Result):
     @property
     def estimates(self) -> dict[str, Array]:
         """{path: value}."""
-        arrays = {"": arrays_of(self.model, self.corner)} | {run: jax.tree.leaves(tree) for run, tree in self.experiments.items()}
+        arrays = {"": arrays_of(self.model, self.suspension)} | {run: jax.tree.leaves(tree) for run, tree in self.experiments.items()}
         return {leaf.path: leaf.read(arrays[run]) for parameter in self.task.space.parameters for run, leaf in parameter.places[:1]}
 
     def _assessed(self) -> Uncertainty:

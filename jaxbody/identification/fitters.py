@@ -35,7 +35,7 @@ from jaxbody.identification.fits import Fit
 from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_optax, by_scipy
 from jaxbody.identification.residuals import Task, first_noise, residual_and_jacobian, rms_residuals, with_estimated_noise
 from jaxbody.identification.traced_fits import solve
-from jaxbody.mechanisms.corners import Corner
+from jaxbody.mechanisms.suspensions import Suspension
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import size_of
@@ -52,7 +52,7 @@ ROUNDS = 5  # largest number of times that the noise of each channel is estimate
 
 
 def fit(
-    model: Model | Corner,
+    model: Model | Suspension,
     experiments: dict[str, Measurement],
     *,
     free: Iterable[str] | str,
@@ -74,7 +74,7 @@ def fit(
     """Least-squares estimates of free parameters from measurements.
 
     Args:
-        model: the initial guess; a `Corner` has its hard points as parameters by their names, free=["lower outer"], in meters.
+        model: the initial guess; a `Suspension` has its hard points as parameters by their names, free=["lower outer"], in meters.
         experiments: {name: Experiment, MeasuredResponse, MeasuredModes, MeasuredStiffness or MeasuredCurves}.
         free: paths or patterns, of the model ("*.stiffness", "plate.mass", "AB.a") or of an experiment ("run1.initial.v",
             "run1.base.frequency"). "left.stiffness = right.stiffness" ties parameters, "left.a = right.a * [1, -1, 1]" with factors;
@@ -209,7 +209,7 @@ def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
     r = task.residual(u)
     return Fit(
         model=model_of(design),
-        corner=design if isinstance(design, Corner) else None,
+        suspension=design if isinstance(design, Suspension) else None,
         experiments=experiments,
         u=u,
         cost=0.5 * r @ r,
@@ -256,7 +256,7 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
         remarks += tuple(far_off(model, experiments, predicted, task.noise, task.integration))
     return Fit(
         model=model,
-        corner=design if isinstance(design, Corner) else None,
+        suspension=design if isinstance(design, Suspension) else None,
         experiments=experiments,
         u=device_array(u),
         cost=device_array(0.5 * r @ r),
@@ -275,8 +275,8 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
 
 
 @jit_unoptimized
-def _placed(space: Space, u: Float[Array, "n"]) -> tuple[Model | Corner, dict[str, Measurement], dict[str, Array]]:
-    """Model or corner and runs at u, and d values/du of each parameter."""
+def _placed(space: Space, u: Float[Array, "n"]) -> tuple[Model | Suspension, dict[str, Measurement], dict[str, Array]]:
+    """Model or suspension and runs at u, and d values/du of each parameter."""
     return *space.designed(u), jax.jacfwd(space.values)(u)
 
 

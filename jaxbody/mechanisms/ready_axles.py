@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
-
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.closures import Rod
 from jaxbody.mechanisms.alignment_curves import SuspensionCurves, suspension_curves
 from jaxbody.mechanisms.ready_corners import points_of, spring_between
+from jaxbody.mechanisms.suspensions import Suspension
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.bodies import Body
 from jaxbody.models.models import Model
@@ -41,18 +40,21 @@ LINKS = {f"{name} link": (f"{name} link front", f"{name} link rear") for name in
 RODS = LINKS | {"Panhard rod": ("Panhard rod body", "Panhard rod axle")}
 
 
-class Axle(eqx.Module):
+class Axle(Suspension):
     """A suspension of both wheels: `model`, in the design position, whose body "axle" has the axes and the origin of the car; `left` and
-    `right`, its wheels.
+    `right`, its wheels; hard points as of a `Suspension`.
 
     >>> axle = jb.solid_axle()
     >>> axle.model.closure_names
     ('left lower link', 'right lower link', 'upper link', 'Panhard rod')
     """
 
-    model: Model
     left: Wheel
     right: Wheel
+
+    @property
+    def wheels(self):
+        return self.left, self.right
 
     def curves(self, left: Any, right: Any) -> SuspensionCurves:
         """Curves of the left wheel over the rise of the centers of both [m], numbers or as many as the other has; see `suspension_curves`.
@@ -100,4 +102,4 @@ def solid_axle(
         side: Wheel("axle", center=points[f"{side} wheel center"], axis=[0, outward, 0], radius=radius)
         for side, outward in (("left", 1), ("right", -1))
     }
-    return Axle(model, **wheels)
+    return Axle(model, **wheels, hard_points=points, build=solid_axle)

@@ -13,7 +13,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import checked, device_array, is_concrete
+from jaxbody.core.arrays import checked, is_concrete
 from jaxbody.core.errors import Problems, unknown
 from jaxbody.elements.springs import Spring
 from jaxbody.geometry.closures import Ball as BallClosure
@@ -89,7 +89,7 @@ def double_wishbone(hard_points: Points | None = None, *, stiffness=30e3, force=
         },
         elements={"spring": spring_between("lower arm", lower, upper, stiffness, force)},
     )
-    return Corner(model, _wheel(points, radius, points["upper outer"]), hard_points=located(points), build=double_wishbone)
+    return Corner(model, _wheel(points, radius, points["upper outer"]), hard_points=points, build=double_wishbone)
 
 
 def macpherson(hard_points: Points | None = None, *, stiffness=30e3, force=4000.0, radius=0.3) -> Corner:
@@ -117,7 +117,7 @@ def macpherson(hard_points: Points | None = None, *, stiffness=30e3, force=4000.
         },
         elements={"spring": spring_between("upright", lower, upper, stiffness, force)},
     )
-    return Corner(model, _wheel(points, radius, upper), hard_points=located(points), build=macpherson)
+    return Corner(model, _wheel(points, radius, upper), hard_points=points, build=macpherson)
 
 
 def five_link(hard_points: Points | None = None, *, stiffness=30e3, force=4000.0, radius=0.3) -> Corner:
@@ -146,7 +146,7 @@ def five_link(hard_points: Points | None = None, *, stiffness=30e3, force=4000.0
         closures=links | {"tie rod": _tie_rod(points)},
         elements={"spring": spring_between("upright", lower, upper, stiffness, force)},
     )
-    return Corner(model, _wheel(points, radius), hard_points=located(points), build=five_link)
+    return Corner(model, _wheel(points, radius), hard_points=points, build=five_link)
 
 
 def _points(source: Points, given: Points | None, where: str) -> dict[str, Any]:
@@ -168,11 +168,6 @@ def points_of(source: Points, given: Points | None, where: str, problems: Proble
             continue
         points[name] = checked(point, ((3,),), place, problems, "Give x, y and z in meters.")
     return points
-
-
-def located(points: dict[str, Any]) -> dict[str, Any]:
-    """The hard points as arrays of a corner."""
-    return {name: device_array(point) for name, point in points.items()}
 
 
 def _check_side(points: dict[str, Any], given: Points, where: str, problems: Problems) -> None:

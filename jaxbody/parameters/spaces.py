@@ -1,7 +1,8 @@
 """The space of free parameters of a fit or a design: model and runs as a function of numbers u, which are zero at the start.
 
 Each parameter states the leaves it sets, the factors of ties between them, its form as a function of u, its bounds and its prior.
-A design space is a fit's parameters without runs. The hard points of a corner are parameters by their names, which move all that has them.
+A design space is a fit's parameters without runs. The hard points of a suspension are parameters by their names, which move all that has
+them.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from jaxbody.core.arrays import Array, Float, device_array
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry import fields
 from jaxbody.geometry.fields import Kind
-from jaxbody.mechanisms.corners import Corner
+from jaxbody.mechanisms.suspensions import Suspension
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of
@@ -30,7 +31,7 @@ from jaxbody.parameters.transforms import Elementwise, Parametrization, Positive
 
 
 class Parameter(eqx.Module):
-    """A free parameter: the leaves it sets, several if tied by factors, each of the model or its corner ("") or of a run; its form as a
+    """A free parameter: the leaves it sets, several if tied by factors, each of the model or its suspension ("") or of a run; its form as a
     function of its u, the bounds of these u; its prior, a mean and a standard deviation."""
 
     places: tuple[tuple[str, Leaf], ...] = eqx.field(static=True)
@@ -58,12 +59,12 @@ class Parameter(eqx.Module):
 
 
 class Space(eqx.Module):
-    """A model, the corner that it is of if it is of one, and the runs of its measurements as functions of u: `place(u)`."""
+    """A model, the suspension that it is of if it is of one, and the runs of its measurements as functions of u: `place(u)`."""
 
     model: Model
     parameters: tuple[Parameter, ...]
     runs: dict[str, Any] = eqx.field(default_factory=dict)
-    corner: Corner | None = None
+    suspension: Suspension | None = None
 
     @property
     def size(self) -> int:
@@ -104,19 +105,19 @@ class Space(eqx.Module):
         design, runs = self.designed(u)
         return model_of(design), runs
 
-    def designed(self, u: Float[Array, "n"]) -> tuple[Model | Corner, dict[str, Any]]:
-        """The corner, or else the model, and the runs at u."""
+    def designed(self, u: Float[Array, "n"]) -> tuple[Model | Suspension, dict[str, Any]]:
+        """The suspension, or else the model, and the runs at u."""
         values = self.values(u)
         new: dict[str, dict[Leaf, Array]] = {owner: {} for owner in ("", *self.runs)}
         for parameter in self.parameters:
             for (owner, leaf), factor in zip(parameter.places, parameter.factors, strict=True):
                 new[owner][leaf] = times(values[parameter.path], factor)
-        if self.corner is None:
+        if self.suspension is None:
             return write(self.model, new[""]), {name: write(run, new[name]) for name, run in self.runs.items()}
-        points = {leaf.path: new[""].pop(leaf) for leaf in hard_points_of(self.corner) if leaf in new[""]}
-        moved = self.corner.moved(points)
-        runs = {name: write(run.on(self.corner, moved), new[name]) for name, run in self.runs.items()}
-        return eqx.tree_at(lambda corner: corner.model, moved, write(moved.model, new[""])), runs
+        points = {leaf.path: new[""].pop(leaf) for leaf in hard_points_of(self.suspension) if leaf in new[""]}
+        moved = self.suspension.moved(points)
+        runs = {name: write(run.on(self.suspension, moved), new[name]) for name, run in self.runs.items()}
+        return eqx.tree_at(lambda suspension: suspension.model, moved, write(moved.model, new[""])), runs
 
     def numbers(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The number that each u determines and its derivative with respect to u; for orientations and matrices, u itself and 1."""
@@ -128,24 +129,24 @@ class Space(eqx.Module):
         return np.concatenate([parameter.form.ended(u[own]) for parameter, own in self.parts])
 
 
-def model_of(design: Model | Corner) -> Model:
-    """The model of a corner, or the model itself."""
-    return design.model if isinstance(design, Corner) else design
+def model_of(design: Model | Suspension) -> Model:
+    """The model of a suspension, or the model itself."""
+    return design.model if isinstance(design, Suspension) else design
 
 
-def arrays_of(model: Model, corner: Corner | None) -> list[Any]:
-    """The arrays that the leaves of a design count: those of the model, then the hard points of its corner."""
-    return jax.tree.leaves(model if corner is None else (model, corner.hard_points))
+def arrays_of(model: Model, suspension: Suspension | None) -> list[Any]:
+    """The arrays that the leaves of a design count: those of the model, then the hard points of its suspension."""
+    return jax.tree.leaves(model if suspension is None else (model, suspension.hard_points))
 
 
-def hard_points_of(corner: Corner) -> list[Leaf]:
+def hard_points_of(suspension: Suspension) -> list[Leaf]:
     """The leaves of the hard points, in the order of `arrays_of`."""
-    first = jax.tree.structure(corner.model).num_leaves
-    return [Leaf(name, first + i, None, 1, Kind("m")) for i, name in enumerate(sorted(corner.hard_points))]
+    first = jax.tree.structure(suspension.model).num_leaves
+    return [Leaf(name, first + i, None, 1, Kind("m")) for i, name in enumerate(sorted(suspension.hard_points))]
 
 
 def space_of(
-    design: Model | Corner,
+    design: Model | Suspension,
     free: str | Iterable[str],
     where: str,
     *,
@@ -157,7 +158,7 @@ def space_of(
     """The space of the free parameters.
 
     Args:
-        design: the start: a model, or a corner, whose hard points are paths by their names.
+        design: the start: a model, or a suspension, whose hard points are paths by their names.
         free: paths, patterns and ties, of the model and the runs.
         where: name of the function that is called, for messages.
         runs: {name: measurement}, none by default.
@@ -167,7 +168,7 @@ def space_of(
     Errors: WRONG_KIND, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_PRIOR.
     """
     runs, model = runs or {}, model_of(design)
-    corner = design if isinstance(design, Corner) else None
+    suspension = design if isinstance(design, Suspension) else None
     with Problems() as problems:
         bounds = checked_dict(bounds, f"{where}.bounds", "path: (lower, upper)", problems)
         priors = checked_dict(priors, f"{where}.priors", "path: (mean, standard deviation)", problems)
@@ -175,9 +176,9 @@ def space_of(
             limit, hint = "paths or patterns", 'Name the unknowns: free=["*.stiffness", "mass.mass"].'
             problems.add("WRONG_KIND", f"{where}.free", f"is {free!r:.60}", value=free, limit=limit, hint=hint)
             problems.raise_if_any()
-        own = [*leaves_of(model), *([] if corner is None else hard_points_of(corner))]
+        own = [*leaves_of(model), *([] if suspension is None else hard_points_of(suspension))]
         owner = dict.fromkeys(own, "") | {leaf: run for run, tree in runs.items() for leaf in leaves_of(tree, f"{run}.")}
-        arrays = {"": arrays_of(model, corner)} | {name: jax.tree.leaves(tree) for name, tree in runs.items()}
+        arrays = {"": arrays_of(model, suspension)} | {name: jax.tree.leaves(tree) for name, tree in runs.items()}
         absent = {f"{name}.{path}": hint for name, run in runs.items() for path, hint in run.absent().items()}
         selected = ties(list(owner), [free] if isinstance(free, str) else free, f"{where}.free", problems, absent)
         if problems.collected:  # bounds of what is not free would be unknown, too
@@ -201,7 +202,7 @@ def space_of(
             given = [(leaf, factor, given) for leaf, factor in tie.items() for given in expected.get(leaf, ())]
             prior = prior_of(form, given, f"{where}.priors", problems)
             parameters.append(Parameter(tuple((owner[leaf], leaf) for leaf in tie), tuple(tie.values()), form, low, high, prior))
-    return Space(model, tuple(parameters), runs, corner)
+    return Space(model, tuple(parameters), runs, suspension)
 
 
 def _by_leaf(leaves: list[Leaf], given: dict[str, Any], where: str, problems: Problems) -> dict[Leaf, list[Any]]:

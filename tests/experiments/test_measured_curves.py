@@ -47,7 +47,7 @@ def test_hard_points_from_the_published_curves():
     truth = jb.double_wishbone().hard_points
     for name in POINTS:
         np.testing.assert_allclose(fit.estimates[name], truth[name], atol=1e-9)
-        np.testing.assert_allclose(fit.corner.hard_points[name], fit.estimates[name], atol=1e-15)
+        np.testing.assert_allclose(fit.suspension.hard_points[name], fit.estimates[name], atol=1e-15)
 
 
 ALL = [name for name in jb.double_wishbone().hard_points if "spring" not in name]

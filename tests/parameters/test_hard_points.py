@@ -9,19 +9,24 @@ import jaxbody as jb
 from jaxbody.parameters.spaces import space_of
 
 TRAVEL = np.array([-0.04, 0.0, 0.06])
-READY = {"double wishbone": jb.double_wishbone, "macpherson": jb.macpherson, "five links": jb.five_link}
+READY = {
+    "double wishbone": jb.double_wishbone,
+    "macpherson": jb.macpherson,
+    "five links": jb.five_link,
+    "solid axle": jb.solid_axle,
+}
 SHIFT = np.array([0.004, -0.003, 0.006])
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", READY)
-def test_a_moved_corner_is_the_one_built_from_the_moved_points(name):
+def test_a_moved_suspension_is_the_one_built_from_the_moved_points(name):
     """In every number of the model and the wheel, for each point by itself. (Which speeds count as independent stays as it was drawn.)"""
-    corner = READY[name]()
-    for point, place in corner.hard_points.items():
-        moved, anew = (of({point: np.asarray(place) + SHIFT}) for of in (corner.moved, READY[name]))
+    drawn = READY[name]()
+    for point, place in drawn.hard_points.items():
+        moved, anew = (of({point: np.asarray(place) + SHIFT}) for of in (drawn.moved, READY[name]))
         changed = 0
-        for a, b, before in zip(*map(jax.tree.leaves, (moved, anew, corner)), strict=True):
+        for a, b, before in zip(*map(jax.tree.leaves, (moved, anew, drawn)), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
             changed += not np.array_equal(b, before)
         assert changed > 1  # the list of hard points is one
@@ -31,7 +36,7 @@ def test_a_moved_corner_is_the_one_built_from_the_moved_points(name):
 def test_what_is_no_point_stays():
     """A stiffness that was changed, and the compression of the spring in the design position."""
     corner = jb.double_wishbone(force=2500.0, radius=0.32)
-    corner = jb.Corner(jb.replace(corner.model, {"upright.mass": 33.0}), corner.wheel, "rack.q", corner.hard_points, corner.build)
+    corner = jb.Corner(jb.replace(corner.model, {"upright.mass": 33.0}), corner.wheel, hard_points=corner.hard_points, build=corner.build)
     moved = corner.moved({"spring upper": [0.01, 0.54, 0.63]})
     spring, length = moved.model["spring"], np.linalg.norm(np.array([0.01, 0.54, 0.63]) - [0.0, 0.7, 0.21])
     assert float(spring.stiffness * (spring.free_length - length)) == pytest.approx(2500.0, rel=1e-12)
@@ -83,10 +88,21 @@ def test_tune_moves_a_point_within_its_bounds():
     bounds = {"tie rod inner": ([0.05, 0.2, 0.24], [0.05001, 0.20001, 0.28])}
     design = jb.tune(corner, goal, free=["tie rod inner"], bounds=bounds)
     z = float(design.values["tie rod inner"][2])
-    assert isinstance(design.corner, jb.Corner) and design.corner.model is not None
-    np.testing.assert_allclose(design.corner.hard_points["tie rod inner"], design.values["tie rod inner"], atol=1e-15)
+    assert isinstance(design.suspension, jb.Corner) and design.suspension.model is not None
+    np.testing.assert_allclose(design.suspension.hard_points["tie rod inner"], design.values["tie rod inner"], atol=1e-15)
     np.testing.assert_allclose(design.model["tie rod"].a, design.values["tie rod inner"], atol=1e-15)
     assert 0.24 < z < 0.28 and abs(float(design.after["slope"])) < 1e-6
+
+
+def test_measured_wheels_of_an_axle_move_with_their_own_hard_points():
+    axle = jb.solid_axle()
+    rig = jb.MeasuredCurves(
+        axle.right, drive={"left": axle.left, "right": axle.right}, over={"left": [0.0], "right": 0.0}, measured={"toe": [0.0]}
+    )
+    moved = rig.on(axle, axle.moved({"right wheel center": [0.0, -0.76, 0.32]}))
+    np.testing.assert_allclose(moved.wheel.center, [0.0, -0.76, 0.32], atol=1e-15)
+    np.testing.assert_allclose(moved.driven["right"].center, [0.0, -0.76, 0.32], atol=1e-15)
+    np.testing.assert_array_equal(moved.driven["left"].center, axle.left.center)
 
 
 def test_bad_input():
