@@ -1,6 +1,6 @@
 """Ready models; public as jaxbody.presets."""
 
-from jaxbody.presets.cars_on_wishbones import full_car_on_double_wishbones
+from jaxbody.mechanisms.ready_cars import full_car_on_double_wishbones
 from jaxbody.presets.presets import (
     coupled_gliders,
     double_pendulum,
