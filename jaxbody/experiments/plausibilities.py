@@ -15,9 +15,8 @@ from jaxbody.core.arrays import Array, Int
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.results import Result
 from jaxbody.core.units import GRAVITY
-from jaxbody.mechanics.constraints import closed
 from jaxbody.mechanics.energies import potential_energy
-from jaxbody.mechanics.kinematics import Coordinates, retract
+from jaxbody.mechanics.kinematics import retract
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import size_of
@@ -121,13 +120,7 @@ def first_frequency(model: Model) -> float:
 
 
 def _at_reference(model: Model) -> Linearization:
-    return linearize(model, _closed_reference(model) if model.closures else model.reference)
-
-
-@jit_unoptimized
-def _closed_reference(model: Model) -> State:
-    state = model.reference
-    return State(closed(Coordinates(model), state.q), state.v, state.z)
+    return linearize(model, model.reference)
 
 
 @jit_unoptimized

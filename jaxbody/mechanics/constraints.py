@@ -19,13 +19,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.geometry.closures import Coupling, as_slide
 from jaxbody.geometry.frames import Frame, Pose
+from jaxbody.mechanics.energies import completed
 from jaxbody.mechanics.kinematics import Chart, Coordinates, with_world
 from jaxbody.models.layouts import Layout
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import scale_of, size_of
+from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable
 from jaxbody.numerics.small_systems import independent_rows
 
@@ -150,6 +153,16 @@ def closed_on(
 
     step = partial(_stepped, conditions, held, coordinates.model, None)
     return jax.lax.scan(lambda q, _: (step(q), None), q, length=CLOSING)[0]
+
+
+@jit_unoptimized
+def assembled_reference(model: Model) -> State:
+    """The state of rest next to the drawn one in which all closures are fulfilled, with derivatives by every point and length; memory is
+    relaxed in it."""
+    coordinates = Coordinates(model)
+    drawn = coordinates.reference
+    q = solve(closure_gaps, model, None, drawn.q)[0]
+    return completed(model, State(q, drawn.v), coordinates.at_rest(q))
 
 
 def how_open(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, ""]:

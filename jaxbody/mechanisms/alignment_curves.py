@@ -19,7 +19,7 @@ from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import axial, cross, dot, product, rotate
 from jaxbody.inputs.loads import Load, loads_of
-from jaxbody.mechanics.constraints import RANK, closure_gaps, solve, values_and_slopes
+from jaxbody.mechanics.constraints import RANK, closure_gaps, values_and_slopes
 from jaxbody.mechanics.energies import each_element
 from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.mechanisms.driven_positions import Drive, conditions, drives_of, position, positions, readings
@@ -250,7 +250,7 @@ def _check_determined(model: Model, drives: tuple[Drive, ...], wheel: Wheel, whe
 def _slopes_at_reference(model: Model, drives: tuple[Drive, ...], wheel: Wheel):
     """At the assembled reference, by increments in meters: slopes of all conditions, of the closures alone, and of the wheel's center and
     axis."""
-    q = _reference(model)
+    q = model.reference.q
     chart, scale, size = Chart(model), scale_of(model, size_of(model))[None], size_of(model)
     row = model.layout.frame(wheel.on)
 
@@ -263,12 +263,6 @@ def _slopes_at_reference(model: Model, drives: tuple[Drive, ...], wheel: Wheel):
     return tuple(values_and_slopes(chart, part, q)[1] * scale for part in parts)
 
 
-def _reference(model: Model) -> Float[Array, "nq"]:
-    """q of the assembled reference."""
-    q = Coordinates(model).reference.q
-    return solve(closure_gaps, model, None, q)[0] if model.closures else q
-
-
 @jit_unoptimized
 def _curves(
     model: Model,
@@ -279,7 +273,7 @@ def _curves(
     loads: tuple[Load, ...] | None = None,
 ) -> SuspensionCurves:
     """`loads`: of an equilibrium; None: the readings hold all that matters."""
-    names, start = [drive.name for drive in drives], _reference(model)
+    names, start = [drive.name for drive in drives], model.reference.q
     targets = targets.astype(start.dtype)
     zero, row = readings(model, drives, start), model.layout.frame(wheel.on)
     side = wheel.side(Coordinates(model).at_rest(start)[row].pose())

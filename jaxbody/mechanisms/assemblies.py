@@ -21,7 +21,7 @@ from jaxbody.mechanics.constraints import (
     values_and_slopes,
 )
 from jaxbody.mechanics.kinematics import Chart
-from jaxbody.models.models import Model
+from jaxbody.models.models import Model, drawn_reference
 from jaxbody.models.preconditions import check_precision, check_state
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
@@ -78,7 +78,7 @@ def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = 
 
     Args:
         model: a model with closures; its drawn poses may be rough
-        start: the state from which it is assembled; None: the drawn one, `model.reference`
+        start: the state from which it is assembled; None: the drawn one
         hold: names of bodies whose coordinates do not move
 
     Errors: UNKNOWN_NAME, NO_CLOSURE, BAD_SHAPE; warns NOT_CLOSED where no such configuration is found: which closure, by how much.
@@ -103,7 +103,7 @@ def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = 
         raise JaxbodyError(*wrong)
     if start is not None:
         check_state(model, start, "assemble.start")
-    return warn_if_failed(_assembled(model, model.reference if start is None else start, tuple(hold)))
+    return warn_if_failed(_assembled(model, drawn_reference(model) if start is None else start, tuple(hold)))
 
 
 def _held(model: Model, names: tuple[str, ...]) -> np.ndarray:

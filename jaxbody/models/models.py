@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
 
 import equinox as eqx
@@ -50,7 +51,7 @@ class Model(tables.Printed, eqx.Module):
         gravity: [m/s2], in world axes
 
     `model["AB"]` is the element, body, support or closure of that name, `model.joint("arm")` a body's joint, `model.reference` the state
-    at rest in the reference pose as it is drawn, in which closures may be open: `assemble` closes them. A derivative with
+    at rest in the reference pose: as it is drawn, or, where closures are drawn open, assembled by the least movement. A derivative with
     respect to a model is a model. All problems of an input are reported in one error.
 
     >>> model = Model(bodies={"plate": Body(mass=3.0, inertia=[0.3, 0.9, 1.2])},
@@ -146,8 +147,10 @@ class Model(tables.Printed, eqx.Module):
 
     @property
     def reference(self) -> State:
-        """The state at rest in the reference pose, elements with memory relaxed."""
-        return _reference(self)
+        """The state at rest in the reference pose, closures fulfilled and elements with memory relaxed."""
+        if self.closures:  # the mechanics of a model come after models
+            return import_module("jaxbody.mechanics.constraints").assembled_reference(self)
+        return drawn_reference(self)
 
     def _tables(self) -> list[tables.PrintedTable]:
         layout = self.layout
@@ -198,7 +201,8 @@ def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
 
 
 @jit_unoptimized
-def _reference(model: Model) -> State:
+def drawn_reference(model: Model) -> State:
+    """The state of rest in the reference pose as it is drawn."""
     supports, bodies = support_poses(model), body_poses(model)
     return at_reference(model, rest_poses(model, supports, bodies), supports, bodies)
 

@@ -157,6 +157,35 @@ def test_an_assembled_state_has_derivatives_by_lengths():
     assert float(forward_of_reverse) == pytest.approx(second, rel=1e-5)
 
 
+def test_the_reference_of_a_model_is_assembled_and_follows_lengths():
+    """A point between two rods a and b whose ends are d apart: x = (a^2 - b^2 + d^2)/(2 d), z = -sqrt(a^2 - x^2); drawn 1 cm too low.
+    Memory is relaxed there: a branch is as long as the spring."""
+    d, drawn = 1.2, np.array([0.5, -0.81])
+    plane = jb.Composite("world", ["move", "move"], directions=[[1, 0, 0], [0, 0, 1]], points=[[0, 0, 0]] * 2)
+    rods = {name: jb.closures.Rod(("world", [x, 0, 0]), ("bar", [0, 0, 0]), length=1.0) for name, x in (("left", 0.0), ("right", d))}
+    spring = jb.SpringDamper(
+        ("world", [0, 0, -2.0]), ("bar", [0, 0, 0]), free_length=1.0, spring=jb.laws.Maxwell(stiffness=1.0, relaxation_time=1.0)
+    )
+    bar = jb.Body(mass=1.0, inertia=[1, 1, 1], position=[drawn[0], 0, drawn[1]])
+    model = jb.Model(bodies={"bar": bar}, joints={"bar": plane}, closures=rods, elements={"s": spring})
+
+    def place(lengths):
+        reference = jb.replace(model, {"left.length": lengths[0], "right.length": lengths[1]}).reference
+        return jnp.append(reference.q + drawn, reference.z)
+
+    lengths = jnp.array([1.05, 0.95])
+    a, b = (float(length) for length in lengths)
+    x = (a**2 - b**2 + d**2) / (2 * d)
+    z = -np.sqrt(a**2 - x**2)
+    length = np.hypot(x, z + 2.0)
+    of_x = np.array([a, -b]) / d
+    of_z = (np.array([a, 0.0]) - x * of_x) / z
+    expected = [of_x, of_z, (x * of_x + (z + 2.0) * of_z) / length]
+    np.testing.assert_allclose(place(lengths), [x, z, length - 1.0], atol=1e-12)
+    for of in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(of(jax.jit(place))(lengths), expected, atol=1e-12)
+
+
 def test_a_start_off_the_closures_has_derivatives_by_the_point_that_sets_the_size():
     """Least movement weighs turns by the size of the model: a slider-crank whose crank is its longest part."""
 
