@@ -118,6 +118,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.mechanisms.corners": ("Corner",),
     "jaxbody.mechanisms.alignment_curves": ("suspension_curves",),
     "jaxbody.mechanisms.ready_axles": ("Axle", "solid_axle"),
+    "jaxbody.mechanisms.ready_cars": ("Car", "car_on_double_wishbones"),
     "jaxbody.mechanisms.ready_corners": ("double_wishbone", "five_link", "macpherson"),
     "jaxbody.mechanisms.suspensions": ("Suspension",),
     "jaxbody.mechanisms.wheels": ("Wheel",),

@@ -106,6 +106,8 @@ from jaxbody.mechanisms.compliances import compliant as compliant
 from jaxbody.mechanisms.corners import Corner as Corner
 from jaxbody.mechanisms.ready_axles import Axle as Axle
 from jaxbody.mechanisms.ready_axles import solid_axle as solid_axle
+from jaxbody.mechanisms.ready_cars import Car as Car
+from jaxbody.mechanisms.ready_cars import car_on_double_wishbones as car_on_double_wishbones
 from jaxbody.mechanisms.ready_corners import double_wishbone as double_wishbone
 from jaxbody.mechanisms.ready_corners import five_link as five_link
 from jaxbody.mechanisms.ready_corners import macpherson as macpherson

@@ -168,6 +168,7 @@ DERIVED = {  # from these concrete classes others derive, which are all that the
     "Chart": "coordinates are a chart with the reference poses",
     "Described": "prints the fields of a class, whatever they are",
     "Law": "states its force or its potential, either by the other; its constructor asks for one",
+    "Suspension": "a drawing of one's own; corners, axles and cars are suspensions with wheels",
 }
 
 

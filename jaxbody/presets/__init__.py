@@ -1,12 +1,12 @@
 """Ready models; public as jaxbody.presets."""
 
-from jaxbody.mechanisms.ready_cars import full_car_on_double_wishbones
 from jaxbody.presets.presets import (
     coupled_gliders,
     double_pendulum,
     elastic_pendulum,
     engine_on_mounts,
     full_car,
+    full_car_on_double_wishbones,
     half_car,
     hydraulic_engine_mounts,
     isolated_table,

@@ -6,6 +6,8 @@ pose is the equilibrium.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from jaxbody.elements.bushings import Bushing
@@ -15,6 +17,7 @@ from jaxbody.elements.torsions import AntiRollBar
 from jaxbody.joints.elementary_joints import Guide, Hinge
 from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
 from jaxbody.laws.hydraulic_mounts import Hydraulic
+from jaxbody.mechanisms.ready_cars import car_on_double_wishbones
 from jaxbody.models.bodies import Body, Support
 from jaxbody.models.models import Model
 
@@ -164,6 +167,15 @@ ENGINE = np.array([[8.493, -1.187, -0.368], [-1.187, 3.505, 1.476], [-0.368, 1.4
 MOUNTS = np.array([[-0.0135, 0.389, 0.203], [0.424, -0.092, -0.175], [-0.182, -0.454, -0.068]])
 MOUNT_STIFFNESS = np.array([[91000.0, 200000, 949900], [147000, 61000, 140000], [80000, 156000, 150000]])
 MOUNT_DAMPING = np.array([[910.0, 2000, 198], [1470, 610, 1400], [800, 1560, 1500]])
+
+
+def full_car_on_double_wishbones(**numbers: Any) -> Model:
+    """The model of `jb.car_on_double_wishbones`, which takes the same numbers.
+
+    >>> len(full_car_on_double_wishbones().layout.bodies)
+    14
+    """
+    return car_on_double_wishbones(**numbers).model
 
 
 def engine_on_mounts(*, mass=139.5, inertia=ENGINE, points=MOUNTS, stiffness=MOUNT_STIFFNESS, damping=MOUNT_DAMPING, gravity=0.0) -> Model:

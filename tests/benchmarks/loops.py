@@ -1,8 +1,8 @@
 """Closed loops: a corner's time per step beside that of a tree of as many bodies, derivatives of equilibria and curves by hard points
 beside their values, a second of a full car over a kerb.
 
-`python tests/benchmarks/loops.py [step] [curves] [car]` prints medians and least times of warm calls, in milliseconds. Limits: a step
-within 4 times that of the tree, derivatives within 3 times their values.
+`python tests/benchmarks/loops.py [step] [curves] [design] [car]` prints medians and least times of warm calls, in milliseconds. Limits: a
+step within 4 times that of the tree, derivatives within 3 times their values.
 """
 
 import sys
@@ -51,20 +51,67 @@ def step():
     print(f"ratio of least times per step {one / other:.2f} (limit 4)")
 
 
+def compared(name, function, with_slopes):
+    """How much longer a function takes with its derivatives."""
+    one, other = warm(function), warm(with_slopes)
+    print(f"{name}: {one[0]:.2f} ms, least {one[1]:.2f}; with derivatives {other[0]:.2f} ms, least {other[1]:.2f}")
+    print(f"ratio of least times {other[1] / one[1]:.2f} (limit 3)", flush=True)
+
+
+def with_rows_of_slopes(of, points):
+    """(values, derivatives by the points) of a vector-valued function of a travel and the points: reverse mode at each travel by itself."""
+
+    def at(travel):
+        def twice(points):
+            found = of(travel, points)
+            return found, found
+
+        slopes, found = jax.jacrev(twice, has_aux=True)(points)
+        return found, slopes
+
+    return jax.vmap(at)
+
+
 def curves():
     """Toe and camber at eleven travels, and their derivatives by the 36 coordinates of twelve hard points."""
     travel = np.linspace(-0.08, 0.08, 11)
-    names = tuple(DOUBLE_WISHBONE)
+    points = {name: jnp.array(point) for name, point in DOUBLE_WISHBONE.items()}
 
-    def values(points):
-        found = jb.double_wishbone(dict(zip(names, points, strict=True))).curves(travel)
+    def toe_and_camber(travel, points):
+        found = jb.double_wishbone(points).curves(travel)
         return jnp.stack([found["toe"], found["camber"]])
 
-    points = jnp.array([DOUBLE_WISHBONE[name] for name in names])
-    alone, both = jax.jit(values), jax.jit(lambda x: (values(x), jax.jacfwd(values)(x)))
-    one, other = warm(lambda: alone(points)), warm(lambda: both(points))
-    print(f"curves {one[0]:.2f} ms, least {one[1]:.2f}; with derivatives {other[0]:.2f} ms, least {other[1]:.2f}")
-    print(f"ratio of least times {other[1] / one[1]:.2f} (limit 3)")
+    alone = jax.jit(lambda x: toe_and_camber(travel, x))
+    reverse = jax.jit(lambda x: with_rows_of_slopes(lambda t, x: toe_and_camber(t, x)[:, 0], x)(travel))
+    forward = jax.jit(lambda x: (toe_and_camber(travel, x), jax.jacfwd(lambda x: toe_and_camber(travel, x))(x)))
+    compared("curves of a corner, reverse mode", lambda: alone(points), lambda: reverse(points))
+    compared("curves of a corner, forward mode", lambda: alone(points), lambda: forward(points))
+
+
+def design():
+    """Of the full car: load of a tyre in equilibrium, the sum of its seven lowest frequencies, toe and camber of a wheel at eleven travels,
+    by the 60 coordinates of twenty hard points."""
+    car, travel = jb.car_on_double_wishbones(), np.linspace(-0.05, 0.05, 11)
+    points = {name: at for name, at in car.hard_points.items() if not name.endswith(("axle inner", "wheel center"))}
+
+    def load(points):
+        return jb.equilibrium(car.moved(points).model).forces["tyre fl"]
+
+    def frequencies(points):
+        model = car.moved(points).model
+        return jnp.sum(jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[:7])
+
+    for name, of in (("load in equilibrium", load), ("frequencies", frequencies)):
+        alone, both = jax.jit(of), jax.jit(jax.value_and_grad(of))
+        compared(f"{name} of the car", lambda alone=alone: alone(points), lambda both=both: both(points))
+
+    def toe_and_camber(travel, points):
+        found = car.moved(points).curves("fl", travel)
+        return jnp.stack([found["toe"], found["camber"]])
+
+    alone = jax.jit(lambda x: toe_and_camber(travel, x))
+    both = jax.jit(lambda x: with_rows_of_slopes(lambda t, x: toe_and_camber(t, x)[:, 0], x)(travel))
+    compared("curves of the car", lambda: alone(points), lambda: both(points))
 
 
 def car():
@@ -80,8 +127,8 @@ def car():
 
 def main():
     warnings.simplefilter("ignore", jb.JaxbodyWarning)
-    for name in sys.argv[1:] or ("step", "curves", "car"):
-        {"step": step, "curves": curves, "car": car}[name]()
+    for name in sys.argv[1:] or ("step", "curves", "design", "car"):
+        {"step": step, "curves": curves, "design": design, "car": car}[name]()
 
 
 if __name__ == "__main__":

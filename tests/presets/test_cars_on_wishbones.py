@@ -1,5 +1,7 @@
 """The full car on four double wishbones: loads by statics, frequencies against a plain car of the same wheel rates, symmetry, curves."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
@@ -13,7 +15,6 @@ from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE
 
 G = 9.81
 WHEELS = ("fl", "fr", "rl", "rr")
-HARD_POINTS = {name: np.array(point) for name, point in DOUBLE_WISHBONE.items()}
 MIRROR = np.array([1.0, -1, 1])
 MOTION_RATIO, WHEEL_RATE = -0.546021078, 10128.077  # case 2.4, dz = 0: of a spring of 30 kN/m with 4000 N
 
@@ -41,7 +42,7 @@ def test_it_has_the_parts_of_a_car(car):
         np.testing.assert_array_equal(car[f"fr {name}"].b, car[f"fl {name}"].b * MIRROR)
     higher = presets.full_car_on_double_wishbones(front_points={"tie rod inner": [0.05, 0.2, 0.26]})
     np.testing.assert_allclose(higher["fr tie rod"].a, [0.05, -0.2, 0.26], atol=1e-15)
-    with pytest.raises(jb.JaxbodyError, match=r"full_car_on_double_wishbones.rear_points\['tie rod'\].*UNKNOWN_NAME"):
+    with pytest.raises(jb.JaxbodyError, match=r"car_on_double_wishbones.rear_points\['tie rod'\].*UNKNOWN_NAME"):
         presets.full_car_on_double_wishbones(rear_points={"tie rod": [0, 0, 0]})
 
 
@@ -88,21 +89,11 @@ def test_its_modes_are_those_of_a_plain_car_of_the_same_wheel_rates(car, eq):
         assert min(shape[2], max(shape[:2])) < 1e-9
 
 
-def curves_on(car, wheel, travel):
-    """Curves of a wheel of the car, which is held."""
-    side = -1.0 if wheel[1] == "r" else 1.0
-    of = jb.double_wishbone({name: point * [1, side, 1] for name, point in HARD_POINTS.items()}).wheel
-    hub = f"{wheel} upright"
-    own = jb.Wheel(hub, center=of.center, axis=of.axis, radius=of.radius, kingpin=of.kingpin)
-    drive = {"travel": jb.Position(hub, of.center, axis="z"), "rack": "rack.q"} | {f"car {i}": f"car.q.{i}" for i in range(3)}
-    return jb.suspension_curves(car, drive=drive, over={"travel": travel} | dict.fromkeys(list(drive)[1:], 0.0), wheel=own)
-
-
 @pytest.mark.long
-def test_wheels_of_the_car_have_the_curves_of_a_corner_and_are_symmetric(car):
+def test_wheels_of_the_car_have_the_curves_of_a_corner_and_are_symmetric():
     travel = np.array([-0.05, 0.0, 0.04])
-    corner = jb.double_wishbone().curves(travel)
-    left, right = (curves_on(car, wheel, travel) for wheel in ("fl", "fr"))
+    corner = jb.double_wishbone(radius=DOUBLE_WISHBONE["wheel center"][2]).curves(travel)
+    left, right = (jb.car_on_double_wishbones().curves(wheel, travel) for wheel in ("fl", "fr"))
     for name in ("camber", "toe", "caster", "kingpin", "trail", "scrub radius", "roll center height"):
         np.testing.assert_allclose(left[name], corner[name], atol=1e-9)
         np.testing.assert_allclose(right[name], left[name], atol=1e-10)
@@ -111,6 +102,59 @@ def test_wheels_of_the_car_have_the_curves_of_a_corner_and_are_symmetric(car):
         np.testing.assert_allclose(left[name], corner[name] + shift, atol=1e-9)
     np.testing.assert_allclose(left["motion ratio of spring fl"], corner["motion ratio of spring"], atol=1e-9)
     assert np.abs(np.asarray(left["motion ratio of spring rl"])).max() < 1e-9
+
+
+def tension(model, wheel):
+    """Of the spring of a wheel as it is drawn: k (l - l0)."""
+    spring, front = model[f"spring {wheel}"], wheel[0] == "f"
+    at = np.array(DOUBLE_WISHBONE["spring upper"]), np.array(DOUBLE_WISHBONE["spring lower"])
+    return (70e3 if front else 75e3) * (np.linalg.norm(at[0] - at[1]) - float(spring.free_length))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("point", [name for name in DOUBLE_WISHBONE if not name.startswith("spring")])
+def test_a_hard_point_of_the_car_moves_all_that_has_it_on_both_sides(point):
+    """As in a car built anew, but for what the weights decide: springs keep their compression, tyres theirs."""
+    place, end = np.add(DOUBLE_WISHBONE[point], [0.004, -0.003, 0.006]), "rear"
+    moved, drawn = jb.car_on_double_wishbones().moved({f"{end} {point}": place}), jb.car_on_double_wishbones()
+    anew = jb.car_on_double_wishbones(rear_points={point: place})
+    np.testing.assert_allclose(moved.hard_points[f"{end} {point}"], place, atol=1e-15)
+    by_weights, changed = {f"{kind} {wheel}" for kind in ("spring", "tyre") for wheel in WHEELS}, set()
+    for (path, a), b, c in zip(jb.paths(moved.model).items(), *(jb.paths(car.model).values() for car in (anew, drawn)), strict=True):
+        name = path.split(".")[0]
+        if name not in by_weights:
+            np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12, err_msg=path)
+            changed |= {name} if not np.array_equal(a, c) else set()
+    for a, b in zip(moved.wheels, anew.wheels, strict=True):
+        np.testing.assert_allclose(a.center, b.center, atol=1e-15)
+        np.testing.assert_allclose(a.axis, b.axis, atol=1e-12)
+    for wheel in WHEELS:
+        assert tension(moved.model, wheel) == pytest.approx(tension(drawn.model, wheel), rel=1e-12)
+    of_rear = lambda name: name.startswith(("rl ", "rr ")) or name in ("road rl", "road rr", "bar rear")  # noqa: E731
+    assert all(map(of_rear, changed)) and (changed or point == "axle inner")
+
+
+@pytest.mark.long
+def test_loads_and_frequencies_have_derivatives_by_hard_points():
+    """Against differences of fourth order, whose error at steps of 1 mm is about (1 mm/0.1 m)^4."""
+    car = jb.car_on_double_wishbones()
+    x = jnp.concatenate([car.hard_points[name] for name in ("front lower outer", "rear spring upper")])
+
+    @jax.jit
+    def of(x):
+        model = car.moved({"front lower outer": x[:3], "rear spring upper": x[3:]}).model
+        eq = jb.equilibrium(model)
+        return jnp.append(jb.modes(jb.linearize(model, eq)).frequency[:3], eq.forces["tyre rl"] / 1e3)
+
+    slopes = jax.jit(jax.jacfwd(of))(x)
+    for i, h in ((1, 1e-3), (2, 1e-3), (4, 1e-3)):
+        near, far = ((of(x.at[i].add(k * h)) - of(x.at[i].add(-k * h))) / (2 * k * h) for k in (1, 2))
+        np.testing.assert_allclose(slopes[:, i], (4 * near - far) / 3, rtol=1e-6, atol=1e-6)
+
+
+def test_a_car_takes_no_wheel_that_it_has_not():
+    with pytest.raises(jb.JaxbodyError, match=r"'lf' is unknown.*UNKNOWN_NAME"):
+        jb.car_on_double_wishbones().curves("lf", 0.0)
 
 
 @pytest.mark.long
