@@ -77,9 +77,10 @@ class Judge:
         (A, B), a, b = closure.between, np.asarray(closure.a), np.asarray(closure.b)
         a, b = self.in_world(A, a), self.in_world(B, b)
         if isinstance(closure, jb.closures.Rod):
+            length = np.linalg.norm(b - a) if closure.length is None else closure.length
             self.system.CreateDistanceConstraint(
                 bodyNumbers=[self.bodies[A], self.bodies[B]], localPosition0=list(self.in_own(A, a)),
-                localPosition1=list(self.in_own(B, b)), distance=float(closure.length),
+                localPosition1=list(self.in_own(B, b)), distance=float(length),
             )  # fmt: skip
             return
         axis = self.places[A][1] @ np.asarray(getattr(closure, "axis", [0, 0, 1.0]))

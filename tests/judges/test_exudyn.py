@@ -1,5 +1,8 @@
 """Exudyn on the same models: bushings, and the rest of closed loops by its conditions with multipliers."""
 
+import sys
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -100,3 +103,21 @@ def test_rests_of_closed_loops(name, rng):
     for name, expected in poses(eq.state.q).items():
         for ours, theirs in zip(expected, found[name], strict=True):
             np.testing.assert_allclose(ours, theirs, atol=1e-9)
+
+
+@pytest.mark.long
+def test_a_car_on_double_wishbones_goes_over_a_kerb():
+    """It rests as it is drawn, and half a second later hub and car are where Exudyn's generalized-alpha method has them: its error falls to a
+    quarter with steps of half the length, so that two runs give the limit."""
+    sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+    from car_in_exudyn import Car
+
+    model, end = jb.car_on_double_wishbones(anti_roll=(1e-6, 1e-6)).model, 0.5
+    still, _ = Car(model, {}).motion(0.1, 100)
+    np.testing.assert_allclose(still, [0, 0, 0.5, 1.2, 0, 0], atol=1e-12)
+    half, whole = (Car(model, {"fl": lambda t: 0.02 * np.clip(t / 0.05, 0, 1)}).motion(end, steps)[0] for steps in (1000, 2000))
+    motion = {"road fl": lambda t: 0.02 * jnp.clip(t / 0.05, 0, 1) * np.array([0, 0, 1.0, 0, 0, 0])}
+    run = jb.simulate(model, [0.0, end], motion=motion)
+    found = np.concatenate([np.asarray(run.poses[name].p[-1]) for name in ("car", "fl upright")])
+    assert found[2] - 0.5 > 2e-3 and found[5] > 1e-2
+    np.testing.assert_allclose(found, (4 * whole - half) / 3, atol=1e-6)
