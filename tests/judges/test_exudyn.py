@@ -107,8 +107,8 @@ def test_rests_of_closed_loops(name, rng):
 
 @pytest.mark.long
 def test_a_car_on_double_wishbones_goes_over_a_kerb():
-    """It rests as it is drawn, and half a second later hub and car are where Exudyn's generalized-alpha method has them: its error falls to a
-    quarter with steps of half the length, so that two runs give the limit."""
+    """It rests as it is drawn, and half a second later hub and car are where Exudyn's generalized-alpha method has them: its error falls to
+    a quarter with steps of half the length, so that two runs give the limit."""
     sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
     from car_in_exudyn import Car
 
