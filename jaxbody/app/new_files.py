@@ -114,6 +114,16 @@ travel = {type = "stroke", sensor = "travel"}""",
         unit="g",
     ),
     "full_car_on_double_wishbones": Start("1.33, 1.55", 'reading = {type = "Acceleration", on = "car", axis = "z"}', "car.mass", unit="g"),
+    "four_bar": Start(
+        "18.2",
+        'reading = {type = "Position", on = "rocker", point = [0.08, 0, 0], axis = "x"}',
+        "spring.spring.coefficient",
+        """free = ["spring.spring.coefficient"]
+minimize = "near"
+bounds = {"spring.spring.coefficient" = ["0.5 N m/rad", "20 N m/rad"]}
+[designs.first.quantities]
+near = {type = "band_intrusion", band = "15, 25 Hz"}  # 0 if no natural frequency lies there""",
+    ),
     "engine_on_mounts": Start(
         "7.5, 8.63",
         'reading = {type = "Position", on = "engine", axis = "z"}',

@@ -1,5 +1,6 @@
 """Ready models; public as jaxbody.presets."""
 
+from jaxbody.presets.linkages import four_bar
 from jaxbody.presets.presets import (
     coupled_gliders,
     double_pendulum,
@@ -20,6 +21,7 @@ __all__ = [
     "double_pendulum",
     "elastic_pendulum",
     "engine_on_mounts",
+    "four_bar",
     "full_car",
     "full_car_on_double_wishbones",
     "half_car",
