@@ -25,7 +25,6 @@ from jaxbody.laws.spring_laws import TensionOnly
 from jaxbody.models.joints import Fixed, Free, Joint
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import refuse_closures
 
 CLOSE = 1e-9  # of axes and rotations that must coincide
 LEAST = 1e-15  # kg m2, of a moving body
@@ -58,7 +57,9 @@ def write_mjcf(model: Model, path: Any) -> None:
     path = Path(path)
     if path.suffix.lower() != ".xml":
         raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the extension '{path.suffix}'", path.suffix, ".xml"))
-    refuse_closures("write_mjcf", model)
+    if model.closures:
+        message, hint = f"has closures ({', '.join(model.closure_names)})", "It takes trees of joints; stiff bushings may close loops."
+        raise JaxbodyError(Problem("CLOSED_LOOPS", "write_mjcf.model", message, limit="no closures", hint=hint))
     if not is_concrete(model):
         hint = "Write the result of the program."
         raise JaxbodyError(Problem("TRACED", "write_mjcf", "cannot be called inside jit, vmap or grad", hint=hint))

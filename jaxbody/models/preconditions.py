@@ -54,13 +54,6 @@ def check_precision(where: str, model: Model, *, allow_float32: bool | None = Tr
         warn("FLOAT32", f"{where}: computing in float32, with about 7 digits; for 16, use {switch}")
 
 
-def refuse_closures(where: str, model: Model) -> None:
-    """Error: CLOSED_LOOPS."""
-    if model.closures:
-        message, hint = f"has closures ({', '.join(model.closure_names)})", "It takes trees of joints; stiff bushings may close loops."
-        raise JaxbodyError(Problem("CLOSED_LOOPS", f"{where}.model", message, limit="no closures", hint=hint))
-
-
 def check_independent(where: str, model: Model) -> None:
     """Refuse a model whose independent coordinates are not known. Error: CLOSED_LOOPS."""
     if model.independent is None:
