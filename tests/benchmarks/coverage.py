@@ -202,7 +202,7 @@ def main():
                 print(lines[-1], f"{time.time() - start:.0f} s", flush=True)
     if options.write:
         page = pathlib.Path(__file__).with_suffix(".md")
-        _, head, others = page.read_text().partition("\n## ")  # rows of mounts.py
+        _, head, others = page.read_text().partition("\n## ")  # rows of whole_fits.py
         page.write_text("\n".join(lines) + "\n" + head + others)
 
 

@@ -1,6 +1,6 @@
 """How often 95 % intervals contain the true parameters of mounts with memory: rows of coverage.md.
 
-    python tests/benchmarks/mounts.py hydraulic|bouc_wen [--replicates 200]
+    python tests/benchmarks/whole_fits.py hydraulic|bouc_wen [--replicates 200]
 
 A hydraulic mount is fitted to its dynamic stiffness at two amplitudes, as a data sheet gives it, with 1 % noise; a mount with hysteresis
 of Bouc and Wen to a record of the displacement of a mass that a sum of sines pushes. Each replicate is a whole `jb.fit` from a start 30 %
