@@ -20,7 +20,7 @@ import numpy as np
 
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, checked, concrete, device_array, is_concrete, module_of, of_unit_length, part_of
-from jaxbody.core.errors import Problems
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.fields import Kind, in_domain, kind_along, kind_of, nan_outside
 from jaxbody.models.bodies import check_inertia
 from jaxbody.models.models import Model
@@ -62,9 +62,12 @@ def numbered(tree: Any) -> Any:
 
 
 def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
-    """Every leaf of a model or an experiment; `named()` of an experiment gives its parts by name."""
+    """Every leaf of a model or an experiment; `named()` of an experiment gives its parts by name. Error: WRONG_KIND."""
     numbers = numbered(tree)
     if not isinstance(tree, Model):
+        if not hasattr(tree, "named"):
+            limit, hint = "a model or an experiment", 'Numbers of a part have paths in its model, such as "engine.mass".'
+            raise JaxbodyError(Problem("WRONG_KIND", "paths or replace", f"got a {type(tree).__name__}", tree, limit, hint))
         roots, parts = tree.named(), numbers.named().items()
         sizes = [np.size(x) for x in jax.tree.leaves(tree)]  # a state without z has none
         found = [(f"{prefix}{name}.{path}", n, kind) for name, part in parts for path, n, kind in _fields(part, roots[name])]
@@ -143,7 +146,7 @@ def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
 
 
 def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
-    """{path: value} of all numbers in a model or an experiment that match a pattern.
+    """{path: value} of all numbers in a model or an experiment that match a pattern. Error: WRONG_KIND.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -9.81])
     >>> list(paths(model, "mass.m*")), float(paths(model, "mass.mass")["mass.mass"])
@@ -158,7 +161,8 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
 
     A value has the shape of one leaf, and is then used for every match, or one more leading axis with a value for each match, in the
     order of `paths`. As when a model is built, an axis may have any length, masses must be positive and quaternions of unit length.
-    Errors, all at once: UNKNOWN_PATH, BAD_SHAPE, NON_FINITE, NOT_A_NUMBER, COMPLEX, LISTED_TWICE, BAD_MASS, ZERO_AXIS, BAD_QUATERNION.
+    Errors, all at once: WRONG_KIND, UNKNOWN_PATH, BAD_SHAPE, NON_FINITE, NOT_A_NUMBER, COMPLEX, LISTED_TWICE, BAD_MASS, ZERO_AXIS,
+    BAD_QUATERNION.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
     >>> float(replace(model, {"*.mass": 3.0})["mass"].mass)

@@ -285,6 +285,15 @@ def test_all_problems_of_values_are_reported_at_once(zoo):
 
 @pytest.mark.long
 @pytest.mark.untyped
+@pytest.mark.parametrize(
+    "part", [lambda zoo: zoo["box"], lambda zoo: jb.double_wishbone(), lambda zoo: {"a": 1.0}], ids=["body", "corner", "dict"]
+)
+def test_what_is_no_model_or_experiment_is_refused(zoo, part):
+    for call in (jb.paths, lambda tree: jb.replace(tree, {"mass": 2.0})):
+        with pytest.raises(jb.JaxbodyError, match=r"got a (Body|Corner|dict).*a model or an experiment.*WRONG_KIND"):
+            call(part(zoo))
+
+
 def test_two_hundred_springs_are_replaced_in_a_few_operations():
     n = 200
     model = jb.Model(
