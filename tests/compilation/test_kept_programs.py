@@ -108,14 +108,14 @@ def same(a, b):
 
 def test_a_program_is_saved_once_and_loaded_then(kept):
     expected = poses(SMALL)
-    assert (kept.saved, kept.loaded, kept.left_out) == (["_reference"], [], {})
+    assert (kept.saved, kept.loaded, kept.left_out) == (["drawn_reference"], [], {})
     assert sorted(path.suffix for path in kept.folder.iterdir()) == [".code"] * CODE + [".program", ".types"]
     assert all(path.stat().st_mode & 0o777 == 0o600 for path in kept.folder.iterdir())
-    assert same(poses(SMALL), expected) and kept.saved == ["_reference"]
+    assert same(poses(SMALL), expected) and kept.saved == ["drawn_reference"]
     second = again(kept.folder)
     assert same(poses(jb.replace(SMALL, {"*.stiffness": 3.0})), expected)
-    assert (second.saved, second.loaded) == ([], ["_reference"])
-    assert "_reference" in repr(second) and "loaded" in repr(second)
+    assert (second.saved, second.loaded) == ([], ["drawn_reference"])
+    assert "drawn_reference" in repr(second) and "loaded" in repr(second)
 
 
 def damaged(data):
@@ -138,7 +138,7 @@ def test_a_damaged_file_is_replaced(kept, damage):
     for path, data in whole.items():
         path.write_bytes(DAMAGES[damage](data))
     second = again(kept.folder)
-    assert same(poses(SMALL), expected) and (second.saved, second.loaded) == (["_reference"], [])
+    assert same(poses(SMALL), expected) and (second.saved, second.loaded) == (["drawn_reference"], [])
     begins = {path.name: data.split(b"\n", 1)[1][:100] for path, data in whole.items()}
     replaced = {name: (second.read(name) or b"")[:100] for name in begins}
     assert all(replaced.values())
@@ -155,7 +155,7 @@ def test_saved_code_runs_without_lowering(kept):
     second = again(kept.folder)
     with jb.compile_times() as times:
         q = SMALL.reference.q
-    assert (times.count, second.loaded, second.saved) == (0, ["_reference"], [])
+    assert (times.count, second.loaded, second.saved) == (0, ["drawn_reference"], [])
     assert np.array_equal(q, expected.q) and not q.committed
 
 
@@ -180,18 +180,18 @@ def test_the_exported_program_replaces_code_that_does_not_run(kept, broken, monk
     second, before = again(kept.folder), code.read_bytes()
     with monkeypatch.context() as patched:
         patched.setattr(kept_programs, "runner", broken)
-        assert same(poses(SMALL), expected) and (second.saved, second.loaded) == ([], ["_reference"])
+        assert same(poses(SMALL), expected) and (second.saved, second.loaded) == ([], ["drawn_reference"])
     assert code.read_bytes() != before and second.read(code.name)
     program.unlink()
     third = again(kept.folder)
-    assert same(poses(SMALL), expected) and (third.saved, third.loaded) == ([], ["_reference"])
+    assert same(poses(SMALL), expected) and (third.saved, third.loaded) == ([], ["drawn_reference"])
 
 
 @needs_code
 def test_saved_code_takes_arrays_of_numpy(kept):
     expected = poses(SMALL)
     second = again(kept.folder)
-    assert np.array_equal(jax.tree.map(np.asarray, SMALL).reference.q, expected.q) and second.loaded == ["_reference"]
+    assert np.array_equal(jax.tree.map(np.asarray, SMALL).reference.q, expected.q) and second.loaded == ["drawn_reference"]
 
 
 def test_programs_of_random_keys_are_kept_without_code(kept):
@@ -223,7 +223,7 @@ def test_code_is_not_taken_from_the_cache_of_jax(kept, monkeypatch):
     poses(SMALL)
     program_and_code(kept.folder)[0].unlink()
     third = again(kept.folder)
-    assert same(poses(SMALL), expected) and third.loaded == ["_reference"] and third.saved == []
+    assert same(poses(SMALL), expected) and third.loaded == ["drawn_reference"] and third.saved == []
     assert jax.config.jax_enable_compilation_cache == enabled
 
 
@@ -238,7 +238,7 @@ def test_code_is_of_the_options_of_xla_and_jax(kept, monkeypatch):
     assert len(names) == 3
     second = again(kept.folder)
     poses(SMALL)
-    assert second.loaded == ["_reference"] and len(list(kept.folder.glob("*.code"))) == 2
+    assert second.loaded == ["drawn_reference"] and len(list(kept.folder.glob("*.code"))) == 2
 
 
 @needs_code
@@ -252,7 +252,7 @@ def test_code_of_the_last_process_with_a_task_is_loaded_ahead(kept):
         if second.ahead:
             assert next(iter(second.ahead.values())).result() is not None
             program_and_code(kept.folder)[1].unlink()  # it is in memory
-        assert same(poses(SMALL), expected) and second.loaded == ["_reference"]
+        assert same(poses(SMALL), expected) and second.loaded == ["drawn_reference"]
 
 
 def test_what_a_program_depends_on_is_in_its_name(kept, monkeypatch):
@@ -306,7 +306,7 @@ def test_a_full_disk_costs_the_file_only(kept, monkeypatch):
 
     monkeypatch.setattr(os, "replace", full)
     assert poses(SMALL).q.shape == (2,) and kept.saved == []
-    assert "No space left" in kept.left_out["_reference"] and list(kept.folder.iterdir()) == []
+    assert "No space left" in kept.left_out["drawn_reference"] and list(kept.folder.iterdir()) == []
 
 
 def test_the_oldest_files_make_room(kept, monkeypatch):
@@ -370,7 +370,7 @@ def test_programs_for_another_device_are_not_kept(tmp_path):
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
     command = [sys.executable, "-c", ON_TWO, str(tmp_path / "programs")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment)
-    assert done.stdout.splitlines() == ["[]", "['_reference']"], done.stderr
+    assert done.stdout.splitlines() == ["[]", "['drawn_reference']"], done.stderr
 
 
 @pytest.mark.long

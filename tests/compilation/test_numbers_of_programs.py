@@ -73,7 +73,7 @@ def test_the_script_of_readme_compiles_one_program_for_each_driver():
 
 def test_the_demo_compiles_few_programs(tmp_path):
     found = programs(DEMO, tmp_path)
-    plots = ["_evaluate", "_evaluate", "_linearize", "_poses", "_reference"]  # of poses, of tensions, about the reference
+    plots = ["_evaluate", "_evaluate", "_linearize", "_poses", "drawn_reference"]  # of poses, of tensions, about the reference
     assert found == sorted(DRIVERS + OPTIONS + plots) and len(found) <= 15
 
 
