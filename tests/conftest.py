@@ -32,6 +32,8 @@ def pytest_configure(config):
     The others, and those chosen for every Python, run what users run."""
     if config.option.typed:
         jaxtyping.install_import_hook("jaxbody", "conftest.beartyped")
+    if config.option.nans:
+        jax.config.update("jax_debug_nans", True)
     flags = ["--xla_cpu_use_fusion_emitters=false"] if jaxlib.version.__version__.startswith("0.10.") else []
     if config.option.typed or config.option.markexpr == "not long":
         flags += ["--xla_backend_optimization_level=0", "--xla_cpu_parallel_codegen_split_count=1"]
@@ -113,6 +115,7 @@ def pytest_addoption(parser):
     parser.addoption(
         "--typed", action="store_true", help="check all annotations of jaxbody, and raise where JAX would promote types or ranks"
     )
+    parser.addoption("--nans", action="store_true", help="raise where JAX makes a NaN; tests that are about one are left out")
     parser.addoption("--part", type=part, default=(1, 1), metavar="2/3", help="every third of the files, from the second one")
     parser.addoption("--part-of-examples", type=part, metavar="2/3", help="the same of the modules whose docstrings' examples are run")
 
@@ -127,10 +130,10 @@ def part(text):
 
 def pytest_collection_modifyitems(config, items):
     """Whole files, which share what they compile; modules' examples share nothing."""
-    if config.option.typed:
-        for item in items:
-            if item.get_closest_marker("untyped"):
-                item.add_marker(pytest.mark.skip(reason="not with --typed"))
+    for option, marker in (("typed", "untyped"), ("nans", "nan")):
+        for item in items if getattr(config.option, option) else ():
+            if item.get_closest_marker(marker):
+                item.add_marker(pytest.mark.skip(reason=f"not with --{option}"))
     numbers = {path: n for n, path in enumerate(sorted({item.path for item in items}))}
     first, count = config.option.part
     asked = {item: numbers[item.path] % count == first - 1 for item in items}

@@ -498,6 +498,7 @@ def test_frequencies_are_in_order(capsys):
 
 
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+@pytest.mark.nan
 def test_a_result_that_is_not_ok_is_told_by_the_exit_code(capsys):
     """A car without springs falls."""
     assert commands.main(["equilibrium", "car.toml", "--set", "*.stiffness=0", "--set", "*.free_length=0"]) == 1

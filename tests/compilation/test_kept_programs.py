@@ -19,7 +19,7 @@ from jaxbody.compilation.array_functions import array_function
 from jaxbody.compilation.kept_programs import KeptPrograms, keep_programs
 from jaxbody.core.jax_internals import code_can_be_run
 
-pytestmark = pytest.mark.everywhere
+pytestmark = [pytest.mark.everywhere, pytest.mark.nan]
 
 CODE = code_can_be_run()
 ALL_KEPT = jax.__version_info__ >= (0, 8)  # jax 0.7 cannot export all that the gradient consists of

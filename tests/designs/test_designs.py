@@ -440,6 +440,7 @@ def test_bad_input_is_reported(weight, code):
     assert caught.value.code == code
 
 
+@pytest.mark.nan
 def test_an_objective_that_is_no_number_at_the_start_is_reported(weight):
     def nothing(model):
         k = model["spring"].stiffness

@@ -17,6 +17,7 @@ MS, MU, KS, C, KT, G = 375.0, 75.0, 35000.0, 1500.0, 193000.0, 9.81
 W = 2 * np.pi**2 * 0.1**2 * 256e-6 * 20.0
 
 
+@pytest.mark.nan
 def test_smooth_extremes_bound_the_true_ones(rng):
     x = rng.normal(size=20)
     for width in (1.0, 0.01):

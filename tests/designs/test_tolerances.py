@@ -83,6 +83,7 @@ def test_a_curved_quantity_has_exact_second_derivatives(weight):
     np.testing.assert_allclose(result.deviation[0], np.sqrt(variance), rtol=1e-13)
 
 
+@pytest.mark.nan
 def test_samples_without_numbers_are_reported(weight):
     with pytest.warns(jb.JaxbodyWarning, match=r"NONFINITE: .*; \d+ of 200 samples are not finite"):
         result = jb.tolerances(weight, lambda model: jnp.sqrt(model["spring"].damping - 0.9), {"spring.damping": 0.1}, samples=200)

@@ -80,6 +80,7 @@ def test_crossings_agree_with_a_simulation(response, rng):
     assert np.all(np.abs(np.mean(counts, 0) - rates) < 3 * error), (np.mean(counts, 0), rates, error)
 
 
+@pytest.mark.nan
 def test_peaks_agree_with_a_simulation(response, rng):
     """The mean of the largest magnitudes in 30 s, of 1360 pieces: Der Kiureghian and Vanmarcke within 3 %, Davenport above both."""
     T, sigma = 30.0, float(response["x"])
@@ -95,6 +96,7 @@ def test_peaks_agree_with_a_simulation(response, rng):
     assert abs(np.mean(peaks < float(high)) - 0.9) < 3 * np.sqrt(0.09 / len(peaks)) + 0.02
 
 
+@pytest.mark.nan
 def test_derivatives_agree_with_differences(response):
     for formula, p in (("Davenport", None), ("Der Kiureghian", None), ("Vanmarcke", None), ("Vanmarcke", 0.9)):
 

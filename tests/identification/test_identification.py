@@ -382,6 +382,7 @@ class Weighed(Measurement):
         return "sample", float(row)
 
 
+@pytest.mark.nan
 def test_a_direction_that_the_data_cannot_tell_has_no_number_along_it_either():
     """The first derivative of a unit vector along itself is zero; what there is of it moves with what is not known."""
     along = np.multiply.outer(np.arange(1.0, 5.0), [120.0, 0, 0, 120.0, 0, 0])

@@ -153,6 +153,7 @@ def test_a_pose_is_validated_component_by_component(result):
     assert titles[0].count("%") == titles[1].count("%") == 3
 
 
+@pytest.mark.nan
 def test_a_run_that_cannot_be_simulated_has_a_status(result):
     """A run so long that it needs more steps than the fit was allowed."""
     with pytest.warns(jb.JaxbodyWarning, match="NONFINITE"):
@@ -177,6 +178,7 @@ def test_bands_are_the_delta_method_and_draws_agree(result):
     np.testing.assert_allclose(drawn.standard_error, message.standard_error, rtol=4 / np.sqrt(2 * 2000))
 
 
+@pytest.mark.nan
 def test_bands_of_what_has_none_are_reported(result):
     with pytest.raises(jb.JaxbodyError, match="WRONG_KIND"):
         jb.bands(result, lambda model: 1j * frequency(model))

@@ -99,6 +99,7 @@ PATHS = {
 }  # fmt: skip
 
 
+@pytest.mark.nan
 def test_replace_under_jit_has_nan_where_it_refuses_known_numbers():
     model = with_numbers(GOOD)
     for path, value in PATHS.items():

@@ -39,6 +39,7 @@ def test_a_design_space_is_a_fits_parameters_without_runs(model):
         assert [np.isinf(end).all() for end in space.bounds] == [True, True]
 
 
+@pytest.mark.nan
 def test_bounds_and_priors_of_any_leaf_are_those_of_the_first(model):
     """5 <= k_right <= 15 is 10 <= k_left <= 30; for the mirrored coordinate sides change; of two bounds the narrower one counts."""
     bounds = {"right.*ss": (5.0, 15.0), "left.stiffness": (8.0, 25.0), "right.a": ([0.0, -0.4, -1.0], [1.0, -0.1, 2.0])}

@@ -212,6 +212,7 @@ def test_a_record_gives_back_its_density():
     assert psd.quantity == "m/s2" and abs(mean / S - 1) < 3 / np.sqrt(20_000)  # half as many independent powers as samples
 
 
+@pytest.mark.nan
 def test_contradictory_coherences_are_refused(lin):
     """One wheel coherent with two that are not with each other; by numbers at once, by functions in a status."""
     road = jb.Unevenness.iso("B").at_speed(SPEED)

@@ -368,6 +368,7 @@ def swinging(model):
     return Trajectory(TIMES, state, jnp.array(0), {}, (TIMES[-1], jax.tree.map(lambda x: x[-1], state)), model, ())
 
 
+@pytest.mark.nan
 def test_the_chain_of_a_record_is_gain_lag_delay_and_bias(pendulum):
     """Of a pendulum's swing, small enough to be smooth: each stage by what stands above, on what the bare instrument reads."""
     run = swinging(pendulum)

@@ -196,6 +196,7 @@ def test_the_residual_of_a_pose_has_its_derivative_where_it_vanishes():
         np.testing.assert_allclose(slope, np.eye(3), atol=1e-14)
 
 
+@pytest.mark.nan
 def test_residuals_of_missing_samples_are_zero_with_zero_derivatives():
     measured = np.array([[0.1, np.nan, 0.3, 1, 0, 0, 0], [0.1, 0.2, 0.3, 1, 0, np.nan, 0], np.full(7, np.nan)])
     pose, reading = jb.BodyPose("arm"), jnp.array([1.0, 2, 3, 0.8, 0.6, 0, 0])

@@ -354,6 +354,7 @@ def test_derivatives_and_batches_of_steps_that_reach_over_thousands_of_samples()
     np.testing.assert_allclose(jax.jacfwd(mean_square)(thrown[0]), slope, rtol=1e-11)
 
 
+@pytest.mark.nan
 def test_samples_before_an_early_end_are_kept_though_a_step_reached_over_them():
     """Eight steps, of which the last covers some thousand samples of a fall."""
     times = jnp.linspace(0.0, 1.0, 14001)
@@ -511,6 +512,7 @@ def test_times_outside_a_sampled_motion_are_refused():
         (lambda m: m.reference.q, "WRONG_KIND", "model.reference"),
     ],
 )
+@pytest.mark.nan
 def test_initial_states_that_do_not_fit_are_refused(rig, state, code, text):
     with pytest.raises(jb.JaxbodyError) as error:
         jb.simulate(rig, SHORT, initial=state(rig))

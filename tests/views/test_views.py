@@ -344,6 +344,7 @@ def test_short_motions_are_slowed_and_long_ones_quickened(seconds, speed, played
     assert view.speed == speed and float(view.animation.seconds[-1]) == pytest.approx(played)
 
 
+@pytest.mark.nan
 def test_a_motion_that_failed_is_shown_until_then(motion):
     import dataclasses
 

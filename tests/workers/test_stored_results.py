@@ -46,6 +46,7 @@ def failing(monkeypatch):
     return bad
 
 
+@pytest.mark.nan
 def test_tolerances_in_parts_are_those_of_one_call(tmp_path):
     """Two jobs with every second of seven chunks; the last one is short. What is there is not computed again."""
     out, whole = tmp_path / "t.zarr", tolerances()
