@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, Self
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,6 +13,8 @@ from jaxbody.core.arrays import Array, Float, device_array
 from jaxbody.core.errors import Problems, unknown
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.models import Model
+
+S = TypeVar("S", bound="Suspension")
 
 
 def _located(points: Mapping[str, Any]) -> dict[str, Any]:
@@ -50,7 +52,7 @@ class Suspension(eqx.Module):
         """Its wheels."""
         return ()
 
-    def moved(self, places: Mapping[str, Any]) -> Self:
+    def moved(self: S, places: Mapping[str, Any]) -> S:
         """The suspension with these hard points at other places {name: place [m]}, in the model and the wheels: points, axes, lengths of
         rods. All other numbers stay as they are; a spring keeps its compression in the design position. Errors: UNKNOWN_NAME, BAD_SHAPE,
         NON_FINITE, WRONG_SIDE.

@@ -194,7 +194,7 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
             if known is None:
                 made = _traced_rows(value, which, axis, first.rank, first.kind.domain)
             else:
-                made = _made(first, _block(known, which, axis), where, problems)
+                made = _made(first, np.asarray(_block(known, which, axis)), where, problems)
             new.setdefault(first.array, []).append((rows, made))
     problems.raise_if_any()
     for parts in new.values():

@@ -107,6 +107,7 @@ def test_derivatives_agree_with_differences(response):
         np.testing.assert_allclose(jax.grad(peak)(30.0), (peak(30.0 + h) - peak(30.0 - h)) / (2 * h), rtol=1e-6)
 
 
+@pytest.mark.nan
 def test_bad_input_is_refused(response):
     with pytest.raises(jb.JaxbodyError) as raised:
         jb.peak_factor(response, -1.0, formula="Rice", probability=2.0)

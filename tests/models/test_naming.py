@@ -283,8 +283,6 @@ def test_all_problems_of_values_are_reported_at_once(zoo):
     assert [problem.code for problem in error.problems] == ["BAD_SHAPE", "NON_FINITE", "BAD_MASS", "COMPLEX", "LISTED_TWICE"]
 
 
-@pytest.mark.long
-@pytest.mark.untyped
 @pytest.mark.parametrize(
     "part", [lambda zoo: zoo["box"], lambda zoo: jb.double_wishbone(), lambda zoo: {"a": 1.0}], ids=["body", "corner", "dict"]
 )
@@ -294,6 +292,8 @@ def test_what_is_no_model_or_experiment_is_refused(zoo, part):
             call(part(zoo))
 
 
+@pytest.mark.long
+@pytest.mark.untyped
 def test_two_hundred_springs_are_replaced_in_a_few_operations():
     n = 200
     model = jb.Model(

@@ -16,6 +16,8 @@ from jaxbody.files.documents import read_document
 from jaxbody.files.schemas import schema
 from jaxbody.models.leaf_paths import leaves_of
 
+pytestmark = pytest.mark.nan  # a mode and a sample that were not measured
+
 TABLE = """jaxbody = 1
 gravity = "0, 0, -9.81 m/s2"
 bodies.plate = {mass = "20 kg", inertia = "1, 2, 2.5 kg m2"}
