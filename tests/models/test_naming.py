@@ -284,7 +284,7 @@ def test_all_problems_of_values_are_reported_at_once(zoo):
 
 
 @pytest.mark.parametrize(
-    "part", [lambda zoo: zoo["box"], lambda zoo: jb.double_wishbone(), lambda zoo: {"a": 1.0}], ids=["body", "corner", "dict"]
+    "part", [lambda zoo: zoo["plate"], lambda zoo: jb.double_wishbone(), lambda zoo: {"a": 1.0}], ids=["body", "corner", "dict"]
 )
 def test_what_is_no_model_or_experiment_is_refused(zoo, part):
     for call in (jb.paths, lambda tree: jb.replace(tree, {"mass": 2.0})):
