@@ -119,6 +119,25 @@ def counted(problems: Problems, closures: dict[str, Any], layout: Layout) -> dic
     return result
 
 
+def check_movable(problems: Problems, closures: dict[str, Any], layout: Layout) -> None:
+    """Check that the ends of each closure can move relative to each other. Error: RIGID."""
+
+    def carrier(frame: str) -> str:
+        """The frame that this one is on by joints without freedom."""
+        while frame in layout.bodies and layout.v_slices[frame].stop == layout.v_slices[frame].start:
+            frame = layout.parents[layout.bodies.index(frame)]
+        return frame
+
+    for name, closure in closures.items():
+        if isinstance(closure, Coupling):
+            continue
+        A, B = closure.between
+        if carrier(A) == carrier(B):
+            message = f"joins '{A}' and '{B}', which are joined rigidly already"
+            hint = "Leave it out, or give one of the bodies between them a joint that moves."
+            problems.add("RIGID", f"closures[{name!r}]", message, value=name, limit="frames that move relative to each other", hint=hint)
+
+
 def check_reference(problems: Problems, bodies, supports, elements) -> None:
     """Check that in the reference pose every line has a direction and every bushing and torsion spring is turned by less than half a turn,
     where its deformation jumps."""

@@ -29,7 +29,7 @@ from jaxbody.models.bodies import Body, Support, warn_of_points
 from jaxbody.models.joints import Free, Joint
 from jaxbody.models.layouts import WORLD, Layout
 from jaxbody.models.memories import blocks_of, rest_states
-from jaxbody.models.model_checks import check_links, check_names, check_reference, counted, of_kind, warn_of_oddities
+from jaxbody.models.model_checks import check_links, check_movable, check_names, check_reference, counted, of_kind, warn_of_oddities
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable, tabulate, tabulate_by_structure
 from jaxbody.numerics.small_systems import independent_rows
@@ -110,6 +110,7 @@ class Model(tables.Printed, eqx.Module):
         self.joints = tabulate_by_structure(by_depth, lambda name: self.layout.depths[name])
         with Problems() as problems:
             closures = counted(problems, {name: functions_as_nodes(closure) for name, closure in closures.items()}, self.layout)
+            check_movable(problems, closures, self.layout)
         self.closures = tabulate_by_structure(closures)
         self.gravity = device_array(gravity)
         self.independent = None

@@ -237,6 +237,10 @@ def test_bad_input():
         jb.closures.Rod(("a", [0, 0, 0]), ("world", [0, 0, 0]), length=0.0)
     with pytest.raises(jb.JaxbodyError, match="ZERO_AXIS"):
         jb.closures.Inline(("a", [0, 0, 0]), ("world", [0, 0, 0]), axis=[0, 0, 0])
+    ends = ("b", [0, 0, 0]), ("world", [0, 0.1, 0])
+    joints = {"a": jb.Fixed("world"), "b": jb.Fixed("a"), "c": jb.Hinge("b", axis="z")}
+    with pytest.raises(jb.JaxbodyError, match=r"closures\['pin'\]: joins 'b' and 'world', which are joined rigidly already.*RIGID"):
+        jb.Model(bodies=dict.fromkeys("abc", BAR), joints=joints, closures={"pin": jb.closures.Ball(*ends)})
     with pytest.raises(jb.JaxbodyError, match=r"has no closures.*NO_CLOSURE"):
         jb.assemble(jb.Model(bodies={"a": BAR}))
     with pytest.raises(jb.JaxbodyError, match=r"assemble.hold.*UNKNOWN_NAME"):
