@@ -118,7 +118,7 @@ def truth(study):
     model, random = jb.replace(jb.read_model(study), SOFT), np.random.default_rng(0)
     lin = jb.linearize(model, jb.equilibrium(model))
     f = np.linspace(2, 12, 30)
-    H = jb.frequency_response(lin, f, EXPECTED["hammer"].inputs, {"corner": CORNER})["corner", "hammer"]
+    H = jb.frequency_response(lin, f, INPUTS, {"corner": CORNER})["corner", "hammer"]
     H = 1e6 * np.asarray(H) + random.normal(0, 0.5, (2, f.size)).T @ [1, 1j]
     rows = [f"{a!r};{b.real!r};{b.imag!r}".replace(".", ",") for a, b in zip(f.tolist(), H.tolist(), strict=True)]
     (study.parent / "hammer.csv").write_text("\n".join(["f [Hz];re [mm/kN];im", *rows, ""]))
@@ -142,7 +142,7 @@ def test_a_fit_to_a_record_modes_and_a_response_is_that_of_python(truth, capsys,
     both = {"corner": CORNER, "middle": MIDDLE}
     modal = jb.MeasuredModes(frequency=f, damping_ratio=zeta, sensors=both, noise={"frequency": 0.01, "damping_ratio": 0.001})
     hammer = jb.MeasuredResponse(
-        np.linspace(2, 12, 30), inputs=EXPECTED["hammer"].inputs, outputs={"corner": CORNER}, measured={("corner", "hammer"): H}, noise=5e-7
+        np.linspace(2, 12, 30), inputs=INPUTS, outputs={"corner": CORNER}, measured={("corner", "hammer"): H}, noise=5e-7
     )
     free = ["front.stiffness", "rear.stiffness", "plate.mass"]
     expected = jb.fit(model, {"run1": run, "modal": modal, "hammer": hammer}, free=free)
@@ -172,6 +172,7 @@ def same(found, expected):
 
 
 CORNER, MIDDLE = jb.Position("plate", [0.5, 0, 0], axis="z"), jb.Position("plate", axis="z")
+INPUTS = {"hammer": jb.PointForce("plate", [0.5, 0, 0], "z"), "shaker": jb.BaseMotion("base", "z", kind="acceleration")}
 
 
 def expected_of_python():
@@ -186,7 +187,7 @@ def expected_of_python():
         ),
         "hammer": jb.MeasuredResponse(
             [2.0, 4.0, 11.0],
-            inputs={"hammer": jb.PointForce("plate", [0.5, 0, 0], "z"), "shaker": jb.BaseMotion("base", "z", kind="acceleration")},
+            inputs=INPUTS,
             outputs={"corner": CORNER, "acc": jb.Acceleration("plate", relative_to="world")},
             measured={
                 ("corner", "hammer"): 1e-6 * np.array([40 - 0.5j, 90 - 8.25j, np.nan]),
