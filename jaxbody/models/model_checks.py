@@ -132,8 +132,10 @@ def check_movable(problems: Problems, closures: dict[str, Any], layout: Layout) 
         if isinstance(closure, Coupling):
             continue
         A, B = closure.between
-        if carrier(A) == carrier(B):
-            message = f"joins '{A}' and '{B}', which are joined rigidly already"
+        on = {carrier(A), carrier(B)}
+        if len(on) == 1 or not on & set(layout.bodies):
+            why = "which are joined rigidly already" if len(on) == 1 else "neither of which moves but by imposed motion"
+            message = f"joins '{A}' and '{B}', {why}"
             hint = "Leave it out, or give one of the bodies between them a joint that moves."
             problems.add("RIGID", f"closures[{name!r}]", message, value=name, limit="frames that move relative to each other", hint=hint)
 

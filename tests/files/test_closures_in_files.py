@@ -116,7 +116,7 @@ def check_random_models(count, folder):
         nonlocal built
         try:
             model = jb.Model(**parts)
-        except jb.JaxbodyError as error:  # a closure between bodies that are rigidly joined
+        except jb.JaxbodyError as error:  # a closure between frames that cannot move relative to each other
             assert {problem.code for problem in error.problems} == {"RIGID"}
             return
         built += 1

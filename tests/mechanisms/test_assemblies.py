@@ -241,6 +241,14 @@ def test_bad_input():
     joints = {"a": jb.Fixed("world"), "b": jb.Fixed("a"), "c": jb.Hinge("b", axis="z")}
     with pytest.raises(jb.JaxbodyError, match=r"closures\['pin'\]: joins 'b' and 'world', which are joined rigidly already.*RIGID"):
         jb.Model(bodies=dict.fromkeys("abc", BAR), joints=joints, closures={"pin": jb.closures.Ball(*ends)})
+    table = {"table": jb.Support(position=[0, 0.1, 0])}
+    with pytest.raises(jb.JaxbodyError, match=r"joins 'b' and 'table', neither of which moves but by imposed motion.*RIGID"):
+        jb.Model(
+            bodies=dict.fromkeys("ab", BAR),
+            supports=table,
+            joints={k: joints[k] for k in "ab"},
+            closures={"pin": jb.closures.Weld(ends[0], ("table", [0, 0, 0]))},
+        )
     with pytest.raises(jb.JaxbodyError, match=r"has no closures.*NO_CLOSURE"):
         jb.assemble(jb.Model(bodies={"a": BAR}))
     with pytest.raises(jb.JaxbodyError, match=r"assemble.hold.*UNKNOWN_NAME"):
