@@ -191,7 +191,7 @@ class Rod(Closure):
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
-        length: L [m]; None: the distance of the points in the reference pose
+        length: L [m]; None: the distance of the points in the reference pose, which must not be zero there (ZERO_LENGTH)
 
     Errors: NOT_POSITIVE, BAD_END, SELF_SPRING, BAD_SHAPE, NON_FINITE.
 

@@ -15,10 +15,11 @@ from jaxbody.elements.bushings import FramePair
 from jaxbody.elements.elements import LineElement
 from jaxbody.elements.inerters import Inerter
 from jaxbody.elements.torsions import Torsion
-from jaxbody.geometry.closures import Coupling
+from jaxbody.geometry.closures import Coupling, Rod
 from jaxbody.geometry.orientations import matrix
 from jaxbody.models.bodies import warn_of_tiny
 from jaxbody.models.layouts import WORLD, Layout
+from jaxbody.models.storage import KindTable
 
 LARGEST_TURN = 179.0  # degrees, of a bushing in the reference pose
 
@@ -140,25 +141,38 @@ def check_movable(problems: Problems, closures: dict[str, Any], layout: Layout) 
             problems.add("RIGID", f"closures[{name!r}]", message, value=name, limit="frames that move relative to each other", hint=hint)
 
 
-def check_reference(problems: Problems, bodies, supports, elements) -> None:
-    """Check that in the reference pose every line has a direction and every bushing and torsion spring is turned by less than half a turn,
-    where its deformation jumps."""
+def check_slopes(closures: tuple[KindTable, ...], finite: np.ndarray) -> None:
+    """Check that the conditions of closures have slopes in the reference pose, row by row. Error: NON_FINITE."""
+    of_rows = [name for table in closures for name in table.names for _ in table.rows.rows]
+    with Problems() as problems:
+        for name in dict.fromkeys(np.array(of_rows)[~finite].tolist()):
+            message, hint = (
+                "has slopes that are not finite in the reference pose",
+                "Draw it where its condition is smooth, or square a distance.",
+            )
+            problems.add("NON_FINITE", f"closures[{name!r}]", message, value=name, limit="finite slopes", hint=hint)
+
+
+def check_reference(problems: Problems, bodies, supports, groups: dict[str, dict[str, Any]]) -> None:
+    """Check that in the reference pose every line and every rod drawn to its length has a direction, and that every bushing and torsion
+    spring is turned by less than half a turn, where its deformation jumps."""
     places = {WORLD: (np.zeros(3), np.array([1.0, 0, 0, 0])), **{n: (b.position, b.orientation) for n, b in {**supports, **bodies}.items()}}
-    for name, element in elements.items():
-        check = next((check for kind, check in CHECKS if isinstance(element, kind)), None)
-        if check is None or not set(element.between) <= set(places):
+    for where, part in ((f"{group}[{name!r}]", part) for group, parts in groups.items() for name, part in parts.items()):
+        check = next((check for kind, check in CHECKS if isinstance(part, kind)), None)
+        if check is None or not set(part.between) <= set(places):
             continue
-        numbers = [concrete(x) for x in jax.tree.leaves((element, [places[end] for end in element.between]))]
+        numbers = [concrete(x) for x in jax.tree.leaves((part, [places[end] for end in part.between]))]
         if all(x is not None for x in numbers):
-            check(problems, f"elements[{name!r}]", element, *((p, matrix(o)) for p, o in (places[end] for end in element.between)))
+            check(problems, where, part, *((p, matrix(o)) for p, o in (places[end] for end in part.between)))
 
 
 def _check_length(problems: Problems, where: str, line, A, B) -> None:
     """Check the length of a line: that of a spring may be zero if its free length is zero, there is no damper and the force is zero."""
     ends = [p + R @ point for (p, R), point in zip((A, B), (line.a, line.b), strict=True)]
     length, size = np.linalg.norm(ends[1] - ends[0]), np.abs(ends).max() or 1.0
-    if length <= 1e-12 * size and not (isinstance(line, LineElement) and line.free_length == 0 and line.has_no_direction()):
-        remedy = "To give it one," if isinstance(line, Inerter) else "Use a Bushing, a free length and damping of 0, or"
+    without = isinstance(line, LineElement) and line.free_length == 0 and line.has_no_direction()
+    if length <= 1e-12 * size and not (without or (isinstance(line, Rod) and line.length is not None)):
+        remedy = "Use a Bushing, a free length and damping of 0, or" if isinstance(line, LineElement) else "To give it one,"
         problems.add(
             "ZERO_LENGTH",
             where,
@@ -194,4 +208,4 @@ def warn_of_oddities(bodies, supports, elements) -> None:
             warn("USELESS_SPRING", f"elements['{name}'] joins {' and '.join(element.between)}: it acts on no body")
 
 
-CHECKS = ((LineElement, _check_length), (Inerter, _check_length), (FramePair, _check_turn), (Torsion, _check_turn))
+CHECKS = ((LineElement, _check_length), (Inerter, _check_length), (Rod, _check_length), (FramePair, _check_turn), (Torsion, _check_turn))

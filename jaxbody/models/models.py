@@ -29,7 +29,16 @@ from jaxbody.models.bodies import Body, Support, warn_of_points
 from jaxbody.models.joints import Free, Joint
 from jaxbody.models.layouts import WORLD, Layout
 from jaxbody.models.memories import blocks_of, rest_states
-from jaxbody.models.model_checks import check_links, check_movable, check_names, check_reference, counted, of_kind, warn_of_oddities
+from jaxbody.models.model_checks import (
+    check_links,
+    check_movable,
+    check_names,
+    check_reference,
+    check_slopes,
+    counted,
+    of_kind,
+    warn_of_oddities,
+)
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable, tabulate, tabulate_by_structure
 from jaxbody.numerics.small_systems import independent_rows
@@ -98,7 +107,7 @@ class Model(tables.Printed, eqx.Module):
         elements = {name: functions_as_nodes(element) for name, element in elements.items()}
         check_leaves(problems, elements)
         check_laws(problems, elements)
-        check_reference(problems, bodies, supports, elements)
+        check_reference(problems, bodies, supports, {"elements": elements, "closures": closures})
         problems.raise_if_any()
         every_joint = {name: joints.get(name, Free()) for name in bodies}
         parents, blocks = zip(*((joint.parent, joint.block(name)) for name, joint in every_joint.items()), strict=True)
@@ -264,6 +273,7 @@ def independent_speeds(model: Model) -> tuple[int, ...] | None:
         columns, open_ = _closure_slopes(model, jnp.zeros(nv, model.gravity.dtype))
         if open_ > CLOSED:
             columns, _ = _closure_slopes(model, DISPLACED * jnp.sin(1.0 + 2.4 * jnp.arange(nv, dtype=model.gravity.dtype)))
+    check_slopes(model.closures, np.isfinite(columns).all(1))
     dependent = independent_rows(np.array(columns).T, enough=NEARLY_LARGEST)
     return tuple(i for i in range(nv) if i not in dependent)
 

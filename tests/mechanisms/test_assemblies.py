@@ -249,6 +249,14 @@ def test_bad_input():
             joints={k: joints[k] for k in "ab"},
             closures={"pin": jb.closures.Weld(ends[0], ("table", [0, 0, 0]))},
         )
+    apart = jb.closures.Equation(lambda A, B: jnp.linalg.norm(A.p - B.p), ("a", "world"))
+    with pytest.raises(jb.JaxbodyError, match=r"closures\['apart'\]: has slopes that are not finite.*NON_FINITE"):
+        jb.Model(bodies={"a": BAR}, closures={"apart": apart})
+    point = jb.closures.Rod(("a", [0, 0, 0]), ("world", [0, 0, 0]))
+    with pytest.raises(
+        jb.JaxbodyError, match=r"closures\['point'\]: has length 0 m in the reference pose.*To give it one, move.*ZERO_LENGTH"
+    ):
+        jb.Model(bodies={"a": BAR}, closures={"point": point})
     with pytest.raises(jb.JaxbodyError, match=r"has no closures.*NO_CLOSURE"):
         jb.assemble(jb.Model(bodies={"a": BAR}))
     with pytest.raises(jb.JaxbodyError, match=r"assemble.hold.*UNKNOWN_NAME"):
