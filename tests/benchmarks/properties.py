@@ -27,6 +27,7 @@ import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"  # compiling is most of the time
+os.environ["NPROC"] = "1"  # with more threads JAX 0.10 can stand still: large batches, page on limits
 HERE = pathlib.Path(__file__).parent
 
 
