@@ -8,6 +8,7 @@ step within 4 times that of the tree, derivatives within 3 times their values.
 import sys
 import time
 import warnings
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -135,6 +136,8 @@ def car():
             f"rtol {rtol or 'by default'}: {taken} steps, {median:.0f} ms, least {least:.0f}, error {np.abs(end(run) - exact).max():.1e} m",
             flush=True,
         )
+    tests = Path(__file__).parents[1]
+    sys.path[:0] = [str(tests), str(tests / "judges")]
     try:
         from car_in_exudyn import Car
     except ImportError:

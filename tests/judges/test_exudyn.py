@@ -1,8 +1,5 @@
 """Exudyn on the same models: bushings, and the rest of closed loops by its conditions with multipliers."""
 
-import sys
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,6 +13,7 @@ exudyn = pytest.importorskip("exudyn", reason="needs exudyn: pip install 'jaxbod
 
 import in_exudyn  # noqa: E402
 import judged_models  # noqa: E402
+from car_in_exudyn import Car  # noqa: E402
 
 SIX = [
     np.diag([*k, *turn])
@@ -109,9 +107,6 @@ def test_rests_of_closed_loops(name, rng):
 def test_a_car_on_double_wishbones_goes_over_a_kerb():
     """It rests as it is drawn, and half a second later hub and car are where Exudyn's generalized-alpha method has them: its error falls to
     a quarter with steps of half the length, so that two runs give the limit."""
-    sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-    from car_in_exudyn import Car
-
     model, end = jb.car_on_double_wishbones(anti_roll=(1e-6, 1e-6)).model, 0.5
     still, _ = Car(model, {}).motion(0.1, 100)
     np.testing.assert_allclose(still, [0, 0, 0.5, 1.2, 0, 0], atol=1e-12)

@@ -1,17 +1,13 @@
 """The full car on double wishbones in Exudyn: bodies move freely, joints and closures are conditions; anti-roll bars are left out."""
 
-import sys
 import time
-from pathlib import Path
 
-sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[1] / "judges")]
+import exudyn
+import numpy as np
+from exudyn.utilities import CartesianSpringDamper, GenericJoint, MarkerBodyRigid, RigidBodySpringDamper
+from in_exudyn import Judge
 
-import exudyn  # noqa: E402
-import numpy as np  # noqa: E402
-from exudyn.utilities import CartesianSpringDamper, GenericJoint, MarkerBodyRigid, RigidBodySpringDamper  # noqa: E402
-from in_exudyn import Judge  # noqa: E402
-
-import jaxbody as jb  # noqa: E402
+import jaxbody as jb
 
 
 class Car(Judge):
