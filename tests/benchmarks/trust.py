@@ -1,8 +1,8 @@
 """How far jaxbody is from the figures of trust: `python trust.py [rests drift gradients speed kills units] [--share 0.01] [--write]`.
 
 Without a name it measures all of them. `--share` takes this part of their numbers of models, kills and so on. `--write` puts what was
-measured into trust.md; rows of what was not measured stay, and some name the table or the test that holds them. Limits are those asked for,
-met or not.
+measured into trust.md; rows of what was not measured stay, and those of what other scripts and tests measure are written there by hand. Limits
+are those asked for, met or not.
 """
 
 import argparse
@@ -263,18 +263,6 @@ def units(share):
 
 MEASURES = {f.__name__: f for f in (rests, drift, gradients, speed, kills, units)}
 
-HELD = """\
-| R1 | random models without a silent NaN or a false "ok" | 10,000 models | 800: table of properties | no | |
-| R3 | energy of Gauss's method without a trend | 1e5 periods | tests/mechanics/test_collocations.py, test_momenta.py | yes | |
-| R4 | K and frequencies against fifty digits, rotations of 0 to 3 rad | 1e-12 | tests/mechanics/test_fifty_digits.py | yes | |
-| R5 | derivatives against complex steps | 1e-11 | none: models hold real numbers; differences at 1e-6 | no | |
-| R6 | 95 % intervals that hold, noise correlation up to 0.9 | 93 to 97 % | table of coverage | | |
-| R7 | directions that are not identifiable, found | 99.5 %, 0.5 % falsely | 49 of 50, 1 of 150, recovery.py | no | |
-| R8 | changed files: a model or a clear error | 1e6 of models, 1e6 of data | 728,000 and 60,000: table of changed files | no | 2026-11-26 |
-| R9 | bad inputs whose message is tested | 96 | 94, tests/core/test_catalogue.py | no | |
-| R11 | planted bugs killed | 120 | 247 of 247: table of planted bugs | yes | |
-| R13 | Ctrl-C answered; fits resumed | 2 s; 500 of 500 | tests/identification/test_losses.py, tests/workers/test_executors.py | | |
-"""
 RULE = "|---|---|---|---|---|---|"
 
 
@@ -287,7 +275,7 @@ def main():
     warnings.simplefilter("ignore", jb.JaxbodyWarning)
     path = HERE / "trust.md"
     head = ["# Figures of trust\n", "`tests/benchmarks/trust.py`\n", "| | what | limit | measured | met | date |", RULE]
-    rows = {_what(row): row for row in [*path.read_text().partition(RULE)[2].split("\n")[1:-1], *HELD.splitlines()]}
+    rows = {_what(row): row for row in path.read_text().partition(RULE)[2].split("\n")[1:-1]}
     for name in options.names or MEASURES:
         for figure, what, limit, value, met in MEASURES[name](options.share):
             row = f"| {figure} | {what} | {limit} | {value} | {'yes' if met else 'no'} | {datetime.date.today()} |"
