@@ -172,7 +172,7 @@ CODES = {
     "RATE_MISMATCH": ("the times and the stated sampling rate disagree", "correct one of them"),
     "RECOMPILED": ("a function is compiled again and again", "do not change shapes, types and closures between calls"),
     "RELAXES": ("the state of a hysteretic law moves at rest", "derive it from jb.laws.Viscoelastic"),
-    "RIGID": ("a closure joins frames that cannot move relative to each other", "leave it out, or free one of the joints between its ends"),
+    "RIGID": ("a closure's ends cannot move relative to each other", "leave it out, or free one of the joints between its ends"),
     "SAG": ("the sag under gravity is unusual", "check the units of stiffness and length"),
     "SATURATED": ("a channel stays at its largest value", "measure with a wider range, or leave those samples out"),
     "SELF_SPRING": ("both ends are on one body", "attach them to different bodies or supports"),

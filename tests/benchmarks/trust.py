@@ -1,7 +1,7 @@
 """How far jaxbody is from the figures of trust: `python trust.py [rests drift gradients speed kills units] [--share 0.01] [--write]`.
 
 Without a name it measures all of them. `--share` takes this part of their numbers of models, kills and so on. `--write` puts what was
-measured into trust.md; rows of what was not measured stay, and those of what other scripts and tests measure are written there by hand. Limits
+measured into trust.md; rows of what was not measured stay, and those of what other scripts and tests measure are written by hand. Limits
 are those asked for, met or not.
 """
 
