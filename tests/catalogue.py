@@ -68,7 +68,7 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
     40: ("constant steps too long", f"{SIMULATIONS}: test_constant_steps_too_long_for_the_model_end_in_a_status_at_the_right_time"),
     41: ("a force that is not finite", f"{CAUSES}: test_a_nonfinite_law_in_a_motion_is_named_with_its_element_and_deformation"),
     42: ("a state that escapes", f"{SIMULATIONS}: test_a_nonfinite_motion_is_named",
-         "no DIVERGED: a motion far away is right as long as it is finite, as of a body in free fall"),
+         f"{CAUSES}: test_a_body_that_escapes_is_warned_of, test_a_body_that_travels_with_its_support_or_falls_has_not_escaped"),
     43: ("an initial state of another shape", f"{SIMULATIONS}: test_initial_states_that_do_not_fit_are_refused"),
     44: ("other kinds of arrays", f"{BAD}: 44 object, 44 nothing, 44 ragged, 44 dates, 44 masked, "
          "test_whole_numbers_become_floats_and_what_was_given_is_not_changed"),
@@ -76,7 +76,8 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
     46: ("single precision", f"{SIMULATIONS}: test_float32_warns_once_is_refused_for_modes_and_never_mixed",
          f"{FITS}: test_float32_is_refused"),
     47: ("the switch of precision moved", "numerics/test_precisions.py: test_a_state_of_the_other_precision_is_refused_with_what_to_do"),
-    48: ("devices without float64 or eig", "no message: no such device was at hand; README names the CPU"),
+    48: ("devices without float64 or eig", "numerics/test_devices.py: test_a_device_without_eig_is_named_with_the_line_to_set",
+         "no message where float64 is missing: JAX itself refuses such arrays, and no such device was at hand"),
     49: ("times outside a motion", f"{SIMULATIONS}: test_times_outside_a_sampled_motion_are_refused",
          "experiments/test_experiments.py: test_a_motion_that_ends_before_the_record_is_refused_before_a_model_is_there"),
     50: ("times that go back", f"{RECORDS}: unsorted", f"{MOTIONS}: unsorted"),

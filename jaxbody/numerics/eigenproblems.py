@@ -21,12 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Complex, Float, Int, module_of
+from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.jax_internals import Zero, new_operation
 from jaxbody.numerics.lanes import in_lanes
 
 CLUSTERED = 1e-6  # relative distance of eigenvalues below which they belong to one cluster
 ALIKE = 1e-5  # relative difference of cotangents within a cluster that counts as none: that of its frequencies is up to CLUSTERED
 ZERO = 1e-10  # eigenvalues, relative to the largest, that count as zero
+WITH_EIG = ("cpu", "gpu")  # devices for which JAX has eig
 MASSLESS = 1e-13  # pivots of M, relative to its diagonal, that count as zero
 SWEPT = 128  # lanes for eigenvalues, whose many short loops take longer to call than to run
 
@@ -272,11 +274,18 @@ def first_order(M: Any, C: Any, K: Any, n: int) -> tuple[Any, Any]:
     return jnp.concatenate([top, rates[0], y_rate]), jnp.concatenate([jnp.zeros((n, n + ny), K.dtype), rates[1], y_force])
 
 
+def eig(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Complex[Array, "n n"]]:
+    """s and x (columns, unit length) of A x = s x, in the order of LAPACK. Error: DEVICE."""
+    if (device := jax.default_backend()) not in WITH_EIG:
+        message, hint = f"JAX has no eig for the device {device}", 'Set jax.config.update("jax_platforms", "cpu") first.'
+        raise JaxbodyError(Problem("DEVICE", "poles", message, device, ", ".join(WITH_EIG), hint))
+    return jnp.linalg.eig(A)  # pyright: ignore[reportReturnType]
+
+
 @jax.custom_jvp
 def poles(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Array]:
-    """s and x (columns, unit length) of A x = s x, in the order of LAPACK; on the CPU."""
-    values, vectors = jnp.linalg.eig(A)
-    return values, vectors
+    """s and x of A x = s x as `eig` gives them, with derivatives."""
+    return eig(A)
 
 
 def pole_clusters(values: Complex[Array, "n"]) -> Int[Array, "n"]:

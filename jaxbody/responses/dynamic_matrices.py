@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from equinox import Module, field
 
 from jaxbody.core.arrays import Array, Bool, Complex, Float
-from jaxbody.numerics.eigenproblems import companion, first_order, natural
+from jaxbody.numerics.eigenproblems import companion, eig, first_order, natural
 from jaxbody.numerics.precisions import reachable
 
 LARGEST_UNROLLED = 16  # coordinates; beyond them LAPACK at each frequency costs less than compiling this elimination
@@ -106,7 +106,7 @@ def _modal_sum(A: DynamicMatrices, s) -> tuple[Callable[[jax.Array, bool], jax.A
     unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n : 2 * n, :n])))  # of frequency, so that displacements and rates have the same scale
     scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit), jnp.ones(A.massless)]).astype(matrix.dtype)
     balanced = matrix * scale[None] / scale[:, None]
-    poles, vectors = jnp.linalg.eig(balanced)
+    poles, vectors = eig(balanced)
     inverse = jnp.linalg.inv(vectors)
     error = jnp.max(jnp.abs((vectors * poles[None]) @ inverse - balanced.astype(inverse.dtype))) / jnp.max(jnp.abs(balanced))
     if forces is None:

@@ -24,6 +24,7 @@ from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, check_state, unattached
+from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.eigenproblems import companion
 from jaxbody.numerics.gauss_collocations import Gauss
@@ -33,6 +34,7 @@ from jaxbody.statics.rest_states import Rest, as_initial, initial_state_of
 
 MAX_STEPS = 100_000
 MANY, OFTEN = 15, 0.15  # rejected steps, and their ratio to accepted ones; a jump of force costs 18 at rtol 1e-3, 30 to 90 by default
+FAR = 1e6  # distance, in sizes of the model, by which a body that is attached has left all supports: the motion is unstable
 OPEN = 1e-6  # of an initial state that is moved onto the closures with a warning, of the size of the model or of the largest speed
 STABLE = 2.8  # longest step times rate for which the classical Runge-Kutta method is stable; diffrax's explicit solvers are similar
 KINDS = {"solver": diffrax.AbstractSolver, "stepsize_controller": diffrax.AbstractStepSizeController, "adjoint": diffrax.AbstractAdjoint}
@@ -91,7 +93,8 @@ def simulate(
     UNKNOWN_BODY for a load, CLOSED_LOOPS for jb.Gauss with closures. An integration that ends early warns, and returns its samples with a
     status. Warns NOT_CLOSED for an initial state that is off the closures by more than 1e-6 of the model's size, SPRING_COLLAPSED for a
     spring that passes through zero length and HALF_TURN for a Bushing or Torsion past half a turn, with the time, if samples show it and
-    many steps were rejected; the `summary()` of a trajectory always shows it.
+    many steps were rejected; the `summary()` of a trajectory always shows it. Warns DIVERGED for a body that is a million sizes of the
+    model away from where it is attached.
 
     >>> import jax.numpy as jnp
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
@@ -124,6 +127,7 @@ def simulate(
             jax.block_until_ready(result.status)
     warn_if_failed(result)
     _warn_of_open(result)
+    _warn_of_escape(result, unattached_bodies)
     return _with_jumps(result)
 
 
@@ -140,6 +144,23 @@ def _warn_of_open(result: Trajectory) -> None:
     elif rate > OPEN:
         message = f"simulate: the initial speeds open closures at {rate:.3g} of the largest; the motion starts with the nearest that do not"
         warn("NOT_CLOSED", message)
+
+
+def _warn_of_escape(result: Trajectory, unattached_bodies: list[str]) -> None:
+    """Warn about bodies that leave all supports and the world behind by FAR, with the time of the first sample that shows it."""
+    if not is_concrete(result):
+        return
+    far = FAR * float(size_of(result.model))
+    if not np.abs(np.asarray(result.state.q)).max(initial=0.0) > far:
+        return
+    places = {name: np.asarray(pose.p) for name, pose in result.poses.items()}
+    moves = {name: p - p[0] for name, p in places.items()}
+    left = [np.zeros(3), *(moves[name] for name in result.model.layout.supports)]
+    for name in result.model.layout.bodies:
+        beyond = np.min([np.linalg.norm(moves[name] - move, axis=-1) for move in left], axis=0) > far
+        if beyond.any() and name not in unattached_bodies:
+            t, remedy = float(result.times[np.argmax(beyond)]), "look for negative damping or stiffness, or a load that grows"
+            warn("DIVERGED", f"simulate: '{name}' is more than {FAR:.0e} times the size of the model away from t = {t:.6g} s on; {remedy}")
 
 
 def _with_jumps(result: Trajectory) -> Trajectory:

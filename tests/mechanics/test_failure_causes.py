@@ -162,3 +162,34 @@ def test_a_torsion_spring_past_half_a_turn_is_named_with_the_time():
     assert abs(time_of(str(warned[0].message)) - np.arcsin(np.pi * np.sqrt(2) / 8) / np.sqrt(2)) <= 25e-6
     jump = np.asarray(trajectory.state.q[:, 0] - trajectory.elongations["t"])
     assert set(np.round(jump / (2 * np.pi), 9)) == {0, 1}
+
+
+def test_a_body_that_escapes_is_warned_of():
+    ends = ("mass", [0, 0, 0]), ("base", [0, 0, 0])
+    with pytest.warns(jb.JaxbodyWarning, match="NEGATIVE_DAMPING"):
+        rubber = jb.Bushing(*ends, stiffness=[10.0] * 3, damping=[-4.0, 0, 0], allow_negative=True)
+    model = jb.Model(
+        bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
+        supports={"base": jb.Support()},
+        joints={"mass": jb.Guide("base", axis=[1, 0, 0])},
+        elements={"rubber": rubber},
+    )
+    rate, w, times = 2.0, np.sqrt(10.0 - 4.0), np.linspace(0, 12, 481)  # of x'' - 4 x' + 10 x = 0
+    x = 5e-3 / w * np.exp(rate * times) * np.sin(w * times)
+    first = times[np.argmax(np.abs(x) > 1e6)]
+    with pytest.warns(jb.JaxbodyWarning, match="DIVERGED") as warned:
+        trajectory = jb.simulate(model, times, initial=moving(model, 5e-3), rtol=1e-10)
+    assert [f"from t = {first:.6g} s on" in str(w.message) and "'mass'" in str(w.message) for w in warned] == [True]
+    assert np.allclose(trajectory.state.q[:, 0], x, rtol=0, atol=1e-6 * np.abs(x).max())
+
+
+@pytest.mark.long
+def test_a_body_that_travels_with_its_support_or_falls_has_not_escaped():
+    times, s = np.linspace(0, 3000, 301), np.linspace(0, 1, 301)
+    base = jb.Sampled(times, translation=np.stack([3e6 * s**3 * (10 - 15 * s + 6 * s**2), 0 * s, 0 * s], 1))
+    trajectory = jb.simulate(slider(damper=4.0), times, motion={"base": base}, rtol=1e-4)  # of 3e6 m
+    assert float(trajectory.poses["mass"].p[-1, 0]) > 2e6
+    stone = jb.Model(bodies={"stone": jb.Body(mass=1.0, inertia=[1, 1, 1])}, gravity=[0, 0, -9.81])
+    with pytest.warns(jb.JaxbodyWarning) as warned:
+        jb.simulate(stone, [0.0, 1e3])
+    assert [w.message.code for w in warned] == ["UNATTACHED"]
