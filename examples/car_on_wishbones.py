@@ -33,7 +33,7 @@ assert eq.ok
 
 # %%
 SPEED = 10.0  # m/s
-wheels = {"fl": 1.2, "rl": -1.4}  # m, from the center of mass
+wheels = {name: float(model[f"road {name}"].position[0]) for name in ("fl", "rl")}  # m, forward of the center of mass
 kerb = {f"road {name}": jb.Road.kerb(height=0.04, at=3.0, ramp=0.1, speed=SPEED, footprint=0.15, position=x) for name, x in wheels.items()}
 times = np.linspace(0.0, 1.2, 601)
 run = jb.simulate(model, times, motion=kerb, initial=eq.state)

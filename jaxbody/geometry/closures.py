@@ -191,9 +191,9 @@ class Rod(Closure):
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
-        length: L [m]; None: the distance of the points in the reference pose, which must not be zero there (ZERO_LENGTH)
+        length: L [m]; None: the distance of the points in the reference pose
 
-    Errors: NOT_POSITIVE, BAD_END, SELF_SPRING, BAD_SHAPE, NON_FINITE.
+    Errors: NOT_POSITIVE, BAD_END, SELF_SPRING, BAD_SHAPE, NON_FINITE; of the model ZERO_LENGTH where that distance is zero.
 
     >>> jb.closures.Rod(("rack", [0, 0.2, 0]), ("upright", [0.15, 0, 0])).rows
     ('length',)
@@ -222,6 +222,8 @@ class Equation(Closure):
     Args:
         function: from two poses to a number or a row of numbers
         between: the names of the two frames
+
+    Errors: BAD_END, SELF_SPRING; of the model NON_FINITE where the condition has no finite slopes in the reference pose, as |x| at 0.
 
     A point at a distance of 2 m from another:
 

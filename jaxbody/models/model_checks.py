@@ -144,12 +144,11 @@ def check_movable(problems: Problems, closures: dict[str, Any], layout: Layout) 
 def check_slopes(closures: tuple[KindTable, ...], finite: np.ndarray) -> None:
     """Check that the conditions of closures have slopes in the reference pose, row by row. Error: NON_FINITE."""
     of_rows = [name for table in closures for name in table.names for _ in table.rows.rows]
+    bad = [name for name, good in zip(of_rows, finite, strict=True) if not good]
+    message = "has slopes that are not finite in the reference pose"
+    hint = "Draw it where its condition is smooth, or square a distance."
     with Problems() as problems:
-        for name in dict.fromkeys(np.array(of_rows)[~finite].tolist()):
-            message, hint = (
-                "has slopes that are not finite in the reference pose",
-                "Draw it where its condition is smooth, or square a distance.",
-            )
+        for name in dict.fromkeys(bad):
             problems.add("NON_FINITE", f"closures[{name!r}]", message, value=name, limit="finite slopes", hint=hint)
 
 

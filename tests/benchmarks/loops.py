@@ -18,6 +18,8 @@ import jaxbody as jb
 from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE
 
 jax.config.update("jax_enable_x64", True)
+TESTS = Path(__file__).parents[1]
+sys.path[:0] = [str(TESTS), str(TESTS / "judges")]
 ROUNDS = 15
 KERB = 0.02  # m
 
@@ -136,8 +138,6 @@ def car():
             f"rtol {rtol or 'by default'}: {taken} steps, {median:.0f} ms, least {least:.0f}, error {np.abs(end(run) - exact).max():.1e} m",
             flush=True,
         )
-    tests = Path(__file__).parents[1]
-    sys.path[:0] = [str(tests), str(tests / "judges")]
     try:
         from car_in_exudyn import Car
     except ImportError:
