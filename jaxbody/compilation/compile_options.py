@@ -7,12 +7,15 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jaxlib.version
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr
 
-from jaxbody.compilation.array_functions import array_function, jitted, joined, known_to_xla
+from jaxbody.compilation.array_functions import KEPT, array_function, jitted, joined, known_to_xla
 from jaxbody.compilation.compilations import Compiled
 from jaxbody.compilation.eager_programs import run
-from jaxbody.compilation.kept_programs import call
+from jaxbody.compilation.kept_programs import call, keeping, structs
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import only_transformed, outermost, started, without_manual_axes
 
@@ -25,6 +28,10 @@ UNOPTIMIZED = {  # halves the remaining time to compile; programs take up to thr
     "xla_backend_optimization_level": 0,
     "xla_cpu_parallel_codegen_split_count": 1,  # parts of a program that LLVM compiles one by one, for which so little work does not pay
 }
+FEW_SAMPLES, SHORT = 1000, 30.0  # samples, and seconds, up to which a motion is not optimized
+MOST = 100  # steps of a loop that takes milliseconds, such as one over parameters
+_brief: set[str] = set()  # names of functions that are not optimized, and of those that may be
+_long: set[str] = set()
 VECTORIZED = {"xla_cpu_use_fusion_emitters": True, "xla_cpu_prefer_vector_width": 512}
 
 
@@ -79,16 +86,42 @@ def jit_unoptimized(function: Callable[..., Any]) -> Callable[..., Any]:
     return _jit_by_itself(function, UNOPTIMIZED)
 
 
+def jit_optimized_where(long: Callable[..., bool]) -> Callable[..., Any]:
+    """A decorator: jit_optimized where long(*args), otherwise jit_unoptimized, unless it is part of another program, differentiated or in a
+    batch. The first results of short motions then take half the time."""
+    return lambda function: _jit_by_itself(function, {}, lambda program, arrays, args: not long(*args))
+
+
+def jit_optimized_with_loops(function: Callable[..., Any]) -> Callable[..., Any]:
+    """jit_optimized where there are other loops than those of functions that are not optimized, such as motions in a function of a user;
+    otherwise jit_unoptimized. It is optimized where programs are kept, too, as they must be known without tracing the function."""
+
+    def brief(program, arrays, args):
+        return not (keeping() or _has_loops(program, tuple(map(jax.typeof, arrays))))
+
+    return _jit_by_itself(function, {}, brief)
+
+
+def are_long(*times: Any) -> bool:
+    """Whether motions at these times [s] take so long that their programs are to be optimized."""
+    motions = [np.asarray(t) for t in times]
+    return sum(t.size for t in motions) > FEW_SAMPLES or any(np.ptp(t) > SHORT for t in motions)
+
+
 def jit_vectorized(function: Callable[..., Any]) -> Callable[..., Any]:
     """filter_jit for loops over a thousand numbers or so: with the widest vectors of the processor, where XLA's default is 256 bits, and
     the fusion of whole steps. Unless part of another program, they run in two thirds of the time."""
     return _jit_by_itself(function, VECTORIZED)
 
 
-def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
+def _jit_by_itself(
+    function: Callable[..., Any], options: dict[str, Any], brief: Callable[..., bool] = lambda program, arrays, args: False
+) -> Callable[..., Any]:
+    """A function that is compiled with these options where it is not part of another program; with UNOPTIMIZED where it is `brief`."""
     compiled = Compiled(function)
     inner = without_manual_axes(function)
-    own_options = tuple((NO_FUSION_EMITTERS | options).items())
+    own_options, of_brief = (tuple((NO_FUSION_EMITTERS | chosen).items()) for chosen in (options, UNOPTIMIZED))
+    (_brief if options is UNOPTIMIZED else _long).add(function.__name__)
 
     @functools.wraps(function)
     def noted(*args):
@@ -100,12 +133,37 @@ def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Cal
         program, arrays = array_function(noted, args)
         if outermost():
             with compiled.watched(args):
-                return joined(*call(program, own_options, arrays))
+                return joined(*call(program, of_brief if brief(program, arrays, args) else own_options, arrays))
         if only_transformed():
             return joined(*run(program, own_options, arrays))
         return joined(*jitted(program)(*arrays))
 
     return driver
+
+
+@functools.lru_cache(KEPT)
+def _has_loops(program: Callable[..., Any], types: tuple[Any, ...]) -> bool:
+    return _loops(jax.make_jaxpr(jitted(program))(*structs(types)).jaxpr)
+
+
+def _loops(jaxpr: Any) -> bool:
+    """Whether a program has a loop of unknown length or of more than MOST steps, but for those of functions that take milliseconds."""
+    for equation in jaxpr.eqns:
+        name, params = equation.primitive.name, equation.params
+        if name == "while" or (name == "scan" and params["length"] > MOST):
+            return True
+        if params.get("name") in _brief - _long:
+            continue
+        parts = [part for value in params.values() for part in (value if isinstance(value, list | tuple) else [value])]
+        inner = [getattr(part, "jaxpr", part) for part in parts if isinstance(part, ClosedJaxpr | Jaxpr)]
+        if any(map(_loops, inner)):
+            return True
+    return False
+
+
+def brief_options() -> dict[str, Any]:
+    """Options for `jax.jit` of programs that take milliseconds."""
+    return known_to_xla(tuple((NO_FUSION_EMITTERS | UNOPTIMIZED).items()))
 
 
 def quick_options() -> dict[str, Any]:

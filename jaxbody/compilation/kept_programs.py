@@ -113,7 +113,7 @@ class KeptPrograms:
                 return jitted(program)(*arrays)[0]
 
             try:
-                data = jax.export.export(jax.jit(alone))(*_structs(types)).serialize()
+                data = jax.export.export(jax.jit(alone))(*structs(types)).serialize()
             except Exception as error:  # a callback, or an operation that this version of JAX cannot export
                 self.left_out[program.__name__] = f"{type(error).__name__}: {error}".splitlines()[0]
                 return lambda arrays: jitted(program, options)(*arrays)[0]
@@ -125,7 +125,7 @@ class KeptPrograms:
             return exported.call(*arrays)
 
         kept.__name__ = program.__name__
-        lowered = jax.jit(kept, keep_unused=True, compiler_options=known_to_xla(options)).lower(*_structs(types))
+        lowered = jax.jit(kept, keep_unused=True, compiler_options=known_to_xla(options)).lower(*structs(types))
         if not (code_can_be_run() and all(getattr(t.dtype, "kind", "") in NUMBERS for t in (*types, *exported.out_avals))):
             compiled = lowered.compile()
             return lambda arrays: compiled(*arrays)
@@ -260,6 +260,11 @@ def keep_programs(folder: str | os.PathLike | None = None) -> KeptPrograms:
     return _kept
 
 
+def keeping() -> bool:
+    """Whether `keep_programs` was called."""
+    return _kept is not None
+
+
 def call(program: Callable[..., Any], options: Options, arrays: Sequence[Any]) -> Results:
     """What a program returns, compiled with these options, kept if `keep_programs` was called."""
     if _kept is None or _debugging() or not _on_first_device(arrays):
@@ -311,11 +316,11 @@ def _types_of_results(program, types, kept):
 
 
 def _traced(program: Callable[..., Any], types: tuple[Any, ...]) -> Results:
-    results, remainder = jax.eval_shape(jitted(program), *_structs(types))
+    results, remainder = jax.eval_shape(jitted(program), *structs(types))
     return [jax.typeof(x) for x in results], remainder
 
 
-def _structs(types: tuple[Any, ...]) -> list[jax.ShapeDtypeStruct]:
+def structs(types: tuple[Any, ...]) -> list[jax.ShapeDtypeStruct]:
     return [jax.ShapeDtypeStruct(t.shape, t.dtype, weak_type=getattr(t, "weak_type", False)) for t in types]
 
 

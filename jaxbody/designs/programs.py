@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_optimized
+from jaxbody.compilation.compile_options import jit_optimized_with_loops
 from jaxbody.core.arrays import Array, Float, device_array, indices, module_of
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
@@ -169,7 +169,7 @@ def labels_of(shapes: Shapes) -> list[str]:
     return [name + index for name, shape in shapes for index in indices(shape)]
 
 
-@jit_optimized
+@jit_optimized_with_loops
 def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any):
     """Values, derivatives and shapes of all quantities; the choice of the objective and the limits needs no new compilation.
 

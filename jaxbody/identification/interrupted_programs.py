@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxbody.compilation.compile_options import brief_options
 from jaxbody.core.jax_internals import Literal, Zero, new_operation, same_operation, shaped
 
 Answer = Callable[[np.ndarray], tuple[Any, Any]]  # value and gradient of the cost at y
@@ -98,7 +99,7 @@ class Parts:
         def between(which, given):
             return jax.lax.switch(which, self.branches, given)
 
-        return jax.jit(between)
+        return jax.jit(between, compiler_options=brief_options())
 
     def filled(self, end: int, variables: list[Any], values: list[Any]) -> dict[Any, list[Any]]:
         """{type: arrays} of a part, with zeros for those that it does not have."""

@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_optimized
+from jaxbody.compilation.compile_options import are_long, jit_optimized_where
 from jaxbody.core.arrays import Array, Float, as_numpy, module_of
-from jaxbody.experiments.experiments import Integration
+from jaxbody.experiments.experiments import Experiment, Integration
 from jaxbody.experiments.measured_responses import small_motions
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.colorings import PRIORS, colors_of, moved_rows
@@ -108,7 +108,7 @@ def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
     return sorted(runs, key=lambda run: (run == PRIORS, run))
 
 
-@jit_optimized
+@jit_optimized_where(lambda task, u: are_long(*(run.times for run in task.experiments.values() if isinstance(run, Experiment))))
 def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, ReadingsAndResiduals]:
     """r, dr/du and the readings and residuals by channel, in one program, because compiling costs more than running."""
 

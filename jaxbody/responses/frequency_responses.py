@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
-from jaxbody.compilation.compile_options import jit_optimized
+from jaxbody.compilation.compile_options import jit_optimized_where
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int, checked, concrete, device_array, float_array, is_concrete
 from jaxbody.core.datasets import Labeled, dataset
@@ -27,7 +27,7 @@ from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_memory
 from jaxbody.numerics.eigenproblems import ZERO, natural
-from jaxbody.responses.dynamic_matrices import DynamicMatrices, is_unstable, solved
+from jaxbody.responses.dynamic_matrices import DynamicMatrices, are_many, is_unstable, solved
 from jaxbody.responses.modal_dampings import NO_MODES, with_modal_damping
 from jaxbody.sensors.instruments import LoadCell
 from jaxbody.sensors.sensors import Sensor
@@ -236,7 +236,7 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
     return jnp.stack([device_array(value) for value in each]) if each else jnp.zeros(0)
 
 
-@jit_optimized
+@jit_optimized_where(lambda lin, f, *_: are_many(f, lin.K))
 def response_values(
     lin: Linearization,
     f: Float[Array, "nf"],

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
-from jaxbody.compilation.compile_options import jit_optimized
+from jaxbody.compilation.compile_options import jit_optimized_where
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int, is_concrete, part_of
 from jaxbody.core.datasets import Labeled, dataset
@@ -20,6 +20,7 @@ from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.port_inputs import KINDS, UNITS
 from jaxbody.models.preconditions import check_memory
+from jaxbody.responses.dynamic_matrices import are_many
 from jaxbody.responses.frequency_responses import (
     check_frequencies,
     check_inner_rows,
@@ -139,7 +140,7 @@ def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
     return jnp.where(jnp.any(jnp.abs(fine - rough) > COARSE * fine), Status.COARSE.value, Status.OK.value)
 
 
-@jit_optimized
+@jit_optimized_where(lambda lin, f, *_: are_many(f, lin.K))
 def _random_response(lin: Linearization, f, weights, coarse, ports: Ports, inputs: tuple, names, spectra, eta):
     H, status = response_values(lin, f, ports, eta)
     each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra

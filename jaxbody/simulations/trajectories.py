@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import combine, field, is_array, partition
 
-from jaxbody.compilation.compile_options import jit_optimized
+from jaxbody.compilation.compile_options import are_long, jit_optimized_where
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, part_of
 from jaxbody.core.datasets import AXES, QUATERNION, Labeled, dataset, rows_of
@@ -279,7 +279,7 @@ def _support_power(model, motions, t, state, loads):
     return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
 
 
-@jit_optimized
+@jit_optimized_where(lambda function, batch_axes, model, motions, loads, times, *_: are_long(times))
 def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
     numbers, rest = partition((model, motions, loads), is_array)
     others, fixed = partition(more, is_array)

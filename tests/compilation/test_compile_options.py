@@ -1,0 +1,100 @@
+"""Short programs are compiled without optimization, long ones with it; what is compiled how is read from the call to XLA."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody.compilation import compile_options
+from jaxbody.designs.programs import values_and_slopes
+from jaxbody.identification.residuals import residual_and_jacobian
+from jaxbody.simulations.integrations import integrate
+
+
+class Stop(Exception):
+    """Instead of compiling the program that is looked at."""
+
+
+@pytest.fixture
+def optimized(monkeypatch):
+    """optimized(driver, calls): whether the program of this driver is compiled with optimization by what `calls` it."""
+    others = compile_options.call
+
+    def run(driver, calls):
+        levels = []
+
+        def call(program, options, arrays):
+            if program.__name__ != driver.__name__:
+                return others(program, options, arrays)
+            levels.append(dict(options).get("xla_backend_optimization_level") != 0)
+            raise Stop
+
+        monkeypatch.setattr(compile_options, "call", call)
+        with pytest.raises(Stop):
+            calls()
+        return levels[0]
+
+    return run
+
+
+def model():
+    return jb.presets.quarter_car()
+
+
+@pytest.mark.parametrize(
+    ("times", "long"),
+    [
+        (np.linspace(0, 10, 1000), False),
+        (np.linspace(0, 10, 1001), True),
+        (np.array([0.0, 30.0]), False),
+        (np.array([5.0, 35.1]), True),
+    ],
+)
+def test_short_motions_are_not_optimized(optimized, times, long):
+    car = model()
+    assert optimized(integrate, lambda: jb.simulate(car, times, initial=car.reference)) == long
+
+
+def motion(model):
+    return jb.simulate(model, [0.0, 0.1], initial=model.reference).state.q[-1, 0]
+
+
+def frequency(model):
+    return jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
+
+
+def own_loop(model):
+    return jax.lax.while_loop(lambda x: x < 1e6, lambda x: 2 * x, model["suspension"].stiffness)
+
+
+def steps(model, n):
+    return jax.lax.fori_loop(0, n, lambda i, x: x + jnp.sin(x), model["suspension"].stiffness)
+
+
+@pytest.mark.parametrize(
+    ("function", "long"),
+    [
+        (frequency, False),
+        (motion, True),
+        (jax.jit(motion), True),
+        (own_loop, True),
+        (lambda model: steps(model, 10), False),
+        (lambda model: steps(model, 1000), True),
+    ],
+)
+def test_functions_of_a_user_with_loops_are_optimized(optimized, function, long):
+    tuned = optimized(values_and_slopes, lambda: jb.tune(model(), function, free=["suspension.stiffness"], minimize="objective"))
+    assert tuned == long
+
+
+@pytest.mark.parametrize(("samples", "long"), [(200, False), (1001, True)])
+def test_fits_of_short_records_are_not_optimized(optimized, samples, long):
+    car = model()
+    run = jb.Experiment(
+        np.linspace(0, 2, samples),
+        initial=car.reference,
+        sensors={"body": jb.Position("body", axis="z")},
+        measured={"body": np.sin(np.arange(samples))},
+    )
+    assert optimized(residual_and_jacobian, lambda: jb.fit(car, {"run": run}, free=["suspension.stiffness"])) == long
