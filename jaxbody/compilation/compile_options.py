@@ -16,6 +16,7 @@ from jaxbody.compilation.array_functions import KEPT, array_function, jitted, jo
 from jaxbody.compilation.compilations import Compiled
 from jaxbody.compilation.eager_programs import run
 from jaxbody.compilation.kept_programs import call, keeping, structs
+from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import only_transformed, outermost, started, without_manual_axes
 
@@ -87,8 +88,8 @@ def jit_unoptimized(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def jit_optimized_where(long: Callable[..., bool]) -> Callable[..., Any]:
-    """A decorator: jit_optimized where long(*args), otherwise jit_unoptimized, unless it is part of another program, differentiated or in a
-    batch. The first results of short motions then take half the time."""
+    """A decorator: jit_optimized where long(*args) and in batches of many, otherwise jit_unoptimized. The first results of short motions
+    then take half the time."""
     return lambda function: _jit_by_itself(function, {}, lambda program, arrays, args: not long(*args))
 
 
@@ -104,6 +105,8 @@ def jit_optimized_with_loops(function: Callable[..., Any]) -> Callable[..., Any]
 
 def are_long(*times: Any) -> bool:
     """Whether motions at these times [s] take so long that their programs are to be optimized."""
+    if not is_concrete(times):
+        return True
     motions = [np.asarray(t) for t in times]
     return sum(t.size for t in motions) > FEW_SAMPLES or any(np.ptp(t) > SHORT for t in motions)
 
@@ -135,7 +138,7 @@ def _jit_by_itself(
             with compiled.watched(args):
                 return joined(*call(program, of_brief if brief(program, arrays, args) else own_options, arrays))
         if only_transformed():
-            return joined(*run(program, own_options, arrays))
+            return joined(*run(program, (of_brief if brief(program, arrays, args) else own_options, own_options), arrays))
         return joined(*jitted(program)(*arrays))
 
     return driver

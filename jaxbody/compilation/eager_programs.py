@@ -20,9 +20,12 @@ from jaxbody.compilation.array_functions import Remainder, jitted
 from jaxbody.compilation.kept_programs import Options, Results, call, types_of_results
 from jaxbody.core.jax_internals import Zero, chosen, jaxpr_as_fun, merged, needed_arguments, new_operation, unbatched, unknown, zero_tangent
 
+FEW = 16  # members of a batch up to which it is compiled like one of them
 
-def run(program: Callable[..., Results], options: Options, arrays: Sequence[Any]) -> Results:
-    """program(*arrays), compiled with these options, as one operation for the derivative or the batch that is under way."""
+
+def run(program: Callable[..., Results], options: tuple[Options, Options], arrays: Sequence[Any]) -> Results:
+    """program(*arrays), compiled with these options, those of batches of more than FEW last, as one operation for the derivative or the
+    batch that is under way."""
     return _program_p.bind(*arrays, program=program, options=options), types_of_results(program, _types_of(arrays))[1]
 
 
@@ -185,13 +188,13 @@ def _program_jvp(primals, tangents, *, program, options):
 
 def _program_batch(args, axes, *, program, options):
     size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
-    out, remainder = run(Batch(program, tuple(axes), size), options, args)
+    out, remainder = run(Batch(program, tuple(axes), size), options if size <= FEW else (options[1],) * 2, args)
     return out, remainder.value[1]
 
 
 _program_p = new_operation(
     "program",
-    lambda *args, program, options: call(program, options, args)[0],
+    lambda *args, program, options: call(program, options[0], args)[0],
     typed=lambda *types, program, **_: types_of_results(program, types)[0],
     several=True,
     batch=_program_batch,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.compilation import compile_options
+from jaxbody.compilation import compile_options, eager_programs
 from jaxbody.designs.programs import values_and_slopes
 from jaxbody.identification.residuals import residual_and_jacobian
 from jaxbody.simulations.integrations import integrate
@@ -18,19 +18,20 @@ class Stop(Exception):
 
 @pytest.fixture
 def optimized(monkeypatch):
-    """optimized(driver, calls): whether the program of this driver is compiled with optimization by what `calls` it."""
+    """optimized(name, calls): whether the program of a driver of this name is compiled with optimization by what `calls` it."""
     others = compile_options.call
 
-    def run(driver, calls):
+    def run(name, calls):
         levels = []
 
         def call(program, options, arrays):
-            if program.__name__ != driver.__name__:
+            if program.__name__ != name:
                 return others(program, options, arrays)
             levels.append(dict(options).get("xla_backend_optimization_level") != 0)
             raise Stop
 
         monkeypatch.setattr(compile_options, "call", call)
+        monkeypatch.setattr(eager_programs, "call", call)
         with pytest.raises(Stop):
             calls()
         return levels[0]
@@ -53,7 +54,21 @@ def model():
 )
 def test_short_motions_are_not_optimized(optimized, times, long):
     car = model()
-    assert optimized(integrate, lambda: jb.simulate(car, times, initial=car.reference)) == long
+    assert optimized(integrate.__name__, lambda: jb.simulate(car, times, initial=car.reference)) == long
+
+
+@pytest.mark.parametrize(
+    ("name", "transformed", "long"),
+    [
+        ("integrate_jvp", lambda loss: jax.jvp(loss, (2e4,), (1.0,)), False),
+        ("integrate_linearized", lambda loss: jax.grad(loss)(2e4), False),
+        ("integrate_batch", lambda loss: jax.vmap(loss)(2e4 * np.ones(16)), False),
+        ("integrate_batch", lambda loss: jax.vmap(loss)(2e4 * np.ones(17)), True),
+    ],
+)
+def test_derivatives_of_short_motions_are_not_optimized_and_large_batches_are(optimized, name, transformed, long):
+    car = model()
+    assert optimized(name, lambda: transformed(lambda k: motion(jb.replace(car, {"suspension.stiffness": k})))) == long
 
 
 def motion(model):
@@ -84,7 +99,7 @@ def steps(model, n):
     ],
 )
 def test_functions_of_a_user_with_loops_are_optimized(optimized, function, long):
-    tuned = optimized(values_and_slopes, lambda: jb.tune(model(), function, free=["suspension.stiffness"], minimize="objective"))
+    tuned = optimized(values_and_slopes.__name__, lambda: jb.tune(model(), function, free=["suspension.stiffness"], minimize="objective"))
     assert tuned == long
 
 
@@ -97,4 +112,4 @@ def test_fits_of_short_records_are_not_optimized(optimized, samples, long):
         sensors={"body": jb.Position("body", axis="z")},
         measured={"body": np.sin(np.arange(samples))},
     )
-    assert optimized(residual_and_jacobian, lambda: jb.fit(car, {"run": run}, free=["suspension.stiffness"])) == long
+    assert optimized(residual_and_jacobian.__name__, lambda: jb.fit(car, {"run": run}, free=["suspension.stiffness"])) == long
