@@ -44,6 +44,11 @@ class Task(eqx.Module):
         return self.space.runs
 
     @property
+    def times(self) -> list[Float[Array, "_"]]:
+        """Those of all motions [s]."""
+        return [run.times for run in self.experiments.values() if isinstance(run, Experiment)]
+
+    @property
     def priors(self) -> dict[str, tuple[Array, Array]]:
         """{path: (mean, standard deviation)}."""
         return {parameter.path: parameter.prior for parameter in self.space.parameters if parameter.prior is not None}
@@ -108,7 +113,7 @@ def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
     return sorted(runs, key=lambda run: (run == PRIORS, run))
 
 
-@jit_optimized_where(lambda task, u: are_long(*(run.times for run in task.experiments.values() if isinstance(run, Experiment))))
+@jit_optimized_where(lambda task, u: are_long(*task.times))
 def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, ReadingsAndResiduals]:
     """r, dr/du and the readings and residuals by channel, in one program, because compiling costs more than running."""
 

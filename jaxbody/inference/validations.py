@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_optimized
+from jaxbody.compilation.compile_options import are_long, jit_optimized_where
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array
 from jaxbody.core.errors import Status
@@ -123,6 +123,6 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     )
 
 
-@jit_optimized
+@jit_optimized_where(lambda task: are_long(*task.times))
 def _runs(task: Task):
     return task.runs(jnp.zeros(0))
