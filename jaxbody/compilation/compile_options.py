@@ -15,7 +15,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from jaxbody.compilation.array_functions import KEPT, array_function, jitted, joined, known_to_xla
 from jaxbody.compilation.compilations import Compiled
 from jaxbody.compilation.eager_programs import run
-from jaxbody.compilation.kept_programs import call, keeping, structs
+from jaxbody.compilation.kept_programs import call, known, structs
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import only_transformed, outermost, started, without_manual_axes
@@ -95,12 +95,8 @@ def jit_optimized_where(long: Callable[..., bool]) -> Callable[..., Any]:
 
 def jit_optimized_with_loops(function: Callable[..., Any]) -> Callable[..., Any]:
     """jit_optimized where there are other loops than those of functions that are not optimized, such as motions in a function of a user;
-    otherwise jit_unoptimized. It is optimized where programs are kept, too, as they must be known without tracing the function."""
-
-    def brief(program, arrays, args):
-        return not (keeping() or _has_loops(program, tuple(map(jax.typeof, arrays))))
-
-    return _jit_by_itself(function, {}, brief)
+    otherwise jit_unoptimized."""
+    return _jit_by_itself(function, {}, lambda program, arrays, args: not _has_loops(program, tuple(map(jax.typeof, arrays))))
 
 
 def are_long(*times: Any) -> bool:
@@ -146,7 +142,7 @@ def _jit_by_itself(
 
 @functools.lru_cache(KEPT)
 def _has_loops(program: Callable[..., Any], types: tuple[Any, ...]) -> bool:
-    return _loops(jax.make_jaxpr(jitted(program))(*structs(types)).jaxpr)
+    return known(program, types, "loops", lambda: _loops(jax.make_jaxpr(jitted(program))(*structs(types)).jaxpr))
 
 
 def _loops(jaxpr: Any) -> bool:

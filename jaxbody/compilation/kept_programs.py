@@ -260,9 +260,16 @@ def keep_programs(folder: str | os.PathLike | None = None) -> KeptPrograms:
     return _kept
 
 
-def keeping() -> bool:
-    """Whether `keep_programs` was called."""
-    return _kept is not None
+def known(program: Callable[..., Any], types: tuple[Any, ...], fact: str, find: Callable[[], bool]) -> bool:
+    """A fact about a program that `find` finds by tracing it, which is kept if `keep_programs` was called."""
+    name = None if _kept is None else _kept.name_of(program, types)
+    if _kept is None or name is None:
+        return find()
+    kept = _kept.read(f"{name}.{fact}")
+    if kept is None:
+        kept = str(find()).encode()
+        _kept.write(f"{name}.{fact}", kept, program.__name__)
+    return kept == b"True"
 
 
 def call(program: Callable[..., Any], options: Options, arrays: Sequence[Any]) -> Results:

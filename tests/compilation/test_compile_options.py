@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.compilation import compile_options, eager_programs
+from jaxbody.compilation import compile_options, eager_programs, kept_programs
+from jaxbody.compilation.array_functions import array_function
 from jaxbody.designs.programs import values_and_slopes
 from jaxbody.identification.residuals import residual_and_jacobian
 from jaxbody.simulations.integrations import integrate
@@ -113,3 +114,10 @@ def test_fits_of_short_records_are_not_optimized(optimized, samples, long):
         measured={"body": np.sin(np.arange(samples))},
     )
     assert optimized(residual_and_jacobian.__name__, lambda: jb.fit(car, {"run": run}, free=["suspension.stiffness"])) == long
+
+
+def test_whether_a_kept_program_has_loops_is_known_without_tracing_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(kept_programs, "_kept", kept_programs.KeptPrograms(tmp_path))
+    program, types = array_function(integrate.__wrapped__, (np.zeros(3),))[0], (jax.typeof(np.zeros(3)),)
+    assert [kept_programs.known(program, types, "loops", lambda fact=fact: fact) for fact in (True, False)] == [True, True]
+    assert [kept_programs.known(program, types, "others", lambda fact=fact: fact) for fact in (False, True)] == [False, False]
