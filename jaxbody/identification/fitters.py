@@ -144,13 +144,13 @@ def fit(
             line=line,
         )
         try:
-            _check_start(task, *evaluate(u))
+            _check_start(task, *evaluate(u)[:2])
             for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
                 u, converged = _search(evaluate, task, u, method)
                 status = Status.OK if converged else Status.NOT_CONVERGED
                 if not estimated:
                     break
-                task, changed = with_estimated_noise(task, evaluate.at(u)[2])
+                task, changed = with_estimated_noise(task, evaluate(u)[2])
                 if not changed:
                     break
                 evaluate.replace_function(partial(residual_and_jacobian, task), _floor(task))
@@ -226,7 +226,7 @@ def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
 
 
 def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
-    r, J, runs = evaluate.at(u)
+    r, J, runs = evaluate(u)
     space, limits = task.space, task.space.bounds
     design, experiments, slopes = _placed(space, device_array(u))
     model = model_of(design)

@@ -57,23 +57,7 @@ class Evaluations:
         self._least, self._last, self._last_triangle = np.inf, None, None
         self.rounds: list[int] = []  # counts at which the function was replaced
 
-    def __call__(self, u) -> tuple[np.ndarray, np.ndarray]:
-        return self.at(u)[:2]
-
-    def triangle(self, u) -> tuple[np.ndarray, np.ndarray]:
-        """(r, J) reduced by a QR decomposition to as many rows as [J r] has columns. Scalar products of r and the columns of J, and so
-        Gauss-Newton steps, cost and gradient at u, are preserved."""
-        result = self.at(u)
-        if self._last_triangle is None or self._last_triangle[0] is not result:
-            self._last_triangle = (result, triangle(*result[:2]))
-        return self._last_triangle[1]
-
-    def replace_function(self, function: Callable, floor: float) -> None:
-        """Continue with another function."""
-        self.rounds.append(self.count)
-        self.function, self.floor, self.best, self._least, self._last = function, floor, None, np.inf, None
-
-    def at(self, u) -> tuple[np.ndarray, np.ndarray, Any]:
+    def __call__(self, u) -> tuple[np.ndarray, np.ndarray, Any]:
         """r, J and what else the function returns."""
         key = np.asarray(u).tobytes()
         if self._last is not None and self._last[0] == key:
@@ -96,6 +80,19 @@ class Evaluations:
         self.line(message)
         self._last = key, (r, J, auxiliary)
         return self._last[1]
+
+    def triangle(self, u) -> tuple[np.ndarray, np.ndarray]:
+        """(r, J) reduced by a QR decomposition to as many rows as [J r] has columns. Scalar products of r and the columns of J, and so
+        Gauss-Newton steps, cost and gradient at u, are preserved."""
+        result = self(u)
+        if self._last_triangle is None or self._last_triangle[0] is not result:
+            self._last_triangle = (result, triangle(*result[:2]))
+        return self._last_triangle[1]
+
+    def replace_function(self, function: Callable, floor: float) -> None:
+        """Continue with another function."""
+        self.rounds.append(self.count)
+        self.function, self.floor, self.best, self._least, self._last = function, floor, None, np.inf, None
 
     @property
     def exhausted(self) -> bool:
@@ -194,7 +191,7 @@ def by_optax(evaluate: Evaluations, u, optimizer, limits: Bounds) -> tuple[np.nd
     optimizer = optax.with_extra_args_support(optimizer)
     u, reach = np.asarray(u), 1.0
     for _ in range(MAX_RESTARTS):
-        r0, _ = evaluate(u)
+        r0 = evaluate(u)[0]
         projected, S, V = _whitened(evaluate.triangle(u))
         step = np.abs(V @ (projected / S)).max(initial=0.0)
         if step <= NEAR:
@@ -213,7 +210,7 @@ def _descend(evaluate: Evaluations, optimizer, u, r0, unwhiten, size, sufficient
     """The best y of the optimizer from 0, or None without a significant decrease of the cost."""
 
     def value_and_gradient(y):
-        r, J = evaluate(u + unwhiten @ y)
+        r, J, _ = evaluate(u + unwhiten @ y)
         if not np.isfinite(r).all():
             return 1e6, np.zeros_like(y)
         # (r - r0)'(r + r0)/2 is the change of the cost without cancellation

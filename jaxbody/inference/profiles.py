@@ -216,14 +216,14 @@ class _ProfileSearch:
             return r, np.asarray(J)[:, rest], None
 
         evaluate = Evaluations(function, MAX_EVALUATIONS)
-        r, _ = evaluate(start[rest])
+        r = evaluate(start[rest])[0]
         if not np.isfinite(r).all():
             return None, np.inf
         u = start.copy()
         if rest.any():
             u[rest], converged = by_scipy(evaluate, start[rest], (low, high))
             self.converged &= bool(converged)
-        r, _ = evaluate(u[rest])
+        r = evaluate(u[rest])[0]
         return u, 0.5 * float(r @ r)
 
     def end(self, side: list, sign: int) -> float:

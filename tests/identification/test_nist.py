@@ -103,7 +103,7 @@ def solved(path, start):
     evaluate = Evaluations(residual_and_jacobian, 2000)
     free = np.full(len(b0), np.inf)
     u, arrived = by_scipy(evaluate, np.zeros(len(b0)), (-free, free))
-    r, J = evaluate(u)
+    r, J, _ = evaluate(u)
     uncertainty = assess(
         r, J, [], [], [f"b{i}" for i in range(len(b0))], [ResidualSeries("y", "y", "", np.arange(len(y)), np.arange(len(y)), False)]
     )
