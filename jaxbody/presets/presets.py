@@ -17,7 +17,6 @@ from jaxbody.elements.torsions import AntiRollBar
 from jaxbody.joints.elementary_joints import Guide, Hinge
 from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
 from jaxbody.laws.hydraulic_mounts import Hydraulic
-from jaxbody.mechanisms.ready_cars import car_on_double_wishbones
 from jaxbody.models.bodies import Body, Support
 from jaxbody.models.models import Model
 
@@ -175,6 +174,8 @@ def full_car_on_double_wishbones(**numbers: Any) -> Model:
     >>> len(full_car_on_double_wishbones().layout.bodies)
     14
     """
+    from jaxbody.mechanisms.ready_cars import car_on_double_wishbones  # more modules than all other presets need together
+
     return car_on_double_wishbones(**numbers).model
 
 
