@@ -13,6 +13,7 @@ import os
 import platform
 import sys
 import tempfile
+import threading
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -289,17 +290,28 @@ def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:
         return None
 
 
+_compiling = threading.Lock()
+_without_cache: list[bool] = []  # for each thread that compiles so, what the option was before the first one
+
+
 @contextmanager
 def without_cache() -> Iterator[None]:
-    """Without JAX's own cache of compiled code."""
-    before = jax.config.jax_enable_compilation_cache  # pyright: ignore
+    """Without JAX's own cache of compiled code, until the last thread leaves."""
+    with _compiling:
+        _without_cache.append(_without_cache[0] if _without_cache else jax.config.jax_enable_compilation_cache)  # pyright: ignore
+        _enable_cache(False)
     try:
-        jax.config.update("jax_enable_compilation_cache", False)
-        compilation_cache.reset_cache()  # JAX looks for its folder once only
         yield
     finally:
-        jax.config.update("jax_enable_compilation_cache", before)
-        compilation_cache.reset_cache()
+        with _compiling:
+            before = _without_cache.pop()
+            if not _without_cache:
+                _enable_cache(before)
+
+
+def _enable_cache(enabled: bool) -> None:
+    jax.config.update("jax_enable_compilation_cache", enabled)
+    compilation_cache.reset_cache()  # JAX looks for its folder once only
 
 
 def _debugging() -> bool:
@@ -361,8 +373,9 @@ def _sources(folder: Any) -> list[Any]:
 
 
 def _settings() -> str:
-    """All that compiled code depends on beside its program: options of XLA and of JAX."""
-    return repr((os.environ.get("XLA_FLAGS", ""), sorted(jax.config.values.items())))  # pyright: ignore
+    """All that compiled code depends on beside its program: options of XLA and of JAX, but not whether it comes from a cache."""
+    options = sorted((name, value) for name, value in jax.config.values.items() if "cache" not in name)  # pyright: ignore
+    return repr((os.environ.get("XLA_FLAGS", ""), options))
 
 
 def _file_of(task: str) -> str:

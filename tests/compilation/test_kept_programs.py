@@ -380,3 +380,15 @@ def test_no_program_is_kept_unless_asked_for():
     environment = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True, env=environment)
     assert done.stdout.strip() == "None"
+
+
+def test_threads_that_compile_without_a_cache_leave_it_as_it_was_and_name_code_alike():
+    before, name = jax.config.jax_enable_compilation_cache, kept_programs._settings()
+    one, other = kept_programs.without_cache(), kept_programs.without_cache()
+    one.__enter__()
+    other.__enter__()
+    assert kept_programs._settings() == name
+    one.__exit__(None, None, None)
+    assert not jax.config.jax_enable_compilation_cache
+    other.__exit__(None, None, None)
+    assert jax.config.jax_enable_compilation_cache == before
