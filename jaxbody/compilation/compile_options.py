@@ -9,14 +9,12 @@ from typing import Any
 
 import jax
 import jaxlib.version
-import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from jaxbody.compilation.array_functions import KEPT, array_function, jitted, joined, known_to_xla
 from jaxbody.compilation.compilations import Compiled
 from jaxbody.compilation.eager_programs import run
 from jaxbody.compilation.kept_programs import call, known, structs
-from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import only_transformed, outermost, started, without_manual_axes
 
@@ -29,7 +27,6 @@ UNOPTIMIZED = {  # halves the remaining time to compile; programs take up to thr
     "xla_backend_optimization_level": 0,
     "xla_cpu_parallel_codegen_split_count": 1,  # parts of a program that LLVM compiles one by one, for which so little work does not pay
 }
-FEW_SAMPLES, SHORT = 1000, 30.0  # samples, and seconds, up to which a motion is not optimized
 MOST = 100  # steps of a loop that takes milliseconds, such as one over parameters
 _brief: set[str] = set()  # names of functions that are not optimized, and of those that may be
 _long: set[str] = set()
@@ -97,14 +94,6 @@ def jit_optimized_with_loops(function: Callable[..., Any]) -> Callable[..., Any]
     """jit_optimized where there are other loops than those of functions that are not optimized, such as motions in a function of a user;
     otherwise jit_unoptimized."""
     return _jit_by_itself(function, {}, lambda program, arrays, args: not _has_loops(program, tuple(map(jax.typeof, arrays))))
-
-
-def are_long(*times: Any) -> bool:
-    """Whether motions at these times [s] take so long that their programs are to be optimized."""
-    if not is_concrete(times):
-        return True
-    motions = [np.asarray(t) for t in times]
-    return sum(t.size for t in motions) > FEW_SAMPLES or any(np.ptp(t) > SHORT for t in motions)
 
 
 def jit_vectorized(function: Callable[..., Any]) -> Callable[..., Any]:

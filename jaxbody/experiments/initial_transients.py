@@ -7,10 +7,11 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxbody.compilation.compile_options import are_long, jit_optimized_where
+from jaxbody.compilation.compile_options import jit_optimized_where
 from jaxbody.core.arrays import Float
 from jaxbody.experiments.experiments import Experiment, Integration
 from jaxbody.models.models import Model
+from jaxbody.models.sizes import take_long
 from jaxbody.models.states import State
 from jaxbody.statics.rest_states import Rest
 
@@ -77,6 +78,6 @@ def _sizes(experiment: Experiment, readings: dict[str, Any], noise: dict[str, An
     return np.sqrt(np.where(counts > 0, squares / np.maximum(counts, 1), np.nan))
 
 
-@jit_optimized_where(lambda model, experiment, integration: are_long(experiment.times))
+@jit_optimized_where(lambda model, experiment, integration: take_long(model, experiment.times))
 def _readings(model: Model, experiment: Experiment, integration: Integration):
     return experiment.readings(model, integration, None)

@@ -12,13 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import are_long, jit_optimized_where
+from jaxbody.compilation.compile_options import jit_optimized_where
 from jaxbody.core.arrays import Array, Float, as_numpy, module_of
 from jaxbody.experiments.experiments import Experiment, Integration
 from jaxbody.experiments.measured_responses import small_motions
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.colorings import PRIORS, colors_of, moved_rows
 from jaxbody.models.models import Model
+from jaxbody.models.sizes import take_long
 from jaxbody.parameters.spaces import Space
 from jaxbody.sensors.channels import Channel
 from jaxbody.statistics.losses import linearized, robust_level, root
@@ -113,7 +114,7 @@ def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
     return sorted(runs, key=lambda run: (run == PRIORS, run))
 
 
-@jit_optimized_where(lambda task, u: are_long(*task.times))
+@jit_optimized_where(lambda task, u: take_long(task.space.model, *task.times))
 def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, ReadingsAndResiduals]:
     """r, dr/du and the readings and residuals by channel, in one program, because compiling costs more than running."""
 

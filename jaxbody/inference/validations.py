@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import are_long, jit_optimized_where
+from jaxbody.compilation.compile_options import jit_optimized_where
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array
 from jaxbody.core.errors import Status
@@ -20,6 +20,7 @@ from jaxbody.experiments.measurements import Measurement
 from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.residuals import Levels, Task, residuals_of_mean
+from jaxbody.models.sizes import take_long
 from jaxbody.parameters.spaces import Space
 from jaxbody.statistics.autocorrelations import Whiteness, whiteness
 
@@ -123,6 +124,6 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     )
 
 
-@jit_optimized_where(lambda task: are_long(*task.times))
+@jit_optimized_where(lambda task: take_long(task.space.model, *task.times))
 def _runs(task: Task):
     return task.runs(jnp.zeros(0))

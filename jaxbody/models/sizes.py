@@ -11,6 +11,8 @@ from jaxbody.core.arrays import Array, Float, is_concrete
 from jaxbody.geometry.vectors import to_rank
 from jaxbody.models.models import Model
 
+FEW_SAMPLES, FEW_COORDINATES, SHORT = 1000, 6, 30.0  # up to which, and up to how many seconds, motions are not long
+
 
 def size_of(model: Model) -> Float[Array, ""]:
     """A length of the model: the largest distance of a point of attachment or a center of mass from the origin of its body; if that is
@@ -24,6 +26,15 @@ def size_of(model: Model) -> Float[Array, ""]:
             anywhere.append(points)
     near, far = (xp.max(xp.sum(xp.concatenate(points) ** 2, -1)) for points in (on_bodies, anywhere))
     return xp.asarray(xp.sqrt(xp.where(near > 0, near, xp.where(far > 0, far, 1.0))))  # with a derivative where points lie at origins
+
+
+def take_long(model: Model, *times: Float[Array, "*nt"]) -> bool:
+    """Whether motions at these times [s] take so long that their programs are to be optimized. With closures or memory each step takes
+    several times as long, and there are more of them."""
+    if times and (model.closures or model.layout.nz or not is_concrete(times)):
+        return True
+    numbers = max(model.layout.nv, FEW_COORDINATES) * sum(t.size for t in times)
+    return numbers > FEW_SAMPLES * FEW_COORDINATES or any(np.ptp(np.asarray(t)) > SHORT for t in times)
 
 
 def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import optimistix
 
-from jaxbody.compilation.compile_options import are_long, jit_optimized_where
+from jaxbody.compilation.compile_options import jit_optimized_where
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.inputs.signals import kinks_of
@@ -20,6 +20,7 @@ from jaxbody.mechanics.energies import completed, outside_law_range
 from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.mechanics.kinematics import frames_at_time
 from jaxbody.models.models import Model
+from jaxbody.models.sizes import take_long
 from jaxbody.models.states import State
 from jaxbody.numerics.adjoints import Blocks, Driven, Projected, Unstarted
 from jaxbody.numerics.gauss_collocations import Gauss
@@ -62,7 +63,7 @@ MOTION, CANONICAL = Driven(_drive, _driven), diffrax.ODETerm(_canonical)
 LOOPS = Driven(_drive, _driven_on_closures, _projected)
 
 
-@jit_optimized_where(lambda model, times, *_: are_long(times))
+@jit_optimized_where(lambda model, times, *_: take_long(model, times))
 def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
     """The jitted core of `simulate`: arrays only, never raises."""
     dynamics = dynamics_of(model, motions, loads)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import are_long, jit_optimized_where
+from jaxbody.compilation.compile_options import jit_optimized, jit_optimized_where
 from jaxbody.core.arguments import check_key, check_kind
 from jaxbody.core.arrays import Array, PRNGKeyArray, as_numpy, concrete
 from jaxbody.core.errors import Problems
@@ -15,6 +15,7 @@ from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.memories import holding
 from jaxbody.models.models import Model
+from jaxbody.models.sizes import take_long
 from jaxbody.models.states import State
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations.trajectories import Trajectory
@@ -40,7 +41,7 @@ def _read(model, motions, t, state, loads, sensors):
     return read(model, motions, t, state, sensors, loads)
 
 
-@jit_optimized_where(lambda sensors, times, measured: are_long(times))
+@jit_optimized
 def _transduced(sensors: dict[str, Sensor], times: Array, measured: dict[str, Array]) -> dict[str, Array]:
     def over_batch(times, measured):
         return {name: sensor.transduced(times, measured[name]) for name, sensor in sensors.items()}
@@ -82,7 +83,7 @@ def measure(
     return _measured(trajectory, sensors, levels if noisy else {}, key if noisy else None)
 
 
-@jit_optimized_where(lambda trajectory, *_: are_long(trajectory.times))
+@jit_optimized_where(lambda trajectory, *_: take_long(trajectory.model, trajectory.times))
 def _measured(trajectory: Trajectory, sensors: dict[str, Sensor], levels: dict[str, Array], key: PRNGKeyArray | None) -> dict[str, Array]:
     """Readings, NaN for samples that are unknown, with noise of these levels."""
     values = {name: _nan_outside(sensors[name], trajectory.times, x) for name, x in readings(trajectory, sensors).items()}

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import combine, field, is_array, partition
 
-from jaxbody.compilation.compile_options import are_long, jit_optimized_where
+from jaxbody.compilation.compile_options import jit_optimized_where
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, part_of
 from jaxbody.core.datasets import AXES, QUATERNION, Labeled, dataset, rows_of
@@ -29,7 +29,7 @@ from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.leaf_paths import by_name, springs_of
 from jaxbody.models.memories import holding
 from jaxbody.models.models import Model
-from jaxbody.models.sizes import size_of
+from jaxbody.models.sizes import size_of, take_long
 from jaxbody.models.states import State
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import in_float64
@@ -279,7 +279,7 @@ def _support_power(model, motions, t, state, loads):
     return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
 
 
-@jit_optimized_where(lambda function, batch_axes, model, motions, loads, times, *_: are_long(times))
+@jit_optimized_where(lambda function, batch_axes, model, motions, loads, times, *_: take_long(model, times))
 def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
     numbers, rest = partition((model, motions, loads), is_array)
     others, fixed = partition(more, is_array)

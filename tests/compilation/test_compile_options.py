@@ -72,6 +72,11 @@ def test_derivatives_of_short_motions_are_not_optimized_and_large_batches_are(op
     assert optimized(name, lambda: transformed(lambda k: motion(jb.replace(car, {"suspension.stiffness": k})))) == long
 
 
+def test_motions_with_closures_are_optimized(optimized):
+    linkage = jb.presets.four_bar()
+    assert optimized(integrate.__name__, lambda: jb.simulate(linkage, [0.0, 0.1], initial=linkage.reference))
+
+
 def motion(model):
     return jb.simulate(model, [0.0, 0.1], initial=model.reference).state.q[-1, 0]
 
