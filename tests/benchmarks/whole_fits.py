@@ -19,6 +19,7 @@ import numpy as np
 import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
+jb.fast_loops()
 
 SEED = 2026
 SHEET = np.geomspace(2.0, 50.0, 16)  # [Hz]
