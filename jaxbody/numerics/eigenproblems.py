@@ -279,7 +279,8 @@ def eig(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Complex[Array, "n 
     if (device := jax.default_backend()) not in WITH_EIG:
         message, hint = f"JAX has no eig for the device {device}", 'Set jax.config.update("jax_platforms", "cpu") first.'
         raise JaxbodyError(Problem("DEVICE", "poles", message, device, ", ".join(WITH_EIG), hint))
-    return jnp.linalg.eig(A)  # pyright: ignore[reportReturnType]
+    values, vectors = jnp.linalg.eig(A)
+    return values, vectors
 
 
 @jax.custom_jvp

@@ -1,4 +1,4 @@
-"""Natural modes against SciPy and their derivatives against differences."""
+"""Natural modes against SciPy, poles against the roots of a polynomial, and the derivatives of both."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from jaxbody.numerics.eigenproblems import natural
+from jaxbody.numerics.eigenproblems import natural, poles
 
 
 @pytest.fixture
@@ -36,3 +36,16 @@ def test_their_derivatives_are_those_of_differences(matrices):
         ends.append((values, vectors * np.sign(vectors[np.abs(vectors).argmax(0), range(5)])))
     for found, high, low in zip(derivatives, *ends, strict=True):
         np.testing.assert_allclose(found, (high - low) / (2 * h), rtol=1e-6, atol=1e-6)
+
+
+def test_derivatives_of_poles_are_those_of_the_characteristic_polynomial():
+    """s^2 + c s + k = 0, ds/dk = -1/(2 s + c), ds/dc = -s/(2 s + c), for a pair and for two real poles."""
+
+    def of(p):
+        return poles(jnp.array([[0.0, 1.0], [-p[0], -p[1]]]))[0]
+
+    for k, c in ((25.0, 2.0), (4.0, 5.0)):
+        p = jnp.array([k, c])
+        s = np.asarray(of(p))
+        np.testing.assert_allclose(s**2 + c * s + k, 0.0, atol=1e-12)
+        np.testing.assert_allclose(jax.jit(jax.jacfwd(of))(p), np.stack([-1 / (2 * s + c), -s / (2 * s + c)], 1), rtol=1e-12)
