@@ -17,7 +17,7 @@ from jaxbody.numerics.precisions import reachable
 
 LARGEST_UNROLLED = 16  # coordinates; beyond them LAPACK at each frequency costs less than compiling this elimination
 GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, above which it is not rounding
-MANY = 1e6  # frequencies times n^3, a few of which take a nanosecond
+MANY = 1e6  # frequencies times n^3; so many take milliseconds
 INVERTED = 1e-7  # relative error of the inverse of the modes, above which the modal sum is inaccurate
 
 
