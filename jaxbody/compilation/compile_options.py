@@ -90,10 +90,14 @@ def jit_optimized_where(long: Callable[..., bool]) -> Callable[..., Any]:
     return lambda function: _jit_by_itself(function, {}, lambda program, arrays, args: not long(*args))
 
 
-def jit_optimized_with_loops(function: Callable[..., Any]) -> Callable[..., Any]:
-    """jit_optimized where there are other loops than those of functions that are not optimized, such as motions in a function of a user;
-    otherwise jit_unoptimized."""
-    return _jit_by_itself(function, {}, lambda program, arrays, args: not _has_loops(program, tuple(map(jax.typeof, arrays))))
+def jit_optimized_with_loops(long: Callable[..., bool]) -> Callable[..., Any]:
+    """A decorator: jit_optimized where long(*args), or where there are other loops than those of functions that are not optimized, such as
+    motions in a function of a user; otherwise jit_unoptimized."""
+
+    def brief(program, arrays, args):
+        return not (long(*args) or _has_loops(program, tuple(map(jax.typeof, arrays))))
+
+    return lambda function: _jit_by_itself(function, {}, brief)
 
 
 def jit_vectorized(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -92,6 +92,9 @@ def merged(which: Sequence[bool], given: Sequence[Any], others: Sequence[Any]) -
 # Programs
 
 
+REST_HAS_DERIVATIVES = jax.__version_info__ >= (0, 8)  # what 0.7 leaves of functions with rules of their own has none
+
+
 def only_what_is_needed(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     """The program without operations that its results do not need, where JAX can remove them."""
     return ClosedJaxpr(_needed(jaxpr, True)[0], jaxpr.consts)

@@ -15,8 +15,9 @@ import numpy as np
 from jaxbody.compilation.compile_options import jit_optimized_with_loops
 from jaxbody.core.arrays import Array, Float, device_array, indices, module_of
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
-from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
+from jaxbody.core.jax_internals import REST_HAS_DERIVATIVES, jaxpr_as_fun, only_what_is_needed
 from jaxbody.designs.searches import Rows, Search, end_at, searched
+from jaxbody.models.sizes import is_costly
 from jaxbody.parameters.spaces import Space
 from jaxbody.workers.batches import batch_of, computed
 from jaxbody.workers.executors import crew_of
@@ -169,7 +170,7 @@ def labels_of(shapes: Shapes) -> list[str]:
     return [name + index for name, shape in shapes for index in indices(shape)]
 
 
-@jit_optimized_with_loops
+@jit_optimized_with_loops(lambda space, *_: is_costly(space.model))
 def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any):
     """Values, derivatives and shapes of all quantities; the choice of the objective and the limits needs no new compilation.
 
@@ -209,6 +210,8 @@ def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array,
 def needed(function: Callable[[Array], Array], u: Float[Array, "n"]) -> Callable[[Array], Array]:
     """The function without computations that its result does not need, because differentiating these would take as long as compiling the
     rest."""
+    if not REST_HAS_DERIVATIVES:
+        return function
     kept = only_what_is_needed(jax.make_jaxpr(function)(u))
     return lambda u: jaxpr_as_fun(kept)(u)[0]
 

@@ -28,10 +28,14 @@ def size_of(model: Model) -> Float[Array, ""]:
     return xp.asarray(xp.sqrt(xp.where(near > 0, near, xp.where(far > 0, far, 1.0))))  # with a derivative where points lie at origins
 
 
+def is_costly(model: Model) -> bool:
+    """Whether each step of a motion or a search takes several times as long, with closures or memory."""
+    return bool(model.closures or model.layout.nz)
+
+
 def take_long(model: Model, *times: Float[Array, "*nt"]) -> bool:
-    """Whether motions at these times [s] take so long that their programs are to be optimized. With closures or memory each step takes
-    several times as long, and there are more of them."""
-    if times and (model.closures or model.layout.nz or not is_concrete(times)):
+    """Whether motions at these times [s] take so long that their programs are to be optimized."""
+    if times and (is_costly(model) or not is_concrete(times)):
         return True
     numbers = max(model.layout.nv, FEW_COORDINATES) * sum(t.size for t in times)
     return numbers > FEW_SAMPLES * FEW_COORDINATES or any(np.ptp(np.asarray(t)) > SHORT for t in times)
