@@ -9,7 +9,6 @@ from typing import Any
 
 import jax
 import jaxlib.version
-from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from jaxbody.compilation.array_functions import KEPT, array_function, jitted, joined, known_to_xla
 from jaxbody.compilation.compilations import Compiled
@@ -146,11 +145,15 @@ def _loops(jaxpr: Any) -> bool:
             return True
         if params.get("name") in _brief - _long:
             continue
-        parts = [part for value in params.values() for part in (value if isinstance(value, list | tuple) else [value])]
-        inner = [getattr(part, "jaxpr", part) for part in parts if isinstance(part, ClosedJaxpr | Jaxpr)]
-        if any(map(_loops, inner)):
+        if any(map(_loops, programs_inside(equation))):
             return True
     return False
+
+
+def programs_inside(equation: Any) -> list[Any]:
+    """The programs that an operation runs."""
+    found = jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: hasattr(x, "jaxpr") or hasattr(x, "eqns"))
+    return [getattr(x, "jaxpr", x) for x in found if hasattr(x, "jaxpr") or hasattr(x, "eqns")]
 
 
 def brief_options() -> dict[str, Any]:

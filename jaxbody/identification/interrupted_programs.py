@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.compilation.compile_options import brief_options
+from jaxbody.compilation.compile_options import brief_options, programs_inside
 from jaxbody.core.jax_internals import Literal, Zero, new_operation, same_operation, shaped
 
 Answer = Callable[[np.ndarray], tuple[Any, Any]]  # value and gradient of the cost at y
@@ -120,14 +120,8 @@ def _by_type(variables: list[Any]) -> dict[Any, list[Any]]:
     return lists
 
 
-def _inside(eqn: Any) -> list[Any]:
-    """The programs that an operation runs."""
-    found = jax.tree.leaves(list(eqn.params.values()), is_leaf=lambda x: hasattr(x, "jaxpr") or hasattr(x, "eqns"))
-    return [getattr(x, "jaxpr", x) for x in found if hasattr(x, "jaxpr") or hasattr(x, "eqns")]
-
-
 def _asks(eqn: Any) -> bool:
-    return eqn.primitive is _asked_p or any(_asks(part) for jaxpr in _inside(eqn) for part in jaxpr.eqns)
+    return eqn.primitive is _asked_p or any(_asks(part) for jaxpr in programs_inside(eqn) for part in jaxpr.eqns)
 
 
 def _divided(jaxpr: Any, parts: Parts) -> Run:
