@@ -26,6 +26,7 @@ UNOPTIMIZED = {  # halves the remaining time to compile; programs take up to thr
     "xla_backend_optimization_level": 0,
     "xla_cpu_parallel_codegen_split_count": 1,  # parts of a program that LLVM compiles one by one, for which so little work does not pay
 }
+BRIEF = tuple((NO_FUSION_EMITTERS | UNOPTIMIZED).items())  # of programs that take milliseconds
 MOST = 100  # steps of a loop that takes milliseconds, such as one over parameters
 _brief: set[str] = set()  # names of functions that are not optimized, and of those that may be
 _long: set[str] = set()
@@ -111,7 +112,7 @@ def _jit_by_itself(
     """A function that is compiled with these options where it is not part of another program; with UNOPTIMIZED where it is `brief`."""
     compiled = Compiled(function)
     inner = without_manual_axes(function)
-    own_options, of_brief = (tuple((NO_FUSION_EMITTERS | chosen).items()) for chosen in (options, UNOPTIMIZED))
+    own_options = tuple((NO_FUSION_EMITTERS | options).items())
     (_brief if options is UNOPTIMIZED else _long).add(function.__name__)
 
     @functools.wraps(function)
@@ -124,9 +125,9 @@ def _jit_by_itself(
         program, arrays = array_function(noted, args)
         if outermost():
             with compiled.watched(args):
-                return joined(*call(program, of_brief if brief(program, arrays, args) else own_options, arrays))
+                return joined(*call(program, BRIEF if brief(program, arrays, args) else own_options, arrays))
         if only_transformed():
-            return joined(*run(program, (of_brief if brief(program, arrays, args) else own_options, own_options), arrays))
+            return joined(*run(program, (BRIEF if brief(program, arrays, args) else own_options, own_options), arrays))
         return joined(*jitted(program)(*arrays))
 
     return driver
@@ -158,7 +159,7 @@ def programs_inside(equation: Any) -> list[Any]:
 
 def brief_options() -> dict[str, Any]:
     """Options for `jax.jit` of programs that take milliseconds."""
-    return known_to_xla(tuple((NO_FUSION_EMITTERS | UNOPTIMIZED).items()))
+    return known_to_xla(BRIEF)
 
 
 def quick_options() -> dict[str, Any]:

@@ -263,8 +263,7 @@ def keep_programs(folder: str | os.PathLike | None = None) -> KeptPrograms:
 
 def known(program: Callable[..., Any], types: tuple[Any, ...], fact: str, find: Callable[[], bool]) -> bool:
     """A fact about a program that `find` finds by tracing it, which is kept if `keep_programs` was called."""
-    name = None if _kept is None else _kept.name_of(program, types)
-    if _kept is None or name is None:
+    if _kept is None or (name := _kept.name_of(program, types)) is None:
         return find()
     kept = _kept.read(f"{name}.{fact}")
     if kept is None:
@@ -340,6 +339,7 @@ def _traced(program: Callable[..., Any], types: tuple[Any, ...]) -> Results:
 
 
 def structs(types: tuple[Any, ...]) -> list[jax.ShapeDtypeStruct]:
+    """Arguments of these types with which JAX traces a function."""
     return [jax.ShapeDtypeStruct(t.shape, t.dtype, weak_type=getattr(t, "weak_type", False)) for t in types]
 
 
