@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -28,6 +29,7 @@ UNOPTIMIZED = {  # halves the remaining time to compile; programs take up to thr
 }
 BRIEF = tuple((NO_FUSION_EMITTERS | UNOPTIMIZED).items())  # of programs that take milliseconds
 MOST = 100  # steps of a loop that takes milliseconds, such as one over parameters
+OFTEN = 100  # calls of a short program that last as long as its optimization: a fit of a plate loses 25 ms each, and 2 s to compile
 _brief: set[str] = set()  # names of functions that are not optimized, and of those that may be
 _long: set[str] = set()
 VECTORIZED = {"xla_cpu_use_fusion_emitters": True, "xla_cpu_prefer_vector_width": 512}
@@ -85,14 +87,14 @@ def jit_unoptimized(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def jit_optimized_where(long: Callable[..., bool]) -> Callable[..., Any]:
-    """A decorator: jit_optimized where long(*args) and in batches of many, otherwise jit_unoptimized. The first results of short motions
-    then take half the time."""
+    """A decorator: jit_optimized where long(*args), in batches of many and from the hundredth call on, otherwise jit_unoptimized. The first
+    results of short motions then take half the time."""
     return lambda function: _jit_by_itself(function, {}, lambda program, arrays, args: not long(*args))
 
 
 def jit_optimized_with_loops(long: Callable[..., bool]) -> Callable[..., Any]:
-    """A decorator: jit_optimized where long(*args), or where there are other loops than those of functions that are not optimized, such as
-    motions in a function of a user; otherwise jit_unoptimized."""
+    """A decorator: jit_optimized where long(*args), where there are other loops than those of functions that are not optimized, such as
+    motions in a function of a user, and from the hundredth call on; otherwise jit_unoptimized."""
 
     def brief(program, arrays, args):
         return not (long(*args) or _has_loops(program, tuple(map(jax.typeof, arrays))))
@@ -120,17 +122,25 @@ def _jit_by_itself(
         compiled.begin()
         return inner(*args)
 
+    def options_of(program, arrays, args):
+        return BRIEF if brief(program, arrays, args) and next(_calls(program)) < OFTEN else own_options
+
     @functools.wraps(function)
     def driver(*args):
         program, arrays = array_function(noted, args)
         if outermost():
             with compiled.watched(args):
-                return joined(*call(program, BRIEF if brief(program, arrays, args) else own_options, arrays))
+                return joined(*call(program, options_of(program, arrays, args), arrays))
         if only_transformed():
-            return joined(*run(program, (BRIEF if brief(program, arrays, args) else own_options, own_options), arrays))
+            return joined(*run(program, (options_of(program, arrays, args), own_options), arrays))
         return joined(*jitted(program)(*arrays))
 
     return driver
+
+
+@functools.lru_cache(KEPT)
+def _calls(program: Callable[..., Any]) -> Iterator[int]:
+    return itertools.count()
 
 
 @functools.lru_cache(KEPT)

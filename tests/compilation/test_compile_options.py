@@ -19,10 +19,12 @@ class Stop(Exception):
 
 @pytest.fixture
 def optimized(monkeypatch):
-    """optimized(name, calls): whether the program of a driver of this name is compiled with optimization by what `calls` it."""
+    """optimized(name, calls, times=1): whether the program of a driver of this name is compiled with optimization by what `calls` it
+    for the last of several times."""
     others = compile_options.call
+    compile_options._calls.cache_clear()
 
-    def run(name, calls):
+    def run(name, calls, times=1):
         levels = []
 
         def call(program, options, arrays):
@@ -33,9 +35,10 @@ def optimized(monkeypatch):
 
         monkeypatch.setattr(compile_options, "call", call)
         monkeypatch.setattr(eager_programs, "call", call)
-        with pytest.raises(Stop):
-            calls()
-        return levels[0]
+        for _ in range(times):
+            with pytest.raises(Stop):
+                calls()
+        return levels[-1]
 
     return run
 
@@ -70,6 +73,17 @@ def test_short_motions_are_not_optimized(optimized, times, long):
 def test_derivatives_of_short_motions_are_not_optimized_and_large_batches_are(optimized, name, transformed, long):
     car = model()
     assert optimized(name, lambda: transformed(lambda k: motion(jb.replace(car, {"suspension.stiffness": k})))) == long
+
+
+@pytest.mark.parametrize(("times", "often"), [(compile_options.OFTEN, False), (compile_options.OFTEN + 1, True)])
+@pytest.mark.parametrize("gradient", [False, True])
+def test_what_is_called_often_is_optimized(optimized, gradient, times, often):
+    car = model()
+    if gradient:
+        slope = jax.grad(lambda k: motion(jb.replace(car, {"suspension.stiffness": k})))
+        assert optimized("integrate_linearized", lambda: slope(2e4), times) == often
+    else:
+        assert optimized(integrate.__name__, lambda: motion(car), times) == often
 
 
 def test_motions_with_closures_are_optimized(optimized):
