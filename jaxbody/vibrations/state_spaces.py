@@ -13,7 +13,6 @@ from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.vibrations.ports import Chains, Ports, check_ports, port_matrices
 
 
 class StateSpace(Result):
@@ -52,6 +51,8 @@ class StateSpace(Result):
 
 def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
     """See `Linearization.state_space`."""
+    from jaxbody.vibrations.ports import check_ports, port_matrices  # needs all sensors, which a linearization does not
+
     (u, ins, u_units), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "state_space")
     _check_without_delay(outputs)
     ports = port_matrices(lin, ins, sensors)
@@ -79,7 +80,7 @@ def _check_without_delay(outputs: dict[str, Any]) -> None:
 
 
 @jit_unoptimized
-def _state_space(lin: Any, ports: Ports):
+def _state_space(lin: Any, ports: Any):
     """The states are p = Delta - g u, r = Delta' - g u' - h u and, of massless coordinates, w = y - j u, so that no derivative of u is
     needed, then Xi and Xi' of inputs that are
     velocities (Xi) and accelerations (both):
@@ -125,7 +126,7 @@ def _state_space(lin: Any, ports: Ports):
     return *matrices, lin.kept_status(status, (Status.NONFINITE,))
 
 
-def _chained(chains: Chains, A, B, C, D):
+def _chained(chains: Any, A, B, C, D):
     """The matrices with gains, and a state x_l of each output y with a lag: lag x_l' = y - x_l."""
     which = np.array(chains.lagged, dtype=int)
     rate, k = 1 / chains.lag[which], len(which)
