@@ -142,7 +142,13 @@ def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
             changed[where] = block
             arrays[first.array] = device_array(changed)
         else:
-            arrays[first.array] = jnp.asarray(array).at[where].set(block)
+            arrays[first.array] = _traced_put(array, block, first.axis(arrays), tuple(rows))
+
+
+@partial(jax.jit, static_argnums=(2, 3), inline=True)
+def _traced_put(array: Any, block: Any, axis: int, rows: tuple[int, ...]) -> Any:
+    """One program where the block is a batch outside of a `jit`."""
+    return array.at[(*[slice(None)] * axis, np.array(rows))].set(block)
 
 
 def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:

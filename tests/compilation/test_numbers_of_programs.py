@@ -49,6 +49,17 @@ print('programs', *sorted(ours))
 """
 )
 
+REPLACED = (
+    COUNTED
+    + """
+import jax.numpy as jnp, numpy as np, jaxbody as jb
+car = jb.presets.quarter_car()
+cars = jax.vmap(lambda k: jb.replace(car, {"suspension.stiffness": k}))(jnp.arange(1.0, 6.0))
+assert any(set(range(1, 6)) <= set(np.ravel(x)) for x in jax.tree.leaves(cars))
+print('programs', *sorted(ours))
+"""
+)
+
 DRIVERS = ["_excitation", "_linearize", "_measured", "_modes", "_placed", "between", "equilibrium_of", "integrate", "residual_and_jacobian"]
 OPTIONS = ["<lambda>"]  # of a function without operations, to see what XLA knows
 
@@ -80,3 +91,7 @@ def test_the_demo_compiles_few_programs(tmp_path):
 def test_a_random_response_and_a_design_compile_their_functions_only():
     response = ["_linearize", "_random_response", "equilibrium_of", "port_matrices"]
     assert programs(RIDE) == sorted([*response, *OPTIONS, "_placed", "_values", "values_and_slopes"])
+
+
+def test_a_batch_of_numbers_is_written_into_a_model_by_two_programs():
+    assert programs(REPLACED) == ["_traced_put", "_traced_rows"]
