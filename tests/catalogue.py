@@ -131,7 +131,7 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
     92: ("keys twice or unknown, a newer version", f"{FILES}: test_problems_are_reported_with_their_line",
          f"{DOCUMENTS}: test_files_are_checked_before_they_are_read"),
     93: ("Ctrl-C", f"{LOSSES}: test_an_interrupted_fit_keeps_its_best_and_goes_on_from_there"),
-    94: ("a disk that is full", f"{LOSSES}: test_a_full_disk_leaves_the_old_checkpoint_and_a_wrong_one_is_reported"),
+    94: ("a disk that is full", f"{LOSSES}: test_a_full_disk_and_ctrl_c_leave_the_old_checkpoint_and_a_wrong_one_is_reported"),
     95: ("too much memory in reverse mode",
          "core/test_failures.py: test_a_derivative_that_would_reserve_too_much_memory_is_refused_before"),
     96: ("recompilation",

@@ -1,4 +1,6 @@
-"""How far jaxbody is from the figures of trust: `python trust.py [rests drift gradients speed kills units] [--share 0.01] [--write]`.
+"""How far jaxbody is from the figures of trust.
+
+    python trust.py [rests drift gradients speed kills interrupts units] [--share 0.01] [--write]
 
 Without a name it measures all of them. `--share` takes this part of their numbers of models, kills and so on. `--write` puts what was
 measured into trust.md; rows of what was not measured stay, and those of what other scripts and tests measure are written by hand. Limits
@@ -185,6 +187,47 @@ def kills(share):
     )
 
 
+def interrupts(share):
+    """Fits that Ctrl-C stops at random moments: the time to the answer, and whether they go on from their checkpoints to the optimum."""
+    count, late, same, stopped = max(1, int(500 * share)), 0.0, 0, 0
+    rng, car, times = np.random.default_rng(0), jb.presets.quarter_car(damping=1500.0), np.linspace(0.0, 2.0, 101)
+    motion = {"motion": {"road": jb.Harmonic(frequency=1.3, translation=[0, 0, 0.01])}, "initial": jb.equilibrium(car).state}
+    sensors = {"body": jb.Position("body", axis="z")}
+    moved = jb.measure(jb.simulate(car, times, **motion), sensors)["body"]
+    run = jb.Experiment(times, **motion, sensors=sensors, measured={"body": np.asarray(moved) + 1e-4 * rng.normal(size=101)})
+    guess = jb.replace(car, {"suspension.stiffness": 3e4, "suspension.damping": 1000.0})
+
+    def whole(**options):
+        fit = jb.fit(guess, {"run": run}, free=["suspension.stiffness", "suspension.damping"], **options)
+        return fit, np.array([float(x) for x in fit.estimates.values()])
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    optimum = whole()[1]
+    begin = time.perf_counter()
+    whole()
+    duration = time.perf_counter() - begin
+    earlier = signal.signal(signal.SIGALRM, interrupt)
+    with tempfile.TemporaryDirectory() as folder:
+        for i in range(count):
+            path, delay = pathlib.Path(folder, f"{i}.npz"), rng.uniform(0.0, duration)
+            begin = time.perf_counter()
+            signal.setitimer(signal.ITIMER_REAL, delay)
+            try:
+                stopped += whole(checkpoint=path)[0].status == jb.Status.INTERRUPTED
+            except KeyboardInterrupt:
+                stopped += 1
+            late = max(late, time.perf_counter() - begin - delay)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            found = whole(resume=path)[1] if path.exists() else whole()[1]
+            same += np.allclose(found, optimum, rtol=1e-6)
+        left = {path.suffix for path in pathlib.Path(folder).iterdir()} - {".npz"}
+    signal.signal(signal.SIGALRM, earlier)
+    measured = f"{late:.2f} s; {same} of {count}, {stopped} of them stopped" + (f"; left {left}" if left else "")
+    yield "R13", "Ctrl-C answered; fits resumed", "2 s; 500 of 500", measured, late < 2 and same == count >= 500 and not left
+
+
 BLUNDERS = {  # what was typed: the unit that is meant, and the factor that is left out
     "N/mm": ("N/m", 1e-3),
     "kN/m": ("N/m", 1e-3),
@@ -261,7 +304,7 @@ def units(share):
     )
 
 
-MEASURES = {f.__name__: f for f in (rests, drift, gradients, speed, kills, units)}
+MEASURES = {f.__name__: f for f in (rests, drift, gradients, speed, kills, interrupts, units)}
 
 RULE = "|---|---|---|---|---|---|"
 

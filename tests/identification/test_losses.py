@@ -225,7 +225,7 @@ def problem_of(*args, **options):
     return problem
 
 
-def test_a_full_disk_leaves_the_old_checkpoint_and_a_wrong_one_is_reported(record, tmp_path, monkeypatch):
+def test_a_full_disk_and_ctrl_c_leave_the_old_checkpoint_and_a_wrong_one_is_reported(record, tmp_path, monkeypatch):
     path = tmp_path / "fit.npz"
     done = fit(oscillator(), run(record), checkpoint=path)
     before = path.read_bytes()
@@ -237,6 +237,14 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_a_wrong_one_is_reported(recor
         patch.setattr(os, "fsync", full)
         problem = problem_of(oscillator(), run(record), checkpoint=path)
     assert problem.code == "NOT_SAVED" and "No space left" in problem.message and "bytes" in problem.message
+    assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.warns(jb.JaxbodyWarning, match="INTERRUPTED"):
+        patch.setattr(os, "fsync", interrupted)
+        fit(oscillator(), run(record), checkpoint=path)
     assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
     assert problem_of(oscillator(), run(record), checkpoint=tmp_path / "nowhere" / "fit.npz").code == "NOT_SAVED"
     os.mkfifo(tmp_path / "pipe")  # as little a file as a device
