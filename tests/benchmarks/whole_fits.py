@@ -131,7 +131,9 @@ CASES = {
     "TensionOnly": law(laws.Linear(3e4) + laws.TensionOnly(4e4), 20.0, "spring.terms.0.coefficient", "spring.terms.1.stiffness"),
     "TwoSided": law(5e4, laws.TwoSided(bump=15.0, rebound=45.0), "damper.bump.coefficient", "damper.rebound.coefficient"),
     "AirSpring": law(laws.AirSpring(pressure=8e5, area=2e-3, height=0.04), 20.0, "spring.area", "spring.height", constant=1400.0),
-    "Table": law(laws.Table([-6e-3, -2e-3, -6e-4, 6e-4, 2e-3, 6e-3], [-540.0, -120.0, -24.0, 24.0, 120.0, 540.0]), 20.0, "spring.forces"),
+    "Table": law(
+        laws.Table([-6e-3, -2e-3, -6e-4, 6e-4, 2e-3, 6e-3], [-540.0, -120.0, -24.0, 24.0, 120.0, 540.0]), 20.0, "spring.forces", off=(1.1,)
+    ),
     "Digressive": law(5e4, laws.Digressive(slow=120.0, fast=20.0, knee=0.1), "damper.slow", "damper.fast", "damper.knee"),
     "Friction": law(5e4, laws.Linear(10.0) + laws.Friction(level=6.0, velocity=0.02), "damper.terms.0.coefficient", "damper.terms.1.level"),
     "Maxwell": law(
