@@ -54,8 +54,6 @@ def chosen_order(r: np.ndarray) -> int:
 
 def autocovariances(process: Autoregression, n: int) -> np.ndarray:
     """gamma_0 ... gamma_(n-1) of a stationary autoregression, by the Yule-Walker equations and then the recursion."""
-    from scipy.signal import lfilter, lfiltic
-
     phi, variance = process
     q = len(phi)
     A = np.eye(q + 1)
@@ -65,15 +63,15 @@ def autocovariances(process: Autoregression, n: int) -> np.ndarray:
     first = np.linalg.solve(A, np.append(variance, np.zeros(q)))
     if q == 0 or n <= q + 1:
         return np.append(first, np.zeros(n))[:n]
+    from scipy.signal import lfilter, lfiltic  # slow to import, and white noise does without
+
     b, a = np.ones(1), np.append(1.0, -phi)
     return np.append(first, lfilter(b, a, np.zeros(n - q - 1), zi=lfiltic(b, a, first[:0:-1]))[0])
 
 
 def innovations(process: Autoregression, r: np.ndarray) -> np.ndarray:
     """The innovations e_t."""
-    from scipy.signal import lfilter
-
-    return lfilter(np.append(1.0, -process.phi), np.ones(1), r)  # pyright: ignore[reportReturnType]  one array without `zi`
+    return np.convolve(np.append(1.0, -process.phi), r)[: len(r)]
 
 
 class Whiteness(NamedTuple):
@@ -91,11 +89,11 @@ def whiteness(r: np.ndarray) -> Whiteness | None:
 
     Q = n (n + 2) sum_k rho_k^2/(n - k),   d = sum (r_t - r_(t-1))^2 / sum r_t^2
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     n, lags = len(r), most_lags(len(r))
     if lags == 0 or not r.any():
         return None
     rho = products(r, lags) / (r @ r)
     Q = n * (n + 2) * float((rho[1:] ** 2 / (n - np.arange(1, lags + 1))).sum())
-    return Whiteness(float(rho[1]), float(np.diff(r) @ np.diff(r) / (r @ r)), Q, lags, float(chi2.sf(Q, lags)))
+    return Whiteness(float(rho[1]), float(np.diff(r) @ np.diff(r) / (r @ r)), Q, lags, float(chdtrc(lags, Q)))

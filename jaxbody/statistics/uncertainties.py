@@ -184,12 +184,12 @@ def _noise_and_map(r, inside, records: list[ResidualSeries], parts) -> tuple[Noi
 
 
 def _beyond_stated(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> dict[str, float]:
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     ratios = {}
     for record in (record for record in records if record.known):
         square, freedom = float(r[record.rows] @ r[record.rows]), len(record.rows) - float(np.sum(Q[record.rows] ** 2))
-        if freedom > LEAST and chi2.sf(square, freedom) < UNLIKELY:
+        if freedom > LEAST and chdtrc(freedom, square) < UNLIKELY:
             ratios[record.name] = np.sqrt(square / freedom)
     return ratios
 
