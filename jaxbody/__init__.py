@@ -181,13 +181,11 @@ __all__ = sorted(_MODULES | _PLACES)  # pyright: ignore[reportUnsupportedDunderA
 
 def __getattr__(name):
     """Import a public name when it is first used: importing all takes three times as long as importing those that a simulation needs."""
-    if name in _MODULES:
-        thing = import_module(_MODULES[name])
-    elif name in _PLACES:
-        thing = getattr(import_module(_PLACES[name]), name)
-    else:
+    if name not in _MODULES and name not in _PLACES:
         instead = f"; outputs are sensors: use {_SUCCESSORS[name]}" if name in _SUCCESSORS else ""
         raise AttributeError(f"module 'jaxbody' has no attribute '{name}'{instead}")
+    with import_module("jaxbody.compilation.shared_settings").little_garbage():
+        thing = import_module(_MODULES[name]) if name in _MODULES else getattr(import_module(_PLACES[name]), name)
     globals()[name] = thing
     return thing
 

@@ -13,11 +13,9 @@ import os
 import platform
 import sys
 import tempfile
-import threading
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import metadata, resources
 from pathlib import Path
@@ -28,6 +26,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from jaxbody.compilation.array_functions import KEPT, Options, Remainder, jitted, known_to_xla
 from jaxbody.compilation.plain_data import LIBRARIES, Unnamed, text_of, value_of
+from jaxbody.compilation.shared_settings import little_garbage, without_cache
 from jaxbody.core import tables
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.jax_internals import code_can_be_run, code_of, find_lapack, runner
@@ -274,11 +273,12 @@ def known(program: Callable[..., Any], types: tuple[Any, ...], fact: str, find: 
 
 def call(program: Callable[..., Any], options: Options, arrays: Sequence[Any]) -> Results:
     """What a program returns, compiled with these options, kept if `keep_programs` was called."""
-    if _kept is None or _debugging() or not _on_first_device(arrays):
-        return jitted(program, options)(*arrays)
-    arrays = [x if isinstance(x, jax.Array) else jax.device_put(x) for x in arrays]
-    types = tuple(map(jax.typeof, arrays))
-    return list(_kept.results(program, options, types, arrays)), types_of_results(program, types)[1]
+    with little_garbage():
+        if _kept is None or _debugging() or not _on_first_device(arrays):
+            return jitted(program, options)(*arrays)
+        arrays = [x if isinstance(x, jax.Array) else jax.device_put(x) for x in arrays]
+        types = tuple(map(jax.typeof, arrays))
+        return list(_kept.results(program, options, types, arrays)), types_of_results(program, types)[1]
 
 
 def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:
@@ -287,30 +287,6 @@ def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:
         return jax.block_until_ready(run(arrays))
     except jax.errors.JaxRuntimeError:
         return None
-
-
-_compiling = threading.Lock()
-_without_cache: list[bool] = []  # for each thread that compiles so, what the option was before the first one
-
-
-@contextmanager
-def without_cache() -> Iterator[None]:
-    """Without JAX's own cache of compiled code, until the last thread leaves."""
-    with _compiling:
-        _without_cache.append(_without_cache[0] if _without_cache else jax.config.jax_enable_compilation_cache)  # pyright: ignore
-        _enable_cache(False)
-    try:
-        yield
-    finally:
-        with _compiling:
-            before = _without_cache.pop()
-            if not _without_cache:
-                _enable_cache(before)
-
-
-def _enable_cache(enabled: bool) -> None:
-    jax.config.update("jax_enable_compilation_cache", enabled)
-    compilation_cache.reset_cache()  # JAX looks for its folder once only
 
 
 def _debugging() -> bool:
@@ -330,7 +306,8 @@ def types_of_results(program: Callable[..., Any], types: tuple[Any, ...]) -> Res
 
 @functools.lru_cache(KEPT)
 def _types_of_results(program, types, kept):
-    return _traced(program, types) if kept is None else kept.types_of_results(program, types)
+    with little_garbage():
+        return _traced(program, types) if kept is None else kept.types_of_results(program, types)
 
 
 def _traced(program: Callable[..., Any], types: tuple[Any, ...]) -> Results:

@@ -17,6 +17,7 @@ import jaxbody as jb
 from jaxbody.compilation import kept_programs
 from jaxbody.compilation.array_functions import array_function
 from jaxbody.compilation.kept_programs import KeptPrograms, keep_programs
+from jaxbody.compilation.shared_settings import without_cache
 from jaxbody.core.jax_internals import code_can_be_run
 
 pytestmark = [pytest.mark.everywhere, pytest.mark.nan]
@@ -384,7 +385,7 @@ def test_no_program_is_kept_unless_asked_for():
 
 def test_threads_that_compile_without_a_cache_leave_it_as_it_was_and_name_code_alike():
     before, name = jax.config.jax_enable_compilation_cache, kept_programs._settings()
-    one, other = kept_programs.without_cache(), kept_programs.without_cache()
+    one, other = without_cache(), without_cache()
     one.__enter__()
     other.__enter__()
     assert kept_programs._settings() == name

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from jaxbody.compilation.kept_programs import without_cache
+from jaxbody.compilation.shared_settings import without_cache
 from jaxbody.core import jax_internals
 
 pytestmark = pytest.mark.everywhere
