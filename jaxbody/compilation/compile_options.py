@@ -87,14 +87,14 @@ def jit_unoptimized(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def jit_optimized_where(long: Callable[..., bool]) -> Callable[..., Any]:
-    """A decorator: jit_optimized where long(*args), in batches of many and from the hundredth call on, otherwise jit_unoptimized. The first
+    """A decorator: jit_optimized where long(*args), in batches of many and after a hundred calls, otherwise jit_unoptimized. The first
     results of short motions then take half the time."""
     return lambda function: _jit_by_itself(function, {}, lambda program, arrays, args: not long(*args))
 
 
 def jit_optimized_with_loops(long: Callable[..., bool]) -> Callable[..., Any]:
     """A decorator: jit_optimized where long(*args), where there are other loops than those of functions that are not optimized, such as
-    motions in a function of a user, and from the hundredth call on; otherwise jit_unoptimized."""
+    motions in a function of a user, and after a hundred calls; otherwise jit_unoptimized."""
 
     def brief(program, arrays, args):
         return not (long(*args) or _has_loops(program, tuple(map(jax.typeof, arrays))))

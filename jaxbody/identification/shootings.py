@@ -89,10 +89,10 @@ class Segments(Measurement):
         depend_on_past = any(sensor.delay is not None or sensor.lag is not None for sensor in self.whole.sensors.values())
         if ".nodes." not in path or depend_on_past:
             return None
-        nodes, ends = jnp.arange(1, self.count), jnp.arange(self.count - 1)[:, None]
+        nodes, ends = np.arange(1, self.count), np.arange(self.count - 1)[:, None]
         if channel == "continuity":
             return (nodes == ends) | (nodes == ends + 1)
-        return jnp.asarray(self._segment_of_samples())[:, None] == nodes
+        return self._segment_of_samples()[:, None] == nodes
 
     def _segment_of_samples(self) -> np.ndarray:
         starts, _ = cuts(len(self.whole.times), self.count)
@@ -119,7 +119,7 @@ class Segments(Measurement):
 
         parts = jax.vmap(segment)(self.whole.times[starts[:, None] + np.arange(rows)], initial_states)
         ends = jax.tree.map(lambda x: x[np.arange(self.count - 1), np.diff(starts)], parts.state)
-        gaps = jax.tree.leaves(jax.tree.map(lambda end, node, scale: (end - node) / scale, ends, self.nodes, self.scale))
+        gaps = jax.tree.leaves(jax.tree.map(lambda end, node, scale: (end - node) / scale[None], ends, self.nodes, self.scale))
         owner = self._segment_of_samples()
         joined = jax.tree.map(lambda x: x[owner, np.arange(len(owner)) - starts[owner]], parts.state)
         end = jax.tree.map(lambda x: x[-1], parts.end)
@@ -224,7 +224,7 @@ def _cut(model: Model, name: str, experiment: Experiment, count: int, options: d
 
     def scale(*parts):
         x = jnp.concatenate(parts)
-        size = jnp.sqrt(jnp.mean((x - jnp.mean(x, 0)) ** 2, 0))
+        size = jnp.sqrt(jnp.mean((x - jnp.mean(x, 0, keepdims=True)) ** 2, 0))
         largest = jnp.max(size, initial=0.0)
         return jnp.maximum(size, 1e-3 * jnp.where(largest > 0, largest, 1.0))
 
