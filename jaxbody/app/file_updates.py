@@ -14,7 +14,7 @@ import tomlkit
 
 from jaxbody.core import units
 from jaxbody.core.errors import Problems
-from jaxbody.core.source_files import writing
+from jaxbody.core.source_files import replacing, writing
 from jaxbody.files.documents import Document, EntryPath
 from jaxbody.files.kinds import arguments_of, class_of
 from jaxbody.files.quantities import NUMBERS, UnitSystem, times, unit_system
@@ -39,10 +39,8 @@ def update(path: Path, document: Document, space: Space, trees: dict[str, Any]) 
         value = np.asarray(leaf.read(jax.tree.leaves(trees[run])))
         _set(content, place, value, units_of(leaf, space.model, value), system)
     text = tomlkit.dumps(content) if path.suffix == ".toml" else json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    with writing(path):
-        new = path.with_name(f"{path.name}.new")
+    with writing(path), replacing(path) as new:
         new.write_text(text, encoding="utf-8")
-        new.replace(path)
     return left
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from jaxbody.core.errors import JaxbodyError, Problem
@@ -60,6 +60,19 @@ def decoded(data: bytes, name: str, encoding: str) -> str:
         message, hint = f"has a zero byte at offset {text.index(chr(0))}", "Is it a text file? If so, give its encoding, else its format."
         raise JaxbodyError(Problem("WRONG_FORMAT", name, message, limit="text", hint=hint))
     return text
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """The path of a new file, which takes the place of this one at the end of the block, so that each reader sees a whole one; of a block
+    that fails or is interrupted nothing is left."""
+    new = path.with_name(f"{path.name}.new")
+    try:
+        yield new
+        new.replace(path)
+    finally:
+        with suppress(OSError):
+            new.unlink()
 
 
 @contextmanager

@@ -17,7 +17,7 @@ import numpy as np
 from jaxbody.compilation.plain_data import Unnamed, text_of, value_of
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.core.source_files import check_file, check_size, writing
+from jaxbody.core.source_files import check_file, check_size, replacing, writing
 
 FORMAT = 1
 CONTENTS = "results.json"
@@ -55,15 +55,12 @@ def write_results(results: Any, path: Any, *, allow: Sequence[str] = ()) -> None
         hint = "Name its module in allow=[...]; a function has no text: write a class with fields."
         raise JaxbodyError(Problem("OWN_CODE", "write_results", f"holds {error} of your own Python", hint=hint)) from None
     about = {"format": FORMAT, "jaxbody": version("jaxbody"), "written": datetime.now(UTC).isoformat(timespec="seconds")}
-    new = path.with_name(f"{path.name}.new")
-    with writing(path):
-        with zipfile.ZipFile(new, "w", zipfile.ZIP_DEFLATED) as archive:
-            _add(archive, CONTENTS, json.dumps(about | {"results": json.loads(text)}).encode())
-            for i, array in enumerate(arrays):
-                data = io.BytesIO()
-                np.lib.format.write_array(data, np.asarray(array), allow_pickle=False)
-                _add(archive, f"{i}.npy", data.getvalue())
-        new.replace(path)
+    with writing(path), replacing(path) as new, zipfile.ZipFile(new, "w", zipfile.ZIP_DEFLATED) as archive:
+        _add(archive, CONTENTS, json.dumps(about | {"results": json.loads(text)}).encode())
+        for i, array in enumerate(arrays):
+            data = io.BytesIO()
+            np.lib.format.write_array(data, np.asarray(array), allow_pickle=False)
+            _add(archive, f"{i}.npy", data.getvalue())
 
 
 def _add(archive: zipfile.ZipFile, name: str, data: bytes) -> None:

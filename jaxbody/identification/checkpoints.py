@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from jaxbody.core.arrays import device_array
 from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.source_files import replacing
 from jaxbody.identification.residuals import Levels, Task
 
 RESTART = "Leave out resume= to start again."
@@ -28,20 +28,15 @@ def save(path: str | os.PathLike, task: Task, u: np.ndarray) -> None:
         raise JaxbodyError(Problem("NOT_SAVED", str(path), "exists and is not a regular file", hint="Choose another path."))
     levels = [np.asarray(level) for each in task.noise.values() for level in each.values()]
     arrays = {"names": np.array(_names(task)), "u": np.asarray(u), **{f"noise{i}": level for i, level in enumerate(levels)}}
-    temporary = path.with_name(f"{path.name}.new")
     try:
-        with temporary.open("wb") as file:
+        with replacing(path) as new, new.open("wb") as file:
             np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
             file.flush()
             os.fsync(file.fileno())
-        os.replace(temporary, path)
     except OSError as error:
         needed = sum(a.nbytes for a in arrays.values())
         message = f"cannot be written: {error.strerror or error}; {needed} bytes are needed"
         raise JaxbodyError(Problem("NOT_SAVED", str(path), message, hint="An earlier checkpoint there is unchanged.")) from None
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()  # what a write that failed or was interrupted has left
 
 
 def load(path: str | os.PathLike, task: Task) -> tuple[np.ndarray, Levels]:

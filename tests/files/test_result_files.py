@@ -222,3 +222,18 @@ def test_nothing_is_written_inside_a_program_or_under_another_name(tmp_path):
     with pytest.raises(jb.JaxbodyError, match="NOT_SAVED"):
         jb.write_results(CAR, tmp_path / "nowhere" / "car.zip")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
+    path, times = tmp_path / "run.zip", np.linspace(0, 1, 200)
+    record = jb.Record(times, {"x": (np.sin(9 * times), "m")})
+    jb.write_results(record, path)
+    before = path.read_bytes()
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np.lib.format, "write_array", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        jb.write_results(record, path)
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
