@@ -83,14 +83,14 @@ class OfRecord:
         return {"run": jb.Experiment(self.times, loads=self.loads, sensors=self.sensors, measured={"reading": noisy})}
 
 
-def law(spring, damper, *names: str, off=OFF, noise=1e-5, constant=0.0):
+def law(spring, damper, *names: str, off=OFF, constant=0.0):
     """A case: parameters of the spring and the damper of a mount of 2 kg. The law of Bouc and Wen has the values of the benchmark of Noel
     and Schoukens (2016)."""
 
     def case() -> OfRecord:
         offs = {f"mount.{name}": x for name, x in zip(names, off, strict=False)}
         model = on_guide(strut(spring=spring, damper=damper), mass=2.0)
-        return OfRecord(model, offs, "m", 19, 15.0, jb.Position("m", axis="x"), TIMES, noise, constant)
+        return OfRecord(model, offs, "m", 19, 15.0, jb.Position("m", axis="x"), TIMES, 1e-5, constant)
 
     return case
 
@@ -109,7 +109,7 @@ def linkage() -> OfRecord:
     return OfRecord(model, off, end, 10, 0.4, jb.Position(*end, axis="x"), np.arange(201) / 400, 2e-5)
 
 
-def crane() -> OfRecord:
+def pendulum() -> OfRecord:
     """A pendulum on a hinge that a torsion spring holds, from the angle of its joint."""
     model = jb.Model(
         bodies={"boom": jb.Body(mass=2.0, com=[0.3, 0, 0], inertia=[0.01, 0.06, 0.06])},
@@ -124,7 +124,7 @@ laws = jb.laws
 CASES = {
     "hydraulic": DataSheet,
     "linkage": linkage,
-    "joint angle": crane,
+    "joint angle": pendulum,
     "Linear": law(5e4, 20.0, "spring.coefficient", "damper.coefficient"),
     "Polynomial": law(laws.Polynomial([4e4, 4e6, 5e9]), 20.0, "spring.coefficients", "damper.coefficient"),
     "Stop": law(laws.Linear(4e4) + laws.Stop(gap=5e-4, stiffness=2e5), 20.0, "spring.terms.1.gap", "spring.terms.1.stiffness"),
