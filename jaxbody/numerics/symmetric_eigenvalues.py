@@ -2,8 +2,9 @@
 
 Householder's reflections   A <- H A H, H = 1 - beta v v', until A is tridiagonal with d on and sqrt(e) beside the diagonal
 QL without square roots     rotations with Wilkinson's shift sigma, from the end of d upwards, until e vanishes
+Sylvester's law of inertia  as many eigenvalues are below x as pivots q_i = d_i - x - e_{i-1}/q_{i-1} are negative
 
-Source: B. N. Parlett, The Symmetric Eigenvalue Problem (1998), 7.4, 8.14 and 8.15; the second method is by Pal, Walker and Kahan.
+Source: B. N. Parlett, The Symmetric Eigenvalue Problem (1998), 3.3, 7.4, 7.6, 8.14 and 8.15; the second method is by Pal, Walker and Kahan.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxbody.core.arrays import Array, Float
+from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.numerics.xla_workarounds import any_of_batch, kept
 
 SWEEPS = 30  # most sweeps for each eigenvalue; three are usual
@@ -20,9 +21,27 @@ SWEEPS = 30  # most sweeps for each eigenvalue; three are usual
 
 def eigenvalues(A: Float[Array, "n n"]) -> Float[Array, "n"]:
     """The eigenvalues in ascending order; NaN where A is not finite."""
-    size = jnp.max(jnp.abs(A), initial=0.0)
-    size = jnp.where(size > 0, size, 1.0)
+    size = _size(A)
     return size * _ascending(_diagonalized(*_tridiagonal(A / size)))
+
+
+def number_below(A: Float[Array, "n n"], x: Float[Array, "m"]) -> Int[Array, "m"]:
+    """How many eigenvalues are less than each x; as loops without LAPACK, which would split a compiled program."""
+    size = _size(A)
+    (d, e), x = _tridiagonal(A / size), x / size
+    e_before = jnp.concatenate([jnp.zeros_like(e[:1]), e[:-1]])
+
+    def pivot(i, state):
+        q, count = state
+        q = _at(d, i) - x - _at(e_before, i) / jnp.where(q == 0, jnp.finfo(d.dtype).tiny, q)
+        return q, count + (q < 0)
+
+    return lax.fori_loop(0, len(A), pivot, (jnp.ones_like(x), jnp.zeros(x.shape, int)))[1]
+
+
+def _size(A: Float[Array, "n n"]) -> Float[Array, ""]:
+    size = jnp.max(jnp.abs(A), initial=0.0)
+    return jnp.where(size > 0, size, 1.0)
 
 
 def _tridiagonal(A: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:

@@ -18,11 +18,12 @@ from jaxbody.models.sizes import scaled
 from jaxbody.numerics.lanes import LANES, in_lanes
 from jaxbody.numerics.precisions import NEWTON, reachable
 from jaxbody.numerics.small_systems import is_definite, solve_if_definite
+from jaxbody.numerics.symmetric_eigenvalues import number_below
 from jaxbody.numerics.xla_workarounds import any_of_batch
 from jaxbody.statics.load_paths import AppliedLoads, dead_forces, with_load_gravity
 
 TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the remaining error is its square
-SINGULAR = 1e-10  # eigenvalues of the nondimensional K, relative to the largest, that count as zero
+SINGULAR = 1e-10  # eigenvalues of the nondimensional K, relative to its norm, that count as zero
 LEAST_SHIFT = 1e-11  # keeps a free motion from making the system singular
 TINY = 1e-6  # step, relative to the size, whose decrease of energy may be less than rounding
 
@@ -94,16 +95,13 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
 
 
 def eigenvalue_signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
-    """The number of negative eigenvalues of K, and whether one is zero; eigenvalues are computed only where elimination shows that K is
-    not definite."""
+    """The number of negative eigenvalues of K, and whether one is zero; they are counted only where elimination shows that K is not
+    definite."""
+    zero = reachable(SINGULAR, K.dtype) * jnp.sqrt(jnp.sum(K * K))
 
-    zero = reachable(SINGULAR, K.dtype)
+    def counted():
+        negative, not_positive = number_below(K, zero * np.array([-1.0, 1.0], K.dtype))
+        return negative, not_positive > negative
 
-    def by_eigenvalues():
-        values = jnp.linalg.eigvalsh(K)
-        tolerance = zero * jnp.max(jnp.abs(values), initial=0.0)
-        return jnp.sum(values < -tolerance), jnp.any(jnp.abs(values) <= tolerance)
-
-    largest = jnp.sqrt(jnp.sum(K * K))  # or more
-    definite = is_definite(K - zero * largest * np.eye(len(K), dtype=K.dtype))
-    return jax.lax.cond(any_of_batch(~definite), by_eigenvalues, lambda: (jnp.zeros((), int), jnp.array(False)))
+    definite = is_definite(K - zero * np.eye(len(K), dtype=K.dtype))
+    return jax.lax.cond(any_of_batch(~definite), counted, lambda: (jnp.zeros((), int), jnp.array(False)))

@@ -7,7 +7,7 @@ import pytest
 
 from jaxbody.numerics.eigenproblems import natural
 from jaxbody.numerics.lanes import LANES, in_lanes
-from jaxbody.numerics.symmetric_eigenvalues import eigenvalues
+from jaxbody.numerics.symmetric_eigenvalues import eigenvalues, number_below
 
 pytestmark = pytest.mark.everywhere
 
@@ -44,6 +44,22 @@ def test_a_matrix_without_eigenvalues_has_none_and_disturbs_no_other():
         assert np.isnan(eigenvalues(jnp.asarray(A[3]))).all()
         ours = jax.jit(jax.vmap(in_lanes(jnp.linalg.eigvalsh)))(A)
         assert np.isnan(ours[3]).all() and np.isfinite(np.delete(ours, 3, 0)).all()
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 7])
+def test_eigenvalues_are_counted_as_lapack_orders_them(n):
+    """Counts are those of a matrix that differs by round-off, so that x between eigenvalues are tried, and some far outside."""
+    A = symmetric_matrices(max(n, 2), LANES + 8)[:, :n, :n]
+    values = np.linalg.eigvalsh(A)
+    size = np.abs(values).max(1, keepdims=True)
+    x = np.concatenate([(values[:, 1:] + values[:, :-1]) / 2, -2 * size - 1e-300, 2 * size + 1e-300], 1)
+    apart = (np.abs(x[:, :, None] - values[:, None]) > 20 * np.finfo(float).eps * size[:, None]).all(2)
+    theirs = (values[:, None] < x[:, :, None]).sum(2)
+    alone = jax.jit(lambda A, x: jax.lax.map(lambda args: number_below(*args), (A, x)))(A, x)
+    in_a_batch = jax.jit(jax.vmap(in_lanes(number_below)))(A, x)
+    for ours in (alone, in_a_batch):
+        assert ((np.asarray(ours) == theirs) | ~apart).all()
+    assert apart.sum() > 0.8 * apart.size
 
 
 def test_stacks_and_hermitian_matrices_are_left_to_lapack():
