@@ -10,9 +10,12 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxbody.compilation import few_kernels
+from jaxbody.compilation.few_kernels import in_few_kernels
+
 Options = tuple[tuple[str, Any], ...]  # of XLA, names and values
 ARRAYS = (jax.Array, np.ndarray, np.generic)
-NOT_EVERYWHERE = {"xla_cpu_use_fusion_emitters"}  # jaxlib 0.12 does not have it
+NOT_EVERYWHERE = {"xla_cpu_use_fusion_emitters": {(0, 10): True, (0, 12): False}}  # versions of jaxlib; others are tried
 KEPT = 4096  # functions with different structures or static values, each with its compiled programs
 
 
@@ -71,13 +74,27 @@ def joined(arrays: Sequence[Any], remainder: Remainder) -> Any:
 @functools.lru_cache(KEPT)
 def jitted(function: Callable[..., Any], options: Options | None = None) -> Callable[..., Any]:
     """The function as a program of its own with these options, or as a part of others; both share one trace."""
-    return jax.jit(function) if options is None else jax.jit(function, compiler_options=known_to_xla(options))
+    return jax.jit(function) if options is None else compiled_with(options, function)
+
+
+def compiled_with(options: Options, function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function as a program of its own, compiled with these options and in as few kernels as belong to them."""
+    return jax.jit(in_few_kernels(jax.jit(function)) if has_few_kernels(options) else function, compiler_options=known_to_xla(options))
+
+
+def has_few_kernels(options: Options) -> bool:
+    return set(few_kernels.OPTIONS.items()) <= set(options)
 
 
 @functools.cache
 def known_to_xla(options: Options) -> dict[str, Any]:
-    """Those of the options that this version of XLA has, which is tried for those that not every version has."""
-    return {name: value for name, value in options if name not in NOT_EVERYWHERE or _compiles(name, value)}
+    """Those of the options that this version of XLA has."""
+    return {name: value for name, value in options if name not in NOT_EVERYWHERE or _is_known(name, value)}
+
+
+def _is_known(name: str, value: Any) -> bool:
+    known = NOT_EVERYWHERE[name].get(few_kernels.jaxlib_version())
+    return _compiles(name, value) if known is None else known
 
 
 @functools.cache

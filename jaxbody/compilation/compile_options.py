@@ -11,12 +11,13 @@ from typing import Any
 import jax
 import jaxlib.version
 
+from jaxbody.compilation import few_kernels
 from jaxbody.compilation.array_functions import KEPT, array_function, jitted, joined, known_to_xla
 from jaxbody.compilation.compilations import Compiled
 from jaxbody.compilation.eager_programs import run
 from jaxbody.compilation.kept_programs import call, known, structs
 from jaxbody.core.errors import JaxbodyError, Problem, warn
-from jaxbody.core.jax_internals import only_transformed, outermost, started, without_manual_axes
+from jaxbody.core.jax_internals import only_transformed, outermost, programs_inside, started, without_manual_axes
 
 TESTED = (0, 7, 2), (0, 12)  # oldest and newest jaxlib; XLA ends the process on an unknown option, and before on loops over long vectors
 HOLDER = "--xla_backend_extra_options="
@@ -26,6 +27,7 @@ NO_FUSION_EMITTERS = {"xla_cpu_use_fusion_emitters": False}  # compiles in two t
 UNOPTIMIZED = {  # halves the remaining time to compile; programs take up to three times as long
     "xla_backend_optimization_level": 0,
     "xla_cpu_parallel_codegen_split_count": 1,  # parts of a program that LLVM compiles one by one, for which so little work does not pay
+    **(few_kernels.OPTIONS if few_kernels.jaxlib_version() in few_kernels.VERSIONS else {}),
 }
 BRIEF = tuple((NO_FUSION_EMITTERS | UNOPTIMIZED).items())  # of programs that take milliseconds
 MOST = 100  # steps of a loop that takes milliseconds, such as one over parameters
@@ -159,12 +161,6 @@ def _loops(jaxpr: Any) -> bool:
         if any(map(_loops, programs_inside(equation))):
             return True
     return False
-
-
-def programs_inside(equation: Any) -> list[Any]:
-    """The programs that an operation runs."""
-    found = jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: hasattr(x, "jaxpr") or hasattr(x, "eqns"))
-    return [getattr(x, "jaxpr", x) for x in found if hasattr(x, "jaxpr") or hasattr(x, "eqns")]
 
 
 def brief_options() -> dict[str, Any]:

@@ -24,7 +24,8 @@ from typing import Any
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-from jaxbody.compilation.array_functions import KEPT, Options, Remainder, jitted, known_to_xla
+from jaxbody.compilation.array_functions import KEPT, Options, Remainder, has_few_kernels, jitted, known_to_xla
+from jaxbody.compilation.few_kernels import in_few_kernels
 from jaxbody.compilation.plain_data import LIBRARIES, Unnamed, text_of, value_of
 from jaxbody.compilation.shared_settings import little_garbage, without_cache
 from jaxbody.core import tables
@@ -103,21 +104,23 @@ class KeptPrograms:
         """What runs the exported program, which is loaded or else saved under its name; its code is saved, too."""
         import jax.export
 
-        data = self.read(name + ".program")
+        few = has_few_kernels(options)
+        file = name + (".kernels" if few else "") + ".program"
+        data = self.read(file)
         if data is not None:
             find_lapack()
             self.loaded.append(program.__name__)
         else:
 
             def alone(*arrays):
-                return jitted(program)(*arrays)[0]
+                return (in_few_kernels(jitted(program)) if few else jitted(program))(*arrays)[0]
 
             try:
                 data = jax.export.export(jax.jit(alone))(*structs(types)).serialize()
             except Exception as error:  # a callback, or an operation that this version of JAX cannot export
                 self.left_out[program.__name__] = f"{type(error).__name__}: {error}".splitlines()[0]
                 return lambda arrays: jitted(program, options)(*arrays)[0]
-            if self.write(name + ".program", bytes(data), program.__name__):
+            if self.write(file, bytes(data), program.__name__):
                 self.saved.append(program.__name__)
         exported = jax.export.deserialize(bytearray(data))  # also what was just made: it has other types than what it is made from
 

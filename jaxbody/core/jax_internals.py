@@ -3,7 +3,7 @@
 Changes of JAX that matter here:
 0.10  most names of jax.core move to `jax.extend.core`; the last version for Python 3.11
 0.11  `jax.experimental.hijax`: "high" operations with their own rules, which are replaced by others before a program is compiled
-0.12  jnp.searchsorted is one, and so is jnp.interp: `without_high_operations`. `ClosedJaxpr` is `Jaxpr`. XLA has no fusion emitters
+0.12  jnp.searchsorted is one, and so is jnp.interp: `without_high_operations`. `ClosedJaxpr` is `Jaxpr`. XLA always uses fusion emitters
 Expected: JAX's documents recommend high operations for custom rules; custom_jvp and custom_vjp exist in that form but are not used yet.
 Programs will then have `call_hi_primitive` where `lanes` knows `custom_jvp_call`, and `without_high_operations` would drop their rules.
 """
@@ -50,8 +50,7 @@ def started() -> bool:
 
 
 def only_transformed() -> bool:
-    """Whether a derivative or a batch is under way, but nothing becomes part of another program. False where JAX cannot tell: callers
-    are then slower, but correct."""
+    """Whether a derivative or a batch is under way, but nothing becomes part of another program. False where JAX cannot tell, as above."""
     try:
         from jax._src import core
 
@@ -120,6 +119,12 @@ def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     if hasattr(partial_eval, "lower_jaxpr2"):
         return partial_eval.lower_jaxpr2(jaxpr)  # pyright: ignore
     return jax.jit(jaxpr_as_fun(jaxpr)).trace(*jaxpr.in_avals).lojax.jaxpr  # pyright: ignore  # the same, in other versions
+
+
+def programs_inside(equation: Any) -> list[Any]:
+    """The programs that an operation runs."""
+    found = jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: hasattr(getattr(x, "jaxpr", x), "eqns"))
+    return [getattr(x, "jaxpr", x) for x in found if hasattr(getattr(x, "jaxpr", x), "eqns")]
 
 
 def same_operation(equation: Any, args: Sequence[Any]) -> list[Any]:
@@ -201,31 +206,22 @@ def new_operation(
     name: str,
     compute: Callable[..., Any],
     *,
-    batch: Callable[..., Any],
+    batch: Callable[..., Any] | None = None,
     typed: Callable[..., Any] | None = None,
     several: bool = False,
     lowered: Callable[..., Any] | None = None,
     jvp: Callable[..., Any] | None = None,
     transpose: Callable[..., Any] | None = None,
 ) -> Primitive:
-    """A new operation of JAX with its rules; with a transpose but no jvp the operation is linear.
-
-    Args:
-        name: name of the operation
-        compute: its function of (*arrays, **parameters)
-        batch: its batching rule
-        typed: types of the results; None: those of compute
-        several: whether it has several results
-        lowered: its lowering; None: that of compute
-        jvp: its forward derivative
-        transpose: its transpose
-    """
+    """A new operation of JAX that computes a function of (*arrays, **parameters), one array or several, with its rules. Types and lowering
+    are those of `compute` unless `typed` and `lowered` are given; with a transpose but no jvp the operation is linear."""
     primitive = Primitive(name)
     primitive.multiple_results = several
     primitive.def_impl(compute)
     primitive.def_abstract_eval(typed or functools.partial(_type_of, compute))
     mlir.register_lowering(primitive, lowered or mlir.lower_fun(compute, multiple_results=several))
-    batching.primitive_batchers[primitive] = batch
+    if batch is not None:
+        batching.primitive_batchers[primitive] = batch
     if jvp is not None:
         ad.primitive_jvps[primitive] = jvp
         if transpose is not None:
@@ -235,22 +231,28 @@ def new_operation(
     return primitive
 
 
-def same_numbers(name: str, **rules: Any) -> Primitive:
+def same_numbers(name: str, typed: Callable[..., Any] = lambda x, **_: x, **rules: Any) -> Primitive:
     """An operation that returns its argument."""
-    rules = {"typed": lambda x, **_: x} | rules
-    return new_operation(name, lambda x, **_: x, lowered=lambda context, x, **_: [x], **rules)
+    return new_operation(name, lambda x, **_: x, typed=typed, lowered=lambda context, x, **_: [x], **rules)
 
 
-def call_of(name: str, *, batch: Callable[..., Any], jvp: Callable[..., Any]) -> Primitive:
-    """An operation that runs its parameter `jaxpr`."""
+def call_of(name: str, *, attributes: dict[str, str] | None = None, **rules: Any) -> Primitive:
+    """An operation that runs its parameter `jaxpr`; on one CPU its call has these attributes of XLA."""
+
+    def lowered(context, *args, jaxpr, **_):
+        results, module = mlir.core_call_lowering(context, *args, name=name, call_jaxpr=jaxpr), context.module_context
+        if attributes and module.platforms == ("cpu",) and module.axis_context.num_devices == 1:
+            texts: Any = {key: mlir.ir.StringAttr.get(text) for key, text in attributes.items()}
+            jax.tree.leaves(results)[0].owner.attributes["mhlo.frontend_attributes"] = mlir.ir.DictAttr.get(texts)
+        return results
+
     primitive = new_operation(
         name,
         lambda *args, jaxpr, **_: jaxpr_as_fun(jaxpr)(*args),
         typed=lambda *args, jaxpr, **_: jaxpr.out_avals,
         several=True,
-        lowered=lambda context, *args, jaxpr, **_: mlir.core_call_lowering(context, *args, name=name, call_jaxpr=jaxpr),
-        batch=batch,
-        jvp=jvp,
+        lowered=lowered,
+        **rules,
     )
     primitive.is_high = lambda *_, jaxpr, **__: getattr(jaxpr, "is_high", False)  # pyright: ignore
     primitive.to_lojax = lambda *args, jaxpr, **params: primitive.bind(*args, jaxpr=without_high_operations(jaxpr), **params)

@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.compilation.compile_options import brief_options, programs_inside
-from jaxbody.core.jax_internals import Literal, Zero, new_operation, same_operation, shaped
+from jaxbody.compilation.array_functions import compiled_with
+from jaxbody.compilation.compile_options import BRIEF
+from jaxbody.core.jax_internals import Literal, Zero, new_operation, programs_inside, same_operation, shaped
 
 Answer = Callable[[np.ndarray], tuple[Any, Any]]  # value and gradient of the cost at y
 Run = Callable[[Answer, list[Any]], list[Any]]
@@ -99,7 +100,7 @@ class Parts:
         def between(which, given):
             return jax.lax.switch(which, self.branches, given)
 
-        return jax.jit(between, compiler_options=brief_options())
+        return compiled_with(BRIEF, between)
 
     def filled(self, end: int, variables: list[Any], values: list[Any]) -> dict[Any, list[Any]]:
         """{type: arrays} of a part, with zeros for those that it does not have."""

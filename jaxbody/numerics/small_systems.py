@@ -1,4 +1,4 @@
-"""Small systems of equations: symmetric ones, solved without LAPACK, whose calls would split a compiled loop, and which rows depend."""
+"""Small systems of equations, solved without LAPACK, whose calls would split a compiled program, and which rows depend."""
 
 from __future__ import annotations
 
@@ -48,6 +48,32 @@ def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Flo
         row = Ab[i, 1:] / Ab[i, 0]
         Ab = jnp.where((np.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row[None])
     return kept(Ab[:, 0]), jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)
+
+
+def solve(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
+    """x with A x = b, by elimination with partial pivoting; not finite where A is singular."""
+    if not 0 < len(A) <= LARGEST_UNROLLED:
+        return jnp.linalg.solve(A, b)
+    known = lax.stop_gradient(A)
+    return lax.custom_linear_solve(lambda x: times(A, x), b, lambda _, b: _eliminated(known, b), lambda _, b: _eliminated(known.T, b))
+
+
+def _eliminated(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
+    """x with A x = b: each column is cleared in all rows but that of its pivot, which stays where it is."""
+    n = len(A)
+
+    def clear(k, carry):
+        Ab, place = carry  # place[i]: the column whose pivot is in row i, n before there is one
+        column = lax.dynamic_index_in_dim(Ab, k, 1, keepdims=False)
+        best = jnp.argmax(jnp.where(place == n, jnp.abs(column), -1.0))
+        row = lax.dynamic_index_in_dim(Ab, best, keepdims=False)
+        row = row / lax.dynamic_index_in_dim(row, k, keepdims=False)
+        chosen = np.arange(n) == best
+        return jnp.where(chosen[:, None], row, Ab - column[:, None] * row), jnp.where(chosen, k, place)
+
+    start = jnp.concatenate([A, b[:, None]], 1), jnp.full(n, n)
+    Ab, place = lax.fori_loop(0, n, clear, start)
+    return jnp.sum(jnp.where(place == np.arange(n)[:, None], Ab[:, n], 0.0), 1)
 
 
 def independent_rows(matrix: np.ndarray, *, enough: float = 1.0) -> list[int]:

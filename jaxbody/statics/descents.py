@@ -97,6 +97,9 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
 def eigenvalue_signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
     """The number of negative eigenvalues of K, and whether one is zero; they are counted only where elimination shows that K is not
     definite."""
+    none = jnp.zeros((), int), jnp.array(False)
+    if not len(K):  # nothing can move
+        return none
     zero = reachable(SINGULAR, K.dtype) * jnp.sqrt(jnp.sum(K * K))
 
     def counted():
@@ -104,4 +107,4 @@ def eigenvalue_signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Arr
         return negative, not_positive > negative
 
     definite = is_definite(K - zero * np.eye(len(K), dtype=K.dtype))
-    return jax.lax.cond(any_of_batch(~definite), counted, lambda: (jnp.zeros((), int), jnp.array(False)))
+    return jax.lax.cond(any_of_batch(~definite), counted, lambda: none)

@@ -40,6 +40,7 @@ from jaxbody.models.preconditions import check_attached, check_memory, check_pre
 from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.precisions import in_float64
+from jaxbody.numerics.small_systems import solve
 from jaxbody.statics.closure_forces import ClosureForces, closure_forces
 from jaxbody.statics.forces_at_rest import element_rows, on_supports, support_rows
 from jaxbody.statics.load_paths import AppliedLoads, Path, residual, tangent, with_gravity, with_load_gravity
@@ -328,7 +329,7 @@ def _implicit_jvp(primals, tangents):
         return q, coordinates.rate(q, _change_on_closures((coordinates, applied), tangents[0], at, valid))
     _, change = jax.jvp(unbalanced, (primals[0],), (tangents[0],))
     K = tangent(at, applied)
-    delta = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), change)
+    delta = -solve(jnp.where(valid, K, jnp.nan), change)
     return q, coordinates.rate(q, delta)
 
 

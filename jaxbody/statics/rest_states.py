@@ -29,6 +29,7 @@ from jaxbody.models.models import Model, at_rest_in, rest_poses
 from jaxbody.models.preconditions import check_independent, check_precision, check_state
 from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
+from jaxbody.numerics.small_systems import solve
 from jaxbody.statics.equilibria import Equilibrium, equilibrium_at
 from jaxbody.statics.load_paths import residual, tangent
 from jaxbody.statics.rest_searches import AT_REST, no_loads, search_by_descent
@@ -74,7 +75,7 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
         v = implied_change(on_supports, q, r, K, jax.jvp(conditions, (xi,), (xi_dot,))[1])
     else:
         drift = jax.jvp(slope, (xi,), (xi_dot,))[1]
-        v = -jnp.linalg.solve(K, drift)
+        v = -solve(K, drift)
     return State(jnp.where(valid, q, jnp.nan), v, eq.state.z), eq
 
 

@@ -68,7 +68,6 @@ print('programs', *sorted(ours))
 )
 
 DRIVERS = ["_excitation", "_linearize", "_measured", "_modes", "_placed", "between", "equilibrium_of", "integrate", "residual_and_jacobian"]
-OPTIONS = ["<lambda>"]  # of a function without operations, to see what XLA knows
 
 
 def programs(script, *arguments):
@@ -82,7 +81,7 @@ def programs(script, *arguments):
 def test_the_script_of_readme_compiles_one_program_for_each_driver():
     found = programs(README)
     ours = [name for name in found if not name.endswith(("_linearized", "_pullback", "_batch"))]
-    assert sorted(DRIVERS + OPTIONS) == [name for name in ours if name != "_traced_rows"]
+    assert sorted(DRIVERS) == [name for name in ours if name != "_traced_rows"]
     assert ours.count("_traced_rows") <= 1  # of a batch of stiffnesses
     of_three = ["_linearize", "_modes", "equilibrium_of"]
     endings = ["_batch", "_linearized", "_linearized_pullback"]
@@ -92,12 +91,12 @@ def test_the_script_of_readme_compiles_one_program_for_each_driver():
 def test_the_demo_compiles_few_programs(tmp_path):
     found = programs(DEMO, tmp_path)
     plots = ["_evaluate", "_evaluate", "_linearize", "_poses", "drawn_reference"]  # of poses, of tensions, about the reference
-    assert found == sorted(DRIVERS + OPTIONS + plots) and len(found) <= 15
+    assert found == sorted(DRIVERS + plots) and len(found) <= 15
 
 
 def test_a_random_response_and_a_design_compile_their_functions_only():
     response = ["_linearize", "_random_response", "equilibrium_of", "port_matrices"]
-    assert programs(RIDE) == sorted([*response, *OPTIONS, "_placed", "_values", "values_and_slopes"])
+    assert programs(RIDE) == sorted([*response, "_placed", "_values", "values_and_slopes"])
 
 
 def test_a_batch_of_numbers_is_written_into_a_model_by_two_programs():

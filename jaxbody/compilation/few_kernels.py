@@ -1,0 +1,112 @@
+"""Short programs in a few kernels of XLA, each of many simple operations, where every few operations would be a kernel of their own.
+
+jaxlib 0.12 compiles a kernel in 4 ms, whatever its size, and no option avoids it. XLA itself marks short loops by an attribute and compiles
+each of them as one function in an older way, which takes less time; here runs of simple operations are called with this attribute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jaxlib.version
+import numpy as np
+
+from jaxbody.core.jax_internals import ClosedJaxpr, Literal, call_of, programs_inside, same_operation, without_high_operations
+
+VERSIONS = ((0, 12),)  # of jaxlib, which were tried; with 0.10, where an option avoids the newer way, this takes as long
+MARKS = {"xla_cpu_small_call": "true", "inlineable": "false"}
+OPTIONS = {"xla_cpu_experimental_ynn_fusion_type": ""}  # products of matrices are not library calls, which a kernel cannot hold
+LARGEST = 50_000  # numbers in an array; work on larger ones is shared by the cores
+MOST_PRODUCTS = 100_000  # in a product of matrices; larger ones are faster in a library
+ELEMENTWISE = (
+    "abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp complex conj copy cos cosh div eq erf erf_inv erfc "
+    "exp exp2 expm1 floor ge gt imag integer_pow is_finite le log log1p logistic lt max min mul ne neg nextafter not or pow real rem "
+    "round rsqrt select_n shift_left shift_right_arithmetic shift_right_logical sign sin sinh sqrt square stop_gradient sub tan tanh "
+    "xor"
+)
+STRUCTURAL = (
+    "argmax argmin broadcast_in_dim concatenate convert_element_type cumlogsumexp cummax cummin cumprod cumsum dot_general "
+    "dynamic_slice dynamic_update_slice expand_dims gather iota pad reduce reduce_and reduce_max reduce_min reduce_or reduce_prod "
+    "reduce_sum reshape rev slice split squeeze stack transpose unstack"
+)
+OF_JAXBODY = "any_of_batch kept_in_lanes linear_with_transpose sum_in_lanes"
+CALLS = ("closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "in_lanes", "jit", "pjit", "remat", "checkpoint")
+SIMPLE = {*ELEMENTWISE.split(), *STRUCTURAL.split(), *OF_JAXBODY.split(), *CALLS, "cond", "custom_linear_solve", "scan", "while"}
+
+
+def jaxlib_version() -> tuple[int, int]:
+    major, minor = jaxlib.version.__version__.split(".")[:2]
+    return int(major), int(minor)
+
+
+def in_few_kernels(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function of trees of arrays, with runs of simple operations as kernels."""
+
+    def run(*args):
+        traced, results = jax.make_jaxpr(function, return_shape=True)(*args)
+        return jax.tree.unflatten(jax.tree.structure(results), evaluated(without_high_operations(traced), jax.tree.leaves(args)))
+
+    run.__name__ = function.__name__
+    return run
+
+
+def evaluated(program: ClosedJaxpr, arrays: Sequence[Any]) -> list[Any]:
+    """The results of a program; operations that are not simple stand alone between the kernels, or their own programs are evaluated so."""
+    jaxpr = program.jaxpr
+    known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arrays], strict=True))
+
+    def values(variables):
+        return [x.val if isinstance(x, Literal) else known[x] for x in variables]
+
+    def compute(equations, following):
+        if not equations:
+            return
+        made = [x for equation in equations for x in equation.outvars]
+        used = {x for equation in equations for x in equation.invars if not isinstance(x, Literal)}
+        later = {x for equation in following for x in equation.invars if not isinstance(x, Literal)} | set(results)
+        given, found = [x for x in known if x in used], [x for x in made if x in later]
+        # arguments are results, too: XLA ends the process where a kernel does not use one of them
+        kernel = jaxpr.replace(constvars=[], invars=given, outvars=[*found, *given], eqns=equations)
+        known.update(zip(found, _kernel_p.bind(*values(given), jaxpr=ClosedJaxpr(kernel, []))[: len(found)], strict=True))
+
+    results = [x for x in jaxpr.outvars if not isinstance(x, Literal)]
+    first = 0
+    for i, equation in enumerate(jaxpr.eqns):
+        if not is_simple(equation):
+            compute(jaxpr.eqns[first:i], jaxpr.eqns[i:])
+            args = values(equation.invars)
+            out = evaluated(_called(equation), args) if equation.primitive.name in CALLS else same_operation(equation, args)
+            known.update(zip(equation.outvars, out, strict=True))
+            first = i + 1
+    compute(jaxpr.eqns[first:], [])
+    return values(jaxpr.outvars)
+
+
+def is_simple(equation: Any) -> bool:
+    """Whether an operation and all inside it have few numbers, and XLA compiles them without other libraries."""
+    return (
+        equation.primitive.name in SIMPLE
+        and not equation.effects
+        and all(_is_small(x.aval) for x in (*equation.invars, *equation.outvars))
+        and (equation.primitive.name != "dot_general" or _products(equation) <= MOST_PRODUCTS)
+        and all(is_simple(inner) for program in programs_inside(equation) for inner in program.eqns)
+    )
+
+
+def _is_small(aval: Any) -> bool:
+    return isinstance(getattr(aval, "dtype", None), np.dtype) and aval.dtype.kind in "biufc" and aval.size <= LARGEST
+
+
+def _products(equation: Any) -> int:
+    (contracted, _), _ = equation.params["dimension_numbers"]
+    return equation.outvars[0].aval.size * int(np.prod([equation.invars[0].aval.shape[i] for i in contracted]))
+
+
+def _called(equation: Any) -> ClosedJaxpr:
+    """The program of a call."""
+    return equation.params["call_jaxpr" if "call_jaxpr" in equation.params else "jaxpr"]
+
+
+_kernel_p = call_of("kernel", attributes=MARKS)
