@@ -116,6 +116,7 @@ CODES = {
     "NONFINITE_START": ("the model has no finite result where a search starts", "start from parameters that can be simulated"),
     "NON_FINITE": ("a number is NaN or infinite", "give finite numbers"),
     "NOTHING_FREE": ("no parameter may change", 'name those that may: free=["*.stiffness"]'),
+    "NOTHING_MOVES": ("no body of the model can move", "free a body; an equilibrium gives the forces on supports"),
     "NOT_ALLOWED": ("a file and a module of yours are to be used together without a word from you", 'give allow=["mine.laws"]'),
     "NOT_A_FILE": ("a path is a pipe, a socket or a device", "give the path of a file"),
     "NOT_A_FRACTION": ("a number is not between 0 and 1", "give 0.1 for ten percent"),

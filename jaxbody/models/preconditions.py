@@ -61,6 +61,13 @@ def check_independent(where: str, model: Model) -> None:
         raise JaxbodyError(Problem("CLOSED_LOOPS", f"{where}.model", message, limit="a model with closures and given numbers", hint=hint))
 
 
+def check_moves(where: str, model: Model) -> None:
+    """Refuse a model without coordinates. Error: NOTHING_MOVES."""
+    if not model.layout.nv:
+        message, hint = "has no body that can move: all are fixed or driven", "Free a body; jb.equilibrium gives the forces on supports."
+        raise JaxbodyError(Problem("NOTHING_MOVES", f"{where}.model", message, 0, "a coordinate or more", hint))
+
+
 def check_memory(where: str, model: Model, frequencies: int = 0) -> None:
     """Check the memory of about ten matrices of all coordinates, of the contributions of all elements, and of complex matrices at these
     frequencies. Error: TOO_LARGE."""

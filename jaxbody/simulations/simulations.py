@@ -23,7 +23,7 @@ from jaxbody.mechanics.failure_causes import force_jump_messages, force_jumps_al
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import check_precision, check_state, unattached
+from jaxbody.models.preconditions import check_moves, check_precision, check_state, unattached
 from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.eigenproblems import companion
@@ -90,11 +90,11 @@ def simulate(
     runs, as in fits, tuning and finite differences.
 
     Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME for a support,
-    UNKNOWN_BODY for a load, CLOSED_LOOPS for jb.Gauss with closures. An integration that ends early warns, and returns its samples with a
-    status. Warns NOT_CLOSED for an initial state that is off the closures by more than 1e-6 of the model's size, SPRING_COLLAPSED for a
-    spring that passes through zero length and HALF_TURN for a Bushing or Torsion past half a turn, with the time, if samples show it and
-    many steps were rejected; the `summary()` of a trajectory always shows it. Warns DIVERGED for a body that is a million sizes of the
-    model away from where it is attached.
+    UNKNOWN_BODY for a load, CLOSED_LOOPS for jb.Gauss with closures, NOTHING_MOVES. An integration that ends early warns, and returns its
+    samples with a status. Warns NOT_CLOSED for an initial state that is off the closures by more than 1e-6 of the model's size,
+    SPRING_COLLAPSED for a spring that passes through zero length and HALF_TURN for a Bushing or Torsion past half a turn, with the time,
+    if samples show it and many steps were rejected; the `summary()` of a trajectory always shows it. Warns DIVERGED for a body that is a
+    million sizes of the model away from where it is attached.
 
     >>> import jax.numpy as jnp
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
@@ -105,6 +105,8 @@ def simulate(
     (11, 3)
     """
     check_precision("simulate", model)
+    if not model.layout.nz:
+        check_moves("simulate", model)
     initial = as_initial(initial)
     with Problems() as problems:
         motions = problems.gather(lambda: motions_of(model, motion))

@@ -31,7 +31,7 @@ from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name
 from jaxbody.models.memories import apart, settled
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import check_independent, check_memory, check_precision, check_state
+from jaxbody.models.preconditions import check_independent, check_memory, check_moves, check_precision, check_state
 from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.lanes import in_lanes
@@ -282,7 +282,7 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
 
     Loads of the equilibrium are included: K = d2V/dDelta2 - dQ/dDelta. The status of a failed equilibrium is kept; it is STALE, with a
     warning, if numbers of the model have changed so that the state is no longer an equilibrium. Errors: BAD_SHAPE, NON_FINITE for a state,
-    OTHER_MODEL.
+    OTHER_MODEL, NOTHING_MOVES.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
@@ -291,6 +291,7 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     (50.0, 2.0)
     """
     check_precision("linearize", model)
+    check_moves("linearize", model)
     check_independent("linearize", model)
     check_memory("linearize", model)
     if isinstance(at, Equilibrium):

@@ -26,7 +26,7 @@ from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.mechanics.free_motions import closure_stiffness, dependent_motions, speeds_on_closures
 from jaxbody.mechanics.hessians import configuration_at, damping, mass, slope, stiffness
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import check_independent, check_precision, check_state, check_without_memory
+from jaxbody.models.preconditions import check_independent, check_moves, check_precision, check_state, check_without_memory
 from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.precisions import reachable
@@ -71,8 +71,8 @@ def linearize_spin(model: Model, at: State) -> SpinLinearization:
 
     The Jacobian of the equations of motion at (q, v). It must not depend on time: a spinning body must be axisymmetric about its axis of
     spin, free or on a hinge, and elements must be attached to it on that axis. Errors: BAD_SHAPE, NON_FINITE for the state, CLOSED_LOOPS
-    for a model with closures built from traced numbers; warns NOT_STEADY, and NOT_CLOSED, also for speeds that do not fit the closures,
-    and SINGULAR_CLOSURE.
+    for a model with closures built from traced numbers, NOTHING_MOVES; warns NOT_STEADY, and NOT_CLOSED, also for speeds that do not fit
+    the closures, and SINGULAR_CLOSURE.
     Source: G. Genta, Dynamics of Rotating Systems (2005), 2.3.
 
     A disk with 0.2 kg m2 about its axis z, spinning at 30 rad/s, has G = 0.2 x 30 between its transverse rotations:
@@ -84,6 +84,7 @@ def linearize_spin(model: Model, at: State) -> SpinLinearization:
     6.0
     """
     check_precision("linearize_spin", model)
+    check_moves("linearize_spin", model)
     check_independent("linearize_spin", model)
     check_without_memory("linearize_spin", model)
     check_state(model, at, "at")

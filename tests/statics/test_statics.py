@@ -439,3 +439,16 @@ def test_an_equilibrium_of_another_model_is_not_linearized(plate, hanging):
     masses = jnp.array([6.0, 6.1])
     statuses = jax.jit(jax.vmap(lambda m: jb.linearize(jb.replace(plate, {"plate.mass": m}), hanging).status))(masses)
     assert statuses.tolist() == [0, Status.STALE]
+
+
+def test_a_model_in_which_nothing_moves_has_forces_at_rest_and_no_vibrations():
+    """Weight of 2 kg and its moment about the support, 0.5 m beside it."""
+    body = jb.Body(mass=2.0, inertia=[1, 1, 1], position=[0.5, 0, 0])
+    model = jb.Model(bodies={"box": body}, supports={"table": jb.Support()}, joints={"box": jb.Fixed("table")}, gravity=[0, -9.81, 0])
+    eq = jb.equilibrium(model)
+    assert eq.ok and eq.residual.shape == (0,)
+    np.testing.assert_allclose(eq.on_supports[0], [0, -2 * 9.81, 0, 0, 0, -9.81], atol=1e-12)
+    assert float(jax.grad(lambda model: jb.equilibrium(model).on_supports[0, 1])(model)["box"].mass) == pytest.approx(-9.81)
+    for function in (jb.linearize, jb.linearize_spin, lambda model, state: jb.simulate(model, [0.0, 1.0], initial=state)):
+        with pytest.raises(jb.JaxbodyError, match=r"no body that can move.*NOTHING_MOVES"):
+            function(model, eq.state)
