@@ -100,7 +100,7 @@ def eigenvalue_signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Arr
     none = jnp.zeros((), int), jnp.array(False)
     if not len(K):  # nothing can move
         return none
-    zero = reachable(SINGULAR, K.dtype) * jnp.sqrt(jnp.sum(K * K))
+    zero = reachable(SINGULAR, K.dtype) * jnp.sqrt(jnp.sum(K * K)) + jnp.finfo(K.dtype).tiny
 
     def counted():
         negative, not_positive = number_below(K, zero * np.array([-1.0, 1.0], K.dtype))

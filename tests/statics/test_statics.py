@@ -12,6 +12,7 @@ import jaxbody as jb
 from jaxbody import Status
 from jaxbody.mechanics.closed_loops import acceleration
 from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.statics.descents import eigenvalue_signs
 
 SIZE = 0.54  # of the plate: the corner farthest from O
 STIFFEST = 320.0
@@ -439,6 +440,19 @@ def test_an_equilibrium_of_another_model_is_not_linearized(plate, hanging):
     masses = jnp.array([6.0, 6.1])
     statuses = jax.jit(jax.vmap(lambda m: jb.linearize(jb.replace(plate, {"plate.mass": m}), hanging).status))(masses)
     assert statuses.tolist() == [0, Status.STALE]
+
+
+@pytest.mark.parametrize(
+    ("eigenvalues", "negative", "singular"),
+    [
+        ([1, 2, 3], 0, False), ([0, 0, 0], 0, True), ([1, 0, 2], 0, True), ([-1, 2, 3], 1, False), ([-1, -2, 0], 2, True),
+        ([1, 1, 1e-12], 0, True), ([1, 1, -1e-12], 0, True), ([1, 1, 1e-8], 0, False), ([1, 1, -1e-8], 1, False), ([-5, -5, -5], 3, False),
+    ],
+)  # fmt: skip
+def test_signs_of_a_stiffness_are_those_of_its_eigenvalues(eigenvalues, negative, singular):
+    Q = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    for K in (np.diag(eigenvalues), Q * eigenvalues @ Q.T):
+        assert tuple(map(int, eigenvalue_signs(jnp.asarray((K + K.T) / 2, float)))) == (negative, singular)
 
 
 def test_a_model_in_which_nothing_moves_has_forces_at_rest_and_no_vibrations():
