@@ -77,7 +77,8 @@ def evaluated(program: ClosedJaxpr, arrays: Sequence[Any]) -> list[Any]:
         if not is_simple(equation):
             compute(jaxpr.eqns[first:i], jaxpr.eqns[i:])
             args = values(equation.invars)
-            out = evaluated(_called(equation), args) if equation.primitive.name in CALLS else same_operation(equation, args)
+            called = equation.primitive.name in CALLS
+            out = evaluated(_called(equation), args) if called else same_operation(_with_kernels_inside(equation), args)
             known.update(zip(equation.outvars, out, strict=True))
             first = i + 1
     compute(jaxpr.eqns[first:], [])
@@ -102,6 +103,20 @@ def _is_small(aval: Any) -> bool:
 def _products(equation: Any) -> int:
     (contracted, _), _ = equation.params["dimension_numbers"]
     return equation.outvars[0].aval.size * int(np.prod([equation.invars[0].aval.shape[i] for i in contracted]))
+
+
+def _with_kernels_inside(equation: Any) -> Any:
+    """The same steps of a known number, or branches, with runs of simple operations in them as kernels."""
+
+    def divided(program):
+        return jax.make_jaxpr(lambda *arrays: evaluated(program, arrays))(*program.in_avals)
+
+    params = equation.params
+    if equation.primitive.name == "scan":
+        return equation.replace(params=params | {"jaxpr": divided(params["jaxpr"])})
+    if equation.primitive.name == "cond":
+        return equation.replace(params=params | {"branches": tuple(map(divided, params["branches"]))})
+    return equation
 
 
 def _called(equation: Any) -> ClosedJaxpr:

@@ -14,6 +14,7 @@ from jaxbody.compilation import few_kernels
 from jaxbody.compilation.array_functions import compiled_with
 from jaxbody.compilation.compile_options import BRIEF, brief_options
 from jaxbody.compilation.few_kernels import LARGEST, MARKS, OPTIONS, in_few_kernels
+from jaxbody.core.jax_internals import programs_inside
 
 MARK = "xla_cpu_small_call"
 
@@ -73,6 +74,20 @@ def test_what_one_function_cannot_do_well_stands_alone(operation, function):
     names = [equation.primitive.name for equation in jax.make_jaxpr(in_few_kernels(among_others))(X).eqns]
     assert names.count(operation) == 1 and "kernel" in names and not {"sin", "jit"} & set(names)
     np.testing.assert_allclose(results(among_others, X), np.cos(function(jnp.sin(X))), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("operation", "function"),
+    [
+        ("scan", lambda x: jax.lax.scan(lambda s, row: (s + jnp.sort(jnp.sin(row)), s * row), jnp.zeros(3), x)),
+        ("cond", lambda x: jax.lax.cond(x[0, 0] > 9, lambda: jnp.cos(x).sum(0), lambda: jnp.sort(jnp.sin(x)).sum(0))),
+    ],
+)
+def test_steps_and_branches_with_other_operations_have_kernels_inside(operation, function):
+    (equation,) = (e for e in jax.make_jaxpr(in_few_kernels(function))(X).eqns if e.primitive.name == operation)
+    assert any(inner.primitive.name == "kernel" for program in programs_inside(equation) for inner in program.eqns)
+    for ours, theirs in zip(jax.tree.leaves(results(function, X)), jax.tree.leaves(function(jnp.asarray(X))), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-13, atol=1e-15)
 
 
 @pytest.mark.everywhere
