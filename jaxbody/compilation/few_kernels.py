@@ -27,13 +27,14 @@ ELEMENTWISE = (
     "xor"
 )
 STRUCTURAL = (
-    "argmax argmin broadcast_in_dim concatenate convert_element_type cumlogsumexp cummax cummin cumprod cumsum dot_general "
-    "dynamic_slice dynamic_update_slice expand_dims gather iota pad reduce reduce_and reduce_max reduce_min reduce_or reduce_prod "
+    "argmax argmin broadcast_in_dim concatenate convert_element_type cummax cummin cumprod cumsum dot_general "
+    "dynamic_slice dynamic_update_slice gather iota pad reduce reduce_and reduce_max reduce_min reduce_or reduce_prod "
     "reduce_sum reshape rev slice split squeeze stack transpose unstack"
 )
-OF_JAXBODY = "any_of_batch kept_in_lanes linear_with_transpose sum_in_lanes"
-CALLS = ("closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "in_lanes", "jit", "pjit", "remat", "checkpoint")
-SIMPLE = {*ELEMENTWISE.split(), *STRUCTURAL.split(), *OF_JAXBODY.split(), *CALLS, "cond", "custom_linear_solve", "scan", "while"}
+OF_JAXBODY = "any_of_batch kept_in_lanes sum_in_lanes"
+CALLS = ("closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "eval_jaxpr", "in_lanes", "jit", "pjit", "remat", "checkpoint")
+BODIES = {"scan": "jaxpr", "while": "body_jaxpr"}  # loops, and which parameter is their body
+SIMPLE = {*ELEMENTWISE.split(), *STRUCTURAL.split(), *OF_JAXBODY.split(), *CALLS, *BODIES, "cond", "custom_linear_solve"}
 
 
 def jaxlib_version() -> tuple[int, int]:
@@ -106,15 +107,15 @@ def _products(equation: Any) -> int:
 
 
 def _with_kernels_inside(equation: Any) -> Any:
-    """The same steps of a known number, or branches, with runs of simple operations in them as kernels."""
+    """The same loop or branches, with runs of simple operations in them as kernels."""
 
     def divided(program):
         return jax.make_jaxpr(lambda *arrays: evaluated(program, arrays))(*program.in_avals)
 
-    params = equation.params
-    if equation.primitive.name == "scan":
-        return equation.replace(params=params | {"jaxpr": divided(params["jaxpr"])})
-    if equation.primitive.name == "cond":
+    name, params = equation.primitive.name, equation.params
+    if name in BODIES:
+        return equation.replace(params=params | {BODIES[name]: divided(params[BODIES[name]])})
+    if name == "cond":
         return equation.replace(params=params | {"branches": tuple(map(divided, params["branches"]))})
     return equation
 

@@ -15,6 +15,7 @@ from jaxbody.compilation.array_functions import compiled_with
 from jaxbody.compilation.compile_options import BRIEF, brief_options
 from jaxbody.compilation.few_kernels import LARGEST, MARKS, OPTIONS, in_few_kernels
 from jaxbody.core.jax_internals import programs_inside
+from jaxbody.numerics.xla_workarounds import any_of_batch, kept, sum_p
 
 MARK = "xla_cpu_small_call"
 
@@ -64,7 +65,7 @@ def test_lapack_stands_between_two_kernels():
         ("broadcast_in_dim", lambda x: jnp.full(LARGEST + 1, x[0, 0])),
         ("dot_general", lambda x: jnp.tile(x, (20, 20)) @ jnp.tile(x, (20, 20))),
         ("pure_callback", lambda x: jax.pure_callback(lambda x: x, jax.ShapeDtypeStruct((3, 3), float), x)),
-        ("while", lambda x: jax.lax.while_loop(lambda s: s[0] < 2, lambda s: (s[0] + 1, jnp.sort(s[1])), (0, x))[1]),
+        ("custom_linear_solve", lambda x: jnp.linalg.solve(x + 9 * np.eye(3), x)),
     ],
 )
 def test_what_one_function_cannot_do_well_stands_alone(operation, function):
@@ -76,14 +77,65 @@ def test_what_one_function_cannot_do_well_stands_alone(operation, function):
     np.testing.assert_allclose(results(among_others, X), np.cos(function(jnp.sin(X))), rtol=1e-12)
 
 
+def of_one_number(x):
+    i, z, lax = (100 * x).astype(int), jax.lax.complex(x, 1 - x), jax.lax
+    one = (
+        jnp.abs(x), jnp.arccos(x), jnp.arccosh(1 + x), jnp.arcsin(x), jnp.arcsinh(x), jnp.arctan(x), jnp.arctan2(x, z.imag), jnp.arctanh(x),
+        jnp.cbrt(x), jnp.ceil(9 * x), lax.clamp(0.2, x, 0.6), jnp.conj(z), lax.cos(x), jnp.cosh(x), x / z.imag, x == 0.5, lax.erf(x),
+        lax.erf_inv(x), lax.erfc(x), jnp.exp(z), jnp.exp2(x), jnp.expm1(x), jnp.floor(9 * x), x >= 0.5, x > 0.5, x**3, jnp.isfinite(1 / x),
+        x <= 0.5, jnp.log(x), jnp.log1p(x), lax.logistic(x), x < 0.5, jnp.maximum(x, 0.5), jnp.minimum(x, 0.5), x != 0.5, -x,
+        jnp.nextafter(x, 2.0), ~i, (i > 3) & (i < 60), i | 3, i ^ 5, x**z.imag, z.real * z, i % 7, jnp.round(9 * x), lax.rsqrt(x),
+        jnp.where(x > 0.5, x, i), i << 2, i >> 2, lax.shift_right_logical(i, i // 30), jnp.sign(x - 0.5), jnp.sin(z), jnp.sinh(x),
+        jnp.sqrt(x), jnp.square(x), lax.stop_gradient(x), x - i, jnp.tan(x), jnp.tanh(z), lax.add(x, x), lax.copy_p.bind(x),
+    )  # fmt: skip
+    return [jnp.asarray(y) for y in one]
+
+
+def of_many_numbers(x):
+    i, lax = jnp.argmin(x), jax.lax
+    return [
+        jnp.argmax(x), i, jnp.broadcast_to(x, (2, *x.shape)), jnp.concatenate([x, x]), lax.cummax(x), lax.cummin(x), lax.cumprod(x),
+        lax.cumsum(x), jnp.outer(x, x) @ x, lax.dynamic_slice(x, (i,), (3,)), lax.dynamic_update_slice(x, x[:2], (i,)),
+        jnp.expand_dims(x, 1), x[np.array([3, 0, 3])], jnp.arange(5.0) + lax.iota(int, 5), jnp.pad(x, 2), jnp.all(x > 0), jnp.any(x > 0.9),
+        jnp.max(x), jnp.min(x), jnp.prod(x), jnp.sum(x), lax.reduce(x, 0.0, lambda a, b: a + 2 * b - b, (0,)), jnp.outer(x, x).reshape(-1),
+        x[::-1], x[1:5:2], *jnp.split(x, 2), jnp.outer(x, x)[:1].squeeze(0), jnp.stack([x, 2 * x]), jnp.outer(x, 2 * x).T,
+        sum(jnp.unstack(jnp.outer(x, x))), any_of_batch(x > 0.5), kept(x), sum_p.bind(x, axes=(0,)),
+        jax.grad(lambda x: jnp.sum(jnp.sin(x) * x))(x),
+    ]  # fmt: skip
+
+
+@pytest.mark.everywhere
+@pytest.mark.parametrize("function", [of_one_number, of_many_numbers])
+def test_every_operation_that_a_kernel_may_hold_has_the_results_of_jax(function):
+    """Operation by operation; elementary functions of XLA's two ways differ by a few round-offs."""
+    x = np.linspace(0.05, 0.95, 16)
+    assert kernels(function, x) == 1
+    for i, (ours, theirs) in enumerate(zip(results(function, x), function(jnp.asarray(x)), strict=True)):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-13, atol=1e-15, err_msg=str(i))
+
+
+def test_they_are_all_tried():
+    tried = {
+        e.primitive.name
+        for function in (of_one_number, of_many_numbers)
+        for e in equations(jax.make_jaxpr(function)(np.linspace(0.05, 0.95, 16)).jaxpr)
+    }
+    assert few_kernels.SIMPLE - {*few_kernels.CALLS, *few_kernels.BODIES, "cond", "custom_linear_solve"} <= tried
+
+
+def equations(jaxpr):
+    return [e for own in jaxpr.eqns for e in (own, *(e for program in programs_inside(own) for e in equations(program)))]
+
+
 @pytest.mark.parametrize(
     ("operation", "function"),
     [
         ("scan", lambda x: jax.lax.scan(lambda s, row: (s + jnp.sort(jnp.sin(row)), s * row), jnp.zeros(3), x)),
+        ("while", lambda x: jax.lax.while_loop(lambda s: s[0] < 2, lambda s: (s[0] + 1, jnp.sort(jnp.sin(s[1]))), (0, x))[1]),
         ("cond", lambda x: jax.lax.cond(x[0, 0] > 9, lambda: jnp.cos(x).sum(0), lambda: jnp.sort(jnp.sin(x)).sum(0))),
     ],
 )
-def test_steps_and_branches_with_other_operations_have_kernels_inside(operation, function):
+def test_loops_and_branches_with_other_operations_have_kernels_inside(operation, function):
     (equation,) = (e for e in jax.make_jaxpr(in_few_kernels(function))(X).eqns if e.primitive.name == operation)
     assert any(inner.primitive.name == "kernel" for program in programs_inside(equation) for inner in program.eqns)
     for ours, theirs in zip(jax.tree.leaves(results(function, X)), jax.tree.leaves(function(jnp.asarray(X))), strict=True):
