@@ -163,11 +163,6 @@ def _loops(jaxpr: Any) -> bool:
     return False
 
 
-def brief_options() -> dict[str, Any]:
-    """Options for `jax.jit` of programs that take milliseconds."""
-    return known_to_xla(BRIEF)
-
-
 def quick_options() -> dict[str, Any]:
     """Options for `jax.jit` with which your own programs compile in two thirds of the time or less on a CPU.
 

@@ -42,10 +42,17 @@ def jaxlib_version() -> tuple[int, int]:
     return int(major), int(minor)
 
 
+def debugging() -> bool:
+    """Whether JAX runs operations one by one, or looks for NaN in the results of a program."""
+    return any(getattr(jax.config, f"jax_{name}") for name in ("disable_jit", "debug_nans", "debug_infs"))
+
+
 def in_few_kernels(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function of trees of arrays, with runs of simple operations as kernels."""
 
     def run(*args):
+        if debugging():
+            return function(*args)
         traced, results = jax.make_jaxpr(function, return_shape=True)(*args)
         return jax.tree.unflatten(jax.tree.structure(results), evaluated(without_high_operations(traced), jax.tree.leaves(args)))
 
@@ -62,17 +69,16 @@ def evaluated(program: ClosedJaxpr, arrays: Sequence[Any]) -> list[Any]:
         return [x.val if isinstance(x, Literal) else known[x] for x in variables]
 
     def compute(equations, following):
-        if not equations:
+        used, later = ({x for e in some for x in e.invars if not isinstance(x, Literal)} for some in (equations, following))
+        given = [x for x in known if x in used]
+        found = [x for e in equations for x in e.outvars if x in later or x in results]
+        if not found:
             return
-        made = [x for equation in equations for x in equation.outvars]
-        used = {x for equation in equations for x in equation.invars if not isinstance(x, Literal)}
-        later = {x for equation in following for x in equation.invars if not isinstance(x, Literal)} | set(results)
-        given, found = [x for x in known if x in used], [x for x in made if x in later]
         # arguments are results, too: XLA ends the process where a kernel does not use one of them
         kernel = jaxpr.replace(constvars=[], invars=given, outvars=[*found, *given], eqns=equations)
         known.update(zip(found, _kernel_p.bind(*values(given), jaxpr=ClosedJaxpr(kernel, []))[: len(found)], strict=True))
 
-    results = [x for x in jaxpr.outvars if not isinstance(x, Literal)]
+    results = {x for x in jaxpr.outvars if not isinstance(x, Literal)}
     first = 0
     for i, equation in enumerate(jaxpr.eqns):
         if not is_simple(equation):

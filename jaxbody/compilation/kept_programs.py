@@ -25,7 +25,7 @@ import jax
 from jax.experimental.compilation_cache import compilation_cache
 
 from jaxbody.compilation.array_functions import KEPT, Options, Remainder, has_few_kernels, jitted, known_to_xla
-from jaxbody.compilation.few_kernels import in_few_kernels
+from jaxbody.compilation.few_kernels import debugging, in_few_kernels
 from jaxbody.compilation.plain_data import LIBRARIES, Unnamed, text_of, value_of
 from jaxbody.compilation.shared_settings import little_garbage, without_cache
 from jaxbody.core import tables
@@ -277,7 +277,7 @@ def known(program: Callable[..., Any], types: tuple[Any, ...], fact: str, find: 
 def call(program: Callable[..., Any], options: Options, arrays: Sequence[Any]) -> Results:
     """What a program returns, compiled with these options, kept if `keep_programs` was called."""
     with little_garbage():
-        if _kept is None or _debugging() or not _on_first_device(arrays):
+        if _kept is None or debugging() or not _on_first_device(arrays):
             return jitted(program, options)(*arrays)
         arrays = [x if isinstance(x, jax.Array) else jax.device_put(x) for x in arrays]
         types = tuple(map(jax.typeof, arrays))
@@ -290,11 +290,6 @@ def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:
         return jax.block_until_ready(run(arrays))
     except jax.errors.JaxRuntimeError:
         return None
-
-
-def _debugging() -> bool:
-    """Whether JAX runs operations one by one, or looks for NaN in the results of a program."""
-    return any(getattr(jax.config, f"jax_{name}") for name in ("disable_jit", "debug_nans", "debug_infs"))
 
 
 def _on_first_device(arrays: Sequence[Any]) -> bool:

@@ -69,11 +69,11 @@ def _eliminated(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n
         row = lax.dynamic_index_in_dim(Ab, best, keepdims=False)
         row = row / lax.dynamic_index_in_dim(row, k, keepdims=False)
         chosen = np.arange(n) == best
-        return jnp.where(chosen[:, None], row, Ab - column[:, None] * row), jnp.where(chosen, k, place)
+        return jnp.where(chosen[:, None], row[None], Ab - column[:, None] * row[None]), jnp.where(chosen, k, place)
 
     start = jnp.concatenate([A, b[:, None]], 1), jnp.full(n, n)
     Ab, place = lax.fori_loop(0, n, clear, start)
-    return jnp.sum(jnp.where(place == np.arange(n)[:, None], Ab[:, n], 0.0), 1)
+    return jnp.sum(jnp.where(place[None] == np.arange(n)[:, None], Ab[None, :, n], 0.0), 1)
 
 
 def independent_rows(matrix: np.ndarray, *, enough: float = 1.0) -> list[int]:

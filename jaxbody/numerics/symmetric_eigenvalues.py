@@ -34,7 +34,7 @@ def number_below(A: Float[Array, "n n"], x: Float[Array, "m"]) -> Int[Array, "m"
     def pivot(i, state):
         q, count = state
         q = _at(d, i) - x - _at(e_before, i) / jnp.where(q == 0, jnp.finfo(d.dtype).tiny, q)
-        return q, count + (q < 0)
+        return q, count + (q < 0).astype(count.dtype)
 
     return lax.fori_loop(0, len(A), pivot, (jnp.ones_like(x), jnp.zeros(x.shape, int)))[1]
 

@@ -11,15 +11,18 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.compilation import few_kernels
-from jaxbody.compilation.array_functions import compiled_with
-from jaxbody.compilation.compile_options import BRIEF, brief_options
+from jaxbody.compilation.array_functions import compiled_with, known_to_xla
+from jaxbody.compilation.compile_options import BRIEF
 from jaxbody.compilation.few_kernels import LARGEST, MARKS, OPTIONS, in_few_kernels
 from jaxbody.core.jax_internals import programs_inside
 from jaxbody.numerics.xla_workarounds import any_of_batch, kept, sum_p
 
 MARK = "xla_cpu_small_call"
 
-pytestmark = pytest.mark.skipif(few_kernels.jaxlib_version() < (0, 10), reason="an older XLA was not tried")
+pytestmark = [
+    pytest.mark.skipif(few_kernels.jaxlib_version() < (0, 10), reason="an older XLA was not tried"),
+    pytest.mark.skipif(few_kernels.debugging(), reason="who looks for NaN has no kernels"),
+]
 X = np.random.default_rng(0).normal(size=(3, 3))
 
 
@@ -159,6 +162,30 @@ print(jax.jit(in_few_kernels(unused), compiler_options={OPTIONS!r})(jnp.ones(3),
     assert done.stdout == "[0. 0. 0.]\n", done.stderr
 
 
+def test_what_nothing_needs_is_left_out():
+    def unneeded(x):
+        jnp.zeros(3) + 1
+        return jnp.sort(x)
+
+    np.testing.assert_array_equal(results(unneeded, X), np.sort(X))
+    assert kernels(unneeded, X) == 0
+
+
+def test_who_debugs_sees_numbers():
+    seen = []
+
+    def watched(x):
+        seen.append(x)
+        return jnp.log(x)
+
+    program = jax.jit(in_few_kernels(jax.jit(watched)))
+    with jax.disable_jit():
+        program(X)
+    assert np.asarray(seen[-1]).shape == X.shape  # a traced array has none
+    with jax.debug_nans(True), pytest.raises(FloatingPointError, match="nan"):
+        program(-np.ones(3))
+
+
 def test_other_devices_have_no_kernels():
     assert kernels(jnp.sin, X) == 1 and kernels(jnp.sin, X, platform="cuda") == 0
 
@@ -167,7 +194,7 @@ def test_other_devices_have_no_kernels():
 def test_short_programs_have_them_where_xla_has_no_option():
     """With jaxlib 0.10 an option does the same, so that programs are compiled as a whole."""
     few = few_kernels.jaxlib_version() in few_kernels.VERSIONS
-    assert few != ("xla_cpu_use_fusion_emitters" in brief_options())
+    assert few != ("xla_cpu_use_fusion_emitters" in known_to_xla(BRIEF))
     text = compiled_with(BRIEF, lambda x: jnp.sin(x) + 1).lower(X).as_text()
     assert all((f'{name} = "{value}"' in text) == few for name, value in MARKS.items())
 
