@@ -83,6 +83,7 @@ def compiled_with(options: Options, function: Callable[..., Any]) -> Callable[..
 
 
 def has_few_kernels(options: Options) -> bool:
+    """Whether a program with these options is compiled in few kernels."""
     return set(few_kernels.OPTIONS.items()) <= set(options)
 
 

@@ -13,7 +13,8 @@ import jax
 import jaxlib.version
 import numpy as np
 
-from jaxbody.core.jax_internals import ClosedJaxpr, Literal, call_of, programs_inside, same_operation, without_high_operations
+from jaxbody.compilation.program_parts import parts_of, read
+from jaxbody.core.jax_internals import ClosedJaxpr, call_of, programs_inside, same_operation, without_high_operations
 
 VERSIONS = ((0, 12),)  # of jaxlib, which were tried; with 0.10, where an option avoids the newer way, this takes as long
 MARKS = {"xla_cpu_small_call": "true", "inlineable": "false"}
@@ -38,6 +39,7 @@ SIMPLE = {*ELEMENTWISE.split(), *STRUCTURAL.split(), *OF_JAXBODY.split(), *CALLS
 
 
 def jaxlib_version() -> tuple[int, int]:
+    """The first two numbers of the version."""
     major, minor = jaxlib.version.__version__.split(".")[:2]
     return int(major), int(minor)
 
@@ -64,32 +66,18 @@ def evaluated(program: ClosedJaxpr, arrays: Sequence[Any]) -> list[Any]:
     """The results of a program; operations that are not simple stand alone between the kernels, or their own programs are evaluated so."""
     jaxpr = program.jaxpr
     known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arrays], strict=True))
-
-    def values(variables):
-        return [x.val if isinstance(x, Literal) else known[x] for x in variables]
-
-    def compute(equations, following):
-        used, later = ({x for e in some for x in e.invars if not isinstance(x, Literal)} for some in (equations, following))
-        given = [x for x in known if x in used]
-        found = [x for e in equations for x in e.outvars if x in later or x in results]
-        if not found:
-            return
-        # arguments are results, too: XLA ends the process where a kernel does not use one of them
-        kernel = jaxpr.replace(constvars=[], invars=given, outvars=[*found, *given], eqns=equations)
-        known.update(zip(found, _kernel_p.bind(*values(given), jaxpr=ClosedJaxpr(kernel, []))[: len(found)], strict=True))
-
-    results = {x for x in jaxpr.outvars if not isinstance(x, Literal)}
-    first = 0
-    for i, equation in enumerate(jaxpr.eqns):
-        if not is_simple(equation):
-            compute(jaxpr.eqns[first:i], jaxpr.eqns[i:])
-            args = values(equation.invars)
-            called = equation.primitive.name in CALLS
-            out = evaluated(_called(equation), args) if called else same_operation(_with_kernels_inside(equation), args)
-            known.update(zip(equation.outvars, out, strict=True))
-            first = i + 1
-    compute(jaxpr.eqns[first:], [])
-    return values(jaxpr.outvars)
+    for alone, equations, needed, kept in parts_of(jaxpr, lambda equation: not is_simple(equation)):
+        if alone is not None:
+            args = read(known, alone.invars)
+            called = alone.primitive.name in CALLS
+            out = evaluated(_called(alone), args) if called else same_operation(_with_kernels_inside(alone), args)
+            known |= zip(alone.outvars, out, strict=True)
+        elif kept:
+            # arguments are results, too: XLA ends the process where a kernel does not use one of them
+            kernel = jaxpr.replace(constvars=[], invars=needed, outvars=[*kept, *needed], eqns=equations)
+            out = _kernel_p.bind(*read(known, needed), jaxpr=ClosedJaxpr(kernel, []))
+            known |= zip(kept, out[: len(kept)], strict=True)
+    return read(known, jaxpr.outvars)
 
 
 def is_simple(equation: Any) -> bool:

@@ -7,7 +7,6 @@ for each kind of operation; a callback that runs JAX can block. The function is 
 from __future__ import annotations
 
 import functools
-import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -18,7 +17,8 @@ from jaxtyping import Array, Float
 
 from jaxbody.compilation.array_functions import compiled_with
 from jaxbody.compilation.compile_options import BRIEF
-from jaxbody.core.jax_internals import Literal, Zero, new_operation, programs_inside, same_operation, shaped
+from jaxbody.compilation.program_parts import parts_of, read
+from jaxbody.core.jax_internals import Zero, new_operation, programs_inside, same_operation, shaped
 
 Answer = Callable[[np.ndarray], tuple[Any, Any]]  # value and gradient of the cost at y
 Run = Callable[[Answer, list[Any]], list[Any]]
@@ -83,7 +83,7 @@ class Parts:
         def branch(given):
             values = {v: x for kind, own in _by_type(needed).items() for v, x in zip(own, given[kind], strict=False)}
             for eqn in eqns:
-                values |= zip(eqn.outvars, same_operation(eqn, [_read(values, v) for v in eqn.invars]), strict=True)
+                values |= zip(eqn.outvars, same_operation(eqn, read(values, eqn.invars)), strict=True)
             return self.filled(1, kept, [jnp.asarray(values[v], v.aval.dtype) for v in kept])
 
         which = len(self.branches)
@@ -127,27 +127,18 @@ def _asks(eqn: Any) -> bool:
 
 def _divided(jaxpr: Any, parts: Parts) -> Run:
     """Runs a program: operations that ask in Python, all between two of them as one part."""
-    groups = [list(group) for _, group in itertools.groupby(jaxpr.eqns, lambda eqn: id(eqn) if _asks(eqn) else None)]
-    steps, later = [], {v for v in jaxpr.outvars if not isinstance(v, Literal)}
-    for group in reversed(groups):
-        made = [v for eqn in group for v in eqn.outvars]
-        needed = list(dict.fromkeys(v for eqn in group for v in eqn.invars if not isinstance(v, Literal) and v not in made))
-        kept = [v for v in made if v in later]
-        later.update(needed)
-        asks = _asks(group[0])
-        steps.insert(0, (_question(group[0], parts), group[0].invars, made) if asks else (parts.add(group, needed, kept), needed, kept))
+    steps = []
+    for alone, eqns, needed, kept in parts_of(jaxpr, _asks):
+        asks = alone is not None
+        steps.append((_question(alone, parts), alone.invars, alone.outvars) if asks else (parts.add(eqns, needed, kept), needed, kept))
 
     def run_all(answer: Answer, args: list[Any]) -> list[Any]:
         values = dict(zip([*jaxpr.constvars, *jaxpr.invars], args, strict=True))
         for run, given, results in steps:
-            values |= zip(results, run(answer, [_read(values, v) for v in given]), strict=True)
-        return [_read(values, v) for v in jaxpr.outvars]
+            values |= zip(results, run(answer, read(values, given)), strict=True)
+        return read(values, jaxpr.outvars)
 
     return run_all
-
-
-def _read(values: dict[Any, Any], v: Any) -> Any:
-    return v.val if isinstance(v, Literal) else values[v]
 
 
 def _question(eqn: Any, parts: Parts) -> Run:

@@ -54,7 +54,7 @@ compilation/few_kernels.py
     in_few_kernels                    first results of README's script with jaxlib 0.12: 13.4 to 9.2 s, of which 8.4 and 4.4 are compiling
     is_simple                         XLA ends the process where a kernel holds what it cannot, or does not use an argument
 compilation/array_functions.py
-    known_to_xla                      options are tried once, as not every version has them
+    known_to_xla                      not every version has all options: they are tried once where this is not known
 workers/chunk_programs.py
     one_at_a_time                     two programs with LAPACK in one process may wait for each other for ever, jaxlib 0.10
 workers/executors.py

@@ -105,7 +105,7 @@ def simulate(
     (11, 3)
     """
     check_precision("simulate", model)
-    if not model.layout.nz:
+    if not model.layout.nz:  # elements with memory relax between fixed bodies, too
         check_moves("simulate", model)
     initial = as_initial(initial)
     with Problems() as problems:
