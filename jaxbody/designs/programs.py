@@ -170,7 +170,12 @@ def labels_of(shapes: Shapes) -> list[str]:
     return [name + index for name, shape in shapes for index in indices(shape)]
 
 
-@jit_optimized_with_loops(lambda space, *_: is_costly(space.model))
+def _runs_long(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any) -> bool:
+    """True for batches, because workers optimize theirs and have to find the same numbers."""
+    return u.ndim > 1 or is_costly(space.model)
+
+
+@jit_optimized_with_loops(_runs_long)
 def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any):
     """Values, derivatives and shapes of all quantities; the choice of the objective and the limits needs no new compilation.
 
