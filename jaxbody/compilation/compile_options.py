@@ -16,6 +16,7 @@ from jaxbody.compilation.array_functions import KEPT, array_function, jitted, jo
 from jaxbody.compilation.compilations import Compiled
 from jaxbody.compilation.eager_programs import run
 from jaxbody.compilation.kept_programs import call, known, structs
+from jaxbody.compilation.lapack import find_lapack
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import only_transformed, outermost, programs_inside, started, without_manual_axes
 
@@ -129,6 +130,7 @@ def _jit_by_itself(
 
     @functools.wraps(function)
     def driver(*args):
+        find_lapack()
         program, arrays = array_function(noted, args)
         if outermost():
             with compiled.watched(args):

@@ -26,11 +26,12 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from jaxbody.compilation.array_functions import KEPT, Options, Remainder, has_few_kernels, jitted, known_to_xla
 from jaxbody.compilation.few_kernels import debugging, in_few_kernels
+from jaxbody.compilation.lapack import find_lapack
 from jaxbody.compilation.plain_data import LIBRARIES, Unnamed, text_of, value_of
 from jaxbody.compilation.shared_settings import little_garbage, without_cache
 from jaxbody.core import tables
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.core.jax_internals import code_can_be_run, code_of, find_lapack, runner
+from jaxbody.core.jax_internals import code_can_be_run, code_of, runner
 
 FORM = "jaxbody program 1"
 NUMBERS = tuple("biufc")  # kinds of types of NumPy; keys of random numbers have none

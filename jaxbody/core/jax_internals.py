@@ -188,17 +188,6 @@ def runner(code: bytes) -> Callable[[Sequence[Array]], list[Array]] | None:
     return run
 
 
-@functools.cache
-def find_lapack() -> None:
-    """Let jaxlib look LAPACK up, as it does when it lowers a call of it; a program that another process has lowered calls it too."""
-    try:
-        from jaxlib.lapack import prepare_lapack_call
-
-        prepare_lapack_call("potrf_ffi", jnp.dtype(float))
-    except (ImportError, AttributeError, TypeError):
-        jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), jnp.result_type(float)))
-
-
 # New operations
 
 

@@ -53,6 +53,10 @@ compilation/compile_options.py
 compilation/few_kernels.py
     in_few_kernels                    first results of README's script with jaxlib 0.12: 13.4 to 9.2 s, of which 8.4 and 4.4 are compiling
     is_simple                         XLA ends the process where a kernel holds what it cannot, or does not use an argument
+compilation/lapack.py
+    find_lapack [jaxlib's own]        it imports all of scipy.linalg: first frequencies 1.23 to 1.11 s, with kept programs 0.49 to 0.43
+compilation/background_imports.py
+    imported_while_compiling          first result of a design 0.2 s earlier on two idle cores: XLA compiles while SciPy is imported
 compilation/array_functions.py
     known_to_xla                      not every version has all options: they are tried once where this is not known
 workers/chunk_programs.py
@@ -76,6 +80,7 @@ fast_loops, 2026-11-22, on a busy machine; differences below a fifth are scatter
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -87,6 +92,7 @@ from jax import lax
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.jax_internals import new_operation, same_numbers, shaped
 
+FEW_PARTS = 8  # most slices in place of a gather, whose derivative adds into rows
 FEW_RUNS = 64  # most slices in a sum; compiling more would cost more than running a gather
 NOTHING = 1e-80  # below, the fifth power of 1/sqrt x in higher derivatives would overflow, and inf * 0 is NaN
 
@@ -152,24 +158,41 @@ def _carried_jvp(primals, tangents):
 
 def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]:
     """The sum of the rows of each group: over slices where groups are a few runs of consecutive rows, else by a padded gather."""
-    runs = [np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1) if rows else [] for rows in groups]
+    if all(len(rows) == 1 for rows in groups):
+        return take(x, np.concatenate(groups))
+    runs = [_runs(rows) for rows in groups]
     if sum(map(len, runs)) <= FEW_RUNS:
-        zero = jnp.zeros(x.shape[1], x.dtype)
-        return jnp.stack([sum((jnp.sum(x[run[0] : run[-1] + 1], 0) for run in group), zero) for group in runs])
+        return lax.concatenate([_sum_of_runs(x, group) for group in runs], 0)
     most = max(len(rows) for rows in groups)
     padded = np.array([rows + [len(x)] * (most - len(rows)) for rows in groups])
     return jnp.sum(jnp.concatenate([x, jnp.zeros((1, x.shape[1]), x.dtype)])[padded], 1)
 
 
 def take(x: Array, rows: np.ndarray) -> Array:
-    """x[rows] for constant rows; a slice where they are consecutive or all the same, which a compiled loop can fuse."""
-    if len(rows) and (np.diff(rows) == 1).all():
-        if len(rows) == len(x):
-            return x
-        return x[int(rows[0]) : int(rows[-1]) + 1]
+    """x[rows] for constant rows; slices where they are all the same or few runs of consecutive ones, which a compiled loop can fuse."""
+    runs = _runs(rows)
+    if len(runs) == 1:
+        return x if len(rows) == len(x) else _slice(x, rows)
     if len(rows) and (rows == rows[0]).all():
-        return jnp.broadcast_to(x[int(rows[0]) : int(rows[0]) + 1], (len(rows), *x.shape[1:]))
+        return jnp.broadcast_to(_slice(x, rows[:1]), (len(rows), *x.shape[1:]))
+    if 0 < len(runs) <= FEW_PARTS:
+        return lax.concatenate([_slice(x, run) for run in runs], 0)
     return x[rows]
+
+
+def _runs(rows: Any) -> list[np.ndarray]:
+    """Rows as runs of consecutive ones."""
+    return np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1) if len(rows) else []
+
+
+def _sum_of_runs(x: Float[Array, "m k"], runs: list[np.ndarray]) -> Float[Array, "1 k"]:
+    parts = [_slice(x, rows) if len(rows) == 1 else jnp.sum(_slice(x, rows), 0, keepdims=True) for rows in runs]
+    return functools.reduce(lax.add, parts) if parts else jnp.zeros((1, x.shape[1]), x.dtype)
+
+
+def _slice(x: Float[Array, "m *k"], run: np.ndarray) -> Float[Array, "n *k"]:
+    """The rows of a run, staged in a fifth of the time that JAX takes to interpret an index."""
+    return lax.slice_in_dim(x, int(run[0]), int(run[-1]) + 1)
 
 
 @jax.custom_jvp

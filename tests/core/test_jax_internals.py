@@ -137,9 +137,10 @@ def test_compiled_code_runs_in_another_process(tmp_path, monkeypatch):
         (tmp_path / "code").write_bytes(jax_internals.code_of(jax.jit(call).lower(*arguments).compile()))
     again = f"""
 import jax, jax.numpy as jnp
+from jaxbody.compilation.lapack import find_lapack
 from jaxbody.core import jax_internals
 jax.config.update("jax_enable_x64", {jax.config.jax_enable_x64})
-jax_internals.find_lapack()
+find_lapack()
 run = jax_internals.runner(open({str(tmp_path / "code")!r}, "rb").read())
 arguments = [jnp.array([[4.0, 1.0], [1.0, 3.0]]), jnp.array(3), jnp.array(True), jnp.array(1 + 2j)]
 for _ in range(2):
@@ -155,16 +156,3 @@ assert empty.shape == (0, 3) and single.dtype == "float32" and not L.committed
     assert not jax_internals.code_can_be_run()
     monkeypatch.undo()
     jax_internals.code_can_be_run.cache_clear()
-
-
-def test_lapack_is_looked_up_once_and_without_a_function_of_jaxlib(monkeypatch):
-    """By the lowering of a factorization, where that function does not exist."""
-    lowered = []
-    monkeypatch.setattr(jax_internals.jnp.linalg, "cholesky", lambda x: lowered.append(x.shape) or x)
-    for exists, count in ((True, 0), (False, 1)):
-        if not exists:
-            monkeypatch.delattr("jaxlib.lapack.prepare_lapack_call")
-        jax_internals.find_lapack.cache_clear()
-        jax_internals.find_lapack()
-        jax_internals.find_lapack()
-        assert len(lowered) == count
