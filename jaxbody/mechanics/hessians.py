@@ -17,6 +17,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -39,7 +41,7 @@ Vector = Float[Array, "n"]
 Square = Float[Array, "n n"]
 
 
-class Configuration(NamedTuple):
+class Configuration(eqx.Module):
     """A model with its bodies at q and its supports at rest in their reference poses: the table of frames; for each column of (Delta, Xi),
     or without `base` of Delta, the rotation of its own frame per unit of it; and J, the motion of each frame, None for the identity."""
 
@@ -48,7 +50,7 @@ class Configuration(NamedTuple):
     frames: Frame
     turns: Float[Array, "n 3"]
     J: Float[Array, "frames n 6"] | None
-    base: bool
+    base: bool = eqx.field(static=True)
 
 
 def configuration_at(
@@ -91,8 +93,9 @@ class DeadForces(NamedTuple):
     Q: Float[Array, "nb 3 3"]
 
 
+@jax.jit
 def expansion(at: Configuration, dead: DeadForces | None = None) -> tuple[Float[Array, ""], Vector, Square]:
-    """V, dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix."""
+    """V, dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix; a search and the derivative of its result share one trace."""
     model, frames, J, base = at.model, at.frames, at.J, at.base
     layout = model.layout
     arms = rotate(frames.R[layout.first_body :], model.bodies.rows.com)

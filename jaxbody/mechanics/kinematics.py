@@ -86,6 +86,7 @@ class Coordinates(Chart):
         """The table of frames: world, supports, bodies."""
         return self.frames_and_axes(q, v, supports)[0]
 
+    @jax.jit
     def frames_and_axes(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame):
         """The table of frames, and for each speed the velocity (nv, 3) and angular velocity (nv, 3) of its own body per unit
         of it, in world axes."""

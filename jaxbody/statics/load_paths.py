@@ -8,6 +8,7 @@ iteration, so that the path stays on the stable branch of the unloaded equilibri
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -86,7 +87,7 @@ def with_gravity(model: Model, change: Float[Array, "3"]) -> Model:
 
 def with_load_gravity(at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0) -> Configuration:
     """The configuration with a fraction `factor` of the change of gravity."""
-    return at._replace(model=with_gravity(at.model, factor * applied.gravity))
+    return dataclasses.replace(at, model=with_gravity(at.model, factor * applied.gravity))
 
 
 def generalized_force(model: Model, q, loads: tuple[Load, ...], weights: Any, delta: Float[Array, "nv"]) -> Float[Array, "nv"]:
