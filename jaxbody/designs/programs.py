@@ -199,6 +199,9 @@ def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array,
     """The value and the Jacobian by one linearization, or direction by direction if the function has loops of unknown length, such as
     simulations."""
     function = needed(function, u)
+    if u.size == 1:
+        values, slopes = jax.jvp(function, (u,), (jnp.ones_like(u),))
+        return values, slopes[:, None]
     try:
         values, tangent = jax.linearize(function, u)
     except ValueError:
