@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from jaxbody.compilation.background_imports import imported_while_compiling
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import device_array, float_array, is_concrete
@@ -116,19 +117,21 @@ def tune(
     program = Program(
         space, evaluate, minimize, limited, width=min(starts, BATCH), reverse=reverse, key=key if stochastic else None, progress=progress
     )
-    with one_thread(), working("tune", progress) as program.line:
+    with working("tune", progress) as program.line:
         program.line("first evaluation, compiling")
-        check_start(program, U)
-        searches = [Search(u, low, high, program.rows) for u in U]
-        if isinstance(method, str):
-            _run_scipy(program, searches, method, max_iterations, tolerance, workers)
-        else:
-            _run_optax(program, searches, method, max_iterations, key)
-        best = _best(searches)
-        if catalogs:
-            searches = _neighbors(program.space, best, catalogs)
-            _run_scipy(program, searches, method, max_iterations, tolerance, workers)
+        with imported_while_compiling("scipy.optimize"):
+            check_start(program, U)
+        with one_thread():
+            searches = [Search(u, low, high, program.rows) for u in U]
+            if isinstance(method, str):
+                _run_scipy(program, searches, method, max_iterations, tolerance, workers)
+            else:
+                _run_optax(program, searches, method, max_iterations, key)
             best = _best(searches)
+            if catalogs:
+                searches = _neighbors(program.space, best, catalogs)
+                _run_scipy(program, searches, method, max_iterations, tolerance, workers)
+                best = _best(searches)
     if not best.finite:
         check_slopes(program, best)
     return warn_if_failed(tuning_of(program, searches, best, max_iterations))

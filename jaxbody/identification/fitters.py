@@ -18,6 +18,7 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Float
 
+from jaxbody.compilation.background_imports import imported_while_compiling
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import device_array, is_concrete
@@ -144,7 +145,8 @@ def fit(
             line=line,
         )
         try:
-            _check_start(task, *evaluate(u)[:2])
+            with imported_while_compiling("scipy.optimize" if isinstance(method, str) else "scipy.special"):
+                _check_start(task, *evaluate(u)[:2])
             for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
                 u, converged = _search(evaluate, task, u, method)
                 status = Status.OK if converged else Status.NOT_CONVERGED

@@ -1,0 +1,48 @@
+"""Imports while XLA compiles, which leaves Python to other threads: SciPy's optimizers take as long to import as a short fit to run."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from jax import monitoring
+
+LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"  # the event of JAX after which XLA begins to compile
+
+
+@contextmanager
+def imported_while_compiling(module: str) -> Iterator[None]:
+    """Inside, a thread imports the module as soon as XLA begins to compile a program; on leaving it has been imported, or nothing was
+    compiled. An error of the import is left to the import statement of who needs the module.
+
+    >>> with imported_while_compiling("colorsys"):
+    ...     _ = jax.jit(lambda x: 2.5 * x)(1.0)
+    >>> "colorsys" in sys.modules
+    True
+    """
+    threads: list[threading.Thread] = []
+
+    def imported() -> None:
+        with suppress(Exception):
+            importlib.import_module(module)
+
+    def heard(event: str, duration_secs: float, **more: Any) -> None:
+        if event == LOWERED and not threads:
+            threads.append(threading.Thread(target=imported, daemon=True))
+            threads[0].start()
+
+    if module in sys.modules:
+        yield
+        return
+    monitoring.register_event_duration_secs_listener(heard)
+    try:
+        yield
+    finally:
+        if hasattr(monitoring, "unregister_event_duration_listener"):  # older versions of JAX cannot remove it
+            monitoring.unregister_event_duration_listener(heard)
+        for thread in threads:
+            thread.join()
