@@ -24,6 +24,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.fields import Kind, in_domain, kind_along, kind_of, nan_outside
 from jaxbody.models.bodies import check_inertia
 from jaxbody.models.models import Model
+from jaxbody.numerics.xla_workarounds import put
 
 
 @dataclass(frozen=True)
@@ -131,24 +132,22 @@ def by_array(leaves: Iterable[Leaf]) -> dict[int, list[Leaf]]:
 
 
 def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
-    """Write a block of rows into their array by one operation."""
-    first, rows = leaves[0], [leaf.row for leaf in leaves]
-    if first.row is None or rows == list(range(arrays[first.array].shape[first.axis(arrays)])):
+    """Write a block of rows into their array."""
+    first, array = leaves[0], arrays[leaves[0].array]
+    if _is_whole(leaves, array):
         arrays[first.array] = block
+    elif is_concrete((array, block)):
+        changed = np.array(array)
+        changed[(*[slice(None)] * first.axis(arrays), np.array([leaf.row for leaf in leaves]))] = block
+        arrays[first.array] = device_array(changed)
     else:
-        where, array = (*[slice(None)] * first.axis(arrays), np.array(rows)), arrays[first.array]
-        if is_concrete((array, block)):
-            changed = np.array(array)
-            changed[where] = block
-            arrays[first.array] = device_array(changed)
-        else:
-            arrays[first.array] = _traced_put(array, block, first.axis(arrays), tuple(rows))
+        arrays[first.array] = put(array, np.array([leaf.row for leaf in leaves]), block, first.axis(arrays))
 
 
-@partial(jax.jit, static_argnums=(2, 3), inline=True)
-def _traced_put(array: Any, block: Any, axis: int, rows: tuple[int, ...]) -> Any:
-    """One program where the block is a batch outside of a `jit`."""
-    return array.at[(*[slice(None)] * axis, np.array(rows))].set(block)
+def _is_whole(leaves: list[Leaf], array: Array) -> bool:
+    """Whether the leaves are all rows of their array, in order."""
+    rows, first = [leaf.row for leaf in leaves], leaves[0]
+    return first.row is None or rows == list(range(array.shape[array.ndim - 1 - first.rank]))
 
 
 def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
@@ -178,7 +177,7 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
     listed = set()
     with Problems() as problems:
         values = checked_dict(values, "replace.values", "path: value", problems)
-    new: dict[int, list[tuple[list[Leaf], Any]]] = {}
+    new: dict[int, list[tuple[list[Leaf], Any, tuple[Any, ...] | None]]] = {}
     for pattern, leaves in matching(leaves_of(tree), values, "replace").items():
         where = f"replace['{pattern}']"
         for leaf in leaves:
@@ -197,18 +196,26 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
         for rows in by_array(leaves).values():
             which, first = tuple(leaves.index(leaf) for leaf in rows) if each else len(rows), rows[0]
             axis, known = None if first.row is None else first.axis(arrays), concrete(value)
-            if known is None:
-                made = _traced_rows(value, which, axis, first.rank, first.kind.domain)
-            else:
-                made = _made(first, np.asarray(_block(known, which, axis)), where, problems)
-            new.setdefault(first.array, []).append((rows, made))
+            made = value if known is None else _made(first, np.asarray(_block(known, which, axis)), where, problems)
+            new.setdefault(first.array, []).append((rows, made, (which, axis, first.kind.domain) if known is None else None))
     problems.raise_if_any()
-    for parts in new.values():
-        leaves, blocks = [leaf for rows, _ in parts for leaf in rows], [block for _, block in parts]
-        xp = module_of(*blocks)
-        joined = blocks[0] if len(blocks) == 1 else xp.concatenate(blocks, leaves[0].axis(arrays))
-        _put(arrays, leaves, device_array(joined))
+    for array, parts in new.items():
+        leaves, blocks, places = [leaf for rows, *_ in parts for leaf in rows], [part[1] for part in parts], [part[2] for part in parts]
+        if any(places):
+            arrays[array] = _with_traced(arrays[array], blocks, tuple(leaves), tuple(places))
+        else:
+            _put(arrays, leaves, device_array(blocks[0] if len(blocks) == 1 else np.concatenate(blocks, leaves[0].axis(arrays))))
     return jax.tree.unflatten(treedef, arrays)
+
+
+@partial(jax.jit, static_argnums=(2, 3), inline=True)
+def _with_traced(array: Any, blocks: list[Any], leaves: tuple[Leaf, ...], places: tuple[tuple[Any, ...] | None, ...]) -> Any:
+    """An array with blocks of rows, of which some are traced and have places in the values given: one program where they are batches
+    outside of a `jit`."""
+    first, axis = leaves[0], array.ndim - 1 - leaves[0].rank
+    made = [x if place is None else _traced_rows(x, first.rank, *place) for x, place in zip(blocks, places, strict=True)]
+    block = made[0] if len(made) == 1 else jnp.concatenate(made, axis)
+    return block if _is_whole(list(leaves), array) else put(array, np.array([leaf.row for leaf in leaves]), block, axis)
 
 
 def _block(value: Any, rows: tuple[int, ...] | int, axis: int | None) -> Any:
@@ -223,9 +230,8 @@ def _block(value: Any, rows: tuple[int, ...] | int, axis: int | None) -> Any:
     return xp.moveaxis(value[np.array(rows)], 0, axis)
 
 
-@partial(jax.jit, static_argnums=(1, 2, 3, 4), inline=True)
-def _traced_rows(value: Any, rows: tuple[int, ...] | int, axis: int | None, rank: int, domain: str) -> Any:
-    """`_block` and `_made` of a traced value: one program where it is a batch outside of a `jit`."""
+def _traced_rows(value: Any, rank: int, rows: tuple[int, ...] | int, axis: int | None, domain: str) -> Any:
+    """`_block` and `_made` of a traced value."""
     block = _block(value, rows, axis)
     if domain in ("direction", "rotation"):
         return block / jnp.linalg.norm(block, axis=-1, keepdims=True)

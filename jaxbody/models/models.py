@@ -42,6 +42,7 @@ from jaxbody.models.model_checks import (
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable, tabulate, tabulate_by_structure
 from jaxbody.numerics.small_systems import independent_rows
+from jaxbody.numerics.xla_workarounds import take
 
 CLOSED = 1e-6  # of the largest distance of a point: the reference pose is drawn closed
 DISPLACED = 0.3  # of such a distance, or in rad: away from singular positions
@@ -233,7 +234,7 @@ def at_rest_in(model: Model, rest: Pose) -> State:
 
     def of(table: KindTable) -> tuple[tuple[str, ...], Array]:
         rows = _places(table.names, model.layout.bodies)
-        return table.names, jax.vmap(lambda joint, pose: joint.rest(pose))(table.rows, Pose(rest.p[rows], rest.R[rows]))
+        return table.names, jax.vmap(lambda joint, pose: joint.rest(pose))(table.rows, _poses_at(rest, rows))
 
     q = model.layout.joined([of(table) for table in model.joints])
     return State(q, jnp.zeros(model.layout.nv, q.dtype))
@@ -349,4 +350,4 @@ def _joined_poses(*parts: Pose) -> Pose:
 
 def _poses_at(frames: Pose, rows: np.ndarray) -> Pose:
     """Some rows of a table of poses."""
-    return Pose(frames.p[rows], frames.R[rows])
+    return Pose(take(frames.p, rows), take(frames.R, rows))
