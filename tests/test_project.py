@@ -266,17 +266,18 @@ def test_public_names_are_there_however_they_are_asked_for():
         exec("from jaxbody import Sprung")
 
 
-def test_type_checkers_are_given_the_same_names():
+@pytest.mark.parametrize("package", [jb, jb.laws, jb.presets], ids=lambda package: package.__name__)
+def test_type_checkers_are_given_the_same_names(package):
     offered = set()
-    for node in ast.parse((PACKAGE / "__init__.pyi").read_text()).body:
+    for node in ast.parse(Path(package.__file__).with_suffix(".pyi").read_text()).body:
         if isinstance(node, ast.ImportFrom):
             for alias in node.names:
                 assert alias.asname == alias.name
                 where = importlib.import_module(node.module or "")
                 assert hasattr(where, alias.name) or importlib.import_module(f"{node.module}.{alias.name}")
-                assert alias.name in OPEN or getattr(where, alias.name) is getattr(jb, alias.name)
+                assert alias.name in OPEN or getattr(where, alias.name) is getattr(package, alias.name)
                 offered.add(alias.name)
-    assert sorted(offered) == dir(jb)
+    assert sorted(offered) == dir(package)
     assert (PACKAGE / "py.typed").exists()
 
 

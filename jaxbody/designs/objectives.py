@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import jax.scipy.special
 
 from jaxbody.core.arrays import Array, Float, concrete, float_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem

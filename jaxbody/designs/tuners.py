@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from jaxbody.compilation.background_imports import imported_while_compiling
 from jaxbody.compilation.compile_options import jit_optimized
+from jaxbody.compilation.late_imports import imported_while_compiling
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import device_array, float_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -112,7 +111,9 @@ class Mount(FramePair):
         def rows(k):
             return jnp.concatenate([one[k][:, None] * unit[i][None] for i, one in zip(with_rows, each, strict=True)])
 
-        V_yy, R_yy, T_yy = (jax.scipy.linalg.block_diag(*(one[k] for one in each)) for k in (1, 3, 4))
+        from jax.scipy.linalg import block_diag  # for the few models with inner coordinates
+
+        V_yy, R_yy, T_yy = (block_diag(*(one[k] for one in each)) for k in (1, 3, 4))
         return rows(0), V_yy, rows(2), R_yy, T_yy
 
 

@@ -18,8 +18,8 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Float
 
-from jaxbody.compilation.background_imports import imported_while_compiling
 from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.late_imports import imported_while_compiling
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import device_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, warn

@@ -1,33 +1,39 @@
 """Force laws F(x) of one number, of springs and dampers, with and without memory; public as jaxbody.laws."""
 
-from jaxbody.laws.damper_laws import Digressive, Friction
-from jaxbody.laws.hydraulic_mounts import Hydraulic
-from jaxbody.laws.hysteresis_laws import BoucWen, Dahl, LuGre
-from jaxbody.laws.laws import Function, Law, Linear, Sum, TwoSided
-from jaxbody.laws.measured_curves import Table
-from jaxbody.laws.memory_laws import Hysteretic, Inertial, Viscoelastic
-from jaxbody.laws.rubber_laws import Maxwell
-from jaxbody.laws.spring_laws import AirSpring, Polynomial, Stop, TensionOnly
+from jaxbody.compilation.late_imports import late_names
 
-__all__ = [
-    "AirSpring",
-    "BoucWen",
-    "Dahl",
-    "Digressive",
-    "Friction",
-    "Function",
-    "Hydraulic",
-    "Hysteretic",
-    "Inertial",
-    "Law",
-    "Linear",
-    "LuGre",
-    "Maxwell",
-    "Polynomial",
-    "Stop",
-    "Sum",
-    "Table",
-    "TensionOnly",
-    "TwoSided",
-    "Viscoelastic",
-]
+__getattr__, __all__ = late_names(
+    "jaxbody.laws",
+    {  # `__init__.pyi` says the same to editors and type checkers
+        "damper_laws": (
+            "Digressive",
+            "Friction",
+        ),
+        "hydraulic_mounts": ("Hydraulic",),
+        "hysteresis_laws": (
+            "BoucWen",
+            "Dahl",
+            "LuGre",
+        ),
+        "laws": (
+            "Function",
+            "Law",
+            "Linear",
+            "Sum",
+            "TwoSided",
+        ),
+        "measured_curves": ("Table",),
+        "memory_laws": (
+            "Hysteretic",
+            "Inertial",
+            "Viscoelastic",
+        ),
+        "rubber_laws": ("Maxwell",),
+        "spring_laws": (
+            "AirSpring",
+            "Polynomial",
+            "Stop",
+            "TensionOnly",
+        ),
+    },
+)

@@ -23,7 +23,7 @@ from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field, in_domain, kind_of, take
 
 Number = Float[Array, ""]
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
+POINTS = 20  # of Gauss's quadrature of a force
 
 
 class Law(Described, eqx.Module):
@@ -152,8 +152,9 @@ def _integral_jvp(primals, tangents):
 
 
 def _quadrature(law: Law, x: Number) -> Number:
-    points = x * (1 + jnp.asarray(NODES, x.dtype)) / 2
-    return x / 2 * jnp.sum(jnp.asarray(WEIGHTS, x.dtype) * jax.vmap(law.force)(points))
+    nodes, weights = np.polynomial.legendre.leggauss(POINTS)
+    points = x * (1 + jnp.asarray(nodes, x.dtype)) / 2
+    return x / 2 * jnp.sum(jnp.asarray(weights, x.dtype) * jax.vmap(law.force)(points))
 
 
 def potential(law: Law | None, x: Number) -> Number:

@@ -12,7 +12,6 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, concrete
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field, kind_of, nan_outside
-from jaxbody.laws.curve_files import read_columns
 from jaxbody.laws.laws import Law, row_of_numbers
 
 
@@ -68,6 +67,8 @@ class Table(Law):
         those of the table.
         """
         text = {"separator": separator, "decimal": decimal, "encoding": encoding, "skip": skip, "footer": footer}
+        from jaxbody.laws.curve_files import read_columns  # with parts of `records`, for the few models that have tables
+
         return cls(*read_columns(Path(path), largest=largest, **text))
 
     def force(self, x):

@@ -232,7 +232,9 @@ def inner(spring: Law | None, x: Number, x_dot: Number) -> tuple[Array, ...]:
     """V_ye, V_yy, R_ye, R_yy and T_yy of all coordinates of a spring with memory, apart."""
     each = [part.inner(x, x_dot) for part in _parts(spring) if isinstance(part, Apart) and part.law.has_rows]
     V_ye, R_ye = (jnp.concatenate([one[i] for one in each]) for i in (0, 2))
-    V_yy, R_yy, T_yy = (jax.scipy.linalg.block_diag(*(one[i] for one in each)) for i in (1, 3, 4))
+    from jax.scipy.linalg import block_diag  # for the few models with inner coordinates
+
+    V_yy, R_yy, T_yy = (block_diag(*(one[i] for one in each)) for i in (1, 3, 4))
     return V_ye, V_yy, R_ye, R_yy, T_yy
 
 

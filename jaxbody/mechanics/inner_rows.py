@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import block_diag
 
 from jaxbody.core.arrays import Array, Float
 from jaxbody.laws.memories import Apart, memories
@@ -47,6 +46,8 @@ def inner_rows(at: Configuration) -> InnerRows:
             K_yx, C_yx = (jnp.reshape(H.reshape(n, ny, -1) @ J, (n * ny, -1)) for H in (V_ye, R_ye))
             parts.append(InnerRows(K_yx, _diagonal(V_yy), C_yx, _diagonal(R_yy), _diagonal(T_yy)))
     K_yx, C_yx = (jnp.concatenate([getattr(part, name) for part in parts]) for name in ("K_yx", "C_yx"))
+    from jax.scipy.linalg import block_diag  # for the few models with inner coordinates
+
     K_yy, C_yy, M_yy = (block_diag(*(getattr(part, name) for part in parts)) for name in ("K_yy", "C_yy", "M_yy"))
     if 0 < len(layout.inertial) < len(K_yy):
         order = np.searchsorted(np.sort(layout.inner_places), layout.inner_places)

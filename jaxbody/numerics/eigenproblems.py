@@ -176,7 +176,7 @@ def natural(K: Float[Array, "n n"], M: Float[Array, "n n"]) -> tuple[Float[Array
     values = in_lanes(lambda A: jnp.linalg.eigvalsh(A, symmetrize_input=False), lanes=SWEPT)(A)
     # separate from the values: in a batch LAPACK is slow, and XLA drops it where no shapes are used
     _, vectors = jnp.linalg.eigh(A, symmetrize_input=False)
-    shapes = jax.scipy.linalg.solve_triangular(L, vectors, lower=True, trans=1)
+    shapes = jax.lax.linalg.triangular_solve(L, vectors, left_side=True, lower=True, transpose_a=True)
     largest = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=0)[None], 0)
     return values, shapes * jnp.where(largest < 0, -1.0, 1.0)
 
@@ -184,8 +184,8 @@ def natural(K: Float[Array, "n n"], M: Float[Array, "n n"]) -> tuple[Float[Array
 def _standard(K, M):
     """A and L of the standard problem A y = w^2 y, with y = L' phi and L L' = M."""
     L = cholesky_of_mass(M)
-    half = jax.scipy.linalg.solve_triangular(L, K, lower=True)
-    return _symmetric(jax.scipy.linalg.solve_triangular(L, half.T, lower=True)), L
+    half = jax.lax.linalg.triangular_solve(L, K, left_side=True, lower=True)
+    return _symmetric(jax.lax.linalg.triangular_solve(L, half.T, left_side=True, lower=True)), L
 
 
 def cholesky_of_mass(M: Float[Array, "n n"]) -> Float[Array, "n n"]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import jax.scipy.linalg
 import numpy as np
 from jax import lax
 
@@ -40,7 +39,7 @@ def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Flo
     n = A.shape[-1]
     if n > LARGEST_UNROLLED:
         factor = jnp.linalg.cholesky(A)
-        return jax.scipy.linalg.cho_solve((factor, True), b), jnp.isfinite(factor).all()
+        return _by_cholesky(factor, b[:, None])[:, 0], jnp.isfinite(factor).all()
     Ab = jnp.concatenate([A, b[:, None]], -1)
     pivots = []
     for i in range(n):  # Gauss-Jordan: eliminate the first column from all rows but i, and drop it
@@ -48,6 +47,13 @@ def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Flo
         row = Ab[i, 1:] / Ab[i, 0]
         Ab = jnp.where((np.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row[None])
     return kept(Ab[:, 0]), jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)
+
+
+def _by_cholesky(L: Float[Array, "n n"], b: Float[Array, "n m"]) -> Float[Array, "n m"]:
+    """x with L L' x = b."""
+    return lax.linalg.triangular_solve(
+        L, lax.linalg.triangular_solve(L, b, left_side=True, lower=True), left_side=True, lower=True, transpose_a=True
+    )
 
 
 def solve(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
@@ -153,7 +159,7 @@ def inverse_spd(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """The inverse of a symmetric positive definite matrix."""
     n = len(A)
     if n > LARGEST_UNROLLED:
-        return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(A), True), jnp.eye(n, dtype=A.dtype))
+        return _by_cholesky(jnp.linalg.cholesky(A), jnp.eye(n, dtype=A.dtype))
     both = jnp.concatenate([A, jnp.eye(n, dtype=A.dtype)], -1)
     for i in range(n):
         row = both[i, 1:] / both[i, 0]

@@ -56,7 +56,7 @@ compilation/few_kernels.py
     is_simple                         XLA ends the process where a kernel holds what it cannot, or does not use an argument
 compilation/lapack.py
     find_lapack [jaxlib's own]        it imports all of scipy.linalg: first frequencies 1.23 to 1.11 s, with kept programs 0.49 to 0.43
-compilation/background_imports.py
+compilation/late_imports.py
     imported_while_compiling          first result of a design 0.2 s earlier on two idle cores: XLA compiles while SciPy is imported
 compilation/array_functions.py
     known_to_xla                      not every version has all options: they are tried once where this is not known

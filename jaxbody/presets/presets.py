@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from jaxbody import laws
 from jaxbody.elements.bushings import Bushing
 from jaxbody.elements.mounts import Mount
 from jaxbody.elements.springs import Spring
 from jaxbody.elements.torsions import AntiRollBar
 from jaxbody.joints.elementary_joints import Guide, Hinge
 from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
-from jaxbody.laws.hydraulic_mounts import Hydraulic
 from jaxbody.models.bodies import Body, Support
 from jaxbody.models.models import Model
 
@@ -227,7 +227,7 @@ def hydraulic_engine_mounts(*, mass=139.5, inertia=ENGINE, points=MOUNTS, hydrau
     rubber = engine_on_mounts(mass=mass, inertia=inertia, points=points)
     (x, y, _), (c_x, c_y, _) = MOUNT_STIFFNESS[0], MOUNT_DAMPING[0]
     place = np.asarray(points)[0]
-    z = Hydraulic(**HYDRAULIC) if hydraulic is None else hydraulic
+    z = laws.Hydraulic(**HYDRAULIC) if hydraulic is None else hydraulic
     first = Mount(("engine", place), ("frame", place), x=x, y=y, z=z, damping=[c_x, c_y, 0.0])
     return Model(
         bodies={"engine": rubber["engine"]},

@@ -64,8 +64,7 @@ def _eliminated(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]
     if A.massless:
         return _eliminated_with_branches(A, s)
     if (n := len(A.M)) > LARGEST_UNROLLED:
-        factors = jax.scipy.linalg.lu_factor(jnp.moveaxis(A.at(s), -1, 0))
-        return lambda b, transposed: jax.vmap(lambda LU, b: jax.scipy.linalg.lu_solve(LU, b, int(transposed)), (0, -1), -1)(factors, b)
+        return _by_lapack(A.at(s))
     shapes = natural(A.K, A.M)[1]
     D = A.moved(shapes.T, shapes).at(s)
     D = jnp.concatenate([D, jnp.broadcast_to(shapes.T[:, :, None].astype(D.dtype), D.shape)], 1)
@@ -74,6 +73,14 @@ def _eliminated(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]
         D = jnp.where((jnp.arange(n) == i)[:, None, None], row, D[:, 1:] - D[:, :1] * row[None])
     inverse = jnp.tensordot(shapes.astype(D.dtype), D, 1)
     return lambda b, transposed: _product(jnp.swapaxes(inverse, 0, 1) if transposed else inverse, b)
+
+
+def _by_lapack(D: Complex[Array, "n n nf"]) -> Callable[[jax.Array, bool], jax.Array]:
+    """The map b -> D^-1 b or its transpose."""
+    from jax.scipy.linalg import lu_factor, lu_solve  # for the few models that need them
+
+    factors = lu_factor(jnp.moveaxis(D, -1, 0))
+    return lambda b, transposed: jax.vmap(lambda LU, b: lu_solve(LU, b, int(transposed)), (0, -1), -1)(factors, b)
 
 
 def _eliminated_with_branches(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]:
@@ -85,12 +92,12 @@ def _eliminated_with_branches(A: DynamicMatrices, s) -> Callable[[jax.Array, boo
     K_yd, C_yd, U = (x.astype(s.dtype) for x in (U.T @ A.K[y, d], U.T @ A.C[y, d], U))
     g, soft = K_yd[:, :, None] + C_yd[:, :, None] * s[None, None], 1 / (rates.astype(s.dtype)[:, None] + s[None])
     whole = DynamicMatrices(A.K[d, d], A.C[d, d], A.M[d, d], None).at(s) - jnp.einsum("ynf,yf,ymf->nmf", g, soft, g)
-    factors = jax.scipy.linalg.lu_factor(jnp.moveaxis(whole, -1, 0))
+    rest = _by_lapack(whole)
 
     def solve(b, transposed):
         own = jnp.tensordot(U.T, b[y], 1)
         right = b[d] - jnp.einsum("ynf,yf,ymf->nmf", g, soft, own)
-        x = jax.vmap(lambda LU, b: jax.scipy.linalg.lu_solve(LU, b, int(transposed)), (0, -1), -1)(factors, right)
+        x = rest(right, transposed)
         return jnp.concatenate([x, jnp.tensordot(U, soft[:, None] * (own - jnp.einsum("ynf,nmf->ymf", g, x)), 1)])
 
     return solve

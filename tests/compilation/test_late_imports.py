@@ -1,12 +1,13 @@
-"""Modules are imported by another thread while XLA compiles, and only then."""
+"""Modules are imported by another thread while XLA compiles, and only then; laws and presets at their first use."""
 
+import subprocess
 import sys
 import threading
 
 import jax
 import pytest
 
-from jaxbody.compilation.background_imports import imported_while_compiling
+from jaxbody.compilation.late_imports import imported_while_compiling
 
 pytestmark = pytest.mark.everywhere
 
@@ -38,3 +39,23 @@ def test_errors_are_those_of_the_import_statement(tmp_path, monkeypatch):
         import imported_in_vain  # noqa: F401
     with pytest.raises(KeyError), imported_while_compiling("imported_in_vain"):
         raise KeyError
+
+
+def test_laws_and_presets_are_imported_at_their_first_use():
+    script = """
+import sys
+import jaxbody as jb
+car = jb.presets.quarter_car()
+assert "jaxbody.laws.hydraulic_mounts" not in sys.modules and "jaxbody.presets.linkages" not in sys.modules
+assert jb.laws.Hydraulic is sys.modules["jaxbody.laws.hydraulic_mounts"].Hydraulic and jb.presets.four_bar
+from jaxbody.laws import *
+assert LuGre is jb.laws.LuGre
+try:
+    jb.laws.Hydrolic
+except AttributeError as error:
+    assert str(error) == "module 'jaxbody.laws' has no attribute 'Hydrolic'"
+else:
+    raise AssertionError
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr

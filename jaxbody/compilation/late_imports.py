@@ -1,17 +1,41 @@
-"""Imports while XLA compiles, which leaves Python to other threads: SciPy's optimizers take as long to import as a short fit to run."""
+"""Imports when they are needed: names of a package at their first use, a module while XLA compiles, which leaves Python to other threads.
+
+SciPy's optimizers take as long to import as a short fit to run; the laws of forces, of which a model has one or two, a tenth of what an
+equilibrium imports.
+"""
 
 from __future__ import annotations
 
 import importlib
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
 from jax import monitoring
 
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"  # the event of JAX after which XLA begins to compile
+
+
+def late_names(package: str, modules: dict[str, tuple[str, ...]]) -> tuple[Callable[[str], Any], list[str]]:
+    """`__getattr__` and `__all__` of a package whose names are imported from its modules at their first use; its stub says the same to
+    editors and type checkers.
+
+    Args:
+        package: "jaxbody.laws"
+        modules: {module: public names in it}
+    """
+    places = {name: module for module, names in modules.items() for name in names}
+
+    def __getattr__(name: str) -> Any:
+        if name not in places:
+            raise AttributeError(f"module '{package}' has no attribute '{name}'")
+        thing = getattr(importlib.import_module(f"{package}.{places[name]}"), name)
+        setattr(sys.modules[package], name, thing)
+        return thing
+
+    return __getattr__, sorted(places)
 
 
 @contextmanager
