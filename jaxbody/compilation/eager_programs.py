@@ -18,7 +18,17 @@ import jax.numpy as jnp
 
 from jaxbody.compilation.array_functions import Remainder, jitted
 from jaxbody.compilation.kept_programs import Options, Results, call, types_of_results
-from jaxbody.core.jax_internals import Zero, chosen, jaxpr_as_fun, merged, needed_arguments, new_operation, unbatched, unknown, zero_tangent
+from jaxbody.core.jax_internals import (
+    Zero,
+    chosen,
+    jaxpr_as_fun,
+    merged,
+    needed_arguments,
+    new_operation,
+    transpose_with_sums,
+    unbatched,
+    unknown,
+)
 
 FEW = 16  # members of a batch up to which it is compiled like one of them
 
@@ -89,14 +99,17 @@ class Linearized(Derived):
 
 @dataclass(frozen=True)
 class Pullback(Derived):
-    """(x, what is saved, w) to w f'(x) of a Linearized, for those w of real results that are `given`, and for those x on which these
-    results depend. All others are left out, as zero times an infinite derivative is no number."""
+    """(x, what is saved, w, s) to s + w f'(x) of a Linearized, for those w of real results that are `given`, for those x on which these
+    results depend, and for the s of those x that are `summed`. All others are left out, as zero times an infinite derivative is no
+    number."""
 
     of: Linearized  # pyright: ignore
     given: tuple[bool, ...]
+    summed: tuple[bool, ...]
 
     def __call__(self, *args: Any) -> Results:
-        (known, w), x = _apart(args, self.given), args[: len(self.of.moved)]
+        before, sums = _apart(args, self.summed)
+        (known, w), x = _apart(before, self.given), before[: len(self.of.moved)]
         if (self.of, _types_of(x)) not in _linear:  # it was on disk, or is forgotten: traced again
             jax.make_jaxpr(lambda *x: self.of(*x)[0])(*x)
         structure, places = _linear[self.of, _types_of(x)]
@@ -105,7 +118,8 @@ class Pullback(Derived):
         linear = jax.make_jaxpr(lambda *dx: chosen(tangents(*dx), self.given))(*types)
         needed = tuple(needed_arguments(linear))
         pullback = jax.linear_transpose(jaxpr_as_fun(linear), *types)
-        return chosen(pullback(list(w)), needed), Remainder(needed)
+        sums = merged(self.summed, sums, [None] * len(types))
+        return [y if s is None else s + y for s, y in chosen([*zip(sums, pullback(list(w)), strict=True)], needed)], Remainder(needed)
 
 
 @dataclass(frozen=True)
@@ -183,7 +197,7 @@ def _program_jvp(primals, tangents, *, program, options):
         count = len(types_of_results(program, _types_of(primals))[0])
         out = run(Jvp(program, moved), options, [*primals, *moving])[0]
         out, tangents_out = out[:count], out[count:]
-    return out, merged(list(map(_is_real, out)), tangents_out, [zero_tangent(y) for y in out])
+    return out, merged(list(map(_is_real, out)), tangents_out, [Zero(jax.typeof(y).to_tangent_aval()) for y in out])
 
 
 def _program_batch(args, axes, *, program, options):
@@ -209,10 +223,14 @@ def _tangents(*args, linearized, types, options, count):
     return run(forward, options, [*known[: len(linearized.moved)], *moving])[0]
 
 
-def _tangents_transpose(cotangents, *args, linearized, types, options, count):
-    known, moving = _apart(args, linearized.moved)
-    given = tuple(type(w) is not Zero for w in cotangents)
-    out, needed = run(Pullback(linearized, given), options, [*known, *chosen(cotangents, given)])
+def _tangents_transpose(cotangents, *args, **params):
+    return _tangents_transpose_with_sums(cotangents, [None] * len(args), *args, **params)
+
+
+def _tangents_transpose_with_sums(cotangents, so_far, *args, linearized, types, options, count):
+    (known, moving), (_, sums) = _apart(args, linearized.moved), _apart(so_far, linearized.moved)
+    given, summed = tuple(type(w) is not Zero for w in cotangents), tuple(s is not None for s in sums)
+    out, needed = run(Pullback(linearized, given, summed), options, [*known, *chosen(cotangents, given), *chosen(sums, summed)])
     return [None] * len(known) + merged(needed.value, out, [Zero(x.aval) for x in moving])
 
 
@@ -239,3 +257,4 @@ _tangents_p = new_operation(
     jvp=_tangents_jvp,
     transpose=_tangents_transpose,
 )
+transpose_with_sums(_tangents_p, _tangents_transpose_with_sums)

@@ -72,11 +72,6 @@ def unbatched(x: Any) -> bool:
     return not (isinstance(x, Tracer) and type(x).__name__ == "BatchTracer")
 
 
-def zero_tangent(x: Any) -> Zero:
-    """The tangent of a constant."""
-    return Zero(jax.typeof(x).to_tangent_aval())
-
-
 def chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
     """Those of x that are chosen, in their order."""
     return [y for y, c in zip(x, which, strict=True) if c]
@@ -220,6 +215,29 @@ def new_operation(
     return primitive
 
 
+def transpose_with_sums(primitive: Primitive, transpose: Callable[..., Any]) -> None:
+    """Let transpose(cotangents, so_far, *args, **parameters) return sums with the cotangents that other operations have given to the same
+    args; `so_far` has None where there are none. Without this JAX adds them, outside a `jit` by a program for each shape."""
+    try:
+        from jax._src.interpreters import ad as inside
+
+        rules, Sum = inside.fancy_transposes, inside.ValAccum
+    except (ImportError, AttributeError):  # before version 0.8
+        return
+
+    def rule(cotangents, *args, **parameters):
+        first = {id(x): i for i, x in reversed([*enumerate(args)])}  # one may be given twice
+        known = [isinstance(x, Sum) and type(x.val) is not Zero and first[id(x)] == i for i, x in enumerate(args)]
+        so_far = [x.val if k else None for x, k in zip(args, known, strict=True)]
+        for x, before, after in zip(args, so_far, transpose(cotangents, so_far, *args, **parameters), strict=True):
+            if before is not None and type(after) is not Zero:
+                x.val = after
+            elif after is not None:
+                x.accum(after)
+
+    rules[primitive] = rule
+
+
 def same_numbers(name: str, typed: Callable[..., Any] = lambda x, **_: x, **rules: Any) -> Primitive:
     """An operation that returns its argument."""
     return new_operation(name, lambda x, **_: x, typed=typed, lowered=lambda context, x, **_: [x], **rules)
@@ -324,19 +342,10 @@ _shown_p = _type_only("manual_axes_shown", lambda axes: axes, lambda: _hidden_p)
 def linear_with_transpose(
     forward: Callable[[Any, Any], Any], transpose: Callable[[Any, Any], Any], known: Any, moved: Any, like: Any
 ) -> Any:
-    """forward(known, moved), linear in moved, with its own transpose. Only the function that is needed is traced; both can be
-    differentiated again.
-
-    Args:
-        forward: function of (known, moved); neither function may hold arrays
-        transpose: function of (known, cotangents)
-        known: arrays on which both depend
-        moved: arrays in which forward is linear
-        like: arrays of the shapes and types of the results
-    """
+    """forward(known, moved), linear in the arrays `moved`, with its own transpose(known, cotangents); `like` has arrays of the shapes and
+    types of the results. Neither function may hold arrays. Only the one that is needed is traced; both can be differentiated again."""
     given, tree = jax.tree.flatten((known, moved))
-    n = len(jax.tree.leaves(known))
-    known_tree = jax.tree.structure(known)
+    n, known_tree = len(jax.tree.leaves(known)), jax.tree.structure(known)
 
     def along(*x):
         return jax.tree.leaves(forward(*jax.tree.unflatten(tree, x)))

@@ -163,3 +163,39 @@ def test_a_frequency_has_the_slope_of_its_closed_form():
     np.testing.assert_allclose(jax.vmap(frequency)(K), f, rtol=1e-12)
     np.testing.assert_allclose(jax.vmap(jax.grad(frequency))(K), f / (2 * np.asarray(K)), rtol=1e-10)
     np.testing.assert_allclose(jax.grad(jax.grad(frequency))(K[1]), -f[1] / (4 * K[1] ** 2), rtol=1e-9)
+
+
+def twice(k, x):
+    """k g^2 + sin k with g = a x^3 + sin a and a = k^2, which does not depend on x."""
+    a = spring(k, x, 3, 4)["stiffness"]
+    return spring(k, spring(a, x, 3, 4)["force"], 2, 4)["force"]
+
+
+def alike(k, x):
+    """f h + sin f with h = f^3 + sin f of f = twice, which is given twice to one call, after another one has depended on it."""
+    f = twice(k, x)
+    return spring(f, spring(f, f, 2, 4)["force"], 1, 4)["force"]
+
+
+@pytest.mark.parametrize("by_jax", [False, True], ids=["in its program", "by JAX"])
+def test_an_operation_adds_to_the_cotangents_that_others_have_given(by_jax, monkeypatch):
+    """Outside a jit JAX adds them by a program for each shape, and so do versions without such rules."""
+    try:
+        from jax._src.interpreters.ad import fancy_transposes
+    except ImportError:
+        fancy_transposes = {eager_programs._tangents_p: None}
+        by_jax = True
+    if by_jax:
+        monkeypatch.delitem(fancy_transposes, eager_programs._tangents_p)
+    k, x = 1.1 + by_jax, 0.7
+    with jb.compile_times() as times:
+        slopes = jax.grad(twice, (0, 1))(jnp.asarray(k, float), jnp.asarray(x, float))
+    assert by_jax or not {"add", "add_any"} & set(times.programs), times
+    a = k**2
+    g, g_a, g_x = a * x**3 + np.sin(a), x**3 + np.cos(a), 3 * a * x**2
+    exact = np.array([g**2 + np.cos(k) + 4 * k**2 * g * g_a, 2 * k * g * g_x])
+    np.testing.assert_allclose(slopes, exact, rtol=1e-13)
+    f = k * g**2 + np.sin(k)
+    force, force_f = f**3 + np.sin(f), 3 * f**2 + np.cos(f)  # and f times it, plus sin f
+    exact = exact * (force + f * force_f + np.cos(f))
+    np.testing.assert_allclose(jax.grad(alike, (0, 1))(jnp.asarray(k, float), jnp.asarray(x, float)), exact, rtol=1e-13)
