@@ -1,4 +1,4 @@
-"""A traced program in parts: operations that stand alone, and all between two of them as one part."""
+"""A traced program in parts, operations that stand alone and all between two of them as one part; and what depends on its arguments."""
 
 from __future__ import annotations
 
@@ -6,7 +6,14 @@ import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from jaxbody.core.jax_internals import Literal
+from jaxbody.core.jax_internals import ClosedJaxpr, Literal
+
+CALLS = {
+    "in_lanes": "jaxpr",
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+}
 
 
 class Part(NamedTuple):
@@ -33,3 +40,57 @@ def parts_of(jaxpr: Any, stands_alone: Callable[[Any], bool]) -> list[Part]:
 def read(values: dict[Any, Any], variables: list[Any]) -> list[Any]:
     """The values of variables, and constants as they are."""
     return [v.val if isinstance(v, Literal) else values[v] for v in variables]
+
+
+# What depends on some of the arguments
+
+
+def reach(jaxpr: ClosedJaxpr, on: list[bool]) -> list[bool]:
+    """Which results depend on the lane."""
+    known = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
+    for eqn in jaxpr.jaxpr.eqns:
+        given = [not isinstance(x, Literal) and known.get(x, False) for x in eqn.invars]
+        known |= dict(zip(eqn.outvars, reach_of(eqn, given), strict=True))
+    return [not isinstance(x, Literal) and known.get(x, False) for x in jaxpr.jaxpr.outvars]
+
+
+def reach_of(eqn, on: list[bool]) -> list[bool]:
+    name, p = eqn.primitive.name, eqn.params
+    if name in CALLS:
+        return reach(p[CALLS[name]], on)
+    if name == "while" and any(on):
+        asks, carry = reach_of_while(p, on)
+        return [True] * len(carry) if asks else carry
+    if name == "scan":
+        consts, end = parts_of_scan(eqn)
+        carry = fixpoint(p["jaxpr"], on[:consts], on[consts:end], on[end:])
+        return carry + reach(p["jaxpr"], on[:consts] + carry + on[end:])[len(carry) :]
+    if name == "cond" and not on[0]:
+        return [any(of) for of in zip(*(reach(branch, on[1:]) for branch in p["branches"]), strict=True)]
+    return [any(on) and name != "any_of_batch"] * len(eqn.outvars)
+
+
+def reach_of_while(p, on: list[bool]) -> tuple[bool, list[bool]]:
+    """Whether the condition of a while loop depends on the lane, and which of its carried values do."""
+    a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
+    carry = fixpoint(p["body_jaxpr"], on[a:b], on[b:], [])
+    return reach(p["cond_jaxpr"], on[:a] + carry)[0], carry
+
+
+def parts_of_scan(eqn) -> tuple[int, int]:
+    """Where the carry begins and ends among the arguments of a scan; carried values have the same shape in the body, mapped ones do not."""
+
+    def alike(outer, inner):
+        return sum(a.aval.shape == b.aval.shape for a, b in zip(outer, inner, strict=True))
+
+    body = eqn.params["jaxpr"].jaxpr
+    carried, end = alike(eqn.outvars, body.outvars), alike(eqn.invars, body.invars)
+    return end - carried, end
+
+
+def fixpoint(body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list[bool]) -> list[bool]:
+    while True:
+        after = [a or b for a, b in zip(carry, reach(body, consts + carry + xs), strict=False)]
+        if after == carry:
+            return carry
+        carry = after

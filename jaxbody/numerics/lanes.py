@@ -20,6 +20,7 @@ from jax import lax
 from jax.dtypes import float0
 
 from jaxbody.compilation.compilations import note_left_to_vmap
+from jaxbody.compilation.program_parts import CALLS, fixpoint, parts_of_scan, reach, reach_of, reach_of_while
 from jaxbody.core.arrays import Array
 from jaxbody.core.jax_internals import (
     ClosedJaxpr,
@@ -49,12 +50,6 @@ SAME_AXES = {
     "argmax", "argmin", "cummax", "cummin", "cumsum", "reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_prod", "reduce_sum",
     "rev", "split", "squeeze", "sum_in_lanes",
 }  # fmt: skip
-CALLS = {
-    "in_lanes": "jaxpr",
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
-    "closed_call": "call_jaxpr",
-}
 APART = {
     "cholesky", "cond", "custom_linear_solve", "custom_vjp_call", "dot_general", "dynamic_slice", "dynamic_update_slice", "eigh", "gather",
     "householder_product", "lu", "scatter", "scatter-add", "sort", "stop_gradient", "triangular_solve", "while",
@@ -153,7 +148,7 @@ def _batch(args, axes, *, jaxpr, reversible, lanes, name):
     except Exception as error:  # of any kind, depending on the change in JAX
         why = f"{type(error).__name__}: {error}".partition("\n")[0]
     note_left_to_vmap(name, why)
-    reached = _reach(without_high_operations(jaxpr), [axis is not None for axis in axes])
+    reached = reach(without_high_operations(jaxpr), [axis is not None for axis in axes])
     out_axes = [0 if r else None for r in reached]
     return jax.vmap(jaxpr_as_fun(jaxpr), in_axes=tuple(axes), out_axes=out_axes)(*args), out_axes
 
@@ -163,7 +158,7 @@ def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
     on = [axis is not None for axis in axes]
     args = [jnp.moveaxis(x, axis, -1) if o else x for x, axis, o in zip(args, axes, on, strict=True)]
     n = next(x.shape[-1] for x, o in zip(args, on, strict=True) if o)
-    reached = _reach(jaxpr, on)
+    reached = reach(jaxpr, on)
     if n <= lanes:
         out = Lanes(n, name).run(jaxpr, on, args)
         return out, [x.ndim - 1 if o else None for x, o in zip(out, reached, strict=True)]
@@ -184,57 +179,6 @@ def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
 
 
 _lanes_p = call_of("in_lanes", batch=_batch, jvp=_jvp)
-
-
-def _reach(jaxpr: ClosedJaxpr, on: list[bool]) -> list[bool]:
-    """Which results depend on the lane."""
-    known = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
-    for eqn in jaxpr.jaxpr.eqns:
-        given = [not isinstance(x, Literal) and known.get(x, False) for x in eqn.invars]
-        known |= dict(zip(eqn.outvars, _reach_of(eqn, given), strict=True))
-    return [not isinstance(x, Literal) and known.get(x, False) for x in jaxpr.jaxpr.outvars]
-
-
-def _reach_of(eqn, on: list[bool]) -> list[bool]:
-    name, p = eqn.primitive.name, eqn.params
-    if name in CALLS:
-        return _reach(p[CALLS[name]], on)
-    if name == "while" and any(on):
-        asks, carry = _reach_of_while(p, on)
-        return [True] * len(carry) if asks else carry
-    if name == "scan":
-        consts, end = _parts_of_scan(eqn)
-        carry = _fixpoint(p["jaxpr"], on[:consts], on[consts:end], on[end:])
-        return carry + _reach(p["jaxpr"], on[:consts] + carry + on[end:])[len(carry) :]
-    if name == "cond" and not on[0]:
-        return [any(of) for of in zip(*(_reach(branch, on[1:]) for branch in p["branches"]), strict=True)]
-    return [any(on) and name != "any_of_batch"] * len(eqn.outvars)
-
-
-def _reach_of_while(p, on: list[bool]) -> tuple[bool, list[bool]]:
-    """Whether the condition of a while loop depends on the lane, and which of its carried values do."""
-    a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
-    carry = _fixpoint(p["body_jaxpr"], on[a:b], on[b:], [])
-    return _reach(p["cond_jaxpr"], on[:a] + carry)[0], carry
-
-
-def _parts_of_scan(eqn) -> tuple[int, int]:
-    """Where the carry begins and ends among the arguments of a scan; carried values have the same shape in the body, mapped ones do not."""
-
-    def alike(outer, inner):
-        return sum(a.aval.shape == b.aval.shape for a, b in zip(outer, inner, strict=True))
-
-    body = eqn.params["jaxpr"].jaxpr
-    carried, end = alike(eqn.outvars, body.outvars), alike(eqn.invars, body.invars)
-    return end - carried, end
-
-
-def _fixpoint(body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list[bool]) -> list[bool]:
-    while True:
-        after = [a or b for a, b in zip(carry, _reach(body, consts + carry + xs), strict=False)]
-        if after == carry:
-            return carry
-        carry = after
 
 
 @functools.lru_cache(4096)
@@ -266,7 +210,7 @@ class Lanes:
 
         for eqn in jaxpr.jaxpr.eqns:
             given, of_lanes = zip(*map(look, eqn.invars), strict=True) if eqn.invars else ((), ())
-            reached = _reach_of(eqn, list(of_lanes))
+            reached = reach_of(eqn, list(of_lanes))
             out = self._apply(eqn, list(of_lanes), list(given)) if any(of_lanes) else same_operation(eqn, given)
             values |= dict(zip(eqn.outvars, out, strict=True))
             lanes |= dict(zip(eqn.outvars, reached, strict=True))
@@ -325,7 +269,7 @@ class Lanes:
             return [jnp.any(x[0], -1)]
         if name == "custom_jvp_call":
             return self._with_own_rule(eqn, on, x)
-        if name == "while" and not _reach_of_while(p, on)[0]:
+        if name == "while" and not reach_of_while(p, on)[0]:
             return self._while(p, on, x)
         if name == "scan":
             return self._scan(eqn, on, x)
@@ -336,7 +280,7 @@ class Lanes:
     def _by_vmap(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
         axes = [-1 if o else None for o in on]
         out = jax.vmap(lambda *x: same_operation(eqn, x), in_axes=axes, out_axes=-1, axis_size=self.n)(*x)
-        return [a if r else a[..., 0] for a, r in zip(out, _reach_of(eqn, on), strict=True)]
+        return [a if r else a[..., 0] for a, r in zip(out, reach_of(eqn, on), strict=True)]
 
     def _with_own_rule(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
         """An operation with a custom derivative, which is used, in lanes, where the batch is differentiated."""
@@ -359,7 +303,7 @@ class Lanes:
 
     def _while(self, p, on, x):
         a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
-        _, carry = _reach_of_while(p, on)
+        _, carry = reach_of_while(p, on)
         start = [
             self._spread(v, o, av.shape) if c else v
             for v, o, c, av in zip(x[b:], on[b:], carry, p["body_jaxpr"].in_avals[b - a :], strict=True)
@@ -371,12 +315,12 @@ class Lanes:
         )
 
     def _scan(self, eqn, on, x):
-        a, b = _parts_of_scan(eqn)
+        a, b = parts_of_scan(eqn)
         p, body = eqn.params, eqn.params["jaxpr"]
-        carry = _fixpoint(body, on[:a], on[a:b], on[b:])
+        carry = fixpoint(body, on[:a], on[a:b], on[b:])
         start = [self._spread(v, o, av.shape) if c else v for v, o, c, av in zip(x[a:b], on[a:b], carry, body.in_avals[a:b], strict=True)]
         inputs = on[:a] + carry + on[b:]
-        wanted = carry + _reach(body, inputs)[len(carry) :]
+        wanted = carry + reach(body, inputs)[len(carry) :]
 
         def step(c, xs):
             out = self.run(body, inputs, [*x[:a], *c, *xs], wanted)
