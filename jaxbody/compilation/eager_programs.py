@@ -18,6 +18,7 @@ import jax.numpy as jnp
 
 from jaxbody.compilation.array_functions import Remainder, jitted
 from jaxbody.compilation.kept_programs import Options, Results, call, types_of_results
+from jaxbody.compilation.program_parts import reach
 from jaxbody.core.jax_internals import (
     Zero,
     chosen,
@@ -31,6 +32,7 @@ from jaxbody.core.jax_internals import (
 )
 
 FEW = 16  # members of a batch up to which it is compiled like one of them
+NOT_OPTIMIZED = ("xla_backend_optimization_level", 0)  # an option of functions that take milliseconds
 
 
 def run(program: Callable[..., Results], options: tuple[Options, Options], arrays: Sequence[Any]) -> Results:
@@ -144,6 +146,34 @@ class Batch(Derived):
         return merged(batched, own, shared), Remainder((remainder[0], [0 if b else None for b in batched]))
 
 
+@dataclass(frozen=True)
+class OneByOne(Derived):
+    """A Batch of few members as a loop over them, of which one is traced and compiled: half the time of a first result, and as fast again
+    where operations are so small that their calls take longer than they do."""
+
+    axes: tuple[int | None, ...]
+
+    @property
+    def __name__(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return f"{self.of.__name__}_batch"
+
+    def __call__(self, *x: Any) -> Results:
+        on = [axis is not None for axis in self.axes]
+        rows = [jnp.moveaxis(y, axis, 0) for y, axis in zip(x, self.axes, strict=True) if axis is not None]
+        of_one = merged(on, [jax.ShapeDtypeStruct(y.shape[1:], y.dtype) for y in rows], x)
+        program: Any = jitted(self.of)
+        own, remainder = reach(program.trace(*of_one).jaxpr, on), []
+
+        def member(rows):
+            out, other = program(*merged(on, rows, x))
+            remainder.append(other)
+            return out
+
+        looped = jax.lax.map(lambda rows: chosen(member(rows), own), rows)
+        shared = looped if all(own) else member([jax.lax.index_in_dim(y, 0, keepdims=False) for y in rows])
+        return merged(own, looped, shared), Remainder((remainder[0], [0 if o else None for o in own]))
+
+
 def _of_moved(f: Callable[..., Results], moved: tuple[bool, ...], x: Sequence[Any]) -> Callable[..., Any]:
     """Those x that are moved to the real results of f, and as an auxiliary value the others with None for each real one."""
 
@@ -202,7 +232,10 @@ def _program_jvp(primals, tangents, *, program, options):
 
 def _program_batch(args, axes, *, program, options):
     size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
-    out, remainder = run(Batch(program, tuple(axes), size), options if size <= FEW else (options[1],) * 2, args)
+    if size <= FEW and options[0] == options[1] and NOT_OPTIMIZED in options[0]:
+        out, remainder = run(OneByOne(program, tuple(axes)), options, args)
+    else:
+        out, remainder = run(Batch(program, tuple(axes), size), options if size <= FEW else (options[1],) * 2, args)
     return out, remainder.value[1]
 
 

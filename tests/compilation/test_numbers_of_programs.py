@@ -81,8 +81,8 @@ def programs(script, *arguments):
 def test_the_script_of_readme_compiles_one_program_for_each_driver():
     found = programs(README)
     ours = [name for name in found if not name.endswith(("_linearized", "_pullback", "_batch"))]
-    assert sorted(DRIVERS) == [name for name in ours if name != "_traced_rows"]
-    assert ours.count("_traced_rows") <= 1  # of a batch of stiffnesses
+    assert sorted(DRIVERS) == [name for name in ours if name != "_with_traced"]
+    assert ours.count("_with_traced") <= 1  # of a batch of stiffnesses
     of_three = ["_linearize", "_modes", "equilibrium_of"]
     endings = ["_batch", "_linearized", "_linearized_pullback"]
     assert sorted(set(found) - set(ours)) == sorted(name + end for name in of_three for end in endings)
@@ -99,5 +99,5 @@ def test_a_random_response_and_a_design_compile_their_functions_only():
     assert programs(RIDE) == sorted([*response, "_placed", "_values", "values_and_slopes"])
 
 
-def test_a_batch_of_numbers_is_written_into_a_model_by_two_programs():
-    assert programs(REPLACED) == ["_traced_put", "_traced_rows"]
+def test_a_batch_of_numbers_is_written_into_a_model_by_one_program():
+    assert programs(REPLACED) == ["_with_traced"]
