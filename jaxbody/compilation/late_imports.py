@@ -10,9 +10,10 @@ import importlib
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Any
 
+import jax.numpy as jnp
 from jax import monitoring
 
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"  # the event of JAX after which XLA begins to compile
@@ -39,34 +40,38 @@ def late_names(package: str, modules: dict[str, tuple[str, ...]]) -> tuple[Calla
 
 
 @contextmanager
-def imported_while_compiling(module: str) -> Iterator[None]:
-    """Inside, a thread imports the module as soon as XLA begins to compile a program; on leaving it has been imported, or nothing was
-    compiled. An error of the import is left to the import statement of who needs the module.
+def while_compiling(task: Callable[[], Any]) -> Iterator[None]:
+    """Inside, a thread runs the task as soon as XLA begins to compile a program; on leaving it has ended, or nothing was compiled. An error
+    of the task is left to who needs its result, as is all of it where the caller computes with numbers of another precision.
 
-    >>> with imported_while_compiling("colorsys"):
+    >>> with while_compiling(lambda: importlib.import_module("colorsys")):
     ...     _ = jax.jit(lambda x: 2.5 * x)(1.0)
     >>> "colorsys" in sys.modules
     True
     """
     threads: list[threading.Thread] = []
+    precision = jnp.result_type(float)
 
-    def imported() -> None:
+    def run() -> None:
         with suppress(Exception):
-            importlib.import_module(module)
+            if jnp.result_type(float) == precision:  # a context of the caller's thread is none of this thread
+                task()
 
     def heard(event: str, duration_secs: float, **more: Any) -> None:
         if event == LOWERED and not threads:
-            threads.append(threading.Thread(target=imported, daemon=True))
+            threads.append(threading.Thread(target=run, daemon=True))
             threads[0].start()
 
-    if module in sys.modules:
-        yield
-        return
     monitoring.register_event_duration_secs_listener(heard)
     try:
         yield
+        for thread in threads:
+            thread.join()
     finally:
         if hasattr(monitoring, "unregister_event_duration_listener"):  # older versions of JAX cannot remove it
             monitoring.unregister_event_duration_listener(heard)
-        for thread in threads:
-            thread.join()
+
+
+def imported_while_compiling(module: str) -> AbstractContextManager[None]:
+    """Inside, a thread imports the module as soon as XLA begins to compile a program."""
+    return nullcontext() if module in sys.modules else while_compiling(lambda: importlib.import_module(module))

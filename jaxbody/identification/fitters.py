@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
@@ -19,7 +20,7 @@ import optimistix
 from jaxtyping import Array, Float
 
 from jaxbody.compilation.compile_options import jit_unoptimized
-from jaxbody.compilation.late_imports import imported_while_compiling
+from jaxbody.compilation.late_imports import imported_while_compiling, while_compiling
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import device_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, warn
@@ -33,7 +34,7 @@ from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.checkpoints import resumed, save
 from jaxbody.identification.colorings import PRIORS
 from jaxbody.identification.fits import Fit
-from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_optax, by_scipy
+from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_optax, by_scipy, prepare
 from jaxbody.identification.residuals import Task, first_noise, residual_and_jacobian, rms_residuals, with_estimated_noise
 from jaxbody.identification.traced_fits import solve
 from jaxbody.mechanisms.suspensions import Suspension
@@ -145,7 +146,7 @@ def fit(
             line=line,
         )
         try:
-            with imported_while_compiling("scipy.optimize" if isinstance(method, str) else "scipy.special"):
+            with _meanwhile(method, space.size):
                 _check_start(task, *evaluate(u)[:2])
             for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
                 u, converged = _search(evaluate, task, u, method)
@@ -185,6 +186,13 @@ def _check_method(method: Any, bounds: Any, problems: Problems) -> None:
     if not (least_squares or known):
         allowed = 'an optax optimizer, "least_squares" or an optimistix least-squares solver'
         problems.add("UNKNOWN_METHOD", "fit.method", f"is {method!r:.60}", value=method, limit=allowed)
+
+
+def _meanwhile(method: Any, size: int) -> AbstractContextManager[None]:
+    """A context in which a thread prepares what the method needs while XLA compiles the residuals."""
+    if isinstance(method, str | optimistix.AbstractLeastSquaresSolver):
+        return imported_while_compiling("scipy.optimize" if isinstance(method, str) else "scipy.special")
+    return while_compiling(lambda: prepare(method, size))
 
 
 def _search(evaluate: Evaluations, task: Task, u: np.ndarray, method: Any) -> tuple[np.ndarray, bool]:

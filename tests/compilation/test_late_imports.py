@@ -7,7 +7,8 @@ import threading
 import jax
 import pytest
 
-from jaxbody.compilation.late_imports import imported_while_compiling
+from jaxbody.compilation.late_imports import imported_while_compiling, while_compiling
+from jaxbody.workers.chunk_programs import precision
 
 pytestmark = pytest.mark.everywhere
 
@@ -39,6 +40,15 @@ def test_errors_are_those_of_the_import_statement(tmp_path, monkeypatch):
         import imported_in_vain  # noqa: F401
     with pytest.raises(KeyError), imported_while_compiling("imported_in_vain"):
         raise KeyError
+
+
+@pytest.mark.parametrize("other", [False, True])
+def test_a_task_computes_with_the_precision_of_its_caller_or_not_at_all(other):
+    """A context of one thread is none of another: what the task had made in float64 would be taken for float32."""
+    done = []
+    with precision(jax.config.jax_enable_x64 != other), while_compiling(lambda: done.append(threading.current_thread())):
+        jax.jit(lambda x: (6.5 + other) * x)(2.0)
+    assert (done == []) == other and threading.main_thread() not in done
 
 
 def test_laws_and_presets_are_imported_at_their_first_use():
