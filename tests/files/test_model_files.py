@@ -300,7 +300,7 @@ def test_every_class_of_the_package_is_in_the_schema():
     def below(kind):
         return {x for sub in kind.__subclasses__() for x in {sub, *below(sub)}}
 
-    public = {vars(jb.laws)[name] for name in dir(jb.laws)} | {getattr(jb, name) for name in dir(jb) if name[0].isupper()}
+    public = {getattr(jb.laws, name) for name in dir(jb.laws)} | {getattr(jb, name) for name in dir(jb) if name[0].isupper()}
     wanted = {kind for base in (jb.Element, jb.Joint, Law, jb.Load, jb.Sensor) for kind in below(base) & public}
     assert len(wanted) > 40 and wanted - set(TYPES.values()) == {jb.laws.Function, jb.laws.Sum, *BASES}  # Python, and a list of laws
     assert set(TYPES.values()) == {*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *PULSES, *LOADS, *INPUTS, *SENSORS, jb.signals.Sine}
