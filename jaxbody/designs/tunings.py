@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_optimized
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, device_array, indices
 from jaxbody.core.datasets import Labeled, dataset
@@ -146,14 +146,14 @@ def _status_and_multipliers(search: Search, rows: Rows, space: Space) -> tuple[i
     return (Status.OK.value if converged else Status.NOT_CONVERGED.value), lambdas
 
 
-def _remedy(program: Program, best: Search, iterations: int) -> str:
+def _remedy(program: Program, best: Search, iterations: int, model: Model) -> str:
     """Advice for a search that has not converged: more iterations if it has used them all; or bounds, if a derivative jumps at its end."""
     rows, labels = program.rows, program.labels()
     along = np.where(best.low < best.high, best.slopes[rows.objective], 0.0)
     jumps = jumping(lambda U: program(np.clip(U, best.low, best.high))[1][:, rows.requested], best.u, along)
     if jumps.any():
         names = ", ".join(dict.fromkeys(labels[i] for i, jump in zip(rows.requested, jumps, strict=True) if jump))
-        stops = [f"'{name}'" for name in at_kinks(model_of(_placed(program.space, device_array(best.u))[0]))]
+        stops = [f"'{name}'" for name in at_kinks(model)]
         cause = f", because {', '.join(stops)} rests at a kink of its law, like a stop that just touches" if stops else ""
         return f"derivatives of {names} jump there{cause}; this may be the optimum: check with bounds that exclude one side of the kink"
     if best.iterations >= iterations:
@@ -174,10 +174,10 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
     U, values = (np.stack([getattr(search, name) for search in searches]) for name in ("u", "values"))
     codes = np.array([_status_and_multipliers(search, rows, space)[0] for search in searches])
     violation = rows.violation(values, scales(rows, best.values))
-    runs = Runs(values[:, rows.objective], violation, codes, _values(space, device_array(U)), quantities(values))
+    design, values_of, values_of_runs = _placed(space, device_array(best.u), device_array(U))
+    runs = Runs(values[:, rows.objective], violation, codes, values_of_runs, quantities(values))
     status, prices = _status_and_multipliers(best, rows, space)
     constraints = [] if prices is None or status == Status.INFEASIBLE else _active_constraints(program, best, prices)
-    design, values_of = _placed(space, device_array(best.u))
     return Tuning(
         model=model_of(design),
         suspension=design if isinstance(design, Suspension) else None,
@@ -196,18 +196,14 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
         space=space,
         minimize=program.minimize,
         limits=program.limits,
-        remedy=_remedy(program, best, iterations) if status == Status.NOT_CONVERGED else "",
+        remedy=_remedy(program, best, iterations, model_of(design)) if status == Status.NOT_CONVERGED else "",
     )
 
 
-@jit_optimized
-def _placed(space: Space, u: Float[Array, "n"]):
-    return space.designed(u)[0], space.values(u)
-
-
-@jit_optimized
-def _values(space: Space, U: Float[Array, "b n"]):
-    return jax.vmap(space.values)(U)
+@jit_unoptimized
+def _placed(space: Space, u: Float[Array, "n"], U: Float[Array, "b n"]):
+    """The design at u and its parameters, and those at each of U."""
+    return space.designed(u)[0], space.values(u), jax.vmap(space.values)(U)
 
 
 @dataclass(frozen=True)
