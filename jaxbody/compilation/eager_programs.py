@@ -20,6 +20,7 @@ from jaxbody.compilation.array_functions import Remainder, jitted
 from jaxbody.compilation.kept_programs import Options, Results, call, types_of_results
 from jaxbody.compilation.program_parts import reach
 from jaxbody.core.jax_internals import (
+    Tracer,
     Zero,
     chosen,
     jaxpr_as_fun,
@@ -232,11 +233,15 @@ def _program_jvp(primals, tangents, *, program, options):
 
 def _program_batch(args, axes, *, program, options):
     size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
-    if size <= FEW and options[0] == options[1] and NOT_OPTIMIZED in options[0]:
+    if size <= FEW and options[0] == options[1] and NOT_OPTIMIZED in options[0] and not any(map(_is_sharded, args)):
         out, remainder = run(OneByOne(program, tuple(axes)), options, args)
     else:
         out, remainder = run(Batch(program, tuple(axes), size), options if size <= FEW else (options[1],) * 2, args)
     return out, remainder.value[1]
+
+
+def _is_sharded(x: Any) -> bool:
+    return isinstance(x, jax.Array) and not isinstance(x, Tracer) and len(x.devices()) > 1
 
 
 _program_p = new_operation(

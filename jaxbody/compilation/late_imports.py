@@ -50,7 +50,7 @@ def while_compiling(task: Callable[[], Any]) -> Iterator[None]:
     True
     """
     threads: list[threading.Thread] = []
-    precision = jnp.result_type(float)
+    precision, inside = jnp.result_type(float), True
 
     def run() -> None:
         with suppress(Exception):
@@ -58,8 +58,8 @@ def while_compiling(task: Callable[[], Any]) -> Iterator[None]:
                 task()
 
     def heard(event: str, duration_secs: float, **more: Any) -> None:
-        if event == LOWERED and not threads:
-            threads.append(threading.Thread(target=run, daemon=True))
+        if inside and event == LOWERED and not threads:
+            threads.append(threading.Thread(target=run))  # no daemon: Python waits for it before it ends
             threads[0].start()
 
     monitoring.register_event_duration_secs_listener(heard)
@@ -68,6 +68,7 @@ def while_compiling(task: Callable[[], Any]) -> Iterator[None]:
         for thread in threads:
             thread.join()
     finally:
+        inside = False
         if hasattr(monitoring, "unregister_event_duration_listener"):  # older versions of JAX cannot remove it
             monitoring.unregister_event_duration_listener(heard)
 

@@ -46,7 +46,7 @@ def read(values: dict[Any, Any], variables: list[Any]) -> list[Any]:
 
 
 def reach(jaxpr: ClosedJaxpr, on: list[bool]) -> list[bool]:
-    """Which results depend on the lane."""
+    """Which results depend on the arguments that are `on`."""
     known = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
     for eqn in jaxpr.jaxpr.eqns:
         given = [not isinstance(x, Literal) and known.get(x, False) for x in eqn.invars]
@@ -71,7 +71,7 @@ def reach_of(eqn, on: list[bool]) -> list[bool]:
 
 
 def reach_of_while(p, on: list[bool]) -> tuple[bool, list[bool]]:
-    """Whether the condition of a while loop depends on the lane, and which of its carried values do."""
+    """Whether the condition of a while loop depends on the arguments that are `on`, and which of its carried values do."""
     a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
     carry = fixpoint(p["body_jaxpr"], on[a:b], on[b:], [])
     return reach(p["cond_jaxpr"], on[:a] + carry)[0], carry

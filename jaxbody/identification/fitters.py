@@ -189,7 +189,7 @@ def _check_method(method: Any, bounds: Any, problems: Problems) -> None:
 
 
 def _meanwhile(method: Any, size: int) -> AbstractContextManager[None]:
-    """A context in which a thread prepares what the method needs while XLA compiles the residuals."""
+    """A context in which a thread prepares what the method needs while the residuals are compiled."""
     if isinstance(method, str | optimistix.AbstractLeastSquaresSolver):
         return imported_while_compiling("scipy.optimize" if isinstance(method, str) else "scipy.special")
     return while_compiling(lambda: prepare(method, size))

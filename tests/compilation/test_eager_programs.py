@@ -1,5 +1,8 @@
 """Derivatives and batches outside a jit are those inside one, in programs with the options of the function itself."""
 
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -199,3 +202,27 @@ def test_an_operation_adds_to_the_cotangents_that_others_have_given(by_jax, monk
     force, force_f = f**3 + np.sin(f), 3 * f**2 + np.cos(f)  # and f times it, plus sin f
     exact = exact * (force + f * force_f + np.cos(f))
     np.testing.assert_allclose(jax.grad(alike, (0, 1))(jnp.asarray(k, float), jnp.asarray(x, float)), exact, rtol=1e-13)
+
+
+SHARDED = """
+import os
+os.environ["XLA_FLAGS"] = "--xla_force_host_platform_device_count=2"
+import jax, jax.numpy as jnp, numpy as np
+from jax.sharding import NamedSharding, PartitionSpec
+from jaxbody.compilation.compile_options import jit_unoptimized
+
+@jit_unoptimized
+def force(k):
+    return k * jnp.sin(k)
+
+mesh = jax.make_mesh((2,), ("devices",))
+k = jax.device_put(jnp.arange(1.0, 5.0), NamedSharding(mesh, PartitionSpec("devices")))
+result = jax.vmap(force)(k)
+np.testing.assert_allclose(result, np.arange(1, 5) * np.sin(np.arange(1, 5)), rtol=1e-6)
+assert result.sharding.device_set == k.sharding.device_set and not result.is_fully_replicated
+"""
+
+
+def test_a_batch_over_several_devices_is_no_loop():
+    done = subprocess.run([sys.executable, "-c", SHARDED], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
