@@ -27,9 +27,10 @@ REMEDIES = {
     "function": "make it once, outside of the loop, or write a class that holds its arrays as fields",
 }
 
+LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"  # the event of JAX after which a program is compiled
 PHASES = {
     "/jax/core/compile/jaxpr_trace_duration": 0,
-    "/jax/core/compile/jaxpr_to_mlir_module_duration": 1,
+    LOWERED: 1,
     "/jax/core/compile/backend_compile_duration": 2,
 }
 HIT = "/jax/compilation_cache/cache_hits"
@@ -118,23 +119,36 @@ def compile_times() -> Iterator[CompileTimes]:
     True
     >>> print(times)  # doctest: +SKIP
     """
-    record, listening = CompileTimes(), True
-
-    def timed(event: str, duration_secs: float, **more: Any) -> None:
-        if listening:
-            record.heard(event, duration_secs, **more)
+    record = CompileTimes()
 
     def counted(event: str, **more: Any) -> None:
-        record.cached += listening and event == HIT
-        if listening and event == LEFT:
+        record.cached += event == HIT
+        if event == LEFT:
             record.left_to_vmap[more["function"]] = more["why"]
+
+    with listening(record.heard, counted):
+        yield record
+
+
+@contextmanager
+def listening(to_times: Callable[..., None], to_events: Callable[..., None] = lambda event, **more: None) -> Iterator[None]:
+    """Inside, JAX calls to_times(event, seconds, **data) and to_events(event, **data)."""
+    inside = True
+
+    def timed(event: str, duration_secs: float, **more: Any) -> None:
+        if inside:
+            to_times(event, duration_secs, **more)
+
+    def counted(event: str, **more: Any) -> None:
+        if inside:
+            to_events(event, **more)
 
     monitoring.register_event_duration_secs_listener(timed)
     monitoring.register_event_listener(counted)
     try:
-        yield record
+        yield
     finally:
-        listening = False
+        inside = False
         if hasattr(monitoring, "unregister_event_listener"):  # older versions of JAX cannot remove them
             monitoring.unregister_event_duration_listener(timed)
             monitoring.unregister_event_listener(counted)

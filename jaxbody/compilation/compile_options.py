@@ -14,7 +14,7 @@ import jaxlib.version
 from jaxbody.compilation import few_kernels
 from jaxbody.compilation.array_functions import KEPT, array_function, jitted, joined, known_to_xla
 from jaxbody.compilation.compilations import Compiled
-from jaxbody.compilation.eager_programs import run
+from jaxbody.compilation.eager_programs import NOT_OPTIMIZED, run
 from jaxbody.compilation.kept_programs import call, known, structs
 from jaxbody.compilation.lapack import find_lapack
 from jaxbody.core.errors import JaxbodyError, Problem, warn
@@ -26,7 +26,7 @@ OPTION = "xla_cpu_small_while_loop_byte_threshold"
 WIDTH = "--xla_cpu_prefer_vector_width="  # in bits, 512 for all that the processor has; XLA's default is 256
 NO_FUSION_EMITTERS = {"xla_cpu_use_fusion_emitters": False}  # compiles in two thirds of the time or less; programs run as fast
 UNOPTIMIZED = {  # halves the remaining time to compile; programs take up to three times as long
-    "xla_backend_optimization_level": 0,
+    **dict([NOT_OPTIMIZED]),
     "xla_cpu_parallel_codegen_split_count": 1,  # parts of a program that LLVM compiles one by one, for which so little work does not pay
     **(few_kernels.OPTIONS if few_kernels.jaxlib_version() in few_kernels.VERSIONS else {}),
 }

@@ -233,7 +233,7 @@ def _program_jvp(primals, tangents, *, program, options):
 
 def _program_batch(args, axes, *, program, options):
     size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
-    if size <= FEW and options[0] == options[1] and NOT_OPTIMIZED in options[0] and not any(map(_is_sharded, args)):
+    if size <= FEW and NOT_OPTIMIZED in options[1] and not any(map(_is_sharded, args)):
         out, remainder = run(OneByOne(program, tuple(axes)), options, args)
     else:
         out, remainder = run(Batch(program, tuple(axes), size), options if size <= FEW else (options[1],) * 2, args)
@@ -261,11 +261,7 @@ def _tangents(*args, linearized, types, options, count):
     return run(forward, options, [*known[: len(linearized.moved)], *moving])[0]
 
 
-def _tangents_transpose(cotangents, *args, **params):
-    return _tangents_transpose_with_sums(cotangents, [None] * len(args), *args, **params)
-
-
-def _tangents_transpose_with_sums(cotangents, so_far, *args, linearized, types, options, count):
+def _tangents_transpose(cotangents, so_far, *args, linearized, types, options, count):
     (known, moving), (_, sums) = _apart(args, linearized.moved), _apart(so_far, linearized.moved)
     given, summed = tuple(type(w) is not Zero for w in cotangents), tuple(s is not None for s in sums)
     out, needed = run(Pullback(linearized, given, summed), options, [*known, *chosen(cotangents, given), *chosen(sums, summed)])
@@ -293,6 +289,5 @@ _tangents_p = new_operation(
     several=True,
     batch=_tangents_batch,
     jvp=_tangents_jvp,
-    transpose=_tangents_transpose,
 )
-transpose_with_sums(_tangents_p, _tangents_transpose_with_sums)
+transpose_with_sums(_tangents_p, _tangents_transpose)

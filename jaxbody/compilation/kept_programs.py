@@ -26,7 +26,6 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from jaxbody.compilation.array_functions import KEPT, Options, Remainder, has_few_kernels, jitted, known_to_xla
 from jaxbody.compilation.few_kernels import debugging, in_few_kernels
-from jaxbody.compilation.lapack import find_lapack
 from jaxbody.compilation.plain_data import LIBRARIES, Unnamed, text_of, value_of
 from jaxbody.compilation.shared_settings import little_garbage, without_cache
 from jaxbody.core import tables
@@ -109,7 +108,6 @@ class KeptPrograms:
         file = name + (".kernels" if few else "") + ".program"
         data = self.read(file)
         if data is not None:
-            find_lapack()
             self.loaded.append(program.__name__)
         else:
 
@@ -144,16 +142,7 @@ class KeptPrograms:
         data = self.read(name)
         if data is None:
             return None
-        code = zlib.decompress(data)
-        run = runner(code)
-        if run is None or b"lapack_" not in code:
-            return run
-
-        def run_with_lapack(arrays):
-            find_lapack()
-            return run(arrays)
-
-        return run_with_lapack
+        return runner(zlib.decompress(data))
 
     def load_ahead(self, task: str) -> None:
         """Begin to load the code that the last process with this task used, while this one reads its input and imports what it needs."""

@@ -14,9 +14,8 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from typing import Any
 
 import jax.numpy as jnp
-from jax import monitoring
 
-LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"  # the event of JAX after which XLA begins to compile
+from jaxbody.compilation.compilations import LOWERED, listening
 
 
 def late_names(package: str, modules: dict[str, tuple[str, ...]]) -> tuple[Callable[[str], Any], list[str]]:
@@ -50,27 +49,22 @@ def while_compiling(task: Callable[[], Any]) -> Iterator[None]:
     True
     """
     threads: list[threading.Thread] = []
-    precision, inside = jnp.result_type(float), True
+    precision = jnp.result_type(float)
 
     def run() -> None:
         with suppress(Exception):
             if jnp.result_type(float) == precision:  # a context of the caller's thread is none of this thread
                 task()
 
-    def heard(event: str, duration_secs: float, **more: Any) -> None:
-        if inside and event == LOWERED and not threads:
+    def heard(event: str, seconds: float, **more: Any) -> None:
+        if event == LOWERED and not threads:
             threads.append(threading.Thread(target=run))  # no daemon: Python waits for it before it ends
             threads[0].start()
 
-    monitoring.register_event_duration_secs_listener(heard)
-    try:
+    with listening(heard):
         yield
-        for thread in threads:
-            thread.join()
-    finally:
-        inside = False
-        if hasattr(monitoring, "unregister_event_duration_listener"):  # older versions of JAX cannot remove it
-            monitoring.unregister_event_duration_listener(heard)
+    for thread in threads:
+        thread.join()
 
 
 def imported_while_compiling(module: str) -> AbstractContextManager[None]:

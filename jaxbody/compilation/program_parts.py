@@ -55,6 +55,7 @@ def reach(jaxpr: ClosedJaxpr, on: list[bool]) -> list[bool]:
 
 
 def reach_of(eqn, on: list[bool]) -> list[bool]:
+    """Which results of one operation depend on its arguments that are `on`."""
     name, p = eqn.primitive.name, eqn.params
     if name in CALLS:
         return reach(p[CALLS[name]], on)
@@ -89,6 +90,7 @@ def parts_of_scan(eqn) -> tuple[int, int]:
 
 
 def fixpoint(body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list[bool]) -> list[bool]:
+    """Which carried values of a loop depend on what is `on` after any number of steps."""
     while True:
         after = [a or b for a, b in zip(carry, reach(body, consts + carry + xs), strict=False)]
         if after == carry:

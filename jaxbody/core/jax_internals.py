@@ -218,6 +218,7 @@ def new_operation(
 def transpose_with_sums(primitive: Primitive, transpose: Callable[..., Any]) -> None:
     """Let transpose(cotangents, so_far, *args, **parameters) return sums with the cotangents that other operations have given to the same
     args; `so_far` has None where there are none. Without this JAX adds them, outside a `jit` by a program for each shape."""
+    ad.primitive_transposes[primitive] = lambda w, *args, **parameters: transpose(w, [None] * len(args), *args, **parameters)
     try:
         from jax._src.interpreters import ad as inside
 

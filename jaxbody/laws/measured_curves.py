@@ -66,9 +66,9 @@ class Table(Law):
         Errors: those of text files in `read_record`, NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, BAD_SHAPE unless there are two columns, and
         those of the table.
         """
-        text = {"separator": separator, "decimal": decimal, "encoding": encoding, "skip": skip, "footer": footer}
         from jaxbody.laws.curve_files import read_columns  # with parts of `records`, for the few models that have tables
 
+        text = {"separator": separator, "decimal": decimal, "encoding": encoding, "skip": skip, "footer": footer}
         return cls(*read_columns(Path(path), largest=largest, **text))
 
     def force(self, x):

@@ -119,7 +119,7 @@ def write(tree: Any, values: dict[Leaf, Any]) -> Any:
     arrays, treedef = jax.tree.flatten(tree)
     for leaves in by_array(values).values():
         block = values[leaves[0]] if leaves[0].row is None else jnp.stack([values[leaf] for leaf in leaves], leaves[0].axis(arrays))
-        _put(arrays, leaves, block)
+        arrays[leaves[0].array] = _put(arrays[leaves[0].array], leaves, block)
     return jax.tree.unflatten(treedef, arrays)
 
 
@@ -131,23 +131,16 @@ def by_array(leaves: Iterable[Leaf]) -> dict[int, list[Leaf]]:
     return groups
 
 
-def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
-    """Write a block of rows into their array."""
-    first, array = leaves[0], arrays[leaves[0].array]
-    if _is_whole(leaves, array):
-        arrays[first.array] = block
-    elif is_concrete((array, block)):
-        changed = np.array(array)
-        changed[(*[slice(None)] * first.axis(arrays), np.array([leaf.row for leaf in leaves]))] = block
-        arrays[first.array] = device_array(changed)
-    else:
-        arrays[first.array] = put(array, np.array([leaf.row for leaf in leaves]), block, first.axis(arrays))
-
-
-def _is_whole(leaves: list[Leaf], array: Array) -> bool:
-    """Whether the leaves are all rows of their array, in order."""
-    rows, first = [leaf.row for leaf in leaves], leaves[0]
-    return first.row is None or rows == list(range(array.shape[array.ndim - 1 - first.rank]))
+def _put(array: Array, leaves: Sequence[Leaf], block: Array) -> Array:
+    """The array with a block of rows."""
+    axis, rows = array.ndim - 1 - leaves[0].rank, [leaf.row for leaf in leaves]
+    if leaves[0].row is None or rows == list(range(array.shape[axis])):
+        return block
+    if not is_concrete((array, block)):
+        return put(array, np.array(rows), block, axis)
+    changed = np.array(array)
+    changed[(*[slice(None)] * axis, np.array(rows))] = block
+    return device_array(changed)
 
 
 def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
@@ -204,7 +197,9 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
         if any(places):
             arrays[array] = _with_traced(arrays[array], blocks, tuple(leaves), tuple(places))
         else:
-            _put(arrays, leaves, device_array(blocks[0] if len(blocks) == 1 else np.concatenate(blocks, leaves[0].axis(arrays))))
+            arrays[array] = _put(
+                arrays[array], leaves, device_array(blocks[0] if len(blocks) == 1 else np.concatenate(blocks, leaves[0].axis(arrays)))
+            )
     return jax.tree.unflatten(treedef, arrays)
 
 
@@ -212,10 +207,9 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
 def _with_traced(array: Any, blocks: list[Any], leaves: tuple[Leaf, ...], places: tuple[tuple[Any, ...] | None, ...]) -> Any:
     """An array with blocks of rows, of which some are traced and have places in the values given: one program where they are batches
     outside of a `jit`."""
-    first, axis = leaves[0], array.ndim - 1 - leaves[0].rank
+    first = leaves[0]
     made = [x if place is None else _traced_rows(x, first.rank, *place) for x, place in zip(blocks, places, strict=True)]
-    block = made[0] if len(made) == 1 else jnp.concatenate(made, axis)
-    return block if _is_whole(list(leaves), array) else put(array, np.array([leaf.row for leaf in leaves]), block, axis)
+    return _put(array, leaves, made[0] if len(made) == 1 else jnp.concatenate(made, array.ndim - 1 - first.rank))
 
 
 def _block(value: Any, rows: tuple[int, ...] | int, axis: int | None) -> Any:
