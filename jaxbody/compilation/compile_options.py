@@ -17,8 +17,9 @@ from jaxbody.compilation.compilations import Compiled
 from jaxbody.compilation.eager_programs import NOT_OPTIMIZED, run
 from jaxbody.compilation.kept_programs import call, known, structs
 from jaxbody.compilation.lapack import find_lapack
+from jaxbody.compilation.program_parts import programs_inside
 from jaxbody.core.errors import JaxbodyError, Problem, warn
-from jaxbody.core.jax_internals import only_transformed, outermost, programs_inside, started, without_manual_axes
+from jaxbody.core.jax_internals import only_transformed, outermost, started, without_manual_axes
 
 TESTED = (0, 7, 2), (0, 12)  # oldest and newest jaxlib; XLA ends the process on an unknown option, and before on loops over long vectors
 HOLDER = "--xla_backend_extra_options="

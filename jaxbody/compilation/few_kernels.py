@@ -13,8 +13,8 @@ import jax
 import jaxlib.version
 import numpy as np
 
-from jaxbody.compilation.program_parts import parts_of, read
-from jaxbody.core.jax_internals import ClosedJaxpr, call_of, programs_inside, same_operation, without_high_operations
+from jaxbody.compilation.program_parts import parts_of, programs_inside, read
+from jaxbody.core.jax_internals import ClosedJaxpr, call_of, same_operation, without_high_operations
 
 VERSIONS = ((0, 12),)  # of jaxlib, which were tried; with 0.10, where an option avoids the newer way, this takes as long
 MARKS = {"xla_cpu_small_call": "true", "inlineable": "false"}

@@ -6,6 +6,8 @@ import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
+
 from jaxbody.core.jax_internals import ClosedJaxpr, Literal
 
 CALLS = {
@@ -40,6 +42,12 @@ def parts_of(jaxpr: Any, stands_alone: Callable[[Any], bool]) -> list[Part]:
 def read(values: dict[Any, Any], variables: list[Any]) -> list[Any]:
     """The values of variables, and constants as they are."""
     return [v.val if isinstance(v, Literal) else values[v] for v in variables]
+
+
+def programs_inside(equation: Any) -> list[Any]:
+    """The programs that an operation runs."""
+    found = jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: hasattr(getattr(x, "jaxpr", x), "eqns"))
+    return [getattr(x, "jaxpr", x) for x in found if hasattr(getattr(x, "jaxpr", x), "eqns")]
 
 
 # What depends on some of the arguments

@@ -116,12 +116,6 @@ def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     return jax.jit(jaxpr_as_fun(jaxpr)).trace(*jaxpr.in_avals).lojax.jaxpr  # pyright: ignore  # the same, in other versions
 
 
-def programs_inside(equation: Any) -> list[Any]:
-    """The programs that an operation runs."""
-    found = jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: hasattr(getattr(x, "jaxpr", x), "eqns"))
-    return [getattr(x, "jaxpr", x) for x in found if hasattr(getattr(x, "jaxpr", x), "eqns")]
-
-
 def same_operation(equation: Any, args: Sequence[Any]) -> list[Any]:
     """The results of the operation of one equation of a program, with other arguments."""
     params = equation.primitive.get_bind_params(equation.params)

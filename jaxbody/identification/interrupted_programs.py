@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 
 from jaxbody.compilation.array_functions import compiled_with
 from jaxbody.compilation.compile_options import BRIEF
-from jaxbody.compilation.program_parts import parts_of, read
-from jaxbody.core.jax_internals import Zero, new_operation, programs_inside, same_operation, shaped
+from jaxbody.compilation.program_parts import parts_of, programs_inside, read
+from jaxbody.core.jax_internals import Zero, new_operation, same_operation, shaped
 
 Answer = Callable[[np.ndarray], tuple[Any, Any]]  # value and gradient of the cost at y
 Run = Callable[[Answer, list[Any]], list[Any]]

@@ -14,7 +14,7 @@ from jaxbody.compilation import few_kernels
 from jaxbody.compilation.array_functions import compiled_with, known_to_xla
 from jaxbody.compilation.compile_options import BRIEF
 from jaxbody.compilation.few_kernels import LARGEST, MARKS, OPTIONS, in_few_kernels
-from jaxbody.core.jax_internals import programs_inside
+from jaxbody.compilation.program_parts import programs_inside
 from jaxbody.numerics.xla_workarounds import any_of_batch, kept, sum_p
 
 MARK = "xla_cpu_small_call"
