@@ -18,15 +18,15 @@ import jax.numpy as jnp
 
 from jaxbody.compilation.array_functions import Remainder, jitted
 from jaxbody.compilation.kept_programs import Options, Results, call, types_of_results
-from jaxbody.compilation.program_parts import reach
+from jaxbody.compilation.program_parts import reach, with_known_results
 from jaxbody.core.jax_internals import (
     Tracer,
     Zero,
     chosen,
     jaxpr_as_fun,
     merged,
-    needed_arguments,
     new_operation,
+    only_what_is_needed,
     transpose_with_sums,
     unbatched,
     unknown,
@@ -80,49 +80,43 @@ class Tangents(Derived):
 
 
 @dataclass(frozen=True)
-class Linearized(Derived):
-    """x to f(x) and what the transpose of f'(x) needs besides x."""
+class Cotangents(Derived):
+    """(x, y, w) to w f'(x), for all x that are `moved` and those w of real results y = f(x) that are `given`. It is made of the program of
+    f without what the other results need, as zero times an infinite derivative is no number, and without what leads to y alone."""
 
     moved: tuple[bool, ...]
+    given: tuple[bool, ...]
 
-    def __call__(self, *x: Any) -> Results:
-        real, tangents, others = jax.linearize(_of_moved(self.of, self.moved, x), *chosen(x, self.moved), has_aux=True)
-        saved, structure = jax.tree.flatten(tangents)
-        known = list(x)
-        places = {id(known[i]): i for i in reversed(range(len(known)))}
-        for array in saved:
-            if places.setdefault(id(array), len(known)) == len(known):
-                known.append(array)
-        if len(_linear) >= MOST_LINEAR:
-            _linear.clear()
-        _linear[self, _types_of(x)] = structure, [places[id(array)] for array in saved]
-        out = _all_results(real, others)
-        return [*out, *known[len(x) :]], Remainder(len(out))
+    def __call__(self, *args: Any) -> Results:
+        known, w = _apart(args, self.given)
+        x, y = known[: len(self.moved)], known[len(self.moved) :]
+        wanted = merged([_is_real(of) for of in y], self.given, [False] * len(y))
+        program: Any = jitted(self.of)
+        part, used = with_known_results(program.trace(*x).jaxpr, list(self.moved), wanted)
+        function = jaxpr_as_fun(only_what_is_needed(part))
+        own = jax.lax.stop_gradient([y[i] for i in used])
+        _, back = jax.vjp(lambda *moving: function(*merged(self.moved, moving, x), *own), *chosen(x, self.moved))
+        return list(back(list(w))), Remainder(None)
 
 
 @dataclass(frozen=True)
 class Pullback(Derived):
-    """(x, what is saved, w, s) to s + w f'(x) of a Linearized, for those w of real results that are `given`, for those x on which these
-    results depend, and for the s of those x that are `summed`. All others are left out, as zero times an infinite derivative is no
-    number."""
+    """(x, y, w, s) to s + w f'(x) of Cotangents, for those x on which they depend, and for the s of those x that are `summed`."""
 
-    of: Linearized  # pyright: ignore
-    given: tuple[bool, ...]
+    of: Cotangents  # pyright: ignore
     summed: tuple[bool, ...]
 
+    @property
+    def __name__(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return f"{self.of.of.__name__}_pullback"
+
     def __call__(self, *args: Any) -> Results:
-        before, sums = _apart(args, self.summed)
-        (known, w), x = _apart(before, self.given), before[: len(self.of.moved)]
-        if (self.of, _types_of(x)) not in _linear:  # it was on disk, or is forgotten: traced again
-            jax.make_jaxpr(lambda *x: self.of(*x)[0])(*x)
-        structure, places = _linear[self.of, _types_of(x)]
-        tangents = jax.tree.unflatten(structure, [known[i] for i in places])
-        types = chosen(_types_of(x), self.of.moved)
-        linear = jax.make_jaxpr(lambda *dx: chosen(tangents(*dx), self.given))(*types)
-        needed = tuple(needed_arguments(linear))
-        pullback = jax.linear_transpose(jaxpr_as_fun(linear), *types)
-        sums = merged(self.summed, sums, [None] * len(types))
-        return [y if s is None else s + y for s, y in chosen([*zip(sums, pullback(list(w)), strict=True)], needed)], Remainder(needed)
+        given, sums = _apart(args, self.summed)
+        program: Any = jitted(self.of)
+        w = sum(self.of.given)
+        needed = reach(program.trace(*given).jaxpr, [False] * (len(given) - w) + [True] * w)
+        out, sums = program(*given)[0], merged(self.summed, sums, [None] * len(self.summed))
+        return [y if s is None else s + y for s, y in chosen([*zip(sums, out, strict=True)], needed)], Remainder(needed)
 
 
 @dataclass(frozen=True)
@@ -202,10 +196,6 @@ def _apart(args: Sequence[Any], moved: Sequence[bool]) -> tuple[Sequence[Any], S
 # The operation, and the linear one that stands for its tangents while a linear function is made
 
 
-MOST_LINEAR = 1024
-_linear: dict[Any, tuple[Any, list[int]]] = {}  # {(Linearized, types of x): structure of the linear function, places of its arrays}
-
-
 def _types_of(arrays: Sequence[Any]) -> tuple[Any, ...]:
     return tuple(map(jax.typeof, arrays))
 
@@ -214,16 +204,10 @@ def _program_jvp(primals, tangents, *, program, options):
     moved = tuple(type(t) is not Zero and jax.typeof(t).dtype != jax.dtypes.float0 for t in tangents)
     moving = chosen(tangents, moved)
     if any(map(unknown, moving)):
-        linearized = Linearized(program, moved)
-        out, remainder = run(linearized, options, primals)
-        out, saved = out[: remainder.value], out[remainder.value :]
+        out = run(program, options, primals)[0]
         types = tuple(jax.typeof(y) for y in out if _is_real(y))
-        if types:
-            tangents_out = _tangents_p.bind(
-                *primals, *saved, *moving, linearized=linearized, options=options, count=remainder.value, types=types
-            )
-        else:
-            tangents_out = []
+        parameters = dict(program=program, moved=moved, options=options, types=types)
+        tangents_out = _tangents_p.bind(*primals, *out, *moving, **parameters) if types else []
     else:
         count = len(types_of_results(program, _types_of(primals))[0])
         out = run(Jvp(program, moved), options, [*primals, *moving])[0]
@@ -254,17 +238,18 @@ _program_p = new_operation(
 )
 
 
-def _tangents(*args, linearized, types, options, count):
-    """f'(x) x' of (x, what is saved, x')."""
-    known, moving = _apart(args, linearized.moved)
-    forward = Tangents(Jvp(linearized.of, linearized.moved), count)
-    return run(forward, options, [*known[: len(linearized.moved)], *moving])[0]
+def _tangents(*args, program, moved, options, types):
+    """f'(x) x' of (x, y, x')."""
+    known, moving = _apart(args, moved)
+    x = known[: len(moved)]
+    return run(Tangents(Jvp(program, moved), len(known) - len(x)), options, [*x, *moving])[0]
 
 
-def _tangents_transpose(cotangents, so_far, *args, linearized, types, options, count):
-    (known, moving), (_, sums) = _apart(args, linearized.moved), _apart(so_far, linearized.moved)
+def _tangents_transpose(cotangents, so_far, *args, program, moved, options, types):
+    (known, moving), (_, sums) = _apart(args, moved), _apart(so_far, moved)
     given, summed = tuple(type(w) is not Zero for w in cotangents), tuple(s is not None for s in sums)
-    out, needed = run(Pullback(linearized, given, summed), options, [*known, *chosen(cotangents, given), *chosen(sums, summed)])
+    pullback = Pullback(Cotangents(program, moved, given), summed)
+    out, needed = run(pullback, options, [*known, *chosen(cotangents, given), *chosen(sums, summed)])
     return [None] * len(known) + merged(needed.value, out, [Zero(x.aval) for x in moving])
 
 

@@ -91,19 +91,9 @@ REST_HAS_DERIVATIVES = jax.__version_info__ >= (0, 8)  # what 0.7 leaves of func
 
 def only_what_is_needed(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     """The program without operations that its results do not need, where JAX can remove them."""
-    return ClosedJaxpr(_needed(jaxpr, True)[0], jaxpr.consts)
-
-
-def needed_arguments(jaxpr: ClosedJaxpr) -> list[bool]:
-    """Which arguments the results of a program depend on; all of them where JAX cannot tell."""
-    return list(_needed(jaxpr, False)[1])
-
-
-def _needed(jaxpr: ClosedJaxpr, all_arguments: bool) -> tuple[Any, Sequence[bool]]:
-    """What the results need of a program, as one of all of its arguments or of those that are needed, and which these are."""
     if not hasattr(partial_eval, "dce_jaxpr"):
-        return jaxpr.jaxpr, [True] * len(jaxpr.in_avals)
-    return partial_eval.dce_jaxpr(jaxpr.jaxpr, [True] * len(jaxpr.out_avals), instantiate=all_arguments)
+        return jaxpr
+    return ClosedJaxpr(partial_eval.dce_jaxpr(jaxpr.jaxpr, [True] * len(jaxpr.out_avals), instantiate=True)[0], jaxpr.consts)
 
 
 def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
@@ -256,6 +246,17 @@ def call_of(name: str, *, attributes: dict[str, str] | None = None, **rules: Any
         lowered=lowered,
         **rules,
     )
+
+    def only_needed(used, *given):  # where JAX removes operations
+        if not any(used):
+            return [False] * len(given[-1].invars), None
+        eqn = given[-1]
+        part, needed = partial_eval.dce_jaxpr((whole := eqn.params["jaxpr"]).jaxpr, used)
+        variables = {"invars": chosen(eqn.invars, needed), "outvars": chosen(eqn.outvars, used)}
+        return needed, eqn.replace(**variables, params=eqn.params | {"jaxpr": ClosedJaxpr(part, whole.consts)})
+
+    if not attributes:
+        getattr(partial_eval, "dce_rules", {})[primitive] = only_needed
     primitive.is_high = lambda *_, jaxpr, **__: getattr(jaxpr, "is_high", False)  # pyright: ignore
     primitive.to_lojax = lambda *args, jaxpr, **params: primitive.bind(*args, jaxpr=without_high_operations(jaxpr), **params)
     return primitive

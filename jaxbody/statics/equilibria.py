@@ -79,6 +79,7 @@ class Equilibrium(Labeled, Result):
     path: Path | None
     descended: Bool[Array, ""]
     beyond: Bool[Array, "ne"]  # the elements used beyond the points of their tables
+    regular: Bool[Array, ""]  # whether it was found and has a derivative
     closed: ClosureForces | None = None  # None without closures
 
     @property
@@ -286,7 +287,8 @@ def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: Appl
     """The equilibrium where a search ended: its stability, its derivative, deformations and forces. `given`: the model, whose
     elements with memory are relaxed in the coordinates."""
     failed = search.status != Status.OK
-    q = _implicit((coordinates, applied), search.q, ~failed & ~search.singular)
+    regular = ~failed & ~search.singular
+    q = _implicit((coordinates, applied), search.q, regular)
     model, at = coordinates.model, configuration_at(coordinates, q, base=False)
     zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
     elements = each_element(model, frames, lambda s, *F: (s.deformation(*(f.pose() for f in F)), s.force(*F)))
@@ -306,7 +308,7 @@ def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: Appl
         energy=potential(with_load_gravity(at, applied).model, frames), stable=~failed & (search.negative == 0), model=given,
         deformations=tuple(e for e, _ in elements), element_forces=tuple(force for _, force in elements),
         on_supports=reactions, loads=applied.loads, load_factor=search.factor, path=search.path,
-        descended=jnp.asarray(search.descended), beyond=outside, closed=forces,
+        descended=jnp.asarray(search.descended), beyond=outside, regular=regular, closed=forces,
     )  # fmt: skip
 
 

@@ -65,7 +65,7 @@ def test_short_motions_are_not_optimized(optimized, times, long):
     ("name", "transformed", "long"),
     [
         ("integrate_jvp", lambda loss: jax.jvp(loss, (2e4,), (1.0,)), False),
-        ("integrate_linearized", lambda loss: jax.grad(loss)(2e4), False),
+        ("integrate_pullback", lambda loss: jax.grad(loss)(2e4), False),
         ("integrate_batch", lambda loss: jax.vmap(loss)(2e4 * np.ones(16)), False),
         ("integrate_batch", lambda loss: jax.vmap(loss)(2e4 * np.ones(17)), True),
     ],
@@ -81,7 +81,7 @@ def test_what_is_called_often_is_optimized(optimized, gradient, times, often):
     car = model()
     if gradient:
         slope = jax.grad(lambda k: motion(jb.replace(car, {"suspension.stiffness": k})))
-        assert optimized("integrate_linearized", lambda: slope(2e4), times) == often
+        assert optimized("integrate_pullback", lambda: slope(2e4), times) == often
     else:
         assert optimized(integrate.__name__, lambda: motion(car), times) == often
 

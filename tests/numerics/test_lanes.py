@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
+from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
 from jaxbody.numerics import lanes
 from jaxbody.numerics.lanes import LANES, in_lanes, vmap_last
 from jaxbody.numerics.xla_workarounds import any_of_batch, kept
@@ -302,3 +303,12 @@ def test_a_rule_of_a_law_of_ones_own_is_kept_in_batches_of_drivers():
     sag = 2.0 * 9.81 / k
     np.testing.assert_allclose(after[0], 7 * sag / k, rtol=1e-6)  # dF = k dx + 7 x dk = 0, sag dk/k being the spring's own
     np.testing.assert_allclose(after[1], 5.0, rtol=1e-6)
+
+
+def test_what_is_not_needed_of_a_function_in_lanes_is_removed():
+    """Its results as before, and the arguments of what is left."""
+    both = in_lanes(lambda x, y: [jnp.sin(x), jnp.exp(y)], name="both")
+    program = jax.make_jaxpr(lambda x, y: both(x, 1.5 * y)[0])(0.5, 2.0)
+    part = only_what_is_needed(program)
+    assert "exp" in str(program) and not {"exp", "mul"} & set(str(part).split()), part
+    np.testing.assert_allclose(jax.vmap(jaxpr_as_fun(part), (0, None))(jnp.arange(3.0), 2.0)[0], np.sin(np.arange(3.0)), rtol=1e-7)
