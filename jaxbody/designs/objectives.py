@@ -10,10 +10,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import jax.scipy.special
+import numpy as np
 
-from jaxbody.core.arrays import Array, Float, concrete, float_array, is_concrete
+from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.core.arrays import Array, Float, Inexact, concrete, float_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.responses.comfort_weightings import weighted
+from jaxbody.responses.comfort_weightings import check_weights, weighted
 from jaxbody.responses.frequency_responses import FrequencyResponse
 from jaxbody.responses.random_responses import RandomResponse
 from jaxbody.vibrations.linearizations import Linearization
@@ -49,8 +51,7 @@ def smooth_max(x: Any, width: Any) -> Float[Array, ""]:
     >>> round(float(smooth_max([1.0, 2.0, 3.0], 0.1)), 4)
     3.0
     """
-    x, width = _numbers(x, "smooth_max.x"), _width(width, "smooth_max.width")
-    return width * jax.scipy.special.logsumexp(x / width)
+    return _smooth_extreme(_numbers(x, "smooth_max.x"), _width(width, "smooth_max.width"), 1)
 
 
 def smooth_min(x: Any, width: Any) -> Float[Array, ""]:
@@ -59,7 +60,12 @@ def smooth_min(x: Any, width: Any) -> Float[Array, ""]:
     >>> round(float(smooth_min([1.0, 2.0, 3.0], 0.1)), 4)
     1.0
     """
-    return -smooth_max(-_numbers(x, "smooth_min.x"), width)
+    return _smooth_extreme(_numbers(x, "smooth_min.x"), _width(width, "smooth_min.width"), -1)
+
+
+@jit_unoptimized
+def _smooth_extreme(x: Float[Array, "*n"], width: Float[Array, ""], sign: int) -> Float[Array, ""]:
+    return sign * width * jax.scipy.special.logsumexp(sign * x / width)
 
 
 def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
@@ -74,7 +80,11 @@ def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
     """
     if not power >= 1:
         raise JaxbodyError(Problem("BAD_NUMBER", "peak.power", f"is {power}", power, ">= 1"))
-    x = _numbers(jnp.abs(x) if hasattr(x, "dtype") else x, "peak.x")
+    return _peak(_numbers(x, "peak.x", allow_complex=True), power)
+
+
+@jit_unoptimized
+def _peak(x: Inexact[Array, "*n"], power: float) -> Float[Array, ""]:
     x = jnp.abs(x)
     largest = jax.lax.stop_gradient(jnp.max(x, initial=0.0))
     largest = jnp.where(largest > 0, largest, 1.0)  # a factor that cancels and avoids overflow
@@ -91,6 +101,11 @@ def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
     >>> [round(float(x), 2) for x in dominant_shares(linearize(model, model.reference))]
     [99.4, 98.21, 37.13, 49.36, 65.54, 78.84]
     """
+    return _dominant_shares(lin)
+
+
+@jit_unoptimized
+def _dominant_shares(lin: Linearization) -> Float[Array, "n"]:
     return 100 * jnp.max(kinetic_shares(lin), axis=0)
 
 
@@ -108,6 +123,11 @@ def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
     >>> round(float(coupling_of_modes(linearize(model, model.reference))), 4)
     0.0
     """
+    return _coupling_of_modes(lin)
+
+
+@jit_unoptimized
+def _coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
     e = kinetic_shares(lin)
     size = jnp.sqrt(e**2 + LEAST_SHARE**2) - LEAST_SHARE
     return jnp.sum(jnp.sum(size, 0) ** 2 - jnp.sum(size**2, 0))
@@ -142,7 +162,12 @@ def band_intrusion(frequencies: Any, band: tuple[float, float]) -> Float[Array, 
     low, high = band
     if not low < high:
         raise JaxbodyError(Problem("BAD_BAND", "band_intrusion.band", f"is {band}", band, "lower < upper", "Give (lower, upper) [Hz]."))
-    middle, half = (low + high) / 2, (high - low) / 2
+    return _band_intrusion(f, float_array([low, high], "band_intrusion.band"))
+
+
+@jit_unoptimized
+def _band_intrusion(f: Float[Array, "*n"], band: Float[Array, "2"]) -> Float[Array, ""]:
+    middle, half = (band[0] + band[1]) / 2, (band[1] - band[0]) / 2
     return jnp.sum(jnp.maximum(0.0, 1 - ((f - middle) / half) ** 2) ** 2)
 
 
@@ -163,6 +188,11 @@ def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Ar
     if known is not None and not known.all():
         hint = "The average is over log(f): omit 0 Hz."
         raise JaxbodyError(Problem("BAD_FREQUENCY", "transmitted.response", "has a frequency of 0 Hz", 0.0, "> 0", hint))
+    return _transmitted(response, output, name)
+
+
+@jit_unoptimized
+def _transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Array, ""]:
     H, x = response[output, name], jnp.log(response.frequencies)
     return jnp.sqrt(jnp.trapezoid(jnp.real(H) ** 2 + jnp.imag(H) ** 2, x) / (x[-1] - x[0]))
 
@@ -181,6 +211,12 @@ def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
     >>> round(float(comfort(ride, {"body": "Wk"})), 2)
     1.19
     """
+    check_weights(ride, weights)
+    return _comfort(ride, weights)
+
+
+@jit_unoptimized
+def _comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
     return _root(jnp.sum(weighted(ride, weights).rms ** 2))
 
 
@@ -202,7 +238,12 @@ def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, "
         unit = ride.units[ride.outputs.index(name)] if name in ride.outputs else "N"
         if unit != "N":
             raise JaxbodyError(Problem("BAD_UNIT", f"road_holding[{name!r}]", f"is in {unit}", unit, "N", "Use the LoadCell of a tyre."))
-    shares = jnp.stack([ride[name] / jnp.asarray(load, float) for name, load in forces.items()])
+    return _road_holding(ride, {name: float_array(load, f"road_holding[{name!r}]") for name, load in forces.items()})
+
+
+@jit_unoptimized
+def _road_holding(ride: RandomResponse, forces: dict[str, Array]) -> Float[Array, ""]:
+    shares = jnp.stack([ride[name] / load for name, load in forces.items()])
     return _root(jnp.mean(shares**2))
 
 
@@ -218,16 +259,21 @@ def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Arr
     >>> round(float(stroke(ride, "travel")), 3)
     0.037
     """
-    return jnp.abs(jnp.asarray(static, float)) + SIGMAS * ride[output]
+    return _stroke(ride, output, float_array(static, "stroke.static"))
+
+
+@jit_unoptimized
+def _stroke(ride: RandomResponse, output: str, static: Float[Array, ""]) -> Float[Array, ""]:
+    return jnp.abs(static) + SIGMAS * ride[output]
 
 
 def _root(square: Float[Array, ""]) -> Float[Array, ""]:
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0 * square)
 
 
-def _numbers(x: Any, where: str) -> Float[Array, "*n"]:
-    numbers = jnp.atleast_1d(jnp.asarray(float_array(x, where)))
-    if not numbers.size:
+def _numbers(x: Any, where: str, *, allow_complex: bool = False) -> Inexact[Array, "*n"]:
+    numbers = float_array(x, where) if not (allow_complex and np.iscomplexobj(x)) else x if isinstance(x, jax.Array) else np.asarray(x)
+    if not np.size(numbers):
         raise JaxbodyError(Problem("NO_DATA", where, "is empty", x, "one number or more"))
     return numbers
 
@@ -237,4 +283,4 @@ def _width(width: Any, where: str) -> Any:
         raise JaxbodyError(
             Problem("BAD_WIDTH", where, f"is {width}", width, "> 0", "Give the largest negligible difference, in the unit of x.")
         )
-    return width
+    return float_array(width, where)

@@ -13,8 +13,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import field, filter_jit
+from equinox import field
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int, checked, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
@@ -120,6 +121,16 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
     >>> bool(weighted(response, {"body": "Wk"})["body"] < response["body"])
     True
     """
+    check_weights(response, weights)
+    rows, names = tuple(response.outputs.index(output) for output in weights), tuple(weights.values())
+    psd, rms = _weighted(response.psd, response.frequencies, response.weights, rows, names)
+    return RandomResponse(
+        response.frequencies, psd, rms, response.weights, response.coarse, response.status, tuple(weights), tuple(map(_unit, names))
+    )  # fmt: skip
+
+
+def check_weights(response: RandomResponse, weights: dict[str, str]) -> None:
+    """Refuse weights of other outputs, unknown ones, and those of another unit."""
     with Problems() as problems:
         for output, name in weights.items():
             if output not in response.outputs:
@@ -131,13 +142,14 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
             if unit != limit:
                 hint = "Give an Acceleration; We is for an AngularAcceleration."
                 problems.add("BAD_UNIT", f"weighted[{output!r}]", f"is in {unit}", value=unit, limit=limit, hint=hint)
-    rows = np.array([response.outputs.index(output) for output in weights], dtype=int)
-    factors = jnp.stack([jnp.abs(_weighting(name, response.frequencies)) ** 2 for name in weights.values()], -2)
-    psd = response.psd[..., rows, :] * factors
-    return RandomResponse(
-        response.frequencies, psd, root_mean_square(psd, response.weights[..., None, :]), response.weights, response.coarse,
-        response.status, tuple(weights), tuple(map(_unit, weights.values())),
-    )  # fmt: skip
+
+
+@jit_unoptimized
+def _weighted(psd: Float[Array, "*b ny nf"], f: Float[Array, "*b nf"], weights: Float[Array, "*b nf"], rows: tuple[int, ...], names):
+    """The rows of the densities times the squares of these weightings, and their root mean squares."""
+    factors = jnp.stack([jnp.abs(_weighting(name, f)) ** 2 for name in names], -2)
+    psd = psd[..., np.array(rows, int), :] * factors
+    return psd, root_mean_square(psd, weights[..., None, :])
 
 
 def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
@@ -165,7 +177,7 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
     return WeightedSignal(jnp.asarray(times, float), *results, jnp.array(Status.OK.value), name)
 
 
-@filter_jit
+@jit_unoptimized
 def _weighting(name: str, f: Float[Array, "nf"]) -> Complex[Array, "nf"]:
     p, s = WEIGHTINGS[name], jax.lax.complex(jnp.zeros_like(f), f)
     W = p.K * s**2 / (s**2 + 2**0.5 * p.f1 * s + p.f1**2)

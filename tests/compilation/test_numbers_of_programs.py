@@ -1,4 +1,4 @@
-"""README's script and `jaxbody demo` compile few programs, and none of single operations but those of the script's own lines."""
+"""README's script, the example of its contract and `jaxbody demo` compile few programs, none of single operations but the script's own."""
 
 import os
 import subprocess
@@ -26,7 +26,7 @@ def heard(event, seconds, fun_name="", **_):
 
 jax.monitoring.register_event_duration_secs_listener(heard)
 """
-README = (
+CONTRACT = (
     COUNTED
     + """
 runpy.run_path('examples/contract.py', run_name='__main__')
@@ -67,6 +67,14 @@ print('programs', *sorted(ours))
 """
 )
 
+COMFORT = (
+    COUNTED
+    + """
+code, = [part.split('```')[0] for part in Path('README.md').read_text().split('```python')[1:]]
+exec(code)
+print('programs', *sorted(ours))
+"""
+)
 DRIVERS = ["_excitation", "_linearize", "_measured", "_modes", "_placed", "between", "equilibrium_of", "integrate", "residual_and_jacobian"]
 
 
@@ -78,14 +86,18 @@ def programs(script, *arguments):
     return done.stdout.splitlines()[-1].split()[1:]
 
 
-def test_the_script_of_readme_compiles_one_program_for_each_driver():
-    found = programs(README)
-    ours = [name for name in found if not name.endswith(("_linearized", "_pullback", "_batch"))]
+def test_the_example_contract_compiles_one_program_for_each_driver():
+    found = programs(CONTRACT)
+    ours = [name for name in found if not name.endswith(("_pullback", "_batch"))]
     assert sorted(DRIVERS) == [name for name in ours if name != "_with_traced"]
     assert ours.count("_with_traced") <= 1  # of a batch of stiffnesses
     of_three = ["_linearize", "_modes", "equilibrium_of"]
-    endings = ["_batch", "_linearized", "_linearized_pullback"]
-    assert sorted(set(found) - set(ours)) == sorted(name + end for name in of_three for end in endings)
+    assert sorted(set(found) - set(ours)) == sorted(name + end for name in of_three for end in ["_batch", "_pullback"])
+
+
+def test_the_first_script_of_readme_compiles_its_drivers_and_their_derivatives():
+    of_gradient = ["_comfort", "_linearize", "_random_response", "equilibrium_of", "port_matrices"]
+    assert programs(COMFORT) == sorted(["_modes", *of_gradient, *(name + "_pullback" for name in of_gradient)])
 
 
 def test_the_demo_compiles_few_programs(tmp_path):
