@@ -15,15 +15,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 from jax import Array
 from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir, partial_eval
-from jax.interpreters.ad import Zero
+from jax.interpreters.ad import Zero, instantiate_zeros
 from jax.tree_util import PyTreeDef
 
-__all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "jaxpr_as_fun"]  # used by other modules
+__all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "instantiate_zeros", "jaxpr_as_fun"]  # used by other modules
 
 
 # State of JAX
@@ -329,66 +328,3 @@ def _type_only(name: str, varying: Callable[[frozenset], frozenset], back: Calla
 
 _hidden_p = _type_only("manual_axes_hidden", lambda axes: frozenset(), lambda: _shown_p)
 _shown_p = _type_only("manual_axes_shown", lambda axes: axes, lambda: _hidden_p)
-
-
-# A linear function with its own transpose. `jax.linear_transpose` accepts no loop of unknown length; `jax.custom_vjp` allows no forward
-# mode; `jax.custom_derivatives.linear_call` has no derivative with respect to known arrays.
-
-
-def linear_with_transpose(
-    forward: Callable[[Any, Any], Any], transpose: Callable[[Any, Any], Any], known: Any, moved: Any, like: Any
-) -> Any:
-    """forward(known, moved), linear in the arrays `moved`, with its own transpose(known, cotangents); `like` has arrays of the shapes and
-    types of the results. Neither function may hold arrays. Only the one that is needed is traced; both can be differentiated again."""
-    given, tree = jax.tree.flatten((known, moved))
-    n, known_tree = len(jax.tree.leaves(known)), jax.tree.structure(known)
-
-    def along(*x):
-        return jax.tree.leaves(forward(*jax.tree.unflatten(tree, x)))
-
-    def back(*x):
-        return jax.tree.leaves(transpose(jax.tree.unflatten(known_tree, x[:n]), jax.tree.unflatten(jax.tree.structure(like), x[n:])))
-
-    shapes = tuple((x.shape, x.dtype) for x in jax.tree.leaves(like))
-    out = _linear_p.bind(*given, along=along, back=back, n=n, shapes=shapes)
-    return jax.tree.unflatten(jax.tree.structure(like), out)
-
-
-def _linear_jvp(primals, tangents, *, along, **params):
-    moved = [not isinstance(t, Zero) for t in tangents]
-
-    def of_moved(*x):
-        return along(*merged(moved, x, primals))
-
-    if any(moved[: params["n"]]):
-        return jax.jvp(of_moved, chosen(primals, moved), chosen(tangents, moved))
-    given = [ad.instantiate_zeros(t) for t in tangents[params["n"] :]]
-    return _linear_p.bind(*primals, along=along, **params), _linear_p.bind(*primals[: params["n"]], *given, along=along, **params)
-
-
-def _linear_transpose(cotangents, *args, back, n, **_):
-    out = iter(back(*args[:n], *(ad.instantiate_zeros(c) for c in cotangents)))
-    return [None] * n + [next(out) for _ in args[n:]]
-
-
-def _linear_batch(args, axes, *, along, back, n, shapes):
-    size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
-
-    def back_over(*x):
-        out = jax.vmap(back, in_axes=(*axes[:n], *(0 for _ in shapes)), axis_size=size)(*x)
-        return [jnp.sum(c, 0) if axis is None else jnp.moveaxis(c, 0, axis) for c, axis in zip(out, axes[n:], strict=True)]
-
-    along_over = jax.vmap(along, in_axes=tuple(axes), axis_size=size)
-    shapes = tuple(((size, *shape), dtype) for shape, dtype in shapes)
-    return _linear_p.bind(*args, along=along_over, back=back_over, n=n, shapes=shapes), [0] * len(shapes)
-
-
-_linear_p = new_operation(
-    "linear_with_transpose",
-    lambda *args, along, **_: along(*args),
-    typed=lambda *_, shapes, **__: [shaped(*x) for x in shapes],
-    several=True,
-    batch=_linear_batch,
-    jvp=_linear_jvp,
-    transpose=_linear_transpose,
-)

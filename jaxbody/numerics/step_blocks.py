@@ -10,6 +10,7 @@ has a projection P, steps end at P(y1), and the error is what is left of it afte
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -20,7 +21,7 @@ from jax import lax
 from jaxbody.core.arrays import Array, Bool, Float, Int
 from jaxbody.core.errors import JaxbodyError, Status
 from jaxbody.core.errors import Problem as Wrong
-from jaxbody.core.jax_internals import linear_with_transpose
+from jaxbody.core.jax_internals import Zero, chosen, instantiate_zeros, merged, new_operation, shaped
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.runge_kutta_steps import (
     InitialValueProblem,
@@ -328,3 +329,66 @@ def _windows(x: Float[Array, "nt *k"], more: Array | None = None) -> Float[jax.A
 
 def _put(x: jax.Array, i: Int[Array, ""], row: jax.Array) -> jax.Array:
     return row[None] if len(x) == 1 else lax.dynamic_update_index_in_dim(x, row, i, 0)
+
+
+# A linear function with its own transpose. `jax.linear_transpose` accepts no loop of unknown length; `jax.custom_vjp` allows no forward
+# mode; `jax.custom_derivatives.linear_call` has no derivative with respect to known arrays.
+
+
+def linear_with_transpose(
+    forward: Callable[[Any, Any], Any], transpose: Callable[[Any, Any], Any], known: Any, moved: Any, like: Any
+) -> Any:
+    """forward(known, moved), linear in the arrays `moved`, with its own transpose(known, cotangents); `like` has arrays of the shapes and
+    types of the results. Neither function may hold arrays. Only the one that is needed is traced; both can be differentiated again."""
+    given, tree = jax.tree.flatten((known, moved))
+    n, known_tree = len(jax.tree.leaves(known)), jax.tree.structure(known)
+
+    def along(*x):
+        return jax.tree.leaves(forward(*jax.tree.unflatten(tree, x)))
+
+    def back(*x):
+        return jax.tree.leaves(transpose(jax.tree.unflatten(known_tree, x[:n]), jax.tree.unflatten(jax.tree.structure(like), x[n:])))
+
+    shapes = tuple((x.shape, x.dtype) for x in jax.tree.leaves(like))
+    out = _linear_p.bind(*given, along=along, back=back, n=n, shapes=shapes)
+    return jax.tree.unflatten(jax.tree.structure(like), out)
+
+
+def _linear_jvp(primals, tangents, *, along, **params):
+    moved = [not isinstance(t, Zero) for t in tangents]
+
+    def of_moved(*x):
+        return along(*merged(moved, x, primals))
+
+    if any(moved[: params["n"]]):
+        return jax.jvp(of_moved, chosen(primals, moved), chosen(tangents, moved))
+    given = [instantiate_zeros(t) for t in tangents[params["n"] :]]
+    return _linear_p.bind(*primals, along=along, **params), _linear_p.bind(*primals[: params["n"]], *given, along=along, **params)
+
+
+def _linear_transpose(cotangents, *args, back, n, **_):
+    out = iter(back(*args[:n], *(instantiate_zeros(c) for c in cotangents)))
+    return [None] * n + [next(out) for _ in args[n:]]
+
+
+def _linear_batch(args, axes, *, along, back, n, shapes):
+    size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
+
+    def back_over(*x):
+        out = jax.vmap(back, in_axes=(*axes[:n], *(0 for _ in shapes)), axis_size=size)(*x)
+        return [jnp.sum(c, 0) if axis is None else jnp.moveaxis(c, 0, axis) for c, axis in zip(out, axes[n:], strict=True)]
+
+    along_over = jax.vmap(along, in_axes=tuple(axes), axis_size=size)
+    shapes = tuple(((size, *shape), dtype) for shape, dtype in shapes)
+    return _linear_p.bind(*args, along=along_over, back=back_over, n=n, shapes=shapes), [0] * len(shapes)
+
+
+_linear_p = new_operation(
+    "linear_with_transpose",
+    lambda *args, along, **_: along(*args),
+    typed=lambda *_, shapes, **__: [shaped(*x) for x in shapes],
+    several=True,
+    batch=_linear_batch,
+    jvp=_linear_jvp,
+    transpose=_linear_transpose,
+)

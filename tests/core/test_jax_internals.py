@@ -108,25 +108,6 @@ def test_programs_lose_what_their_results_do_not_need(monkeypatch):
     assert [eqn.primitive.name for eqn in jax_internals.only_what_is_needed(traced).jaxpr.eqns] == ["sin", "cos"]
 
 
-def test_a_linear_function_has_the_transpose_that_it_is_given():
-    """y = k x by a loop of unknown length, which JAX cannot transpose: forward, reverse, in batches of either argument, second
-    derivatives."""
-
-    def times(k, x):
-        return jax.lax.while_loop(lambda c: c[0] < 3, lambda c: (c[0] + 1, c[1] + k * x / 3), (0, jnp.zeros_like(k * x)))[1]
-
-    def scaled(k, x):
-        return jax_internals.linear_with_transpose(lambda k, x: times(k, x[0]), lambda k, y: [times(k, y)], k, [x], x)
-
-    k, x = jnp.array([2.0, 3.0]), jnp.array([5.0, 7.0])
-    both = lambda k, x: (scaled(k, x), jax.jacfwd(scaled, 1)(k, x), jax.grad(scaled, 1)(k, x), jax.jacfwd(scaled)(k, x))  # noqa: E731
-    for result in (jax.jit(jax.vmap(both))(k, x), jax.tree.map(lambda *p: jnp.stack(p), *(both(*p) for p in zip(k, x, strict=True)))):
-        assert jnp.allclose(jnp.stack(result), jnp.stack([k * x, k, k, x]), rtol=1e-15)
-    assert jnp.allclose(jax.grad(lambda x: jnp.sum(jax.vmap(scaled, (0, None))(k, x)))(5.0), 5.0, rtol=1e-15)  # 2 + 3
-    mixed = jax.jacfwd(jax.grad(lambda x, k: scaled(k, x) * x), 1)  # d/dk of d(k x2)/dx = 2 x
-    assert jnp.allclose(mixed(5.0, 2.0), 10.0, rtol=1e-15)
-
-
 def test_compiled_code_runs_in_another_process(tmp_path, monkeypatch):
     """All kinds of numbers, results that are arguments or empty, and LAPACK, which jaxlib looks up only when it is asked to."""
     if not jax_internals.code_can_be_run():
