@@ -27,6 +27,7 @@ from jaxbody.core.jax_internals import (
     merged,
     new_operation,
     only_what_is_needed,
+    traces_shared,
     transpose_with_sums,
     unbatched,
     unknown,
@@ -249,7 +250,8 @@ def _tangents_transpose(cotangents, so_far, *args, program, moved, options, type
     (known, moving), (_, sums) = _apart(args, moved), _apart(so_far, moved)
     given, summed = tuple(type(w) is not Zero for w in cotangents), tuple(s is not None for s in sums)
     pullback = Pullback(Cotangents(program, moved, given), summed)
-    out, needed = run(pullback, options, [*known, *chosen(cotangents, given), *chosen(sums, summed)])
+    with traces_shared():
+        out, needed = run(pullback, options, [*known, *chosen(cotangents, given), *chosen(sums, summed)])
     return [None] * len(known) + merged(needed.value, out, [Zero(x.aval) for x in moving])
 
 

@@ -11,7 +11,8 @@ Programs will then have `call_hi_primitive` where `lanes` knows `custom_jvp_call
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -59,6 +60,26 @@ def only_transformed() -> bool:
         return isinstance(trace, core.EvalTrace)
     except (ImportError, AttributeError):
         return False
+
+
+@contextmanager
+def traces_shared() -> Iterator[None]:
+    """Inside, JAX finds traces that it has kept outside. While it transposes it sets an empty mesh of devices, for which it has none."""
+    try:
+        from jax._src import config, mesh
+
+        has_setting = mesh if hasattr(mesh, "abstract_mesh_context_manager") else config
+        setting, unset = has_setting.abstract_mesh_context_manager, config.config_ext.unset  # pyright: ignore
+        is_set = setting.value is not None and setting.value.empty
+    except (ImportError, AttributeError):
+        yield
+        return
+    before = setting.swap_local(unset) if is_set else None
+    try:
+        yield
+    finally:
+        if is_set:
+            setting.set_local(before)
 
 
 def unknown(x: Any) -> bool:

@@ -132,6 +132,18 @@ def test_programs_have_the_options_of_the_function(monkeypatch, lost):
     assert ours == ({"spring"} if lost else {"spring", "spring_pullback"})
 
 
+def test_a_function_is_traced_once_for_itself_and_its_gradient():
+    traced = []
+
+    @jit_unoptimized
+    def cube(x):
+        traced.append(x)
+        return x**3
+
+    assert float(cube(jnp.asarray(2.0))) == 8.0 and float(jax.grad(cube)(jnp.asarray(2.0))) == 12.0
+    assert len(traced) == 1
+
+
 @pytest.mark.long
 def test_what_is_under_way_is_told():
     seen = []
