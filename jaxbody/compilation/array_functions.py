@@ -31,7 +31,8 @@ jax.tree_util.register_pytree_node(Remainder, lambda remainder: ((), remainder.v
 
 @dataclass(frozen=True)
 class ArrayFunction:
-    """function(*args) as a function of the arrays in args; it returns the arrays of the result, and a Remainder with all else of it."""
+    """function(*args) as a function of the arrays in args; it returns the arrays of the result, and a Remainder with all else of it. No
+    result has a weak type: batches lose it, and what takes the result would be traced again."""
 
     function: Callable[..., Any]
     tree: Any  # of args
@@ -44,7 +45,8 @@ class ArrayFunction:
     def __call__(self, *arrays: Any) -> tuple[list[Any], Remainder]:
         given = iter(arrays)
         leaves = [next(given) if other is None else other[1] for other in self.others]
-        return separated(self.function(*jax.tree.unflatten(self.tree, leaves)))
+        results, remainder = separated(self.function(*jax.tree.unflatten(self.tree, leaves)))
+        return [jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x for x in results], remainder
 
 
 def array_function(function: Callable[..., Any], args: tuple[Any, ...]) -> tuple[ArrayFunction, list[Any]]:

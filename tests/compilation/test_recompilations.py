@@ -122,3 +122,12 @@ def test_the_seconds_of_a_compilation_are_those_that_jax_reports(monkeypatch):
     with jb.compile_times() as spent:
         (message,) = warned(jit_unoptimized(tripled), [(jnp.ones(3),), (jnp.zeros(3),)])
     assert f"tripled took {sum(spent.programs['tripled'][:3]):.0f} s to compile" in message and spent.programs["tripled"][3] == 1
+
+
+def test_results_have_no_weak_type_for_which_others_would_be_compiled_again():
+    """A number of Python becomes one in a result of JAX, and batches lose it."""
+    numbers = lambda x: (jnp.where(x > 0, 3, 5), 2.0 * jnp.ones(()), x)  # noqa: E731
+    assert jax.jit(numbers)(jnp.ones(()))[0].aval.weak_type
+    result = jit_unoptimized(numbers)(jnp.ones(()))
+    assert [x.aval.weak_type for x in result] == [False, False, False]
+    assert [x.dtype for x in result] == [jnp.result_type(int), jnp.result_type(float), jnp.result_type(float)]
