@@ -42,7 +42,7 @@ from jaxbody.models.states import State
 from jaxbody.numerics.precisions import in_float64
 from jaxbody.numerics.small_systems import solve
 from jaxbody.statics.closure_forces import ClosureForces, closure_forces
-from jaxbody.statics.forces_at_rest import element_rows, on_supports, support_rows
+from jaxbody.statics.forces_at_rest import element_rows, residual_and_reactions, support_rows
 from jaxbody.statics.load_paths import AppliedLoads, Path, residual, tangent, with_gravity, with_load_gravity
 from jaxbody.statics.null_motions import zero_modes
 from jaxbody.statics.rest_searches import LOADABLE, SearchResult, along_path, no_loads, search_by_descent, search_under_loads
@@ -289,7 +289,7 @@ def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: Appl
     failed = search.status != Status.OK
     regular = ~failed & ~search.singular
     q = _implicit((coordinates, applied), search.q, regular)
-    model, at = coordinates.model, configuration_at(coordinates, q, base=False)
+    model, at = coordinates.model, configuration_at(coordinates, q)
     zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
     elements = each_element(model, frames, lambda s, *F: (s.deformation(*(f.pose() for f in F)), s.force(*F)))
     outside = outside_law_range(model, frames) if has_range(model.elements) else jnp.zeros(len(model.element_names), bool)
@@ -297,7 +297,7 @@ def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: Appl
         [failed, search.negative > 0, search.singular, jnp.any(outside)],
         [search.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
-    unbalanced, reactions = residual(at, applied, search.factor), on_supports(coordinates, q, applied, search.factor)
+    unbalanced, reactions = residual_and_reactions(at, applied, search.factor)
     forces = closure_forces(coordinates, q, unbalanced) if model.closures else None
     if forces is not None:
         unbalanced, reactions = unbalanced + forces.on_coordinates, reactions - forces.on_supports

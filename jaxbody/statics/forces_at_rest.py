@@ -11,29 +11,28 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, is_concrete
 from jaxbody.elements.torsions import Torsion
-from jaxbody.mechanics.hessians import configuration_at, frame_twists, slope
-from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.mechanics.hessians import Configuration, frame_twists, slope
 from jaxbody.models.models import Model
-from jaxbody.statics.load_paths import AppliedLoads, summed, with_load_gravity
+from jaxbody.statics.load_paths import AppliedLoads, generalized_force, summed, with_load_gravity
 
 Row = tuple[Any, ...]
 
 
-def on_supports(
-    coordinates: Coordinates, q: Float[Array, "nq"], applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
-) -> Float[Array, "ns 6"]:
-    """Force and moment about its origin on each support: -dV/dXi, and the loads on all that it carries by joints, in world axes."""
-    layout = coordinates.model.layout
-    if not layout.supports:
-        return jnp.zeros((0, 6), q.dtype)
-    at = with_load_gravity(configuration_at(coordinates, q), applied, factor)
-    total, twists, t = -slope(at)[layout.nv :], frame_twists(at)[:, layout.nv :], jnp.zeros((), q.dtype)
+def residual_and_reactions(
+    at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
+) -> tuple[Float[Array, "nv"], Float[Array, "ns 6"]]:
+    """dV/dDelta - lambda Q; and force and moment about its origin on each support, -dV/dXi with the loads on all that it carries by joints,
+    in world axes. `at` has columns for the base."""
+    layout, nv = at.model.layout, at.model.layout.nv
+    G = slope(with_load_gravity(at, applied, factor))
+    Q = generalized_force(at.model, at.q, applied.loads, applied.weights, jnp.zeros(nv, at.q.dtype))
+    total, twists, t = -G[nv:], frame_twists(at)[:, nv:], jnp.zeros((), at.q.dtype)
     for load, weight in zip(applied.loads, applied.weights, strict=True):
         row = layout.frame(load.on)
         now = at.frames[row].at_time(t)
         F, M = summed(lambda load, weight, now=now: tuple(weight * x for x in load.wrench(now)), load, weight)
         total = total + factor * jnp.sum(twists[row] * jnp.concatenate([F, M])[None], -1)
-    return total.reshape(-1, 6)
+    return G[:nv] - factor * Q, total.reshape(-1, 6)
 
 
 def element_rows(model: Model, deformations: dict[str, Array], forces: dict[str, Array]) -> tuple[tuple[str, ...], list[Row]]:
