@@ -132,7 +132,12 @@ def test_programs_have_the_options_of_the_function(monkeypatch, lost):
     assert ours == ({"spring"} if lost else {"spring", "spring_pullback"})
 
 
-def test_a_function_is_traced_once_for_itself_and_its_gradient():
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_function_is_traced_once_for_itself_and_its_gradient(lost, monkeypatch):
+    """Where JAX has moved what says which devices are meant, it is traced again, and right."""
+    if lost:
+        monkeypatch.delattr("jax._src.mesh")
+        monkeypatch.setitem(sys.modules, "jax._src.mesh", None)
     traced = []
 
     @jit_unoptimized
@@ -141,7 +146,7 @@ def test_a_function_is_traced_once_for_itself_and_its_gradient():
         return x**3
 
     assert float(cube(jnp.asarray(2.0))) == 8.0 and float(jax.grad(cube)(jnp.asarray(2.0))) == 12.0
-    assert len(traced) == 1
+    assert len(traced) <= 1 + lost
 
 
 @pytest.mark.long
