@@ -65,8 +65,13 @@ class Jvp(Derived):
 
     def __call__(self, *args: Any) -> Results:
         x = args[: len(self.moved)]
-        real, tangents, others = jax.jvp(_of_moved(self.of, self.moved, x), chosen(x, self.moved), list(args[len(x) :]), has_aux=True)
-        return [*_all_results(real, others), *tangents], others[1]
+
+        def of_moved(*given):
+            out, remainder = jitted(self.of)(*merged(self.moved, given, x))
+            return [y for y in out if _is_real(y)], (out, remainder)
+
+        _, tangents, (out, remainder) = jax.jvp(of_moved, chosen(x, self.moved), list(args[len(x) :]), has_aux=True)
+        return [*out, *tangents], remainder
 
 
 @dataclass(frozen=True)
@@ -168,20 +173,6 @@ class OneByOne(Derived):
         looped = jax.lax.map(lambda rows: chosen(member(rows), own), rows)
         shared = looped if all(own) else member([jax.lax.index_in_dim(y, 0, keepdims=False) for y in rows])
         return merged(own, looped, shared), Remainder((remainder[0], [0 if o else None for o in own]))
-
-
-def _of_moved(f: Callable[..., Results], moved: tuple[bool, ...], x: Sequence[Any]) -> Callable[..., Any]:
-    """Those x that are moved to the real results of f, and as an auxiliary value the others with None for each real one."""
-
-    def of_moved(*given):
-        out, remainder = jitted(f)(*merged(moved, given, x))
-        return [y for y in out if _is_real(y)], ([None if _is_real(y) else y for y in out], remainder)
-
-    return of_moved
-
-
-def _all_results(real: list[Any], others: tuple[list[Any], Remainder]) -> list[Any]:
-    return merged([y is None for y in others[0]], real, others[0])
 
 
 def _is_real(y: Any) -> bool:

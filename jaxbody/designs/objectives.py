@@ -15,7 +15,7 @@ import numpy as np
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Float, Inexact, concrete, float_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.responses.comfort_weightings import check_weights, weighted
+from jaxbody.responses.comfort_weightings import weighted
 from jaxbody.responses.frequency_responses import FrequencyResponse
 from jaxbody.responses.random_responses import RandomResponse
 from jaxbody.vibrations.linearizations import Linearization
@@ -211,7 +211,6 @@ def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
     >>> round(float(comfort(ride, {"body": "Wk"})), 2)
     1.19
     """
-    check_weights(ride, weights)
     return _comfort(ride, weights)
 
 
@@ -272,7 +271,7 @@ def _root(square: Float[Array, ""]) -> Float[Array, ""]:
 
 
 def _numbers(x: Any, where: str, *, allow_complex: bool = False) -> Inexact[Array, "*n"]:
-    numbers = float_array(x, where) if not (allow_complex and np.iscomplexobj(x)) else x if isinstance(x, jax.Array) else np.asarray(x)
+    numbers = (x if isinstance(x, jax.Array) else np.asarray(x)) if allow_complex and np.iscomplexobj(x) else float_array(x, where)
     if not np.size(numbers):
         raise JaxbodyError(Problem("NO_DATA", where, "is empty", x, "one number or more"))
     return numbers

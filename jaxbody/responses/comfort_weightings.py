@@ -121,16 +121,6 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
     >>> bool(weighted(response, {"body": "Wk"})["body"] < response["body"])
     True
     """
-    check_weights(response, weights)
-    rows, names = tuple(response.outputs.index(output) for output in weights), tuple(weights.values())
-    psd, rms = _weighted(response.psd, response.frequencies, response.weights, rows, names)
-    return RandomResponse(
-        response.frequencies, psd, rms, response.weights, response.coarse, response.status, tuple(weights), tuple(map(_unit, names))
-    )  # fmt: skip
-
-
-def check_weights(response: RandomResponse, weights: dict[str, str]) -> None:
-    """Refuse weights of other outputs, unknown ones, and those of another unit."""
     with Problems() as problems:
         for output, name in weights.items():
             if output not in response.outputs:
@@ -142,6 +132,11 @@ def check_weights(response: RandomResponse, weights: dict[str, str]) -> None:
             if unit != limit:
                 hint = "Give an Acceleration; We is for an AngularAcceleration."
                 problems.add("BAD_UNIT", f"weighted[{output!r}]", f"is in {unit}", value=unit, limit=limit, hint=hint)
+    rows, names = tuple(response.outputs.index(output) for output in weights), tuple(weights.values())
+    psd, rms = _weighted(response.psd, response.frequencies, response.weights, rows, names)
+    return RandomResponse(
+        response.frequencies, psd, rms, response.weights, response.coarse, response.status, tuple(weights), tuple(map(_unit, names))
+    )  # fmt: skip
 
 
 @jit_unoptimized
