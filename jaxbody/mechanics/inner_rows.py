@@ -17,8 +17,7 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.laws.memories import Apart, memories
 from jaxbody.mechanics.element_derivatives import deformation_slopes, on_coordinates
 from jaxbody.mechanics.energies import of_table
-from jaxbody.mechanics.hessians import Configuration, Square, configuration_at, damping, expansion, frame_twists, mass
-from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.mechanics.hessians import Configuration, Square, damping, expansion, frame_twists, mass
 
 
 class InnerRows(NamedTuple):
@@ -85,14 +84,13 @@ def slow_matrices(M: Square, K: Square, nv: int) -> tuple[Square, Square]:
     return T.T @ M @ T, T.T @ K @ T
 
 
-def whole_matrices(coordinates: Coordinates, q: Float[Array, "nq"], v: Float[Array, "nv"]):
-    """M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi); y apart in the model of the coordinates."""
-    at, layout = configuration_at(coordinates, q, v), coordinates.model.layout
-    nv, ny = layout.nv, len(layout.inner)
+def whole_matrices(at: Configuration) -> tuple[tuple[Square, ...], Float[Array, "n"]]:
+    """M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi); y apart in the model of the configuration."""
+    nv, ny = at.model.layout.nv, len(at.model.layout.inner)
     _, slope, stiffness = expansion(at)
     whole = mass(at), damping(at), stiffness
     if ny:
-        inner, zero = inner_rows(at), jnp.zeros((ny, len(stiffness)), q.dtype)
+        inner, zero = inner_rows(at), jnp.zeros((ny, len(stiffness)), at.q.dtype)
         rows = (zero, inner.M_yy), (inner.C_yx, inner.C_yy), (inner.K_yx, inner.K_yy)
         whole = tuple(inserted(H, *row, nv) for H, row in zip(whole, rows, strict=True))
     return whole, slope

@@ -20,7 +20,6 @@ from jaxbody.numerics.eigenproblems import cholesky_of_mass, companion, first_or
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.descents import SINGULAR
 from jaxbody.vibrations.linearizations import Linearization, LinearSystem, check_system
-from jaxbody.vibrations.mode_names import basis_at
 from jaxbody.vibrations.natural_modes import ModalResult
 from jaxbody.vibrations.spins import SpinLinearization
 
@@ -220,7 +219,7 @@ def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
 
 @jit_unoptimized
 def _whirl(lin: SpinLinearization, shapes: Complex[Array, "nv n"]) -> Float[Array, "n"]:
-    bodies, V = lin.model.bodies.rows, basis_at(lin.model, lin.state.q).velocities
+    bodies, V = lin.model.bodies.rows, lin.basis.velocities
     spin = (V @ lin.state.v)[:, 3:]
     fastest = spin[jnp.argmax(jnp.sum(spin**2, -1))]
     n = fastest / jnp.maximum(jnp.linalg.norm(fastest), 1e-300)

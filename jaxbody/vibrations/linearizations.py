@@ -26,6 +26,7 @@ from jaxbody.mechanics.constraints import how_open
 from jaxbody.mechanics.element_derivatives import gravity_stiffness, split_stiffness
 from jaxbody.mechanics.energies import completed
 from jaxbody.mechanics.free_motions import DependentMotions, closure_stiffness, dependent_motions
+from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.inner_rows import following, slow_matrices, whole_matrices
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name
@@ -38,7 +39,7 @@ from jaxbody.numerics.lanes import in_lanes
 from jaxbody.statics.equilibria import NOT_AT_REST, Equilibrium
 from jaxbody.statics.load_paths import generalized_force, stiffness_of_loads
 from jaxbody.statics.null_motions import zero_modes
-from jaxbody.vibrations.mode_names import Basis, basis_at
+from jaxbody.vibrations.mode_names import Basis, basis_of
 from jaxbody.vibrations.state_spaces import StateSpace, state_space
 
 UNITS = {"M": "kg, kg m, kg m2", "C": "N s/m, N s, N m s", "G": "N s/m, N s, N m s", "K": "N/m, N, N m"}
@@ -49,7 +50,7 @@ HEADINGS = UNITS | dict.fromkeys(("C", "G"), "N s/m, ...")
 
 class LinearSystem(Labeled, Result):
     """M Delta'' + D Delta' + K Delta = 0 of small motions about `state`, with D = C for a rest: what modes, poles, responses and state
-    spaces read. `coordinates` names the rows, `basis` says which motion of which body each is."""
+    spaces read. `coordinates` names the rows, `basis` says what each moves."""
 
     index = "coordinate"
     M: Float[Array, "nv nv"]
@@ -58,6 +59,7 @@ class LinearSystem(Labeled, Result):
     status: Int[Array, ""]
     state: State
     model: Model
+    basis: Basis
     dependent: DependentMotions | None = eqx.field(default=None, kw_only=True)  # of a model with closures
     printed: ClassVar[tuple[str, ...]] = ("M", "C", "K")  # the matrices that are printed
     exported: ClassVar[tuple[str, ...]] = ()  # those of a dataset
@@ -104,12 +106,6 @@ class LinearSystem(Labeled, Result):
     def D(self) -> Float[Array, "nv nv"]:
         """The matrix of Delta': C, and about a spin C + G."""
         return self.C
-
-    @property
-    def basis(self) -> Basis:
-        """The motions of the bodies per unit of each coordinate with inertia; those of elements move no body."""
-        basis, k = basis_at(self.model, self.state.q), len(self.model.layout.inertial)
-        return Basis(*(jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, k)]) for x in (basis.velocities, basis.momenta))) if k else basis
 
     @property
     def scale(self) -> Float[Array, "nv"]:
@@ -315,7 +311,8 @@ def _linearize_closed(model: Model, state: State, status: Int[Array, ""] | None,
     nv, ny, nf = layout.nv, len(layout.inner), len(independent)
     state = completed(model, state)
     coordinates, q = Coordinates(apart(model, state.z)), state.q
-    (M, C, K), slope = whole_matrices(coordinates, q, state.v)
+    at = configuration_at(coordinates, q, state.v)
+    (M, C, K), slope = whole_matrices(at)
     r = slope[:nv] - generalized_force(model, q, loads, jnp.ones(len(loads), q.dtype), jnp.zeros(nv, q.dtype))
     moves = dependent_motions(coordinates, q, r, independent)
     x = np.r_[:nv, nv + ny : len(K)]  # the rows of (Delta, Xi)
@@ -332,7 +329,7 @@ def _linearize_closed(model: Model, state: State, status: Int[Array, ""] | None,
         given = jnp.where(stale & ~jnp.isin(given, jnp.array(NOT_AT_REST)), Status.STALE.value, given)
     fails = [how_open(coordinates, q) > NEARLY_CLOSED, moves.smallest < SINGULAR_CLOSURES]
     given = jnp.select(fails, [Status.NOT_CLOSED.value, Status.SINGULAR_CLOSURE.value], given)
-    return Linearization(M, C, K, given, state, model, *tilde, *bb, loads, dependent=moves)  # pyright: ignore[reportCallIssue]
+    return Linearization(M, C, K, given, state, model, basis_of(at), *tilde, *bb, loads, dependent=moves)  # pyright: ignore[reportCallIssue]
 
 
 @jit_unoptimized
@@ -349,10 +346,11 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
     n, (numbers, rest) = nv + ny, eqx.partition(apart(model, state.z), eqx.is_array)
 
     def matrices(numbers, q, v):
-        whole, slope = whole_matrices(Coordinates(eqx.combine(numbers, rest)), q, v)
-        return [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in whole], slope[:nv]
+        at = configuration_at(Coordinates(eqx.combine(numbers, rest)), q, v)
+        whole, slope = whole_matrices(at)
+        return list(zip(*((H[:n, :n], -H[:n, n:], H[n:, n:]) for H in whole), strict=True)), slope[:nv], basis_of(at)
 
-    ((M, M_tilde, M_bb), (C, C_tilde, C_bb), (K, K_tilde, K_bb)), slope = in_lanes(matrices, reversible=True)(numbers, state.q, state.v)
+    ((M, C, K), tilde, bb), slope, basis = in_lanes(matrices, reversible=True)(numbers, state.q, state.v)
     of_loads = _load_stiffness(model, state, loads)
     K = K - (jnp.pad(of_loads, (0, ny)) if ny else of_loads)
     if status is None:
@@ -364,7 +362,7 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
         largest = jnp.max(jnp.abs(scaled(K[:nv, :nv], scale)), initial=0.0) * size
         stale = jnp.max(jnp.abs(unbalanced * scale), initial=0.0) > jnp.finfo(unbalanced.dtype).eps ** 0.5 * largest
         status = jnp.where(stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status)
-    return Linearization(M, C, K, status, state, model, M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, loads)
+    return Linearization(M, C, K, status, state, model, basis, *tilde, *bb, loads)  # pyright: ignore[reportCallIssue]
 
 
 @jit_unoptimized
@@ -374,16 +372,15 @@ def _condensed(lin: Linearization) -> Linearization:
     T = following(K, nv, ny)
     blocks = [(H[:nv, :nv], -H[:nv, nv:], H[nv:, nv:]) for H in (T.T @ H @ T for H in (M, C, K))]
     (M, C, K), tilde, bb = zip(*blocks, strict=True)
-    return Linearization(M, C, K, lin.status, lin.state, lin.model, *tilde, *bb, lin.loads, slow=True, dependent=lin.dependent)  # pyright: ignore[reportCallIssue]
+    return Linearization(M, C, K, lin.status, lin.state, lin.model, lin.basis, *tilde, *bb, lin.loads, slow=True, dependent=lin.dependent)  # pyright: ignore[reportCallIssue]
 
 
 def _instantaneous(lin: Linearization) -> Linearization:
     nv = lin.nv
     M, C, K = (H[..., :nv, :nv] for H in (lin.M, lin.C, lin.K))
-    M_x, C_x, K_x = (H[..., :nv, :] for H in (lin.M_tilde, lin.C_tilde, lin.K_tilde))
-    return Linearization(
-        M, C, K, lin.status, lin.state, lin.model, M_x, C_x, K_x, lin.M_bb, lin.C_bb, lin.K_bb, lin.loads, dependent=lin.dependent
-    )
+    tilde = (H[..., :nv, :] for H in (lin.M_tilde, lin.C_tilde, lin.K_tilde))
+    bb = lin.M_bb, lin.C_bb, lin.K_bb
+    return Linearization(M, C, K, lin.status, lin.state, lin.model, lin.basis, *tilde, *bb, lin.loads, dependent=lin.dependent)  # pyright: ignore[reportCallIssue]
 
 
 def _load_stiffness(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv nv"]:

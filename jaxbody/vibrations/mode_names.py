@@ -12,11 +12,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Float, concrete
 from jaxbody.geometry.vectors import cross, product, rotate
-from jaxbody.mechanics.hessians import configuration_at
-from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.mechanics.hessians import Configuration
 from jaxbody.models.models import Model
 
 AXES = "xyz"
@@ -42,18 +40,18 @@ class Basis(eqx.Module):
     momenta: Float[Array, "*b nb 6 nv"]
 
 
-@jit_unoptimized
-def basis_at(model: Model, q: Float[Array, "nq"]) -> Basis:
-    """The basis of small motions about q."""
-    at, bodies = configuration_at(Coordinates(model), q, base=False), model.bodies.rows
-    nb, nv = len(model.layout.bodies), model.layout.nv
-    twists = (jnp.eye(nv, dtype=q.dtype).reshape(nb, 6, nv) if at.J is None else jnp.swapaxes(at.J[:nb], 1, 2)).swapaxes(1, 2)
-    R = at.frames.R[model.layout.first_body :]
+def basis_of(at: Configuration) -> Basis:
+    """The basis of small motions about a configuration; coordinates of elements with inertia move no body."""
+    layout, bodies = at.model.layout, at.model.bodies.rows
+    nb, nv, k = len(layout.bodies), layout.nv, len(layout.inertial)
+    twists = jnp.swapaxes(jnp.eye(nv, dtype=at.q.dtype).reshape(nb, 6, nv), 1, 2) if at.J is None else at.J[:nb, :nv]
+    R = at.frames.R[layout.first_body :]
     linear, angular = jnp.split(twists, 2, -1)
     v_C = linear + cross(angular, rotate(R, bodies.com)[:, None])
     turned = product(product(R, (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2), jnp.swapaxes(R, -1, -2))
     momenta = jnp.concatenate([bodies.mass[:, None, None] * v_C, rotate(turned[:, None], angular)], -1)
-    return Basis(*(jnp.swapaxes(x, 1, 2) for x in (jnp.concatenate([v_C, angular], -1), momenta)))
+    basis = (jnp.swapaxes(x, 1, 2) for x in (jnp.concatenate([v_C, angular], -1), momenta))
+    return Basis(*(jnp.pad(x, [(0, 0), (0, 0), (0, k)]) if k else x for x in basis))
 
 
 def direction_names(model: Model, forward: str | None = None, up: str | None = None) -> tuple[str, ...]:

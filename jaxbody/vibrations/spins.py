@@ -31,6 +31,7 @@ from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.precisions import reachable
 from jaxbody.vibrations.linearizations import NEARLY_CLOSED, SINGULAR_CLOSURES, LinearSystem
+from jaxbody.vibrations.mode_names import basis_of
 
 STEADY = 1e-8  # change of speeds and of matrices, relative to their terms, below which it is round-off
 ALONG = (0.7, 1.9, 4.1)  # rad of spin at which the matrices must be the same; no two in a simple ratio
@@ -125,7 +126,7 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
         open_ = apart | (how_open(dynamics.coordinates, q) > NEARLY_CLOSED)
         status = jnp.where(open_, Status.NOT_CLOSED.value, status)
         status = jnp.where(moves.smallest < SINGULAR_CLOSURES, Status.SINGULAR_CLOSURE.value, status)
-    return SpinLinearization(M, C, K, status, state, model, D - C, K - K_rest, v_dot, dependent=moves)
+    return SpinLinearization(M, C, K, status, state, model, basis_of(at), D - C, K - K_rest, v_dot, dependent=moves)
 
 
 def _second_order(dynamics: Dynamics, q: Float[Array, "nq"], v: Float[Array, "nf"]):

@@ -96,7 +96,7 @@ def made():
         lin, lin.state_space(shaken, moved), modes, jb.complex_modes(lin), jb.mode_energies(lin), jb.elastic_axes(lin, "box"),
         jb.torque_roll_axis(lin, "box", [1, 0, 0]),
         Backbones(o, lin.K, 0 * i, o, lin.K, lin.K, o, o, o, i, model.layout, model.independent),
-        SpinLinearization(lin.M, lin.C, lin.K, lin.status, lin.state, model, lin.C, lin.K, lin.K[0]),
+        SpinLinearization(lin.M, lin.C, lin.K, lin.status, lin.state, model, lin.basis, lin.C, lin.K, lin.K[0]),
         Branches(o[:2], *(jnp.ones((2, *shape)) for shape in [(nv,), (nv,), (nv, nv)]), jnp.array([i, i]), jnp.array([o, o]), i[:2], modes),
         DynamicStiffness(o, o + 1j, o[0], i[0]), jb.frequency_response(small, [1.0, 2.0], shaken, moved),
         jb.random_response(small, jb.Band(0.5, 5.0), shaken, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}),

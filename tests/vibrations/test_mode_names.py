@@ -153,7 +153,7 @@ def test_what_is_no_linearization_is_refused_with_what_to_give(car):
         ):
             jb.mode_energies(given)
     with pytest.raises(jb.JaxbodyError, match=r"modes.lin: is a SpinLinearization .*Use complex_modes"):
-        jb.modes(SpinLinearization(car.M, car.C, car.K, car.status, car.state, car.model, car.C, car.K, car.K[0]))
+        jb.modes(SpinLinearization(car.M, car.C, car.K, car.status, car.state, car.model, car.basis, car.C, car.K, car.K[0]))
 
 
 @pytest.mark.long
