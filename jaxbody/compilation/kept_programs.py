@@ -1,8 +1,8 @@
 """Programs on disk: what one process has traced, later ones of the same structure load.
 
-The text of a program names all that it depends on; its hash is the name of two files, what the program returns and what `jax.export`
-makes of it. A third one has its code for a CPU, which a later process runs without lowering anything. Where that cannot be loaded, the
-exported program is lowered again, and compiled code is in the cache of JAX beside them.
+The text of a program names all that it depends on; its hash is the name of two files: what the program returns, and its code for a CPU,
+which a later process runs without tracing and lowering anything. On other devices the second one is what `jax.export` makes of it, which is
+lowered again, and compiled code is in the cache of JAX beside them.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from jax.experimental.compilation_cache import compilation_cache
 from jaxbody.compilation.array_functions import KEPT, Options, Remainder, has_few_kernels, jitted, known_to_xla
 from jaxbody.compilation.few_kernels import debugging, in_few_kernels
 from jaxbody.compilation.plain_data import LIBRARIES, Unnamed, text_of, value_of
+from jaxbody.compilation.program_parts import programs_inside
 from jaxbody.compilation.shared_settings import little_garbage, without_cache
 from jaxbody.core import tables
 from jaxbody.core.errors import JaxbodyError, Problem
@@ -81,7 +82,7 @@ class KeptPrograms:
         return results, remainder
 
     def results(self, program: Callable[..., Any], options: Options, types: tuple[Any, ...], arrays: Sequence[Any]) -> list[Any]:
-        """The arrays that a program returns for arrays of these types; what runs it is loaded, or else exported and saved."""
+        """The arrays that a program returns for arrays of these types; what runs it is loaded, or else made and saved."""
         key = program, options, types
         if key in self.functions:
             return self.functions[key](arrays)
@@ -93,29 +94,41 @@ class KeptPrograms:
         run = self.ahead[code].result() if code in self.ahead else self.loaded_code(code)
         results = None if run is None else _first_results(run, arrays)
         if run is None or results is None:
-            self.functions[key] = self.exported(program, options, types, name, code)
+            all_types = *types, *types_of_results(program, types)[0]
+            is_code = code_can_be_run() and all(getattr(t.dtype, "kind", "") in NUMBERS for t in all_types)
+            make, file = (self.compiled, code) if is_code else (self.exported, name)
+            self.functions[key] = make(program, options, types, file)
             return self.functions[key](arrays)
         self.loaded.append(program.__name__)
         self.codes.append(code)
         self.functions[key] = run
         return results
 
-    def exported(self, program: Callable[..., Any], options: Options, types: tuple[Any, ...], name: str, code: str) -> Runner:
-        """What runs the exported program, which is loaded or else saved under its name; its code is saved, too."""
+    def compiled(self, program: Callable[..., Any], options: Options, types: tuple[Any, ...], file: str) -> Runner:
+        """What runs the program, whose code is saved."""
+        alone = jax.jit(_alone(program, options), keep_unused=True, compiler_options=known_to_xla(options))
+        traced = alone.trace(*structs(types))
+        if _calls_python(traced.jaxpr):
+            self.left_out[program.__name__] = "calls a function of Python while it runs"
+            return lambda arrays: jitted(program, options)(*arrays)[0]
+        with without_cache():  # code from there would lack functions when it is saved again
+            compiled = traced.lower().compile()
+        if self.write(file, zlib.compress(code_of(compiled), 1), program.__name__):
+            self.saved.append(program.__name__)
+            self.codes.append(file)
+        return lambda arrays: compiled(*arrays)
+
+    def exported(self, program: Callable[..., Any], options: Options, types: tuple[Any, ...], name: str) -> Runner:
+        """What runs the exported program, which is loaded or else saved under its name."""
         import jax.export
 
-        few = has_few_kernels(options)
-        file = name + (".kernels" if few else "") + ".program"
+        file = name + (".kernels" if has_few_kernels(options) else "") + ".program"
         data = self.read(file)
         if data is not None:
             self.loaded.append(program.__name__)
         else:
-
-            def alone(*arrays):
-                return (in_few_kernels(jitted(program)) if few else jitted(program))(*arrays)[0]
-
             try:
-                data = jax.export.export(jax.jit(alone))(*structs(types)).serialize()
+                data = jax.export.export(jax.jit(_alone(program, options)))(*structs(types)).serialize()
             except Exception as error:  # a callback, or an operation that this version of JAX cannot export
                 self.left_out[program.__name__] = f"{type(error).__name__}: {error}".splitlines()[0]
                 return lambda arrays: jitted(program, options)(*arrays)[0]
@@ -128,13 +141,7 @@ class KeptPrograms:
 
         kept.__name__ = program.__name__
         lowered = jax.jit(kept, keep_unused=True, compiler_options=known_to_xla(options)).lower(*structs(types))
-        if not (code_can_be_run() and all(getattr(t.dtype, "kind", "") in NUMBERS for t in (*types, *exported.out_avals))):
-            compiled = lowered.compile()
-            return lambda arrays: compiled(*arrays)
-        with without_cache():  # code from there would lack functions when it is saved again
-            compiled = lowered.compile()
-        if self.write(code, zlib.compress(code_of(compiled), 1), program.__name__):
-            self.codes.append(code)
+        compiled = lowered.compile()
         return lambda arrays: compiled(*arrays)
 
     def loaded_code(self, name: str) -> Runner | None:
@@ -221,7 +228,7 @@ def keep_programs(folder: str | os.PathLike | None = None) -> KeptPrograms:
 
     A later process loads a program for a model of the same structure, whatever its numbers, if jaxbody, JAX, the other libraries and the
     processor are the same. Programs that depend on a function or class of your own are not kept, as their source is unknown; the result
-    lists them. On a CPU their compiled code is kept, too, for the same options of XLA and JAX, and runs without being lowered again. All
+    lists them. On a CPU it is their compiled code that is kept, for the same options of XLA and JAX; elsewhere they are lowered again. All
     other programs are left to JAX's own cache of compiled code, which is set unless it is already. All files together stay below 500 MB.
     Call it before the first computation; the command `jaxbody` does.
 
@@ -285,6 +292,21 @@ def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:
 def _on_first_device(arrays: Sequence[Any]) -> bool:
     first = {jax.devices()[0]}
     return all(x.devices() == first for x in arrays if isinstance(x, jax.Array))
+
+
+def _alone(program: Callable[..., Any], options: Options) -> Callable[..., list[Any]]:
+    """The program without all that it returns beside arrays."""
+
+    def alone(*arrays):
+        return (in_few_kernels(jitted(program)) if has_few_kernels(options) else jitted(program))(*arrays)[0]
+
+    alone.__name__ = program.__name__
+    return alone
+
+
+def _calls_python(jaxpr: Any) -> bool:
+    """Whether a program calls functions of this process while it runs, so that its code is of no use to others."""
+    return any("callback" in equation.primitive.name or any(map(_calls_python, programs_inside(equation))) for equation in jaxpr.eqns)
 
 
 def types_of_results(program: Callable[..., Any], types: tuple[Any, ...]) -> Results:

@@ -1,5 +1,6 @@
 """Programs on disk: a second process traces nothing and computes the same numbers; whatever is wrong with a file, it is made anew."""
 
+import contextlib
 import json
 import os
 import subprocess
@@ -107,10 +108,18 @@ def same(a, b):
     return jax.tree.structure(a) == jax.tree.structure(b) and all(map(np.array_equal, jax.tree.leaves(a), jax.tree.leaves(b)))
 
 
-def test_a_program_is_saved_once_and_loaded_then(kept):
+@pytest.fixture(params=["code", "exported"])
+def form(request, monkeypatch):
+    """What is kept of a program: its code, or what `jax.export` makes of it where code cannot be run."""
+    if request.param == "exported" or not CODE:
+        monkeypatch.setattr(kept_programs, "code_can_be_run", lambda: False)
+    return ".code" if kept_programs.code_can_be_run() else ".program"
+
+
+def test_a_program_is_saved_once_and_loaded_then(kept, form):
     expected = poses(SMALL)
     assert (kept.saved, kept.loaded, kept.left_out) == (["drawn_reference"], [], {})
-    assert sorted(path.suffix for path in kept.folder.iterdir()) == [".code"] * CODE + [".program", ".types"]
+    assert sorted(path.suffix for path in kept.folder.iterdir()) == [form, ".types"]
     assert all(path.stat().st_mode & 0o777 == 0o600 for path in kept.folder.iterdir())
     assert same(poses(SMALL), expected) and kept.saved == ["drawn_reference"]
     second = again(kept.folder)
@@ -133,7 +142,7 @@ DAMAGES = {
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_file_is_replaced(kept, damage):
+def test_a_damaged_file_is_replaced(kept, form, damage):
     expected = poses(SMALL)
     whole = {path: path.read_bytes() for path in kept.folder.iterdir()}
     for path, data in whole.items():
@@ -160,8 +169,8 @@ def test_saved_code_runs_without_lowering(kept):
     assert np.array_equal(q, expected.q) and not q.committed
 
 
-def program_and_code(folder):
-    return next(folder.glob("*.program")), next(folder.glob("*.code"))
+def file_of_code(folder):
+    return next(folder.glob("*.code"))
 
 
 def incomplete(code):
@@ -175,15 +184,14 @@ def incomplete(code):
 
 @needs_code
 @pytest.mark.parametrize("broken", [lambda code: None, incomplete])
-def test_the_exported_program_replaces_code_that_does_not_run(kept, broken, monkeypatch):
+def test_code_that_does_not_run_is_replaced(kept, broken, monkeypatch):
     expected = poses(SMALL)
-    program, code = program_and_code(kept.folder)
+    code = file_of_code(kept.folder)
     second, before = again(kept.folder), code.read_bytes()
     with monkeypatch.context() as patched:
         patched.setattr(kept_programs, "runner", broken)
-        assert same(poses(SMALL), expected) and (second.saved, second.loaded) == ([], ["drawn_reference"])
+        assert same(poses(SMALL), expected) and (second.saved, second.loaded) == (["drawn_reference"], [])
     assert code.read_bytes() != before and second.read(code.name)
-    program.unlink()
     third = again(kept.folder)
     assert same(poses(SMALL), expected) and (third.saved, third.loaded) == ([], ["drawn_reference"])
 
@@ -206,6 +214,19 @@ def test_programs_of_random_keys_are_kept_without_code(kept):
 
 
 @needs_code
+def test_code_that_calls_python_is_not_kept(kept):
+    """It would call an address of this process."""
+
+    def doubled(x):
+        return jax.lax.cond(x > 0, lambda: jax.pure_callback(lambda x: 2 * x, x, x), lambda: x)
+
+    program, arrays = array_function(doubled, (jnp.array(3.0),))
+    run = kept.compiled(program, (), tuple(map(jax.typeof, arrays)), "some.code")
+    assert run(arrays) == [6.0] and kept.saved == [] and "function of Python" in kept.left_out["doubled"]
+    assert not (kept.folder / "some.code").exists()
+
+
+@needs_code
 def test_bytes_that_are_no_code_are_not_run(kept):
     poses(SMALL)
     kept.write("some.code", zlib.compress(b"no code"), "f")
@@ -216,13 +237,12 @@ def test_bytes_that_are_no_code_are_not_run(kept):
 def test_code_is_not_taken_from_the_cache_of_jax(kept, monkeypatch):
     """What XLA has loaded lacks functions when it is saved again."""
     with monkeypatch.context() as changed:  # `undo` would also undo what the fixture has set
-        changed.setattr(kept_programs, "code_can_be_run", lambda: False)
+        changed.setattr(kept_programs, "without_cache", contextlib.nullcontext)
         expected = poses(SMALL)  # compiled with JAX's cache
     enabled = jax.config.jax_enable_compilation_cache
-    assert [path.suffix for path in sorted(kept.folder.iterdir(), key=lambda path: path.suffix)] == [".program", ".types"]
+    file_of_code(kept.folder).unlink()
     again(kept.folder)
     poses(SMALL)
-    program_and_code(kept.folder)[0].unlink()
     third = again(kept.folder)
     assert same(poses(SMALL), expected) and third.loaded == ["drawn_reference"] and third.saved == []
     assert jax.config.jax_enable_compilation_cache == enabled
@@ -239,7 +259,7 @@ def test_code_is_of_the_options_of_xla_and_jax(kept, monkeypatch):
     assert len(names) == 3
     second = again(kept.folder)
     poses(SMALL)
-    assert second.loaded == ["drawn_reference"] and len(list(kept.folder.glob("*.code"))) == 2
+    assert second.saved == ["drawn_reference"] and len(list(kept.folder.glob("*.code"))) == 2
 
 
 @needs_code
@@ -252,7 +272,7 @@ def test_code_of_the_last_process_with_a_task_is_loaded_ahead(kept):
         assert [name.endswith(".code") for name in second.ahead] == [True] * count
         if second.ahead:
             assert next(iter(second.ahead.values())).result() is not None
-            program_and_code(kept.folder)[1].unlink()  # it is in memory
+            file_of_code(kept.folder).unlink()  # it is in memory
         assert same(poses(SMALL), expected) and second.loaded == ["drawn_reference"]
 
 
