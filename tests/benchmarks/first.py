@@ -218,7 +218,8 @@ def environment(folder: Path, python: str, name: str, source: Path) -> Path:
     return place / "bin" / "python"
 
 
-def compare(python: str, folder: Path, commit: str, rounds: int, jobs: list[str]) -> None:
+def compare(python: str, folder: Path, commit: str, rounds: int, jobs: list[str]) -> Path:
+    """Compare the jobs, and return the Python with the present jaxbody."""
     version = subprocess.run(
         [python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"], capture_output=True, text=True
     ).stdout.strip()
@@ -245,6 +246,7 @@ def compare(python: str, folder: Path, commit: str, rounds: int, jobs: list[str]
         more = f"; first table {x:.2f}, {y:.2f}, {z:.2f}" if job == DEMO else ""
         one, two = LIMITS[job]
         print(f"{job:30} {a:6.2f} {b:6.2f} {c:6.2f}   {b / a:.2f} ({one:.2f})  {c / a:.2f} ({two:.2f}){more}", flush=True)
+    return new
 
 
 def floor(python: Path, rounds: int) -> None:
@@ -273,7 +275,6 @@ if __name__ == "__main__":
         folder = given.folder or Path(temporary)
         folder.mkdir(exist_ok=True)
         for python in given.python:
-            compare(python, folder, given.commit, given.rounds, given.jobs)
-        floor(next(folder.glob("*-now")) / "bin" / "python", given.rounds)
+            floor(compare(python, folder, given.commit, given.rounds, given.jobs), given.rounds)
         if given.folder is None:
             subprocess.run(["git", "-C", ROOT, "worktree", "remove", "--force", folder / "before"], check=True)
