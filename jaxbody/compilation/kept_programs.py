@@ -88,7 +88,7 @@ class KeptPrograms:
             return self.functions[key](arrays)
         name = self.name_of(program, types)
         if name is None:
-            self.functions[key] = lambda arrays: jitted(program, options)(*arrays)[0]
+            self.functions[key] = _not_kept(program, options)
             return self.functions[key](arrays)
         code = hashlib.sha256(f"{name} {options} {_settings()}".encode()).hexdigest() + ".code"
         run = self.ahead[code].result() if code in self.ahead else self.loaded_code(code)
@@ -110,7 +110,7 @@ class KeptPrograms:
         traced = alone.trace(*structs(types))
         if _calls_python(traced.jaxpr):
             self.left_out[program.__name__] = "calls a function of Python while it runs"
-            return lambda arrays: jitted(program, options)(*arrays)[0]
+            return _not_kept(program, options)
         with without_cache():  # code from there would lack functions when it is saved again
             compiled = traced.lower().compile()
         if self.write(file, zlib.compress(code_of(compiled), 1), program.__name__):
@@ -131,7 +131,7 @@ class KeptPrograms:
                 data = jax.export.export(jax.jit(_alone(program, options)))(*structs(types)).serialize()
             except Exception as error:  # a callback, or an operation that this version of JAX cannot export
                 self.left_out[program.__name__] = f"{type(error).__name__}: {error}".splitlines()[0]
-                return lambda arrays: jitted(program, options)(*arrays)[0]
+                return _not_kept(program, options)
             if self.write(file, bytes(data), program.__name__):
                 self.saved.append(program.__name__)
         exported = jax.export.deserialize(bytearray(data))  # also what was just made: it has other types than what it is made from
@@ -140,8 +140,7 @@ class KeptPrograms:
             return exported.call(*arrays)
 
         kept.__name__ = program.__name__
-        lowered = jax.jit(kept, keep_unused=True, compiler_options=known_to_xla(options)).lower(*structs(types))
-        compiled = lowered.compile()
+        compiled = jax.jit(kept, compiler_options=known_to_xla(options)).lower(*structs(types)).compile()
         return lambda arrays: compiled(*arrays)
 
     def loaded_code(self, name: str) -> Runner | None:
@@ -292,6 +291,11 @@ def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:
 def _on_first_device(arrays: Sequence[Any]) -> bool:
     first = {jax.devices()[0]}
     return all(x.devices() == first for x in arrays if isinstance(x, jax.Array))
+
+
+def _not_kept(program: Callable[..., Any], options: Options) -> Runner:
+    """What runs a program that is compiled in this process alone."""
+    return lambda arrays: jitted(program, options)(*arrays)[0]
 
 
 def _alone(program: Callable[..., Any], options: Options) -> Callable[..., list[Any]]:

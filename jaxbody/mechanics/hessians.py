@@ -116,12 +116,17 @@ def expansion(at: Configuration, dead: DeadForces | None = None) -> tuple[Float[
     return V if dead is None else V + dead.V, _pulled_back(J, G), K
 
 
+def inertias(at: Configuration) -> Float[Array, "nb 3 3"]:
+    """The inertias of the bodies about their centers of mass, in world axes."""
+    R, own = at.frames.R[at.model.layout.first_body :], at.model.bodies.rows.inertia
+    return product(product(R, (own + jnp.swapaxes(own, -1, -2)) / 2), jnp.swapaxes(R, -1, -2))
+
+
 def mass(at: Configuration) -> Square:
     """M | -M~ | M_bb as one matrix."""
     bodies, R = at.model.bodies.rows, at.frames.R[at.model.layout.first_body :]
     m, c = bodies.mass[:, None], rotate(R, bodies.com)
-    turned = product(product(R, (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2), jnp.swapaxes(R, -1, -2))
-    inertia = Block(h=bodies.mass, x=m * c, y=m * c, Q=turned - m[..., None] * product(skew(c), skew(c)))
+    inertia = Block(h=bodies.mass, x=m * c, y=m * c, Q=inertias(at) - m[..., None] * product(skew(c), skew(c)))
     M = _projected(at.J, _hessian(at.model, inertia, [], at.base))
     if not inertial_tables(at.model):
         return M

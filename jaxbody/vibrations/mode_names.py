@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float, concrete
-from jaxbody.geometry.vectors import cross, product, rotate
-from jaxbody.mechanics.hessians import Configuration
+from jaxbody.geometry.vectors import cross, rotate
+from jaxbody.mechanics.hessians import Configuration, inertias
 from jaxbody.models.models import Model
 
 AXES = "xyz"
@@ -48,8 +48,7 @@ def basis_of(at: Configuration) -> Basis:
     R = at.frames.R[layout.first_body :]
     linear, angular = jnp.split(twists, 2, -1)
     v_C = linear + cross(angular, rotate(R, bodies.com)[:, None])
-    turned = product(product(R, (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2), jnp.swapaxes(R, -1, -2))
-    momenta = jnp.concatenate([bodies.mass[:, None, None] * v_C, rotate(turned[:, None], angular)], -1)
+    momenta = jnp.concatenate([bodies.mass[:, None, None] * v_C, rotate(inertias(at)[:, None], angular)], -1)
     basis = (jnp.swapaxes(x, 1, 2) for x in (jnp.concatenate([v_C, angular], -1), momenta))
     return Basis(*(jnp.pad(x, [(0, 0), (0, 0), (0, k)]) if k else x for x in basis))
 
