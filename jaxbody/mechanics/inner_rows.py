@@ -84,7 +84,7 @@ def slow_matrices(M: Square, K: Square, nv: int) -> tuple[Square, Square]:
     return T.T @ M @ T, T.T @ K @ T
 
 
-def whole_matrices(at: Configuration) -> tuple[tuple[Square, ...], Float[Array, "n"]]:
+def whole_matrices(at: Configuration) -> tuple[tuple[Float[Array, "m m"], ...], Float[Array, "n"]]:
     """M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi); y apart in the model of the configuration."""
     nv, ny = at.model.layout.nv, len(at.model.layout.inner)
     _, slope, stiffness = expansion(at)
