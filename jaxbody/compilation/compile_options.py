@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -14,7 +13,7 @@ import jaxlib.version
 from jaxbody.compilation import few_kernels
 from jaxbody.compilation.array_functions import KEPT, array_function, jitted, joined, known_to_xla
 from jaxbody.compilation.compilations import Compiled
-from jaxbody.compilation.eager_programs import NOT_OPTIMIZED, run
+from jaxbody.compilation.eager_programs import NOT_OPTIMIZED, OFTEN, calls_of, run
 from jaxbody.compilation.kept_programs import call, known, structs
 from jaxbody.compilation.lapack import find_lapack
 from jaxbody.compilation.program_parts import programs_inside
@@ -33,7 +32,6 @@ UNOPTIMIZED = {  # halves the remaining time to compile; programs take up to thr
 }
 BRIEF = tuple((NO_FUSION_EMITTERS | UNOPTIMIZED).items())  # of programs that take milliseconds
 MOST = 100  # steps of a loop that takes milliseconds, such as one over parameters
-OFTEN = 100  # calls of a short program that last as long as its optimization: a fit of a plate loses 25 ms each, and 2 s to compile
 _brief: set[str] = set()  # names of functions that are not optimized, and of those that may be
 _long: set[str] = set()
 VECTORIZED = {"xla_cpu_use_fusion_emitters": True, "xla_cpu_prefer_vector_width": 512}
@@ -127,7 +125,7 @@ def _jit_by_itself(
         return inner(*args)
 
     def options_of(program, arrays, args):
-        return BRIEF if brief(program, arrays, args) and next(_calls(program)) < OFTEN else own_options
+        return BRIEF if brief(program, arrays, args) and next(calls_of(program)) < OFTEN else own_options
 
     @functools.wraps(function)
     def driver(*args):
@@ -141,11 +139,6 @@ def _jit_by_itself(
         return joined(*jitted(program)(*arrays))
 
     return driver
-
-
-@functools.lru_cache(KEPT)
-def _calls(program: Callable[..., Any]) -> Iterator[int]:
-    return itertools.count()
 
 
 @functools.lru_cache(KEPT)

@@ -8,16 +8,18 @@ kind, each of them a jitted function with the options.
 from __future__ import annotations
 
 import functools
+import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from jaxbody.compilation.array_functions import Remainder, jitted
-from jaxbody.compilation.kept_programs import Options, Results, call, types_of_results
+from jaxbody.compilation.array_functions import KEPT, Remainder, jitted
+from jaxbody.compilation.kept_programs import NUMBERS, Options, Results, call, on_first_device, types_of_results
 from jaxbody.compilation.program_parts import reach, with_known_results
 from jaxbody.core.jax_internals import (
     Tracer,
@@ -34,6 +36,7 @@ from jaxbody.core.jax_internals import (
 )
 
 FEW = 16  # members of a batch up to which it is compiled like one of them
+OFTEN = 100  # calls after which a program is optimized, or a batch becomes a loop: a fit of a plate loses 25 ms each, and 2 s to compile
 NOT_OPTIMIZED = ("xla_backend_optimization_level", 0)  # an option of functions that take milliseconds
 
 
@@ -41,6 +44,12 @@ def run(program: Callable[..., Results], options: tuple[Options, Options], array
     """program(*arrays), compiled with these options, those of batches of more than FEW last, as one operation for the derivative or the
     batch that is under way."""
     return _program_p.bind(*arrays, program=program, options=options), types_of_results(program, _types_of(arrays))[1]
+
+
+@functools.lru_cache(KEPT)
+def calls_of(program: Callable[..., Any]) -> Iterator[int]:
+    """The number of its calls so far, counted by who asks."""
+    return itertools.count()
 
 
 @dataclass(frozen=True)
@@ -148,6 +157,17 @@ class Batch(Derived):
 
 
 @dataclass(frozen=True)
+class Reach(Derived):
+    """Which results of f depend on the arguments that are `on`."""
+
+    on: tuple[bool, ...]
+
+    def __call__(self, *x: Any) -> Results:
+        program: Any = jitted(self.of)
+        return [], Remainder(reach(program.trace(*x).jaxpr, list(self.on)))
+
+
+@dataclass(frozen=True)
 class OneByOne(Derived):
     """A Batch of few members as a loop over them, of which one is traced and compiled: half the time of a first result, and as fast again
     where operations are so small that their calls take longer than they do."""
@@ -210,10 +230,28 @@ def _program_jvp(primals, tangents, *, program, options):
 def _program_batch(args, axes, *, program, options):
     size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
     if size <= FEW and NOT_OPTIMIZED in options[1] and not any(map(_is_sharded, args)):
-        out, remainder = run(OneByOne(program, tuple(axes)), options, args)
+        loop = OneByOne(program, tuple(axes))
+        if all(map(_is_number, args)) and on_first_device(args) and next(calls_of(loop)) < OFTEN:
+            return _of_each(loop, options[0], args)
+        out, remainder = run(loop, options, args)
     else:
         out, remainder = run(Batch(program, tuple(axes), size), options if size <= FEW else (options[1],) * 2, args)
     return out, remainder.value[1]
+
+
+def _of_each(batch: OneByOne, options: Options, args: Sequence[Any]) -> tuple[list[Any], list[int | None]]:
+    """The results of a batch, by a call of f itself for each member, which compiles nothing where f has been called."""
+    on = tuple(axis is not None for axis in batch.axes)
+    rows = zip(*(np.moveaxis(np.asarray(x), axis, 0) for x, axis in zip(args, batch.axes, strict=True) if axis is not None), strict=True)
+    members = [merged(on, row, args) for row in rows]
+    own = types_of_results(Reach(batch.of, on), _types_of(members[0]))[1].value
+    first, *others = [call(batch.of, options, member)[0] for member in members]
+    stacked = jax.device_put([np.stack(y) for y, o in zip(zip(first, *others, strict=True), own, strict=True) if o])
+    return merged(own, stacked, first), [0 if o else None for o in own]
+
+
+def _is_number(x: Any) -> bool:
+    return not isinstance(x, Tracer) and getattr(x.dtype, "kind", "") in NUMBERS
 
 
 def _is_sharded(x: Any) -> bool:

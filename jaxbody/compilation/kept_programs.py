@@ -273,7 +273,7 @@ def known(program: Callable[..., Any], types: tuple[Any, ...], fact: str, find: 
 def call(program: Callable[..., Any], options: Options, arrays: Sequence[Any]) -> Results:
     """What a program returns, compiled with these options, kept if `keep_programs` was called."""
     with little_garbage():
-        if _kept is None or debugging() or not _on_first_device(arrays):
+        if _kept is None or debugging() or not on_first_device(arrays):
             return jitted(program, options)(*arrays)
         arrays = [x if isinstance(x, jax.Array) else jax.device_put(x) for x in arrays]
         types = tuple(map(jax.typeof, arrays))
@@ -288,7 +288,7 @@ def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:
         return None
 
 
-def _on_first_device(arrays: Sequence[Any]) -> bool:
+def on_first_device(arrays: Sequence[Any]) -> bool:
     first = {jax.devices()[0]}
     return all(x.devices() == first for x in arrays if isinstance(x, jax.Array))
 

@@ -22,7 +22,7 @@ def optimized(monkeypatch):
     """optimized(name, calls, times=1): whether the program of a driver of this name is compiled with optimization by what `calls` it
     for the last of several times."""
     others = compile_options.call
-    compile_options._calls.cache_clear()
+    eager_programs.calls_of.cache_clear()
 
     def run(name, calls, times=1):
         levels = []

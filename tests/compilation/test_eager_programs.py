@@ -52,7 +52,17 @@ WAYS = {
 }
 
 
+@pytest.fixture(params=[False, True], ids=["members", "loop"])
+def as_loop(request, monkeypatch):
+    """Whether a batch of few members is a loop over them from the first call, or calls of the function for each member."""
+    eager_programs.calls_of.cache_clear()
+    if request.param:
+        monkeypatch.setattr(eager_programs, "OFTEN", 0)
+    return request.param
+
+
 @pytest.mark.long
+@pytest.mark.usefixtures("as_loop")
 @pytest.mark.parametrize("way", WAYS)
 def test_derivatives_and_their_batches_are_right(way):
     derivative, order = WAYS[way]
@@ -65,6 +75,7 @@ def test_derivatives_and_their_batches_are_right(way):
         np.testing.assert_allclose(summed, DERIVATIVES[order + 1](np.asarray(K)), rtol=1e-13)
 
 
+@pytest.mark.usefixtures("as_loop")
 def test_axes_of_batches_and_shared_results():
     k, x = jnp.stack([K, 2 * K]), jnp.array([1.0, 2.0])
     arrays = lambda k, x: {name: y for name, y in spring(k, x, 1, 4).items() if isinstance(y, jax.Array)}  # noqa: E731
@@ -73,6 +84,29 @@ def test_axes_of_batches_and_shared_results():
     np.testing.assert_allclose(out["force"][:, :, 0], np.outer(K, x) + np.sin(K)[:, None], rtol=1e-14)
     assert out["steps"].shape == (3, 2) and (np.asarray(out["steps"]) == 4).all() and set(out) == {"force", "steps", "stiffness"}
     np.testing.assert_allclose(out["stiffness"][:, 1, 0], np.asarray(K) ** 2, rtol=1e-14)
+
+
+def test_a_batch_of_few_members_compiles_nothing_until_it_is_called_often():
+    """Members have the numbers of the function itself; after a hundred calls a loop over them is compiled."""
+    eager_programs.calls_of.cache_clear()
+    k = jnp.arange(1.0, 6.0)
+    force(k[0])
+    with jb.compile_times() as times:
+        several = jax.vmap(force)(k)
+    np.testing.assert_array_equal(several, [force(each) for each in k])
+    assert not [name for name in times.programs if name.startswith("spring")], times
+    with jb.compile_times() as times:
+        for _ in range(eager_programs.OFTEN):
+            jax.vmap(force)(k)
+    assert [name for name in times.programs if name.startswith("spring")] == ["spring_batch"]
+    np.testing.assert_allclose(jax.vmap(force)(k), several, rtol=1e-15)
+
+
+def test_keys_of_random_numbers_in_a_batch():
+    """They are no numbers of NumPy."""
+    drawn = jit_unoptimized(lambda key, scale: scale * jax.random.normal(key, (2,)))
+    keys = jax.random.split(jax.random.key(0), 3)
+    np.testing.assert_allclose(jax.vmap(drawn, (0, None))(keys, 2.0), [2 * jax.random.normal(key, (2,)) for key in keys], rtol=1e-14)
 
 
 def test_a_result_that_does_not_move_has_no_derivative():

@@ -46,7 +46,7 @@ traced = sum(seconds for name, (seconds, *_) in times.programs.items() if name !
 state = [kept.loaded, kept.saved, kept.left_out] if kept else []
 print(json.dumps([[float(x).hex() for y in numbers for x in jnp.ravel(y)], traced, *state]))
 """
-ENDINGS = ("", "_pullback", "_batch")
+ENDINGS = ("", "_pullback")
 DRIVERS = {name + end for name in ("equilibrium_of", "_linearize", "_modes") for end in ENDINGS}
 
 
