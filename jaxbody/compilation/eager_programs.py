@@ -261,6 +261,7 @@ def _is_sharded(x: Any) -> bool:
 _program_p = new_operation(
     "program",
     lambda *args, program, options: call(program, options[0], args)[0],
+    inside=lambda *args, program, options: jitted(program)(*args)[0],  # of a jit, where a linear function from outside of it is called
     typed=lambda *types, program, **_: types_of_results(program, types)[0],
     several=True,
     batch=_program_batch,

@@ -197,17 +197,19 @@ def new_operation(
     batch: Callable[..., Any] | None = None,
     typed: Callable[..., Any] | None = None,
     several: bool = False,
+    inside: Callable[..., Any] | None = None,
     lowered: Callable[..., Any] | None = None,
     jvp: Callable[..., Any] | None = None,
     transpose: Callable[..., Any] | None = None,
 ) -> Primitive:
     """A new operation of JAX that computes a function of (*arrays, **parameters), one array or several, with its rules. Types and lowering
-    are those of `compute` unless `typed` and `lowered` are given; with a transpose but no jvp the operation is linear."""
+    are those of `compute` unless `typed` and `lowered` are given, or what computes the same `inside` of a program; with a transpose but no
+    jvp the operation is linear."""
     primitive = Primitive(name)
     primitive.multiple_results = several
     primitive.def_impl(compute)
     primitive.def_abstract_eval(typed or functools.partial(_type_of, compute))
-    mlir.register_lowering(primitive, lowered or mlir.lower_fun(compute, multiple_results=several))
+    mlir.register_lowering(primitive, lowered or mlir.lower_fun(inside or compute, multiple_results=several))
     if batch is not None:
         batching.primitive_batchers[primitive] = batch
     if jvp is not None:

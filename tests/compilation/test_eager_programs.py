@@ -42,6 +42,8 @@ WAYS = {
     "jvp": (lambda k: jax.jvp(force, (k,), (1.0,))[1], 1),
     "linearize": (lambda k: jax.linearize(force, k)[1](1.0), 1),
     "vjp": (lambda k: jax.vjp(force, k)[1](1.0)[0], 1),
+    "jit of linearize": (lambda k: jax.jit(jax.linearize(force, k)[1])(1.0), 1),
+    "jit of vjp": (lambda k: jax.jit(jax.vjp(force, k)[1])(1.0)[0], 1),
     "transposed": (lambda k: jax.linear_transpose(jax.linearize(force, k)[1], k)(1.0)[0], 1),
     "grad of a jit": (jax.grad(jax.jit(force)), 1),
     "grad of grad": (jax.grad(jax.grad(force)), 2),
