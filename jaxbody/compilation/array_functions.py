@@ -46,7 +46,7 @@ class ArrayFunction:
         given = iter(arrays)
         leaves = [next(given) if other is None else other[1] for other in self.others]
         results, remainder = separated(self.function(*jax.tree.unflatten(self.tree, leaves)))
-        return [jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x for x in results], remainder
+        return list(map(without_weak_type, results)), remainder
 
 
 def array_function(function: Callable[..., Any], args: tuple[Any, ...]) -> tuple[ArrayFunction, list[Any]]:
@@ -54,6 +54,10 @@ def array_function(function: Callable[..., Any], args: tuple[Any, ...]) -> tuple
     leaves, tree = jax.tree.flatten(args)
     arrays = [leaf for leaf in leaves if isinstance(leaf, ARRAYS)]
     return _array_function(function, tree, tuple(None if isinstance(leaf, ARRAYS) else (type(leaf), leaf) for leaf in leaves)), arrays
+
+
+def without_weak_type(x: Any) -> Any:
+    return jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x
 
 
 _array_function = functools.lru_cache(KEPT)(ArrayFunction)

@@ -2,15 +2,19 @@
 
 JAX compiles a jitted function that is differentiated or batched outside a jit without its options: the gradient of a frequency then took
 three times as long to compile. Here such a call is one operation whose derivative, linearization and batch are operations of the same
-kind, each of them a jitted function with the options.
+kind, each of them a jitted function with the options. A gradient calls its pullbacks from last to first: what the first of them returns
+says with what the one before it will be called, and so on; they are traced and compiled ahead, while XLA compiles those that come first.
 """
 
 from __future__ import annotations
 
 import functools
 import itertools
+import weakref
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,9 +22,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.array_functions import KEPT, Remainder, jitted
-from jaxbody.compilation.kept_programs import NUMBERS, Options, Results, call, on_first_device, types_of_results
+from jaxbody.compilation.array_functions import KEPT, Remainder, jitted, without_weak_type
+from jaxbody.compilation.kept_programs import NUMBERS, Options, Results, call, compiled_by_jax, on_first_device, structs, types_of_results
 from jaxbody.compilation.program_parts import reach, with_known_results
+from jaxbody.compilation.shared_settings import little_garbage
 from jaxbody.core.jax_internals import (
     Tracer,
     Zero,
@@ -131,7 +136,11 @@ class Pullback(Derived):
         w = sum(self.of.given)
         needed = reach(program.trace(*given).jaxpr, [False] * (len(given) - w) + [True] * w)
         out, sums = program(*given)[0], merged(self.summed, sums, [None] * len(self.summed))
-        return [y if s is None else s + y for s, y in chosen([*zip(sums, out, strict=True)], needed)], Remainder(needed)
+        return [without_weak_type(y if s is None else s + y) for s, y in chosen([*zip(sums, out, strict=True)], needed)], Remainder(needed)
+
+
+def pullback_of(f: Callable[..., Results], moved: Sequence[bool], given: Sequence[bool], summed: Sequence[bool]) -> Pullback:
+    return Pullback(Cotangents(f, tuple(moved), tuple(given)), tuple(summed))
 
 
 @dataclass(frozen=True)
@@ -218,6 +227,8 @@ def _program_jvp(primals, tangents, *, program, options):
     if any(map(unknown, moving)):
         out = run(program, options, primals)[0]
         types = tuple(jax.typeof(y) for y in out if _is_real(y))
+        if _are_arrays([*primals, *out]):
+            _called.append(Called(program, moved, options, [weakref.ref(x) for x in (*primals, *out)]))
         parameters = dict(program=program, moved=moved, options=options, types=types)
         tangents_out = _tangents_p.bind(*primals, *out, *moving, **parameters) if types else []
     else:
@@ -250,8 +261,12 @@ def _of_each(batch: OneByOne, options: Options, args: Sequence[Any]) -> tuple[li
     return merged(own, stacked, first), [0 if o else None for o in own]
 
 
+def _are_arrays(x: Sequence[Any]) -> bool:
+    return all(isinstance(y, jax.Array) and not isinstance(y, Tracer) for y in x)
+
+
 def _is_number(x: Any) -> bool:
-    return not isinstance(x, Tracer) and getattr(x.dtype, "kind", "") in NUMBERS
+    return not isinstance(x, Tracer) and getattr(getattr(x, "dtype", None), "kind", "") in NUMBERS
 
 
 def _is_sharded(x: Any) -> bool:
@@ -278,11 +293,81 @@ def _tangents(*args, program, moved, options, types):
 
 def _tangents_transpose(cotangents, so_far, *args, program, moved, options, types):
     (known, moving), (_, sums) = _apart(args, moved), _apart(so_far, moved)
-    given, summed = tuple(type(w) is not Zero for w in cotangents), tuple(s is not None for s in sums)
-    pullback = Pullback(Cotangents(program, moved, given), summed)
-    with traces_shared():
-        out, needed = run(pullback, options, [*known, *chosen(cotangents, given), *chosen(sums, summed)])
+    given, summed = [type(w) is not Zero for w in cotangents], [s is not None for s in sums]
+    pullback = pullback_of(program, moved, given, summed)
+    arrays = [*known, *chosen(cotangents, given), *chosen(sums, summed)]
+    with traces_shared(), little_garbage():
+        if _are_arrays(arrays) and compiled_by_jax(arrays):
+            _compile_ahead(pullback, options, arrays)
+        out, needed = run(pullback, options, arrays)
     return [None] * len(known) + merged(needed.value, out, [Zero(x.aval) for x in moving])
+
+
+# Pullbacks that follow each other
+
+
+@dataclass(frozen=True, eq=False)
+class Called:
+    """A call y = f(x) with tangents of those x that are `moved`, whose pullback may follow; its arrays as long as others hold them."""
+
+    of: Callable[..., Results]
+    moved: tuple[bool, ...]
+    options: tuple[Options, Options]
+    references: list[weakref.ref[Any]]
+
+    def x_and_y(self) -> list[Any]:
+        """None for those that are gone."""
+        return [reference() for reference in self.references]
+
+
+_called: deque[Called] = deque(maxlen=64)
+
+
+def _compile_ahead(pullback: Pullback, options: tuple[Options, Options], arrays: Sequence[Any]) -> None:
+    """Compile a pullback at its first call, and those that follow."""
+    types = _types_of(arrays)
+    compiling = _compiling(pullback, options, types)
+    if not compiling:
+        for program, its_options, given in itertools.chain([(pullback, options, types)], _following(pullback, types, arrays)):
+            if not (begun := _compiling(program, its_options, given)):
+                lowered = jitted(program, its_options[0]).trace(*structs(given)).lower()  # pyright: ignore[reportFunctionMemberAccess]
+                executor = ThreadPoolExecutor(1)
+                begun.append(executor.submit(lambda lowered=lowered: lowered.compile()))
+                executor.shutdown(wait=False)
+    compiling[0].result()
+
+
+@functools.lru_cache(KEPT)
+def _compiling(program: Callable[..., Any], options: tuple[Options, Options], types: tuple[Any, ...]) -> list[Future[Any]]:
+    """Where a program is compiled ahead, if it is."""
+    return []
+
+
+def _following(pullback: Pullback, types: tuple[Any, ...], arrays: Sequence[Any]) -> Iterator[tuple[Pullback, Any, tuple[Any, ...]]]:
+    """The pullbacks that JAX calls after this one with these arrays, where nothing else depends on what earlier calls have made: each with
+    its options and the types of its arguments."""
+    calls = reversed(_called.copy())
+    if not any(called.of is pullback.of.of and all(x is y for x, y in zip(called.x_and_y(), arrays, strict=False)) for called in calls):
+        return
+    cotangents = _cotangents(pullback, types, arrays)
+    for called in calls:  # before this one
+        known, n = called.x_and_y(), len(called.moved)
+        moving, real = chosen(known[:n], called.moved), [y for y in known[n:] if y is not None and _is_real(y)]
+        given, ids = [id(y) in cotangents for y in real], list(map(id, moving))
+        summed = [SUMS and x in cotangents and ids.index(x) == i for i, x in enumerate(ids)]
+        if any(given) and not any(x is None for x in known):
+            pullback = pullback_of(called.of, called.moved, given, summed)
+            own = [cotangents[id(x)] for x in (*chosen(real, given), *chosen(moving, summed))]
+            types = (*_types_of(known), *own)
+            yield pullback, called.options, types
+            cotangents |= _cotangents(pullback, types, known)
+
+
+def _cotangents(pullback: Pullback, types: tuple[Any, ...], arrays: Sequence[Any]) -> dict[int, Any]:
+    """{id of each x that has a cotangent after a pullback: the type of it}, of arrays that begin with x."""
+    moving, (_, sums) = chosen(arrays[: len(pullback.of.moved)], pullback.of.moved), _apart(types, pullback.summed)
+    out, needed = types_of_results(pullback, types)
+    return {id(x): t for x, t in zip((*chosen(moving, pullback.summed), *chosen(moving, needed.value)), (*sums, *out), strict=True)}
 
 
 def _tangents_jvp(primals, tangents, **params):
@@ -307,4 +392,4 @@ _tangents_p = new_operation(
     batch=_tangents_batch,
     jvp=_tangents_jvp,
 )
-transpose_with_sums(_tangents_p, _tangents_transpose)
+SUMS = transpose_with_sums(_tangents_p, _tangents_transpose)

@@ -273,11 +273,20 @@ def known(program: Callable[..., Any], types: tuple[Any, ...], fact: str, find: 
 def call(program: Callable[..., Any], options: Options, arrays: Sequence[Any]) -> Results:
     """What a program returns, compiled with these options, kept if `keep_programs` was called."""
     with little_garbage():
-        if _kept is None or debugging() or not on_first_device(arrays):
+        if _kept is None or not _as_usual(arrays):
             return jitted(program, options)(*arrays)
         arrays = [x if isinstance(x, jax.Array) else jax.device_put(x) for x in arrays]
         types = tuple(map(jax.typeof, arrays))
         return list(_kept.results(program, options, types, arrays)), types_of_results(program, types)[1]
+
+
+def compiled_by_jax(arrays: Sequence[Any]) -> bool:
+    """Whether JAX alone keeps what a program is compiled to for these arrays, so that it can be compiled ahead for their types."""
+    return _kept is None and _as_usual(arrays)
+
+
+def _as_usual(arrays: Sequence[Any]) -> bool:
+    return not debugging() and on_first_device(arrays)
 
 
 def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:

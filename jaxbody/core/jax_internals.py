@@ -221,16 +221,17 @@ def new_operation(
     return primitive
 
 
-def transpose_with_sums(primitive: Primitive, transpose: Callable[..., Any]) -> None:
+def transpose_with_sums(primitive: Primitive, transpose: Callable[..., Any]) -> bool:
     """Let transpose(cotangents, so_far, *args, **parameters) return sums with the cotangents that other operations have given to the same
-    args; `so_far` has None where there are none. Without this JAX adds them, outside a `jit` by a program for each shape."""
+    args; `so_far` has None where there are none. Without this JAX adds them, outside a `jit` by a program for each shape. Returns whether
+    JAX can do so."""
     ad.primitive_transposes[primitive] = lambda w, *args, **parameters: transpose(w, [None] * len(args), *args, **parameters)
     try:
         from jax._src.interpreters import ad as inside
 
         rules, Sum = inside.fancy_transposes, inside.ValAccum
     except (ImportError, AttributeError):  # before version 0.8
-        return
+        return False
 
     def rule(cotangents, *args, **parameters):
         first = {id(x): i for i, x in reversed([*enumerate(args)])}  # one may be given twice
@@ -243,6 +244,7 @@ def transpose_with_sums(primitive: Primitive, transpose: Callable[..., Any]) -> 
                 x.accum(after)
 
     rules[primitive] = rule
+    return True
 
 
 def same_numbers(name: str, typed: Callable[..., Any] = lambda x, **_: x, **rules: Any) -> Primitive:

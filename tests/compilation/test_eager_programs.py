@@ -1,7 +1,9 @@
 """Derivatives and batches outside a jit are those inside one, in programs with the options of the function itself."""
 
+import gc
 import subprocess
 import sys
+import threading
 
 import jax
 import jax.numpy as jnp
@@ -224,6 +226,74 @@ def test_a_frequency_has_the_slope_of_its_closed_form():
     np.testing.assert_allclose(jax.vmap(frequency)(K), f, rtol=1e-12)
     np.testing.assert_allclose(jax.vmap(jax.grad(frequency))(K), f / (2 * np.asarray(K)), rtol=1e-10)
     np.testing.assert_allclose(jax.grad(jax.grad(frequency))(K[1]), -f[1] / (4 * K[1] ** 2), rtol=1e-9)
+
+
+@pytest.fixture
+def pullbacks(monkeypatch):
+    """Pullbacks in the order in which JAX calls them, each with those that were expected after it; nothing is compiled ahead."""
+    seen = []
+
+    def ahead(pullback, options, arrays):
+        types = tuple(map(jax.typeof, arrays))
+        seen.append(((pullback, options, types), list(eager_programs._following(pullback, types, arrays))))
+
+    monkeypatch.setattr(eager_programs, "_compile_ahead", ahead)
+    return seen
+
+
+def test_the_pullbacks_that_follow_are_known_at_the_first(pullbacks):
+    """Those of three springs in a row, with an argument that two of them share, and of a model's first frequency."""
+    jax.grad(twice, (0, 1))(jnp.asarray(1.1), jnp.asarray(0.7))
+    called, following = zip(*pullbacks, strict=True)
+    assert len(called) == 3 and following[0] == list(called[1:])
+    pullbacks.clear()
+    model = jb.presets.quarter_car()
+    jax.grad(lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0])(model)
+    called, following = zip(*pullbacks, strict=True)
+    assert [pullback.__name__ for pullback, *_ in called] == ["_modes_pullback", "_linearize_pullback", "equilibrium_of_pullback"]
+    assert following[0] == list(called[1:])
+
+
+def test_a_gradient_leaves_no_arrays():
+    eager_programs._called.clear()
+    f = lambda k: spring(k, 2.0 * k, 3, 4)["force"]  # noqa: E731
+    jax.grad(f)(jnp.asarray(1.7))
+    jax.grad(f)(jnp.asarray(1.8))
+    gc.collect()
+    assert all(reference() is None for called in eager_programs._called for reference in called.references)
+
+
+def test_what_is_expected_wrongly_does_no_harm(pullbacks):
+    """Another use of a result, by an operation of JAX, is not foreseen; the next pullback is seen to have its cotangent, too."""
+
+    def mixed(k):
+        first = spring(k, jnp.asarray(1.5), 3, 4)
+        return spring(first["force"], jnp.asarray(0.5), 2, 4)["force"] + jnp.sin(first["stiffness"])
+
+    slope = jax.grad(mixed)(jnp.asarray(1.3))
+    (_, following), (second, _) = pullbacks
+    assert [pullback.of.given for pullback, *_ in following] != [second[0].of.given]
+    k, f = 1.3, 1.3 * 1.5**3 + np.sin(1.3)
+    np.testing.assert_allclose(slope, (1.5**3 + np.cos(k)) * (0.25 + np.cos(f)) + 2 * k * np.cos(k**2), rtol=1e-13)
+
+
+def test_each_pullback_is_compiled_once_and_ahead():
+    """What a thread has compiled is what the call then uses: JAX reports one compilation for each, and no more for the second gradient."""
+    k, x = jnp.asarray([1.2, 1.3, 1.4]), jnp.asarray([0.7, 0.8, 0.9])
+    slope = jax.grad(lambda k, x: twice(k, x).sum(), (0, 1))
+    threads = []
+
+    def heard(event, seconds, fun_name="", **_):
+        if "backend_compile" in event and "spring_pullback" in fun_name:
+            threads.append(threading.current_thread())
+
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    first = slope(k, x)
+    assert len(threads) == 3 and threading.main_thread() not in threads
+    np.testing.assert_array_equal(slope(k, x), first)
+    assert len(threads) == 3
+    each = [jax.grad(twice, (0, 1))(*pair) for pair in zip(k, x, strict=True)]
+    np.testing.assert_allclose(np.transpose(first), each, rtol=1e-13)
 
 
 def twice(k, x):
