@@ -15,7 +15,7 @@ from jaxbody.compilation.array_functions import KEPT, array_function, jitted, jo
 from jaxbody.compilation.compilations import Compiled
 from jaxbody.compilation.eager_programs import NOT_OPTIMIZED, OFTEN, calls_of, run
 from jaxbody.compilation.kept_programs import call, known, structs
-from jaxbody.compilation.lapack import find_lapack
+from jaxbody.compilation.late_imports import find_lapack
 from jaxbody.compilation.program_parts import programs_inside
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import only_transformed, outermost, started, without_manual_axes

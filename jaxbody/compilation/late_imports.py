@@ -1,4 +1,5 @@
-"""Imports when they are needed: names of a package at their first use, a module while XLA compiles, which leaves Python to other threads.
+"""Imports when they are needed, and no more than is: names of a package at their first use, a module while XLA compiles, which leaves
+Python to other threads, LAPACK without the package that holds it.
 
 SciPy's optimizers take as long to import as a short fit to run; the laws of forces, of which a model has one or two, a tenth of what an
 equilibrium imports.
@@ -6,16 +7,24 @@ equilibrium imports.
 
 from __future__ import annotations
 
+import functools
 import importlib
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from importlib.machinery import PathFinder
+from importlib.util import module_from_spec
+from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from jaxbody.compilation.compilations import LOWERED, listening
+
+PACKAGE = "scipy.linalg"
+HOLDERS = f"{PACKAGE}.cython_blas", f"{PACKAGE}.cython_lapack"
 
 
 def late_names(package: str, modules: dict[str, tuple[str, ...]]) -> tuple[Callable[[str], Any], list[str]]:
@@ -70,3 +79,38 @@ def while_compiling(task: Callable[[], Any]) -> Iterator[None]:
 def imported_while_compiling(module: str) -> AbstractContextManager[None]:
     """Inside, a thread imports the module as soon as XLA begins to compile a program."""
     return nullcontext() if module in sys.modules else while_compiling(lambda: importlib.import_module(module))
+
+
+@functools.cache
+def find_lapack() -> None:
+    """Let jaxlib look LAPACK up without the hundred modules that `scipy.linalg` imports, as it does when it lowers a call of it; a program
+    that another process has lowered calls it too.
+
+    jaxlib calls LAPACK by addresses in `scipy.linalg.cython_blas` and `cython_lapack`. When it lowers the first program that needs them it
+    imports both and with them their package, of which they need nothing: 0.12 s, more than lowering an equilibrium takes.
+    """
+    alone = PACKAGE not in sys.modules and _load_alone()
+    try:
+        from jaxlib.lapack import prepare_lapack_call
+
+        prepare_lapack_call("potrf_ffi", jnp.dtype(float))
+    except (ImportError, AttributeError, TypeError):
+        jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), jnp.result_type(float)))
+    for name in HOLDERS if alone else ():  # as if it had not been: a later import of the package finds its own parts
+        sys.modules.pop(name, None)
+
+
+def _load_alone() -> bool:
+    """Whether the modules that hold the addresses could be loaded without their package."""
+    import scipy
+
+    folder = [str(Path(scipy.__file__).parent / "linalg")]
+    try:
+        for name in HOLDERS:
+            spec = PathFinder.find_spec(name, folder)
+            module = module_from_spec(spec)  # pyright: ignore[reportArgumentType]  # None: an AttributeError, as below
+            spec.loader.exec_module(module)  # pyright: ignore[reportOptionalMemberAccess]
+            sys.modules[name] = module
+    except (ImportError, AttributeError):
+        return False
+    return True

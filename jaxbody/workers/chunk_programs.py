@@ -27,7 +27,7 @@ from jax.sharding import AxisType, PartitionSpec
 
 from jaxbody.compilation.compile_options import OPTION, fast_loops, quick_options
 from jaxbody.compilation.kept_programs import hash_of_source
-from jaxbody.compilation.lapack import find_lapack
+from jaxbody.compilation.late_imports import find_lapack
 from jaxbody.core.errors import JaxbodyError, Problem
 
 KEPT = 16  # programs that a worker keeps

@@ -118,7 +118,7 @@ def test_compiled_code_runs_in_another_process(tmp_path, monkeypatch):
         (tmp_path / "code").write_bytes(jax_internals.code_of(jax.jit(call).lower(*arguments).compile()))
     again = f"""
 import jax, jax.numpy as jnp
-from jaxbody.compilation.lapack import find_lapack
+from jaxbody.compilation.late_imports import find_lapack
 from jaxbody.core import jax_internals
 jax.config.update("jax_enable_x64", {jax.config.jax_enable_x64})
 find_lapack()
