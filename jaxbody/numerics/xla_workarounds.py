@@ -54,6 +54,8 @@ compilation/compile_options.py
 compilation/few_kernels.py
     in_few_kernels                    first results of README's script with jaxlib 0.12: 13.4 to 9.2 s, of which 8.4 and 4.4 are compiling
     is_simple                         XLA ends the process where a kernel holds what it cannot, or does not use an argument
+compilation/eager_programs.py
+    _compile_ahead                    pullbacks are traced while XLA compiles those called before them: a first gradient 2.4 to 2.1 s
 compilation/late_imports.py
     find_lapack [jaxlib's own]        it imports all of scipy.linalg: first frequencies 1.23 to 1.11 s, with kept programs 0.49 to 0.43
     imported_while_compiling          first result of a design 0.2 s earlier on two idle cores: XLA compiles while SciPy is imported
