@@ -1,6 +1,6 @@
 """The command `jaxbody demo`: the plate of Stanescu and Mihalcea (2011), from its drawing to stiffnesses fitted to a noisy record.
 
-A second thread compiles the next computation while the main thread prints and draws.
+A second thread computes one result after the other while the main thread prints and draws those before.
 """
 
 from __future__ import annotations
@@ -53,37 +53,40 @@ def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
     compare_K_tilde(np.asarray(lin.K_tilde), k, kt, l)
 
     report("Computing the equilibrium ...")
-    pending = executor.submit(jb.equilibrium, plate)
-    out.mkdir(parents=True, exist_ok=True)
-    figures = [draw_plate(plate, out / "plate.png")]
-    eq = pending.result()
+    times = np.linspace(0.0, 5.0, 501)
+    motion = {"base": jb.Harmonic(frequency=0.8, translation=[0.01, 0.02, 0], rotation=[0, 0, 0.02])}
+    sensors: dict[str, Any] = {"corner": jb.Position("plate", [3 * l, l, 0])}
+    guess = jb.replace(plate, {"*.stiffness": 1.3 * np.array([k, k, kt])})
+
+    def fitted(trajectory, initial):
+        measured = jb.measure(trajectory, sensors, noise=NOISE, key=jax.random.key(seed))
+        experiment = jb.Experiment(times, motion=motion, initial=initial, sensors=sensors, measured=measured)
+        return jb.fit(guess, {"run1": experiment}, free=["*.stiffness"], method=optax.lbfgs())
+
+    at_rest = executor.submit(jb.equilibrium, plate)
+    moving = executor.submit(lambda: jb.simulate(plate, times, motion=motion, initial=at_rest.result().state))
+    fitting = executor.submit(lambda: fitted(moving.result(), at_rest.result().state))
+    eq = at_rest.result()
     print(eq)
 
     report("Simulating 5 s of the nonlinear motion; the base vibrates at 0.8 Hz with 10 mm along x, 20 mm along y and 20 mrad about z ...")
-    times = np.linspace(0.0, 5.0, 501)
-    motion = {"base": jb.Harmonic(frequency=0.8, translation=[0.01, 0.02, 0], rotation=[0, 0, 0.02])}
-    pending = executor.submit(jb.simulate, plate, times, motion=motion, initial=eq.state)
     xi = np.array([0.01, 0, 0, 0, 0, 0.02])
     compare_forces(np.asarray(lin.K_tilde) @ xi, np.asarray(jb.excitation(plate, eq, {"base": xi})), k, l)
     report("Modes about the equilibrium:")
     lin = jb.linearize(plate, eq)
     modes = jb.modes(lin)
     print(modes)
-    figures.append(draw_modes(lin, modes, out / "modes.png"))
-    trajectory = pending.result()
+    out.mkdir(parents=True, exist_ok=True)
+    figures = [draw_plate(plate, out / "plate.png"), draw_modes(lin, modes, out / "modes.png")]
+    trajectory = moving.result()
     report("The simulated motion:")
     print(trajectory)
 
-    sensors: dict[str, Any] = {"corner": jb.Position("plate", [3 * l, l, 0])}
     report(
         f"Measuring the corner C with {1000 * NOISE:g} mm of noise, then fitting the stiffnesses with optax from a start 30 % too stiff ..."
     )
-    measured = jb.measure(trajectory, sensors, noise=NOISE, key=jax.random.key(seed))
-    experiment = jb.Experiment(times, motion=motion, initial=eq.state, sensors=sensors, measured=measured)
-    guess = jb.replace(plate, {"*.stiffness": 1.3 * np.array([k, k, kt])})
-    pending = executor.submit(jb.fit, guess, {"run1": experiment}, free=["*.stiffness"], method=optax.lbfgs())
     figures.append(draw_motion(trajectory, out / "motion.png"))
-    fit = pending.result()
+    fit = fitting.result()
     figures.append(draw_fit(fit, out / "fit.png"))
     agree = compare_stiffnesses(fit, {"AB": k, "CD": k, "EF": kt})
     report("Figures: " + ", ".join(map(str, figures)))
