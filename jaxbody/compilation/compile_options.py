@@ -17,6 +17,7 @@ from jaxbody.compilation.eager_programs import NOT_OPTIMIZED, OFTEN, calls_of, r
 from jaxbody.compilation.kept_programs import call, known, structs
 from jaxbody.compilation.late_imports import find_lapack
 from jaxbody.compilation.program_parts import programs_inside
+from jaxbody.compilation.shared_settings import little_garbage
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import only_transformed, outermost, started, without_manual_axes
 
@@ -143,7 +144,8 @@ def _jit_by_itself(
 
 @functools.lru_cache(KEPT)
 def _has_loops(program: Callable[..., Any], types: tuple[Any, ...]) -> bool:
-    return known(program, types, "loops", lambda: _loops(jax.make_jaxpr(jitted(program))(*structs(types)).jaxpr))
+    with little_garbage():
+        return known(program, types, "loops", lambda: _loops(jax.make_jaxpr(jitted(program))(*structs(types)).jaxpr))
 
 
 def _loops(jaxpr: Any) -> bool:
