@@ -12,7 +12,7 @@ import importlib
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from importlib.machinery import PathFinder
 from importlib.util import module_from_spec
 from pathlib import Path
@@ -74,11 +74,6 @@ def while_compiling(task: Callable[[], Any]) -> Iterator[None]:
         yield
     for thread in threads:
         thread.join()
-
-
-def imported_while_compiling(module: str) -> AbstractContextManager[None]:
-    """Inside, a thread imports the module as soon as XLA begins to compile a program."""
-    return nullcontext() if module in sys.modules else while_compiling(lambda: importlib.import_module(module))
 
 
 @functools.cache

@@ -174,7 +174,7 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
     U, values = (np.stack([getattr(search, name) for search in searches]) for name in ("u", "values"))
     codes = np.array([_status_and_multipliers(search, rows, space)[0] for search in searches])
     violation = rows.violation(values, scales(rows, best.values))
-    design, values_of, values_of_runs = _placed(space, device_array(best.u), device_array(U))
+    design, values_of, values_of_runs = placed(space, device_array(best.u), device_array(U))
     runs = Runs(values[:, rows.objective], violation, codes, values_of_runs, quantities(values))
     status, prices = _status_and_multipliers(best, rows, space)
     constraints = [] if prices is None or status == Status.INFEASIBLE else _active_constraints(program, best, prices)
@@ -201,7 +201,7 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
 
 
 @jit_unoptimized
-def _placed(space: Space, u: Float[Array, "n"], U: Float[Array, "b n"]):
+def placed(space: Space, u: Float[Array, "n"], U: Float[Array, "b n"]):
     """The design at u and its parameters, and those at each of U."""
     return space.designed(u)[0], space.values(u), jax.vmap(space.values)(U)
 

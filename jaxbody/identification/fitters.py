@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from contextlib import AbstractContextManager
 from functools import partial
+from importlib import import_module
 from typing import Any
 
 import diffrax
@@ -20,7 +20,7 @@ import optimistix
 from jaxtyping import Array, Float
 
 from jaxbody.compilation.compile_options import jit_unoptimized
-from jaxbody.compilation.late_imports import imported_while_compiling, while_compiling
+from jaxbody.compilation.late_imports import while_compiling
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import device_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, warn
@@ -146,7 +146,7 @@ def fit(
             line=line,
         )
         try:
-            with _meanwhile(method, space.size):
+            with while_compiling(lambda: _prepare(space, method)):
                 _check_start(task, *evaluate(u)[:2])
             for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
                 u, converged = _search(evaluate, task, u, method)
@@ -188,11 +188,13 @@ def _check_method(method: Any, bounds: Any, problems: Problems) -> None:
         problems.add("UNKNOWN_METHOD", "fit.method", f"is {method!r:.60}", value=method, limit=allowed)
 
 
-def _meanwhile(method: Any, size: int) -> AbstractContextManager[None]:
-    """A context in which a thread prepares what the method needs while the residuals are compiled."""
+def _prepare(space: Space, method: Any) -> None:
+    """Import and compile what the fit needs after its first evaluation."""
     if isinstance(method, str | optimistix.AbstractLeastSquaresSolver):
-        return imported_while_compiling("scipy.optimize" if isinstance(method, str) else "scipy.special")
-    return while_compiling(lambda: prepare(method, size))
+        import_module("scipy.optimize" if isinstance(method, str) else "scipy.special")
+    else:
+        prepare(method, space.size)
+    _placed(space, device_array(np.zeros(space.size)))
 
 
 def _search(evaluate: Evaluations, task: Task, u: np.ndarray, method: Any) -> tuple[np.ndarray, bool]:

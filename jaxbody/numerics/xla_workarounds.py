@@ -58,7 +58,7 @@ compilation/eager_programs.py
     _compile_ahead                    pullbacks are traced while XLA compiles those called before them: a first gradient 2.4 to 2.1 s
 compilation/late_imports.py
     find_lapack [jaxlib's own]        it imports all of scipy.linalg: first frequencies 1.23 to 1.11 s, with kept programs 0.49 to 0.43
-    imported_while_compiling          first result of a design 0.2 s earlier on two idle cores: XLA compiles while SciPy is imported
+    while_compiling                   first result of a design 0.2 s earlier on two idle cores: XLA compiles while SciPy is imported
 compilation/array_functions.py
     known_to_xla                      not every version has all options: they are tried once where this is not known
 workers/chunk_programs.py

@@ -1,5 +1,6 @@
 """Modules are imported by another thread while XLA compiles, and only then; laws and presets at their first use."""
 
+import importlib
 import subprocess
 import sys
 import threading
@@ -7,7 +8,7 @@ import threading
 import jax
 import pytest
 
-from jaxbody.compilation.late_imports import imported_while_compiling, while_compiling
+from jaxbody.compilation.late_imports import while_compiling
 from jaxbody.workers.chunk_programs import precision
 
 pytestmark = pytest.mark.everywhere
@@ -21,11 +22,11 @@ sys.imported_by = threading.current_thread()
 def test_a_module_is_imported_while_a_program_is_compiled(tmp_path, monkeypatch):
     (tmp_path / "imported_late.py").write_text(MODULE)
     monkeypatch.syspath_prepend(tmp_path)
-    with imported_while_compiling("imported_late"):
+    with while_compiling(lambda: importlib.import_module("imported_late")):
         assert jax.jit(lambda x: 3.5 * x)(2.0) == 7.0
     assert sys.imported_by is not threading.main_thread() and "imported_late" in sys.modules
     del sys.modules["imported_late"], sys.imported_by
-    with imported_while_compiling("imported_late"):
+    with while_compiling(lambda: importlib.import_module("imported_late")):
         pass  # nothing is compiled: it is imported when it is needed
     jax.jit(lambda x: 4.5 * x)(2.0)
     assert "imported_late" not in sys.modules
@@ -34,11 +35,11 @@ def test_a_module_is_imported_while_a_program_is_compiled(tmp_path, monkeypatch)
 def test_errors_are_those_of_the_import_statement(tmp_path, monkeypatch):
     (tmp_path / "imported_in_vain.py").write_text("1 / 0")
     monkeypatch.syspath_prepend(tmp_path)
-    with imported_while_compiling("imported_in_vain"):
+    with while_compiling(lambda: importlib.import_module("imported_in_vain")):
         assert jax.jit(lambda x: 5.5 * x)(2.0) == 11.0
     with pytest.raises(ZeroDivisionError):
         import imported_in_vain  # noqa: F401
-    with pytest.raises(KeyError), imported_while_compiling("imported_in_vain"):
+    with pytest.raises(KeyError), while_compiling(lambda: importlib.import_module("imported_in_vain")):
         raise KeyError
 
 

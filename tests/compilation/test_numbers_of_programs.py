@@ -107,7 +107,7 @@ def test_the_demo_compiles_few_programs(tmp_path):
 
 def test_a_random_response_and_a_design_compile_their_functions_only():
     response = ["_linearize", "_random_response", "equilibrium_of", "port_matrices"]
-    assert programs(RIDE) == sorted([*response, "_placed", "values_and_slopes"])
+    assert programs(RIDE) == sorted([*response, "placed", "values_and_slopes"])
 
 
 def test_a_batch_of_numbers_is_written_into_a_model_by_one_program():

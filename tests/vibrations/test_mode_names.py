@@ -131,16 +131,11 @@ def test_a_damping_ratio_that_is_rounding_prints_as_zero(car):
     assert row[2] == "0" and "e-33" not in str(dusty)
 
 
-def test_printing_modes_compiles_one_small_program_at_most(car):
-    """Where bodies are and how coordinates move them; nothing when another of the kind is printed."""
+def test_printing_modes_compiles_nothing(car):
     modes, damped = jb.modes(car), jb.complex_modes(car)
-    with jb.compile_times() as first:
-        str(modes)
-    assert set(first.programs) <= {"_placed"} and first.count <= 1
-    again = jb.modes(jb.linearize(jb.replace(car.model, {"car.mass": 900.0}), car.state))
-    with jb.compile_times() as second:
-        str(again), str(damped), repr(modes), again.report()
-    assert second.count == 0
+    with jb.compile_times() as times:
+        str(modes), str(damped), repr(modes), modes.report()
+    assert times.count == 0
 
 
 @pytest.mark.long
