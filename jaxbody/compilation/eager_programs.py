@@ -141,6 +141,31 @@ def _tangents_transpose(cotangents, so_far, *args, program, moved, options, type
     return [None] * len(known) + merged(needed.value, out, [Zero(x.aval) for x in moving])
 
 
+def _tangents_jvp(primals, tangents, **params):
+    moved = [type(t) is not Zero for t in tangents]
+
+    def of_moved(*given):
+        return _tangents(*merged(moved, given, primals), **params)
+
+    return jax.jvp(of_moved, chosen(primals, moved), chosen(tangents, moved))
+
+
+def _tangents_batch(args, axes, **params):
+    out = jax.vmap(functools.partial(_tangents, **params), tuple(axes))(*args)
+    return out, [0] * len(out)
+
+
+_tangents_p = new_operation(
+    "tangents_of_program",
+    _tangents,
+    typed=lambda *_, types, **__: list(types),
+    several=True,
+    batch=_tangents_batch,
+    jvp=_tangents_jvp,
+)
+SUMS = transpose_with_sums(_tangents_p, _tangents_transpose)
+
+
 # Pullbacks that follow each other
 
 
@@ -206,28 +231,3 @@ def _cotangents(pullback: Pullback, types: tuple[Any, ...], arrays: Sequence[Any
     moving, (_, sums) = chosen(arrays[: len(pullback.of.moved)], pullback.of.moved), apart(types, pullback.summed)
     out, needed = types_of_results(pullback, types)
     return {id(x): t for x, t in zip((*chosen(moving, pullback.summed), *chosen(moving, needed.value)), (*sums, *out), strict=True)}
-
-
-def _tangents_jvp(primals, tangents, **params):
-    moved = [type(t) is not Zero for t in tangents]
-
-    def of_moved(*given):
-        return _tangents(*merged(moved, given, primals), **params)
-
-    return jax.jvp(of_moved, chosen(primals, moved), chosen(tangents, moved))
-
-
-def _tangents_batch(args, axes, **params):
-    out = jax.vmap(functools.partial(_tangents, **params), tuple(axes))(*args)
-    return out, [0] * len(out)
-
-
-_tangents_p = new_operation(
-    "tangents_of_program",
-    _tangents,
-    typed=lambda *_, types, **__: list(types),
-    several=True,
-    batch=_tangents_batch,
-    jvp=_tangents_jvp,
-)
-SUMS = transpose_with_sums(_tangents_p, _tangents_transpose)
