@@ -57,6 +57,7 @@ def array_function(function: Callable[..., Any], args: tuple[Any, ...]) -> tuple
 
 
 def without_weak_type(x: Any) -> Any:
+    """x with the type that it has, where JAX would let others decide it, as of a number of Python."""
     return jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x
 
 

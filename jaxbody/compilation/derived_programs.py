@@ -99,6 +99,7 @@ class Pullback(Derived):
 
 
 def pullback_of(f: Callable[..., Results], moved: Sequence[bool], given: Sequence[bool], summed: Sequence[bool]) -> Pullback:
+    """The pullback of f with these patterns, as `Cotangents` and `Pullback` name them."""
     return Pullback(Cotangents(f, tuple(moved), tuple(given)), tuple(summed))
 
 
@@ -164,6 +165,7 @@ class OneByOne(Derived):
 
 
 def is_real(y: Any) -> bool:
+    """Whether y has tangents: of real or complex numbers."""
     return jnp.issubdtype(y.dtype, jnp.inexact)
 
 

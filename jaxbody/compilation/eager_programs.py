@@ -65,7 +65,7 @@ def _program_jvp(primals, tangents, *, program, options):
     if any(map(unknown, moving)):
         out = run(program, options, primals)[0]
         types = tuple(jax.typeof(y) for y in out if is_real(y))
-        if _are_arrays([*primals, *out]):
+        if all(map(_is_array, [*primals, *out])):
             _called.append(Called(program, moved, options, [weakref.ref(x) for x in (*primals, *out)]))
         parameters = dict(program=program, moved=moved, options=options, types=types)
         tangents_out = _tangents_p.bind(*primals, *out, *moving, **parameters) if types else []
@@ -99,8 +99,8 @@ def _of_each(batch: OneByOne, options: Options, args: Sequence[Any]) -> tuple[li
     return merged(own, stacked, first), [0 if o else None for o in own]
 
 
-def _are_arrays(x: Sequence[Any]) -> bool:
-    return all(isinstance(y, jax.Array) and not isinstance(y, Tracer) for y in x)
+def _is_array(x: Any) -> bool:
+    return isinstance(x, jax.Array) and not isinstance(x, Tracer)
 
 
 def _is_number(x: Any) -> bool:
@@ -108,7 +108,7 @@ def _is_number(x: Any) -> bool:
 
 
 def _is_sharded(x: Any) -> bool:
-    return isinstance(x, jax.Array) and not isinstance(x, Tracer) and len(x.devices()) > 1
+    return _is_array(x) and len(x.devices()) > 1
 
 
 _program_p = new_operation(
@@ -135,7 +135,7 @@ def _tangents_transpose(cotangents, so_far, *args, program, moved, options, type
     pullback = pullback_of(program, moved, given, summed)
     arrays = [*known, *chosen(cotangents, given), *chosen(sums, summed)]
     with traces_shared(), little_garbage():
-        if _are_arrays(arrays) and compiled_by_jax(arrays):
+        if all(map(_is_array, arrays)) and compiled_by_jax(arrays):
             _compile_ahead(pullback, options, arrays)
         out, needed = run(pullback, options, arrays)
     return [None] * len(known) + merged(needed.value, out, [Zero(x.aval) for x in moving])

@@ -298,6 +298,7 @@ def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:
 
 
 def on_first_device(arrays: Sequence[Any]) -> bool:
+    """Whether all arrays are where JAX computes by default; those of NumPy are nowhere yet."""
     first = {jax.devices()[0]}
     return all(x.devices() == first for x in arrays if isinstance(x, jax.Array))
 

@@ -12,6 +12,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.compilation import compile_options, eager_programs
+from jaxbody.compilation.compilations import listening
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import jax_internals
 
@@ -290,11 +291,11 @@ def test_each_pullback_is_compiled_once_and_ahead():
         if "backend_compile" in event and "spring_pullback" in fun_name:
             threads.append(threading.current_thread())
 
-    jax.monitoring.register_event_duration_secs_listener(heard)
-    first = slope(k, x)
-    assert len(threads) == 3 and threading.main_thread() not in threads
-    np.testing.assert_array_equal(slope(k, x), first)
-    assert len(threads) == 3
+    with listening(heard):
+        first = slope(k, x)
+        assert len(threads) == 3 and threading.main_thread() not in threads
+        np.testing.assert_array_equal(slope(k, x), first)
+        assert len(threads) == 3
     each = [jax.grad(twice, (0, 1))(*pair) for pair in zip(k, x, strict=True)]
     np.testing.assert_allclose(np.transpose(first), each, rtol=1e-13)
 
