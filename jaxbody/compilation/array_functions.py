@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
+import jaxlib.version
 import numpy as np
-
-from jaxbody.compilation import few_kernels
-from jaxbody.compilation.few_kernels import in_few_kernels
 
 Options = tuple[tuple[str, Any], ...]  # of XLA, names and values
 ARRAYS = (jax.Array, np.ndarray, np.generic)
@@ -85,13 +83,8 @@ def jitted(function: Callable[..., Any], options: Options | None = None) -> Call
 
 
 def compiled_with(options: Options, function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function as a program of its own, compiled with these options and in as few kernels as belong to them."""
-    return jax.jit(in_few_kernels(jax.jit(function)) if has_few_kernels(options) else function, compiler_options=known_to_xla(options))
-
-
-def has_few_kernels(options: Options) -> bool:
-    """Whether a program with these options is compiled in few kernels."""
-    return set(few_kernels.OPTIONS.items()) <= set(options)
+    """The function as a program of its own, compiled with these options."""
+    return jax.jit(function, compiler_options=known_to_xla(options))
 
 
 @functools.cache
@@ -101,7 +94,8 @@ def known_to_xla(options: Options) -> dict[str, Any]:
 
 
 def _is_known(name: str, value: Any) -> bool:
-    known = NOT_EVERYWHERE[name].get(few_kernels.jaxlib_version())
+    major, minor = jaxlib.version.__version__.split(".")[:2]
+    known = NOT_EVERYWHERE[name].get((int(major), int(minor)))
     return _compiles(name, value) if known is None else known
 
 

@@ -10,7 +10,6 @@ from typing import Any
 import jax
 import jaxlib.version
 
-from jaxbody.compilation import few_kernels
 from jaxbody.compilation.array_functions import KEPT, array_function, jitted, joined, known_to_xla
 from jaxbody.compilation.compilations import Compiled
 from jaxbody.compilation.eager_programs import NOT_OPTIMIZED, OFTEN, calls_of, run
@@ -29,7 +28,6 @@ NO_FUSION_EMITTERS = {"xla_cpu_use_fusion_emitters": False}  # compiles in two t
 UNOPTIMIZED = {  # halves the remaining time to compile; programs take up to three times as long
     **dict([NOT_OPTIMIZED]),
     "xla_cpu_parallel_codegen_split_count": 1,  # parts of a program that LLVM compiles one by one, for which so little work does not pay
-    **(few_kernels.OPTIONS if few_kernels.jaxlib_version() in few_kernels.VERSIONS else {}),
 }
 BRIEF = tuple((NO_FUSION_EMITTERS | UNOPTIMIZED).items())  # of programs that take milliseconds
 MOST = 100  # steps of a loop that takes milliseconds, such as one over parameters

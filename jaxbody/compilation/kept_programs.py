@@ -24,8 +24,7 @@ from typing import Any
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-from jaxbody.compilation.array_functions import KEPT, Options, Remainder, has_few_kernels, jitted, known_to_xla
-from jaxbody.compilation.few_kernels import debugging, in_few_kernels
+from jaxbody.compilation.array_functions import KEPT, Options, Remainder, jitted, known_to_xla
 from jaxbody.compilation.plain_data import LIBRARIES, Unnamed, text_of, value_of
 from jaxbody.compilation.program_parts import programs_inside
 from jaxbody.compilation.shared_settings import little_garbage, without_cache
@@ -106,7 +105,7 @@ class KeptPrograms:
 
     def compiled(self, program: Callable[..., Any], options: Options, types: tuple[Any, ...], file: str) -> Runner:
         """What runs the program, whose code is saved."""
-        alone = jax.jit(_alone(program, options), keep_unused=True, compiler_options=known_to_xla(options))
+        alone = jax.jit(_alone(program), keep_unused=True, compiler_options=known_to_xla(options))
         traced = alone.trace(*structs(types))
         if _calls_python(traced.jaxpr):
             self.left_out[program.__name__] = "calls a function of Python while it runs"
@@ -122,13 +121,13 @@ class KeptPrograms:
         """What runs the exported program, which is loaded or else saved under its name."""
         import jax.export
 
-        file = name + (".kernels" if has_few_kernels(options) else "") + ".program"
+        file = name + ".program"
         data = self.read(file)
         if data is not None:
             self.loaded.append(program.__name__)
         else:
             try:
-                data = jax.export.export(jax.jit(_alone(program, options)))(*structs(types)).serialize()
+                data = jax.export.export(jax.jit(_alone(program)))(*structs(types)).serialize()
             except Exception as error:  # a callback, or an operation that this version of JAX cannot export
                 self.left_out[program.__name__] = f"{type(error).__name__}: {error}".splitlines()[0]
                 return _not_kept(program, options)
@@ -286,7 +285,7 @@ def compiled_by_jax(arrays: Sequence[Any]) -> bool:
 
 
 def _as_usual(arrays: Sequence[Any]) -> bool:
-    return not debugging() and on_first_device(arrays)
+    return not _debugging() and on_first_device(arrays)
 
 
 def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:
@@ -295,6 +294,11 @@ def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:
         return jax.block_until_ready(run(arrays))
     except jax.errors.JaxRuntimeError:
         return None
+
+
+def _debugging() -> bool:
+    """Whether JAX runs operations one by one, or looks for NaN in the results of a program."""
+    return any(getattr(jax.config, f"jax_{name}") for name in ("disable_jit", "debug_nans", "debug_infs"))
 
 
 def on_first_device(arrays: Sequence[Any]) -> bool:
@@ -308,11 +312,11 @@ def _not_kept(program: Callable[..., Any], options: Options) -> Runner:
     return lambda arrays: jitted(program, options)(*arrays)[0]
 
 
-def _alone(program: Callable[..., Any], options: Options) -> Callable[..., list[Any]]:
+def _alone(program: Callable[..., Any]) -> Callable[..., list[Any]]:
     """The program without all that it returns beside arrays."""
 
     def alone(*arrays):
-        return (in_few_kernels(jitted(program)) if has_few_kernels(options) else jitted(program))(*arrays)[0]
+        return jitted(program)(*arrays)[0]
 
     alone.__name__ = program.__name__
     return alone

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxbody.core.jax_internals import ClosedJaxpr, Literal, chosen
+from jaxbody.core.jax_internals import ClosedJaxpr, Literal, chosen  # pyright: ignore[reportPrivateImportUsage]
 
 CALLS = {
     "in_lanes": "jaxpr",

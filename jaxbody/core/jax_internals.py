@@ -18,7 +18,7 @@ from typing import Any
 import jax
 from jax import Array
 from jax.core import ShapedArray, Tracer
-from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun  # pyright: ignore[reportPrivateImportUsage]
 from jax.interpreters import ad, batching, mlir, partial_eval
 from jax.interpreters.ad import Zero, instantiate_zeros
 from jax.tree_util import PyTreeDef
@@ -252,22 +252,14 @@ def same_numbers(name: str, typed: Callable[..., Any] = lambda x, **_: x, **rule
     return new_operation(name, lambda x, **_: x, typed=typed, lowered=lambda context, x, **_: [x], **rules)
 
 
-def call_of(name: str, *, attributes: dict[str, str] | None = None, **rules: Any) -> Primitive:
-    """An operation that runs its parameter `jaxpr`; on one CPU its call has these attributes of XLA."""
-
-    def lowered(context, *args, jaxpr, **_):
-        results, module = mlir.core_call_lowering(context, *args, name=name, call_jaxpr=jaxpr), context.module_context
-        if attributes and module.platforms == ("cpu",) and module.axis_context.num_devices == 1:
-            texts: Any = {key: mlir.ir.StringAttr.get(text) for key, text in attributes.items()}
-            jax.tree.leaves(results)[0].owner.attributes["mhlo.frontend_attributes"] = mlir.ir.DictAttr.get(texts)
-        return results
-
+def call_of(name: str, **rules: Any) -> Primitive:
+    """An operation that runs its parameter `jaxpr`."""
     primitive = new_operation(
         name,
         lambda *args, jaxpr, **_: jaxpr_as_fun(jaxpr)(*args),
         typed=lambda *args, jaxpr, **_: jaxpr.out_avals,
         several=True,
-        lowered=lowered,
+        lowered=lambda context, *args, jaxpr, **_: mlir.core_call_lowering(context, *args, name=name, call_jaxpr=jaxpr),
         **rules,
     )
 
@@ -279,8 +271,7 @@ def call_of(name: str, *, attributes: dict[str, str] | None = None, **rules: Any
         variables = {"invars": chosen(eqn.invars, needed), "outvars": chosen(eqn.outvars, used)}
         return needed, eqn.replace(**variables, params=eqn.params | {"jaxpr": ClosedJaxpr(part, whole.consts)})
 
-    if not attributes:
-        getattr(partial_eval, "dce_rules", {})[primitive] = only_needed
+    getattr(partial_eval, "dce_rules", {})[primitive] = only_needed
     primitive.is_high = lambda *_, jaxpr, **__: getattr(jaxpr, "is_high", False)  # pyright: ignore
     primitive.to_lojax = lambda *args, jaxpr, **params: primitive.bind(*args, jaxpr=without_high_operations(jaxpr), **params)
     return primitive

@@ -23,7 +23,7 @@ numerics/elementary_functions.py
 numerics/small_systems.py
     solve_if_definite [cho_solve]     calls of LAPACK keep a loop from being compiled whole: T4 167 to 119 ms, with the next
     is_definite [cholesky]            the same
-    solve [jnp.linalg.solve]          they also split a kernel of a program: see compilation/few_kernels.py
+    solve [jnp.linalg.solve]          the same
 numerics/symmetric_eigenvalues.py
     number_below [eigvalsh]           the same
     eigenvalues [jnp.linalg.eigvalsh] LAPACK solves one matrix after another: T4 1.3 to 1.0, of three bodies 2.6 to 1.9
@@ -51,9 +51,6 @@ compilation/compile_options.py
     fast_loops                        small loops as one function: T1 3.5 to 0.9 ms, jaxlib 0.10.2 and 0.12.0; wide vectors: T3 6.8 to 5.0
     NO_FUSION_EMITTERS                compiling a motion 1.3 to 0.7 s; jaxlib 0.12 has no such option
     UNOPTIMIZED                       first frequencies 3.9 to 2.4 s
-compilation/few_kernels.py
-    in_few_kernels                    first results of README's script with jaxlib 0.12: 13.4 to 9.2 s, of which 8.4 and 4.4 are compiling
-    is_simple                         XLA ends the process where a kernel holds what it cannot, or does not use an argument
 compilation/eager_programs.py
     _compile_ahead                    pullbacks are traced while XLA compiles those called before them: a first gradient 2.4 to 2.1 s
 compilation/late_imports.py

@@ -8,7 +8,6 @@ import time
 import diffrax
 import jax
 import jax.numpy as jnp
-import jaxlib.version
 import numpy as np
 import pytest
 import rigs
@@ -119,11 +118,7 @@ with warnings.catch_warnings(record=True) as told:
 """
 
 
-with_fast_loops = pytest.mark.skipif(jaxlib.version.__version__ in ("0.7.0", "0.7.1"), reason="XLA could end the process")
-
-
 @pytest.mark.long
-@with_fast_loops
 def test_fast_loops_are_set_once_beside_what_is_there():
     held = "--xla_backend_extra_options="
     flags = f"--xla_cpu_prefer_vector_width=128 {held}xla_cpu_disable_new_fusion_emitters=false"
@@ -136,7 +131,6 @@ def test_fast_loops_are_set_once_beside_what_is_there():
 
 
 @pytest.mark.long
-@with_fast_loops
 def test_fast_loops_come_too_late_after_the_first_array():
     assert run(LATE) == ["TOO_LATE True False"]
 
