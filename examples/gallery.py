@@ -308,7 +308,7 @@ PICTURES = {
     "random_response": lambda: random_ride().plot(),
     "suspension_curves": lambda: jb.double_wishbone().curves(np.linspace(-0.08, 0.08, 17)).plot(),
     "shock_spectrum": lambda: jb.shock_spectrum(
-        jb.HalfSine(15 * 9.81, 0.011).samples(lengths=60), jnp.geomspace(5, 500, 120), damping=[0.01, 0.05, 0.2], peaks="continuous"
+        jb.HalfSine(15 * 9.81, 0.011), jnp.geomspace(5, 500, 120), damping=[0.01, 0.05, 0.2]
     ).plot(),
     "design_spectrum": lambda: jb.Eurocode8(2.0, "B").plot(damping=(0.02, 0.05, 0.2)),
     "spectrum_response": lambda: shaken_engine().plot(),

@@ -189,10 +189,10 @@ def slider_crank(elements, line="world", crank=0.2, coupler=0.3):
     )
 
 
-def check_derivatives(of, x):
+def check_derivatives(of, x, modes=1e-9):
     """Those of a number by each of a row: reverse against forward mode, and forward against differences of fourth order."""
     forward, reverse = jax.jacfwd(of)(x), jax.grad(of)(x)
-    np.testing.assert_allclose(reverse, forward, rtol=1e-9)
+    np.testing.assert_allclose(reverse, forward, rtol=modes)
     for i, h in enumerate(2e-3 * x):
         near, far = (float(of(x.at[i].add(k * h)) - of(x.at[i].add(-k * h))) / float(2 * k * h) for k in (1, 2))
         np.testing.assert_allclose(forward[i], (4 * near - far) / 3, rtol=1e-6)

@@ -10,11 +10,13 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
 
 import jaxbody as jb
+from jaxbody.core.source_files import writing
 from jaxbody.core.tables import PrintedTable, text
 
 NOISE = 2e-3  # m, of the simulated camera
@@ -36,8 +38,13 @@ PRINTED = (
 
 
 def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
-    """The demo: model, modes, motion, fit."""
+    """The demo: model, modes, motion, fit. Error: NOT_SAVED, before anything is computed."""
     import jax
+
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=out):  # it can be written
+            pass
 
     jax.config.update("jax_enable_x64", True)
     import optax
@@ -76,7 +83,6 @@ def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
     lin = jb.linearize(plate, eq)
     modes = jb.modes(lin)
     print(modes)
-    out.mkdir(parents=True, exist_ok=True)
     figures = [draw_plate(plate, out / "plate.png"), draw_modes(lin, modes, out / "modes.png")]
     trajectory = moving.result()
     report("The simulated motion:")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import field as attribute
@@ -60,7 +61,10 @@ def _check(study: Study, options: argparse.Namespace) -> Outcome:
     said = [counted(len(names), what) for what, names in counts.items() if names]
     bodies = "1 body" if len(model.layout.bodies) == 1 else f"{len(model.layout.bodies)} bodies"
     freedoms = counted(model.layout.nv, "degree")
-    return Outcome([f"{options.file.name}: {', '.join([bodies, *said])}, {freedoms} of freedom; no errors"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what it warns of is printed
+        remarks = jb.plausibility(model, study.experiments).words if model.layout.nv else ()
+    return Outcome([f"{options.file.name}: {', '.join([bodies, *said])}, {freedoms} of freedom; no errors", *remarks])
 
 
 def _show(study: Study, options: argparse.Namespace) -> Outcome:
@@ -73,11 +77,11 @@ def _equilibrium(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _modes(study: Study, options: argparse.Namespace) -> Outcome:
-    lin = _linear(study)
+    lin, remarks = _linear(study)
     modes: Any = jb.complex_modes(lin) if options.damped else jb.modes(lin)
     energies = [jb.mode_energies(lin)] if options.energies and not options.damped else []
     draw = lambda: jb.plots.draw_mode(lin, modes, options.draw)  # noqa: E731
-    return Outcome([modes, *energies], draw, view=lambda: jb.view(modes, number=options.draw, at=lin))
+    return Outcome([modes, *energies, *remarks], draw, view=lambda: jb.view(modes, number=options.draw, at=lin))
 
 
 def _response(study: Study, options: argparse.Namespace) -> Outcome:
@@ -85,21 +89,21 @@ def _response(study: Study, options: argparse.Namespace) -> Outcome:
 
     from jaxbody.app import number_tables
 
-    lin = _linear(study)
+    lin, remarks = _linear(study)
     low, high = options.frequencies
     inputs, outputs = _ports(study, options, options.kind)
     response = jb.frequency_response(lin, np.geomspace(low, high, options.points), inputs, outputs)
-    return Outcome([response], lambda: jb.plots.plot_frequency_response(response), lambda: number_tables.over_frequency(response))
+    return Outcome([response, *remarks], lambda: jb.plots.plot_frequency_response(response), lambda: number_tables.over_frequency(response))
 
 
 def _random(study: Study, options: argparse.Namespace) -> Outcome:
     from jaxbody.app import number_tables
 
-    lin = _linear(study)
+    lin, remarks = _linear(study)
     inputs, outputs = _ports(study, options, "displacement")
     spectra: Any = dict.fromkeys(inputs, jb.Unevenness.iso(options.road).at_speed(options.speed))
     response = jb.random_response(lin, jb.Band(*options.frequencies), inputs, outputs, spectra)
-    return Outcome([response], lambda: jb.plots.plot_psd(response), lambda: number_tables.densities(response))
+    return Outcome([response, *remarks], lambda: jb.plots.plot_psd(response), lambda: number_tables.densities(response))
 
 
 def _load_cases(study: Study, options: argparse.Namespace) -> Outcome:
@@ -120,7 +124,7 @@ def _simulate(study: Study, options: argparse.Namespace) -> Outcome:
     from jaxbody.app import number_tables
 
     times = np.linspace(0.0, options.duration, round(options.duration / options.interval) + 1)
-    trajectory = jb.simulate(study.model, times, motion=study.motion, loads=study.loads, initial="rest")
+    trajectory = jb.simulate(study.model, times, motion=study.motion, loads=study.loads, initial="rest", **_steps(options))
     over_time, view = lambda: number_tables.over_time(trajectory, study.sensors), lambda: jb.view(trajectory)
     return Outcome([trajectory], lambda: jb.plots.plot_trajectory(trajectory), over_time, view=view)
 
@@ -134,7 +138,7 @@ def _fit(study: Study, options: argparse.Namespace) -> Outcome:
 
 def _fitted(study: Study, options: argparse.Namespace) -> dict[str, Any]:
     """The fit, its optima where it has several starts, and its validation by the experiments that were held out."""
-    asked = study.fit | ({"free": options.free} if options.free else {})
+    asked = study.fit | ({"free": options.free} if options.free else {}) | _steps(options)
     with Problems() as problems:
         if not study.experiments:
             message, hint = "has no experiments", "State [records], [sensors] and [experiments]: help(jaxbody.read_study)."
@@ -147,6 +151,11 @@ def _fitted(study: Study, options: argparse.Namespace) -> dict[str, Any]:
     several = {"Optima from several starts": jb.multistart(study.model, study.experiments, **asked)} if "starts" in asked else {}
     fit = next(iter(several.values())).best if several else jb.fit(study.model, study.experiments, **asked)
     return {"Fit": fit, **several, **({"Validation": jb.validate(fit, study.held_out)} if study.held_out else {})}
+
+
+def _steps(options: argparse.Namespace) -> dict[str, Any]:
+    """The options of the integration that are given."""
+    return {name: given for name in ("rtol", "max_steps") if (given := getattr(options, name)) is not None}
 
 
 def _tune(study: Study, options: argparse.Namespace) -> Outcome:
@@ -175,12 +184,14 @@ def _report(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _parts_of_modes(study: Study, options: argparse.Namespace) -> dict[str, Any]:
-    lin = _linear(study)
+    lin, _ = _linear(study)
     return {"Small motions": lin, "Modes": jb.modes(lin), "Energies of modes": jb.mode_energies(lin)}
 
 
-def _linear(study: Study) -> Any:
-    return jb.linearize(study.model, jb.equilibrium(study.model))
+def _linear(study: Study) -> tuple[Any, list[str]]:
+    """The small motions about the equilibrium, and the remarks on it."""
+    equilibrium = jb.equilibrium(study.model)
+    return jb.linearize(study.model, equilibrium), equilibrium.remarks
 
 
 def _ports(study: Study, options: argparse.Namespace, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -256,6 +267,10 @@ OF_MOTION = (
     (("--duration",), {"type": _above_zero, "default": 5.0, "metavar": "T", "help": "[s] (default: 5)"}),
     (("--interval",), {"type": _above_zero, "default": 0.01, "metavar": "DT", "help": "between samples [s] (default: 0.01)"}),
 )
+OF_STEPS = (
+    (("--rtol",), {"type": _above_zero, "metavar": "R", "help": "tolerance of the integration (default: 1e-8)"}),
+    (("--max-steps",), {"type": int, "metavar": "N", "help": "largest number of its steps (default: by the number of samples)"}),
+)
 FREE = (("--free",), {"action": "append", "metavar": "PATH", "help": "parameter or pattern (default: those of [fit])"})
 DESIGN = (("--design",), {"metavar": "NAME", "help": "design of the file (default: its first one)"})
 WRITE = (("--write",), {"action": "store_true", "help": "write the values into the file, in the units that stand there"})
@@ -314,7 +329,7 @@ COMMANDS = {
         "the nonlinear motion on supports that move, from rest on them",
         "jaxbody simulate car.toml --duration 3 --out motion.csv",
         _simulate,
-        OF_MOTION,
+        (*OF_MOTION, *OF_STEPS),
         formats=IN_SPACE,
     ),
     "report": Command(
@@ -324,7 +339,7 @@ COMMANDS = {
         (
             (("--part",), {"action": "append", "choices": list(PARTS), "help": "a section (default: model, equilibrium and modes)"}),
             (("--title",), {"metavar": "TEXT", "help": "title (default: the name of the file)"}),
-            *_ports_options(False), *OF_RESPONSE, *OF_MOTION, _case_option(False), FREE, DESIGN,
+            *_ports_options(False), *OF_RESPONSE, *OF_MOTION, *OF_STEPS, _case_option(False), FREE, DESIGN,
         ),
         measured=True,
         formats=(".html",),
@@ -333,7 +348,7 @@ COMMANDS = {
         "estimate parameters from the experiments of a file, and validate them by those that it holds out",
         "jaxbody fit measured.toml --free suspension.stiffness --write --out fit.csv",
         _fit,
-        (FREE, WRITE),
+        (FREE, *OF_STEPS, WRITE),
         measured=True,
     ),
     "tune": Command(

@@ -111,8 +111,8 @@ def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | No
         return _text(value, stated, units.parse(stated, "unit").factor)
     if not any(si) or not value.any():  # zero needs no unit
         return numbers_of(value)
-    if system is not None and isinstance(old, int | float | list | str):
-        factors = [system.factor(units.parse(unit, "unit").dimension) for unit in si]
+    if system is not None and isinstance(old, int | float | list | str) and all(system.states(unit or "1") for unit in si):
+        factors = [system.factor(unit or "1") for unit in si]
         numbers = [_number(x, factor) for x, factor in zip(value.ravel().tolist(), factors, strict=True)]
         return numbers if value.ndim else numbers[0]
     return _text(value, si[0], 1.0) if len(set(si)) == 1 else [_text(x, unit, 1.0) for x, unit in zip(value, si, strict=True)]

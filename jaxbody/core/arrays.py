@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import date
+from numbers import Real
 from typing import Any
 
 import jax
@@ -25,14 +27,46 @@ def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
         value = np.ma.filled(value.astype(float), np.nan)  # a gap, not the number behind the mask
     try:
         array = jnp.asarray(value) if traced else np.asarray(value)
-    except (TypeError, ValueError, RuntimeError):  # ragged rows, or an object that does not convert
+        if array.dtype == object and all(isinstance(x, Real) for _, x in np.ndenumerate(array)):  # numbers of several kinds
+            array = array.astype(np.float64)
+    except (TypeError, ValueError, RuntimeError, OverflowError):  # ragged rows, or an object that does not convert
         array = np.array(None)
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
         raise JaxbodyError(Problem("COMPLEX", where, f"is complex ({array.dtype})", value, "real numbers", "Give real numbers."))
-    if not (jnp.issubdtype(array.dtype, jnp.number) or array.dtype == bool):
-        message = f"is {value!r:.60}".splitlines()[0] + ", which is not an array of numbers"
-        raise JaxbodyError(Problem("NOT_A_NUMBER", where, message, value, "numbers", "Give a number, or a list or array of numbers."))
+    if array.dtype.kind == "m" or not (jnp.issubdtype(array.dtype, jnp.number) or array.dtype == bool):  # durations are integers to NumPy
+        text, hint = _not_a_number(value, array.dtype.kind)
+        message = f"is {value!r:.60}".splitlines()[0] + f", which is not an array of numbers{text}"
+        raise JaxbodyError(Problem("NOT_A_NUMBER", where, message, value, "numbers", hint))
     return array.astype(float if traced else np.float64)
+
+
+def _not_a_number(value: Any, kind: str) -> tuple[str, str]:
+    """Which element of an array or list is no number, as text, and what to do; `kind` of NumPy's type, "m" or "M" of durations or dates."""
+    hint = "Give a number, or a list or array of numbers."
+    try:
+        elements: Any = np.asarray(value, object)
+        if kind in "mM" or isinstance(elements.flat[0], date):
+            return "", 'Give seconds: of dates (t - t[0]) / np.timedelta64(1, "s"), of durations t / np.timedelta64(1, "s").'
+        rows = elements.ndim == 1 and all(isinstance(x, list | tuple | np.ndarray) for x in elements)
+        index, x = next((i, x) for i, x in np.ndenumerate(elements) if (len(x) != len(elements[0]) if rows else not isinstance(x, Real)))
+    except (TypeError, ValueError, RuntimeError, StopIteration, IndexError):
+        return "", hint
+    what = f"has length {len(x)}, the first one {len(elements[0])}" if rows else f"is {x!r:.40}"
+    return f": element {list(map(int, index))} {what}" if index else "", hint
+
+
+def time_array(value: Any, where: str) -> np.ndarray | jax.Array:
+    """The same of times, which are not True or False."""
+    array = float_array(value, where)
+    if str(getattr(value, "dtype", "")) in ("bool", "boolean") or (isinstance(value, list | tuple) and bool in map(type, value)):
+        message, hint = "are True and False, not times", "Give times [s]; is this a comparison, such as t > 0?"
+        raise JaxbodyError(Problem("NOT_A_NUMBER", where, message, value, "numbers", hint))
+    return array
+
+
+def numbers(value: Any, where: str) -> Any:
+    """An array of floats as it is; lists, integers and single numbers as one. Error: NOT_A_NUMBER."""
+    return float_array(value, where) if getattr(value, "dtype", np.dtype(int)).kind in "biu" else value
 
 
 def checked(value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problems: Problems, hint: str = "") -> Any:
@@ -102,9 +136,30 @@ def concrete(value: Any) -> np.ndarray | None:
     return None if isinstance(value, Tracer) else np.asarray(value)
 
 
-def nan_unless(valid: Any, x: jax.Array) -> jax.Array:
+def nan_unless(valid: Any, x: Any) -> jax.Array:
     """x, and NaN with NaN as its derivative where it is not valid."""
     return x * jnp.where(valid, jnp.ones((), x.dtype), jnp.nan)
+
+
+@jax.custom_jvp
+def rows_or_nan(valid: Any, x: Any) -> jax.Array:
+    """The same, where derivatives of valid rows remain: `nan_unless` would lose them in reverse mode, and `jnp.where` has derivatives of
+    zero where x is not valid."""
+    return jnp.where(valid, x, jnp.nan)
+
+
+@rows_or_nan.defjvp
+def _rows_or_nan_jvp(primals, tangents):
+    return rows_or_nan(*primals), tangent_or_nan(primals[0], tangents[1])
+
+
+def tangent_or_nan(valid: Any, x: Any) -> jax.Array:
+    """A tangent where it is valid, else NaN; backward a slope of zero remains zero. Use it in rules, which JAX transposes."""
+
+    def backward(_, slope):
+        return jnp.where(valid | (slope == 0), slope, jnp.nan)
+
+    return jax.lax.custom_linear_solve(lambda x: x, x, lambda _, x: jnp.where(valid, x, jnp.nan), backward)
 
 
 def is_concrete(*trees: Any) -> bool:
@@ -128,9 +183,18 @@ def of_unit_length(rows: np.ndarray) -> np.ndarray:
     return np.where(np.abs(length - 1) <= 4 * jnp.finfo(jnp.result_type(float)).eps, rows, rows / length)
 
 
-def check_times(times, problems: Problems, where: str = "times", minimum: int = 1) -> np.ndarray | jax.Array | None:
-    """Increasing, finite, one-dimensional times; None if they are not, with a problem added."""
-    times = problems.gather(lambda given=times: float_array(given, where))
+def time_text(t: Any, times: Any, digits: int = 6) -> str:
+    """A time [s] with so many digits besides those that all `times` share, as Unix times do."""
+    known = np.asarray(times, float)
+    known = known[np.isfinite(known)]
+    shared = np.log10(max(np.abs(known).max() / (np.ptp(known) or np.inf), 1.0)) if len(known) else 0
+    return f"{float(t):.{min(digits + int(shared), 17)}g}"
+
+
+def check_times(times, problems: Problems, where: str = "times", minimum: int = 1, *, kept: bool = False) -> np.ndarray | jax.Array | None:
+    """Increasing, finite, one-dimensional times, as JAX's arrays hold them or, with `kept`, as they are; None if they are not, with a
+    problem added."""
+    times = problems.gather(lambda given=times: time_array(given, where))
     if times is None:
         return None
     known = concrete(times)
@@ -146,17 +210,14 @@ def check_times(times, problems: Problems, where: str = "times", minimum: int = 
         hint = "Cut the record, or drop the samples whose time is unknown."
         problems.add("NAN_TIME", where, f"is {known[i]} at index {i}", value=float(known[i]), limit="finite", hint=hint)
         return None
-    steps = np.diff(known)
+    steps = np.diff(known if kept else known.astype(jnp.result_type(float)))
     if (steps <= 0).any():
         i = int(np.flatnonzero(steps <= 0)[0])
         code, word = ("DUPLICATE_TIME", "repeats") if steps[i] == 0 else ("UNSORTED_TIME", "goes back")
-        problems.add(
-            code,
-            where,
-            f"{word} at index {i + 1}: {known[i]:.9g} s, then {known[i + 1]:.9g} s",
-            value=i + 1,
-            limit="increasing",
-            hint="Sort the samples and drop duplicates.",
-        )
+        hint = "Sort the samples and drop duplicates."
+        if steps[i] == 0 and steps.dtype == np.float32:
+            word, hint = "repeats in float32", hint[:-1] + ", and subtract the first time or enable float64."
+        first, second = (time_text(t, known[i : i + 2], 9) for t in known[i : i + 2])
+        problems.add(code, where, f"{word} at index {i + 1}: {first} s, then {second} s", value=i + 1, limit="increasing", hint=hint)
         return None
     return times

@@ -153,6 +153,8 @@ class Status(enum.IntEnum):
     LOST = 28
     NOT_CLOSED = 29
     SINGULAR_CLOSURE = 30
+    UNDAMPED = 31
+    FAR_OFF = 32
 
 
 MESSAGES = {status: CODES[status.name][0] for status in Status}

@@ -1,6 +1,7 @@
 """The base class of results: a status with its message, and printing as small tables."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -8,7 +9,7 @@ import jax
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import as_numpy, is_concrete
+from jaxbody.core.arrays import as_numpy, is_concrete, rows_or_nan
 from jaxbody.core.errors import MESSAGES, MOST_PROBLEMS, JaxbodyError, Problem, Status, warn
 from jaxbody.core.jax_internals import Tracer
 
@@ -72,6 +73,26 @@ class Result(tables.Printed, eqx.Module):
 def without_derivatives(tree: Any) -> Any:
     """The tree with values in place of the tracers of jax.grad, jax.jvp and jax.vjp; tracers of jit and vmap remain."""
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, Tracer) else x, tree)
+
+
+def finished(result: AnyResult, found: Callable[[Any], Any], parts: Callable[[AnyResult], Any]) -> AnyResult:
+    """The result, after a warning if it failed. Where it is traced, these parts are NaN unless found, by the status, with NaN as their
+    derivatives: no warning is seen there."""
+    warn_if_failed(result)
+    if is_concrete(result):
+        return result
+    numbers = {id(x) for x in jax.tree.leaves(parts(result))}
+    leaves, tree = jax.tree.flatten(result)
+    chosen = [i for i, x in enumerate(leaves) if id(x) in numbers]
+    for i, x in zip(chosen, _nan_unless_found(found, result.status, [leaves[i] for i in chosen]), strict=True):
+        leaves[i] = x
+    return jax.tree.unflatten(tree, leaves)
+
+
+@partial(jax.jit, static_argnums=0)
+def _nan_unless_found(found: Callable[[Any], Any], status: Any, numbers: list[Any]) -> list[Any]:
+    valid = found(status)
+    return [rows_or_nan(valid.reshape(valid.shape + (1,) * (x.ndim - valid.ndim)), x) for x in numbers]
 
 
 def warn_if_failed(result: AnyResult) -> AnyResult:

@@ -53,7 +53,7 @@ class Printed(ABC):
         return text(*in_numpy(self)._tables())
 
     def __str__(self) -> str:
-        return f"\n{self!r}\n"  # blank lines keep printed results apart
+        return f"{self!r}\n"  # a blank line keeps printed results apart
 
     def _repr_html_(self) -> str:
         return html(*in_numpy(self)._tables())

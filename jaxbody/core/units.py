@@ -2,7 +2,7 @@
 
     value [SI] = factor * value [unit];   dimension = exponents of (m, kg, s, rad, A)
 
-Angles have a dimension of their own, so that degrees given for meters are detected. Products are "N m", "N.m" or "N*m"; powers are
+Angles have a dimension of their own, so that degrees given for meters are detected. Products are "N m", "N.m", "N-m" or "N*m"; powers are
 "m/s^2", "m/s2", "m s-2" or "m/s**2". A slash divides by the next unit only, or by a product in parentheses.
 """
 
@@ -55,17 +55,20 @@ PREFIXED = {  # with their usual prefixes
     "J": (1.0, MOMENT, "mk"),
 }
 PLAIN = {
-    "kg": (1.0, MASS), "t": (1e3, MASS), "in": (0.0254, LENGTH), "ft": (0.3048, LENGTH), "min": (60.0, TIME), "h": (3600.0, TIME),
-    "deg": (TURN / 360, ANGLE), "rev": (TURN, ANGLE), "rpm": (TURN / 60, ANGULAR_RATE),
+    "kg": (1.0, MASS), "t": (1e3, MASS), "lb": (POUND / GRAVITY, MASS), "slug": (POUND / 0.3048, MASS),
+    "in": (0.0254, LENGTH), "mil": (2.54e-5, LENGTH), "ft": (0.3048, LENGTH), "yd": (0.9144, LENGTH), "mi": (1609.344, LENGTH),
+    "min": (60.0, TIME), "h": (3600.0, TIME), "mph": (1609.344 / 3600, SPEED), "kph": (1 / 3.6, SPEED), "ips": (0.0254, SPEED),
+    "deg": (TURN / 360, ANGLE), "rev": (TURN, ANGLE), "rpm": (TURN / 60, ANGULAR_RATE), "dps": (TURN / 360, ANGULAR_RATE),
     "g": (GRAVITY, ACCELERATION), "Gal": (0.01, ACCELERATION),
     "Nm": (1.0, MOMENT), "Nmm": (1e-3, MOMENT), "kNm": (1e3, MOMENT), "Ns": (1.0, (1, 1, -1, 0, 0)),
-    "lbf": (POUND, FORCE), "kip": (1e3 * POUND, FORCE), "bar": (1e5, PRESSURE), "psi": (POUND / 0.0254**2, PRESSURE),
+    "daN": (10.0, FORCE), "kgf": (GRAVITY, FORCE), "kp": (GRAVITY, FORCE), "lbf": (POUND, FORCE), "kip": (1e3 * POUND, FORCE),
+    "bar": (1e5, PRESSURE), "psi": (POUND / 0.0254**2, PRESSURE), "ksi": (1e3 * POUND / 0.0254**2, PRESSURE),
     "%": (0.01, NONE), "1": (1.0, NONE), "-": (1.0, NONE),
 }  # fmt: skip
 ALSO = {
     "volt": "V", "volts": "V", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "degree": "deg", "degrees": "deg", "°": "deg",
     "radian": "rad", "radians": "rad", "meter": "m", "meters": "m", "metre": "m", "metres": "m", "newton": "N", "newtons": "N",
-    "g0": "g", "gn": "g",
+    "g0": "g", "gn": "g", "lbs": "lb", "lbm": "lb", "thou": "mil", "mils": "mil", "rpm": "rpm", "dps": "dps",
     "inch": "in", "inches": "in", "hertz": "Hz", "percent": "%",
 }  # fmt: skip
 KNOWN = {**PLAIN}
@@ -79,16 +82,16 @@ WORDS = {
     VOLTAGE: "V", CURRENT: "A", PRESSURE: "Pa", NONE: "1",
 }  # fmt: skip
 TWOFOLD = {
-    "lb": "lbf or kg",
-    "lbs": "lbf or kg",
     "mg": "g for gravity, kg for mass",
     "gal": "Gal",
     "M": "m",
     "Sec": "s",
     "G": "g",
 }
-SUPERSCRIPTS = str.maketrans({"²": "2", "³": "3", "⁴": "4", "⁻": "-", "¹": "1", "µ": "u", "μ": "u", "·": "*", "⋅": "*"})
-TOKEN = re.compile(r"\s*(?:(?P<power>\*\*|\^)|(?P<sign>[*/.()])|(?P<number>[+-]?\d+)|(?P<word>[A-Za-z°%]+\d?(?=$|[^\d])|[A-Za-z°%]+))")
+SUPERSCRIPTS = str.maketrans({"²": "2", "³": "3", "⁴": "4", "⁻": "-", "¹": "1", "µ": "u", "μ": "u", "·": "*", "⋅": "*", "º": "°"})
+TOKEN = re.compile(
+    r"\s*(?:(?P<power>\*\*|\^)|(?P<sign>[*/.()]|-(?=[A-Za-z°]))|(?P<number>[+-]?\d+)|(?P<word>[A-Za-z°%]+\d?(?=$|[^\d])|[A-Za-z°%]+))"
+)
 
 
 @dataclass(frozen=True)
@@ -177,7 +180,7 @@ def _product(rest: list[tuple[str, str]], written: str, where: str, depth: int =
                 Problem("UNKNOWN_UNIT", where, f"unit '{written}' can be read in two ways", written, "N/(m s) or N s/m", hint)
             )
         divided = divided or sign == -1
-        if kind == "sign" and token in "*/.":
+        if kind == "sign" and token in "*/.-":
             rest.pop(0)
 
 

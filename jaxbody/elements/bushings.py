@@ -13,7 +13,7 @@ from jaxbody.core.errors import Problems
 from jaxbody.elements.elements import MEANT, Element, check_signs, turned
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
-from jaxbody.geometry.orientations import IDENTITY, as_quaternion
+from jaxbody.geometry.orientations import IDENTITY, as_quaternion, product
 from jaxbody.geometry.places import ends
 from jaxbody.geometry.vectors import rotate, rotate_back
 
@@ -38,6 +38,15 @@ class FramePair(Element):
         theta = rotations.log_below_half_turn(R)
         return jnp.concatenate([rotations.inverse_left_jacobian(theta, p), theta])
 
+    def as_drawn(self, *orientations):
+        """q_b = q_B* q_A q_a, where it is not given."""
+        mount: Any = self
+        if mount.orientation_b is not None:
+            return mount
+        q_A, q_B = orientations
+        q_b = product(q_B * np.array([1.0, -1.0, -1.0, -1.0]), product(q_A, mount.orientation))
+        return eqx.tree_at(lambda m: m.orientation_b, mount, q_b, is_leaf=lambda x: x is None)
+
     def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         return rotations.away_from_half_turn(turned(self, A, B)[1]) / 4
 
@@ -55,7 +64,7 @@ class Bushing(FramePair):
             stiffness
         damping: C likewise [N s/m]; None: no damping
         orientation: orientation of the frame at a in its body
-        orientation_b: orientation of the frame at b in its body
+        orientation_b: orientation of the frame at b in its body; None: that with which the two frames coincide as the model is drawn
         allow_negative: warn of negative coefficients instead of refusing them
 
     Errors: NOT_SYMMETRIC, NEGATIVE_STIFFNESS, NEGATIVE_DAMPING, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION.
@@ -68,23 +77,28 @@ class Bushing(FramePair):
     stiffness: Float[Array, "*k"] = field("N/m, N; N, N m/rad", "definite unless allow_negative", code="NEGATIVE_STIFFNESS", hint=MEANT)
     damping: Float[Array, "*k"] = field("N s/m, N s; N s, N m s/rad", "definite unless allow_negative", code="NEGATIVE_DAMPING", hint=MEANT)
     orientation: Float[Array, "4"] = field("", "rotation")
-    orientation_b: Float[Array, "4"] = field("", "rotation")
+    orientation_b: Float[Array, "4"] | None = field("", "rotation")
     allow_negative: bool = eqx.field(default=False, static=True)
 
-    def __init__(self, a, b, *, stiffness, damping=None, orientation=IDENTITY, orientation_b=IDENTITY, allow_negative: bool = False):
+    def __init__(self, a, b, *, stiffness, damping=None, orientation=IDENTITY, orientation_b=None, allow_negative: bool = False):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), "Bushing", problems)
             self.stiffness = _coefficients(stiffness, "Bushing.stiffness", problems)
             self.damping = _coefficients(np.zeros(self.stiffness.shape) if damping is None else damping, "Bushing.damping", problems)
             check_signs(self, allow_negative, problems)
             self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
-            self.orientation_b = as_quaternion(orientation_b, "Bushing.orientation_b", problems)
+            self.orientation_b = second_orientation(orientation_b, "Bushing.orientation_b", problems)
 
     def energy(self, e):
         return 0.5 * jnp.sum(e * _times(self.stiffness, e))
 
     def dissipation(self, e, e_dot):
         return 0.5 * jnp.sum(e_dot * _times(self.damping, e_dot))
+
+
+def second_orientation(value: Any, where: str, problems: Problems) -> Any:
+    """The unit quaternion of an orientation; None where it follows from the drawing."""
+    return None if value is None else as_quaternion(value, where, problems)
 
 
 def _times(coefficients: Float[Array, "*k"], e: Float[Array, "6"]) -> Float[Array, "6"]:

@@ -60,6 +60,10 @@ class Element(Described, eqx.Module):
         """The points of attachment, one in each frame."""
         return self.a, self.b
 
+    def as_drawn(self, *orientations: Float[Array, "4"]) -> Element:
+        """The element with what follows from the drawing, where its frames have these orientations (unit quaternions)."""
+        return self
+
     @abstractmethod
     def deformation(self, *poses: Pose) -> Float[Array, "*m"]:
         """The geometric function e."""
@@ -228,8 +232,9 @@ def length_and_direction(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[
 
 def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
     """For an element with `orientation` and `orientation_b`: the rotations from the axes of its first end to the world, and of its second
-    end to the first."""
-    R_A, R_B = product(A.R, rotations.matrix(element.orientation)), product(B.R, rotations.matrix(element.orientation_b))
+    end to the first. Before a model says how it is drawn, axes that are not given are those of the first end."""
+    second = element.orientation if element.orientation_b is None else element.orientation_b
+    R_A, R_B = product(A.R, rotations.matrix(element.orientation)), product(B.R, rotations.matrix(second))
     return R_A, product(jnp.swapaxes(R_A, -1, -2), R_B)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, checked
 from jaxbody.core.errors import Problems
-from jaxbody.elements.bushings import FramePair
+from jaxbody.elements.bushings import FramePair, second_orientation
 from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.places import ends
@@ -32,7 +32,7 @@ class Mount(FramePair):
         rx, ry, rz: laws about the axes [rad -> N m], stiffnesses [N m/rad] or functions; None: no moment
         damping: c of the six directions [N s/m, N m s/rad]; three numbers for those along the axes; None: no damper
         orientation: orientation of the frame at a in its body
-        orientation_b: orientation of the frame at b in its body
+        orientation_b: orientation of the frame at b in its body; None: that with which the two frames coincide as the model is drawn
 
     Errors: NEGATIVE, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, those of the laws.
 
@@ -50,18 +50,16 @@ class Mount(FramePair):
     rz: laws.Law | None = field(words=MOMENTS)
     damping: Float[Array, "6"] = field("N s/m, N m s/rad", "nonnegative")
     orientation: Float[Array, "4"] = field("", "rotation")
-    orientation_b: Float[Array, "4"] = field("", "rotation")
+    orientation_b: Float[Array, "4"] | None = field("", "rotation")
 
-    def __init__(
-        self, a, b, *, x=None, y=None, z=None, rx=None, ry=None, rz=None, damping=None, orientation=IDENTITY, orientation_b=IDENTITY
-    ):
+    def __init__(self, a, b, *, x=None, y=None, z=None, rx=None, ry=None, rz=None, damping=None, orientation=IDENTITY, orientation_b=None):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), "Mount", problems)
             for name, law in zip(DIRECTIONS, (x, y, z, rx, ry, rz), strict=True):
                 setattr(self, name, laws.as_law(law, f"Mount.{name}", problems))
             self.damping = in_domain(_damping(damping, problems), kind_of(self, "damping"), "Mount.damping", problems)
             self.orientation = as_quaternion(orientation, "Mount.orientation", problems)
-            self.orientation_b = as_quaternion(orientation_b, "Mount.orientation_b", problems)
+            self.orientation_b = second_orientation(orientation_b, "Mount.orientation_b", problems)
 
     def _each(self, function, *e) -> list[Any]:
         """function(law, ...) of the six laws and their deformations."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import singledispatch
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float
 from jaxbody.elements.bushings import FramePair
-from jaxbody.elements.elements import Element, LineElement, length_and_direction
+from jaxbody.elements.elements import Element, LineElement, length_and_direction, turned
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, dot, product, rotate, rotate_back, skew, to_rank
@@ -108,11 +108,10 @@ def _(bushing: FramePair, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBl
         tau = d_b - d_a + phi_b x b - phi_a x P - phi_a x (d_b - d_a + phi_b x b) + phi_a x (phi_a x P)/2 + phi_b x (phi_b x b)/2
         psi = phi_b - phi_a - phi_a x phi_b/2
     """
-    turns: Any = bushing
-    R_A, R_B = product(A.R, rotations.matrix(turns.orientation)), product(B.R, rotations.matrix(turns.orientation_b))
+    R_A, R = turned(bushing, A.pose(), B.pose())
     a, b = rotate(A.R, bushing.a), rotate(B.R, bushing.b)
     P = (B.p - A.p) + b
-    theta = rotations.log_below_half_turn(product(R_A.T, R_B))
+    theta = rotations.log_below_half_turn(R)
     g, H = _in_relative_motion(bushing, theta, rotate_back(R_A, P - a))
     turn = jnp.kron(np.eye(2, dtype=P.dtype), R_A)
     H, f, m = turn @ H @ turn.T, rotate(R_A, g[:3]), rotate(R_A, g[3:])

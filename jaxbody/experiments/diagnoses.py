@@ -1,6 +1,7 @@
-"""Likely errors of measured records, by comparison with a model: units, signs, delays, swapped channels, left-handed axes.
+"""Likely errors of measurements, by comparison with a model: units, signs, delays, offsets, wrapped angles, swapped channels, left-handed
+axes, conjugated responses.
 
-    measured(t) ~ offset + gain reading(t - delay)
+    measured(t) ~ offset + gain reading(t - delay),    measured ~ gain reading for what is not a record in time
 
 for every channel, by least squares. Use it before a fit, with a model that is roughly right; the estimates of a fit would hide such errors.
 """
@@ -16,11 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Int
+from jaxbody.core.arrays import Array, Int, indices, time_text
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
 from jaxbody.experiments.experiments import Experiment, check_measurements
+from jaxbody.experiments.measured_responses import small_motions
+from jaxbody.experiments.measurements import Measurement
 from jaxbody.models.models import Model
 from jaxbody.sensors.instruments import Accelerometer
 from jaxbody.simulations.readings import measure
@@ -36,13 +39,27 @@ FACTORS = {
     1 / 9.80665: "is it in g?",
     0.0254: "is it in meters instead of inches?",
     1 / 0.0254: "is it in inches?",
+    100.0: "is it in percent, or in hundredths of the sensor's unit?",
+    0.01: "is it in hundreds of the sensor's unit?",
 }
+OF_MODES = {2 * np.pi: "is it in rad/s instead of Hz?", 1 / (2 * np.pi): "is it in Hz instead of rad/s?", 60.0: "is it per minute?"}
+TURNS = {"360 degrees": 360.0, "2 pi": 2 * np.pi}  # of an angle that starts again after each turn
+TURN = 0.3  # largest difference of a jump from a turn, and of the prediction beside it, in turns
+ASIDE = 3.0  # offset of a record, relative to what is left without it, from which it is reported; it is also larger than the variation
+OFFSETS = {"Position": "is it a displacement? Use Displacement", "Displacement": "is it a place? Use Position"}
+ROUNDED = 1e-9  # offset relative to the record that is rounding
+SPAN = 3.0  # ratio of the highest to the lowest frequency from which a power of the frequency is looked for
+OWN = ("WRAPPED", "GAIN_FACTOR")  # which explain an offset or a low correlation
+FAULTS = ("GAIN_FACTOR", "WRAPPED", "SWAPPED", "LEFT_HANDED", "OFFSET", "CONJUGATED", "OTHER_RESPONSE")
+AGREED = 0.5  # correlation of real or imaginary parts of responses that is reported if its sign is wrong
+POWERS = {2: "an acceleration", 1: "a velocity", -1: "a velocity for an acceleration", -2: "a displacement for an acceleration"}
 CLOSE = 0.05  # largest difference of the logarithms of a gain and a factor
 CORRELATED = 0.8  # smallest correlation for which gain and delay are considered
 LATE = 0.05  # smallest delay that is reported, in samples
 SIGNIFICANT = 4.0  # and in standard errors
 HEAVY = 0.3  # smallest predicted mean of an accelerometer, relative to gravity, for which gravity is checked
 LIGHT = 0.2  # measured mean, relative to the predicted one, below which gravity counts as missing
+ALIKE = 1e-6  # smallest singular value of prediction and derivative, relative to the largest, for which there is a delay
 EXPLAINED = 0.5  # share of the variation of a record that its prediction explains, r2, below which it is reported
 UNLIKELY = 6e-5  # unless the rest is white noise, of which this is the p-value at four standard errors
 EARTH = (9.7, 9.9)  # m/s2
@@ -51,7 +68,7 @@ BETTER = 0.7  # relative cost below which another arrangement of channels or axe
 
 @dataclass(frozen=True)
 class Compared:
-    """Comparison of one component of a channel with the prediction."""
+    """Comparison of one component of a channel with the prediction; without delays for what is not a record in time."""
 
     name: str
     gain: float
@@ -75,20 +92,22 @@ class Diagnosis(Result):
         return [tables.PrintedTable("Diagnosis", heads, rows, "\n".join(self.words) or "no remarks")]
 
 
-def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool | None = None, **options: Any) -> Diagnosis:
+def diagnose(model: Model, experiments: dict[str, Measurement], *, progress: bool | None = None, **options: Any) -> Diagnosis:
     """Likely errors of measured channels, from a comparison with the predictions of the model without a fit.
 
     Args:
         model: a model with parameters that are roughly right.
-        experiments: {name: Experiment}.
+        experiments: {name: Experiment, MeasuredResponse, MeasuredModes, MeasuredStiffness or MeasuredCurves}.
         progress: None shows progress on a terminal or in a notebook after five seconds, False is silent.
         options: those of `simulate`.
 
-    Warns GAIN_FACTOR for a gain near 1000, 57.3, 9.81, 39.4 or their inverses, or negative; DELAY for a delay of more than 0.05 samples and
-    4 standard errors of white noise; SWAPPED for two channels whose cost is 30 % lower when exchanged; LEFT_HANDED for three axes that
-    agree with the model only after a reflection; UNCORRELATED for a prediction that explains less than half of the variation of the
-    record, r2 < 0.5, where the difference of both is no white noise: in a noisy record of a small motion it is; GRAVITY for an
-    accelerometer's record without gravity, or with gravity that the model does not have.
+    Warns GAIN_FACTOR for a gain near 1000, 100, 57.3, 9.81, 39.4 or their inverses, or negative; WRAPPED for an angle that jumps by whole
+    turns where the prediction does not; OFFSET for a record that is off by more than its variation and three times the rest; CONJUGATED
+    for responses with phases of the other sign; OTHER_RESPONSE for those of another derivative, such as accelerances; DELAY for a delay of
+    more than 0.05 samples and 4 standard errors of white noise; SWAPPED for two channels whose cost is 30 % lower when exchanged;
+    LEFT_HANDED for three axes that agree with the model only after a reflection; UNCORRELATED for a prediction that explains less than half
+    of the variation of the record, r2 < 0.5, where the difference of both is no white noise: in a noisy record of a small motion it is;
+    GRAVITY for an accelerometer's record without gravity, or with gravity that the model does not have.
     Errors: those of `simulate`, WRONG_KIND, NO_DATA.
 
     >>> times = jnp.linspace(0, 1, 50)
@@ -104,19 +123,107 @@ def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool
     with working("diagnose", progress) as line:
         for name, experiment in experiments.items():
             line(f"'{name}'")
-            initial = experiment.initial
-            run = simulate(model, experiment.times, motion=experiment.motion, loads=experiment.loads, initial=initial, **options)
-            readings = {key: np.asarray(x) for key, x in measure(run, experiment.sensors).items()}
-            channels = _components(name, experiment, readings)
-            step = np.median(np.diff(experiment.times))
-            for key, (y, p, _) in channels.items():
-                compared.append(_compared(key, np.asarray(experiment.times), y, p, step))
-                words += _remarks(compared[-1])
-            arranged = _swapped(channels) + _mirrored(name, experiment, readings)
-            words += arranged + _unrelated(channels, arranged, step) + _without_gravity(name, model, experiment, readings)
+            of_run, remarks = likely_errors(model, name, experiment, _predicted(model, experiment, options))
+            compared += of_run
+            words += remarks
     for code, message in words:
         warn(code, message)
     return Diagnosis(jnp.asarray(Status.OK), tuple(compared), tuple(message for _, message in words))
+
+
+def _predicted(model: Model, experiment: Measurement, options: dict[str, Any]) -> dict[str, Any]:
+    if not isinstance(experiment, Experiment):
+        return experiment.readings(model, None, small_motions(model) if experiment.linear else None)
+    run = simulate(model, experiment.times, motion=experiment.motion, loads=experiment.loads, initial=experiment.initial, **options)
+    return measure(run, experiment.sensors)
+
+
+def likely_errors(
+    model: Model, name: str, experiment: Measurement, predicted: dict[str, Any]
+) -> tuple[list[Compared], list[tuple[str, str]]]:
+    """The comparison of each component of a measurement with its prediction, and the codes and words of likely errors."""
+    readings = {key: np.asarray(x) for key, x in predicted.items()}
+    if not isinstance(experiment, Experiment):
+        return _of_numbers(name, experiment, readings)
+    compared, words = [], []
+    channels, times = _components(name, experiment, readings), np.asarray(experiment.times)
+    step = np.median(np.diff(times))
+    for key, (y, p, unit) in channels.items():
+        compared.append(_compared(key, times, y, p, step))
+        kind = type(experiment.sensors[key.removeprefix(f"{name}.").partition("[")[0]]).__name__
+        own = _wrapped(key, times, y, p, unit) or _remarks(compared[-1])
+        words += own if any(code in OWN for code, _ in own) else own + _aside(key, y, p, unit, kind)
+    arranged = _swapped(channels) + _mirrored(name, experiment, readings)
+    named = arranged + [remark for remark in words if remark[0] in OWN]
+    return compared, words + arranged + _unrelated(channels, named, step) + _without_gravity(name, model, experiment, readings)
+
+
+def faults(errors: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Those with which a fit cannot be right."""
+    return [error for error in errors if error[0] in FAULTS]
+
+
+def _wrapped(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, unit: str) -> list[tuple[str, str]]:
+    """A remark on an angle that starts again after each turn."""
+    valid = np.flatnonzero(np.isfinite(y) & np.isfinite(p))
+    for label, turn in TURNS.items() if unit == "rad" else ():
+        steps = np.abs(np.diff(y[valid])) / turn
+        jumps = (np.abs(steps - 1) < TURN) & (np.abs(np.diff(p[valid])) < TURN * 2 * np.pi)
+        if jumps.any() and (steps[~jumps] < TURN).all():
+            first = time_text(times[valid[1 + np.argmax(jumps)]], times)
+            message = f"{name} jumps by about {label} {jumps.sum()} times, first at t = {first} s, and its prediction does not: "
+            return [("WRAPPED", message + f"add up its turns, np.unwrap(x{', period=360' if turn == 360 else ''})")]
+    return []
+
+
+def _aside(name: str, y: np.ndarray, p: np.ndarray, unit: str, kind: str) -> list[tuple[str, str]]:
+    """A remark on a record with a constant offset; not on an accelerometer, which may lack gravity."""
+    off = (y - p)[np.isfinite(y) & np.isfinite(p)]
+    if not off.size or kind == "Accelerometer":
+        return []
+    offset = float(np.mean(off))
+    if abs(offset) <= max(ASIDE * np.std(off), np.nanstd(y)) or abs(offset) < ROUNDED * np.nanmax(np.abs(y)):
+        return []
+    remedy = OFFSETS.get(kind, "subtract it, or free its bias in the fit")
+    return [("OFFSET", f"{name} is {abs(offset):.4g} {unit} {'above' if offset > 0 else 'below'} the prediction throughout: {remedy}")]
+
+
+def _of_numbers(run: str, measurement: Measurement, readings: dict[str, np.ndarray]) -> tuple[list[Compared], list[tuple[str, str]]]:
+    """The same for what is not a record in time: responses, modes, stiffnesses and curves, which vary about zero."""
+    compared, words = [], []
+    for name in measurement.channels:
+        y, p = np.asarray(measurement.measured[name]), readings[name]
+        for label, column in zip(indices(y.shape[1:]), np.ndindex(*y.shape[1:]), strict=True):
+            own, other = (x[(slice(None), *column)] for x in (y, p))
+            valid = np.isfinite(own) & np.isfinite(other)
+            own, other, key = own[valid], other[valid], f"{run}.{name}{label}"
+            size = float(np.sqrt(np.vdot(own, own).real * np.vdot(other, other).real))
+            if not size:
+                continue
+            product, residual = float(np.vdot(other, own).real), np.linalg.norm(own - other) / np.linalg.norm(own)
+            gain = product / float(np.vdot(other, other).real)
+            compared.append(Compared(key, gain, product / size, np.nan, np.nan, float(residual)))
+            turned = _turned(key, np.asarray(measurement.axis(name)[1])[valid], own, other) if np.iscomplexobj(y) else []
+            words += turned or _remarks(compared[-1], FACTORS | OF_MODES)
+    return compared, words
+
+
+def _turned(name: str, frequencies: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[str, str]]:
+    """A remark on responses of another derivative or with phases of another sign, by their phases alone: resonances of a guess are
+    elsewhere, where its magnitudes tell nothing."""
+    if len(y) < 8 or not (np.abs(y) * np.abs(p)).all():
+        return []
+    powers = np.polyfit(np.log(frequencies), np.log(np.abs(y) / np.abs(p)), 1)[0] if frequencies.min() > 0 else 0.0
+    if frequencies.max() > SPAN * frequencies.min() and round(powers) in POWERS and abs(powers - round(powers)) < 0.25:
+        message = f"{name} grows as f^{round(powers)} relative to the prediction: is it {POWERS[round(powers)]}? Use a sensor that reads it"
+        return [("OTHER_RESPONSE", message)]
+    real, imaginary = (_correlation(a, b) for a, b in (((y / abs(y)).real, (p / abs(p)).real), ((y / abs(y)).imag, (p / abs(p)).imag)))
+    if min(abs(real), abs(imaginary)) < AGREED or min(real, imaginary) > 0:
+        return []
+    if real < 0 and imaginary < 0:
+        return [("GAIN_FACTOR", f"{name} is the negative of the prediction: is its sign or its axis reversed?")]
+    what = "the conjugate" if real > 0 else "the negative conjugate"
+    return [("CONJUGATED", f"{name} is {what} of the prediction: its phases are those of exp(-i 2 pi f t); give np.conj of it")]
 
 
 def _components(run: str, experiment: Experiment, readings: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
@@ -134,10 +241,11 @@ def _components(run: str, experiment: Experiment, readings: dict[str, np.ndarray
 def _fit(columns: list[np.ndarray], y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Coefficients, their standard errors for white noise, and the rms residual."""
     A = np.stack(columns, 1)
-    c = np.linalg.lstsq(A, y, rcond=None)[0]
+    c, _, rank, _ = np.linalg.lstsq(A, y, rcond=ALIKE)
     residual = y - A @ c
     s2 = residual @ residual / max(len(y) - A.shape[1], 1)
-    return c, np.sqrt(s2 * np.diag(np.linalg.pinv(A.T @ A))), float(np.sqrt(np.mean(residual**2)))
+    e = np.sqrt(s2 * np.diag(np.linalg.pinv(A.T @ A))) if rank == A.shape[1] else np.full(len(c), np.inf)
+    return c, e, float(np.sqrt(np.mean(residual**2)))
 
 
 def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: float) -> Compared:
@@ -162,12 +270,12 @@ def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: 
     )
 
 
-def _remarks(c: Compared) -> list[tuple[str, str]]:
+def _remarks(c: Compared, factors: dict[float, str] = FACTORS) -> list[tuple[str, str]]:
     remarks = []
     if abs(c.correlation) > CORRELATED:
-        near = next((f for f in FACTORS if abs(np.log(abs(c.gain) / f)) < CLOSE), None)
+        near = next((f for f in factors if abs(np.log(abs(c.gain) / f)) < CLOSE), None)
         if near is not None:
-            remarks.append(("GAIN_FACTOR", f"{c.name} is {c.gain:.4g} times the prediction: {FACTORS[near]}"))
+            remarks.append(("GAIN_FACTOR", f"{c.name} is {c.gain:.4g} times the prediction: {factors[near]}"))
         elif c.gain < 0:
             remarks.append(("GAIN_FACTOR", f"{c.name} is {c.gain:.4g} times the prediction: is its sign or its axis reversed?"))
         if abs(c.delay) > max(LATE, SIGNIFICANT * c.delay_error):
@@ -203,7 +311,7 @@ def _mirrored(run: str, experiment: Experiment, readings: dict[str, np.ndarray])
         U, S, Vt = np.linalg.svd(y.T @ p)
         power = np.sum(y**2) + np.sum(p**2)
         rotated, mirrored = power - 2 * (S[0] + S[1] + S[2] * np.sign(np.linalg.det(U @ Vt))), power - 2 * S.sum()
-        if np.linalg.det(U @ Vt) < 0 and mirrored < BETTER * rotated:
+        if np.linalg.det(U @ Vt) < 0 and mirrored < BETTER * rotated and rotated > ROUNDED * power:
             remarks.append(("LEFT_HANDED", f"{run}.{name} agrees with the model only when mirrored: are its axes left-handed?"))
     return remarks
 

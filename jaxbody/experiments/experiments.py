@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, is_concrete, module_of
+from jaxbody.core.arguments import check_kind, checked_dict
+from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, is_concrete, module_of, time_text
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.core.units import parse
 from jaxbody.experiments.measurements import Measurement
@@ -25,11 +25,12 @@ from jaxbody.records.samplings import warn_of_rails
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations.integrations import integrate
 from jaxbody.simulations.readings import readings
-from jaxbody.simulations.simulations import check_covered, check_run, motions_of
+from jaxbody.simulations.simulations import check_covered, check_run, most_steps, motions_of
 from jaxbody.simulations.trajectories import Trajectory
 from jaxbody.statics.rest_states import Rest, as_initial, initial_state_of, rest_state
 
 MANY_MISSING = 0.2
+MAX_STEPS = 10_000  # of a run of a fit, or as many for each sample as in `simulate`
 
 
 class Integration(eqx.Module):
@@ -39,12 +40,12 @@ class Integration(eqx.Module):
     solver: diffrax.AbstractSolver | None = None
     stepsize_controller: diffrax.AbstractStepSizeController | None = None
     dt0: Float[Array, ""] | None = eqx.field(default=None, converter=lambda dt: None if dt is None else device_array(dt))
-    max_steps: int = eqx.field(default=10_000, static=True)
+    max_steps: int | None = eqx.field(default=None, static=True)  # by default MAX_STEPS, or more for many samples
 
     def trajectory(self, model: Model, times: Array, motions: Motions, loads: tuple[Load, ...], initial: State | None) -> Trajectory:
         return integrate(
             model, times, motions, loads, initial, self.rtol, self.solver, self.stepsize_controller, diffrax.ForwardMode(),
-            self.dt0, self.max_steps, diffrax.NoProgressMeter(),
+            self.dt0, self.max_steps or most_steps(len(times), MAX_STEPS), diffrax.NoProgressMeter(),
         )  # fmt: skip
 
 
@@ -129,6 +130,9 @@ class Experiment(Measurement):
         }
         valid = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
         levels = None if noise is None else noise_levels(valid, noise, "Experiment.noise", problems, zero=False)
+        self.initial = as_initial(initial)
+        if initial is not None:
+            check_kind(self.initial, (State, Rest), "Experiment.initial", 'jb.State(q, v) or "rest"', problems)
         reserved = {"initial": "is reserved"} | dict.fromkeys(motion, "is the name of a support too")
         for kind, names in (("loads", loads), ("sensors", sensors)):
             for name in [name for name in names if name in reserved]:
@@ -148,7 +152,6 @@ class Experiment(Measurement):
         self.times = device_array(checked)
         self.motion = motions
         self.loads = {name: jax.tree.map(device_array, load) for name, load in loads.items()}
-        self.initial = as_initial(initial)
         self.sensors = {name: jax.tree.map(device_array, sensor) for name, sensor in sensors.items()}
         self.measured = {name: device_array(a) for name, a in arrays.items()}
         self.noise = None if levels is None else {name: device_array(level) for name, level in levels.items()}
@@ -185,7 +188,7 @@ class Experiment(Measurement):
         return "time", self.times, "s"
 
     def place(self, row):
-        return f"t = {float(self.times[row]):.6g} s", float(self.times[row])
+        return f"t = {time_text(self.times[row], self.times)} s", float(self.times[row])
 
     def named(self):
         """The parts with names in paths: the initial state, the motions, the loads, the sensors."""

@@ -24,7 +24,7 @@ SETTLED = 2.0  # residual relative to that of the second half below which a run 
 BETTER = 0.5  # residual of a start at rest, relative to the present one, below which it is recommended
 
 
-def far_off(
+def transients(
     model: Model, experiments: dict[str, Any], predicted: dict[str, dict[str, Any]], noise: dict[str, Any], integration: Integration
 ) -> list[str]:
     """A remark with the remedy for each such run."""

@@ -1,4 +1,5 @@
-"""Plausibility checks: the size of numbers that a wrong unit changes by orders of magnitude, such as millimeters for meters."""
+"""Plausibility checks: the size of numbers that a wrong unit changes by orders of magnitude, such as millimeters for meters, and geometry
+that is drawn apart or does not stay as it is drawn."""
 
 from __future__ import annotations
 
@@ -18,10 +19,12 @@ from jaxbody.core.results import Result
 from jaxbody.core.units import GRAVITY
 from jaxbody.mechanics.energies import potential_energy
 from jaxbody.mechanics.kinematics import retract
+from jaxbody.mechanisms.suspensions import Suspension
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import check_precision
-from jaxbody.models.sizes import size_of
+from jaxbody.models.preconditions import check_precision, unattached
+from jaxbody.models.sizes import drawn_apart, size_of
 from jaxbody.models.states import State
+from jaxbody.statics.equilibria import equilibrium_of
 from jaxbody.vibrations.linearizations import Linearization, linearize
 
 GYRATION = (0.02, 5.0)  # relative to the distance of the farthest attachment point
@@ -31,6 +34,7 @@ SOFT = (1e-9, 5.0)  # the same of the first mode of a model without gravity, whi
 DENSITY = (0.01, 1e5)  # kg/m3
 EARTH = (9.7, 9.9)  # m/s2
 STEPS = (1e-6, 0.5)  # relative to the period of the first mode
+MOST_STEPS = 200  # of the search for the equilibrium
 ZERO = 1e-9  # eigenvalue relative to the largest that counts as zero
 
 
@@ -46,16 +50,21 @@ class Plausibility(Result):
         return [tables.PrintedTable("Plausibility", ("", "value", "", "usual"), rows, "\n".join(self.words) or "no remarks")]
 
 
-def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Plausibility:
-    """Quantities that a wrong unit changes by orders of magnitude, compared with their usual ranges at the reference pose
-    or, with closures, at the nearest configuration that fulfils them.
+def plausibility(model: Model | Suspension, experiments: dict[str, Any] | None = None) -> Plausibility:
+    """Quantities of a model or a suspension that a wrong unit changes by orders of magnitude, compared with their usual ranges at the
+    reference pose or, with closures, at the nearest configuration that fulfils them.
 
     These are the radius of gyration of each body that can rotate, relative to its farthest attachment point (detects kg mm2, or an inertia
     about another point); the mass of all bodies over the cube of the size of the model (mm, g, t); the first natural frequency f and the
     sag under gravity (N/mm, mm), of a model without gravity that which it would have along its first mode, g/(2 pi f)^2 with 9.81 m/s2;
     gravity itself; and the sampling step of `experiments` relative to the first natural period (ms).
 
-    Warns GYRATION, DENSITY, FREQUENCY, SAG, GRAVITY (neither zero nor 9.7 to 9.9 m/s2), TIME_UNIT, FLOAT32. Errors: X64_CHANGED.
+    Named are also mounts whose two frames are drawn more than a twentieth of the size apart, or turned by more than 5 degrees; torsions
+    whose axis is not the same at both ends; and an equilibrium 0.3 of the size or 30 degrees from the drawn pose, as of a pendulum that is
+    drawn sideways.
+
+    Warns GYRATION, DENSITY, FREQUENCY, SAG, GRAVITY (neither zero nor 9.7 to 9.9 m/s2), TIME_UNIT, DRAWN_APART, FAR_FROM_DRAWN, FLOAT32.
+    Errors: X64_CHANGED.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=800.0, free_length=1.0)
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -63,6 +72,7 @@ def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Pla
     >>> plausibility(model).words
     ()
     """
+    model = model.model if isinstance(model, Suspension) else model
     check_precision("plausibility", model)
     numbers: dict[str, tuple[float, str, str]] = {}
     words: list[tuple[str, str]] = []
@@ -95,6 +105,9 @@ def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Pla
         if np.isfinite(first) and len(np.atleast_1d(getattr(run, "times", ()))) > 1:
             ratio = first * float(np.median(np.diff(run.times)))
             note("TIME_UNIT", f"step of '{name}' over the first period", ratio, "", STEPS, "are its times in seconds?")
+    words += [("DRAWN_APART", said) for said in drawn_apart(model)]
+    if model.layout.nv and not unattached(model):
+        words += [("FAR_FROM_DRAWN", said) for said in equilibrium_of(model, None, MOST_STEPS, None).far]
     for code, message in words:
         warn(code, message)
     return Plausibility(jnp.asarray(Status.OK), numbers, tuple(message for _, message in words))

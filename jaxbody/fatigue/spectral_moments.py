@@ -13,9 +13,10 @@ from jaxbody.responses.random_responses import RandomResponse
 
 
 def moments(response: RandomResponse, *orders: int) -> tuple[Float[Array, "ny"], ...]:
-    """The moments of these orders, of w [rad/s]."""
+    """The moments of these orders, of w [rad/s]; infinite where the variance is."""
     w = 2 * jnp.pi * response.frequencies
-    return tuple(jnp.sum(response.psd * (response.weights * w**k)[..., None, :], -1) for k in orders)
+    sums = (jnp.sum(response.psd * (response.weights * w**k)[..., None, :], -1) for k in orders)
+    return tuple(jnp.where(jnp.isinf(response.rms), jnp.inf, each) for each in sums)
 
 
 def check_response(response: Any, where: str) -> None:

@@ -3,7 +3,9 @@
     "21 N/mm"   "-2100, 700, 0 mm"   ["10 mm", "2 cm"]   and, where the file states a unit system, 21e3
 
 Numbers without a unit belong to the unit system of the file; without one they are an error, unless they are zero or the quantity has no
-unit.
+unit. A system may state mass and force, such as "kg" and "N" beside "mm": then stiffnesses are in N/mm, inertias in kg mm2. Where it
+states one of them, the other follows; if that is not kg or N (mm, N, s: tonnes), numbers in it are an error, as they are rarely meant so.
+Where it is the mass, so are accelerations, such as gravity.
 """
 
 from __future__ import annotations
@@ -25,29 +27,42 @@ SI = {"length": "m", "time": "s", "angle": "rad", "mass": "kg"}
 
 @dataclass(frozen=True)
 class UnitSystem:
-    """The factors to SI of the base units of a file."""
+    """The factors to SI of the base units of a file; `derived`: "mass" or "force", where it follows from the others and is not kg or N."""
 
     length: float
     mass: float
+    force: float
     time: float
     angle: float
+    derived: str = ""
 
-    def factor(self, dimension: units.Dimension) -> float:
-        """That of a quantity of this dimension."""
-        m, kg, s, rad, _ = dimension
-        return self.length**m * self.mass**kg * self.time**s * self.angle**rad
+    def factor(self, unit: str) -> float:
+        """That of a quantity in this SI unit, whose word for mass is the kilogram or the newton."""
+        m, kg, s, rad, _ = units.parse(unit, "unit").dimension
+        mass = self.mass if "kg" in unit else self.force * self.time**2 / self.length
+        return self.length**m * mass**kg * self.time**s * self.angle**rad
+
+    def states(self, unit: str) -> bool:
+        """Whether it states what a number without a unit is in, where this is the SI unit of the quantity."""
+        dimension = units.parse(unit, "unit").dimension
+        of = "mass" if "kg" in unit or dimension == units.ACCELERATION else "force" if dimension[1] else ""
+        return not of or of != self.derived
 
 
 def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | None:
-    """The system that a file states: "SI", or units of length, time, angle, and mass or force; None without one. Errors: BAD_UNIT,
+    """The system that a file states: "SI", or units of length, time, angle, and of mass, force or both; None without one. Errors: BAD_UNIT,
     UNKNOWN_UNIT."""
-    hint = 'Write units = "SI", or units = {length = "mm", force = "N", time = "s", angle = "deg"}.'
+    hint = 'Write units = "SI", or units = {length = "mm", mass = "kg", force = "N", time = "s", angle = "deg"}.'
     if stated is None:
         return None
     stated = SI if stated == "SI" else stated
     given = set(stated) if isinstance(stated, dict) else set()
-    if not given or given - set(BASE) or {"length", "time", "angle"} - given or len(given & {"mass", "force"}) != 1:
-        problems.add("BAD_UNIT", where, f"is {stated!r:.60}", value=stated, limit="length, time, angle, and mass or force", hint=hint)
+    missing = {"length", "time", "angle"} - given if given & {"mass", "force"} else {"length", "time", "angle", "mass or force"} - given
+    if missing or given - set(BASE):
+        others = sorted(given - set(BASE))
+        said = [f"has no {' and no '.join(sorted(missing))}"] * bool(missing) + [f"has {', '.join(others)}"] * bool(others)
+        said = said if isinstance(stated, dict) else [f"is {stated!r:.60}"]
+        problems.add("BAD_UNIT", where, " and ".join(said), value=stated, limit="length, time, angle, and mass, force or both", hint=hint)
         return None
     factors = {}
     for name, text in stated.items():
@@ -57,15 +72,22 @@ def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | Non
         factors[name] = unit.factor if unit else 1.0
     length, time = factors["length"], factors["time"]
     mass = factors["mass"] if "mass" in factors else factors["force"] * time**2 / length
-    return UnitSystem(length, mass, time, factors["angle"])
+    force = factors["force"] if "force" in factors else mass * length / time**2
+    derived = next((name for name, of in (("mass", mass), ("force", force)) if name not in factors and abs(of - 1) > 1e-9), "")
+    return UnitSystem(length, mass, force, time, factors["angle"], derived)
 
 
 def dimension(unit: str, words: dict[str, str]) -> units.Dimension:
-    """The dimension of a unit, which may be a formula in words: "force/argument" with {"force": "N", "argument": "m"}; none where the owner
-    does not say what they are."""
+    """The dimension of a unit, which may be a formula in words."""
+    return units.parse(_spelled(unit, words), "unit").dimension
+
+
+def _spelled(unit: str, words: dict[str, str]) -> str:
+    """A unit without words: "force/argument" with {"force": "N", "argument": "m"} is N/m; "1", none, where the owner does not say what they
+    are."""
     for word, meaning in words.items():
         unit = re.sub(rf"\b{word}\b", f"({meaning})", unit)
-    return units.NONE if not unit or re.search(r"\b(force|argument)\b", unit) else units.parse(unit, "unit").dimension
+    return "1" if not unit or re.search(r"\b(force|argument)\b", unit) else unit
 
 
 def in_SI(value: Any, unit: str, words: dict[str, str], system: UnitSystem | None, where: str, problems: Problems) -> Any:
@@ -94,11 +116,14 @@ class _Expected:
     where: str
     problems: Problems
 
-    def dimension(self, index: tuple[tuple[int, int], ...]) -> units.Dimension:
+    def unit(self, index: tuple[tuple[int, int], ...]) -> str:
         """That of the number at an index, each place of which is (i, n): i of n."""
         (i, n), (j, m) = ((0, 1), (0, 1), *index)[-2:]
         row = self.blocks[i * len(self.blocks) // n]
-        return dimension(row[j * len(row) // m].replace("^n", f"^{j + 1}" if j else ""), self.words)
+        return _spelled(row[j * len(row) // m].replace("^n", f"^{j + 1}" if j else ""), self.words)
+
+    def dimension(self, index: tuple[tuple[int, int], ...]) -> units.Dimension:
+        return units.parse(self.unit(index), "unit").dimension
 
 
 def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ...]) -> Any:
@@ -110,7 +135,7 @@ def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
         message = f"is {value!r:.60}, which is not a number"
         expected.problems.add("NOT_A_NUMBER", expected.where, message, value=value, limit="a number, or a text with its unit")
         return 0.0
-    dimension, value = expected.dimension(index), _float(value)
+    unit, dimension, value = expected.unit(index), expected.dimension(index), _float(value)
     if dimension == units.NONE or value == 0 or not math.isfinite(value):
         return value
     if expected.system is None:
@@ -120,8 +145,16 @@ def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
             "NO_UNIT", expected.where, f"is {value:g} without a unit", value=value, limit=f"a unit such as {si}", hint=hint
         )
         return 0.0
+    meant = times(value, expected.system.factor(unit))
+    if not expected.system.states(unit):
+        si, of = units.si_words(dimension), expected.system.derived
+        message = f"is {value:g} without a unit, which would be {meant:.6g} {si} by the units of the file"
+        also = "" if dimension == units.ACCELERATION else f', or add {of} = "{"kg" if of == "mass" else "N"}" to the units of the file'
+        hint = f'Write "{value:g} {si}"{also}.'
+        expected.problems.add("NO_UNIT", expected.where, message, value=value, limit=f"a unit such as {si}", hint=hint)
+        return 0.0
     _warn_of_degrees([value], dimension, expected.system.angle, expected.where)
-    return times(value, expected.system.factor(dimension))
+    return meant
 
 
 def _warn_of_degrees(numbers: list[float], dimension: units.Dimension, factor: float, where: str) -> None:
@@ -175,4 +208,6 @@ def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...])
 def _mismatch(text: str, unit: units.Unit, dimension: units.Dimension, where: str) -> Problem:
     si = units.si_words(dimension)
     hint = f"Give it in {si}." if dimension != units.NONE else "It has no unit."
+    if [a - b for a, b in zip(dimension, unit.dimension, strict=True)] == [1, 0, -2, 0, 0]:  # an acceleration
+        hint += " Pounds and kilograms of force are lbf and kgf."
     return Problem("WRONG_DIMENSION", where, f"is '{text}', in {unit.si}", text, f"a unit such as {si}", hint)

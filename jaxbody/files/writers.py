@@ -6,19 +6,23 @@ import inspect
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import numpy as np
 import tomlkit
 
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import si_words
+from jaxbody.elements.bushings import FramePair
 from jaxbody.files.coordinate_units import coordinate_units, words_of_coupling
 from jaxbody.files.kinds import CLOSURES, ELEMENTS, PLAIN, SECTIONS, TYPES, Argument, arguments_of, definition_of
 from jaxbody.files.quantities import dimension
 from jaxbody.files.schemas import VERSION, schema
 from jaxbody.geometry.closures import Equation
+from jaxbody.geometry.orientations import IDENTITY
 from jaxbody.laws.laws import Function, Law, Linear, Sum
 from jaxbody.models.joints import Free
+from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
 
 IN_LINE = 8  # items
@@ -42,13 +46,24 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
         "bodies": {name: model[name] for name in layout.bodies},
         "supports": {name: model[name] for name in layout.supports},
         "joints": {name: joint for name, joint in joints.items() if not (type(joint) is Free and joint.parent == "world")},
-        "elements": {name: model[name] for name in model.element_names},
+        "elements": {name: _as_given(model, name) for name in model.element_names},
         "closures": {name: model[name] for name in model.closure_names},
     }
     values = {name: {key: writer.table(thing, f"{name}.{key}") for key, thing in things.items()} for name, things in sections.items()}
     writer.problems.raise_if_any()
     first = {"jaxbody": VERSION, "units": "SI", "gravity": numbers_of(model.gravity)}
     return first | {name: tables for name, tables in values.items() if tables}
+
+
+def _as_given(model: Model, name: str) -> Any:
+    """An element, without the orientation of its second frame where this follows from the drawing, to the bit."""
+    element = model[name]
+    if not issubclass(type(element), FramePair):
+        return element
+    plain = eqx.tree_at(lambda m: (m.orientation, m.orientation_b), element, (np.asarray(numbers_of(element.orientation)), None))
+    turns = (np.asarray(numbers_of(model[end].orientation) if end != WORLD else IDENTITY) for end in element.between)
+    followed = plain.as_drawn(*turns).orientation_b
+    return eqx.tree_at(lambda m: m.orientation_b, element, None) if _same(element.orientation_b, followed) else element
 
 
 class Writer:

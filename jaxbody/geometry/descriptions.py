@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxbody.core import tables
@@ -12,6 +13,7 @@ from jaxbody.core.jax_internals import Tracer
 from jaxbody.geometry.fields import kind_of, units_of, words_for
 
 MOST_NUMBERS = 7  # of a row that are printed; of a longer one, its range
+LONGEST = 80  # text of another object, such as a network, that is printed; of a longer one, how many numbers it has
 MATRICES = ("definite", "symmetric", "inertia")
 
 
@@ -46,7 +48,11 @@ def text_of(owner: Any, name: str, words: dict[str, str] | None = None) -> str:
     if isinstance(value, Tracer):
         return "traced"
     if not isinstance(getattr(value, "shape", None), tuple):
-        return getattr(value, "__name__", repr(value)) if callable(value) else repr(value)
+        shown = getattr(value, "__name__", repr(value)) if callable(value) else repr(value)
+        if len(shown) <= LONGEST:
+            return shown
+        count = sum(np.size(x) for x in jax.tree.leaves(value) if hasattr(x, "shape"))
+        return f"{type(value).__name__}({tables.counted(count, 'number')})"
     kind, array = kind_of(owner, name, words), np.asarray(value)
     units = units_of(kind, array.shape)
     if kind.domain in MATRICES and array.ndim == 2 and not np.any(array - np.diag(np.diagonal(array))):

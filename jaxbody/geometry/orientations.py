@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, checked, concrete, nan_unless, of_unit_length
+from jaxbody.core.arrays import Array, Float, as_numpy, checked, concrete, module_of, nan_unless, of_unit_length
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
 
@@ -68,6 +68,12 @@ def _product(p: list[Any], q: list[Any]) -> list[Any]:
     """The quaternion product p q: the rotation q followed by p."""
     (a, b, c, d), (w, x, y, z) = p, q
     return [a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y, a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w]
+
+
+def product(p: Any, q: Any) -> Any:
+    """The product of two quaternions: the rotation q followed by p; in NumPy unless one is traced."""
+    p, q = as_numpy(p), as_numpy(q)
+    return module_of(p, q).stack(_product(list(p), list(q)))
 
 
 def as_quaternion(value: Any, where: str, problems: Problems) -> Any:

@@ -37,8 +37,8 @@ class Fit(Labeled, Result):
     `correlation`, the lag-one correlation of the residuals; `cost` 1/2 r'r; `history`, the cost of every evaluation; `rounds`, the
     evaluations after which the noise was estimated again; `failed`, the number of trials that could not be simulated; `remarks`, remedies.
 
-    `status`: OK, NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED, AT_BOUND or INTERRUPTED. A batch keeps its leading axes; a fit inside jit or
-    vmap has no standard errors.
+    `status`: OK, FAR_OFF, NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED, AT_BOUND or INTERRUPTED. A batch keeps its leading axes; a fit
+    inside jit or vmap has no standard errors.
 
     >>> import inspect
     >>> inspect.signature(fit).return_annotation  # the result of fit
@@ -142,6 +142,8 @@ class Fit(Labeled, Result):
         if status in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED):
             u = self._assessed()
             return f"rank {u.rank} of {len(u.singular_values)}: " + "; ".join(u.words)
+        if status == Status.FAR_OFF and self.at_bound:
+            return f"it ends with {', '.join(self.at_bound)}"
         if status == Status.AT_BOUND:
             given = any(label.endswith(("(lower)", "(upper)")) for label in self.at_bound)
             note = "; its interval is one-sided, the other parameters are estimated with it fixed there"

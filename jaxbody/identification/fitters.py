@@ -26,21 +26,33 @@ from jaxbody.core.arrays import device_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
+from jaxbody.experiments.diagnoses import faults, likely_errors
 from jaxbody.experiments.experiments import Experiment, Integration, check_measurements
-from jaxbody.experiments.initial_transients import far_off
+from jaxbody.experiments.initial_transients import transients
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.experiments.plausibilities import first_frequency
 from jaxbody.experiments.residual_series import records_of
+from jaxbody.experiments.unexplained_records import unexplained
 from jaxbody.identification.checkpoints import resumed, save
 from jaxbody.identification.colorings import PRIORS
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_optax, by_scipy, prepare
-from jaxbody.identification.residuals import Task, first_noise, residual_and_jacobian, rms_residuals, with_estimated_noise
+from jaxbody.identification.residuals import (
+    EXACT,
+    ReadingsAndResiduals,
+    Task,
+    check_start,
+    first_noise,
+    floor,
+    integration_error,
+    residual_and_jacobian,
+    rms_residuals,
+    with_estimated_noise,
+)
 from jaxbody.identification.traced_fits import solve
 from jaxbody.mechanisms.suspensions import Suspension
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
-from jaxbody.models.sizes import size_of
 from jaxbody.parameters.spaces import Space, model_of, space_of
 from jaxbody.simulations.simulations import check_steps
 from jaxbody.statistics.losses import check_loss
@@ -48,7 +60,6 @@ from jaxbody.statistics.uncertainties import RANK, assess, decomposed
 
 SMALL = 1e-3  # largest effect of a parameter that ended at the limit of its domain, relative to the residuals or the largest effect
 ZERO = 2 * RANK  # such an effect that other parameters cannot have, which counts as zero
-EXACT = 100  # residuals up to this many times the integration tolerance are integration error, not noise
 SHORT = 0.25  # shortest record, relative to the first natural period
 ROUNDS = 5  # largest number of times that the noise of each channel is estimated and the fit repeated
 
@@ -66,7 +77,7 @@ def fit(
     solver: diffrax.AbstractSolver | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     dt0: float | None = None,
-    max_steps: int = 10_000,
+    max_steps: int | None = None,
     max_evaluations: int = 2000,
     progress: bool | None = None,
     resume: Fit | str | os.PathLike | None = None,
@@ -87,7 +98,8 @@ def fit(
         priors: {path or pattern: (mean, standard deviation)} of normal distributions, for scalars and vectors; each counts as one more
             measurement.
         loss: None for least squares; "soft_l1" or "cauchy" for data with outliers (`losses`).
-        rtol, solver, stepsize_controller, dt0, max_steps: as in `simulate`.
+        rtol, solver, stepsize_controller, dt0: as in `simulate`.
+        max_steps: largest number of integration steps of a run; by default 10,000, or 30 for each sample if that is more.
         max_evaluations: largest number of evaluations of residuals and Jacobian.
         progress: None shows progress on a terminal or in a notebook after five seconds, False is silent, True prints every evaluation.
         resume: an interrupted fit, or the path of its checkpoint, from which to continue.
@@ -104,8 +116,12 @@ def fit(
 
     Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, BAD_BOUNDS, BAD_PRIOR,
     UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, BAD_DELAY, NONFINITE_START, NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of
-    `simulate`; inside jit and vmap also NO_NOISE, because noise is not estimated there. Warns of any status other than OK, of
-    CORRELATED_RESIDUALS, of FAILED_TRIALS, and of FAR_OFF if the prediction of a run begins far from its first samples.
+    `simulate`; TINY_START for a positive parameter that starts too small to have an effect; inside jit and vmap also NO_NOISE, because
+    noise is not estimated there. Warns of any status other than OK, of CORRELATED_RESIDUALS, of FAILED_TRIALS, and of INITIAL_TRANSIENT if
+    the prediction of a run begins far from its first samples.
+
+    Status FAR_OFF: the fitted model does not explain a record. Residuals exceed half of its variation and are not white noise, or the
+    record agrees with the prediction only with another sign, unit or channel; the report lists what `diagnose` finds.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
@@ -140,14 +156,14 @@ def fit(
         evaluate = Evaluations(
             partial(residual_and_jacobian, task),
             max_evaluations,
-            floor=_floor(task),
+            floor=floor(task),
             progress=progress,
             improved=save_improved,
             line=line,
         )
         try:
             with while_compiling(lambda: _prepare(space, method)):
-                _check_start(task, *evaluate(u)[:2])
+                check_start(task, u, *evaluate(u)[:2])
             for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
                 u, converged = _search(evaluate, task, u, method)
                 status = Status.OK if converged else Status.NOT_CONVERGED
@@ -156,7 +172,7 @@ def fit(
                 task, changed = with_estimated_noise(task, evaluate(u)[2])
                 if not changed:
                     break
-                evaluate.replace_function(partial(residual_and_jacobian, task), _floor(task))
+                evaluate.replace_function(partial(residual_and_jacobian, task), floor(task))
         except KeyboardInterrupt:
             u, status = u if evaluate.best is None else evaluate.best, Status.INTERRUPTED
         result = _finish(evaluate, task, u, status)
@@ -164,18 +180,10 @@ def fit(
     if result.ok and result.uncertainty is not None and result.uncertainty.correlated:
         warn("CORRELATED_RESIDUALS", result.uncertainty.about_noise()[0])
     if result.ok and result.remarks:
-        warn("FAR_OFF", "; ".join(result.remarks))
+        warn("INITIAL_TRANSIENT", "; ".join(result.remarks))
     if evaluate.failed > evaluate.count / 2:
         warn("FAILED_TRIALS", f"{evaluate.failed} of {evaluate.count} trials of the fit could not be simulated")
     return result
-
-
-def _floor(task: Task) -> float:
-    """The norm of a column of the Jacobian below which it is only integration error: an error of rtol times the size of the model in every
-    residual."""
-    weights = [(e.measured[name].size, task.noise[run][name]) for run, e in task.experiments.items() for name in e.channels]
-    weight = np.sqrt(sum(n * np.mean(1 / np.asarray(level) ** 2) for n, level in weights))
-    return float(task.integration.rtol) * float(size_of(task.space.model)) * weight
 
 
 def _check_method(method: Any, bounds: Any, problems: Problems) -> None:
@@ -243,7 +251,7 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
     design, experiments, slopes = _placed(space, device_array(u))
     model = model_of(design)
     inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
-    paths, exact = [parameter.path for parameter in space.parameters], EXACT * _floor(task)
+    paths, exact = [parameter.path for parameter in space.parameters], EXACT * floor(task)
     ends = _ends(task, np.asarray(u), r, J)
     G, linearized = [np.asarray(slopes[path]) for path in paths], task.linearized(runs, J)
     uncertainty = assess(*linearized, G, paths, space.names, records_of(space.runs), inside=inside, ended=ends != "", exact=exact)
@@ -254,6 +262,10 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
         if near
     ]
     at_bound += [f"{label} ({end})" for label, end in zip(space.names, ends, strict=True) if end]
+    predicted = {run: runs[run][0] for run in task.experiments}
+    errors = _unexplained(task, model, experiments, runs) if np.isfinite(r).all() and np.linalg.norm(r) > floor(task) else []
+    if errors and status != Status.INTERRUPTED:
+        status = Status.FAR_OFF
     if status == Status.OK:
         rank = uncertainty.rank + np.count_nonzero(ends != "")
         conditions = (
@@ -262,10 +274,10 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
             (at_bound, Status.AT_BOUND),
         )
         status = next((code for condition, code in conditions if condition), Status.OK)
-    remarks = () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
-    predicted = {run: runs[run][0] for run in task.experiments}
+    remarks = tuple(errors)
+    remarks += () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
     if np.linalg.norm(r) > exact:
-        remarks += tuple(far_off(model, experiments, predicted, task.noise, task.integration))
+        remarks += tuple(transients(model, experiments, predicted, task.noise, task.integration))
     return Fit(
         model=model,
         suspension=design if isinstance(design, Suspension) else None,
@@ -284,6 +296,26 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
         rounds=tuple(evaluate.rounds),
         remarks=remarks,
     )
+
+
+def _unexplained(task: Task, model: Model, experiments: dict[str, Measurement], runs: ReadingsAndResiduals) -> list[str]:
+    """Sentences on records that the fitted model does not explain, and on likely errors of measurements there or at the start, which may be
+    nearer to the truth."""
+    residuals = {
+        run: {
+            name: np.asarray(runs[run][1][name]) * channel.spread(np.asarray(task.noise[run][name])) for name, channel in e.channels.items()
+        }
+        for run, e in task.experiments.items()
+    }
+    sentences = unexplained(experiments, residuals, task.loss is not None, integration_error(task))
+    fitted = [error for run, e in experiments.items() for error in likely_errors(model, run, e, runs[run][0])[1]]
+    if not sentences and not faults(fitted):
+        return []
+    first = residual_and_jacobian(task, device_array(np.zeros(task.space.size)))[2]
+    start = [error for run, e in task.experiments.items() for error in likely_errors(task.space.model, run, e, first[run][0])[1]]
+    other_than_offset = [[error for error in faults(errors) if error[0] != "OFFSET"] for errors in (start, fitted)]  # a unit makes one, too
+    likely = next(filter(None, (*other_than_offset, faults(start), faults(fitted), start, fitted)), [])
+    return sentences + [message for _, message in likely]
 
 
 @jit_unoptimized
@@ -332,22 +364,3 @@ def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
     for name, experiment in experiments.items():
         problems.gather(partial(experiment.check, model, name))
     problems.raise_if_any()
-
-
-def _check_start(task: Task, r: np.ndarray, J: np.ndarray) -> None:
-    """Check that the residuals are finite at the start. Error: NONFINITE_START, with the first residual that is not."""
-    if np.isfinite(r).all():
-        return
-    runs = residual_and_jacobian(task, device_array(np.zeros(task.space.size)))[2]
-    hint = "Start with parameters for which the model can be simulated."
-    for run, (_, residuals) in runs.items():
-        experiment = task.experiments[run]
-        for name, values in residuals.items():
-            bad = np.argwhere(~np.isfinite(np.asarray(values)))
-            if len(bad):
-                place, value = experiment.place(int(bad[0][0]))
-                component = f", component {bad[0][1]}" if bad.shape[1] > 1 else ""
-                why = experiment.explain(task.space.model, task.integration)
-                message = f"is not finite from {place} on{component}, at the start of the fit: {why}"
-                raise JaxbodyError(Problem("NONFINITE_START", f"{run}.{name}", message, value, "finite", hint))
-    raise JaxbodyError(Problem("NONFINITE_START", "fit", "has derivatives that are not finite at the start", hint=hint))

@@ -174,7 +174,7 @@ def _accelerated(steps: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     return u + d - (U + D) @ np.linalg.lstsq(D, d, rcond=1e-6)[0]
 
 
-def _whitened(triangle: tuple[np.ndarray, np.ndarray], columns=slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _whitened(triangle: tuple[np.ndarray, np.ndarray], columns: Any = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """U'r, S and V of J = U S V', without the directions that the data do not determine: the Gauss-Newton step is -V S^-1 U'r."""
     r, J = triangle
     if not np.isfinite(r).all():

@@ -13,18 +13,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.compilation.compile_options import jit_optimized_where
-from jaxbody.core.arrays import Array, Float, as_numpy, module_of
+from jaxbody.core.arrays import Array, Float, as_numpy, device_array, module_of
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.experiments.experiments import Experiment, Integration
 from jaxbody.experiments.measured_responses import small_motions
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.colorings import PRIORS, colors_of, moved_rows
 from jaxbody.models.models import Model
-from jaxbody.models.sizes import take_long
+from jaxbody.models.sizes import size_of, take_long
 from jaxbody.parameters.spaces import Space
+from jaxbody.parameters.transforms import Positive
 from jaxbody.sensors.channels import Channel
 from jaxbody.statistics.losses import linearized, robust_level, root
 from jaxbody.vibrations.linearizations import Linearization
 
+EXACT = 100  # residuals up to this many times the integration tolerance are integration error, not noise
+LEAST_EFFECT = 1e-6  # of a parameter that starts too small, relative to integration errors; smaller ones are rounding
+VISIBLE = 10.0  # effect relative to integration errors of a start that is recommended
 PROPORTION = 0.01  # relative change of the ratio of two noise levels above which the fit is repeated
 
 Levels = dict[str, dict[str, Array]]  # {measurement: {channel: noise}}
@@ -211,3 +216,63 @@ def rms_residuals(task: Task, runs: ReadingsAndResiduals) -> Levels:
         return noise_level(channel, [residuals], [task.experiments[run].present(name)], task.loss)
 
     return {run: {name: of(run, name, channel) for name, channel in e.channels.items()} for run, e in task.experiments.items()}
+
+
+def floor(task: Task) -> float:
+    """The norm of a column of the Jacobian below which it is only integration error: an error of rtol times the size of the model in every
+    residual."""
+    weights = [(e.measured[name].size, task.noise[run][name]) for run, e in task.experiments.items() for name in e.channels]
+    weight = np.sqrt(sum(n * np.mean(1 / np.asarray(level) ** 2) for n, level in weights))
+    return integration_error(task) * weight
+
+
+def integration_error(task: Task) -> float:
+    """An error of rtol times the size of the model."""
+    return float(task.integration.rtol) * float(size_of(task.space.model))
+
+
+def check_start(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> None:
+    """Check that the residuals are finite at the start, and that all positive parameters have an effect there. Errors: NONFINITE_START,
+    with the first residual that is not, TINY_START."""
+    if np.isfinite(r).all():
+        _check_effects(task, u, ~J.any(0))
+        return
+    runs = residual_and_jacobian(task, device_array(u))[2]
+    hint = "Start with parameters for which the model can be simulated."
+    for run, (_, residuals) in runs.items():
+        experiment = task.experiments[run]
+        for name, values in residuals.items():
+            bad = np.argwhere(~np.isfinite(np.asarray(values)))
+            if len(bad):
+                place, value = experiment.place(int(bad[0][0]))
+                component = f", component {bad[0][1]}" if bad.shape[1] > 1 else ""
+                why = experiment.explain(task.space.model, task.integration)
+                if why.startswith("MAX_STEPS"):
+                    hint = "Give a larger max_steps or rtol (in a file [fit] max_steps, in a command --max-steps), or start nearer."
+                message = f"is not finite from {place} on{component}, at the start of the fit: {why}"
+                raise JaxbodyError(Problem("NONFINITE_START", f"{run}.{name}", message, value, "finite", hint))
+    raise JaxbodyError(Problem("NONFINITE_START", "fit", "has derivatives that are not finite at the start", hint=hint))
+
+
+def _check_effects(task: Task, u: np.ndarray, silent: np.ndarray) -> None:
+    """Check that no positive parameter starts so small that integration errors hide its effect, which grows with it. Error: TINY_START,
+    with a size from which it has an effect, as is tried."""
+    space, hidden = task.space, floor(task)
+    units = [unit for p in space.parameters for unit in (space.units(p) if isinstance(p.form, Positive) else [None] * p.form.size)]
+    positive = np.array([unit is not None for unit in units], bool)
+    if not (silent & positive).any():
+        return
+
+    def effects(u: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(np.asarray(residual_and_jacobian(task, device_array(u))[1]), axis=0)
+
+    start = effects(u)
+    small = silent & positive & (start > LEAST_EFFECT * hidden)
+    larger = u + np.where(small, np.log(VISIBLE * hidden / np.where(small, start, 1.0)), 0.0)  # x = x0 exp(u)
+    small &= effects(larger) > hidden if small.any() else False
+    with Problems() as problems:
+        for i in np.flatnonzero(small):
+            value, least = space.numbers(u)[0][i], 10 ** np.ceil(np.log10(space.numbers(larger)[0][i]))
+            message = f"starts at {value:.3g} {units[i]}, where its effect on the data is smaller than integration errors"
+            limit, hint = f"{least:.0e} {units[i]} or more", "Start at the size that you expect."
+            problems.add("TINY_START", space.labels[i], message, value=value, limit=limit, hint=hint)

@@ -18,11 +18,11 @@ import numpy as np
 
 from jaxbody.core import tables, units
 from jaxbody.core.arrays import Array, Float, Int, checked, device_array, shaped
-from jaxbody.core.errors import Problems, Status
+from jaxbody.core.errors import Problems, Status, warn
 from jaxbody.core.results import Result
 from jaxbody.core.tables import counted
 from jaxbody.geometry import rotations
-from jaxbody.inputs.motions import Sampled
+from jaxbody.inputs.motions import LARGEST_TURN, Sampled, unwound
 from jaxbody.inputs.samples import integrals
 from jaxbody.records.records import Record
 
@@ -72,15 +72,19 @@ def base_motion(
         rates: name of a gyro's channel (n, 3) [rad/s]; None: the base does not turn
         axes: (3, 3), the instrument's axes as columns, in world axes with the base in its reference pose; None: the world's axes
         at: position of the instrument from the support's origin [m]; it has an effect only if the base turns
-        gravity: in world axes [m/s2], if the accelerometer reads it (+g upward at rest); required with `rates`, because the base tilts
+        gravity: in world axes [m/s2], if the accelerometer reads it (+g upward at rest), zeros if it does not; required with `rates`,
+            because the base tilts
         degree: degree of the polynomial removed from the accelerations; 0: a constant bias; None: nothing is removed, and the base starts
             at rest in its reference pose
         cutoff: frequency [Hz] below which all motion is removed, real or not; None: no cutoff
 
     The base is in its reference pose on average. The same polynomial is removed from the rates, and one of the next degree from the
-    accelerations, because a drifting angle tilts gravity.
+    accelerations, because a drifting angle tilts gravity. A base that turns on, such as a car on a bend, needs degree=None, as its mean
+    rate is no bias, and may come up to a whole turn.
 
-    Errors, all at once: UNKNOWN_CHANNEL, WRONG_DIMENSION, BAD_SHAPE, GAPS, BAD_OPTION, NO_GRAVITY, BAD_AXES. Warns BASE_JUMP.
+    Errors, all at once: UNKNOWN_CHANNEL, WRONG_DIMENSION, BAD_SHAPE, GAPS, BAD_OPTION, NO_GRAVITY, BAD_AXES, ORIENTATION_JUMP. Warns
+    BASE_JUMP, GRAVITY where the median of what the accelerometer reads is far from -gravity, and TURNS where the rates that are removed
+    amount to more than 30 degrees.
 
     >>> times = jnp.arange(2000) / 100
     >>> record = Record(times, {"acc": (0.2 - jnp.cos(2 * jnp.pi * times), "m/s2")})
@@ -105,10 +109,14 @@ def base_motion(
     a = f @ A.T
     if w is not None:
         turn, removed[:, 3:] = _turned(t, w @ A.T, _slow(t, degree, cutoff))
+        _warn_of_turns(t, removed[:, 3:])
         degree = None if degree is None else degree + 1  # a bias of the rates tilts gravity
-        a = np.asarray(jax.vmap(lambda phi, f: rotations.exp(phi) @ f)(turn, a)) + (0 if g is None else g)
+        a = np.asarray(jax.vmap(lambda phi, f: rotations.exp(phi) @ f)(turn, a))
         if np.any(r):
             a = a - _swing(record.times, turn, r)
+    if g is not None:
+        _warn_of_gravity(f"Record['{acceleration}']", np.median(a, 0), np.asarray(g))
+        a = a + g
     slow = _slow(t, degree, cutoff)
     x0, v0, removed[:, :3] = _drift(t, a, slow)
     motion = Sampled.from_accelerations(
@@ -212,9 +220,8 @@ def _turned(t: np.ndarray, w: np.ndarray, slow: np.ndarray) -> tuple[np.ndarray,
     basis = np.hstack([np.ones((len(t), 1)), integrals(t, slow)[0]])
     drift, start = np.zeros_like(w), np.zeros(3)
     if slow.shape[1]:
-        for _ in range(3):  # first the drift of small turns, then the effect of their order
-            phi = _integrated_turns(t, w - drift, start)
-            c = _least(basis, phi)
+        for i in range(4):  # first the drift of small turns, then the effect of their order
+            c = _least(basis, _integrated_turns(t, w - drift, start) if i else integrals(t, w)[0])
             drift, start = drift + slow @ c[1:], start - c[0]
     return _integrated_turns(t, w - drift, start), drift
 
@@ -232,7 +239,35 @@ def _product(steps: Float[Array, "n 3"], start: Float[Array, "3"]) -> Float[Arra
 
     first = rotations.exp_quaternion(start)
     q = jnp.concatenate([first[None], jax.lax.scan(step, first, steps)[1]])
-    return jax.vmap(rotations.log_quaternion)(q)
+    return unwound(jax.vmap(rotations.log_quaternion)(q))
+
+
+def _warn_of_turns(t: np.ndarray, drift: np.ndarray) -> None:
+    """Warn TURNS where the drift of the rates is that of a base that turned."""
+    turned = integrals(t, drift)[0]
+    angle, i = np.abs(turned).max(), np.abs(turned).max(0).argmax()
+    if angle > LARGEST_TURN:
+        message = f"base_motion removes {np.rad2deg(angle):.4g} degrees {NAMES[3 + i]} over {t[-1]:.4g} s from the rates, "
+        message += f"{np.rad2deg(drift[:, i].mean()):.3g} deg/s on average, as their bias. If the base turned, subtract the bias that they "
+        warn("TURNS", message + "show at rest, and give degree=None.")
+
+
+def _warn_of_gravity(where: str, reading: np.ndarray, gravity: np.ndarray) -> None:
+    """Warn GRAVITY where the median of the specific force, in world axes, is not that of a base that moves about a place: -gravity."""
+    g, size = np.linalg.norm(gravity), np.linalg.norm(reading)
+    if g and np.linalg.norm(reading + gravity) > g / 2:
+        if size < g / 2:
+            hint = "Was gravity taken out already? Then give gravity=[0, 0, 0]."
+        elif np.linalg.norm(reading - gravity) < g / 2:
+            hint = "Its sign is reversed, or an axis: give axes= of the instrument as it is mounted, or change the sign of the channel."
+        else:
+            hint = "Check axes=, gravity= and the unit of the channel."
+    elif not g and abs(size - units.GRAVITY) < 0.1:
+        hint = "It seems to read gravity: give gravity=[0, 0, -9.81]."
+    else:
+        return
+    text = ["[" + ", ".join(f"{x:.3g}" for x in v) + "]" for v in (reading, 0.0 - gravity)]
+    warn("GRAVITY", f"{where} has the median {text[0]} m/s2 in world axes, not {text[1]}, as at rest with this gravity. {hint}")
 
 
 def _swing(times: np.ndarray, turn: np.ndarray, r: np.ndarray) -> np.ndarray:

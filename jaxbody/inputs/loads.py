@@ -6,6 +6,7 @@ A load F, M at a point P of a body enters the equations of motion by its virtual
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -21,7 +22,7 @@ from jaxbody.geometry.fields import field, take
 from jaxbody.geometry.frames import Instant, Wrench
 from jaxbody.geometry.places import direction, ends
 from jaxbody.geometry.vectors import cross, dot, rotate
-from jaxbody.inputs.signals import Signal, as_signal
+from jaxbody.inputs.signals import Signal, as_signal, turned
 
 
 class Load(Described, eqx.Module):
@@ -42,6 +43,15 @@ class Load(Described, eqx.Module):
     def at_point(self, now: Instant) -> Wrench:
         """Force [N] and moment [N m] at the point, in world axes, with the body's frame `now`: p, R, v, w, and the time t."""
 
+    def __init_subclass__(cls, **kwargs: Any):
+        super().__init_subclass__(**kwargs)
+        if "at_point" in vars(cls) and "after" not in vars(cls):
+            cls.after = Load.after  # that of a base class holds for the base class's formula
+
+    def after(self, t0: Float[Array, ""]) -> Load:
+        """The load at the time t0 + t, with signals as `Signal.after` gives them."""
+        return _Later(self, t0)
+
     def signals(self) -> tuple[Signal, ...]:
         """The functions of time (signals) that it contains."""
         return tuple(part for part in vars(self).values() if isinstance(part, Signal))
@@ -54,6 +64,22 @@ class Load(Described, eqx.Module):
         """Force, and moment about the origin of the body, in world axes."""
         F, M = self.at_point(now)
         return F, M + cross(rotate(now.R, self.point), F)
+
+
+class _Later(Load):
+    """A load at the time t0 + t."""
+
+    load: Load = field()
+    t0: Float[Array, ""] = field("s")
+
+    def __init__(self, load: Load, t0):
+        self.on, self.point, self.load, self.t0 = load.on, load.point, load, t0
+
+    def signals(self):
+        return tuple(signal.after(self.t0) for signal in self.load.signals())
+
+    def at_point(self, now):
+        return self.load.at_point(replace(now, t=now.t + self.t0))
 
 
 class Force(Load):
@@ -90,6 +116,9 @@ class Force(Load):
     def at_point(self, now):
         F, M = jnp.asarray(self.force(now.t)), jnp.asarray(self.moment(now.t))
         return (F, M) if self.axes == "world" else (rotate(now.R, F), rotate(now.R, M))
+
+    def after(self, t0):
+        return eqx.tree_at(lambda load: (load.force, load.moment), self, (self.force.after(t0), self.moment.after(t0)))
 
 
 class Unbalance(Load):
@@ -144,6 +173,10 @@ class Unbalance(Load):
         F = self.unbalance * (rate**2 * (c * n1 + s * n2) + change * (s * n1 - c * n2))
         return rotate(now.R, F), jnp.zeros_like(F)
 
+    def after(self, t0):
+        angle = self.phase + turned(self.frequency + 0.5 * self.run_up * t0, t0)
+        return eqx.tree_at(lambda load: (load.frequency, load.phase), self, (self.frequency + self.run_up * t0, angle))
+
 
 class EngineTorque(Load):
     """The reaction torque of a running engine on its block, as a sum over orders (multiples) of the crank's speed,
@@ -191,6 +224,9 @@ class EngineTorque(Load):
         waves = self.amplitudes * jnp.cos(2 * jnp.pi * self.orders * self.frequency * now.t + self.phases)
         M = -(self.mean + jnp.sum(waves)) * rotate(now.R, self.axis)
         return jnp.zeros_like(M), M
+
+    def after(self, t0):
+        return eqx.tree_at(lambda load: load.phases, self, self.phases + turned(self.orders * self.frequency, t0))
 
 
 def _place(on: Any, kind: str, problems: Problems):

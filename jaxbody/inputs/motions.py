@@ -8,17 +8,18 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import is_own, warn_of_degrees
-from jaxbody.core.arrays import Array, Float, check_times, checked, concrete, device_array, shaped
+from jaxbody.core.arrays import Array, Float, check_times, checked, concrete, device_array, shaped, time_text
 from jaxbody.core.errors import Problems, warn
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
-from jaxbody.inputs.samples import checked_rows, curvatures, integrals, interpolated, is_uniform
-from jaxbody.inputs.signals import Delayed, Signal, SignalSum, check_signal, function_of_time
+from jaxbody.inputs.samples import checked_rows, curvatures, integrals, interpolated, is_uniform, kinks_between_cubics, kinks_between_lines
+from jaxbody.inputs.signals import Delayed, Signal, SignalSum, check_signal, function_of_time, turned
 from jaxbody.numerics.elementary_functions import sincos
 
 JUMP = 20  # standard deviations of the steps from sample to sample
@@ -46,6 +47,9 @@ class AtRest(Motion):
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         return jnp.zeros(6, jnp.result_type(t, float))
+
+    def after(self, t0):
+        return self
 
 
 class Harmonic(Motion):
@@ -91,6 +95,11 @@ class Harmonic(Motion):
         phase = jnp.concatenate([self.translation_phase, self.rotation_phase])
         s, c = sincos(2 * jnp.pi * self.frequency * t)  # one sine and cosine where the frequency is one number
         return amplitude * jnp.cos(phase) * c - amplitude * jnp.sin(phase) * s
+
+    def after(self, t0):
+        phase = turned(self.frequency, t0) * jnp.ones(6)
+        phases = self.translation_phase + phase[:3], self.rotation_phase + phase[3:]
+        return eqx.tree_at(lambda motion: (motion.translation_phase, motion.rotation_phase), self, phases)
 
 
 class Sampled(Motion):
@@ -150,10 +159,15 @@ class Sampled(Motion):
         return self.times[0], self.times[-1]
 
     def kinks(self) -> Array | None:
-        return self.times if self.rough else None
+        if self.rough:
+            return kinks_between_lines(self.times, self.curvatures)
+        return kinks_between_cubics(self.times, self.values, self.curvatures)
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         return interpolated(self, t)
+
+    def after(self, t0):
+        return eqx.tree_at(lambda motion: motion.times, self, self.times - t0)
 
 
 def as_motion(motion: Any, where: str = "motion") -> Signal:
@@ -181,7 +195,7 @@ def _samples(times, translation, rotation, problems: Problems, minimum: int, tur
         _columns(translation, n, (3,), "Sampled.translation", problems),
         _columns(rotation, n, (3, 4) if turns else (3,), "Sampled.rotation", problems),
     ]
-    if turns:
+    if turns and rotation is not None and len(columns[1]):
         columns[1] = _continuous(columns[1], problems, "Sampled.rotation")
     problems.raise_if_any()
     assert times is not None
@@ -199,7 +213,8 @@ def warn_of_jumps(values: Any, times: Any, where: str) -> None:
     spread = np.sqrt(np.mean(steps**2, 0))
     if (steps > JUMP * spread).any():
         i, k = np.argwhere(steps > JUMP * spread)[0]
-        message = f"{where} jumps by {steps[i, k]:.4g} along {'xyz'[k]} at {t[i]:.6g} s, {steps[i, k] / spread[k]:.3g} times the usual step"
+        place = f"along {'xyz'[k]} at {time_text(t[i], t)} s"
+        message = f"{where} jumps by {steps[i, k]:.4g} {place}, {steps[i, k] / spread[k]:.3g} times the usual step"
         warn("BASE_JUMP", message)
 
 
@@ -213,13 +228,7 @@ def _continuous(samples, problems: Problems, where: str):
     """Rotation vectors without jumps of a whole turn between samples; neighboring ones must be less than 30 degrees apart."""
     known = concrete(samples)
     if known is None:
-        phi = samples if samples.shape[1] == 3 else rotations.log_quaternion(rotations.normalize(samples))
-
-        def follow(previous, phi):
-            phi = _nearest(previous, phi, jnp)
-            return phi, phi
-
-        return jnp.concatenate([phi[:1], jax.lax.scan(follow, phi[0], phi[1:])[1]])
+        return unwound(samples if samples.shape[1] == 3 else rotations.log_quaternion(rotations.normalize(samples)))
     if known.shape[1] == 4:
         norms = np.linalg.norm(known, axis=1)
         if (abs(norms - 1) > 1e-3).any():
@@ -231,28 +240,32 @@ def _continuous(samples, problems: Problems, where: str):
         v, w = np.where(w < 0, -v, v), abs(w)
         s = np.linalg.norm(v, axis=1, keepdims=True)
         known = v * np.where(s > 0, 2 * np.arctan2(s, w) / np.where(s > 0, s, 1), 2)
-    out = known.copy()
-    for i in range(1, len(out)):
-        out[i] = _nearest(out[i - 1], out[i], np)
+    out = np.asarray(unwound(jnp.asarray(known)))
     steps = np.linalg.norm(np.diff(out, axis=0), axis=1)
     if (steps > LARGEST_TURN).any():
         row = int(np.argmax(steps > LARGEST_TURN))
-        problems.add(
-            "ORIENTATION_JUMP",
-            where,
-            f"turns by {np.rad2deg(steps[row]):.3g} degrees between rows {row} and {row + 1}",
-            value=row,
-            limit="30 degrees",
-            hint="Sample faster, or choose a reference pose from which the motion never reaches a whole turn about a changing axis.",
-        )
+        turn = float(np.linalg.norm(rotations.log(rotations.exp(-out[row]) @ rotations.exp(out[row + 1]))))
+        if turn > LARGEST_TURN:
+            message, limit = f"turns by {np.rad2deg(turn):.3g} degrees between rows {row} and {row + 1}", "30 degrees"
+            hint = "Sample faster."
+        else:
+            message = f"is near a whole turn, {np.rad2deg(np.linalg.norm(out[row])):.4g} degrees, at row {row}, and its axis changes there"
+            limit = "less than a whole turn from the reference pose about a changing axis, where rotation vectors jump"
+            hint = "End the samples before, or count rotations from a pose in the middle of them: up to a whole turn either way."
+        problems.add("ORIENTATION_JUMP", where, message, value=row, limit=limit, hint=hint)
     return out
 
 
-def _nearest(previous, phi, xp):
-    """The rotation vector of the same rotation, up to whole turns about its axis, that is nearest to the previous one. The axis of a zero
-    rotation is that of the previous one."""
-    along = xp.where(xp.any(phi != 0), phi, previous)
-    square = xp.sum(along * along)
-    axis = along / xp.sqrt(xp.where(square > 0, square, 1.0))
-    turns = xp.round(xp.sum((previous - phi) * axis) / (2 * np.pi))
-    return phi + 2 * np.pi * turns * axis
+@jax.jit
+def unwound(phi: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """Rotation vectors of the same rotations, each up to whole turns about its axis, nearest to the one before. The axis of a zero rotation
+    is that of the one before."""
+
+    def follow(previous, phi):
+        along = jnp.where(jnp.any(phi != 0), phi, previous)
+        square = jnp.sum(along * along)
+        axis = along / jnp.sqrt(jnp.where(square > 0, square, 1.0))
+        phi = phi + 2 * np.pi * jnp.round(jnp.sum((previous - phi) * axis) / (2 * np.pi)) * axis
+        return phi, phi
+
+    return jnp.concatenate([phi[:1], jax.lax.scan(follow, phi[0], phi[1:])[1]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,7 +21,8 @@ from jaxbody.inputs.signals import Signal
 class Pulse(Signal):
     """The base of pulses: amplitude f((t - start)/duration), f given from 0 to 1, zero before and after.
 
-    Of a pulse [m/s2], `motion(direction)` is the motion with this acceleration, and `samples()` the record of it for a spectrum."""
+    Of a pulse [m/s2], `motion(direction)` is the motion with this acceleration, and `samples()` a record of it; `shock_spectrum` takes the
+    pulse itself."""
 
     amplitude: Float[Array, ""] = field("value")
     duration: Float[Array, ""] = field("s", "positive")
@@ -47,6 +49,9 @@ class Pulse(Signal):
         inside = (u >= 0) & (u < 1)
         return jnp.where(inside, self.amplitude * self.shape(jnp.where(inside, u, 0.0))[0], 0.0)
 
+    def after(self, t0):
+        return eqx.tree_at(lambda pulse: pulse.start, self, self.start - t0)
+
     def kinks(self):
         return self.start + self.duration * jnp.stack([jnp.asarray(u, float) for u in self.corners()])
 
@@ -56,7 +61,8 @@ class Pulse(Signal):
         return PulseMotion(self, axis)
 
     def samples(self, *, count: int = 200, lengths: int = 20) -> tuple[Array, Array]:
-        """Times [s] and values, equally spaced, as `shock_spectrum` takes them; where the pulse jumps, the mean of both sides.
+        """Times [s] and values, evenly spaced, as records are. A jump becomes a line over two steps h through the mean of both sides, which
+        lowers what responds to it at a frequency f by the ratio (2 pi f h)^2/6: `shock_spectrum` of the pulse itself is exact.
 
         Args:
             count: steps in the pulse.
@@ -99,6 +105,9 @@ class PulseMotion(Motion):
         _, velocity, displacement = self.pulse.shape(u)
         size = self.pulse.amplitude * self.pulse.duration**2
         return jnp.concatenate([size * (displacement + velocity * (s - u)) * self.axis, jnp.zeros(3, self.axis.dtype)])
+
+    def after(self, t0):
+        return eqx.tree_at(lambda motion: motion.pulse, self, self.pulse.after(t0))
 
     def kinks(self):
         return self.pulse.kinks()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,7 @@ from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, f
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.inputs.motions import Motion
+from jaxbody.inputs.samples import kinks_between_lines
 
 FEWEST = 16  # pieces of a profile in the window
 
@@ -35,8 +37,8 @@ class Road(Motion):
     All numbers may be free in a fit. z_f is NaN if the footprint is later changed to more than twice its length and then covers more than
     16 pieces of the profile.
 
-    The profile has a kink at every point, which costs adaptive steps many rejected trials: for a rough road use constant steps, no longer
-    than the time between points. Springs and dampers follow the profile exactly; a joint on the support would miss the jumps of velocity
+    The profile has a kink at every point, at which adaptive steps end: for a rough road use constant steps, no longer than the time
+    between points. Springs and dampers follow the profile exactly; a joint on the support would miss the jumps of velocity
     at kinks.
 
     Errors: NOT_INCREASING distances, BAD_FOOTPRINT below zero, BAD_SHAPE, NON_FINITE, COMPLEX, NOT_A_NUMBER.
@@ -93,6 +95,15 @@ class Road(Motion):
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         z = self.felt(self.position + self.speed * t)
         return jnp.zeros(6, z.dtype).at[2].set(z)
+
+    def kinks(self):
+        at = kinks_between_lines(self.distances, self.heights)
+        patch = jnp.concatenate([at - self.footprint / 2, at + self.footprint / 2])
+        times = (patch - self.position) / jnp.where(self.speed != 0, self.speed, 1.0)
+        return jnp.where((self.speed != 0) & jnp.isfinite(patch), times, jnp.inf)
+
+    def after(self, t0):
+        return eqx.tree_at(lambda road: road.position, self, self.position + self.speed * t0)
 
     def felt(self, s: Float[Array, ""]) -> Float[Array, ""]:
         """z_f at the distance s [m] of the middle of the patch: the sum over the pieces of the profile in the patch of length times height

@@ -1,4 +1,5 @@
-"""Functions through samples in time: checked rows, straight lines and cubic splines between them, integrals of broken lines."""
+"""Functions through samples in time: checked rows, straight lines and cubic splines between them, integrals of broken lines, and where
+records have kinks or begin to act."""
 
 from __future__ import annotations
 
@@ -10,6 +11,11 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, concrete, float_array, module_of
 from jaxbody.core.errors import Problems
+
+STRAIGHT = 1e-9  # changes of slope, and curvatures, relative to the largest of the record, below which it is straight
+FEW_SAMPLES = 4  # the shortest half of a record
+FINE = 1e-6  # of the range of a record: where the third derivative of a cubic spline moves it by less, it is smooth
+UNEVEN = 16  # a parabola through zero differs by 9 from one half to the other
 
 
 def checked_rows(value: Any, n: int | None, widths: tuple[int | str | None, ...], where: str, problems: Problems) -> Any:
@@ -75,6 +81,47 @@ def is_uniform(times) -> bool:
     n = len(known)
     grid = known[0] + (known[-1] - known[0]) * np.arange(n) / (n - 1)
     return bool(np.abs(known - grid).max() < 1e-9 * (known[-1] - known[0]) / (n - 1))
+
+
+def kinks_between_lines(t: Float[Array, "n"], y: Float[Array, "n *k"]) -> Float[Array, "n"]:
+    """The samples at which straight lines through samples have a kink; inf in place of the others."""
+    y = y.reshape(len(y), -1)
+    change = jnp.abs(jnp.diff(jnp.diff(y, axis=0) / jnp.diff(t)[:, None], axis=0))
+    ends = jnp.ones(1, bool)
+    bends = jnp.concatenate([ends, jnp.any(change > STRAIGHT * jnp.max(change, 0, keepdims=True, initial=0), 1), ends])
+    return jnp.where(bends, t, jnp.inf)
+
+
+def kinks_between_cubics(t: Float[Array, "n"], y: Float[Array, "n *k"], curvature: Float[Array, "n *k"]) -> Float[Array, "_"]:
+    """The samples at which the third derivative of a cubic spline jumps, and those at which a smooth record becomes far more or far less
+    active; inf in place of others. A method of high order takes up to ten steps to get over such a jump, half of them in vain.
+
+        h^3/6 |jump of d3y/dt3| > FINE (max y - min y)
+    """
+    y, m = (x.reshape(len(t), -1) for x in (y, curvature))
+    jump, h = jnp.diff(jnp.diff(m, axis=0) / jnp.diff(t)[:, None], axis=0), (t[2:] - t[:-2])[:, None] / 2
+    rough = jnp.any(h**3 / 6 * jnp.abs(jump) > FINE * jnp.ptp(y, 0, keepdims=True), 1)
+    return jnp.concatenate([jnp.where(rough, t[1:-1], jnp.inf), changes_of_activity(t, curvature)])
+
+
+def changes_of_activity(t: Float[Array, "n"], curvature: Float[Array, "n *k"]) -> Float[Array, "_"]:
+    """The samples at which a smooth record becomes far more or far less active; inf in place of others. A step that ends there cannot
+    reach over a shock after quiet.
+
+    The record is halved, each half again, and so on down to a few samples: a middle counts where the largest curvatures of its two sides
+    differ by more than UNEVEN. So the parts between become shorter towards a shock, like it."""
+    size = jnp.abs(curvature.reshape(len(t), -1))
+    size = size + STRAIGHT * jnp.max(size, 0, keepdims=True)
+    found, width = [], FEW_SAMPLES
+    while width < len(t):
+        halves = -(-len(t) // (2 * width))
+        padded = jnp.concatenate([size, jnp.broadcast_to(size[-1:], (2 * width * halves - len(t), size.shape[1]))])
+        left, right = jnp.moveaxis(jnp.max(padded.reshape(halves, 2, width, -1), 2), 1, 0)
+        middle = np.minimum(width * (2 * np.arange(halves) + 1), len(t) - 1)
+        uneven = jnp.any((left > UNEVEN * right) | (right > UNEVEN * left), 1)
+        found.append(jnp.where(uneven, t[middle], jnp.inf))
+        width *= 2
+    return jnp.concatenate(found) if found else t[:0]
 
 
 @jax.jit

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import check_one_of, check_returned, kind_of, plain, warn_of_degrees
-from jaxbody.core.arrays import Array, Float, check_times, device_array, functions_as_nodes, shaped
+from jaxbody.core.arrays import Array, Float, check_times, device_array, functions_as_nodes, is_concrete, shaped
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field
-from jaxbody.inputs.samples import cell, checked_rows, curvatures, interpolated, is_uniform
+from jaxbody.inputs.samples import cell, checked_rows, curvatures, interpolated, is_uniform, kinks_between_cubics, kinks_between_lines
 
 __all__ = [
     "Constant",
@@ -45,12 +45,23 @@ class Signal(Described, eqx.Module):
     @abstractmethod
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "*k"]: ...
 
+    def __init_subclass__(cls, **kwargs: Any):
+        super().__init_subclass__(**kwargs)
+        if "__call__" in vars(cls) and "after" not in vars(cls):
+            cls.after = Signal.after  # that of a base class holds for the base class's formula
+
+    def after(self, t0: Float[Array, ""]) -> Signal:
+        """signal(t0 + t), as integration needs it: t0 + t is rounded, by 2e-7 s at 1.6e9 s, so signals with times of their own subtract t0
+        from these."""
+        return Delayed(self, -t0)
+
     def covers(self) -> tuple[Any, Any]:
         """First and last time [s] at which it is known."""
         return -np.inf, np.inf
 
     def kinks(self) -> Array | None:
-        """Times [s] at which it is not smooth, where integration steps should end; None if there are none."""
+        """Times [s] at which it is not smooth, or begins or ceases to act, where integration steps end; None if there are none. Of times
+        inf nothing is known."""
 
     def __add__(self, other: Signal | Callable[[Array], Array]) -> SignalSum:
         return SignalSum((self, function_of_time(other)))
@@ -67,9 +78,13 @@ class SignalSum(Signal):
     def __call__(self, t):
         return sum((term(t) for term in self.terms[1:]), self.terms[0](t))
 
+    def after(self, t0):
+        return SignalSum(tuple(term.after(t0) for term in self.terms))
+
     def covers(self) -> tuple[Any, Any]:
         first, last = zip(*(term.covers() for term in self.terms), strict=True)
-        return max(first), min(last)
+        xp = np if is_concrete(first, last) else jnp
+        return xp.max(xp.asarray(first)), xp.min(xp.asarray(last))
 
     def kinks(self) -> Array | None:
         return kinks_of(self.terms)
@@ -98,6 +113,9 @@ class Delayed(Signal):
     def __call__(self, t):
         return self.signal(t - self.delay)
 
+    def after(self, t0):
+        return Delayed(self.signal.after(t0), self.delay)
+
     def covers(self) -> tuple[Any, Any]:
         first, last = self.signal.covers()
         return first + self.delay, last + self.delay
@@ -118,6 +136,9 @@ class Constant(Signal):
 
     def __call__(self, t) -> Any:
         return self.value
+
+    def after(self, t0):
+        return self
 
 
 class Sine(Signal):
@@ -140,6 +161,9 @@ class Sine(Signal):
 
     def __call__(self, t):
         return self.amplitude * jnp.cos(2 * jnp.pi * self.frequency * t + self.phase)
+
+    def after(self, t0):
+        return eqx.tree_at(lambda sine: sine.phase, self, self.phase + turned(self.frequency, t0))
 
 
 class Samples(Signal):
@@ -174,7 +198,15 @@ class Samples(Signal):
         return self.times[0], self.times[-1]
 
     def kinks(self):
-        return self.times if self.kind == "linear" else None
+        if self.kind == "hold":
+            jumps = jnp.any(jnp.diff(self.values.reshape(len(self.times), -1), axis=0) != 0, 1)
+            return jnp.where(jumps, self.times[1:], jnp.inf)
+        if self.curvatures is None:
+            return kinks_between_lines(self.times, self.values)
+        return kinks_between_cubics(self.times, self.values, self.curvatures)
+
+    def after(self, t0):
+        return eqx.tree_at(lambda samples: samples.times, self, self.times - t0)
 
     def __call__(self, t):
         if self.kind != "hold":
@@ -194,6 +226,11 @@ class Function(Signal):
 
     def __call__(self, t):
         return self.function(t)
+
+
+def turned(frequency: Any, t: Any) -> Array:
+    """The angle 2 pi f t without whole turns."""
+    return 2 * jnp.pi * (frequency * t - jnp.floor(frequency * t))
 
 
 def kinks_of(signals: Iterable[Signal]) -> Array | None:

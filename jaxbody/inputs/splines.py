@@ -13,6 +13,7 @@ from jaxbody.core.arrays import Array, Float, checked, device_array, shaped
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field
 from jaxbody.inputs.motions import Motion, as_motion
+from jaxbody.inputs.samples import kinks_between_cubics
 from jaxbody.inputs.signals import Signal
 
 AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
@@ -66,9 +67,16 @@ class Spline(Motion):
     def covers(self) -> tuple[Any, Any]:
         return self.start, self.stop
 
+    def kinks(self):
+        t = jnp.linspace(self.start, self.stop, len(self.values) - 2)
+        return kinks_between_cubics(t, self.values[1:-1], jnp.diff(self.values, 2, axis=0) / (t[1] - t[0]) ** 2)
+
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         i, weights = self._weights(t)
         return weights @ self.values[i + np.arange(4)] @ self.directions
+
+    def after(self, t0):
+        return eqx.tree_at(lambda motion: (motion.start, motion.stop), self, (self.start - t0, self.stop - t0))
 
     def _weights(self, t: Float[Array, ""]):
         """The first of the four coefficients at time t, and their weights, with u the position in the interval."""

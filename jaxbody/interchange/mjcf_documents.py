@@ -15,6 +15,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.source_files import check_file
 
 DEEPEST = 200
+ROOTS = ("mujoco", "robot")  # of MJCF and URDF
 MAIN = "main"  # the class of all elements
 ALIASES = {"spatial": "tendon", "fixed": "tendon"}  # whose defaults are stated by another name
 NO_DTD = "Entities can make a small file endless: write their text in their places."
@@ -36,8 +37,9 @@ class Node:
 
 @dataclass
 class MjcfDocument:
-    """A file with those it includes: its sections, and the attributes that each class gives to elements of a tag."""
+    """A file with those it includes: the tag of its root, its sections, and the attributes that each class gives to elements of a tag."""
 
+    root: str
     sections: list[Node]
     classes: dict[str, dict[str, dict[str, str]]]
     problems: Problems
@@ -107,24 +109,25 @@ def read_document(path: Path, largest: float) -> MjcfDocument:
 
     Errors: those of files, SYNTAX, ENCODING, WRONG_KIND for a document type, WRONG_FORMAT, TOO_LARGE, OUTSIDE_FOLDER, LOOP."""
     with Problems() as problems:
-        sections = _content(path, path.parent, largest, set())
+        root = _content(path, path.parent, largest, set())
+        sections = root.children
     classes: dict[str, dict[str, dict[str, str]]] = {MAIN: {}}
     for node in sections:
         if node.tag == "default":
             _collect(node, MAIN, {}, classes)
             classes[node.attributes.get("class", MAIN)] = classes[MAIN]
-    return MjcfDocument(sections, classes, problems)
+    return MjcfDocument(root.tag, sections, classes, problems)
 
 
-def _content(path: Path, folder: Path, largest: float, read: set[Path]) -> list[Node]:
-    """The elements of a file, with those of the files that it includes in their places."""
+def _content(path: Path, folder: Path, largest: float, read: set[Path]) -> Node:
+    """The root of a file, with the elements of the files that it includes in their places."""
     root = _parsed(path, largest)
-    if root.tag != "mujoco" and not read:
+    if root.tag not in ROOTS and not read:
         message = f"has the root element '{root.tag:.60}'"
-        raise JaxbodyError(Problem("WRONG_FORMAT", root.where, message, root.tag, "mujoco", "Is it a URDF, or another XML file?"))
+        raise JaxbodyError(Problem("WRONG_FORMAT", root.where, message, root.tag, ", ".join(ROOTS), "Is it another XML file?"))
     read.add(path)
     _include(root, folder, largest, read)
-    return root.children
+    return root
 
 
 def _include(node: Node, folder: Path, largest: float, read: set[Path]) -> None:
@@ -140,7 +143,7 @@ def _include(node: Node, folder: Path, largest: float, read: set[Path]) -> None:
             raise JaxbodyError(Problem("OUTSIDE_FOLDER", child.where, message, name, limit, "Copy it there."))
         if folder / name in read:
             raise JaxbodyError(Problem("LOOP", child.where, f"includes '{name}' once more", name, "each file once"))
-        children += _content(folder / name, folder, largest, read)
+        children += _content(folder / name, folder, largest, read).children
     node.children = children
 
 

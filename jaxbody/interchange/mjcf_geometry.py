@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxbody.core.arrays import of_unit_length
-from jaxbody.geometry.orientations import IDENTITY, as_quaternion, matrix
+from jaxbody.geometry.orientations import IDENTITY, as_quaternion, matrix, product
 from jaxbody.interchange.mjcf_documents import Attributes
 from jaxbody.models.bodies import Body
 
@@ -41,12 +41,6 @@ class Place:
 
 
 ORIGIN = Place(np.zeros(3), np.array(IDENTITY))
-
-
-def product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """The quaternion product: the rotation q followed by p."""
-    (w, *u), (x, *v) = p, q
-    return np.array([w * x - np.dot(u, v), *(w * np.array(v) + x * np.array(u) + np.cross(u, v))])
 
 
 def about(n: np.ndarray, angle: float) -> np.ndarray:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,27 +12,24 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.elements.elements import Element
-from jaxbody.elements.springs import Spring, SpringDamper
 from jaxbody.files.documents import LARGEST
-from jaxbody.interchange.mjcf_documents import MAIN, Attributes, Node, read_document
+from jaxbody.interchange.mjcf_assemblies import FramesOfFile, JointOfBody, tendon
+from jaxbody.interchange.mjcf_compiled import CompiledReader, compiled
+from jaxbody.interchange.mjcf_documents import MAIN, Attributes, MjcfDocument, Node, read_document
 from jaxbody.interchange.mjcf_geometry import ORIGIN, Place, place_of, solid
-from jaxbody.interchange.mjcf_joints import LARGE_TURNS, JointOfBody, joint_of, spring_of
-from jaxbody.laws.spring_laws import TensionOnly
-from jaxbody.models.bodies import Body, Support
-from jaxbody.models.joints import Fixed, Joint
+from jaxbody.models.bodies import Body
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
 
 EARTH = (0, 0, -9.81)
-READ = ("compiler", "option", "default", "worldbody", "tendon")  # sections
 OF_JOINTS = ("name", "class", "type", "pos", "axis", "stiffness", "damping", "springref", "ref", "group", "user")
 OF_TENDONS = ("name", "class", "stiffness", "damping", "springlength", "group", "user", "width", "rgba", "material")
 OF_LIMITS = (
     "limited", "margin", "solreflimit", "solimplimit", "solreffriction", "solimpfriction", "actuatorfrcrange", "actuatorfrclimited",
 )  # fmt: skip
-MEDIUM = ("density", "viscosity", "wind", "magnetic")
-PASSIVE = ("passive", "spring", "damper")
 WITHOUT_EFFECT = ("0", "0 0", "false", "none", "auto")
+IN_BODIES = ("body", "frame", "inertial", "joint", "freejoint", "geom", "site", "camera", "light")
+BY_MUJOCO = "MuJoCo's own compiler reads it: pip install 'jaxbody[mujoco]'."
 
 
 class LeftOut(NamedTuple):
@@ -56,7 +53,11 @@ class MjcfModel(tables.Printed):
 
 
 def read_mjcf(path: Any, *, largest: float = LARGEST) -> MjcfModel:
-    """The model in an MJCF file, and what was left out of it.
+    """The model in an MJCF or URDF file, and what was left out of it.
+
+    Where the package mujoco is installed (`jaxbody[mujoco]`), MuJoCo's own compiler says what the file means, in a process of its own, and
+    masses are those of its meshes, too; it reads no file out of the folder of this one. Without it, and where it refuses the file, as one
+    whose meshes are missing, jaxbody reads MJCF by itself, and refuses what it does not know in bodies.
 
     A body with joints becomes a body: one joint becomes a Free, Ball, Hinge or Guide, several become a Composite. A body without joints
     becomes a support if it stands in the world, else it is Fixed to its parent, or a part of it where one of the two has no mass. Springs
@@ -68,7 +69,8 @@ def read_mjcf(path: Any, *, largest: float = LARGEST) -> MjcfModel:
         largest: largest size of each file [bytes]
 
     Errors, all at once with their lines: those of files, SYNTAX, ENCODING, WRONG_FORMAT, WRONG_KIND, OUTSIDE_FOLDER, LOOP, UNKNOWN_NAME,
-    NOT_A_NUMBER, MISSING_ENTRY for an inertia that only a mesh would tell, and those of bodies, joints and elements.
+    NOT_A_NUMBER, MISSING_ENTRY for an inertia that only a mesh would tell, MISSING_EXTRA for a URDF without mujoco, and those of bodies,
+    joints and elements.
 
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp(), "pendulum.xml")
@@ -77,58 +79,38 @@ def read_mjcf(path: Any, *, largest: float = LARGEST) -> MjcfModel:
     ...   <geom type="sphere" size="0.1" mass="2" pos="0 0 -0.5"/>
     ... </body></worldbody></mujoco>''')
     >>> read = read_mjcf(path)
-    >>> read.model["bob"].com.tolist(), [each.what for each in read.left_out]
+    >>> read.model["bob"].com.tolist(), sorted(each.what for each in read.left_out)
     ([0.0, 0.0, -0.5], ['armature of joints', 'contact of geoms'])
     """
     path = Path(path)
-    reader = MjcfReader(path, largest)
-    with reader.problems:
-        reader.world()
-    with reader.problems:
-        parts = reader.parts()
+    document = read_document(path, largest)
+    arrays, refusal = compiled(path, document)
+    reader: Any = MjcfReader(path, document) if arrays is None else CompiledReader(path, document, arrays)
+    if document.root == "robot" and arrays is None:
+        hint = BY_MUJOCO if refusal is None else "It is read by MuJoCo's compiler alone."
+        code, message = ("MISSING_EXTRA", "is a URDF") if refusal is None else ("WRONG_FORMAT", f"is a URDF that MuJoCo refuses: {refusal}")
+        raise JaxbodyError(Problem(code, path.name, message, limit="a file of MuJoCo", hint=hint))
+    try:
+        with reader.problems:
+            reader.world()
+        with reader.problems:
+            parts = reader.made()
+    except JaxbodyError as error:
+        said = [Problem("UNREADABLE", path.name, f"is not read by MuJoCo's compiler either: {refusal}")] if refusal else []
+        raise JaxbodyError(*error.problems, *said) from None
     return MjcfModel(Model(**parts), tuple(LeftOut(where, what, count) for what, (where, count) in reader.left_out.items()))
 
 
-@dataclass
-class Carried:
-    """A frame of the model: what carries it, where it is there and in the world, its joints, and parts that make up its mass. One that
-    does not move is a support."""
+class MjcfReader(FramesOfFile):
+    """Reads one document, without MuJoCo."""
 
-    where: str
-    parent: str
-    on_parent: Place
-    place: Place
-    moves: bool
-    joints: list[JointOfBody]
-    parts: list[Body] = field(default_factory=list)
-
-
-class MjcfReader:
-    """Reads one document."""
-
-    def __init__(self, path: Path, largest: float):
-        self.document = read_document(path, largest)
-        self.problems = self.document.problems
+    def __init__(self, path: Path, document: MjcfDocument):
+        super().__init__(document)
         self.compiler = Attributes(self.document.settings("compiler"), f"{path.name} compiler", self.problems)
         self.option = Attributes(self.document.settings("option"), f"{path.name} option", self.problems)
         self.degrees = self.compiler.text("angle", "degree") != "radian"
-        self.carried: dict[str, Carried] = {}
         self.sites: dict[str, tuple[str, np.ndarray]] = {}  # on a frame, in its axes
         self.total = 0.0  # mass [kg] of the file
-        self.elements: dict[str, Element] = {}
-        self.left_out: dict[str, tuple[str, int]] = {}
-
-    def leave_out(self, what: str, where: str) -> None:
-        first, count = self.left_out.get(what, (where, 0))
-        self.left_out[what] = first, count + 1
-
-    def gather(self, where: str, make: Callable[[], Any]) -> Any:
-        """What `make` returns; None with its problems, at their line, where it fails."""
-        try:
-            return make()
-        except JaxbodyError as error:
-            self.problems.collected += [Problem(x.code, f"{where} {x.where}", x.message, x.value, x.limit, x.hint) for x in error.problems]
-            return None
 
     def place(self, a: Attributes) -> Place:
         return place_of(a, self.degrees, self.sequence)
@@ -146,21 +128,10 @@ class MjcfReader:
         if self.compiler.text("coordinate", "local") != "local":
             hint = "Let an older MuJoCo save it with local ones."
             self.problems.add("WRONG_KIND", self.compiler.where, "has global coordinates", limit="coordinate='local'", hint=hint)
-        for node in self.document.sections:
-            if node.tag == "worldbody":
-                for child, place, kind in self.contents(node, ORIGIN, node.attributes.get("childclass", MAIN)):
-                    self.thing(child, WORLD, place, kind)
-            elif node.tag not in READ:
-                for child in node.children:
-                    self.leave_out(f"{node.tag} {child.tag}", child.where)
-            elif node.tag == "option":
-                for name in MEDIUM:
-                    if set(node.attributes.get(name, "0").split()) != {"0"}:
-                        self.leave_out(f"{name} of the medium", node.where)
-                for flag in node.all("flag"):
-                    for name in PASSIVE:
-                        if flag.attributes.get(name) == "disable":
-                            self.leave_out(f"flag that disables {name}", flag.where)
+        self.leave_out_sections()
+        for node in self.document.all("worldbody"):
+            for child, place, kind in self.contents(node, ORIGIN, node.attributes.get("childclass", MAIN)):
+                self.thing(child, WORLD, place, kind)
         if self.compiler.flag("balanceinertia"):
             self.leave_out("balanceinertia", self.compiler.where)
 
@@ -186,37 +157,23 @@ class MjcfReader:
                 self.leave_out("contact of geoms", node.where)
             if a.text("fluidshape", "none") != "none":
                 self.leave_out("fluidshape of geoms", node.where)
-        elif node.tag not in ("inertial", "joint", "freejoint"):
+        elif node.tag in ("camera", "light"):
             self.leave_out(node.tag, node.where)
+        elif node.tag not in ("inertial", "joint", "freejoint"):
+            message = f"is an element '{node.tag:.60}', which may have mass"
+            self.problems.add("UNKNOWN_NAME", node.where, message, value=node.tag, limit=", ".join(IN_BODIES), hint=BY_MUJOCO)
 
     def body(self, node: Node, owner: str, around: Place, kind: str) -> None:
         a = Attributes(node.attributes, f"{node.where} body", self.problems)
         place = around @ self.place(a)
         inside = list(self.contents(node, ORIGIN, kind))
         joints = [self.joint(child, frame, of) for child, frame, of in inside if child.tag in ("joint", "freejoint")]
-        own, carrier = self.solid(node, inside), self.carried.get(owner)
+        own = self.solid(node, inside)
         if a.text("gravcomp", "0") not in WITHOUT_EFFECT:
             self.leave_out("gravcomp of bodies", node.where)
-        if joints or carrier is None or not carrier.moves or (own and carrier.parts):
-            whole = carrier.place @ place if carrier else place
-            name = self.name_of(a.text("name"), f"body {len(self.carried) + 1}", self.carried, node.where)
-            moves = bool(joints) or (carrier is not None and carrier.moves)
-            self.carried[name] = carrier = Carried(node.where, owner, place, whole, moves, joints)
-            owner, place = name, ORIGIN
-        if own:
-            moved = self.gather(node.where, lambda: Body.of_parts([own], position=place.p, orientation=place.q))
-            carrier.parts += [moved] if moved else []
+        owner, place = self.carry(node.where, a.text("name"), owner, place, joints, own)
         for child, frame, of in inside:
             self.thing(child, owner, place @ frame, of)
-
-    def name_of(self, name: str, default: str, taken: Any, where: str) -> str:
-        """A name that a model accepts; one of the file's that it does not accept is in the list of what was left out."""
-        allowed = "".join("_" if letter in ".*?[]" else letter for letter in name or default)
-        while allowed in taken or allowed == WORLD:
-            allowed += "_" if name else " 2"
-        if name not in (allowed, ""):
-            self.leave_out(f"the name '{name}', here '{allowed}'", where)
-        return allowed
 
     def solid(self, node: Node, inside: list[tuple[Node, Place, str]]) -> Body | None:
         """The mass and inertia of a body of the file, in its frame; None without mass."""
@@ -280,32 +237,13 @@ class MjcfReader:
             elif name not in (*known, *OF_LIMITS, "range") and value not in WITHOUT_EFFECT:
                 self.leave_out(f"{name} of {owners}", where)
 
-    def parts(self) -> dict[str, Any]:
+    def made(self) -> dict[str, Any]:
         """The arguments of the model."""
         stated = self.compiler.number("settotalmass")
-        scale = stated / self.total if stated > 0 and self.total > 0 else 1.0
-        moving = {name: each for name, each in self.carried.items() if each.moves}
-        bodies = {name: self.gather(each.where, lambda each=each: _body(each, scale)) for name, each in moving.items()}
-        joints = {name: self.gather(each.where, lambda each=each: _joint(each)) for name, each in moving.items()}
-        supports = {name: Support(each.place.p, each.place.q) for name, each in self.carried.items() if not each.moves}
-        self.springs(moving)
-        self.tendons()
-        gravity = self.option.vector("gravity", EARTH)
         flags = [flag for option in self.document.all("option") for flag in option.all("flag")]
-        if any(flag.attributes.get("gravity") == "disable" for flag in flags):
-            gravity = np.zeros(3)
-        return {"bodies": bodies, "supports": supports, "joints": joints, "elements": self.elements, "gravity": gravity}
-
-    def springs(self, moving: dict[str, Carried]) -> None:
-        """The springs and dampers of joints."""
-        for body, each in moving.items():
-            for joint in each.joints:
-                if joint.stiffness or joint.damping:
-                    spring = self.gather(joint.where, lambda: spring_of(joint, each.joints, body, each.parent, each.on_parent))  # noqa: B023
-                    taken = joint.name in self.carried
-                    self.add(spring, f"{joint.name} spring" if taken else joint.name, f"{body} spring", joint.where)
-                if joint.kind == "ball" and joint.damping:
-                    self.leave_out(LARGE_TURNS, joint.where)
+        weightless = any(flag.attributes.get("gravity") == "disable" for flag in flags)
+        gravity = np.zeros(3) if weightless else self.option.vector("gravity", EARTH)
+        return self.parts(stated / self.total if stated > 0 and self.total > 0 else 1.0, gravity)
 
     def tendons(self) -> None:
         """The springs and dampers of tendons."""
@@ -315,13 +253,6 @@ class MjcfReader:
             if isinstance(spring, Element):
                 self.leave_out_attributes(a, node.where, OF_TENDONS, "tendons")
             self.add(spring, a.text("name"), "tendon", node.where)
-
-    def add(self, spring: Element | str | None, name: str, default: str, where: str) -> None:
-        """An element of the model, or why there is none."""
-        if isinstance(spring, Element):
-            self.elements[self.name_of(name, default, {**self.carried, **self.elements}, where)] = spring
-        elif spring:
-            self.leave_out(spring, where)
 
     def relaxed(self, name: str) -> Place:
         """The place of a frame in the world where the springs of all joints exert no force: there, free lengths of tendons are measured."""
@@ -338,31 +269,12 @@ class MjcfReader:
         sites = [child.attributes.get("site") for child in node.children]
         if node.tag != "spatial" or len(sites) != 2 or None in sites:
             return "tendons other than between two sites"
-        k, c = (self.coefficient(a, name, "tendons") for name in ("stiffness", "damping"))
-        if not (k or c):
-            return "tendons without stiffness and damping"
         for site in sites:
             if site not in self.sites:
                 raise JaxbodyError(unknown(str(site), "site", tuple(self.sites)))
-        (one, p), (other, r) = (self.sites[str(site)] for site in sites)
-        there, here = self.relaxed(one).point(p), self.relaxed(other).point(r)
+        ends = [self.sites[str(site)] for site in sites]
+        there, here = (self.relaxed(name).point(p) for name, p in ends)
         stated = a.row("springlength", [-1.0], (1, 2))
         low, high = np.where(stated < 0, np.linalg.norm(there - here), stated)[[0, -1]]
-        if low == high:
-            return Spring((one, p), (other, r), stiffness=k, damping=c, free_length=high)
-        if low > 0:
-            return "tendons with a dead band above zero"
-        return SpringDamper((one, p), (other, r), spring=TensionOnly(k), damper=c or None, free_length=high)
-
-
-def _body(each: Carried, scale: float) -> Body:
-    """A body of the model from its parts."""
-    if not each.parts:
-        hint = "Give it a geom or an inertial element."
-        raise JaxbodyError(Problem("BAD_MASS", "body", "has joints and no mass", limit="> 0", hint=hint))
-    whole = Body.of_parts(each.parts)
-    return Body(scale * whole.mass, scale * whole.inertia, com=whole.com, position=each.place.p, orientation=each.place.q)
-
-
-def _joint(each: Carried) -> Joint:
-    return joint_of(each.joints, each.parent, each.on_parent) if each.joints else Fixed(each.parent)
+        k, c = (self.coefficient(a, name, "tendons") for name in ("stiffness", "damping"))
+        return tendon(ends, k, c, low, high)

@@ -13,7 +13,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from jaxbody.core.arrays import Array, Float, functions_as_nodes
+from jaxbody.core.arrays import Array, Float, functions_as_nodes, nan_unless
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.laws.laws import Law, Number
 
@@ -106,10 +106,10 @@ class InnerCoordinates(Memory):
             return new, jnp.max(jnp.abs(new - y)) <= CONVERGED * jnp.max(jnp.abs(new)), n + 1
 
         start = self.configuration(jnp.zeros(len(self.states), jnp.result_type(e))) + fixed
-        y, *_ = jax.lax.while_loop(lambda carry: ~carry[1] & (carry[2] < ITERATIONS), iterate, (start, jnp.array(False), 0))
+        y, converged, _ = jax.lax.while_loop(lambda carry: ~carry[1] & (carry[2] < ITERATIONS), iterate, (start, jnp.array(False), 0))
         for _ in range(2):
             y = step(self, e, y)
-        return y
+        return nan_unless(converged, y)
 
     def at_rest(self, e: Number) -> States:
         """z at rest."""

@@ -5,8 +5,8 @@ A configuration is found by Gauss-Newton steps
     q <- q (+) -F_q^+ F(q)
 
 with the least squares inverse F_q^+, so that conditions that repeat others, such as those out of the plane of a planar linkage, do no harm.
-A few more steps with the last inverse, held fixed, are differentiated as they are: each makes the derivatives of one more order exact, in
-forward and reverse mode, whatever steps led there, and the inverse has no derivative.
+These are differentiated step by step, because where freedoms are left the result depends on the whole movement. A few more steps with the
+last inverse, held fixed, are differentiated as they are: each makes the derivatives of one more order exact, in forward and reverse mode.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
-from jaxbody.core.arrays import Array, Bool, Float
+from jaxbody.core.arrays import Array, Bool, Float, is_concrete, nan_unless
+from jaxbody.core.errors import warn
 from jaxbody.geometry.closures import Coupling, as_slide
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.mechanics.energies import completed
@@ -30,6 +31,7 @@ from jaxbody.models.models import Model
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable
+from jaxbody.numerics.precisions import in_float64
 from jaxbody.numerics.small_systems import independent_rows
 
 Tables = tuple[Any, ...]  # with a row for each frame or coordinate
@@ -155,14 +157,24 @@ def closed_on(
     return jax.lax.scan(lambda q, _: (step(q), None), q, length=CLOSING)[0]
 
 
-@jit_unoptimized
 def assembled_reference(model: Model) -> State:
     """The state of rest next to the drawn one in which all closures are fulfilled, with derivatives by every point and length; memory is
-    relaxed in it."""
+    relaxed in it. Where it is not reached it is NaN while traced; else it warns NOT_CLOSED."""
+    state, reached = _assembled(model)
+    if not is_concrete(state):
+        return jax.tree.map(lambda x: nan_unless(reached, x), state)
+    if not reached:
+        remedy = in_float64(state.q.dtype) or "`assemble` says which"
+        warn("NOT_CLOSED", f"model.reference: its closures cannot be fulfilled; {remedy}")
+    return state
+
+
+@jit_unoptimized
+def _assembled(model: Model) -> tuple[State, Bool[Array, ""]]:
     coordinates = Coordinates(model)
     drawn = coordinates.reference
-    q = solve(closure_gaps, model, None, drawn.q)[0]
-    return completed(model, State(q, drawn.v), coordinates.at_rest(q))
+    q, far = solve(closure_gaps, model, None, drawn.q)
+    return completed(model, State(q, drawn.v), coordinates.at_rest(q)), far <= CLOSED
 
 
 def how_open(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, ""]:
@@ -173,13 +185,12 @@ def how_open(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, ""
 def solve(conditions: Conditions, model: Model, values: Any, start: Float[Array, "nq"], held: np.ndarray | None = None):
     """(q, largest |F| over the size of the model) where F(model, values, q) = 0, from a start, with the least movement where that leaves
     freedom; `held` is True for the coordinates that must not move."""
-    q = near(conditions, model, values, _searched(conditions, held, *jax.lax.stop_gradient((model, values, start))), held)
+    q = near(conditions, model, values, _searched(conditions, held, model, values, start), held)
     return q, _largest(conditions(model, values, q)) / size_of(model)
 
 
 def near(conditions: Conditions, model: Model, values: Any, q: Float[Array, "nq"], held: np.ndarray | None = None) -> Float[Array, "nq"]:
-    """The q with F = 0 next to one that has it for these values, as a function of the model and the values."""
-    q = jax.lax.stop_gradient(q)
+    """The q with F = 0 next to one that has it for these values, as a function of it, the model and the values."""
     inverse = jax.lax.stop_gradient(_inverse(conditions, held, *jax.lax.stop_gradient((model, values, q))))
     chart = Chart(model)
     return jax.lax.scan(lambda q, _: (chart.retract(q, -inverse @ conditions(model, values, q)), None), q, length=ORDERS)[0]
@@ -192,19 +203,37 @@ def _inverse(conditions: Conditions, held: np.ndarray | None, model: Model, valu
     return scale[:, None] * jnp.linalg.pinv(slopes * scale[None], rtol=RANK)
 
 
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def _searched(conditions: Conditions, held: np.ndarray | None, model: Model, values: Any, start: Float[Array, "nq"]) -> Float[Array, "nq"]:
     """Steps until F is as small as rounding allows, or no more are left."""
-    precise = PRECISE * size_of(model)
 
     def going_on(carry: tuple[Array, Array]) -> Bool[Array, ""]:
         i, q = carry
-        return (i < STEPS) & (_largest(conditions(model, values, q)) > precise)
+        return (i < STEPS) & _unprecise(conditions, model, values, q)
 
     def step(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         i, q = carry
         return i + 1, _stepped(conditions, held, model, values, q)
 
     return jax.lax.while_loop(going_on, step, (jnp.array(0), start))[1]
+
+
+@_searched.defjvp
+def _searched_jvp(conditions: Conditions, held: np.ndarray | None, primals: Any, tangents: Any):
+    """The same steps in a loop of known length, which reverse mode needs."""
+
+    def steps(model: Model, values: Any, start: Array) -> Array:
+        def step(q: Array, _: None) -> tuple[Array, None]:
+            more = partial(_stepped, conditions, held, model, values, q)
+            return jax.lax.cond(_unprecise(conditions, model, values, q), more, lambda: q), None
+
+        return jax.lax.scan(step, start, length=STEPS)[0]
+
+    return jax.jvp(steps, primals, tangents)
+
+
+def _unprecise(conditions: Conditions, model: Model, values: Any, q: Float[Array, "nq"]) -> Bool[Array, ""]:
+    return _largest(conditions(model, values, q)) > PRECISE * size_of(model)
 
 
 def _stepped(conditions: Conditions, held: np.ndarray | None, model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "nq"]:

@@ -23,6 +23,7 @@ from jaxbody.laws.memories import Held, InState, Relaxed, memories
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.memories import holding, relaxed, rest_states
 from jaxbody.models.models import Model
+from jaxbody.models.preconditions import check_state
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable
 from jaxbody.numerics.xla_workarounds import sums, take
@@ -82,8 +83,13 @@ def lagrangian(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> 
     return _energy(kinetic_less_potential, model, state, xi, xi_dot)
 
 
-@jit_unoptimized
 def _energy(energy: Callable[[Model, Frame], Array], model: Model, state: State, xi: Xi, xi_dot: Xi) -> Float[Array, ""]:
+    check_state(model, state, "state")
+    return _of_state(energy, model, state, xi, xi_dot)
+
+
+@jit_unoptimized
+def _of_state(energy: Callable[[Model, Frame], Array], model: Model, state: State, xi: Xi, xi_dot: Xi) -> Float[Array, ""]:
     frames = frames_of(model, state, xi, xi_dot)
     z = state.z if state.z.shape[-1] or not model.layout.nz else rest_states(model, frames.pose())
     return energy(holding(model, z), frames)
@@ -119,11 +125,6 @@ def potential(model: Model, frames: Frame) -> Float[Array, ""]:
 def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
     """R of a table of frames."""
     return sum((jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.dissipation(*s.rates(*F)))), jnp.zeros((), frames.p.dtype))
-
-
-def damping_power(model: Model, frames: Frame) -> Float[Array, ""]:
-    """The sum over the elements of dR/de_dot . e_dot."""
-    return sum((jnp.sum(p) for p in each_element(model, frames, lambda s, *F: s.lost_power(*F))), jnp.zeros((), frames.p.dtype))
 
 
 def outside_law_range(model: Model, frames: Frame) -> Bool[Array, "ne"]:

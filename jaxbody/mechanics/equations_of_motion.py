@@ -38,6 +38,8 @@ from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.small_systems import solve_spd
 
+SAMPLES = 128  # of motions and loads, at most, that tell how far a model without extent moves
+
 
 class Dynamics(eqx.Module):
     """A model under imposed motions and loads as a first-order system y' = f(t, y), with its constants computed once."""
@@ -77,16 +79,40 @@ class Dynamics(eqx.Module):
         """dy/dt."""
         return self.driven(self.drive(t), y)
 
-    def scales(self, span: Float[Array, ""]) -> Float[Array, "ny"]:
-        """The scale of each component of y: the size of the model, 1 for angles; for velocities these times a fast frequency."""
-        model, layout = self.model, self.model.layout
-        size = size_of(model)
-        rate = jnp.sqrt(self._stiffness_sum() / jnp.sum(model.bodies.rows.mass) + jnp.linalg.norm(model.gravity) / size) + 1 / span
+    def scales(self, times: Float[Array, "nt"], start: State) -> Float[Array, "ny"]:
+        """The scale of each component of y: the size of the model or, without extent, how far it moves; 1 for angles; for velocities these
+        times a fast frequency."""
+        model, layout, span = self.model, self.model.layout, times[-1] - times[0]
+        square = self._stiffness_sum() / jnp.sum(model.bodies.rows.mass)
+        size = size_of(model, self._reach(times, start, jnp.sqrt(square) + 1 / span))
+        rate = jnp.sqrt(square + jnp.linalg.norm(model.gravity) / size) + 1 / span
         y = self._packed(jnp.where(layout.angular, 1.0, size), rate * jnp.where(layout.turns, 1.0, size))
         if not layout.nz:
             return y
         z = jnp.asarray(state_scales(model, self._reference_frames(), size))
         return jnp.concatenate([y, z.at[layout.inner_rates].set(rate * z[layout.inertial]) if len(layout.inertial) else z])
+
+    def _reach(self, times: Float[Array, "nt"], start: State, rate: Array) -> Array:
+        """An estimate of how far [m] the bodies move: |q0| + |v0|/rate + (g + |F|/m)/rate^2 + the range of the supports; 1 if that is 0."""
+        layout, coordinates = self.model.layout, self.coordinates
+
+        frames = coordinates.frames(start.q, start.v, coordinates.supports_moving(self.motions, times[0]))
+
+        def acting(t):
+            now = frames.at_time(t, start)
+            forces = [jnp.linalg.norm(load.wrench(now.frame(layout.frame(load.on)))[0]) for load in self.loads]
+            return jnp.stack([jnp.zeros(3), *(motion(t)[:3] for motion in self.motions)]), sum(forces, jnp.zeros(()))
+
+        places, forces = jax.vmap(acting)(times[:: len(times) // SAMPLES + 1])
+        moved, speed = jnp.where(layout.angular, 0.0, start.q - coordinates.reference.q), jnp.where(layout.turns, 0.0, start.v)
+        pull = jnp.linalg.norm(self.model.gravity) + jnp.max(forces) / jnp.sum(self.model.bodies.rows.mass)
+        reach = (
+            jnp.max(jnp.abs(moved), initial=0.0)
+            + jnp.max(jnp.abs(speed), initial=0.0) / rate
+            + pull / rate**2
+            + jnp.max(jnp.ptp(places, 0))
+        )
+        return jnp.where(reach > 0, reach, 1.0)
 
     @abstractmethod
     def _packed(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "*n"]:

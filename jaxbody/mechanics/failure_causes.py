@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
-from jaxbody.core.arrays import Array, Bool, Float
+from jaxbody.core.arrays import Array, Bool, Float, time_text
 from jaxbody.elements.second_derivatives import second_order
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.closed_loops import ClosedLoops, acceleration
@@ -20,17 +20,17 @@ from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 
-AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)  # relative to the time, or to a second where that is longer
+AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)  # relative to the time since the first sample, or to a second where that is longer
 DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)  # relative to the size of the model
 NEAR = 1e-2  # relative to the free length; for angles the cosine of half the angle: 179 degrees
 BEND = 0.5  # relative difference allowed between the chord of two samples and the tangent at either
 
 
-def nonfinite_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], t: Array, state: State) -> str:
+def nonfinite_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], times: Array, t: Array, state: State) -> str:
     """The motion, element, load or body that first gives a number that is not finite, at this state or just after; "" if none."""
-    for ahead in np.maximum(np.abs(t), 1.0) * np.array(AHEAD, state.q.dtype):
+    for ahead in np.maximum(np.abs(t - times[0]), 1.0) * np.array(AHEAD, state.q.dtype):
         of_motions, of_elements, of_loads = jax.tree.map(np.asarray, _numbers(model, motions, loads, t, state, ahead))
-        moment = f"at t = {float(t + ahead):.6g} s"
+        moment = f"at t = {time_text(t + ahead, times)} s"
         for name, good in zip(model.layout.supports, of_motions, strict=True):
             if not good:
                 return f"the motion of '{name}' {moment}"
@@ -64,6 +64,39 @@ def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
         _rows(model, each_element(model, now, numbers)),
         [jnp.isfinite(wrench).all() for wrench in wrenches],
     )
+
+
+def changing_most(model: Model, motions: Motions, loads: tuple[Load, ...], times: Array, t: Array, state: State) -> str:
+    """The support, element or load whose force changes most just after this state, and by how much; of a support the inertia force of all
+    bodies at the change of its acceleration."""
+    ahead = AHEAD[3] * max(float(t - times[0]), 1e-3 * float(times[-1] - times[0]))
+    of_motions, of_elements, of_loads = jax.tree.map(
+        np.asarray, _changes(model, motions, loads, t, state, jnp.asarray(ahead, state.q.dtype))
+    )
+    changes = {f"the motion of '{name}'": change for name, change in zip(model.layout.supports, of_motions, strict=True)}
+    changes |= {f"the force of '{name}'": change for name, change in of_elements.items()}
+    changes |= {f"a load, {type(load).__name__}, on '{load.on}'": change for load, change in zip(loads, of_loads, strict=True)}
+    most = max(changes, key=lambda name: np.nan_to_num(changes[name]), default=None)
+    return f"{most} changes most there, by {changes[most]:.3g} N in {ahead:.2g} s" if most and changes[most] > 0 else ""
+
+
+@jit_unoptimized
+def _changes(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
+    """By how much forces change from a state to `ahead` of it: of the motions, of the elements, of the loads."""
+    model = holding(model, state.z)
+    moved = State(
+        Coordinates(model).retract(state.q, ahead * state.v), state.v + ahead * acceleration(model, state, t, motions, loads), state.z
+    )
+
+    def forces(t, state):
+        now = frames_at_time(model, motions, t, state)
+        accelerations = [
+            jnp.sum(model.bodies.rows.mass) * jax.jvp(jax.jacfwd(motion), (t,), (jnp.ones_like(t),))[1][:3] for motion in motions
+        ]
+        wrenches = [load.wrench(now.frame(model.layout.frame(load.on)))[0] for load in loads]
+        return accelerations, _rows(model, each_element(model, now, lambda element, *frames: element.force(*frames))), wrenches
+
+    return jax.tree.map(lambda new, old: jnp.max(jnp.abs(new - old)), forces(t + ahead, moved), forces(t, state))
 
 
 def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
@@ -121,9 +154,9 @@ def force_jumps_along(model: Model, motions: Motions, times: Array, states: Stat
     return [_zero_crossings(np.asarray(times), *rows) for rows in away]
 
 
-def force_jump_messages(model: Model, times_of_jumps: list[Float[np.ndarray, "_"]]) -> list[tuple[str, str]]:
+def force_jump_messages(model: Model, times_of_jumps: list[Float[np.ndarray, "_"]], times: Array) -> list[tuple[str, str]]:
     """Code and message of the elements whose force jumps, at the times of `force_jumps_along`."""
-    return _messages(model, [[f" at t = {t:.6g} s" if np.isfinite(t) else None for t in rows] for rows in times_of_jumps])
+    return _messages(model, [[f" at t = {time_text(t, times)} s" if np.isfinite(t) else None for t in rows] for rows in times_of_jumps])
 
 
 @jit_unoptimized

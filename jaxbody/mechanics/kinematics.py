@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float
+from jaxbody.core.arrays import Array, Float, numbers
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Instant, Pose, stack
 from jaxbody.geometry.vectors import cross, rotate
@@ -138,14 +138,17 @@ def frames_at_time(model: Model, motions: Motions, t, state: State) -> Instant:
     return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t)).at_time(t, state)
 
 
-@eqx.filter_jit
-def retract(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
+def retract(model: Model, q, delta) -> Float[Array, "nq"]:
     """q (+) Delta: the coordinates after small displacements Delta, one for each speed; of a free body its displacement [m] and
     rotation vector [rad], in world axes.
 
-    >>> import jax.numpy as jnp
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
-    >>> retract(model, model.reference.q, jnp.array([0.1, 0, 0, 0, 0, 0])).tolist()
+    >>> retract(model, model.reference.q, [0.1, 0, 0, 0, 0, 0]).tolist()
     [0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     """
+    return _retract(model, numbers(q, "retract.q"), numbers(delta, "retract.delta"))
+
+
+@eqx.filter_jit
+def _retract(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
     return Chart(model).retract(q, delta)

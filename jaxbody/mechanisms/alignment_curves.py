@@ -12,10 +12,11 @@ import scipy.linalg
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int, checked, is_concrete
+from jaxbody.core.arrays import Array, Float, Int, checked, is_concrete, rows_or_nan
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Result, warn_if_failed, without_derivatives
+from jaxbody.elements.elements import LineElement
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import axial, cross, dot, product, rotate
 from jaxbody.inputs.loads import Load, loads_of
@@ -25,11 +26,12 @@ from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.mechanisms.driven_positions import Drive, conditions, drives_of, position, positions, readings
 from jaxbody.mechanisms.resting_positions import RestingSystem, resting_position, resting_positions
 from jaxbody.mechanisms.wheels import Wheel
+from jaxbody.models.leaf_paths import springs_of
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import scale_of, size_of
 
-WORDS = "camber, toe, caster, kingpin, trail, scrub, wheel, contact, roll, side, motion, wheel force, wheel rate"
+WORDS = "camber, toe, caster, kingpin, trail, scrub, wheel, contact, roll, side, motion, length, wheel force, wheel rate"
 ORDER = tuple(WORDS.split(", "))  # of printed curves, by the words with which their names begin
 ANGLES = ("camber", "toe", "caster", "kingpin", "side view angle of the contact", "side view angle of the center")
 MOST_COLUMNS = 6  # of curves in a printed table
@@ -65,7 +67,8 @@ class SuspensionCurves(Labeled, Result):
         last = int(np.argmax(~np.asarray(self.ok))) - 1
         if last < 0:
             return f"{text}; the first row is beyond reach"
-        values = ", ".join(f"{drive.name} = {float(self.over[drive.name][last]):.6g} {drive.unit}" for drive in self.drives)
+        over = without_derivatives(self.over)
+        values = ", ".join(f"{drive.name} = {float(over[drive.name][last]):.6g} {drive.unit}" for drive in self.drives)
         return f"{text}; the last values within reach: {values}"
 
     def unit(self, name: str) -> str:
@@ -129,7 +132,7 @@ def suspension_curves(
     Angles and places of the wheel and of its steering axis are those of ISO 8855 (mechanisms/wheels.py). With l(x) the elongation of a
     spring, V the energy of all elements, and v = dC/dx the velocity of the point of the upright at the contact C, by the travel x:
 
-        motion ratio   dl/dx
+        motion ratio   dl/dx; the length of an element between two points
         wheel force    dV/dx, upward at the wheel
         wheel rate     d2V/dx2
         roll center height above the ground    C_y v_y/v_z
@@ -228,6 +231,8 @@ def _targets(drives: tuple[Drive, ...], over: Mapping[str, Any], where: str) -> 
 def _check_determined(model: Model, drives: tuple[Drive, ...], wheel: Wheel, where: str, resting: bool) -> None:
     """Errors: UNDRIVEN."""
     slopes, closures, moved = map(np.asarray, _slopes_at_reference(model, drives, wheel))
+    if np.isnan(slopes).any():  # there is no assembled reference: all rows are NOT_CLOSED
+        return
     names, count = [drive.name for drive in drives], len(slopes) - len(drives)
     with Problems() as problems:
         free = scipy.linalg.null_space(closures, rcond=RANK) if len(closures) else np.eye(slopes.shape[1])
@@ -293,7 +298,7 @@ def _curves(
 
         def read(x: Array):
             slopes, (values, q) = jax.jacfwd(_with_value(placed), has_aux=True)(x)
-            return _read(wheel, side, steering, values, slopes[0], _single(model)), q
+            return _read(wheel, side, steering, values, slopes[0], model), q
 
         (slopes, _), (values, q) = jax.jacfwd(_with_value(read), has_aux=True)(x)
         return values, slopes, q
@@ -301,12 +306,10 @@ def _curves(
     values, slopes, q = jax.vmap(at)(targets, known)
     if model.elements:
         values["wheel rate"] = slopes["wheel force"][:, 0]
-    lost = status != Status.OK
-    values: dict[str, Any] = {name: jnp.where(lost, jnp.nan, x) for name, x in values.items()}
-    by_drive: dict[str, Any] = {
-        drive: {name: jnp.where(lost, jnp.nan, x[:, i]) for name, x in slopes.items()} for i, drive in enumerate(names)
-    }
-    q = jnp.where(lost[:, None], jnp.nan, q)
+    found = status == Status.OK
+    values: dict[str, Any] = {name: rows_or_nan(found, x) for name, x in values.items()}
+    by_drive: dict[str, Any] = {drive: {name: rows_or_nan(found, x[:, i]) for name, x in slopes.items()} for i, drive in enumerate(names)}
+    q = rows_or_nan(found[:, None], q)
     over: dict[str, Any] = dict(zip(names, targets.T, strict=True))
     return SuspensionCurves(over=over, curves=values, slopes=by_drive, q=q, status=status, model=model, drives=drives, wheel=wheel)
 
@@ -314,11 +317,6 @@ def _curves(
 def _with_value(function):
     """(y, y) for y = function(x), so that a derivative with auxiliary data traces it once."""
     return lambda x: ((y := function(x)), y)
-
-
-def _single(model: Model) -> tuple[str, ...]:
-    """The elements with one deformation, as in the tables."""
-    return tuple(name for table in model.elements if table.rows.size == 1 for name in table.names)
 
 
 def _placed(model: Model, q: Float[Array, "nq"], row: int):
@@ -329,9 +327,9 @@ def _placed(model: Model, q: Float[Array, "nq"], row: int):
     return frames[row].pose(), jnp.concatenate([jnp.zeros(0, q.dtype), *(x[:, 0] for x in e if x.shape[1] == 1)]), V
 
 
-def _read(wheel: Wheel, side: Array, steer: int | None, placed: Any, slopes: Any, single: tuple[str, ...]) -> dict[str, Array]:
+def _read(wheel: Wheel, side: Array, steer: int | None, placed: Any, slopes: Any, model: Model) -> dict[str, Array]:
     """All curves at one set of driven readings, from what `_placed` returns and its derivatives by the readings."""
-    (pose, _, _), (turning, e_slopes, V_slopes) = placed, slopes
+    (pose, e, _), (turning, e_slopes, V_slopes), single = placed, slopes, springs_of(model)
     center, C = pose.point(wheel.center), wheel.contact(pose)
     found = wheel.alignment(pose, side)
     if wheel.kingpin is not None:
@@ -346,6 +344,10 @@ def _read(wheel: Wheel, side: Array, steer: int | None, placed: Any, slopes: Any
     found["side view angle of the contact"] = jnp.arctan2(-at_contact[0], at_contact[2])
     found["side view angle of the center"] = jnp.arctan2(-at_center[0], at_center[2])
     found |= {f"motion ratio of {name}": e_slopes[i, 0] for i, name in enumerate(single)}
+    for table in model.elements:
+        if isinstance(table.rows, LineElement):
+            lengths = [e[single.index(name)] + table.rows.free_length[i] for i, name in enumerate(table.names)]
+            found |= {f"length of {name}": length for name, length in zip(table.names, lengths, strict=True)}
     return found | ({"wheel force": V_slopes[0]} if single else {})
 
 

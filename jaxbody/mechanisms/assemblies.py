@@ -11,7 +11,7 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Result, finished
 from jaxbody.mechanics.constraints import (
     CLOSED,
     closure_gaps,
@@ -73,8 +73,7 @@ def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = 
 
         c(q) = 0,   q <- q (+) -J^+ c(q),   J = dc/dDelta
 
-    The state is an exact function of the model's numbers: it has derivatives in both modes, up to the fourth. Where freedoms are left they
-    are those of the least movement from the assembled state, which from a start far off is not quite the change of the whole movement.
+    The state is an exact function of the model's numbers and of the start: it has derivatives in both modes, up to the fourth.
 
     Args:
         model: a model with closures; its drawn poses may be rough
@@ -103,7 +102,12 @@ def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = 
         raise JaxbodyError(*wrong)
     if start is not None:
         check_state(model, start, "assemble.start")
-    return warn_if_failed(_assembled(model, drawn_reference(model) if start is None else start, tuple(hold)))
+    assembly = _assembled(model, drawn_reference(model) if start is None else start, tuple(hold))
+    return finished(assembly, _closed, lambda assembly: assembly.state)
+
+
+def _closed(status):
+    return status == Status.OK
 
 
 def _held(model: Model, names: tuple[str, ...]) -> np.ndarray:

@@ -78,7 +78,7 @@ def solid_axle(
         stiffness, force: of each spring [N/m], and its compression in the design position [N]
         radius: loaded radius of the wheels [m]
 
-    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE.
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT.
 
     The axle has two freedoms, bounce and roll: with one wheel up by 3 cm and the other down, it leans by 6 cm in its track of 1.5 m.
 

@@ -94,8 +94,8 @@ def car_on_double_wishbones(
 
     A car whose points are `moved` keeps the compression of its springs and the rest of its numbers, so that it settles elsewhere.
 
-    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE of hard points. Source: hard points as in `jb.double_wishbone`; the other numbers are those
-    of a compact car.
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT of hard points. Source: hard points as in `jb.double_wishbone`; the other
+    numbers are those of a compact car.
 
     >>> model = car_on_double_wishbones().model
     >>> len(model.layout.bodies), model.layout.nv, len(model.closure_names)

@@ -62,6 +62,7 @@ FIVE_LINK = {
     "spring upper": (-0.02, 0.52, 0.62),
 }
 LINKS = ("lower front", "lower rear", "upper front", "upper rear")
+LARGEST = 20  # m, between hard points of one suspension
 ACROSS = ("tie rod inner",)  # points that may be on the other side of the car
 
 
@@ -73,7 +74,7 @@ def double_wishbone(hard_points: Points | None = None, *, stiffness=30e3, force=
         stiffness, force: of the spring [N/m], and its compression in the design position [N]
         radius: loaded radius of the wheel [m]
 
-    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE. Source: hard points of the public project suspension-explorer.
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT. Source: hard points of the public project suspension-explorer.
 
     >>> round(float(jnp.rad2deg(double_wishbone().curves(0.0)["camber"][0])), 6)
     -1.909152
@@ -101,7 +102,7 @@ def macpherson(hard_points: Points | None = None, *, stiffness=30e3, force=4000.
         stiffness, force: of the spring [N/m], and its compression in the design position [N]
         radius: loaded radius of the wheel [m]
 
-    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE. Source: hard points of the public project suspension-explorer.
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT. Source: hard points of the public project suspension-explorer.
 
     >>> macpherson().model.closure_names
     ('strut', 'tie rod')
@@ -129,7 +130,7 @@ def five_link(hard_points: Points | None = None, *, stiffness=30e3, force=4000.0
         stiffness, force: of the spring [N/m], and its compression in the design position [N]
         radius: loaded radius of the wheel [m]
 
-    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE.
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT.
 
     >>> corner = five_link({"tie rod outer": [0.15, 0.7, 0.265]})
     >>> corner.model.closures[0].names
@@ -159,7 +160,8 @@ def _points(source: Points, given: Points | None, where: str) -> dict[str, Any]:
 
 
 def points_of(source: Points, given: Points | None, where: str, problems: Problems) -> dict[str, Any]:
-    """The hard points of the source, and in their place those that are given. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
+    """The hard points of the source, and in their place those that are given. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE,
+    UNIT."""
     points: dict[str, Any] = {name: np.asarray(point) for name, point in source.items()}
     for name, point in (given or {}).items():
         place = f"{where}['{name}']"
@@ -167,7 +169,21 @@ def points_of(source: Points, given: Points | None, where: str, problems: Proble
             problems.collected.append(unknown(name, place, tuple(source)))
             continue
         points[name] = checked(point, ((3,),), place, problems, "Give x, y and z in meters.")
+    if not problems.collected and is_concrete(points):
+        _check_axes(points, where, problems)
     return points
+
+
+def _check_axes(points: dict[str, Any], where: str, problems: Problems) -> None:
+    """Whether x is forward and z up by what the points are named, and lengths are in meters. Problems: WRONG_SIDE, UNIT."""
+    for axis, i, (ahead, behind) in (("x forward", 0, ("front", "rear")), ("z up", 2, ("upper", "lower"))):
+        one, other = (float(np.mean([point[i] for name, point in points.items() if word in name])) for word in (ahead, behind))
+        if one < other:
+            message = f"has '{ahead}' points at {axis[0]} = {one:.4g} m on average, and '{behind}' ones at {other:.4g} m"
+            hint = f"Is {axis[0]} {'rearward' if i == 0 else 'down'} there? Turn the axes of the points: two signs change, not one."
+            problems.add("WRONG_SIDE", where, message, value=(one, other), limit=axis, hint=hint)
+    if (extent := float(np.ptp(np.array(list(points.values())), 0).max())) > LARGEST:
+        problems.add("UNIT", where, f"spans {extent:.4g} m", value=extent, limit=f"{LARGEST} m", hint="Give all points in meters, not mm.")
 
 
 def _check_side(points: dict[str, Any], given: Points, where: str, problems: Problems) -> None:

@@ -23,7 +23,8 @@ class Body(Described, eqx.Module):
     Args:
         mass: [kg]
         inertia: about the center of mass in body axes [kg m2]: three principal moments, six numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries
-            of the matrix, signs included) or the 3 x 3 matrix; default: a point mass
+            of the matrix, signs included) or the 3 x 3 matrix; default: a point mass. For motion in the xy plane [I/2, I/2, I], a flat
+            body, as the first two have no effect
         com: the center of mass in body coordinates [m]
         position: position of the reference point O in the reference pose, where the search for equilibrium starts [m]
         orientation: rotation from body to world in the reference pose: unit quaternion w, x, y, z, rotation matrix or `jb.Euler`
@@ -153,7 +154,10 @@ def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Pro
             f"has principal moments {shown} kg m2: the largest exceeds the sum of the others by {deficit:.3g}",
             value=moments,
             limit="at most the sum of the two others",
-            hint=f"Is it about the center of mass? {signs} Are all units the same?",
+            hint="For motion in a plane give half of it about the axes in the plane, where it has no effect: "
+            f"{moments[2] / 2:.6g}, {moments[2] / 2:.6g}, {moments[2]:.6g}."
+            if moments[1] <= round_off
+            else f"Is it about the center of mass? {signs} Are all units the same?",
         )
 
 

@@ -112,6 +112,12 @@ def relaxed(model: Any, z: Z | None = None) -> Any:
     return _bound(model, Relaxed, z)
 
 
+def resisting(model: Any, z: Z) -> Any:
+    """The model about a rest with the states z, for static small displacements: coordinates of elements follow the deformations,
+    hysteretic states their tangents."""
+    return _bound(model, lambda law, z: Relaxed(law, z) if law.has_rows else Apart(law, z, _zeros(z)), z)
+
+
 def rest_states(model: Any, poses: Pose, z: Z | None = None) -> Z:
     """z at rest in these poses of all frames: coordinates relaxed, others as in z, by default 0."""
     if not model.layout.nz:

@@ -23,6 +23,7 @@ from jaxbody.geometry.closures import Closure, Coupling, as_slide
 from jaxbody.geometry.descriptions import text_of
 from jaxbody.geometry.fields import field, kind_of, units_of
 from jaxbody.geometry.frames import Pose
+from jaxbody.geometry.orientations import IDENTITY
 from jaxbody.geometry.vectors import cross
 from jaxbody.laws.laws import Law
 from jaxbody.models.bodies import Body, Support, warn_of_points
@@ -106,6 +107,10 @@ class Model(tables.Printed, eqx.Module):
         check_links(problems, bodies, supports, {"elements": elements, "closures": closures}, joints)
         gravity = vector(gravity, "gravity", problems)
         elements = {name: functions_as_nodes(element) for name, element in elements.items()}
+        turns = {name: each.orientation for name, each in {**supports, **bodies}.items()}
+        elements = {
+            name: element.as_drawn(*(turns.get(end, np.array(IDENTITY)) for end in element.between)) for name, element in elements.items()
+        }
         check_leaves(problems, elements)
         check_laws(problems, elements)
         check_reference(problems, bodies, supports, {"elements": elements, "closures": closures})

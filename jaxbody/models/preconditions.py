@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.core.arguments import kind_of
 from jaxbody.core.arrays import concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.models.layouts import WORLD
@@ -22,8 +23,8 @@ _warned_of_float32 = False
 
 
 def check_precision(where: str, model: Model, *, allow_float32: bool | None = True) -> None:
-    """Warn once about float32; refuse it where half the digits would be lost, unless allowed (None: it cannot be allowed). A change of the
-    x64 switch after the model was built is an error."""
+    """Warn once about float32; refuse it where half the digits would be lost, unless allowed (None: it cannot be allowed), and with
+    closures, which are not fulfilled then. A change of the x64 switch after the model was built is an error."""
     global _warned_of_float32
     if not isinstance(model, Model):
         raise JaxbodyError(
@@ -45,9 +46,10 @@ def check_precision(where: str, model: Model, *, allow_float32: bool | None = Tr
     if x64:
         return begin(x64)
     switch = 'jax.config.update("jax_enable_x64", True) before building the model'
-    if not allow_float32:
-        hint = f"Say {switch}" + ("." if allow_float32 is None else "; or allow_float32=True.")
-        raise JaxbodyError(Problem("FLOAT32", where, "is unreliable in float32", dtype, "float64", hint))
+    if not allow_float32 or model.closures:
+        message = "cannot close loops in float32" if model.closures else "is unreliable in float32"
+        hint = f"Say {switch}" + ("." if allow_float32 is None or model.closures else "; or allow_float32=True.")
+        raise JaxbodyError(Problem("FLOAT32", where, message, dtype, "float64", hint))
     begin(x64)
     if not _warned_of_float32:
         _warned_of_float32 = True
@@ -116,7 +118,7 @@ def check_state(model: Model, state: Any, where: str) -> None:
                 Problem(
                     "WRONG_KIND",
                     where,
-                    f"is a {type(state).__name__}",
+                    f"is {kind_of(state)}",
                     state,
                     "jb.State(q, v)",
                     "Examples are model.reference and equilibrium(model).state.",

@@ -18,9 +18,10 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problems, Status
 from jaxbody.numerics import step_blocks
 from jaxbody.numerics.precisions import reachable
-from jaxbody.numerics.runge_kutta_steps import InitialValueProblem, method_of
+from jaxbody.numerics.runge_kutta_steps import DEFECT, QUIET, InitialValueProblem, method_of
 
 RESULTS = diffrax.RESULTS
+POINTS = 13  # of a look between the ends of a step, besides samples
 
 
 class Driven(diffrax.ODETerm):
@@ -67,9 +68,33 @@ class Unstarted(diffrax.AbstractStepSizeController):
         return self.controller.adapt_step_size(*args, **kwargs)
 
 
-class Projected(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
-    """A solver whose steps end at P(y1), with P of a `Driven` term. Its error is what is left after the projection, P(y1) - P(y1 - error),
-    and the rate at the start of a step is evaluated again."""
+class Lasting(diffrax.AbstractAdaptiveStepSizeController):
+    """diffrax.PIDController(rtol, atol, norm) with a shortest step, which ends an integration only where it is refused: a step that
+    was short because a kink cut it may grow."""
+
+    rtol: Any
+    atol: Any
+    norm: Any
+    shortest: Any
+
+    def wrap(self, direction):
+        return self
+
+    def _rules(self):
+        return diffrax.PIDController(rtol=self.rtol, atol=self.atol, norm=self.norm)
+
+    def init(self, *args, **kwargs):
+        return self._rules().init(*args, **kwargs)
+
+    def adapt_step_size(self, *args, **kwargs):
+        kept, t0, t1, jump, state, result = self._rules().adapt_step_size(*args, **kwargs)
+        stuck = ~jnp.asarray(kept) & (t1 - t0 < self.shortest)
+        return kept, t0, t1, jump, state, RESULTS.where(stuck, RESULTS.dt_min_reached, result)  # pyright: ignore[reportArgumentType]
+
+
+class Wrapped(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
+    """The base of solvers that change the steps of the user's; one around the other is too deep for diffrax, which gives the tolerances of
+    the controller to an implicit solver inside one."""
 
     solver: diffrax.AbstractSolver  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -90,6 +115,11 @@ class Projected(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
         """That of an implicit solver, to which diffeqsolve gives the tolerances of the controller."""
         return self.solver.root_finder  # pyright: ignore[reportAttributeAccessIssue]
 
+    @property
+    def scan_kind(self):
+        """That of a Runge-Kutta method, which diffrax.ForwardMode and DirectAdjoint set."""
+        return self.solver.scan_kind  # pyright: ignore[reportAttributeAccessIssue]
+
     def order(self, terms):
         return self.solver.order(terms)
 
@@ -99,18 +129,73 @@ class Projected(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
     def error_order(self, terms):
         return self.solver.error_order(terms)
 
-    def init(self, terms, t0, t1, y0, args):
+    def init(self, terms, t0, t1, y0, args) -> Any:
         return self.solver.init(terms, t0, t1, y0, args)
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
+    def func(self, terms, t0, y0, args):
+        return self.solver.func(terms, t0, y0, args)
+
+    def projected_step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
+        """A step that ends at P(y1), with P of a `Driven` term that has one. Its error is what is left after the projection,
+        P(y1) - P(y1 - error), and the rate at the start of a step is evaluated again."""
+        if getattr(within(terms), "project", None) is None:
+            return self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
         y1, error, dense, solver_state, result = self.solver.step(terms, t0, t1, y0, args, solver_state, jnp.array(True))
         if error is None:
             return within(terms).projected(t1, y1, args), None, dense, solver_state, result
         there, other = jax.vmap(lambda y: within(terms).projected(t1, y, args))(jnp.stack([y1, y1 - error]))
         return there, jnp.where(jnp.isfinite(there), there - other, jnp.inf), dense, solver_state, result
 
-    def func(self, terms, t0, y0, args):
-        return self.solver.func(terms, t0, y0, args)
+
+class Projected(Wrapped):
+    """A solver whose steps end projected."""
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
+        return self.projected_step(terms, t0, t1, y0, args, solver_state, made_jump)
+
+
+class Watched(Wrapped):
+    """A solver whose steps end projected, and that looks along them, as `Blocks` do: after a step with an error far below the tolerance the
+    defect of the next one's interpolation, h (f(t, y(t)) - y'(t)), is evaluated at points between its ends and at the sample times,
+    otherwise in its middle alone, where half the digits suffice. A step with a larger defect has an infinite error, and any controller
+    refuses it."""
+
+    times: Float[Array, "nt"]
+    rtol: Any
+    atol: Any
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args), jnp.zeros_like(y0[0])
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
+        y1, error, dense, inner, result = self.projected_step(terms, t0, t1, y0, args, solver_state[0], made_jump)
+        if error is None:
+            return y1, error, dense, (inner, solver_state[1]), result
+        numbers, rest = eqx.partition((self.interpolation_cls(t0=t0, t1=t1, **dense), terms, args), eqx.is_array)
+        between, terms, args = eqx.combine(lax.stop_gradient(numbers), rest)
+        begin, end, times, size = lax.stop_gradient((t0, t1, self.times, jnp.maximum(jnp.abs(y0), jnp.abs(y1))))
+        tolerance = self.atol + self.rtol * size
+        quiet, first = lax.stop_gradient(solver_state[1]) < QUIET, jnp.searchsorted(times, begin, side="right").astype(int)
+        allowed = tolerance * jnp.where(quiet, DEFECT, self.rtol**-0.5)
+
+        def at(i):
+            sample = times[jnp.minimum(first + i - POINTS, len(times) - 1)]
+            return jnp.where(i < POINTS, begin + (end - begin) * (i + 1) / (POINTS + 1), sample)
+
+        def look(carry):
+            i, _ = carry
+            t = at(i)
+            defect = (end - begin) * (terms.vf(t, between.evaluate(t), args) - between.derivative(t))
+            return jnp.where(quiet, i + 1, 2 * POINTS + len(times)), jnp.all(jnp.abs(defect) <= allowed)
+
+        def more(carry):
+            i, good = carry
+            return good & ((i < POINTS) | ((first + i - POINTS < len(times)) & (at(i) < end)))
+
+        _, good = lax.while_loop(more, look, (jnp.where(quiet, 0, POINTS // 2), jnp.array(True)))
+        ratio = jnp.max(jnp.abs(lax.stop_gradient(error)) / tolerance)
+        changed = jnp.max(jnp.abs(lax.stop_gradient(y1 - y0)) / tolerance) > self.rtol**-0.5
+        return y1, jnp.where(good, error, jnp.inf), dense, (inner, jnp.where(changed, ratio, 0.0)), result
 
 
 class Blocks(diffrax.AbstractAdjoint):
@@ -119,6 +204,7 @@ class Blocks(diffrax.AbstractAdjoint):
 
         k_i = h f(t + c_i h, y + sum_j a_ij k_j),   y(t + h) = y + sum_i b_i k_i,   y(t + theta h) = y + sum_i p_i(theta) k_i
         error = norm(sum_i e_i k_i / (atol + rtol |y|)),   next h = safety h error^(-1/order), within its limits
+        defect = norm((h f(t + theta h, y(t + theta h)) - sum_i p_i'(theta) k_i) / (atol + rtol |y|)), small along steps after quiet ones
 
     f is the vector field of the term, a, b, c, e and p are those of the solver. A block keeps the polynomials of its steps and computes the
     samples between them at its end. Reverse mode keeps the state at the start of each block with the lengths of its steps, and repeats the

@@ -27,7 +27,7 @@ from jaxbody.numerics.lanes import in_lanes
 
 CLUSTERED = 1e-6  # relative distance of eigenvalues below which they belong to one cluster
 ALIKE = 1e-5  # relative difference of cotangents within a cluster that counts as none: that of its frequencies is up to CLUSTERED
-ZERO = 1e-10  # eigenvalues, relative to the largest, that count as zero
+ZERO = 1e-12  # eigenvalues, relative to the largest, that count as zero
 WITH_EIG = ("cpu", "gpu")  # devices for which JAX has eig
 MASSLESS = 1e-13  # pivots of M, relative to its diagonal, that count as zero
 SWEPT = 128  # lanes for eigenvalues, whose many short loops take longer to call than to run

@@ -23,7 +23,7 @@ from jaxbody.compilation.compilations import note_left_to_vmap
 from jaxbody.compilation.program_parts import CALLS, fixpoint, parts_of_scan, reach, reach_of, reach_of_while
 from jaxbody.core.arrays import Array
 from jaxbody.core.jax_internals import (
-    ClosedJaxpr,
+    ClosedJaxpr,  # pyright: ignore[reportPrivateImportUsage]
     Literal,
     Zero,
     call_of,
@@ -173,7 +173,8 @@ def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
             for whole, part, o in zip(joined, out, reached, strict=True)
         ]
 
-    empty = [jnp.zeros((*a.shape, n) if o else a.shape, a.dtype) for a, o in zip(jaxpr.out_avals, reached, strict=True)]
+    types: list[Any] = list(jaxpr.out_avals)
+    empty = [jnp.zeros((*a.shape, n) if o else a.shape, a.dtype) for a, o in zip(types, reached, strict=True)]
     joined = lax.fori_loop(0, -(-n // lanes), chunk, empty)
     return joined, [x.ndim - 1 if o else None for x, o in zip(joined, reached, strict=True)]
 
@@ -214,9 +215,10 @@ class Lanes:
             out = self._apply(eqn, list(of_lanes), list(given)) if any(of_lanes) else same_operation(eqn, given)
             values |= dict(zip(eqn.outvars, out, strict=True))
             lanes |= dict(zip(eqn.outvars, reached, strict=True))
-        results = [look(x) for x in jaxpr.jaxpr.outvars]
+        outvars: list[Any] = jaxpr.jaxpr.outvars
+        results = [look(x) for x in outvars]
         wanted = [o for _, o in results] if wanted is None else wanted
-        return [self._spread(x, o, v.aval.shape) if w else x for (x, o), v, w in zip(results, jaxpr.jaxpr.outvars, wanted, strict=True)]
+        return [self._spread(x, o, v.aval.shape) if w else x for (x, o), v, w in zip(results, outvars, wanted, strict=True)]
 
     def _spread(self, x, on: bool, shape) -> Array:
         """x with the given shape and lanes; a scalar, or one scalar for each lane, is repeated."""

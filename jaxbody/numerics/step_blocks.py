@@ -3,9 +3,9 @@
 A block keeps the polynomials of
 its steps, from which the samples in it are computed together at its end. Reverse mode keeps the start and the step lengths of each block,
 and repeats the block; its memory grows with the number of blocks. Both modes treat step lengths as constants. In a batch every member has
-its own steps; constant steps are the same for all, and functions of time alone are then computed once. Adaptive steps end at the samples of
-measured accelerations and of forces interpolated linearly, because a polynomial of high degree cannot cross their kinks. Where a problem
-has a projection P, steps end at P(y1), and the error is what is left of it after P.
+its own steps; constant steps are the same for all, and functions of time alone are then computed once. Adaptive steps end at the kinks of
+motions and loads, because a polynomial of high degree cannot cross them. Where a problem has a projection P, steps end at P(y1), and the
+error is what is left of it after P.
 """
 
 from __future__ import annotations
@@ -24,12 +24,20 @@ from jaxbody.core.errors import Problem as Wrong
 from jaxbody.core.jax_internals import Zero, chosen, instantiate_zeros, merged, new_operation, shaped
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.runge_kutta_steps import (
+    NOT_LOOKING,
+    TRIAL,
+    Ahead,
+    Course,
     InitialValueProblem,
+    change_ratio,
+    controlled,
+    defects,
     error_ratio,
     first_length,
+    look_along,
     polynomial,
+    polynomial_at,
     rate,
-    root,
     row_at,
     rows_of_polynomial,
     step,
@@ -41,9 +49,6 @@ MOST_KEPT = 8e9  # bytes that a derivative may reserve
 WINDOW = 1024  # samples computed together, at most
 LANES = 40  # members of a batch in a chunk: loops over 32 or fewer are unrolled before they can become vector instructions
 NEAR = 1e-12  # distance of kinks, relative to the whole time, below which they are one
-ROUNDED = 100.0  # errors by round-off, in eps of the state; smaller errors do not lengthen the next step further,
-LEAST_ERROR = 1e-3  # nor do errors below this where tolerances are near round-off
-TRIAL = 1e-6  # length of the trial step, relative to the whole time; it gives the first rate and the first step
 
 
 class Steps(NamedTuple):
@@ -64,15 +69,6 @@ class Begun(NamedTuple):
     last: Steps
     window: Int[Array, ""]
     filled: Float[Array, ""]
-
-
-class Course(NamedTuple):
-    """The state of step control: next step length, numbers of accepted and rejected steps, status."""
-
-    h: Float[Array, ""]
-    accepted: Int[Array, ""]
-    rejected: Int[Array, ""]
-    code: Int[Array, ""]
 
 
 class Solution(NamedTuple):
@@ -122,7 +118,7 @@ def _tangents(primals, tangents, *, problem):
         return [x for x, m in zip(tree.flatten_up_to(slopes), moves, strict=True) if m]
 
     of_samples, of_y = linear_with_transpose(forward, backward, (numbers, kept), jax.tree.leaves(changes), (ended.samples, ended.y))
-    return ended, Solution(of_samples, None, of_y, Course(None, None, None, None))  # pyright: ignore
+    return ended, Solution(of_samples, None, of_y, Course(*[None] * len(Course._fields)))  # pyright: ignore
 
 
 def _backward(kept, of_samples: Float[jax.Array, "nt ny"], of_y: Float[Array, "ny"], given, problem: InitialValueProblem):
@@ -190,7 +186,7 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
         none,
         zero - 1,
     )
-    course = Course(TRIAL * end, none, none, jnp.full((), Status.OK.value))
+    course = Course(TRIAL * end, zero, zero + jnp.inf, none, none, jnp.full((), Status.OK.value))
     size = BLOCK if keep else min(max(len(times) // 8, 16), BLOCK)  # for few samples few steps are kept
     blocks = problem.max_steps // BLOCK + len(reach) + 2 if keep else 0  # full ones, one for each window, the last ones
     of_block = (begun, jnp.zeros(BLOCK, y0.dtype))
@@ -200,19 +196,22 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
     moving = (begun.y, begun.f, begun.last.c, out)
     y, f, c, out = carried(moving, [x for x in jax.tree.leaves((arguments, times)) if is_inexact_array(x)])
     begun = begun._replace(y=y, f=f, last=begun.last._replace(c=c))
+    ahead = Ahead(none + NOT_LOOKING, zero, zero, lax.stop_gradient(c))
 
     def running(begun, course):
         """Until all samples up to the end are computed: one step may reach over many windows."""
         return begun.filled < jnp.where(course.code == Status.OK.value, end, begun.tau)
 
     def block(carry):
-        begun, course, out, kept, n = carry
+        begun, course, ahead, out, kept, n = carry
         on = running(begun, course)
         goal = jnp.where(on, row_at(reach, begun.window), -1.0)
-        tau, y, f, course, steps = _advance(problem, arguments, times[0], begun, course, goal, end, size, n == 0)
+        tau, y, f, course, ahead, steps = _advance(problem, arguments, times, begun, course, ahead, goal, size, n == 0)
         values, fill = _sampled(times, begun, steps, tau)
         out = _put(out, begun.window, jnp.where(fill[:, None], values, row_at(out, begun.window)))
-        if keep:
+        if keep:  # members of a batch that look while others step may need more blocks
+            short = running(begun._replace(tau=tau), course) & (n + 1 >= blocks)
+            course = course._replace(code=jnp.where(short, Status.MAX_STEPS.value, course.code))
             kept = jax.tree.map(
                 lambda all, one: lax.dynamic_update_index_in_dim(all, one, n, 0),
                 kept,
@@ -220,18 +219,22 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
             )
         through = on & (tau >= goal) & (begun.window < len(reach) - 1)
         begun = Begun(tau, y, f, _last(steps), begun.window + through.astype(begun.window.dtype), jnp.where(through, -1.0, tau))
-        return begun, course, out, kept, n + 1
+        return begun, course, ahead, out, kept, n + 1
 
-    carry = (begun, course, out, kept, none)
-    begun, course, out, kept, n = lax.while_loop(lambda carry: any_of_batch(running(carry[0], carry[1])), block, carry)
+    carry = (begun, course, ahead, out, kept, none)
+    begun, course, _, out, kept, n = lax.while_loop(lambda carry: any_of_batch(running(carry[0], carry[1])), block, carry)
     if keep:  # the trial step gave the rate at the start of the first block
         kept = kept[0]._replace(f=kept[0].f.at[0].set(rate(problem, arguments, times[0], y0))), kept[1]
     samples = out.reshape(-1, len(y0))[: len(times)].at[0].set(y0)
     return Solution(samples, begun.tau, begun.y, course), (*kept, n)
 
 
-def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: Course, goal, end, size: int, starting: Bool[Array, ""]):
+def _advance(
+    problem: InitialValueProblem, arguments, times, begun: Begun, course: Course, ahead: Ahead, goal, size: int, starting: Bool[Array, ""]
+):
     """Take steps until `goal`, at most one block of them; if `starting`, take a trial step first."""
+    t0, past = times[0], lax.stop_gradient(times - times[0])
+    end = past[-1]
     rows = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), begun.last)._replace(h=jnp.full(size, jnp.inf, begun.y.dtype))
     steps = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, rows)
     ends = None if problem.kinks is None else jnp.append(problem.kinks - t0, jnp.inf)
@@ -245,46 +248,45 @@ def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: 
     def active(tau, course):
         return (course.code == Status.OK.value) & (tau < goal)
 
-    def control(course, y, made, h):
-        """Whether a step's error is small enough, the next step's length, and the status."""
-        rules = problem.control
-        error = error_ratio(problem, *lax.stop_gradient((y, made)))
-        good = error <= 1
-        least = jnp.minimum(ROUNDED * jnp.finfo(y.dtype).eps / rules.rtol, LEAST_ERROR)
-        factor = rules.safety / root(problem.method, jnp.maximum(error, least))
-        factor = jnp.clip(factor, rules.factormin, jnp.where(good, rules.factormax, 1.0))
-        longer = h * jnp.where(jnp.isfinite(error), factor, rules.factormin)
-        if ends is not None:  # the step after one that was cut at a kink need not be as short
-            longer = jnp.where(good & (h < course.h), jnp.maximum(longer, course.h), longer)
-        small = jnp.where(jnp.isfinite(error), Status.DT_MIN.value, Status.NONFINITE.value)
-        return good, longer, jnp.where(longer < rules.dtmin, small, Status.OK.value)
-
     def one(carry):
-        tau, y, f, course, steps, i = carry
+        tau, y, f, course, ahead, steps, i = carry
         on = active(tau, course)
         to = lax.stop_gradient(stop(tau))
         left = to - tau
-        h = lax.stop_gradient(jnp.where(course.h > 0.9999 * left, left, course.h))
+        h = jnp.where(ahead.at == NOT_LOOKING, jnp.where(course.h > 0.9999 * left, left, course.h), ahead.h)
+        h = lax.stop_gradient(h)
         trial = i == 0
-        new = step(problem, arguments, t0 + tau, y, f, h, trial)
-        good, longer, code = (jnp.array(True), course.h, course.code) if problem.control is None else control(course, y, new, h)
-        made, tries = on & good & ~trial, course.accepted + course.rejected + 1
+        look = None if problem.control is None else look_along(problem, ahead, tau, past)
+        new = step(problem, arguments, t0 + tau, y, f, h, trial, look)
         tau1 = jnp.where(h == left, to, tau + h)
-        code = jnp.where(good & (tau1 >= end), Status.OK.value, jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, code))
-        taken, refused = (x.astype(course.accepted.dtype) for x in (good, ~good))
-        after = Course(longer, course.accepted + taken, course.rejected + refused, code)
+        c = polynomial(problem.method, y, new)
+        if look is None:
+            good, after, next_ahead = jnp.array(True), course._replace(accepted=course.accepted + 1), ahead
+        else:
+            of_step, cut = lax.stop_gradient((y, new)), (tau1 == to) & (to < end)
+            ratios = error_ratio(problem, *of_step), change_ratio(problem, *of_step), defects(problem, *of_step, look, ahead.c)
+            this = ahead._replace(h=h, c=jnp.where(look.on, ahead.c, lax.stop_gradient(c)))
+            good, after, next_ahead = controlled(problem, course, look, this, tau1, past, cut, *ratios)
+        made = on & good & ~trial
+        tries = after.accepted + after.rejected
+        code = jnp.where(good & (tau1 >= end), Status.OK.value, jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, after.code))
         f0 = new.k[1] / h  # the rate at the start, for a trial step
-        begin = course._replace(h=first_length(problem, *lax.stop_gradient((y, f0, new.f)), problem.method.A[1, 1] * h, end))
-        after = jax.tree.map(lambda new, old: jnp.where(trial, new, old), begin, after)
-        made_step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), polynomial(problem.method, y, new))
+        first, method = problem.first, problem.method
+        if first is None:
+            first = first_length(problem.control, method.order, *lax.stop_gradient((y, f0, new.f)), method.A[1, 1] * h, end)
+        begin = course._replace(h=first)
+        after = jax.tree.map(lambda new, old: jnp.where(trial, new, old), begin, after._replace(code=code))
+        made_step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), c)
         steps = jax.tree.map(lambda all, new: lax.dynamic_update_index_in_dim(all, new, i, 0), steps, made_step)
         tau, y, f = (jnp.where(made, new, old) for new, old in ((tau1, tau), (new.y, y), (new.f, jnp.where(trial, f0, f))))
-        return tau, y, f, jax.tree.map(lambda new, old: jnp.where(on, new, old), after, course), steps, i + 1
+        course, ahead = jax.tree.map(lambda new, old: jnp.where(on, new, old), (after, next_ahead), (course, ahead))
+        ahead = ahead._replace(at=jnp.where(trial, NOT_LOOKING, ahead.at))
+        return tau, y, f, course, ahead, steps, i + any_of_batch(made | trial).astype(i.dtype)
 
     def more(carry):
-        return any_of_batch(active(carry[0], carry[3])) & (carry[5] <= size)
+        return any_of_batch(active(carry[0], carry[3])) & (carry[6] <= size)
 
-    return lax.while_loop(more, one, (begun.tau, begun.y, begun.f, course, steps, jnp.where(starting, 0, 1)))[:5]
+    return lax.while_loop(more, one, (begun.tau, begun.y, begun.f, course, ahead, steps, jnp.where(starting, 0, 1)))[:6]
 
 
 def _repeat(problem: InitialValueProblem, arguments, t0, begun: Begun, lengths: Float[Array, "n"]):
@@ -305,11 +307,7 @@ def _sampled(times, begun: Begun, steps: Steps, tau) -> tuple[Float[Array, "w ny
     row = jnp.searchsorted(lax.stop_gradient(steps.start + steps.h), past)
     start, h = steps.start[row], steps.h[row]
     theta = ((past - start) / jnp.where(h > 0, h, 1.0))[:, None]
-    c = steps.c[row]
-    value = c[:, -1]
-    for i in range(c.shape[1] - 2, -1, -1):
-        value = value * theta + c[:, i]
-    return value, (past <= tau) & (past > begun.filled)
+    return polynomial_at(jnp.moveaxis(steps.c[row], 1, 0), theta), (past <= tau) & (past > begun.filled)
 
 
 def _last(steps: Steps) -> Steps:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable
+from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,10 @@ def ties(leaves: list[Leaf], free: Iterable[str], where: str, problems: Problems
         problems: collects the errors.
         absent: {path: hint} of leaves that do not exist but could, by default none.
     """
-    sides = {str(entry): [_side(side, where, problems) for side in str(entry).split("=")] for entry in free}
+    entries, paths = [str(entry) for entry in free], [leaf.path for leaf in leaves]
+    for entry in [entry for i, entry in enumerate(entries) if entry in entries[:i]]:
+        problems.add("LISTED_TWICE", where, f"lists '{entry}' twice", value=entry, hint="List each parameter once.")
+    sides = {entry: [_side(side, where, problems) for side in _split(entry, paths)] for entry in entries}
     for entry in [entry for entry, parts in sides.items() if len(parts) > 1 and not all(pattern for pattern, _ in parts)]:
         limit, hint = "a path on both sides", 'Write "left.stiffness = right.stiffness".'
         problems.add("UNKNOWN_PATH", where, f"'{entry}' ties nothing on one side", value=entry, limit=limit, hint=hint)
@@ -41,7 +45,12 @@ def ties(leaves: list[Leaf], free: Iterable[str], where: str, problems: Problems
     listed: set[Leaf] = set()
     free_ties: list[Tie] = []
     for entry, parts in sides.items():
-        selected = {leaf: factor for pattern, factor in parts for leaf in matched[pattern]}
+        selected: dict[Leaf, Any] = {}
+        for pattern, factor in parts:
+            for leaf in matched[pattern]:
+                if not np.array_equal(selected.setdefault(leaf, factor), factor):
+                    message = f"'{entry}' ties {leaf.path} to itself with another factor"
+                    problems.add("BAD_TIE", where, message, value=entry, limit="two parameters", hint="Name the other one.")
         for leaf in selected:
             if leaf in listed:
                 message = f"lists {leaf.path} twice, also by '{entry}'"
@@ -50,10 +59,17 @@ def ties(leaves: list[Leaf], free: Iterable[str], where: str, problems: Problems
         first = next(iter(selected.values()), 1.0)
         tied: Tie = {leaf: _ratio(first, factor) for leaf, factor in selected.items()}
         single: list[Tie] = [{leaf: 1.0} for leaf in selected]
-        free_ties += [tied] if len(parts) > 1 else single
+        free_ties += single if len(parts) == 1 else [tied] if tied else []
     if not free_ties and not problems.collected:
         problems.add("NOTHING_FREE", where, "is empty", limit="at least one path", hint='Name the unknowns: free=["*.stiffness"].')
     return free_ties
+
+
+def _split(entry: str, paths: list[str]) -> list[str]:
+    """The sides of a tie. A name may have an equals sign in it, without spaces around it."""
+    if any(fnmatchcase(path, entry) for path in paths):
+        return [entry]
+    return re.split(r"\s=\s" if re.search(r"\s=\s", entry) else "=", entry)
 
 
 def _side(text: str, where: str, problems: Problems) -> tuple[str, Any]:

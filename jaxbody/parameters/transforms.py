@@ -284,6 +284,10 @@ def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametr
         return Shifted(start, jnp.where(largest > 0, largest, size))
     form, inside, problem, limit, hint = STARTS[domain]
     if value is not None and not inside(value):
+        zero = [label for label, x in zip(indices(value.shape), value.ravel(), strict=True) if form is Positive and x == 0]
+        if 0 < len(zero) < value.size:  # such as a bushing that is damped along x alone
+            hint = f"{path} is free as a whole, and its {', '.join(zero)} are zero. {hint[:-1]} there as well; or leave it fixed, and free "
+            hint += "the number of an element of its own that acts along one direction, such as the damper of a SpringDamper."
         return Problem("START_ON_BOUND", path, f"starts at {value}, {problem}", value, limit, hint)
     return form(start)
 
@@ -295,7 +299,7 @@ def _thick(inertia: np.ndarray) -> bool:
 
 
 UNBOUNDED = {"rotation": Rotated, "direction": Direction}
-NUMBER = (Positive, lambda x: (x > 0).all(), "which has no logarithm", "> 0", "Start at a small positive number.")
+NUMBER = (Positive, lambda x: (x > 0).all(), "which has no logarithm", "> 0", "Start at a positive number of the size that you expect.")
 ROW = (
     lambda x: Ordered(x, jnp.max(jnp.abs(x))),
     lambda x: (np.diff(x) > 0).all(),

@@ -186,16 +186,17 @@ def annotate(ax: Any, labels: list[Label]) -> None:
     if not labels:
         return
     scale = 72 / ax.figure.dpi
-    covered = np.concatenate([_points_along(scale * ax.transData.transform(shape)) for shape in _drawn(ax)])
+    covered = np.concatenate([_points_along(scale * ax.transData.transform(shape)) for shape in _drawn(ax)]).T
     taken = scale * np.array([[*box.min, *box.max] for box in (text.get_window_extent() for text in ax.texts)]).reshape(-1, 4)
     for label in labels:
         at = scale * ax.transData.transform(label.at)
         half = 0.5 * label.size * np.array([WIDTH * len(label.name), HEIGHT])
         offsets, reach, costs = _places(label.toward, half)
         low, high = at + offsets - half, at + offsets + half
-        depth = np.minimum(high[:, None], taken[:, 2:]) - np.maximum(low[:, None], taken[:, :2])
-        costs = costs + 20 * np.sum(np.all(depth > -CLEAR, -1), -1)
-        costs = costs + np.sum(np.all((covered > low[:, None] - CLEAR) & (covered < high[:, None] + CLEAR), -1), -1)
+        (left, bottom), (right, top) = low.T[..., None] - CLEAR, high.T[..., None] + CLEAR
+        costs = costs + 20 * np.sum((taken[:, 2] > left) & (taken[:, 0] < right) & (taken[:, 3] > bottom) & (taken[:, 1] < top), -1)
+        x, y = covered[:, (abs(covered - at[:, None]) < RINGS[-1] + CLEAR + 2 * half[:, None]).all(0)]  # what a label so far away may cover
+        costs = costs + np.sum((x > left) & (x < right) & (y > bottom) & (y < top), -1)
         best = int(np.argmin(costs))
         taken = np.concatenate([taken, [[*low[best], *high[best]]]])
         leader = {"arrowstyle": "-", "lw": 0.5, "color": GRAY, "shrinkA": 0, "shrinkB": 1} if reach[best] > FAR else None

@@ -22,6 +22,7 @@ from jaxbody.mechanics.free_motions import moved as moved_by
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
+from jaxbody.models.preconditions import check_state
 from jaxbody.models.states import State
 from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT, Label, annotate, axes_or_new, check_known
 from jaxbody.vibrations.damped_modes import ComplexModes
@@ -61,6 +62,7 @@ def draw_model(
     'y [m]'
     """
     state = model.reference if state is None else state
+    check_state(model, state, "draw_model.state")
     xi = np.zeros((len(model.layout.supports), 6))
     check_known(tuple(displaced or ()), model.layout.supports, "draw_model.displaced")
     for name, value in (displaced or {}).items():

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxbody.core.arrays import time_text
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.elements.torsions import Torsion
 from jaxbody.models.models import Model
@@ -187,7 +188,7 @@ def plot_force_strokes(
     check_known(elements or (), model.element_names, "plot_force_strokes.elements")
     late = times >= (times[0] if start is None else start)
     if late.sum() < 2:
-        message, limit = f"leaves {late.sum()} samples", f"{times[0]:.6g} to {times[-1]:.6g} s"
+        message, limit = f"leaves {late.sum()} samples", f"{time_text(times[0], times)} to {time_text(times[-1], times)} s"
         raise JaxbodyError(Problem("NO_DATA", "plot_force_strokes.start", message, start, limit, "Give an earlier time."))
     names = elements or model.element_names
     rows = [

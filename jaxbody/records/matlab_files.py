@@ -26,24 +26,35 @@ CELL, STRUCT, OBJECT, CHARS, SPARSE, DEEPEST = 1, 2, 3, 4, 5, 20
 ELEMENT = 16  # memory of an element without its data (object, name, shape), in numbers of 8 bytes
 
 
-def read_matlab(path: Path, largest: float) -> dict[str, np.ndarray]:
-    """Numeric arrays by name, those of structs as "run.acc". Raises ValueError for a broken file. Error: TOO_LARGE."""
+def read_matlab(path: Path, largest: float) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, str]]]:
+    """Numeric arrays by the names that MATLAB gives them, "run.acc", "data{2}" or "run(2).acc", counted from 1, and {name: what it is, what
+    to do} of the rest. Raises ValueError for a broken file. Error: TOO_LARGE."""
     from scipy.io import loadmat
 
     check(path.read_bytes(), path.name, largest)
     arrays: dict[str, np.ndarray] = {}
+    others: dict[str, tuple[str, str]] = {}
 
-    def walk(name: str, value: Any) -> None:
-        if hasattr(value, "_fieldnames"):
-            for field in value._fieldnames:
-                walk(f"{name}.{field}", getattr(value, field))
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim in (1, 2):
+    def walk(name: str, value: Any) -> str | None:
+        """Note a value and its parts; returns the name of the first array in it."""
+        if isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim in (1, 2):
             arrays[name] = value
+            return name
+        parts, what = [], "text" if isinstance(value, str) else f"{getattr(value, 'dtype', type(value).__name__)}, shape {np.shape(value)}"
+        if fields := getattr(value, "_fieldnames", None):
+            parts, what = [(f".{field}", getattr(value, field)) for field in fields], "a struct"
+        elif isinstance(value, np.ndarray) and value.dtype == object:
+            structs = value.size > 0 and all(hasattr(x, "_fieldnames") for _, x in np.ndenumerate(value))
+            (start, end), what = ("()", "a struct array") if structs else ("{}", "a cell array")
+            parts = [(start + ",".join(str(i + 1) for i in index) + end, x) for index, x in np.ndenumerate(value)]
+        first = next(filter(None, [walk(name + part, x) for part, x in parts]), None)
+        others[name] = what, f"Read an array in it, such as '{first}'." if first else "Save it as an array of real numbers."
+        return first
 
     for name, value in loadmat(path, squeeze_me=True, struct_as_record=False).items():
         if not name.startswith("__"):
             walk(name, value)
-    return arrays
+    return arrays, others
 
 
 def check(data: bytes, name: str, largest: float) -> None:
@@ -118,4 +129,5 @@ def _check_matrix(content: bytes, order: str, depth: int, name: str, largest: fl
             raise ValueError("an array lacks its numbers")
         return ELEMENT + sum(len(part) // allowed[kind] for kind, part in parts[3:])
     else:
-        raise ValueError(f"an array is of class {kind}, which is not supported; save the numbers alone")
+        what = {16: "a function handle", 17: "a table, timetable, datetime or string"}.get(kind, "an unknown object")
+        raise ValueError(f"an array is of class {kind}, {what}: save its numbers alone, dates as seconds(t - t(1))")

@@ -1,6 +1,7 @@
 """Readers of measurement files by format: the requested columns, with the units and times that the file states.
 
     .csv .txt .tsv .dat .asc, also .gz     a table of text
+    .lvm                                   a table of text with LabVIEW's headings, which state units and times
     .parquet .pq                           pyarrow      unit in the field's metadata or the name
     .mat                                   scipy; h5py for version 7.3
     .h5 .hdf5                              h5py         unit in the attribute `unit` or `units`
@@ -27,12 +28,14 @@ import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.core.source_files import check_size
+from jaxbody.records.labview_files import MAGIC, read_lvm
 from jaxbody.records.matlab_files import read_matlab
-from jaxbody.records.sources import Asked, Pick, check_numbers, find_name, kind_of, numeric, reader_errors
+from jaxbody.records.sources import Asked, Pick, along, check_numbers, column, find_name, kind_of, numeric, reader_errors, stated_number
 from jaxbody.records.text_tables import Column, Contents, read_text, split_unit
 from jaxbody.records.universal_files import read_uff
 
 MOST_INFLATED = 1032  # zlib's largest ratio of decompressed to compressed size
+INDEX, OF_MASTERS = 4, {2: "rad", 3: "m"}  # of MDF groups that are not over time: numbers of samples; angle, distance
 DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3  # HDF5's numbers of its filters
 
 
@@ -45,9 +48,9 @@ def read_columns(path: Any, wanted: list[Asked], *, format: str | None = None, l
     path = Path(path)
     kind = kind_of(path, format, largest)
 
-    def pick(names: list[str], aliases: list[str] | None = None) -> dict[Asked, str]:
+    def pick(names: list[str], *more: Any) -> dict[Asked, str]:
         with Problems() as problems:
-            chosen = {name: problems.gather(partial(find_name, name, names, path.name, aliases)) for name in wanted}
+            chosen = {name: problems.gather(partial(find_name, name, names, path.name, *more)) for name in wanted}
         return chosen
 
     with reader_errors(path, kind):
@@ -60,6 +63,8 @@ def _text(path: Path, pick: Pick, largest: float, **options: Any) -> Contents:
         with gzip.open(path) as file:
             data = file.read(int(largest) + 1)
         check_size(path.name, len(data), largest)
+    if data.startswith(MAGIC):
+        return read_lvm(data, path.name, options["encoding"], pick)
     table = read_text(data, path.name, **options)
     return Contents({asked: table.columns[name] for asked, name in pick(list(table.columns)).items()}, table.notes)
 
@@ -76,11 +81,9 @@ def _parquet(path: Path, pick: Pick, largest: float) -> Contents:
     table = file.read(columns=list(dict.fromkeys(names.values())))
     columns = {}
     for asked, name in names.items():
-        values, meta = table.column(name).to_numpy(), schema.field(name).metadata or {}
+        meta = schema.field(name).metadata or {}
         unit = next((meta[key].decode("utf-8", "replace") for key in (b"unit", b"units") if key in meta), split_unit(name)[1])
-        if values.dtype.kind == "M":
-            values, unit = (values - values[0]) / np.timedelta64(1, "s"), "s"
-        columns[asked] = Column(numeric(values, name, path.name), unit)
+        columns[asked] = column(table.column(name).to_numpy(), name, path.name, unit)
     return Contents(columns)
 
 
@@ -89,24 +92,31 @@ def _mat(path: Path, pick: Pick, largest: float) -> Contents:
         start = file.read(1024)
     if b"\x89HDF" in start:
         return _hdf5(path, pick, largest, transposed=True)
-    arrays = read_matlab(path, largest)
-    return Contents({asked: Column(numeric(arrays[name], name, path.name)) for asked, name in pick(list(arrays)).items()})
+    arrays, others = read_matlab(path, largest)
+    return Contents({asked: column(arrays[name], name, path.name) for asked, name in pick(list(arrays), None, others).items()})
 
 
 def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> Contents:
     h5py = import_extra("h5py", path.name)
     names: list[str] = []
     elsewhere: list[str] = []
+    others: dict[str, tuple[str, str]] = {}
 
     def note(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and item.ndim in (1, 2) and not name.startswith("#"):
+        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
+            return
+        if item.dtype.kind in "biuf" and item.ndim in (1, 2):
             (elsewhere if item.external or item.is_virtual else names).append(name)
+        elif h5py.check_ref_dtype(item.dtype):
+            others[name] = "a cell or struct array of MATLAB 7.3", "Save it with -v7, or its parts as arrays of their own."
+        else:
+            others[name] = f"{item.dtype} of shape {item.shape}", "Read another dataset."
 
     columns = {}
     with h5py.File(path, "r") as file:
         file.visititems(note)
         file.visititems_links(lambda name, link: elsewhere.append(name) if isinstance(link, h5py.ExternalLink) else None)
-        chosen = pick([*names, *elsewhere])
+        chosen = pick([*names, *elsewhere], None, others)
         for name in elsewhere:
             if name in chosen.values():
                 hint = "Read that file, or copy all data into one with h5repack."
@@ -158,15 +168,19 @@ def _tdms(path: Path, pick: Pick, largest: float) -> Contents:
     with nptdms.TdmsFile.open(path) as file:
         channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
         columns, chosen = {}, pick(list(channels))
+        starts = [channels[name].properties.get("wf_start_time") for name in chosen.values()]
+        starts = dict(zip(chosen, starts, strict=True)) if all(isinstance(start, np.datetime64) for start in starts) else {}
         for name in set(chosen.values()):
-            if channels[name].dtype.kind not in "biuf":
+            if channels[name].dtype.kind not in "biufM":
                 raise _no_number(path, name, channels[name].dtype)
         check_numbers(path.name, sum(len(channels[name]) for name in set(chosen.values())), largest)
         for asked, name in chosen.items():
-            channel = channels[name]
-            unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
-            times = np.asarray(channel.time_track(), float) if "wf_increment" in channel.properties else None
-            columns[asked] = Column(numeric(channel[:], name, path.name), unit or None, times)
+            channel, get, times = channels[name], channels[name].properties.get, None
+            if get("wf_increment"):
+                axis = get("wf_start_offset", 0.0) + get("wf_increment") * np.arange(len(channel))
+                times = along(axis, get("wf_xunit_string"), "s", f"{path.name}['{name}']")
+                times += (starts[asked] - min(starts.values())) / np.timedelta64(1, "s") if starts else 0.0
+            columns[asked] = column(channel[:], name, path.name, get("unit_string") or get("NI_UnitDescription"), times)
     return Contents(columns)
 
 
@@ -186,7 +200,13 @@ def _mdf(path: Path, pick: Pick, largest: float) -> Contents:
         for asked, name in wanted.items():
             group, index = places[name]
             signal = file.get(group=group, index=index)
-            columns[asked] = Column(numeric(signal.samples, name, path.name), signal.unit or None, np.asarray(signal.timestamps, float))
+            times, kind, holder = None, signal.master_metadata[1], group
+            if group not in file.masters_db:
+                holder = getattr(file.groups[group].channel_group, "cg_master_index", None)
+            if holder in file.masters_db and kind != INDEX:  # else the times that asammdf states are numbers of samples
+                axis = OF_MASTERS.get(kind) or file.get_channel_unit(group=holder, index=file.masters_db[holder])
+                times = along(signal.timestamps, axis, "s", f"{path.name}['{name}']")
+            columns[asked] = column(signal.samples, name, path.name, signal.unit, times)
     return Contents(columns)
 
 
@@ -212,10 +232,7 @@ def _peer(path: Path, pick: Pick, largest: float) -> Contents:
             raise JaxbodyError(
                 Problem("BAD_LINE", f"{path.name}:{i}", f"is {line!r:.60}", i, "numbers", "Delete anything that is not a sample.")
             ) from None
-    if len(values) != count:
-        code, hint = ("TRUNCATED", "Copy it again.") if len(values) < count else ("RAGGED_LINE", "Is this the heading of another record?")
-        raise JaxbodyError(Problem(code, path.name, f"has {len(values)} samples", len(values), f"{count}, as its heading says", hint))
-    column = Column(np.array(values), unit[1].lower(), float(step[1]) * np.arange(count))
+    column = Column(stated_number(np.array(values), count, path.name), unit[1].lower(), float(step[1]) * np.arange(count))
     return Contents({asked: column for asked in pick(["motion"])})
 
 

@@ -14,6 +14,8 @@ from jaxbody.records.records import Record
 from jaxbody.records.sources import Asked
 from jaxbody.records.text_tables import Column
 
+SAME = 1e-3  # largest difference between the same times, relative to their step
+
 
 def read_record(
     path: Any,
@@ -29,13 +31,14 @@ def read_record(
     footer: int = 0,
     **options: Any,
 ) -> Record:
-    """The Record in a file: CSV and other text tables (also .gz), Parquet, MATLAB, HDF5, UFF58, TDMS, MDF4, PEER AT2.
+    """The Record in a file: CSV, LVM and other text tables (also .gz), Parquet, MATLAB, HDF5, UFF58, TDMS, MDF4, PEER AT2.
 
     Args:
         path: path of the file
         channels: {name: columns} or {name: (columns, unit)}, with the name or number (from 0) of a column, or a list of them; "X[2]" is
-            column 2 (from 0) of an array X; "1+Z" in a UFF file is node 1 along Z; a unique id line is a name too
-        time: a column or (column, unit); None: the times that UFF, TDMS, MDF and AT2 files state, or those of `rate=`
+            column 2 (from 0) of an array X; "1+Z" in a UFF file is node 1 along Z; a unique id line is a name too; cells and structs of
+            MATLAB have the names that they have there, "data{2}", "run(2).acc"
+        time: a column or (column, unit); None: the times that LVM, UFF, TDMS, MDF and AT2 files state, or those of `rate=`
         format: text, parquet, mat, hdf5, uff, tdms, mdf or peer; None: according to the extension of the file
         largest: largest size of a file, and of the numbers read from it at 8 bytes each [bytes]
         encoding: encoding of text
@@ -49,8 +52,9 @@ def read_record(
     called "motion".
 
     Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE (a pipe, a device), EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA,
-    UNREADABLE, UNKNOWN_CHANNEL, NOT_A_NUMBER, EXTERNAL_DATA (HDF5 that points to other files); for text, with the line, ENCODING,
-    NO_NUMBERS, BAD_LINE, RAGGED_LINE, DECIMAL_COMMA, TRUNCATED; UNIT_CONFLICT, DIFFERENT_TIMES and those of `Record`.
+    UNREADABLE, UNKNOWN_CHANNEL, NOT_A_NUMBER, NOT_A_RECORD (not over time), EXTERNAL_DATA (HDF5 that points to other files);
+    TRUNCATED, RAGGED_LINE for other than the stated number of points; for text, with the line, ENCODING, NO_NUMBERS, BAD_LINE,
+    DECIMAL_COMMA; UNIT_CONFLICT, DIFFERENT_TIMES and those of `Record`. Warns TIME_UNIT also for an unknown unit of the file's times.
 
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.csv"
@@ -158,14 +162,15 @@ def _clock(columns: dict[Any, Column], clock: Any, rate: Any, name: str, problem
     if clock is not None:
         column = columns[clock[0][0]]
         return _part(column, clock[0][0]), agreed_unit(clock[1], {column.unit}, f"{name}.times", problems, notes)
-    own = [column.times for column in columns.values() if column.times is not None]
-    if len(own) == len(columns) and not (rate is not None and not own):
-        if any(
-            len(other) != len(own[0]) or np.abs(other - own[0]).max(initial=0.0) > 1e-9 * np.abs(np.diff(own[0])).sum() for other in own[1:]
-        ):
-            hint = "Read them as separate records, with one experiment for each."
-            problems.add("DIFFERENT_TIMES", name, "has channels sampled at different times", limit="the same times", hint=hint)
-        return own[0], "s"
+    own = {key: column.times for key, column in columns.items() if column.times is not None}
+    if own and len(own) == len(columns):
+        first, times = next(iter(own.items()))
+        for key, other in own.items():
+            if len(other) != len(times) or (np.abs(other - times) > SAME * np.abs(times[-1:] - times[:1]) / len(times)).any():
+                parts = [f"'{k}' {len(t)} samples from {min(t, default=0):.9g} s on" for k, t in ((first, times), (key, other))]
+                hint = "Read them as separate records, with one experiment for each."
+                problems.add("DIFFERENT_TIMES", name, f"has of {' and of '.join(parts)}", limit="the same times", hint=hint)
+        return times, "s"
     if rate is None:
         problems.add("NO_TIME", name, "states no times", limit="time= or rate=", hint='Give time=("t", "s"), or rate= [Hz].')
     return None, "s"

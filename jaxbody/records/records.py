@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core import tables, units
-from jaxbody.core.arrays import float_array
+from jaxbody.core.arrays import float_array, time_array, time_text
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.records.repairs import FILLS, filled, without_duplicates, without_empty
+from jaxbody.records.repairs import FILLS, at_rate, filled, without_duplicates, without_empty
 from jaxbody.records.samplings import Sampling, check_sampling, check_values, sampling_of
 
 
@@ -24,7 +24,7 @@ class Record(Labeled, tables.Printed):
         times: in `time_unit`; None: from `rate`, the first sample at 0
         channels: {name: (values, unit)}
         time_unit: unit of the times
-        rate: sampling rate [Hz]; it must agree with the times within 0.1 % where both are given
+        rate: sampling rate [Hz]; times that are given too are moved to whole steps of it, by half a step and 0.1 % of the rate at most
         highest: the highest frequency of interest [Hz], compared with the rate; None: no comparison
         irregular: accept jitter above 5 % of a step and more than 5 % of missing samples
         drop_duplicates: leave out rows that repeat the previous one
@@ -78,7 +78,9 @@ class Record(Labeled, tables.Printed):
         problems.raise_if_any()
         if drop_duplicates:
             t, given = without_duplicates(t, given, name, notes)
-        sampling = check_sampling(t, problems, f"{name}.times", rate=rate, irregular=irregular, highest=highest, dropped=drop_duplicates)
+        if rate is not None and len(t) > 1 and (np.diff(t) > 0).all():
+            t = at_rate(t, rate, f"{name}.times", problems, notes)
+        sampling = check_sampling(t, problems, f"{name}.times", irregular=irregular, highest=highest, dropped=drop_duplicates)
         for key, (x, unit) in given.items():
             check_values(x, unit, t, problems, f"{name}['{key}']", may_lack=drop is not None)
         problems.raise_if_any()
@@ -100,13 +102,16 @@ class Record(Labeled, tables.Printed):
             )
         return self.channels[name]
 
+    def _span(self) -> str:
+        return " to ".join(time_text(t, self.times) for t in self.times[[0, -1]]) + " s"
+
     def part(self, start: float, stop: float) -> Record:
         """The samples from start to stop [s], both included. Error: NO_DATA for fewer than two."""
         inside = (self.times >= start) & (self.times <= stop)
         if inside.sum() < 2:
             message, limit = (
-                f"has {inside.sum()} samples from {start:.6g} to {stop:.6g} s",
-                f"{self.times[0]:.6g} to {self.times[-1]:.6g} s",
+                f"has {inside.sum()} samples from {time_text(start, self.times)} to {time_text(stop, self.times)} s",
+                self._span(),
             )
             raise JaxbodyError(Problem("NO_DATA", "Record.part", message, (start, stop), limit, "Give a longer part."))
         new = object.__new__(Record)
@@ -129,10 +134,7 @@ class Record(Labeled, tables.Printed):
                 gone = int(np.isnan(column).sum())
                 rows.append((label, self.units[name], self.stated[name], len(x) - gone, gone, np.nanmin(column), np.nanmax(column)))
         jitter = tables.percent(s.jitter / s.step)
-        note = (
-            f"{len(self.times)} times, {self.times[0]:.6g} to {self.times[-1]:.6g} s: {s.rate:.6g} Hz, "
-            f"{f'jitter {jitter}, ' if jitter else ''}{s.missing} missing"
-        )
+        note = f"{len(self.times)} times, {self._span()}: {s.rate:.6g} Hz, {f'jitter {jitter}, ' if jitter else ''}{s.missing} missing"
         heads = ("channel", "unit", "stated in", "samples", "gaps", "least", "largest")
         return [tables.PrintedTable("Record", heads, rows, "\n".join([note, *self.notes]))]
 
@@ -179,7 +181,7 @@ def _times(times: Any, time_unit: str, rate: Any, given: dict[str, Any], name: s
         if rate is None:
             problems.add("NO_TIME", where, "are missing", limit="times or rate=", hint="Give one of them.")
         return np.arange(len(next(iter(given.values()))[0]) if given else 0) / (rate or 1.0)
-    read = problems.gather(lambda: (np.asarray(float_array(times, where)), units.parse(time_unit, where)))
+    read = problems.gather(lambda: (np.asarray(time_array(times, where)), units.parse(time_unit, where)))
     if read is None:
         return np.zeros(0)
     t, unit = read

@@ -1,4 +1,4 @@
-"""Repairs of records on request, each with a note: repeated rows, empty channels, short gaps."""
+"""Repairs of records on request, each with a note: repeated rows, uneven times, empty channels, short gaps."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.arrays import time_text
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.tables import counted
-from jaxbody.records.samplings import counts_of
+from jaxbody.records.samplings import EQUAL, counts_of, sampling_of
 
 FILLS = ("linear", "spline")
+MISMATCH = 1e-3  # largest relative difference between a stated rate and that of the times
 
 
 def without_duplicates(t: np.ndarray, given: dict[str, Any], name: str, notes: list[str]) -> tuple[np.ndarray, dict[str, Any]]:
@@ -22,8 +24,27 @@ def without_duplicates(t: np.ndarray, given: dict[str, Any], name: str, notes: l
         same &= ((rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1]))).all(1)
     keep = np.concatenate([[True], ~same])
     if same.any():
-        notes.append(f"dropped {counted(int(same.sum()), 'row')} equal to the one before, the first at {t[1:][same][0]:.9g} s")
+        first = time_text(t[1:][same][0], t, 9)
+        notes.append(f"dropped {counted(int(same.sum()), 'row')} equal to the one before, the first at {first} s")
     return t[keep], {key: (x[keep], unit) for key, (x, unit) in given.items()}
+
+
+def at_rate(t: np.ndarray, rate: float, where: str, problems: Problems, notes: list[str]) -> np.ndarray:
+    """Increasing times, each moved to the nearest t_0 + k/rate. Error: RATE_MISMATCH where k is not that of its row and of missing ones."""
+    steps = np.round((t - t[0]) * rate)
+    own = sampling_of(t).rate
+    wrong = np.flatnonzero(np.diff(steps) != counts_of(t))
+    if abs(rate / own - 1) > MISMATCH or len(wrong):
+        message, limit = f"has {own:.6g} Hz, not the stated {rate:.6g} Hz", "0.1 %"
+        if abs(rate / own - 1) <= MISMATCH:
+            message, limit = f"leaves the steps of the stated {rate:.6g} Hz at {time_text(t[wrong[0] + 1], t)} s", "half a step"
+        hint = "Leave out rate= to use the times, or leave out the times to use the rate."
+        problems.add("RATE_MISMATCH", where, message, value=own, limit=limit, hint=hint)
+        return t
+    even = t[0] + steps / rate
+    if (moved := np.abs(even - t).max()) > EQUAL / rate:
+        notes.append(f"moved times by up to {moved:.2g} s, to whole steps of {rate:.6g} Hz")
+    return even
 
 
 def without_empty(given: dict[str, Any], notes: list[str], name: str) -> dict[str, Any]:

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core import units
-from jaxbody.core.arrays import check_times
+from jaxbody.core.arrays import check_times, checked, concrete, float_array, time_text
 from jaxbody.core.errors import Problems, warn
 
-MISMATCH = 1e-3  # largest relative difference between a stated rate and that of the times
+EQUAL = 1e-6  # largest difference between equal steps, relative to them
+COARSEST = 1 / 3  # largest ratio of the last digit of times to their step: above one half, a missing time would not show
 IRREGULAR = 0.05  # largest ratio of jitter to step, and of missing to all samples
 MANY_MISSING = 0.2
 AT_THE_RAILS = 0.01  # ratio of samples at the largest or smallest number to all
@@ -46,11 +47,42 @@ def sampling_of(times: np.ndarray) -> Sampling:
     return Sampling(step, jitter, int(counts.sum()) - len(counts))
 
 
-def check_sampling(
-    times: Any, problems: Problems, where: str, *, rate: float | None, irregular: bool, highest: float | None, dropped: bool
-) -> Sampling | None:
-    """Check times and their sampling. Errors: those of times, RATE_MISMATCH, JITTER, GAPS; warns TIME_UNIT, LOW_RATE."""
-    known = check_times(times, problems, where, minimum=2)
+def resolutions(times: np.ndarray) -> list[float]:
+    """What numbers as these can tell apart [s]: their last decimal, 0.001 where all are whole milliseconds; the distance between two
+    floating-point numbers, of 32 bits where all are such."""
+    largest = np.abs(times).max()
+    decimals = (10.0**-k for k in range(16) if np.abs(times * 10.0**k - np.round(times * 10.0**k)).max() < 1e-15 * largest * 10.0**k)
+    floats = [np.spacing(largest), *([np.spacing(np.float32(largest))] if (times == times.astype(np.float32)).all() else [])]
+    return [float(x) for x in (*floats, next(decimals, 0.0))]
+
+
+def evenly_spaced(times: np.ndarray) -> bool:
+    """Whether increasing times have equal steps, or are those of equal steps when these are rounded to what the numbers can tell apart."""
+    step = (times[-1] - times[0]) / (len(times) - 1)
+    far = np.abs(times - times[0] - step * np.arange(len(times))).max()
+    rounded = any(far <= digit * (1 + EQUAL) for digit in resolutions(times) if digit <= COARSEST * step)
+    return bool(rounded or np.ptp(np.diff(times)) <= EQUAL * step)
+
+
+def even_samples(times: Any, values: Any, where: tuple[str, str], problems: Problems) -> tuple[Any, Any]:
+    """Values, one for each of evenly spaced times, and the step between these [s]; None and 1 where they are not, with a problem added.
+    Errors: those of times, NOT_UNIFORM, BAD_SHAPE, NON_FINITE."""
+    t = check_times(times, problems, where[0], minimum=2, kept=True)
+    known = None if t is None else concrete(t)
+    if known is not None and not evenly_spaced(known):
+        steps = np.diff(known)
+        message = f"has steps from {steps.min():.6g} to {steps.max():.6g} s"
+        hint = "Read the record with rate= if it was sampled evenly, with fill= if samples are missing; or interpolate it at even times, "
+        hint += "scipy.interpolate.CubicSpline(times, values)(even)."
+        problems.add("NOT_UNIFORM", where[0], message, value=steps, limit="equal steps", hint=hint)
+    if t is None:
+        return problems.gather(lambda: float_array(values, where[1])), 1.0
+    return checked(values, (t.shape,), where[1], problems, "One value for each time."), (t[-1] - t[0]) / (len(t) - 1)
+
+
+def check_sampling(times: Any, problems: Problems, where: str, *, irregular: bool, highest: float | None, dropped: bool) -> Sampling | None:
+    """Check times and their sampling. Errors: those of times, JITTER, GAPS; warns TIME_UNIT, LOW_RATE."""
+    known = check_times(times, problems, where, minimum=2, kept=True)
     if known is None:
         if problems.collected[-1].code == "DUPLICATE_TIME":
             hint = (
@@ -62,10 +94,7 @@ def check_sampling(
         return None
     s = sampling_of(np.asarray(known))
     message = f"jitters by {100 * s.jitter / s.step:.2g} % of a step (rms), {s.missing} of {len(known) + s.missing} samples missing"
-    if rate is not None and abs(rate * s.step - 1) > MISMATCH:
-        hint = "Leave out rate= to use the times, or leave out the times to use the rate."
-        problems.add("RATE_MISMATCH", where, f"has {s.rate:.6g} Hz, not the stated {rate:.6g} Hz", value=s.rate, limit="0.1 %", hint=hint)
-    hint = "Give irregular=True if the times are correct."
+    hint = "Give rate= if it was sampled evenly, irregular=True if the times are correct."
     if not irregular and s.jitter > IRREGULAR * s.step:
         problems.add("JITTER", where, message, value=s.jitter / s.step, limit="5 %", hint=hint)
     elif not irregular and s.missing > IRREGULAR * len(known):
@@ -73,9 +102,8 @@ def check_sampling(
     if not USUAL_RATES[0] <= s.rate <= USUAL_RATES[1]:
         unit = "milliseconds or microseconds" if s.rate < 1 else "milliseconds"
         unit = unit if s.rate < USUAL_RATES[0] else "seconds"
-        warn(
-            "TIME_UNIT", f"{where}: {len(known)} samples from {known[0]:.6g} to {known[-1]:.6g} s give {s.rate:.4g} Hz; are they in {unit}?"
-        )
+        span = f"{time_text(known[0], known)} to {time_text(known[-1], known)} s"
+        warn("TIME_UNIT", f"{where}: {len(known)} samples from {span} give {s.rate:.4g} Hz; are they in {unit}?")
     if highest is not None and s.rate < 10 * highest:
         bad = "too few samples for a spectrum" if s.rate < 2.5 * highest else "few samples for a spline and its derivatives (10 per period)"
         warn("LOW_RATE", f"{where}: {s.rate:.4g} Hz for frequencies up to {highest:.4g} Hz gives {bad}")
@@ -105,7 +133,7 @@ def warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) ->
         name = where + (f"[{k}]" if rows.shape[1] > 1 else "")
         here = x[np.isfinite(x)]
         if len(here) > 2 and here.min() == here.max():
-            warn("DEAD", f"{name} is {here[0]:.6g} {unit} throughout, {times[0]:.6g} to {times[-1]:.6g} s")
+            warn("DEAD", f"{name} is {here[0]:.6g} {unit} throughout, {time_text(times[0], times)} to {time_text(times[-1], times)} s")
         elif len(here):
             _warn_of_rails(x, unit, times, name)
 
@@ -115,7 +143,8 @@ def _warn_of_rails(x: np.ndarray, unit: str, times: np.ndarray, where: str) -> N
         edges = np.flatnonzero(np.diff(np.concatenate([[0], (x == rail).astype(int), [0]]))).reshape(-1, 2)
         runs = [(i, j) for i, j in edges.tolist() if j - i >= RUN and not _turns(x, i, j)]
         if (count := sum(j - i for i, j in runs)) > AT_THE_RAILS * len(x):
-            when = ", ".join(f"{times[i]:.6g} to {times[j - 1]:.6g} s" for i, j in runs[:3]) + (", ..." if len(runs) > 3 else "")
+            some = [f"{time_text(times[i], times)} to {time_text(times[j - 1], times)} s" for i, j in runs[:3]]
+            when = ", ".join(some) + (", ..." if len(runs) > 3 else "")
             warn("SATURATED", f"{where} stays at {rail:.6g} {unit} for {count} of {len(x)} samples: {when}")
 
 

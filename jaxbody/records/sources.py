@@ -11,10 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core import units
+from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.source_files import check_file, check_size
-from jaxbody.records.text_tables import split_unit
+from jaxbody.records.text_tables import Column, split_unit
 
+AXES = {  # dimensions that the axis of a record or response may have, with their factors, and units that some programs write in capitals
+    "s": ({units.TIME: 1.0}, ("s", "ms", "us")),
+    "Hz": ({units.RATE: 1.0, units.ANGULAR_RATE: 1 / units.TURN}, ("Hz", "kHz")),
+}
 Asked = str | int  # a name or its number
 Pick = Callable[..., dict[Asked, str]]  # from all names in the file and their aliases: {requested name: name in the file}
 MAGIC = {
@@ -22,7 +27,7 @@ MAGIC = {
     b"PK\x03\x04": "zip or xlsx", b"\x1f\x8b": "gzip",
 }  # fmt: skip
 SUFFIXES = {
-    "text": ".csv .txt .tsv .dat .asc", "parquet": ".parquet .pq", "mat": ".mat", "hdf5": ".h5 .hdf5 .hdf", "uff": ".uff .unv .uf",
+    "text": ".csv .txt .tsv .dat .asc .lvm", "parquet": ".parquet .pq", "mat": ".mat", "hdf5": ".h5 .hdf5 .hdf", "uff": ".uff .unv .uf",
     "tdms": ".tdms", "mdf": ".mf4 .mdf", "peer": ".at2 .vt2 .dt2",
 }  # fmt: skip
 
@@ -55,9 +60,12 @@ def check_numbers(name: str, count: float, largest: float) -> None:
     check_size(name, 8.0 * count, largest, f"bytes of numbers ({count:.4g})")
 
 
-def find_name(asked: str | int, names: list[str], where: str, aliases: list[str] | None = None) -> str:
+def find_name(
+    asked: str | int, names: list[str], where: str, aliases: list[str] | None = None, others: dict[str, tuple[str, str]] | None = None
+) -> str:
     """The name of the requested channel in the file, or its alias. A name matches in full, without its unit, or without an index such as
-    [2]; a number is the index of a name, from 0. Error: UNKNOWN_CHANNEL."""
+    [2]; a number is the index of a name, from 0. `others` are {name: what it is, what to do} of those that are no arrays of numbers.
+    Errors: UNKNOWN_CHANNEL, NOT_A_NUMBER."""
     if isinstance(asked, int):
         if 0 <= asked < len(names):
             return names[asked]
@@ -68,9 +76,41 @@ def find_name(asked: str | int, names: list[str], where: str, aliases: list[str]
         matches = [known for known in names if known == name] or [known for known in names if split_unit(known)[0] == split_unit(name)[0]]
         if len(matches) == 1:
             return matches[0]
+    if others and asked in others:
+        what, hint = others[str(asked)]
+        raise JaxbodyError(Problem("NOT_A_NUMBER", where, f"'{asked}' is {what}", asked, "numbers, (n,) or (n, k)", hint))
     near = difflib.get_close_matches(str(asked), names, 3, 0.5)
     hint = (f"Did you mean {' or '.join(near)}? " if near else "") + _shown(names)
     raise JaxbodyError(Problem("UNKNOWN_CHANNEL", where, f"has no channel '{asked}'", asked, hint=hint))
+
+
+def along(x: Any, unit: str | None, si: str, where: str) -> np.ndarray:
+    """Times (`si` "s") or frequencies ("Hz") in SI, from an axis in the unit that the file states for it, in SI without one. Errors:
+    NOT_A_RECORD, NOT_A_RESPONSE for an axis of something else. Warns TIME_UNIT, UNIT for an unknown unit."""
+    dimensions, usual = AXES[si]
+    known = next((name for name in usual if name.lower() == str(unit).lower()), unit)
+    if not known or not units.is_unit(known):
+        if known:
+            warn(
+                "TIME_UNIT" if si == "s" else "UNIT", f"{where} states '{unit:.40}' as the unit of its axis, which is unknown: read as {si}"
+            )
+        return np.asarray(x, float)
+    read = units.parse(known, where)
+    if read.dimension not in dimensions:
+        of, code, other = ("time", "NOT_A_RECORD", "record") if si == "s" else ("frequency", "NOT_A_RESPONSE", "response")
+        message, hint = f"is over '{unit}', not over {of}", f"Read another channel, or export it as a {other} over {of}."
+        raise JaxbodyError(Problem(code, where, message, unit, f"{' '.join(usual)} ...", hint))
+    return np.asarray(x, float) * (read.factor * dimensions[read.dimension])
+
+
+def stated_number(values: np.ndarray, stated: int, where: str) -> np.ndarray:
+    """The values whose number the heading states; zeros after them fill up a line. Errors: TRUNCATED, RAGGED_LINE."""
+    if 0 <= stated <= len(values) and not np.any(values[stated:]):
+        return values[:stated]
+    code, hint = (
+        ("TRUNCATED", "Copy or export it again.") if len(values) < stated else ("RAGGED_LINE", "Is this the heading of another record?")
+    )
+    raise JaxbodyError(Problem(code, where, f"has {len(values)} samples", len(values), f"{stated}, as its heading says", hint))
 
 
 def _shown(names: list[str]) -> str:
@@ -93,6 +133,13 @@ def reader_errors(path: Path, kind: str) -> Iterator[None]:
         raise JaxbodyError(
             Problem("UNREADABLE", path.name, message, path, hint="Is it complete, and was it closed by the program that wrote it?")
         ) from None
+
+
+def column(values: Any, name: str, where: str, unit: str | None = None, times: np.ndarray | None = None) -> Column:
+    """A column of numbers, or of dates as seconds since the first one. Error: NOT_A_NUMBER."""
+    if np.asarray(values).dtype.kind == "M":
+        values, unit = (values - values[0]) / np.timedelta64(1, "s"), "s"
+    return Column(numeric(values, name, where), unit or None, times)
 
 
 def numeric(values: Any, name: str, where: str) -> np.ndarray:

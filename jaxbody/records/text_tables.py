@@ -22,6 +22,7 @@ from jaxbody.core.units import is_unit
 NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?|nan|NaN|NAN|NA|")  # an empty cell or NaN is a missing sample
 COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 THOUSANDS = re.compile(r"[+-]?\d{1,3}([,' ]\d{3})+(\.\d*)?|[+-]?\d{1,3}(\.\d{3})+(,\d*)?")
+DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}([T ]\d{1,2}:\d\d.*)?|\d{1,2}:\d\d(:\d\d.*)?")
 COMMENTS = ("#", "%", "!")
 LONGEST_PREAMBLE = 1000
 
@@ -69,7 +70,7 @@ def read_text(
         raise _no_numbers(lines, name, separator, decimal)
     separator = separator or _separator(lines[first][1])
     rows = [(i, line) for i, line in lines[first:] if not line.startswith(COMMENTS)]
-    values = _numbers(rows, name, separator, decimal, complete=text.endswith(("\n", "\r")))
+    values = numbers_of(rows, name, separator, decimal, complete=text.endswith(("\n", "\r")))
     if first and not _fits_head(lines[first - 1][1], separator, values.shape[1]):
         (i, head), width = lines[first - 1], values.shape[1]
         message, limit = f"names {len(_cells(head, separator))} columns: {head!r:.50}", f"{width}, as line {lines[first][0]} has"
@@ -81,13 +82,17 @@ def read_text(
         i, line = lines[first - used]
         hint = _thousands(_cells(line, separator)) or f"If it is neither names nor numbers, give skip={i}."
         raise JaxbodyError(Problem("BAD_LINE", f"{name}:{i}", f"is {line!r:.60}", line, "names or numbers", hint))
-    often = Counter(names)
-    names = [head if head and often[head] == 1 else f"{head}#{k}" if head else str(k) for k, head in enumerate(names)]
-    columns = {head: Column(values[:, k], unit) for k, (head, unit) in enumerate(zip(names, units, strict=True))}
+    columns = {head: Column(values[:, k], unit) for k, (head, unit) in enumerate(zip(distinct(names), units, strict=True))}
     notes = [f"left out {counted(count, 'line')} {where}" for count, where in ((skip, "at the start"), (footer, "at the end")) if count]
     if first - used > 0:
         notes.append(f"ignored {counted(first - used, 'line')} before the table")
     return Contents(columns, notes, lines[first - used][0])
+
+
+def distinct(names: list[str]) -> list[str]:
+    """The names, those that come more than once with their number, and the number alone in place of no name."""
+    often = Counter(names)
+    return [name if name and often[name] == 1 else f"{name}#{k}" if name else str(k) for k, name in enumerate(names)]
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -127,18 +132,25 @@ def _thousands(cells: list[str]) -> str:
     return "" if cell is None else f"{cell!r} has thousands separators, or quotes around them: write numbers without them."
 
 
+def _dated(cells: list[str]) -> str:
+    """The hint for a date or a time of day; "" if there is none."""
+    cell = next((cell for cell in cells if DATE.fullmatch(cell)), None)
+    hint = "write seconds in its place, or give jb.Record the columns that pandas.read_csv(..., parse_dates=) reads, with "
+    return "" if cell is None else f"'{cell:.30}' is a date or a time of day: {hint}(t - t[0]).dt.total_seconds()."
+
+
 def _no_numbers(lines: list[tuple[int, str]], name: str, separator: str | None, decimal: str) -> JaxbodyError:
     i, line = lines[0] if lines else (1, "")
     hint = (
         f"Give numbers separated by {separator or 'commas, semicolons, tabs or blanks'}, with decimal '{decimal}', below a line of names."
     )
-    grouped = (_thousands(_cells(row, separator or _separator(row))) for _, row in lines[:LONGEST_PREAMBLE])
-    hint = next((message for message in grouped if message), hint)
+    cells = [_cells(row, separator or _separator(row)) for _, row in lines[:LONGEST_PREAMBLE]]
+    hint = next((text for row in cells if (text := _thousands(row) or _dated(row))), hint)
     message = f"has no line with numbers only; line {i} is {line!r:.60}" if lines else "has only blank lines"
     return JaxbodyError(Problem("NO_NUMBERS", name, message, i, "a table of numbers", hint))
 
 
-def _numbers(rows: list[tuple[int, str]], name: str, separator: str, decimal: str, *, complete: bool) -> np.ndarray:
+def numbers_of(rows: list[tuple[int, str]], name: str, separator: str, decimal: str, *, complete: bool) -> np.ndarray:
     """(n, k) numbers; NaN where a cell is empty."""
     try:  # fast, and enough for nearly all files
         if decimal != "." or any('"' in line for _, line in rows[:1]):
@@ -179,7 +191,7 @@ def _numbers(rows: list[tuple[int, str]], name: str, separator: str, decimal: st
                 if at_end and k > last_good + 1:
                     continue  # reported with the first line of the footer
                 hint = f"If the table ends before it, give footer={len(rows) - k}. If" if at_end else "Numbers follow: if"
-                hint = _thousands(wrong) or f"{hint} it means a missing sample, leave the cell empty or write nan."
+                hint = _thousands(wrong) or _dated(wrong) or f"{hint} it means a missing sample, leave the cell empty or write nan."
                 message = f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}"
                 problems.add("BAD_LINE", where, message, value=wrong[0], limit="numbers", hint=hint)
             if len(problems.collected) >= MOST_PROBLEMS:

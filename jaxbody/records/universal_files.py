@@ -10,10 +10,18 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, import_extra
-from jaxbody.records.sources import Pick, find_name, kind_of, numeric, reader_errors
-from jaxbody.records.text_tables import Column, Contents
+from jaxbody.records.sources import Pick, along, column, find_name, kind_of, reader_errors, stated_number
+from jaxbody.records.text_tables import Contents, distinct
 
 DIRECTIONS = {0: "", 1: "+X", -1: "-X", 2: "+Y", -2: "-Y", 3: "+Z", -3: "-Z", 4: "+RX", -4: "-RX", 5: "+RY", -5: "-RY", 6: "+RZ", -6: "-RZ"}
+
+KINDS = {
+    0: "a general function", 1: "a time response", 2: "an auto spectrum", 3: "a cross spectrum", 4: "a frequency response",
+    5: "a transmissibility", 6: "a coherence", 7: "an auto correlation", 8: "a cross correlation", 9: "a power spectral density",
+    10: "an energy spectral density", 12: "a spectrum", 24: "a shock response spectrum", 26: "a multiple coherence",
+}  # fmt: skip
+
+OF_AXES = {8: "m", 18: "Hz", 19: "rpm", 20: "1"}  # data types of abscissas that are not times
 
 
 def sets_of(path: Path) -> list[dict[str, Any]]:
@@ -25,7 +33,7 @@ def sets_of(path: Path) -> list[dict[str, Any]]:
         message = (
             f"has no function of time or response (set 58), only sets {sorted(set(kinds))}"
             if kinds
-            else "is not a universal file: it has no sets"
+            else "has no complete set: it is no universal file, or is cut off"
         )
         hint = "Export responses as functions (set 58)." if kinds else 'Check the extension, or give format="...".'
         raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, kinds, "sets 58", hint))
@@ -42,15 +50,25 @@ def _uff_unit(s: dict[str, Any], axis: str) -> str | None:
     return None if unit in ("", "NONE") else unit
 
 
-def _distinct(names: list[str]) -> list[str]:
-    often = Counter(names)
-    return [name if often[name] == 1 else f"{name}#{i}" for i, name in enumerate(names)]
+def _axes(s: dict[str, Any], name: str, path: Path, si: str) -> tuple[np.ndarray, np.ndarray]:
+    """The axis of a function in SI, and its values, as many as the heading states."""
+    where, stated, unit = f"{path.name}['{name}']", int(s["num_pts"]), _uff_unit(s, "abscissa")
+    if int(s["func_type"]) == 0:  # a general function, which may be one of frequency or distance
+        unit = unit or OF_AXES.get(int(s["abscissa_spec_data_type"]))
+    values = stated_number(np.asarray(s["data"]), stated, where)
+    return along(np.asarray(s["x"], float)[:stated], unit, si, where), values
+
+
+def _is(s: dict[str, Any]) -> str:
+    kind = int(s["func_type"])
+    return f"is {KINDS.get(kind, 'a function')} (function type {kind})"
 
 
 def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
-    """Functions of time, by node and direction or by a unique id line. Errors: WRONG_FORMAT, UNKNOWN_CHANNEL, NOT_A_RECORD."""
+    """Functions of time, by node and direction or by a unique id line. Errors: WRONG_FORMAT, UNKNOWN_CHANNEL, NOT_A_RECORD, TRUNCATED,
+    RAGGED_LINE."""
     sets = sets_of(path)
-    names = _distinct([_uff_place(s, "rsp") for s in sets])
+    names = distinct([_uff_place(s, "rsp") for s in sets])
     lines = [str(s.get("id1") or "").strip() for s in sets]
     known, often = {"", "NONE", *names}, Counter(lines)
     places = {line: i for i, line in enumerate(lines) if line not in known and often[line] == 1}
@@ -58,10 +76,12 @@ def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
     for asked, name in pick(names, list(places)).items():
         s = sets[names.index(name) if name in names else places[name]]
         if int(s["func_type"]) not in (0, 1) or np.iscomplexobj(s["data"]):
-            message = f"'{name}' is not a function of time (function type {int(s['func_type'])})"
-            hint = "Read a time response; read_responses reads frequency responses."
-            raise JaxbodyError(Problem("NOT_A_RECORD", path.name, message, s["func_type"], "0 or 1", hint))
-        columns[asked] = Column(numeric(s["data"], name, path.name), _uff_unit(s, "ordinate"), np.asarray(s["x"], float))
+            hint = "Export time responses; jb.read_responses reads frequency responses, and jb.PSD.from_record makes densities of records."
+            raise JaxbodyError(
+                Problem("NOT_A_RECORD", path.name, f"'{name}' {_is(s)}, not a function of time", name, "types 0 and 1", hint)
+            )
+        times, values = _axes(s, name, path, "s")
+        columns[asked] = column(values, name, path.name, _uff_unit(s, "ordinate"), times)
     return Contents(columns)
 
 
@@ -80,14 +100,21 @@ def read_uff_responses(path: Any, wanted: list[str], largest: float) -> dict[str
     path = Path(path)
     kind_of(path, "uff", largest)
     with reader_errors(path, "uff"):
-        sets = [s for s in sets_of(path) if int(s["func_type"]) == 4]
-        names = _distinct([f"{_uff_place(s, 'rsp')}/{_uff_place(s, 'ref')}" for s in sets])
+        sets = sorted(sets_of(path), key=lambda s: int(s["func_type"]) != 4)  # responses first, named as if they were alone
+        count = sum(int(s["func_type"]) == 4 for s in sets)
+        names = [f"{_uff_place(s, 'rsp')}/{_uff_place(s, 'ref')}" for s in sets]
+        names, others = distinct(names[:count]), dict(zip(names[count:], sets[count:], strict=True))
         responses = {}
         for asked in wanted:
-            s = sets[names.index(find_name(asked, names, path.name))]
-            x, y = np.asarray(s["x"], float), np.asarray(s["data"], complex)
+            if asked in others and asked not in names:
+                hint = "Export frequency responses, H1 or H2 (function type 4); jb.PSD takes a power spectral density as numbers."
+                message = f"'{asked}' {_is(others[asked])}, not a frequency response"
+                raise JaxbodyError(Problem("NOT_A_RESPONSE", path.name, message, asked, "type 4", hint))
+            name = find_name(asked, names, path.name)
+            s = sets[names.index(name)]
+            x, y = _axes(s, name, path, "Hz")
             if not (np.isfinite(x).all() and np.isfinite(y).all() and len(x) == len(y) > 0):
                 message = f"'{asked}' has {len(y)} values at {len(x)} frequencies, or values that are not finite"
                 raise JaxbodyError(Problem("NOT_A_RESPONSE", path.name, message, len(y), "one finite value each", "Export it again."))
-            responses[asked] = Response(x, y, _uff_unit(s, "ordinate"), _uff_unit(s, "orddenom"))
+            responses[asked] = Response(x, y.astype(complex), _uff_unit(s, "ordinate"), _uff_unit(s, "orddenom"))
     return responses

@@ -17,13 +17,13 @@ from equinox import field
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Complex, Float, Int, checked, is_concrete
+from jaxbody.core.arrays import Array, Complex, Float, Int, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.results import Result
+from jaxbody.records.samplings import even_samples
 from jaxbody.responses.frequency_responses import check_frequencies
 from jaxbody.responses.random_responses import RandomResponse, root_mean_square
-from jaxbody.responses.spectra import sampling_step
 
 NONE = np.inf
 
@@ -133,22 +133,30 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
                 hint = "Give an Acceleration; We is for an AngularAcceleration."
                 problems.add("BAD_UNIT", f"weighted[{output!r}]", f"is in {unit}", value=unit, limit=limit, hint=hint)
     rows, names = tuple(response.outputs.index(output) for output in weights), tuple(weights.values())
-    psd, rms = _weighted(response.psd, response.frequencies, response.weights, rows, names)
+    psd, rms = _weighted(response.psd, response.rms, response.frequencies, response.weights, rows, names)
     return RandomResponse(
         response.frequencies, psd, rms, response.weights, response.coarse, response.status, tuple(weights), tuple(map(_unit, names))
     )  # fmt: skip
 
 
 @jit_unoptimized
-def _weighted(psd: Float[Array, "*b ny nf"], f: Float[Array, "*b nf"], weights: Float[Array, "*b nf"], rows: tuple[int, ...], names):
+def _weighted(
+    psd: Float[Array, "*b ny nf"],
+    rms: Float[Array, "*b ny"],
+    f: Float[Array, "*b nf"],
+    weights: Float[Array, "*b nf"],
+    rows: tuple[int, ...],
+    names,
+):
     """The rows of the densities times the squares of these weightings, and their root mean squares."""
     factors = jnp.stack([jnp.abs(_weighting(name, f)) ** 2 for name in names], -2)
     psd = psd[..., np.array(rows, int), :] * factors
-    return psd, root_mean_square(psd, weights[..., None, :])
+    infinite = jnp.isinf(rms[..., np.array(rows, int)])
+    return psd, jnp.where(infinite, jnp.inf, root_mean_square(psd, weights[..., None, :]))
 
 
 def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
-    """A weighted acceleration [m/s2] over equally spaced times [s], from rest: its rms, crest factor and vibration dose value.
+    """A weighted acceleration [m/s2] over evenly spaced times [s], from rest: its rms, crest factor and vibration dose value.
 
         VDV = (int a_w^4 dt)^(1/4)
 
@@ -165,8 +173,7 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
     """
     _check_weighting(name, "weighted_signal.name")
     with Problems() as problems:
-        step = sampling_step(times, "weighted_signal.times", problems)
-        a = checked(acceleration, ((np.size(times),),), "weighted_signal.acceleration", problems, "One number for each time.")
+        a, step = even_samples(times, acceleration, ("weighted_signal.times", "weighted_signal.acceleration"), problems)
     padding = int(np.ceil(DECAY_PERIODS / WEIGHTINGS[name].f1 / float(step))) if is_concrete(step) else np.size(times)
     results = _weighted_signal(jnp.asarray(a, float), jnp.asarray(step), name, padding)
     return WeightedSignal(jnp.asarray(times, float), *results, jnp.array(Status.OK.value), name)

@@ -135,8 +135,14 @@ def _modal_sum(A: DynamicMatrices, s) -> tuple[Callable[[jax.Array, bool], jax.A
     return solve, error < reachable(INVERTED, error.dtype, 1024)
 
 
+def free_motions(A: DynamicMatrices) -> Complex[Array, "k"]:
+    """The eigenvalues s of free motions exp(s t), without derivatives and without H."""
+    M, C, K = jax.lax.stop_gradient((A.M, A.C, A.K))
+    return jnp.linalg.eigvals(first_order(M, C, K, len(M) - A.massless)[0] if A.massless else companion(M, C, K))
+
+
 def is_unstable(A: DynamicMatrices) -> Bool[Array, ""]:
     """Whether a free motion grows, which is UNSTABLE."""
-    M, C, K = jax.lax.stop_gradient((A.M, A.C, A.K))
-    values = jnp.linalg.eigvals(first_order(M, C, K, len(M) - A.massless)[0] if A.massless else companion(M, C, K))
-    return jnp.max(values.real) > reachable(GROWS, values.real.dtype, 256) * jnp.max(jnp.abs(values))
+    values = free_motions(A)
+    growth = jnp.real(values)
+    return jnp.max(growth) > reachable(GROWS, growth.dtype, 256) * jnp.max(jnp.abs(values))

@@ -4,7 +4,8 @@
     amplitude X         K(w) = first harmonic of the steady force under e = e0 + X cos(w t), over X
 
 y are coordinates of the element. The steady state with amplitude is periodic, z(T) = z(0), which Newton's method solves over one period of
-classical Runge-Kutta steps; its derivatives are those of an implicit function.
+classical Runge-Kutta steps; its derivatives are those of an implicit function. Half of the steps are even, half are where the rates bend
+most: at kinks, which cost a step its order, such as that of |z| in hysteresis or the end of a gap.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Complex, Float, Int, device_array, scalar
+from jaxbody.core.arrays import Array, Complex, Float, Int, device_array, rows_or_nan, scalar
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
@@ -31,7 +32,7 @@ from jaxbody.laws.memories import Apart, Held, Relaxed, with_states
 from jaxbody.laws.memory_laws import Memory
 from jaxbody.responses.frequency_responses import check_frequencies
 
-STEPS = 1000  # of Runge-Kutta in a period
+STEPS = 1000  # of Runge-Kutta in a period that are even, and of those at kinks
 PERIODS, NEWTON = 3, 6  # before Newton's method, and its steps
 STABLE = 2.5  # longest step times rate of a state
 SEARCH = 60  # steps of the search for the deformation of a preload
@@ -91,12 +92,14 @@ def dynamic_stiffness(
 
     Args:
         element: an element with laws (SpringDamper, Torsion, AntiRollBar, Mount), a Spring, or a law
-        frequencies: [Hz] (nf,)
+        frequencies: [Hz] (nf,); 0 Hz is static, and has no amplitude
         preload: static force [N, N m], at rest with relaxed branches; tension positive
-        amplitude: X of the deformation [m, rad]: the first harmonic of the steady force over X; by default that of a small amplitude
+        amplitude: X of the deformation [m, rad]: the first harmonic of the steady force over X, to about 1e-8; by default that of a small
+            amplitude
         direction: of a Mount: x, y, z, rx, ry or rz
 
-    Differentiable in forward and reverse mode by the element's numbers. Errors: WRONG_KIND, BAD_DIRECTION, BAD_FREQUENCY, NOT_POSITIVE.
+    Differentiable in forward and reverse mode by the element's numbers, at an amplitude to about 1e-4 where rates have kinks.
+    Errors: WRONG_KIND, BAD_DIRECTION, BAD_FREQUENCY, NOT_POSITIVE.
     Warns NOT_CONVERGED.
 
     >>> rubber = jb.laws.Linear(2e4) + jb.laws.Maxwell(stiffness=6e4, relaxation_time=0.01)
@@ -104,7 +107,7 @@ def dynamic_stiffness(
     >>> round(float(stiffness.magnitude[0]), 6), round(float(jnp.rad2deg(stiffness.loss_angle[0])), 6)
     (45806.759305, 36.161108)
     """
-    f = check_frequencies(frequencies, "dynamic_stiffness.frequencies")
+    f = check_frequencies(frequencies, "dynamic_stiffness.frequencies", static=amplitude is None)
     spring, damper, unit = _laws_of(element, direction)
     with Problems() as problems:
         force = scalar(preload, "dynamic_stiffness.preload", problems)
@@ -163,7 +166,7 @@ def _stiffness(spring, damper, f: Float[Array, "nf"], preload: Float[Array, ""],
     else:
         K, steady = jax.vmap(lambda w: _large(spring, damper, e0, z0, w, amplitude))(w)
     status = jnp.where(carried & jnp.all(steady), Status.OK.value, Status.NOT_CONVERGED.value)
-    return jnp.where(carried, K, jnp.nan), e0, status
+    return rows_or_nan(carried, K), rows_or_nan(carried, e0), status
 
 
 def _deformation_of(at_rest, preload):
@@ -199,7 +202,8 @@ def _small(spring, damper, e0, z0, w):
 
 def _large(spring, damper, e0, z0, w, X):
     """K at the amplitude X, and whether the periodic state was found."""
-    h = 2 * jnp.pi / w / STEPS
+    T = 2 * jnp.pi / w
+    even = T / STEPS * jnp.arange(STEPS + 1, dtype=w.dtype)
 
     def rates(given, t, z):
         spring, damper, X, e0 = given
@@ -209,43 +213,61 @@ def _large(spring, damper, e0, z0, w, X):
         z_dot = jnp.concatenate([jnp.zeros(0, z.dtype), *memories.state_rates(held, e, e_dot)])
         return z_dot, jnp.stack([F * jnp.cos(w * t), -F * jnp.sin(w * t)])
 
-    def period(given, z):
-        """z after a period, and the integral of F exp(-i w t)."""
+    def period(given, z, times):
+        """z after a period and the integral of F exp(-i w t); the rates where steps begin."""
 
         def step(carry, i):
             z, total = carry
-            t = i.astype(h.dtype) * h
+            t, h = times[i], times[i + 1] - times[i]
             k1, f1 = rates(given, t, z)
             k2, f2 = rates(given, t + h / 2, z + h / 2 * k1)
             k3, f3 = rates(given, t + h / 2, z + h / 2 * k2)
             k4, f4 = rates(given, t + h, z + h * k3)
-            return (z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), total + h / 6 * (f1 + 2 * f2 + 2 * f3 + f4)), None
+            return (z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), total + h / 6 * (f1 + 2 * f2 + 2 * f3 + f4)), jnp.append(k1, f1)
 
-        return jax.lax.scan(step, (z, jnp.zeros(2, z.dtype)), jnp.arange(STEPS))[0]
+        return jax.lax.scan(step, (z, jnp.zeros(2, z.dtype)), jnp.arange(len(times) - 1))
 
     given = spring, damper, X, e0
     frozen, start = jax.lax.stop_gradient((given, z0))
+
+    def closure(z, times):
+        return jax.jacfwd(lambda z: period(frozen, z, times)[0][0] - z)(z)
+
+    def newton(_, z):
+        return z - jnp.linalg.lstsq(closure(z, even), period(frozen, z, even)[0][0] - z)[0]
+
     z, good = start, jnp.array(True)
-    for _ in range(PERIODS if len(z0) else 0):
-        z = period(frozen, z)[0]
     if len(z0):
-
-        def newton(_, z):
-            return z - jnp.linalg.lstsq(_closure(z), period(frozen, z)[0] - z)[0]
-
-        def _closure(z):
-            return jax.jacfwd(lambda z: period(frozen, z)[0] - z)(z)
-
+        z = jax.lax.fori_loop(0, PERIODS, lambda _, z: period(frozen, z, even)[0][0], z)
         z = jax.lax.fori_loop(0, NEWTON, newton, z)
-        slopes = jax.lax.stop_gradient(_closure(z))
-        change = jnp.linalg.solve(slopes, period(given, z)[0] - z)  # zero, with the derivative of the periodic state
-        rate = jax.vmap(lambda t: _fastest(jax.jacfwd(lambda z: rates(frozen, t, z)[0])(z)))(jnp.arange(8, dtype=h.dtype) * h * (STEPS / 8))
+    times = _graded(even, jax.lax.stop_gradient(period(frozen, z, even)[1]))
+    if len(z0):
+        slopes = jax.lax.stop_gradient(closure(z, times))
+        z = jax.lax.stop_gradient(z - jnp.linalg.solve(slopes, period(frozen, z, times)[0][0] - z))
+        change = jnp.linalg.solve(slopes, period(given, z, times)[0][0] - z)  # zero, with the derivative of the periodic state
+        rate = jax.vmap(lambda t: _fastest(jax.jacfwd(lambda z: rates(frozen, t, z)[0])(z)))(even[: -1 : STEPS // 8])
         size = jnp.max(jnp.abs(z), initial=0.0) + jnp.abs(jax.lax.stop_gradient(X))
-        good = (jnp.max(jnp.abs(jax.lax.stop_gradient(change))) <= 1e-6 * size) & (jnp.max(rate) * h <= STABLE)
+        good = (jnp.max(jnp.abs(jax.lax.stop_gradient(change))) <= 1e-6 * size) & (jnp.max(rate) * even[1] <= STABLE)
         z = z - change
-    total = period(given, z)[1]
+    total = period(given, z, times)[0][1]
     K = jax.lax.complex(*(total * (w / jnp.pi / X)))
-    return jnp.where(good, K, jnp.nan), good
+    return rows_or_nan(good, K), good
+
+
+def _graded(even: Float[Array, "n"], rates: Float[Array, "m k"]) -> Float[Array, "_"]:
+    """Twice as many steps as the even ones: half of them even, half in proportion to the second differences of the rates, relative to the
+    largest rate; as many in each half period, so that the deformation turns back at the end of a step."""
+    size = jnp.max(jnp.abs(rates), 0)
+    around = jnp.concatenate([rates[-1:], rates, rates[:1]])
+    bend = jnp.sum(jnp.abs(jnp.diff(around, 2, axis=0)) / jnp.where(size > 0, size, 1.0), 1)
+    bend = (bend + jnp.roll(bend, -1)).reshape(2, -1)  # at both ends of a step
+    total = jnp.sum(bend, 1, keepdims=True)
+    share = jnp.where(total > 0, bend / jnp.where(total > 0, total, 1.0), 0.0) + 1 / bend.shape[1]
+    reached = jnp.cumsum(share, 1) / jnp.sum(share, 1, keepdims=True)
+    wanted = jnp.arange(len(rates), dtype=even.dtype) / len(rates)
+    halves = jnp.stack([even[: len(rates) // 2 + 1], even[len(rates) // 2 :]])
+    at = jax.vmap(jnp.interp, (None, 0, 0))(wanted, jnp.pad(reached, ((0, 0), (1, 0))), halves).ravel()
+    return jnp.append(at, even[-1])
 
 
 def _fastest(A: Float[Array, "n n"]) -> Float[Array, ""]:

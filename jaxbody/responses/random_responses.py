@@ -20,7 +20,8 @@ from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.port_inputs import KINDS, UNITS
 from jaxbody.models.preconditions import check_memory
-from jaxbody.responses.dynamic_matrices import are_many
+from jaxbody.numerics.precisions import reachable
+from jaxbody.responses.dynamic_matrices import DynamicMatrices, are_many, free_motions
 from jaxbody.responses.frequency_responses import (
     check_frequencies,
     check_inner_rows,
@@ -34,12 +35,14 @@ from jaxbody.vibrations.linearizations import Linearization, check_system
 from jaxbody.vibrations.ports import Ports, check_ports, port_matrices
 
 COARSE = 0.03  # relative change of an rms when every other frequency is left out: nearly four times the error
+NEAR = 1e-6  # of a resonance: from here to twice as far an undamped peak falls to a fourth
 
 
 class RandomResponse(Labeled, Result):
     """One-sided power spectral densities `psd` (outputs, frequencies), per hertz, of outputs in their `units`, over `frequencies` [Hz], and
     `rms` over these. `response["seat"]` is the rms of one. `status` COARSE if an rms changes by more than 3 % when every other frequency is
-    left out, NOT_POSITIVE if the coherences are contradictory, or that of the frequency response."""
+    left out, UNDAMPED if the inputs excite a resonance without damping in the band (the rms of outputs that contain it is infinite),
+    NOT_POSITIVE if the coherences are contradictory, or that of the frequency response."""
 
     index = "frequency"
     frequencies: Float[Array, "nf"]
@@ -67,6 +70,13 @@ class RandomResponse(Labeled, Result):
         f = np.asarray(self.frequencies)
         coordinates = {"output": list(self.outputs), "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"})}
         return dataset(variables, coordinates, "random response")
+
+    def explain(self) -> str:
+        infinite = np.flatnonzero(np.isinf(self.rms))
+        if not len(infinite):
+            return ""
+        peak = float(self.frequencies[int(np.argmax(np.nan_to_num(self.psd[infinite[0]], nan=np.inf)))])
+        return f"{', '.join(self.outputs[i] for i in infinite)} near {peak:.4g} Hz; give dampers, modal_damping= or loss_factor="
 
     @tables.summarized("Random response", 1, rms="rms")
     def _tables(self) -> list[tables.PrintedTable]:
@@ -98,7 +108,7 @@ def random_response(
         loss_factor, modal_damping: as in `frequency_response`; by default none.
 
     Errors: those of `frequency_response`, UNKNOWN_NAME or NO_SPECTRUM (missing), BAD_UNIT for a spectrum that does not fit its input; warns
-    COARSE, NOT_POSITIVE, UNSTABLE.
+    COARSE, NOT_POSITIVE, UNDAMPED, UNSTABLE.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0)
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -142,6 +152,8 @@ def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
 
 @jit_optimized_where(lambda lin, f, *_: are_many(f, lin.K))
 def _random_response(lin: Linearization, f, weights, coarse, ports: Ports, inputs: tuple, names, spectra, eta):
+    near = _beside_resonances(lin, f)
+    f = jnp.concatenate([f, near])
     H, status = response_values(lin, f, ports, eta)
     each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
     S = jnp.stack([each[name](f) * (2 * jnp.pi * f) ** _order(each[name], port) for name, port in zip(names, inputs, strict=True)])
@@ -154,8 +166,22 @@ def _random_response(lin: Linearization, f, weights, coarse, ports: Ports, input
         psd = jnp.sum((H.real**2 + H.imag**2) * S[None], 1)
         positive = jnp.array(True)
     psd = psd * jnp.where(positive, 1.0, jnp.nan)
+    psd, at, beyond = jnp.split(psd, [len(f) - len(near), len(f) - len(near) // 2], 1)
+    infinite = jnp.any(at > 3 * beyond, 1)
     good = jnp.where(positive, resolution(psd, weights, coarse), Status.NOT_POSITIVE.value)
-    return psd, root_mean_square(psd, weights), jnp.where(status == Status.OK, good, status)
+    good = jnp.where(jnp.any(infinite), Status.UNDAMPED.value, good)
+    own = (status == Status.OK) | jnp.any(infinite) & (status == Status.NONFINITE)
+    return psd, jnp.where(infinite, jnp.inf, root_mean_square(psd, weights)), jnp.where(own, good, status)
+
+
+def _beside_resonances(lin: Linearization, f: Float[Array, "nf"]) -> Float[Array, "_"]:
+    """For each free vibration with a frequency in the band two frequencies, NEAR it and twice as far; first all of the first kind."""
+    nv = lin.M.shape[-1]
+    own = jax.tree.map(lambda A: A[:nv, :nv], DynamicMatrices(*lin.whole, None, lin.massless))
+    resonances = jnp.sort(jnp.imag(free_motions(own)))[-(nv - lin.massless) :] / (2 * jnp.pi)  # without the conjugates
+    within = jnp.clip(resonances, f[0], f[-1])
+    near = reachable(NEAR, f.dtype, 256) * jnp.outer(jnp.arange(1, 3, dtype=f.dtype), (within == resonances).astype(f.dtype))
+    return jax.lax.stop_gradient((within[None] * (1 + near)).ravel())
 
 
 @jax.custom_jvp

@@ -24,13 +24,13 @@ from jaxbody.core.arrays import (
     checked,
     concrete,
     device_array,
-    float_array,
     module_of,
     scalar,
     shaped,
 )
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.units import ANGULAR_RATE, RATE, parse
+from jaxbody.records.samplings import even_samples
 
 QUANTITIES = ("m", "m/s", "m/s2", "rad", "rad/s", "rad/s2", "N", "N m")
 MEASURES = {"Hz": RATE, "rad/s": ANGULAR_RATE, "cycle/m": (-1, 0, 0, 0, 0), "rad/m": (-1, 0, 0, 1, 0)}
@@ -174,7 +174,7 @@ class PSD(Density):
         """Welch's estimate from a record, with scipy.signal.welch: Hann windows of `segment` samples that overlap by half.
 
         Args:
-            times: equally spaced [s].
+            times: evenly spaced [s].
             values: the record, in `unit`.
             unit: m, m/s, m/s2, g, rad, ...
             segment: samples in a window.
@@ -183,9 +183,8 @@ class PSD(Density):
         from scipy.signal import welch
 
         with Problems() as problems:
-            step = sampling_step(times, "PSD.from_record times", problems)
-            y = checked(values, ((np.size(times),),), "PSD.from_record values", problems, "One value for each time.")
-        f, S = welch(np.asarray(y), 1 / float(step), nperseg=min(segment, np.size(times)))
+            y, step = even_samples(times, values, ("PSD.from_record times", "PSD.from_record values"), problems)
+        f, S = welch(np.asarray(y), 1 / float(step), nperseg=min(segment, len(y)))
         return cls(f[1:], S[1:], unit=f"({unit})2/Hz")
 
     def at(self, x):
@@ -274,7 +273,8 @@ class CrossPSD(eqx.Module):
 
 class Band(eqx.Module):
     """A band from `low` to `high` [Hz], with `points` at equal steps of the logarithm and weights for integrals, whose error for a smooth
-    function decreases with the fourth power of the step. Errors: EMPTY_BAND, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE.
+    function decreases with the fourth power of the step; where a density jumps it is up to half a step of the jump: divide the band
+    there. Errors: EMPTY_BAND, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE.
 
     >>> band = Band(1.0, 100.0)
     >>> round(float(jnp.sum(band.weights / band.frequencies**2)), 9)
@@ -332,19 +332,6 @@ def check_spectra(given: Any, where: str, problems: Problems) -> dict[str, Spect
             hint = "Give a PSD, a PowerLaw or a Spectrum of your own, which have units."
             problems.add("WRONG_KIND", f"{where}[{name!r}]", f"is a {type(spectrum).__name__}", value=spectrum, limit="Spectrum", hint=hint)
     return {name: spectrum for name, spectrum in given.items() if isinstance(spectrum, Spectrum)}
-
-
-def sampling_step(times: Any, where: str, problems: Problems) -> Any:
-    """The step between equally spaced times."""
-    t = checked(float_array(times, where), ((max(2, np.size(times)),),), where, problems, "Give two times or more.")
-    known = None if t is None else concrete(t)
-    if known is None:
-        return 1.0 if t is None else (t[-1] - t[0]) / (len(t) - 1)
-    steps = np.diff(known)
-    if steps.min() <= 0 or np.ptp(steps) > 1e-6 * steps.mean():
-        message = f"has steps from {steps.min():.6g} to {steps.max():.6g} s"
-        problems.add("NOT_UNIFORM", where, message, value=steps, limit="equal steps", hint="Resample the record first.")
-    return steps.mean()
 
 
 def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:

@@ -25,6 +25,7 @@ from jaxbody.mechanisms.alignment_curves import SuspensionCurves
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.leaf_paths import by_name
 from jaxbody.models.models import Model
+from jaxbody.models.preconditions import check_state
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable
 from jaxbody.simulations.trajectories import Trajectory
@@ -61,6 +62,7 @@ class PoseSequence:
 def still(model: Model, state: State | None = None, title: str = "") -> PoseSequence:
     """One state of a model; None takes the reference pose."""
     state = model.reference if state is None else state
+    check_state(model, state, "state")
     return PoseSequence(model, np.zeros(1), *_configurations(model, state.q[None]), title)
 
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.arrays import checked, concrete
+from jaxbody.core.arrays import concrete
 from jaxbody.core.errors import Problems
 from jaxbody.records.records import Record
-from jaxbody.responses.spectra import sampling_step
+from jaxbody.records.samplings import even_samples
 
 WANTED = "a Record with one acceleration, or (times, accelerations) [s, m/s2]"
 
@@ -31,11 +31,10 @@ def checked_samples(record: Any, unit: str, where: str, problems: Problems) -> t
         limit = WANTED if unit else "a Record with one channel, or (times, values)"
         problems.add("WRONG_KIND", where, f"is a {type(record).__name__}", value=record, limit=limit)
         return None
-    step = sampling_step(record[0], f"{where} times", problems)
     gaps = concrete(record[1]) if hasattr(record[1], "dtype") else None
     if gaps is not None and gaps.dtype.kind == "f" and (count := int(np.isnan(gaps).sum())):
         hint = 'Read the record with fill="spline", or take a part without gaps.'
         problems.add("GAPS", where, f"lacks {count} samples", value=count, limit="no gaps", hint=hint)
         return None
-    values = checked(record[1], ((np.size(record[0]),),), where, problems, "One value for each time.")
+    values, step = even_samples(*record, (f"{where} times", where), problems)
     return None if values is None or len(problems.collected) > known else (values, step)

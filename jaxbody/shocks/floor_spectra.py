@@ -21,6 +21,7 @@ from jaxbody.core.arrays import Array, Float, concrete, device_array
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import warn_if_failed
 from jaxbody.numerics.eigenproblems import together
+from jaxbody.records.samplings import IRREGULAR
 from jaxbody.responses.frequency_responses import check_frequencies
 from jaxbody.shocks.combinations import root
 from jaxbody.shocks.modal_excitations import ModalExcitation, excited, modal_excitation
@@ -83,8 +84,9 @@ def floor_spectrum(
                 "BAD_UNIT", "floor_spectrum.output", f"is in {', '.join(ports.units)}", value=output, limit="one in m/s2", hint=hint
             )
         records = [each for each in given if isinstance(each, tuple)]
-        if records and (len(records) < len(given) or len({(np.shape(a)[0], float(h)) for a, h in records}) > 1):
-            message, hint = "mixes records with spectra, or records of different times", "Resample the records, or give spectra alone."
+        lengths, steps = {np.shape(a)[0] for a, _ in records}, [float(h) for _, h in records]
+        if records and (len(records) < len(given) or len(lengths) > 1 or np.ptp(steps) * max(lengths) > IRREGULAR * min(steps)):
+            message, hint = "mixes records with spectra, or records of different times", "Interpolate the records, or give spectra alone."
             problems.add("BAD_OPTION", where, message, value=spectra, limit="records of the same times, or spectra", hint=hint)
         if records and f is not None and not problems.collected:
             check_record(records[0], concrete(f), "continuous", where, problems)

@@ -29,14 +29,16 @@ SMALL = 0.5  # |z| below which the functions phi are power series
 TERMS = 14
 ROUNDING = 1e-9  # of a time, relative to the step
 REFINED = 10  # steps of Newton's rule, or halvings of a bracket
+EXACT, BETWEEN = 1e-9, 2e-3  # relative differences of equal peaks: of rounding; of points of which one is nearer to its peak
 
 
 class Peak(NamedTuple):
-    """The value of a peak at a sample, the sample, and the state less `c h phi2` times the acceleration there."""
+    """The value of a peak at a sample, the sample, and the state less `c h phi2` times the acceleration there; the first of peaks that
+    differ by EXACT, and the first of those that differ by BETWEEN."""
 
-    value: Float[Array, "n"]
+    value: Float[Array, "2 n"]
     sample: Array
-    state: Complex[jax.Array, "n"]
+    state: Complex[jax.Array, "2 n"]
 
 
 def poles(frequency: Float[Array, "n"], damping: Float[Array, "n"]) -> Complex[jax.Array, "n"]:
@@ -62,15 +64,29 @@ def steps(s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], h: Any) -> tup
 
 @jit_vectorized
 def peaks(
-    a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], side: str, parts: int | None
-) -> Float[Array, "n"]:
-    """The largest |Im(r)|, Im(r) or -Im(r) of oscillators at rest at the first sample: at the samples if `parts` is None, else of the
-    continuous response, from the largest of so many points in each step on by Newton's rule."""
+    a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], side: str, parts: int | None, r0: Any
+) -> tuple[Float[Array, "n"], Complex[jax.Array, "n"]]:
+    """The largest |Im(r)|, Im(r) or -Im(r) of oscillators whose state is r0 at the first sample, and r at the last one: at the samples if
+    `parts` is None, else of the continuous response, from the largest of so many points in each step on by Newton's rule."""
     if parts is None:
-        return _largest(a, h, s, c, side).value
+        peak, end = _largest(a, h, s, c, side, r0)
+        return peak.value[0], end
     weights = jnp.arange(parts) / parts
     a = jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
-    return _refined(a, h / parts, s, c, side, _largest(a, h / parts, s, c, side, kept=True))[0]
+    peak, end = _largest(a, h / parts, s, c, side, r0, kept=True)
+    return _first_of_equal(a, h / parts, s, c, side, peak)[0], end
+
+
+def free_peaks(r: Complex[jax.Array, "n"], s: Complex[jax.Array, "n"], side: str) -> Float[Array, "n"]:
+    """The largest |Im(r e^(s t))|, Im or -Im for t >= 0: at t = 0, or at the first two of the times at which Im(s r e^(s t)) = 0. In
+    derivatives the time is constant."""
+    half = jax.lax.stop_gradient(jnp.pi / s.imag)
+    first = jnp.mod(-jnp.angle(jax.lax.stop_gradient(s * r)), jnp.pi) * half / jnp.pi
+    best = jnp.zeros_like(half)
+    for t in (jnp.zeros_like(half), first, first + half):
+        y = _signed(jnp.imag(r * jnp.exp(s * t.astype(s.dtype))), side)
+        best = jnp.where(y > best * (1 + EXACT), y, best)
+    return best
 
 
 @jit_vectorized
@@ -79,7 +95,8 @@ def influences(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Com
     peak."""
     weights, n = jnp.arange(parts) / parts, len(a)
     fine = jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
-    value, time, sign = _refined(fine, h / parts, s, c, "maximax", _largest(fine, h / parts, s, c, "maximax", kept=True))
+    peak, _ = _largest(fine, h / parts, s, c, "maximax", jnp.zeros_like(s), kept=True)
+    value, time, sign = _first_of_equal(fine, h / parts, s, c, "maximax", peak)
     whole = jnp.clip(jnp.floor(time / h), 0, n - 2)
     k, late, part = whole.astype(int), time - whole * h, time / h - whole
     e, before, after = steps(s, c, h)
@@ -110,25 +127,37 @@ def _signed(y: Array, side: str) -> Array:
     return jnp.abs(y) if side == "maximax" else y if side == "positive" else -y
 
 
-def _largest(a, h, s, c, side: str, kept: bool = False) -> Peak:
-    """The peak at the samples; `kept` with its place and state."""
+def _largest(a, h, s, c, side: str, r0, kept: bool = False) -> tuple[Peak, Complex[jax.Array, "n"]]:
+    """The peak at the samples, `kept` with its place and state, and the state r at the last one."""
     e, before, after = steps(s, c, h)
     drive = e * after + before  # of w = r - after a, whose step needs one acceleration
     er, ei, dr, di, own = e.real, e.imag, drive.real, drive.imag, after.imag
-    zero, start = jnp.zeros_like(er), (-after.real * a[0], -own * a[0])  # r = 0
-    places = (jnp.zeros(er.shape, jnp.int32), zero, zero) if kept else ()
+    start, zero = (r0.real - after.real * a[0], r0.imag - own * a[0]), jnp.zeros((2 if kept else 1, *er.shape), er.dtype)
+    places = (jnp.zeros(zero.shape, jnp.int32), zero, zero) if kept else ()
+    margins = 1 + jnp.array([EXACT, BETWEEN], er.dtype)[: len(zero), None]
 
     def step(carry, now):
         re, im, best, *place = carry
-        y = _signed(im + own * now[0], side)
-        larger = y > best
+        y = _signed(im + own * now[0], side)[None]
+        larger = y > best * margins
         if kept:
-            place = [jnp.where(larger, new, old) for new, old in zip((now[1], re, im), place, strict=True)]
+            larger = larger | ((y > best) & (place[0] == now[1] - 1))  # on the way up
+            place = [jnp.where(larger, new, old) for new, old in zip((now[1], re[None], im[None]), place, strict=True)]
         return (er * re - ei * im + dr * now[0], er * im + ei * re + di * now[0], jnp.where(larger, y, best), *place), None
 
     rows = (a, jnp.arange(len(a), dtype=jnp.int32)) if kept else (a,)
-    (_, _, best, *place), _ = jax.lax.scan(step, (*start, zero, *places), rows, unroll=UNROLLED)
-    return Peak(best, place[0], jax.lax.complex(place[1], place[2])) if kept else Peak(best, jnp.zeros(0), e[:0])
+    at_last, _ = jax.lax.scan(step, (*start, zero, *places), jax.tree.map(lambda x: x[:-1], rows), unroll=UNROLLED)
+    (_, _, best, *place), _ = step(at_last, tuple(x[-1] for x in rows))
+    end = jax.lax.complex(*at_last[:2]) + after * a[-1].astype(s.dtype)
+    peak = Peak(best, place[0], jax.lax.complex(place[1], place[2])) if kept else Peak(best, jnp.zeros(0), e[None, :0])
+    return peak, end
+
+
+def _first_of_equal(a, h, s, c, side: str, peak: Peak) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
+    """The larger of both peaks, or the first one where they are equal, as it is larger with any damping."""
+    both = jax.vmap(lambda one: _refined(a, h, s, c, side, one))(peak)
+    earlier = both[0][1] >= both[0][0] * (1 - EXACT)
+    return tuple(jnp.where(earlier, x[1], x[0]) for x in both)  # pyright: ignore[reportReturnType]
 
 
 def _refined(a, h, s, c, side: str, peak: Peak) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:

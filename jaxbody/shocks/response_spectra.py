@@ -18,11 +18,25 @@ ROUNDING = 1e-9  # relative, of frequencies at the ends of what a spectrum cover
 
 class ResponseSpectrum(tables.Printed, eqx.Module):
     """The base of response spectra: `spectrum(frequencies, damping)` is the pseudo-acceleration w^2 max|x| [m/s2] at frequencies [Hz] and
-    damping ratios, of oscillators x'' + 2 zeta w x' + w^2 x = -a. Yours states `__call__` and `covers`, and how it prints.
+    damping ratios, of oscillators x'' + 2 zeta w x' + w^2 x = -a. Yours states `__call__` and `covers`.
 
-    >>> isinstance(jb.Eurocode8(2.0), ResponseSpectrum)
-    True
+    >>> class Plateau(ResponseSpectrum):
+    ...     level: float
+    ...     def __call__(self, frequencies, damping=0.05):
+    ...         return self.level * jnp.sqrt(0.05 / damping) * jnp.ones(jnp.shape(frequencies))
+    ...     def covers(self):
+    ...         return 0.5, 20.0
+    >>> print(Plateau(3.0))
+    Plateau
+               value
+      lowest     0.5  Hz
+      highest     20  Hz
+    <BLANKLINE>
     """
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        rows = [(end, float(f), "Hz") for end, f in zip(("lowest", "highest"), self.covers(), strict=True)]
+        return [tables.PrintedTable(type(self).__name__, ("", "value", ""), rows)]
 
     @abstractmethod
     def __call__(self, frequencies: Any, damping: Any = 0.05) -> Float[Array, "*n"]: ...

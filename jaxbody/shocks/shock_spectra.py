@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import jax
@@ -15,21 +16,26 @@ from jaxbody.core.arguments import check_one_of
 from jaxbody.core.arrays import Array, Complex, Float, Int, concrete, device_array
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
+from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.results import Result
+from jaxbody.inputs.pulses import Pulse
 from jaxbody.responses.frequency_responses import checked_frequencies
 from jaxbody.shocks.accelerograms import checked_samples
-from jaxbody.shocks.oscillators import SIDES, peaks, poles
+from jaxbody.shocks.oscillators import SIDES, free_peaks, peaks, poles
 from jaxbody.shocks.response_spectra import ResponseSpectrum, as_rows, check_dampings, log_interpolated
 
 KINDS = {"absolute": "m/s2", "relative": "m", "pseudo": "m/s2"}
 PEAKS = ("samples", "continuous")
+PARTS = {"primary": "", "residual": ", in the free vibration after it", "both": ", also in the free vibration after it"}
+PULSE_STEPS = 2000  # straight lines in a pulse, from which a half sine deviates by (pi/2000)^2/8
+SHORTEST = 1e-9  # part of a pulse between two corners at the same place
 FINEST, FEWEST = 0.1, 4  # rad between the points among which a continuous peak is looked for, and points in a step; the largest of them is
 # too low by 0.13 % where the oscillator determines the curvature of the response, and by an h^2/(128 x) where a slow one follows the record
 SLOWEST = {"samples": 0.25, "continuous": 0.5}  # largest frequency times step: four samples a period; the highest frequency of a record
 
 
 class ShockSpectrum(Labeled, ResponseSpectrum, Result):
-    """`values` (damping ratios, frequencies), in `unit`, at `damping` and `frequencies` [Hz]; `kind`, `side` and `peaks` as asked for.
+    """`values` (damping ratios, frequencies), in `unit`, at `damping` and `frequencies` [Hz]; `kind`, `side`, `peaks`, `part` as asked.
 
     It is a response spectrum: `spectrum(f, zeta)` is the pseudo-acceleration [m/s2] between its points, along straight lines in logarithms
     of frequency and value, and in the damping ratio. Error: BAD_KIND for a spectrum of absolute accelerations, which is none, or of one
@@ -43,6 +49,7 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
     kind: str = field(static=True)
     side: str = field(static=True)
     peaks: str = field(static=True)
+    part: str = field(static=True, default="primary")
 
     @property
     def unit(self) -> str:
@@ -95,7 +102,7 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
         title = (
             f"Shock spectrum, {self.kind}, {self.side}, peaks {'at samples' if self.peaks == 'samples' else 'of the continuous response'}"
         )
-        return [tables.PrintedTable(f"{title}, {f.min():.6g} to {f.max():.6g} Hz", heads, rows, self.failure)]
+        return [tables.PrintedTable(f"{title}{PARTS[self.part]}, {f.min():.6g} to {f.max():.6g} Hz", heads, rows, self.failure)]
 
 
 def shock_spectrum(
@@ -106,51 +113,66 @@ def shock_spectrum(
     kind: str = "absolute",
     side: str = "maximax",
     peaks: str = "samples",
+    part: str | None = None,
 ) -> ShockSpectrum:
-    """The shock response spectrum of a record of base acceleration a: the largest response, during the record, of oscillators at rest at
-    its first sample.
+    """The shock response spectrum of a record or pulse of base acceleration a: the largest response of oscillators that start at rest.
 
-        x'' + 2 zeta w x' + w^2 x = -a,   w = 2 pi frequency,   a in straight lines between samples
+        x'' + 2 zeta w x' + w^2 x = -a,   w = 2 pi frequency,   a in straight lines between samples, zero after the last one
 
-    The recurrence is exact for such lines. It is differentiable with respect to the accelerations and damping ratios, and with
-    peaks="samples" to the frequencies. The record is all there is: add zeros for the free vibration after a pulse, as in
-    `jb.HalfSine(...).samples()`.
+    The recurrence is exact for such lines, and so is the free vibration after them. It is differentiable with respect to the accelerations
+    and damping ratios, and with peaks="samples" to the frequencies. A pulse may jump, and needs no samples and no zeros after it.
 
     Args:
-        record: a Record with one acceleration, or (times, accelerations) [s, m/s2], equally spaced.
+        record: a Record with one acceleration, (times, accelerations) [s, m/s2], evenly spaced, or a pulse [m/s2] such as jb.HalfSine(...).
         frequencies: natural frequencies in one row [Hz].
         damping: damping ratio or ratios, 0 to below 1.
         kind: "absolute" acceleration x'' + a [m/s2], "relative" displacement x [m], or "pseudo"-acceleration -w^2 x [m/s2].
         side: "maximax", of the magnitude, "positive" or "negative", of the response or of minus the response.
-        peaks: of the response at the "samples", or of the "continuous" response between them.
+        peaks: of the response at the "samples" of a record, or of the "continuous" response between them, as always of pulses.
+        part: "primary", while the record or pulse lasts; "residual", after it; "both". None: both of a pulse, the primary one of a record,
+            which must last for a period (TOO_SHORT).
 
-    Errors, all at once: LOW_RATE for frequencies above a quarter of the sampling rate, or with continuous peaks above half of it, TOO_SHORT
-    for those whose period is longer than the record, NOT_A_FRACTION, BAD_FREQUENCY, BAD_KIND, BAD_OPTION, WRONG_KIND, WRONG_DIMENSION,
-    GAPS, NOT_UNIFORM, BAD_SHAPE, NON_FINITE. Source: ISO 18431-4:2007 (its ramp-invariant filters); N. C. Nigam, P. C. Jennings, Bull.
-    Seismol. Soc. Am. 59 (1969) 909.
+    Errors, all at once: LOW_RATE for frequencies above a quarter of the sampling rate, or with continuous peaks above half of it,
+    TOO_SHORT, NOT_A_FRACTION, BAD_FREQUENCY, BAD_KIND, BAD_OPTION, WRONG_KIND, WRONG_DIMENSION, GAPS, BAD_SHAPE, NON_FINITE, NOT_UNIFORM
+    and those of times. Source: ISO 18431-4:2007 (its ramp-invariant filters); N. C. Nigam, P. C. Jennings, Bull. Seismol. Soc. Am. 59
+    (1969) 909.
 
     >>> times = jnp.arange(0.0, 5.0, 0.001)
     >>> step = shock_spectrum((times, jnp.full(5000, 2.0)), [1.0, 4.0], damping=0.0, peaks="continuous")
     >>> step.values.round(9).tolist()  # twice the acceleration
     [[4.0, 4.0]]
     """
+    pulse = isinstance(record, Pulse)
     with Problems() as problems:
-        samples = checked_samples(record, "m/s2", "shock_spectrum.record", problems)
+        samples = _lines(record) if pulse else checked_samples(record, "m/s2", "shock_spectrum.record", problems)
         f = problems.gather(lambda: checked_frequencies(frequencies, "shock_spectrum.frequencies"))
         zeta = check_dampings(damping, "shock_spectrum.damping", problems)
         check_one_of(kind, KINDS, "BAD_KIND", "shock_spectrum.kind", problems)
         check_one_of(side, SIDES, "BAD_OPTION", "shock_spectrum.side", problems)
         check_one_of(peaks, PEAKS, "BAD_OPTION", "shock_spectrum.peaks", problems)
-        if samples is not None and f is not None and peaks in PEAKS:
-            check_record(samples, concrete(f), peaks, "shock_spectrum.record", problems)
+        check_one_of(part or "both", PARTS, "BAD_OPTION", "shock_spectrum.part", problems)
+        if isinstance(samples, tuple) and f is not None and peaks in PEAKS:
+            check_record(samples, concrete(f), peaks, "shock_spectrum.record", problems, whole=part is None)
     assert samples is not None and f is not None
     zeta = zeta[None] if zeta.ndim == 0 else zeta
-    f, zeta, values, status = (_at_samples if peaks == "samples" else _spectrum)(samples, f, zeta, kind, side, peaks)
-    return ShockSpectrum(f, zeta, values, status, kind, side, peaks)
+    peaks, part = ("continuous", part or "both") if pulse else (peaks, part or "primary")
+    f, zeta, values, status = (_at_samples if peaks == "samples" else _spectrum)(samples, f, zeta, kind, side, peaks, part)
+    return ShockSpectrum(f, zeta, values, status, kind, side, peaks, part)
 
 
-def check_record(samples: tuple[Any, Any], f: np.ndarray | None, peaks: str, where: str, problems: Problems) -> None:
-    """Whether a record is long enough and sampled fast enough for frequencies [Hz]. Errors: TOO_SHORT, LOW_RATE."""
+def _lines(pulse: Pulse) -> list[tuple[Array, Array]]:
+    """The values of a pulse at the ends of straight lines, and the step between these [s], from each of its corners to the next."""
+    ends = list(map(jnp.asarray, pulse.corners()))
+    count = PULSE_STEPS // (len(ends) - 1)
+    lines = []
+    for low, high in itertools.pairwise(ends):
+        step = jnp.maximum(high - low, SHORTEST) / count
+        lines.append((pulse.amplitude * pulse.shape(low + step * np.arange(count + 1.0))[0], pulse.duration * step))
+    return lines
+
+
+def check_record(samples: tuple[Any, Any], f: np.ndarray | None, peaks: str, where: str, problems: Problems, *, whole: bool = True) -> None:
+    """Whether a record is sampled fast enough for frequencies [Hz] and, if asked for, as long as a period. Errors: LOW_RATE, TOO_SHORT."""
     known = concrete(samples[1])
     if known is None or f is None:
         return
@@ -161,9 +183,9 @@ def check_record(samples: tuple[Any, Any], f: np.ndarray | None, peaks: str, whe
         message = f"has {1 / step:.6g} samples a second, too few for {_some(fast)}"
         hint = f"Record faster, or leave these frequencies out{other}."
         problems.add("LOW_RATE", where, message, value=fast, limit=f"frequencies up to {highest:.6g} Hz", hint=hint)
-    if (slow := f[f * length < 1 - 1e-9]).size:
+    if whole and (slow := f[f * length < 1 - 1e-9]).size:
         message = f"is {length:.6g} s long, shorter than a period of {_some(slow)}"
-        hint = "Add zeros for the free vibration after the record, or leave these frequencies out."
+        hint = 'For the free vibration after the record add zeros, or give part="both" to shock_spectrum; or leave these frequencies out.'
         problems.add("TOO_SHORT", where, message, value=slow, limit=f"frequencies from {1 / length:.6g} Hz", hint=hint)
 
 
@@ -173,17 +195,17 @@ def _some(f: np.ndarray) -> str:
     return f"{text} Hz"
 
 
-def spectrum_values(samples: tuple[Any, Any], f: Float[Array, "nf"], zeta: Float[Array, "nz"], kind: str, side: str, peaks: str):
+def spectrum_values(samples: Any, f: Float[Array, "nf"], zeta: Float[Array, "nz"], kind: str, side: str, peaks: str, part: str = "primary"):
     """The values (nz, nf) of a spectrum."""
     each, ratio = jnp.broadcast_to(f[None], (len(zeta), len(f))), jnp.broadcast_to(zeta[:, None], (len(zeta), len(f)))
     s = poles(each.ravel(), ratio.ravel())
-    return peaks_of(samples, s, weights_of(s, kind), side, peaks).reshape(each.shape)
+    return peaks_of(samples, s, weights_of(s, kind), side, peaks, part).reshape(each.shape)
 
 
-def _spectrum(samples, f, zeta, kind: str, side: str, peaks: str):
+def _spectrum(samples, f, zeta, kind: str, side: str, peaks: str, part: str):
     """All arrays of a result, which one program returns."""
     f, zeta = device_array(f), device_array(zeta)
-    return f, zeta, spectrum_values(samples, f, zeta, kind, side, peaks), jnp.array(Status.OK.value)
+    return f, zeta, spectrum_values(samples, f, zeta, kind, side, peaks, part), jnp.array(Status.OK.value)
 
 
 _at_samples = jit_vectorized(_spectrum)
@@ -195,17 +217,28 @@ def weights_of(s: Complex[jax.Array, "n"], kind: str) -> Complex[jax.Array, "n"]
     return {"absolute": s**2, "relative": jnp.ones_like(s), "pseudo": (-w2).astype(s.dtype)}[kind] / s.imag.astype(s.dtype)
 
 
-def peaks_of(samples: tuple[Any, Any], s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], side: str, kind: str) -> Float[Array, "n"]:
-    """Peaks of Im(r) of oscillators with the poles s and the weights c, fast ones of the continuous response at more points a step."""
-    a, h = (device_array(x) for x in samples)
-    known, step = concrete(s), concrete(h)
-    if kind == "samples":
-        return peaks(a, h, s, c, side, None)
-    if known is None or step is None:
-        return peaks(a, h, s, c, side, 32)
-    parts = 2 ** np.ceil(np.log2(np.maximum(np.abs(known) * float(step) / FINEST, FEWEST))).astype(int)
-    result = jnp.zeros(s.shape, a.dtype)
+def peaks_of(
+    samples: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], side: str, kind: str, part: str = "primary"
+) -> Float[Array, "n"]:
+    """Peaks of Im(r) of oscillators with the poles s and the weights c, fast ones of the continuous response at more points a step.
+
+    `samples`: accelerations and the step between them, or a list of such pairs, one after the other."""
+    pairs = [(device_array(a), device_array(h)) for a, h in (samples if isinstance(samples, list) else [samples])]
+
+    def largest(s, c, count):
+        best, r = jnp.zeros(s.shape, pairs[0][0].dtype), jnp.zeros_like(s)
+        for a, h in pairs:
+            value, r = peaks(a, h, s, c, side, count, r)
+            best = jnp.maximum(best, value)
+        free = free_peaks(r, s, side) if part != "primary" else best
+        return {"primary": best, "residual": free, "both": jnp.maximum(best, free)}[part]
+
+    known, step = concrete(s), None if any(isinstance(h, Tracer) for _, h in pairs) else max(float(h) for _, h in pairs)
+    if kind == "samples" or known is None or step is None:
+        return largest(s, c, None if kind == "samples" else 32)
+    parts = 2 ** np.ceil(np.log2(np.maximum(np.abs(known) * step / FINEST, FEWEST))).astype(int)
+    result = jnp.zeros(s.shape, pairs[0][0].dtype)
     for count in sorted(set(parts.tolist())):
         places = np.flatnonzero(parts == count)
-        result = result.at[places].set(peaks(a, h, s[places], c[places], side, count))
+        result = result.at[places].set(largest(s[places], c[places], count))
     return result

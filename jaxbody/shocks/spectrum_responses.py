@@ -126,7 +126,9 @@ def spectrum_response(
         peak of mode j = |Gamma_j (Y0 + i w_j Y1 - (w_j^2 + 2 i zeta_j w_j^2) Y2) phi_j| A(f_j, zeta_j)/w_j^2
 
     Gamma_j = phi_j' (M S - M~) e is the participation; Y0, Y1 and Y2 are what an output reads of displacements, velocities and
-    accelerations, so that a force is mass times acceleration with damping too. For a record the peak of a mode is that of its history.
+    accelerations, so that a force is mass times acceleration with damping too. For a record the peak of a mode is that of its history, also
+    between samples; tables of peaks at samples are lower, by some percent where a period has few samples: for these give the
+    `shock_spectrum` of the record with peaks="samples".
     Forces, strokes, absolute accelerations and reactions are of the whole motion; displacements and velocities are relative to the slow
     motion S Xi of the supports. Where supports move apart, add the static forces of their displacements. Peaks of excitations are combined
     by their squares, of combine="absolute" by their sum. It is differentiable with respect to the model and the spectra.

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix
 
 from jaxbody.compilation.compile_options import jit_optimized_where
-from jaxbody.core.arrays import Array, Bool, Float
+from jaxbody.core.arrays import Array, rows_or_nan
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.inputs.signals import kinks_of
 from jaxbody.laws.measured_curves import has_range
@@ -22,9 +24,10 @@ from jaxbody.mechanics.kinematics import frames_at_time
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import take_long
 from jaxbody.models.states import State
-from jaxbody.numerics.adjoints import Blocks, Driven, Projected, Unstarted
+from jaxbody.numerics.adjoints import Blocks, Driven, Lasting, Projected, Unstarted, Watched
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.precisions import reachable
+from jaxbody.numerics.runge_kutta_steps import TRIAL, first_length
 from jaxbody.simulations.canonical_equations import Canonical
 from jaxbody.simulations.trajectories import Trajectory
 
@@ -65,8 +68,9 @@ LOOPS = Driven(_drive, _driven_on_closures, _projected)
 
 @jit_optimized_where(lambda model, times, *_: take_long(model, times))
 def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
-    """The jitted core of `simulate`: arrays only, never raises."""
-    dynamics = dynamics_of(model, motions, loads)
+    """The jitted core of `simulate`: arrays only, never raises. It counts time from the first sample."""
+    given, times = times, times - times[0]
+    dynamics = dynamics_of(model, *(tuple(part.after(given[0]) for part in parts) for parts in (motions, loads)))
     initial, closing = dynamics.coordinates.reference if initial is None else _completed(dynamics, initial, times[0]), None
     if isinstance(dynamics, ClosedLoops):
         initial, closing = dynamics.closed(times[0], initial)
@@ -82,12 +86,15 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     motion = LOOPS if model.closures else MOTION
     form, term = (Canonical(dynamics), CANONICAL) if isinstance(solver, Gauss) else (dynamics, motion)
     y0 = form.pack(initial, times[0])
-    chosen = _in_blocks if in_blocks else _as_given
-    options = chosen(dynamics, times, rtol, stepsize_controller, adjoint, dt0, max_steps)
     solver = solver or diffrax.Dopri8()
-    if model.closures and not in_blocks:
-        solver = Projected(solver)
-    solution = diffrax.diffeqsolve(term, solver, times[0], times[-1], y0=y0, args=form, throw=False, progress_meter=meter, **options)
+    controller = _after(given[0], stepsize_controller)
+    tolerances = {} if isinstance(controller, CONSTANT) else _tolerances(dynamics, times, initial, rtol)
+    if in_blocks:
+        options = _in_blocks(dynamics, times, tolerances, solver, controller, adjoint, dt0, max_steps)
+    else:
+        solver = Projected(solver) if model.closures and isinstance(controller, CONSTANT) else solver
+        options = _as_given(form, y0, times, tolerances, solver, controller, adjoint, dt0, max_steps)
+    solution = diffrax.diffeqsolve(term, t0=times[0], t1=times[-1], y0=y0, args=form, throw=False, progress_meter=meter, **options)
     ts, ys = (jnp.concatenate(jax.tree.leaves(x)) for x in (solution.ts, solution.ys))
     samples, t_end, y_end = ys[:-1].at[0].set(y0), ts[-1], ys[-1]
     code = solution.stats["status"] if in_blocks else _status(solution.result, form, t_end, y_end, times[-1] - times[0])
@@ -97,22 +104,32 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     t_end, y_end = jnp.where(overflow, times[last], t_end), jnp.where(overflow, samples[last], y_end)
     code = jnp.where(overflow, Status.NONFINITE.value, code)
     valid = (finite & (times <= t_end))[:, None]
-    y = jnp.concatenate([_nan_unless(valid, jnp.where(valid, samples, y_end)), y_end[None]])
+    samples = jnp.where(valid, samples, y_end)
     if isinstance(dynamics, ClosedLoops):
-        y = y.at[:-1].set(jax.vmap(dynamics.projected)(times, y[:-1]))
-        code = jnp.where((code == Status.OK.value) & ~jnp.isfinite(y).all(), Status.NONFINITE.value, code)
+        samples = jax.vmap(dynamics.projected)(jnp.where(valid[:, 0], times, t_end), samples)
+        valid = valid & jnp.isfinite(samples)
+        code = jnp.where((code == Status.OK.value) & ~valid.all(), Status.NONFINITE.value, code)
+    y = jnp.concatenate([rows_or_nan(valid, samples), y_end[None]])
     unpacked = jax.vmap(form.unpack)(y, jnp.append(times, t_end))
     state, final = jax.tree.map(lambda x: x[:-1], unpacked), jax.tree.map(lambda x: x[-1], unpacked)
     if isinstance(dynamics, ClosedLoops):
         code = _ended_on_closures(dynamics, code, t_end, final, closing)
     if has_range(model.elements):
-        beyond = jax.vmap(lambda t, state: jnp.any(outside_law_range(model, frames_at_time(model, motions, t, state))))(times, state)
+        frames = jax.vmap(partial(frames_at_time, model, dynamics.motions))(times, state)
+        beyond = jax.vmap(lambda frames: jnp.any(outside_law_range(model, frames)))(frames)
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
     statistics = {name: solution.stats[name] for name in ("num_accepted_steps", "num_rejected_steps")}
-    end = (t_end, final)
+    end = (given[0] + t_end, final)
     return Trajectory(
-        times=times, state=state, status=code, statistics=statistics, end=end, model=model, motions=motions, loads=loads, closing=closing
+        times=given, state=state, status=code, statistics=statistics, end=end, model=model, motions=motions, loads=loads, closing=closing
     )
+
+
+def _after(t0, controller):
+    """A controller of diffrax with times of its own counted from t0."""
+    names = [name for name in ("ts", "step_ts", "jump_ts") if getattr(controller, name, None) is not None]
+    times = [jnp.asarray(getattr(controller, name)) - t0 for name in names]
+    return eqx.tree_at(lambda controller: [getattr(controller, name) for name in names], controller, times) if names else controller
 
 
 def _check_for_gauss(model: Model) -> None:
@@ -139,32 +156,14 @@ def _completed(dynamics: Dynamics, state: State, t) -> State:
     return completed(dynamics.model, state, frames)
 
 
-@jax.custom_jvp
-def _nan_unless(valid: Bool[Array, "nt 1"], y: Float[Array, "nt ny"]) -> Float[Array, "nt ny"]:
-    """y where it is valid, else NaN. So are its derivatives; with `jnp.where` alone they would be zero in reverse mode."""
-    return jnp.where(valid, y, jnp.nan)
-
-
-@_nan_unless.defjvp
-def _nan_unless_jvp(primals, tangents):
-    valid, y = primals
-
-    def backward(_, slope):
-        return jnp.where(valid | (slope == 0), slope, jnp.nan)
-
-    change = jax.lax.custom_linear_solve(lambda x: x, tangents[1], lambda _, x: jnp.where(valid, x, jnp.nan), backward)
-    return _nan_unless(valid, y), change
-
-
-def _in_blocks(dynamics: Dynamics, times, rtol, controller, adjoint, dt0, max_steps) -> dict[str, Any]:
+def _in_blocks(dynamics: Dynamics, times, tolerances, solver, controller, adjoint, dt0, max_steps) -> dict[str, Any]:
     """Options of diffeqsolve for `Blocks`, which have the times and the first step; steps end at kinks of motions and loads."""
-    kinks = kinks_of((*dynamics.motions, *(signal for load in dynamics.loads for signal in load.signals())))
     if controller is None:
-        controller = diffrax.PIDController(**_tolerances(dynamics, times, rtol))
-        if kinks is not None:
-            controller, max_steps = diffrax.ClipStepSizeController(controller, step_ts=jnp.asarray(kinks)), max_steps + len(kinks)
+        controller, more = _cut_at_kinks(dynamics, diffrax.PIDController(**tolerances))
+        max_steps += more
     one_way = isinstance(adjoint, diffrax.ForwardMode) or (isinstance(adjoint, Blocks) and adjoint.forward_only)
     return {
+        "solver": solver,
         "dt0": None,
         "saveat": diffrax.SaveAt(t1=True),
         "stepsize_controller": Unstarted(controller),
@@ -173,28 +172,52 @@ def _in_blocks(dynamics: Dynamics, times, rtol, controller, adjoint, dt0, max_st
     }
 
 
-def _as_given(dynamics: Dynamics, times, rtol, controller, adjoint, dt0, max_steps) -> dict[str, Any]:
-    """Options of diffeqsolve for its own loop: the user's objects, with defaults for the others."""
-    by_default = diffrax.DirectAdjoint() if isinstance(controller, CONSTANT) else diffrax.RecursiveCheckpointAdjoint()
+def _as_given(dynamics: Dynamics | Canonical, y0, times, tolerances, solver, controller, adjoint, dt0, max_steps) -> dict[str, Any]:
+    """Options of diffeqsolve for its own loop: the user's objects, with defaults for the others. Where errors control the steps, these end
+    at kinks of motions and loads, and the solver looks along them."""
+    saveat = diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)])
+    if isinstance(controller, CONSTANT):
+        options = {"solver": solver, "dt0": dt0, "stepsize_controller": controller, "adjoint": adjoint or diffrax.DirectAdjoint()}
+        return options | {"saveat": saveat, "max_steps": max_steps}
+    assert isinstance(dynamics, Dynamics)
+    rules: Any = Lasting(*(tolerances[name] for name in ("rtol", "atol", "norm", "dtmin")))
+    if controller is None:
+        controller = rules
+    elif isinstance(controller, diffrax.AbstractAdaptiveStepSizeController):
+        rules = controller
+    if dt0 is None:
+        t, span = times[0], times[-1] - times[0]
+        f0, order = dynamics.rate(t, y0), solver.order(MOTION)
+        f1 = dynamics.rate(t + TRIAL * span, y0 + TRIAL * span * f0)
+        dt0 = first_length(rules, order, *jax.lax.stop_gradient((y0, f0, f1, TRIAL * span, span)))
+    controller, more = _cut_at_kinks(dynamics, controller)
     return {
+        "solver": Watched(solver, times, rules.rtol, rules.atol),
         "dt0": dt0,
-        "saveat": diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)]),
-        "stepsize_controller": controller or diffrax.PIDController(**_tolerances(dynamics, times, rtol)),
-        "adjoint": adjoint or by_default,
-        "max_steps": max_steps,
+        "saveat": saveat,
+        "stepsize_controller": controller,
+        "adjoint": adjoint or diffrax.RecursiveCheckpointAdjoint(),
+        "max_steps": max_steps + more,
     }
 
 
-def _tolerances(dynamics: Dynamics, times, rtol) -> dict[str, Any]:
+def _cut_at_kinks(dynamics: Dynamics, controller: Any) -> tuple[Any, int]:
+    """The controller, whose steps end at kinks of motions and loads, and how many there may be."""
+    kinks = kinks_of((*dynamics.motions, *(signal for load in dynamics.loads for signal in load.signals())))
+    if kinks is None or not isinstance(controller, diffrax.AbstractAdaptiveStepSizeController):
+        return controller, 0
+    return diffrax.ClipStepSizeController(controller, step_ts=jnp.asarray(kinks)), len(kinks)
+
+
+def _tolerances(dynamics: Dynamics, times, initial, rtol) -> dict[str, Any]:
     """The local error allowed, and the shortest step: constants for both modes of differentiation."""
-    dynamics, span, local = jax.lax.stop_gradient((dynamics, times[-1] - times[0], SAFETY * rtol))
+    dynamics, times, initial, local = jax.lax.stop_gradient((dynamics, times, initial, SAFETY * rtol))
     local = jnp.maximum(local, FINEST[local.dtype.name])
-    shortest = reachable(1e-13, span.dtype, 1) * span
     return {
         "rtol": local,
-        "atol": local / 100 * dynamics.scales(span),
+        "atol": local / 100 * dynamics.scales(times, initial),
         "norm": optimistix.max_norm,
-        "dtmin": shortest,
+        "dtmin": reachable(1e-13, times.dtype, 1) * (times[-1] - times[0]),
         "force_dtmin": False,
     }
 

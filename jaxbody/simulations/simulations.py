@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from jaxbody.core.arguments import check_kind, checked_dict, positive_number, whole_number
-from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, is_concrete, part_of
+from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, is_concrete, part_of, time_text
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
@@ -32,7 +32,8 @@ from jaxbody.simulations.integrations import CONSTANT, integrate
 from jaxbody.simulations.trajectories import Trajectory
 from jaxbody.statics.rest_states import Rest, as_initial, initial_state_of
 
-MAX_STEPS = 100_000
+MAX_STEPS = 100_000  # or PER_SAMPLE for each sample, if that is more
+PER_SAMPLE = 30  # steps that noise in every sample of a recorded input may take at rtol 1e-8, rejected ones included
 MANY, OFTEN = 15, 0.15  # rejected steps, and their ratio to accepted ones; a jump of force costs 18 at rtol 1e-3, 30 to 90 by default
 FAR = 1e6  # distance, in sizes of the model, by which a body that is attached has left all supports: the motion is unstable
 OPEN = 1e-6  # of an initial state that is moved onto the closures with a warning, of the size of the model or of the largest speed
@@ -53,10 +54,11 @@ def simulate(
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     dt0: float | Array | None = None,
-    max_steps: int = MAX_STEPS,
+    max_steps: int | None = None,
     progress: bool | None = None,
 ) -> Trajectory:
-    """The motion from `initial` at times[0], sampled at `times` [s].
+    """The motion from `initial` at times[0], sampled at `times` [s], which may be far from zero, as Unix times: steps are counted from
+    times[0], and motions and loads are evaluated by `after(times[0])`.
 
     Args:
         motion: {support: motion}; a support without an entry is at rest.
@@ -64,18 +66,23 @@ def simulate(
         initial: a State, or "rest": in equilibrium on the supports in their poses and motion at times[0], without loads; by default the
             reference pose at rest. With closures the motion starts from the nearest state that fulfils them.
         rtol: ten times the relative local error allowed in any component, so that samples between steps also meet it; at least 1.5e-4 in
-            float32. The absolute error is rtol/100 times the size of the model (for velocities, times its fastest frequency, roughly).
+            float32. The absolute error is rtol/100 times the size of the model (for velocities, times its fastest frequency, roughly), or
+            without extent times an estimate of how far it moves, from its start, gravity, loads and supports.
         solver: a diffrax solver; by default Dopri8.
         stepsize_controller: a diffrax controller; by default the error controls the steps; with diffrax.ConstantStepSize() they are dt0.
         adjoint: a diffrax adjoint; by default jb.Blocks(), in which forward and reverse mode work, and forward over reverse. For few
             parameters diffrax.ForwardMode() is faster; forward mode needs it, or jb.Blocks(), if you give a `solver`.
         dt0: the first step, or the constant step [s]; by default chosen.
-        max_steps: the largest number of steps.
+        max_steps: the largest number of steps; by default 100,000, or 30 for each sample if that is more.
         progress: None shows the time taken on a terminal or in a notebook after five seconds; False is silent, True shows diffrax's meter.
 
     diffrax's own loop takes the place of the blocks with a solver, another stepsize_controller or adjoint, or progress=True. A batch by
     jax.vmap runs in chunks of 40, each member with its own steps; constant steps take half the time, but nothing controls the error:
     compare with a shorter dt0.
+
+    Steps end at kinks of motions and loads and where records begin to act. After a step that tells nothing about the next, as at rest or in
+    free flight, the next is checked between its ends and at `times` before it is taken, also with other solvers that have an error; sample
+    where something short may act. Constant steps are not checked: warns STEP_TOO_LONG where a motion or load does more in one of them.
 
     Errors by rtol after 10 s on a shaking base, of a plate on 5 springs and three boxes on 14: the largest error [m, rad], the relative
     error of a derivative by reverse mode, and the time (tests/benchmarks/tolerances.py):
@@ -113,12 +120,14 @@ def simulate(
         loads_on = problems.gather(lambda: loads_of(loads, model.layout.bodies))
         max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "simulate", adjoint))
         times = problems.gather(lambda: check_run(model, times, motions or (), {} if loads_on is None else loads or {}, initial))
+    max_steps = most_steps(len(times), MAX_STEPS) if max_steps is None else max_steps
     initial = initial_state_of(model, motions, part_of(times, 0), initial, "simulate.initial")
     unattached_bodies = unattached(model)
     if unattached_bodies:
         warn("UNATTACHED", f"nothing connects {', '.join(unattached_bodies)} to world or a support")
     meter = diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter()
     tolerance, step = (None if x is None else device_array(float_array(x)) for x in (rtol, dt0))  # Python numbers would be compiled in
+    _warn_of_what_steps_pass_over(model, motions, loads or {}, times, stepsize_controller, step)
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(model, initial, step):
         _warn_of_long_steps(model, model.reference if initial is None else initial, float(step), solver)  # pyright: ignore[reportArgumentType]
     with working("simulate", progress), _forward_mode_explained(adjoint):
@@ -128,7 +137,8 @@ def simulate(
         if is_concrete(result.status):
             jax.block_until_ready(result.status)
     warn_if_failed(result)
-    _warn_of_open(result)
+    if initial is not None:  # the reference pose may be drawn open
+        _warn_of_open(result)
     _warn_of_escape(result, unattached_bodies)
     return _with_jumps(result)
 
@@ -161,8 +171,9 @@ def _warn_of_escape(result: Trajectory, unattached_bodies: list[str]) -> None:
     for name in result.model.layout.bodies:
         beyond = np.min([np.linalg.norm(moves[name] - move, axis=-1) for move in left], axis=0) > far
         if beyond.any() and name not in unattached_bodies:
-            t, remedy = float(result.times[np.argmax(beyond)]), "look for negative damping or stiffness, or a load that grows"
-            warn("DIVERGED", f"simulate: '{name}' is more than {FAR:.0e} times the size of the model away from t = {t:.6g} s on; {remedy}")
+            t = time_text(result.times[np.argmax(beyond)], result.times)
+            remedy = "look for negative damping or stiffness, or a load that grows"
+            warn("DIVERGED", f"simulate: '{name}' is more than {FAR:.0e} times the size of the model away from t = {t} s on; {remedy}")
 
 
 def _with_jumps(result: Trajectory) -> Trajectory:
@@ -175,7 +186,7 @@ def _with_jumps(result: Trajectory) -> Trajectory:
     if primal is None or not is_concrete(primal):
         return result
     jumps = force_jumps_along(primal.model, primal.motions, primal.times, primal.state)
-    for code, message in force_jump_messages(primal.model, jumps):
+    for code, message in force_jump_messages(primal.model, jumps, primal.times):
         warn(code, f"simulate: {message}")
     return dataclasses.replace(result, jumps=jumps)
 
@@ -193,6 +204,11 @@ def _forward_mode_explained(adjoint: Any) -> Iterator[None]:
         raise JaxbodyError(Problem("NO_FORWARD_MODE", "simulate.adjoint", message, adjoint, hint=hint)) from None
 
 
+def most_steps(samples: int, least: int) -> int:
+    """The number of steps allowed where none is stated."""
+    return max(least, PER_SAMPLE * samples)
+
+
 def check_steps(
     solver: diffrax.AbstractSolver | None,
     stepsize_controller: diffrax.AbstractStepSizeController | None,
@@ -201,9 +217,9 @@ def check_steps(
     max_steps: Any,
     where: str,
     adjoint: diffrax.AbstractAdjoint | None = None,
-) -> int:
+) -> int | None:
     """Check that solver, controller and adjoint are diffrax objects, that Gauss has constant steps with dt0, and that rtol and dt0 are
-    positive. Returns max_steps as an integer."""
+    positive. Returns max_steps as an integer, or None if it is not stated."""
     with Problems() as problems:
         given = {"solver": solver, "stepsize_controller": stepsize_controller, "adjoint": adjoint}
         for name, value in given.items():
@@ -221,7 +237,7 @@ def check_steps(
         if dt0 is not None:
             positive_number(dt0, f"{where}.dt0", problems)
         positive_number(rtol, f"{where}.rtol", problems)
-        steps = whole_number(max_steps, f"{where}.max_steps", problems)
+        steps = None if max_steps is None else whole_number(max_steps, f"{where}.max_steps", problems)
     return steps
 
 
@@ -235,6 +251,32 @@ def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax
             "STEP_TOO_LONG",
             f"dt0 times the fastest rate, {fastest:.4g} rad/s, is {dt * fastest:.3g} > {STABLE}, where RK4 becomes unstable. {remedy}",
         )
+
+
+def _warn_of_what_steps_pass_over(model: Model, motions: Motions, loads: dict[str, Load], times, controller: Any, dt: Any) -> None:
+    """Warn where steps that no error controls are longer than a motion or load takes from one kink or change to the next."""
+    if controller is None or isinstance(controller, diffrax.AbstractAdaptiveStepSizeController):
+        return
+    run, steps = (
+        concrete(times),
+        concrete(dt if isinstance(controller, diffrax.ConstantStepSize) else getattr(controller, "ts", [0, np.inf])),
+    )
+    if run is None or steps is None:
+        return
+    longest = steps if steps.ndim == 0 else np.max(np.diff(steps))
+    for where, signal in _signals_of_run(model, motions, loads):
+        kinks = signal.kinks() if is_concrete(signal) else None
+        if kinks is None:
+            continue
+        known = np.asarray(kinks)
+        known = known[(known >= run[0]) & (known <= run[-1])]
+        gaps = np.diff(known)
+        short = (gaps > 1e-9 * (run[-1] - run[0])) & (gaps < (1 - 1e-6) * longest)
+        if short.any():
+            i = int(np.argmax(short))
+            message = f"simulate: steps of {float(longest):.3g} s reach over what {where} does in {gaps[i]:.3g} s from t = "
+            remedy = f"s on, and nothing controls their error. Take steps below {gaps[short].min():.3g} s, or the default controller"
+            warn("STEP_TOO_LONG", f"{message}{time_text(known[i], run)} {remedy}")
 
 
 def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion") -> Motions:
@@ -255,12 +297,17 @@ def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], ini
     with Problems() as problems:
         checked = check_times(times, problems, "times", minimum=2)
     assert checked is not None
-    check_covered(checked, [(f"motion['{name}']", motion) for name, motion in zip(model.layout.supports, motions, strict=False)], problems)
-    check_covered(checked, [(f"loads['{name}']", signal) for name, load in loads.items() for signal in load.signals()], problems)
+    check_covered(checked, _signals_of_run(model, motions, loads), problems)
     problems.raise_if_any()
     if initial is not None and not isinstance(initial, Rest):
         check_state(model, initial, "initial")
     return device_array(checked)
+
+
+def _signals_of_run(model: Model, motions: Motions, loads: dict[str, Load]) -> list[tuple[str, Any]]:
+    """The motions and the signals of the loads, each with its place in messages."""
+    of_motions = [(f"motion['{name}']", motion) for name, motion in zip(model.layout.supports, motions, strict=False)]
+    return of_motions + [(f"loads['{name}']", signal) for name, load in loads.items() for signal in load.signals()]
 
 
 def check_covered(times, functions: list[tuple[str, Any]], problems: Problems) -> None:
@@ -270,14 +317,11 @@ def check_covered(times, functions: list[tuple[str, Any]], problems: Problems) -
         span = [concrete(t) for t in function.covers()]
         if requested is None or any(t is None for t in span):
             continue
-        first, last = (float(t) for t in span)  # pyright: ignore[reportArgumentType]
-        slack = 1e-9 * (requested[-1] - requested[0])
+        first, last = span
+        assert first is not None and last is not None
+        slack = 1e-9 * (requested[-1] - requested[0]) + 2 * np.spacing(np.abs(requested).max())
         if requested[0] < first - slack or requested[-1] > last + slack:
-            problems.add(
-                "T_RANGE",
-                where,
-                f"covers {first:.9g} to {last:.9g} s, requested {requested[0]:.9g} to {requested[-1]:.9g} s",
-                value=(requested[0], requested[-1]),
-                limit=f"{first:.9g} to {last:.9g} s",
-                hint="Simulate a shorter time, or give longer samples.",
-            )
+            known, wanted = (" to ".join(time_text(t, x, 9) for t in (x[0], x[-1])) for x in ((first, last), requested))
+            hint = "Simulate a shorter time, or give longer samples."
+            message = f"covers {known} s, requested {wanted} s"
+            problems.add("T_RANGE", where, message, value=(requested[0], requested[-1]), limit=f"{known} s", hint=hint)

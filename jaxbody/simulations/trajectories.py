@@ -13,7 +13,7 @@ from equinox import combine, field, is_array, partition
 
 from jaxbody.compilation.compile_options import jit_optimized_where
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int, is_concrete, part_of
+from jaxbody.core.arrays import Array, Float, Int, is_concrete, part_of, rows_or_nan, time_text
 from jaxbody.core.datasets import AXES, QUATERNION, Labeled, dataset, rows_of
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
@@ -22,8 +22,15 @@ from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.closed_loops import ClosedLoops, Closing, dynamics_of
 from jaxbody.mechanics.constraints import turning_rows
 from jaxbody.mechanics.element_inertias import accelerated
-from jaxbody.mechanics.energies import damping_power, each_element, inertial_tables, kinetic, outside_law_range, potential
-from jaxbody.mechanics.failure_causes import force_jump_at, force_jump_messages, force_jumps_along, nonfinite_ahead, singular_closure
+from jaxbody.mechanics.energies import each_element, inertial_tables, kinetic, outside_law_range, potential
+from jaxbody.mechanics.failure_causes import (
+    changing_most,
+    force_jump_at,
+    force_jump_messages,
+    force_jumps_along,
+    nonfinite_ahead,
+    singular_closure,
+)
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.leaf_paths import by_name, springs_of
@@ -34,6 +41,8 @@ from jaxbody.models.states import State
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import in_float64
 from jaxbody.statics.null_motions import massless_motions
+
+BLURRED = 1e-10  # rounding of times, of the whole time, from which functions of time are rough
 
 
 class Trajectory(Labeled, Result):
@@ -84,11 +93,16 @@ class Trajectory(Labeled, Result):
         return {"kinetic": T, "potential": V, "total": T + V}
 
     @property
+    def lost_powers(self) -> dict[str, Array]:
+        """{element: power that it dissipates, dR/de_dot . e_dot [W] (nt,)}."""
+        return self._of_elements(_lost_powers)
+
+    @property
     def powers(self) -> dict[str, Array]:
-        """damping: power dissipated, the sum of dR/de_dot . e_dot; supports, loads: power that the imposed motions and
-        the loads supply [W], each (nt,)."""
+        """damping: power dissipated by all elements; supports, loads: power that the imposed motions and the loads supply [W], each
+        (nt,)."""
         return {
-            "damping": self.at_samples(_damping_power),
+            "damping": sum(self.lost_powers.values(), jnp.zeros_like(self.times)),
             "supports": self.at_samples(_support_power, loads=True),
             "loads": self.at_samples(_load_power, loads=True),
         }
@@ -127,21 +141,27 @@ class Trajectory(Labeled, Result):
         if self.status == Status.TABLE_RANGE:
             return "report() names the elements"
         taken, rejected = (int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
-        t, last = float(self.end[0]), float(self.times[-1])
-        return f"at t = {t:.6g} s of {last:.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
+        t, last = (time_text(t, self.times) for t in (self.end[0], self.times[-1]))
+        return f"at t = {t} s of {last} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
 
     def explain(self) -> str:
         message, status = self._ended(), Status(int(self.status))
         if status in (Status.MAX_STEPS, Status.DT_MIN):
             jump = force_jump_at(self.model, self.motions, *self.end)
-            usual = in_float64(self.state.q.dtype) or "try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
-            message += "; " + (jump or usual)
+            jump = jump or changing_most(self.model, self.motions, self.loads, self.times, *self.end)
+            remedy = "dt0, a first step of your own" if status == Status.DT_MIN else "a larger max_steps"
+            stiff = "" if self.model.closures else ", or in Python solver=diffrax.Kvaerno5() if stiff"
+            usual = in_float64(self.state.q.dtype) or f"try {remedy}, a larger rtol{stiff}"
+            if (rounding := float(np.spacing(abs(self.end[0])))) > BLURRED * float(self.times[-1] - self.times[0]):
+                usual = f"functions of your own get times rounded to {rounding:.2g} s: count from the first sample; or {usual}"
+            message += "; " + "; ".join(filter(None, (jump, usual)))
         if status == Status.SINGULAR_CLOSURE:
             message += "; " + singular_closure(self.model, self.motions, *self.end)
         if status == Status.TABLE_RANGE:
             return self._outside_tables()
         if status == Status.NONFINITE:
-            message += "; first not finite: " + (nonfinite_ahead(self.model, self.motions, self.loads, *self.end) or self._accelerations())
+            first = nonfinite_ahead(self.model, self.motions, self.loads, self.times, *self.end)
+            message += "; first not finite: " + (first or self._accelerations())
         return message
 
     def _accelerations(self) -> str:
@@ -154,7 +174,7 @@ class Trajectory(Labeled, Result):
         """Which elements leave their tables, and when they first do."""
         beyond = np.asarray(self.at_samples(_beyond_laws))
         parts = [
-            f"'{name}' first at t = {float(self.times[np.argmax(column)]):.6g} s, in {column.sum()} of {len(column)} samples"
+            f"'{name}' first at t = {time_text(self.times[np.argmax(column)], self.times)} s, in {column.sum()} of {len(column)} samples"
             for name, column in zip(self.model.element_names, beyond.T, strict=True)
             if column.any()
         ]
@@ -212,9 +232,10 @@ class Trajectory(Labeled, Result):
         layout, q = self.model.layout, self.state.q
         ends = [f.reduce(q, 0) for f in (np.fmin, np.fmax)]
         rows = [(name, *(end[layout.q_slices[name]] for end in ends)) for name in layout.bodies]
-        jumps = [message for _, message in force_jump_messages(self.model, self.jumps)]
+        jumps = [message for _, message in force_jump_messages(self.model, self.jumps, self.times)]
         note = "; ".join([self.message(Trajectory._ended), *jumps])
-        title = f"Trajectory, {len(self.times)} samples, {float(self.times[0]):.4g} to {float(self.times[-1]):.4g} s"
+        span = " to ".join(time_text(t, self.times, 4) for t in (self.times[0], self.times[-1]))
+        title = f"Trajectory, {len(self.times)} samples, {span} s"
         return [tables.PrintedTable(title, ("body", "least q [m, rad, -]", "largest"), rows, note)]
 
 
@@ -252,8 +273,8 @@ def _beyond_laws(model, motions, t, state):
     return outside_law_range(model, frames_at_time(model, motions, t, state))
 
 
-def _damping_power(model, motions, t, state):
-    return damping_power(model, frames_at_time(model, motions, t, state))
+def _lost_powers(model, motions, t, state):
+    return tuple(each_element(model, frames_at_time(model, motions, t, state), lambda s, *F: s.lost_power(*F)))
 
 
 def _reactions(model, motions, t, state, loads):
@@ -262,7 +283,7 @@ def _reactions(model, motions, t, state, loads):
 
 def _closure_reactions(model, motions, t, state, loads):
     multipliers, unique = ClosedLoops(model, motions, loads).multipliers(t, state)
-    return jnp.where(unique, multipliers * jnp.where(turning_rows(model), jax.lax.stop_gradient(size_of(model)), 1.0), jnp.nan)
+    return rows_or_nan(unique, multipliers * jnp.where(turning_rows(model), jax.lax.stop_gradient(size_of(model)), 1.0))
 
 
 def _load_power(model, motions, t, state, loads):

@@ -14,7 +14,7 @@ from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, stack, vector
 from jaxbody.core.datasets import AXES, Labeled, dataset, rows_of
 from jaxbody.core.errors import Problems, Status
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Result, finished, without_derivatives
 from jaxbody.core.units import GRAVITY
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Pose
@@ -29,7 +29,7 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
-from jaxbody.statics.equilibria import DESCENDED, Equilibrium, equilibrium_at, equilibrium_of
+from jaxbody.statics.equilibria import DESCENDED, Equilibrium, at_rest, equilibrium_at, equilibrium_of, of_position
 from jaxbody.statics.forces_at_rest import along_and_about
 from jaxbody.statics.load_paths import AppliedLoads, alike, residual, summed
 from jaxbody.statics.rest_searches import LOADABLE, SearchResult, search_under_loads
@@ -100,16 +100,16 @@ class LoadCases(Labeled, Result):
         return by_name(tuple(table.names for table in self.unloaded.model.elements), rows, axis=1)
 
     def report(self) -> str:
-        codes = np.asarray(self.status)
+        codes, factors, *marks = without_derivatives((self.status, self.load_factor, self.descended, self.by_joints))
         failed = [
             f"'{name}' {Status(int(code)).name} at load factor {float(factor):.4g}"
-            for name, code, factor in zip(self.names, codes, np.asarray(self.load_factor), strict=True)
+            for name, code, factor in zip(self.names, codes, factors, strict=True)
             if code
         ]
         notes = [
-            f"{', '.join(repr(name) for name, yes in zip(self.names, np.asarray(marks), strict=True) if yes)} {words}"
-            for marks, words in ((self.descended, DESCENDED), (self.by_joints, BY_JOINTS))
-            if np.any(marks)
+            f"{', '.join(repr(name) for name, yes in zip(self.names, np.asarray(each), strict=True) if yes)} {words}"
+            for each, words in zip(marks, (DESCENDED, BY_JOINTS), strict=True)
+            if np.any(each)
         ]
         return "; ".join([*(failed or ["ok"]), *notes])
 
@@ -195,12 +195,12 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     changes = stack([-GRAVITY * case.acceleration for case in cases.values()])
     q, z = (None, None) if start is None else (start.q, start.z)
     unloaded = equilibrium_of(model, q, MAX_STEPS, z)
-    warn_if_failed(unloaded)
     groups, members = alike(loads)
     applied = AppliedLoads(groups, tuple(device_array(weights[:, group]) for group in members), changes)
-    return warn_if_failed(
-        _load_cases(model, unloaded, search_under_loads(model, unloaded, q, applied, MAX_STEPS, many=True), applied, tuple(cases))
-    )
+    searches = search_under_loads(model, unloaded, q, applied, MAX_STEPS, many=True)
+    result = _load_cases(model, unloaded, searches, applied, tuple(cases))
+    result = finished(result, at_rest, lambda x: (x.state, x.displacement_rows, x.rotation_rows, x.stroke_rows, x.force_rows))
+    return eqx.tree_at(lambda result: result.unloaded, result, finished(unloaded, at_rest, of_position))
 
 
 @jit_unoptimized

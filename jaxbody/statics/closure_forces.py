@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Bool, Float, is_concrete
+from jaxbody.core.arrays import Array, Bool, Float, is_concrete, rows_or_nan
 from jaxbody.core.errors import Status
 from jaxbody.mechanics.constraints import gaps_at, names_of_rows, redundant_rows, turning_rows
 from jaxbody.mechanics.free_motions import constraint_force, free_motions, scale_at, slopes_by_supports
@@ -83,7 +83,7 @@ def closure_forces(coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Arr
     size, scale = jax.lax.stop_gradient(size_of(model)), scale_at(model)
     free = free_motions(coordinates, q, scale)
     multipliers = free.multipliers(r * scale)
-    reactions = jnp.where(free.unique, multipliers * jnp.where(turning_rows(model), size, 1.0), jnp.nan)
+    reactions = rows_or_nan(free.unique, multipliers * jnp.where(turning_rows(model), size, 1.0))
     values = jnp.linalg.svdvals(jax.lax.stop_gradient(free.J))
     count = 0 if model.independent is None else model.layout.nv - len(model.independent)
     smallest = values[count - 1] / jnp.maximum(values[0], 1e-300) if count else jnp.ones((), q.dtype)

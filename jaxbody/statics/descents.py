@@ -23,8 +23,8 @@ from jaxbody.numerics.xla_workarounds import any_of_batch
 from jaxbody.statics.load_paths import AppliedLoads, dead_forces, with_load_gravity
 
 TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the remaining error is its square
-SINGULAR = 1e-10  # eigenvalues of the nondimensional K, relative to its norm, that count as zero
-LEAST_SHIFT = 1e-11  # keeps a free motion from making the system singular
+SINGULAR = 1e-12  # eigenvalues of the nondimensional K, relative to its norm, that count as zero
+LEAST_SHIFT = 2e-14  # keeps a free motion from making the system singular
 TINY = 1e-6  # step, relative to the size, whose decrease of energy may be less than rounding
 
 
@@ -94,13 +94,13 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
     return jnp.where(done, trial, best[0]), eigenvalue_signs(best[3]), done, steps
 
 
-def eigenvalue_signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
-    """The number of negative eigenvalues of K, and whether one is zero; they are counted only where elimination shows that K is not
-    definite."""
+def eigenvalue_signs(K: Float[Array, "nv nv"], singular: float = SINGULAR) -> tuple[Int[Array, ""], Bool[Array, ""]]:
+    """The number of negative eigenvalues of K, and whether one is zero, below `singular` of its norm; they are counted only where
+    elimination shows that K is not definite."""
     none = jnp.zeros((), int), jnp.array(False)
     if not len(K):  # nothing can move
         return none
-    zero = reachable(SINGULAR, K.dtype) * jnp.sqrt(jnp.sum(K * K)) + jnp.finfo(K.dtype).tiny
+    zero = reachable(singular, K.dtype) * jnp.sqrt(jnp.sum(K * K)) + jnp.finfo(K.dtype).tiny
 
     def counted():
         negative, not_positive = number_below(K, zero * np.array([-1.0, 1.0], K.dtype))

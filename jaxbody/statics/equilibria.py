@@ -20,10 +20,11 @@ import numpy as np
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
-from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, is_concrete
+from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, is_concrete, tangent_or_nan
 from jaxbody.core.datasets import AXES, Labeled, dataset, rows_of
 from jaxbody.core.errors import Problems, Status
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Result, finished
+from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.constraints import gaps_at, names_of_rows
@@ -35,20 +36,22 @@ from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.leaf_paths import by_name, springs_of
 from jaxbody.models.memories import relaxed, rest_states
-from jaxbody.models.models import Model
+from jaxbody.models.models import Model, body_poses
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
-from jaxbody.models.sizes import size_of
+from jaxbody.models.sizes import drawn_apart, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.precisions import in_float64
 from jaxbody.numerics.small_systems import solve
 from jaxbody.statics.closure_forces import ClosureForces, closure_forces
+from jaxbody.statics.descents import eigenvalue_signs
 from jaxbody.statics.forces_at_rest import element_rows, residual_and_reactions, support_rows
 from jaxbody.statics.load_paths import AppliedLoads, Path, residual, tangent, with_gravity, with_load_gravity
-from jaxbody.statics.null_motions import zero_modes
+from jaxbody.statics.null_motions import resisting_stiffness, zero_modes
 from jaxbody.statics.rest_searches import LOADABLE, SearchResult, along_path, no_loads, search_by_descent, search_under_loads
 
 CODES = ("NOT_CONVERGED", "NO_EQUILIBRIUM", "LIMIT_POINT", "STALE", "NOT_CLOSED", "SINGULAR_CLOSURE")
 NOT_AT_REST = tuple(Status[code] for code in CODES)  # no linearization about such a state
+FAR, TURNED = 0.3, np.deg2rad(30)  # of the size of the model, and rad: a body is far from where it is drawn
 DESCENDED = "by descent of the potential of the loads, which cannot be raised step by step because K is singular without them"
 
 
@@ -79,7 +82,9 @@ class Equilibrium(Labeled, Result):
     path: Path | None
     descended: Bool[Array, ""]
     beyond: Bool[Array, "ne"]  # the elements used beyond the points of their tables
-    regular: Bool[Array, ""]  # whether it was found and has a derivative
+    from_drawn: Float[
+        Array, "nb 2"
+    ]  # of each body: how far its center of mass is from where it is drawn [m], and its turn from there [rad]
     closed: ClosureForces | None = None  # None without closures
 
     @property
@@ -110,6 +115,21 @@ class Equilibrium(Labeled, Result):
         """Conditions of closures that follow from the others, such as those out of the plane of a planar linkage."""
         return self.closed.redundant(self.model) if self.closed else ()
 
+    @property
+    def far(self) -> list[str]:
+        """In words, the body that is farthest from where it is drawn, if that is far for the size of the model."""
+        limits = np.array([FAR * float(size_of(self.model)), TURNED])
+        name, (way, turn) = max(
+            zip(self.layout.bodies, np.asarray(self.from_drawn), strict=True), key=lambda each: np.max(each[1] / limits)
+        )
+        said = f"the equilibrium is far from the drawn pose: '{name}' is {way:.3g} m and {np.rad2deg(turn):.3g} degrees from it"
+        return [said] if int(self.status) not in NOT_AT_REST and (np.array([way, turn]) > limits).any() else []
+
+    @property
+    def remarks(self) -> list[str]:
+        """What looks like wrong geometry, which no status says: mounts drawn apart, a body far from where it is drawn."""
+        return [] if self.status.ndim or not is_concrete(self) else [*drawn_apart(self.model), *self.far]
+
     def _of_elements(self, rows: tuple[Array, ...]) -> dict[str, Array]:
         return by_name(tuple(table.names for table in self.model.elements), rows, axis=self.energy.ndim)
 
@@ -124,7 +144,8 @@ class Equilibrium(Labeled, Result):
         if status == Status.NO_EQUILIBRIUM and self.path is None and not self.descended:
             return self._how_much()
         size = float(size_of(self.model))
-        if status == Status.NOT_CONVERGED and (bad := nonfinite_downhill(self.model, self.state.q, self.residual, size)):
+        known = np.isfinite(self.state.q).all()  # NaN of a search inside jit
+        if known and status == Status.NOT_CONVERGED and (bad := nonfinite_downhill(self.model, self.state.q, self.residual, size)):
             where = f"after {int(self.steps)} steps or at a point slightly downhill; its law is not defined there"
             return f"energy, force or stiffness of element '{bad[0]}' is not finite {where}"
         return self._known()
@@ -225,6 +246,7 @@ class Equilibrium(Labeled, Result):
         shown += [tables.PrintedTable("", ("state", "at rest"), self._states())] if layout.nz else []
         shown += [tables.PrintedTable("", *support_rows(self.reactions))] if self.layout.supports else []
         shown += [self.closed.table(self.model)] if self.closed else []
+        note = "\n".join([note, *self.remarks])
         shown[-1].note = f"{shown[-1].note}largest residual {tables.number(largest)} N or N m; {note}"
         return shown
 
@@ -236,7 +258,8 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
 
     Args:
         start: the state to start from; by default the reference pose. Massless coordinates of elements with memory are relaxed; hysteretic
-            states, which stay at rest, are those of `start`, by default 0, and stability is counted with them fixed.
+            states, which stay at rest, are those of `start`, by default 0, and stability is counted with them fixed. A body that only
+            they hold rests anywhere: there it stays where it is drawn.
         loads: {name: load}, evaluated at time 0 and raised from zero along the stable branch; by default none. Where K is singular without
             loads (an unstressed string pushed sideways) the search descends V minus the work of dead forces instead, and the result is
             `descended`.
@@ -268,7 +291,18 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     if acting:
         applied = AppliedLoads(acting, device_array(np.ones(len(acting))), device_array(np.zeros(3)))
         result = _equilibrium_at(model, search_under_loads(model, result, q, applied, max_steps), applied, result.state.z)
-    return warn_if_failed(result)
+    return finished(result, at_rest, of_position)
+
+
+def at_rest(status: Int[Array, "*n"]) -> Bool[Array, "*n"]:
+    """Whether a search ended at an equilibrium."""
+    return ~jnp.isin(status, jnp.array(NOT_AT_REST))
+
+
+def of_position(eq: Equilibrium) -> tuple[Any, ...]:
+    """What follows from the configuration where the search ended, but for the residual."""
+    closed = (eq.closed.reactions,) if eq.closed else ()
+    return eq.state, eq.energy, eq.deformations, eq.element_forces, eq.on_supports, eq.from_drawn, *closed
 
 
 @jit_unoptimized
@@ -287,14 +321,17 @@ def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: Appl
     """The equilibrium where a search ended: its stability, its derivative, deformations and forces. `given`: the model, whose
     elements with memory are relaxed in the coordinates."""
     failed = search.status != Status.OK
-    regular = ~failed & ~search.singular
-    q = _implicit((coordinates, applied), search.q, regular)
+    q = _implicit((coordinates, applied), search.q, ~failed & ~search.singular)
     model, at = coordinates.model, configuration_at(coordinates, q)
     zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
     elements = each_element(model, frames, lambda s, *F: (s.deformation(*(f.pose() for f in F)), s.force(*F)))
     outside = outside_law_range(model, frames) if has_range(model.elements) else jnp.zeros(len(model.element_names), bool)
+    state = State(q, zero, rest_states(model, frames.pose()) if model.layout.nz else None)
+    singular = search.singular
+    if any("hysteretic" in block.roles for block in model.layout.blocks):  # whose states are held in K, but not in a motion
+        singular &= eigenvalue_signs(resisting_stiffness(given, jax.lax.stop_gradient(state)))[1]
     status = jnp.select(
-        [failed, search.negative > 0, search.singular, jnp.any(outside)],
+        [failed, search.negative > 0, singular, jnp.any(outside)],
         [search.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
     unbalanced, reactions = residual_and_reactions(at, applied, search.factor)
@@ -302,14 +339,21 @@ def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: Appl
     if forces is not None:
         unbalanced, reactions = unbalanced + forces.on_coordinates, reactions - forces.on_supports
         status = jnp.where(~failed & forces.singular, Status.SINGULAR_CLOSURE.value, status)
-    state = State(q, zero, rest_states(model, frames.pose()) if model.layout.nz else None)
     return Equilibrium(
         state=state, residual=unbalanced, negative=search.negative, status=status, steps=search.steps,
         energy=potential(with_load_gravity(at, applied).model, frames), stable=~failed & (search.negative == 0), model=given,
         deformations=tuple(e for e, _ in elements), element_forces=tuple(force for _, force in elements),
         on_supports=reactions, loads=applied.loads, load_factor=search.factor, path=search.path,
-        descended=jnp.asarray(search.descended), beyond=outside, regular=regular, closed=forces,
+        descended=jnp.asarray(search.descended), beyond=outside, from_drawn=_from_drawn(model, frames), closed=forces,
     )  # fmt: skip
+
+
+def _from_drawn(model: Model, frames: Frame) -> Float[Array, "nb 2"]:
+    """How far the center of mass of each body is from where it is drawn, and 2 asin(|R - R_drawn|/sqrt 8), without derivatives."""
+    bodies, now, drawn = jax.lax.stop_gradient((model.bodies.rows, frames[model.layout.first_body :].pose(), body_poses(model)))
+    p, R = (now.p - drawn.p) + jnp.sum((now.R - drawn.R) * bodies.com[:, None], -1), now.R - drawn.R
+    turn = 2 * jnp.arcsin(jnp.minimum(jnp.sqrt(jnp.sum(R**2, (1, 2)) / 8), 1.0))
+    return jnp.stack([jnp.sqrt(jnp.sum(p**2, -1)), turn], -1)
 
 
 @jax.custom_jvp
@@ -327,18 +371,19 @@ def _implicit_jvp(primals, tangents):
         return residual(configuration_at(dependencies[0], q, base=False), dependencies[1])
 
     at = configuration_at(coordinates, q, base=False)
-    if coordinates.model.closures:
-        return q, coordinates.rate(q, _change_on_closures((coordinates, applied), tangents[0], at, valid))
-    _, change = jax.jvp(unbalanced, (primals[0],), (tangents[0],))
     K = tangent(at, applied)
-    delta = -solve(jnp.where(valid, K, jnp.nan), change)
-    return q, coordinates.rate(q, delta)
+    K = jnp.where(valid, K, jnp.eye(len(K), dtype=K.dtype))
+    if coordinates.model.closures:
+        delta = _change_on_closures((coordinates, applied), tangents[0], at, K)
+    else:
+        delta = -solve(K, jax.jvp(unbalanced, (primals[0],), (tangents[0],))[1])
+    return q, coordinates.rate(q, tangent_or_nan(valid, delta))
 
 
-def _change_on_closures(dependencies: tuple[Coordinates, AppliedLoads], tangents: Any, at: Configuration, valid: Bool[Array, ""]):
+def _change_on_closures(dependencies: tuple[Coordinates, AppliedLoads], tangents: Any, at: Configuration, K: Float[Array, "nv nv"]):
     """Delta of an equilibrium on closures, for a change of what it depends on."""
     coordinates, applied = dependencies
-    r, K = residual(at, applied), tangent(at, applied)
+    r = residual(at, applied)
     multipliers = multipliers_at(coordinates, at.q, r)
 
     def unbalanced(dependencies):
@@ -347,4 +392,4 @@ def _change_on_closures(dependencies: tuple[Coordinates, AppliedLoads], tangents
         return residual(configuration_at(coordinates, at.q, base=False), applied) + closing, gaps_at(coordinates, at.q)
 
     _, change = jax.jvp(unbalanced, (dependencies,), (tangents,))
-    return implied_change(coordinates, at.q, r, jnp.where(valid, K, jnp.nan), change)
+    return implied_change(coordinates, at.q, r, K, change)

@@ -12,7 +12,7 @@ from jaxbody.mechanics.free_motions import on_closures
 from jaxbody.mechanics.hessians import configuration_at, slope, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
-from jaxbody.models.memories import relaxed
+from jaxbody.models.memories import resisting
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.models.states import State
@@ -22,9 +22,9 @@ from jaxbody.statics.descents import SINGULAR
 
 
 @jit_unoptimized
-def _stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
-    """Scaled K, along the closures where there are some."""
-    coordinates = Coordinates(relaxed(model, state.z))
+def resisting_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
+    """Scaled K with the tangents of hysteresis, along the closures where there are some."""
+    coordinates = Coordinates(resisting(model, state.z))
     at, scale = configuration_at(coordinates, state.q, base=False), scale_of(model, size_of(model))
     return on_closures(coordinates, state.q, slope(at) * scale, scaled(stiffness(at), scale), scale)[1]
 
@@ -32,7 +32,7 @@ def _stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
 def zero_modes(model: Model, state: State) -> list[str]:
     """The motions that K does not resist at a state, as text: "'plate' free to turn about z". Motions of single coordinates come first."""
     layout = model.layout
-    K = np.asarray(_stiffness(model, state))
+    K = np.asarray(resisting_stiffness(model, state))
     return describe_null_motions(layout.motions, K, reachable(SINGULAR, K.dtype), "free to")
 
 

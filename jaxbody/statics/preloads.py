@@ -21,7 +21,7 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind
 from jaxbody.core.arrays import Array, Float, Int, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Result, finished
 from jaxbody.mechanics.constraints import CLOSED, closed_on, drawn, how_open
 from jaxbody.mechanics.free_motions import free_motions
 from jaxbody.mechanics.hessians import configuration_at, slope
@@ -131,7 +131,12 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",),
         if not matching_rows:
             raise JaxbodyError(unknown(pattern, "preload.moving", model.layout.coordinates))
         rows += matching_rows
-    return warn_if_failed(_preload(model, state, leaves, tuple(dict.fromkeys(rows))))
+    made = _preload(model, state, leaves, tuple(dict.fromkeys(rows)))
+    return finished(made, _balanced, lambda made: (made.values, made.change, made.moves, made.state, made.model))
+
+
+def _balanced(status):
+    return jnp.isin(status, jnp.array((Status.OK, Status.NEGATIVE_LENGTH)))
 
 
 @jit_unoptimized

@@ -31,6 +31,7 @@ RUNAWAY = 20  # distance from the start, in sizes of the model, beyond which the
 AT_REST = (Status.OK, Status.TABLE_RANGE)  # stable and isolated: a run may start there
 LOADABLE = (*AT_REST, Status.SINGULAR_K)  # loads may be raised from there
 SOFTEST = 1e-7  # least ratio of eigenvalues of K at the start of a path; with only cubic springs a search ends at 1e-9
+ITERATED = 1e-10  # error of K at the end of a path, which is that of the last iterate, relative to its norm
 
 
 class SearchResult(eqx.Module):
@@ -90,7 +91,7 @@ def along_path(model: Model, unloaded: Any, applied: AppliedLoads, many: bool) -
     def one(applied, _):
         q, K, factor, path, ahead = follow_load_path(frozen, q0, applied, scale_of(frozen.model, size), size)
         status = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
-        negative, singular = eigenvalue_signs((K + K.T) / 2)
+        negative, singular = eigenvalue_signs((K + K.T) / 2, ITERATED)
         search = SearchResult(q, negative, singular, status, unloaded.steps, factor, path, jnp.array(False))
         return search, usable & ((factor >= 1) | (ahead & (factor > 0)) | (path.smallest[0] > reachable(SOFTEST, q0.dtype)))
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, Float, is_concrete, shaped, stack
+from jaxbody.core.arrays import Array, Float, is_concrete, rows_or_nan, shaped, stack
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.mechanics.constraints import CLOSED, closed_on, drawn, gaps_at, gaps_from
 from jaxbody.mechanics.element_derivatives import frames_displaced
@@ -76,7 +76,7 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     else:
         drift = jax.jvp(slope, (xi,), (xi_dot,))[1]
         v = -solve(K, drift)
-    return State(jnp.where(valid, q, jnp.nan), v, eq.state.z), eq
+    return jax.tree.map(lambda x: rows_or_nan(valid, x), State(q, v, eq.state.z)), eq
 
 
 def _start(coordinates: Coordinates, on_supports: Coordinates):
@@ -162,6 +162,6 @@ def _excitation_of_loops(model: Model, state: State, xi: Float[Array, "ns 6"]) -
 
     def slope(xi):
         force, reached = jax.grad(energy, has_aux=True)(jnp.zeros(len(own), xi.dtype), xi)
-        return jnp.where(reached, force, jnp.nan)
+        return rows_or_nan(reached, force)
 
     return slope(jnp.zeros_like(xi)) - slope(xi)

@@ -188,6 +188,8 @@ def _fit() -> dict[str, Any]:
         "priors": {"type": "object", "additionalProperties": pair, "description": texts["priors"]},
         "loss": {"type": "string", "description": texts["loss"]},
         "max_evaluations": {"type": "integer", "description": texts["max_evaluations"]},
+        "rtol": {"type": "number", "description": "Tolerance of the integration, as in `simulate`."},
+        "max_steps": {"type": "integer", "description": texts["max_steps"]},
         "starts": {"type": "integer", "description": f"{of_starts['starts']} Default: none; `jaxbody fit` then runs `multistart`."},
         "spread": {"type": "number", "description": of_starts["spread"]},
         "seed": {"type": "integer", "description": of_starts["seed"]},

@@ -8,6 +8,7 @@ from dataclasses import field as attribute
 from pathlib import Path
 from typing import Any
 
+from jaxbody.core.arrays import time_text
 from jaxbody.core.tables import Printed, PrintedTable, in_numpy
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.files.builders import Builder
@@ -67,7 +68,7 @@ def _listed(free: Any) -> list[str]:
 def _row_of(name: str, run: Measurement, use: str) -> tuple[str, ...]:
     """An experiment: what was measured, over how many times, frequencies or modes."""
     over, x, unit = run.axis(next(iter(run.channels)))
-    span = f"{len(x)} of {over}" + (f", {float(x[0]):.6g} to {float(x[-1]):.6g} {unit}" if unit else "")
+    span = f"{len(x)} of {over}" + (f", {time_text(x[0], x)} to {time_text(x[-1], x)} {unit}" if unit else "")
     return name, type(run).__name__, ", ".join(run.channels), span, use
 
 

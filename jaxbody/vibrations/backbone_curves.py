@@ -33,7 +33,7 @@ from equinox import field
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int, module_of
+from jaxbody.core.arrays import Array, Float, Int, module_of, rows_or_nan, tangent_or_nan
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import MESSAGES, Status
 from jaxbody.core.results import Result, warn_if_failed
@@ -172,7 +172,7 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
 def _backbones(lin: Linearization) -> Backbones:
     model, K, M, straight = lin.model, (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2, Straight(Coordinates(lin.model))
     frozen = jax.lax.stop_gradient(lin)
-    (of_modes, shapes, _, values, cluster, _), size = modes_of(frozen), size_of(frozen.model)
+    (_, shapes, _, values, cluster, _), size = modes_of(frozen), size_of(frozen.model)
     scale = scale_of(frozen.model, size)[np.array(lin.independent, int)]
     MS = frozen.M @ shapes
     top = jnp.max(jnp.abs(values))
@@ -213,8 +213,8 @@ def _backbones(lin: Linearization) -> Backbones:
     }
     status = jnp.select(list(failures.values()), [code.value for code in failures], Status.OK.value)
     ok = status == Status.OK
-    gamma, c0, c2, V2, V3, V4 = (jnp.where(ok if x.ndim == 1 else ok[:, None], x, jnp.nan) for x in (gamma, c0, c2, V2, V3, V4))
-    frequency = jnp.where(valid, jnp.sqrt(jnp.where(valid, value, 1.0)) / (2 * jnp.pi), of_modes)
+    gamma, c0, c2, V2, V3, V4 = (rows_or_nan(ok if x.ndim == 1 else ok[:, None], x) for x in (gamma, c0, c2, V2, V3, V4))
+    frequency = jnp.where(valid, jnp.sqrt(jnp.where(valid, value, 1.0)) / (2 * jnp.pi), modes_of(lin)[0])
     return Backbones(frequency, phi.T, largest, gamma, c0.T, c2.T, V2, V3, V4, status, model.layout, lin.independent)
 
 
@@ -235,7 +235,7 @@ def _mode_jvp(primals, tangents):
     bordered = jnp.block([[K - value * M, -(M @ phi)[:, None]], [unit[None], jnp.zeros((1, 1), phi.dtype)]])
     bordered = jnp.where(single, bordered, jnp.eye(n + 1, dtype=phi.dtype))
     right = -(tangents[0] @ phi - value * (tangents[1] @ phi))
-    change = jnp.linalg.solve(bordered, jnp.concatenate([right, jnp.zeros(1, phi.dtype)]))
+    change = tangent_or_nan(single, jnp.linalg.solve(bordered, jnp.concatenate([right, jnp.zeros(1, phi.dtype)])))
     return (phi, value), (change[:n], change[n])
 
 

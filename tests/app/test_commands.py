@@ -601,3 +601,30 @@ def test_100_000_springs_are_read_within_the_estimate_of_memory(folder):
     size, memory, stiffness = map(float, done.stdout.split())
     assert size < 2e7 and memory < 60 * size + 3e8  # the second: JAX and its compiler
     assert stiffness == pytest.approx(1e5 * 20e3, rel=1e-12)
+
+
+TWO_MOUNTS = """jaxbody = 1
+units = {length = "mm", mass = "kg", force = "N", time = "s", angle = "deg"}
+gravity = [0, 0, -9806.65]
+bodies.compressor = {mass = 85, inertia = [2.1e6, 3.2e6, 2.9e6], com = [20, 10, 0], position = [0, 0, 260]}
+supports.floor = {}
+elements.fl = {type = "Bushing", a = ["compressor", [250, 180, -200]], b = ["floor", [250, 180, 60]], stiffness = [60, 60, 90]}
+elements.rl = {type = "Bushing", a = ["compressor", [-250, 180, -200]], b = ["floor", [-250, 180, 60]], stiffness = [60, 60, 90]}
+"""
+
+
+@pytest.mark.long
+def test_check_says_what_the_numbers_mean(tmp_path, monkeypatch, capsys):
+    """A machine on the mounts of one side alone hangs below them; in N/mm and kg its equilibrium is that of SI."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "two.toml").write_text(TWO_MOUNTS)
+    assert commands.main(["check", "two.toml"]) == 0
+    said = capsys.readouterr().out
+    assert "no errors" in said and re.search(r"far from the drawn pose: 'compressor' is 0.49\d m and 13\d degrees from it", said)
+    assert commands.main(["modes", "two.toml"]) == 0 and "far from the drawn pose" in capsys.readouterr().out
+    model = jb.read_model("two.toml")
+    assert float(model["compressor"].inertia[0, 0]) == 2.1 and float(model["fl"].stiffness[0]) == 6e4
+    (tmp_path / "apart.toml").write_text(TWO_MOUNTS.replace("[250, 180, -200]", "[2500, 180, -200]"))
+    commands.main(["check", "apart.toml", "--set", "gravity=[0, 0, -9.81]"])
+    said = capsys.readouterr().out
+    assert "bushing 'fl' is drawn 2.25 m apart" in said and "gravity is 0.00981 m/s2, not 9.7 to 9.9: is it in m/s2?" in said

@@ -127,6 +127,13 @@ def test_the_demo_prints_and_draws_its_results(contract, tmp_path, capsys, monke
     assert "too far from the true values" in capsys.readouterr().out
 
 
+def test_a_demo_that_cannot_write_says_so_before_it_computes(tmp_path, capsys):
+    (tmp_path / "taken").write_text("a file")
+    assert commands.main(["demo", "--out", str(tmp_path / "taken")]) == 2
+    said = capsys.readouterr()
+    assert "taken: cannot be written: File exists. Choose another path. [NOT_SAVED]" in said.err and not said.out
+
+
 def test_the_command_alone_prints_its_help(capsys):
     assert commands.main([]) == 0
     printed = capsys.readouterr().out

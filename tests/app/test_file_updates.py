@@ -103,8 +103,8 @@ def test_terms_of_a_sum_have_their_own_places(tmp_path):
 
 def test_numbers_of_a_unit_system_stay_in_it(tmp_path):
     path = tmp_path / "box.toml"
-    text = BOX.replace("jaxbody = 1", 'jaxbody = 1\nunits = {length = "mm", force = "N", time = "s", angle = "deg"}')
-    path.write_text(text.replace('"21 N/mm"', "21").replace('"200, 200, 400 N/mm"', "[200, 200, 400]").replace('"2 kg"', "0.002"))
+    text = BOX.replace("jaxbody = 1", 'jaxbody = 1\nunits = {length = "mm", mass = "kg", force = "N", time = "s", angle = "deg"}')
+    path.write_text(text.replace('"21 N/mm"', "21").replace('"200, 200, 400 N/mm"', "[200, 200, 400]").replace('"2 kg"', "2"))
     model = jb.read_model(path)
     stated = {"mass", "stiffness", "coefficient"}
     check_update(path, space_of_all(model, lambda leaf: leaf.field in stated and "rotation" not in leaf.path), changed(model))
@@ -112,7 +112,7 @@ def test_numbers_of_a_unit_system_stay_in_it(tmp_path):
     values = read_document(path).values
     np.testing.assert_allclose(values["elements"]["left"]["spring"][0], 21 * factor, rtol=1e-14)
     np.testing.assert_allclose(values["elements"]["right"]["stiffness"], [200 * factor, 200 * factor, 400 * factor], rtol=1e-14)
-    np.testing.assert_allclose(values["bodies"]["box"]["mass"], 0.002 * factor, rtol=1e-14)
+    np.testing.assert_allclose(values["bodies"]["box"]["mass"], 2 * factor, rtol=1e-14)
 
 
 def test_what_stands_in_another_file_is_named(tmp_path):

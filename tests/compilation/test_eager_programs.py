@@ -253,7 +253,7 @@ def test_the_pullbacks_that_follow_are_known_at_the_first(pullbacks):
     jax.grad(lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0])(model)
     called, following = zip(*pullbacks, strict=True)
     assert [pullback.__name__ for pullback, *_ in called] == ["_modes_pullback", "_linearize_pullback", "equilibrium_of_pullback"]
-    assert following[0] == list(called[1:])
+    assert following[0] == list(called[1:2])  # before the equilibrium comes what makes a failed one NaN
 
 
 def test_a_gradient_leaves_no_arrays():

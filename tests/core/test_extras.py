@@ -66,7 +66,14 @@ def swept(**options):
     return sweep
 
 
+def from_urdf(folder):
+    path = folder / "arm.urdf"
+    path.write_text("<robot name='arm'><link name='base'/></robot>")
+    jb.read_mjcf(path)
+
+
 USES = {
+    "mujoco": from_urdf,
     "loky": swept(workers=2),
     "zarr": swept(chunk=1, stored=["out"]),
     "rainflow": counted,

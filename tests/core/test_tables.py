@@ -21,14 +21,16 @@ def mass():
 def printed(*results):
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
-        print(*results)
+        for result in results:
+            print(result)
     return out.getvalue()
 
 
-def test_results_printed_together_have_a_blank_line_between(mass):
+def test_results_printed_together_have_a_blank_line_between_and_none_before(mass):
     eq = jb.equilibrium(mass)
     lin = jb.linearize(mass, eq)
-    lines = [line.strip() for line in printed(mass, eq, lin).splitlines()]
+    lines = [line.strip() for line in ["", *printed(mass, eq, lin).splitlines()]]
+    assert lines[1].startswith("Model")
     for title in ("Model", "Equilibrium", "M [kg, kg m, kg m2]", "C [N s/m, ...]", "K [N/m, N, N m]"):
         (at,) = [i for i, line in enumerate(lines) if line.startswith(title)]
         assert lines[at - 1] == "" and lines[at + 1] != ""

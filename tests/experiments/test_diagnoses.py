@@ -182,6 +182,18 @@ def test_a_unit_that_moves_a_size_far_away_is_named(table, case):
 
 
 @pytest.mark.long
+def test_geometry_that_is_drawn_apart_and_does_not_stay_is_named():
+    """A pendulum drawn sideways, with a mount whose other end is drawn elsewhere and which has no stiffness there."""
+    bob = jb.Body(2.0, [0.1, 0.1, 0.1], com=[0.5, 0, 0])
+    mount = jb.Bushing(("bob", [0.5, 0, 0]), ("world", [0.5, 0.25, 0]), stiffness=[0, 1e-3, 0])
+    model = jb.Model(bodies={"bob": bob}, joints={"bob": jb.Hinge("world", axis="y")}, elements={"mount": mount}, gravity=[0, 0, -9.81])
+    with pytest.warns(jb.JaxbodyWarning) as caught:
+        words = jb.plausibility(model).words
+    assert {"DRAWN_APART", "FAR_FROM_DRAWN"} <= {w.message.code for w in caught}
+    assert "bushing 'mount' is drawn 0.25 m apart" in words and "'bob' is 0.707 m and 90 degrees from it" in words[-1]
+
+
+@pytest.mark.long
 def test_times_in_milliseconds_are_named(table, swing):
     run = jb.Experiment(1e3 * TIMES, sensors={"edge": SENSORS["edge"]}, measured={"edge": swing[2]["edge"]})
     with pytest.warns(jb.JaxbodyWarning, match=r"step of 'run' over the first period is .*in seconds.*TIME_UNIT"):
@@ -234,3 +246,87 @@ def test_closed_loops_are_diagnosed_and_their_sizes_are_those_of_closed_forms():
     assert jb.diagnose(model, {"run": jb.Experiment(times, sensors=sensors, measured={"height": height + noise})}).words == ()
     with pytest.warns(jb.JaxbodyWarning, match=r"thousandths.*GAIN_FACTOR"):
         jb.diagnose(model, {"run": jb.Experiment(times, sensors=sensors, measured={"height": 1e3 * height + noise})})
+
+
+def two_masses(k1, k2, c1, c2):
+    """Guides along x: a on the wall, b on a."""
+    bodies = {name: jb.Body(m, [1, 1, 1], position=[i, 0, 0]) for i, (name, m) in enumerate((("a", 2.0), ("b", 1.0)), 1)}
+    springs = {
+        "s1": jb.Spring(("a", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=k1, damping=c1, free_length=1.0),
+        "s2": jb.Spring(("b", [0, 0, 0]), ("a", [0, 0, 0]), stiffness=k2, damping=c2, free_length=1.0),
+    }
+    return jb.Model(bodies=bodies, joints=dict.fromkeys(bodies, jb.Guide("world", axis=[1, 0, 0])), elements=springs)
+
+
+FREQUENCIES = np.linspace(2.0, 25.0, 231)
+RESPONSES = {
+    "sound": (lambda H: H, ""),
+    "conjugates": (np.conj, "CONJUGATED"),
+    "negatives": (lambda H: -H, "GAIN_FACTOR"),
+    "negative conjugates": (lambda H: -np.conj(H), "CONJUGATED"),
+    "accelerances": (lambda H: -((2 * np.pi * FREQUENCIES) ** 2) * H, "OTHER_RESPONSE"),
+}
+
+
+@pytest.mark.parametrize("case", RESPONSES)
+def test_responses_of_another_sign_or_derivative_are_named(case):
+    """H = (K + i w C - w^2 M)^-1 with noise of a hundredth of its peak, and a guess that is 10 % off."""
+    M, K = np.diag([2.0, 1.0]), np.array([[12e3, -4e3], [-4e3, 4e3]])
+    C = np.array([[9.0, -3.0], [-3.0, 3.0]])
+    H = np.array([np.linalg.inv(K + 1j * w * C - w**2 * M)[:, 0] for w in 2 * np.pi * FREQUENCIES])
+    rng = np.random.default_rng(0)
+    H = H + 2e-6 * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape))
+    change, code = RESPONSES[case]
+    outputs = {"xa": jb.Position("a", axis=[1, 0, 0]), "xb": jb.Position("b", axis=[1, 0, 0])}
+    measured = {("xa", "f"): change(H[:, 0]), ("xb", "f"): change(H[:, 1])}
+    hammer = jb.MeasuredResponse(FREQUENCIES, inputs={"f": jb.PointForce("a", direction="x")}, outputs=outputs, measured=measured)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", jb.JaxbodyWarning)
+        result = jb.diagnose(two_masses(7e3, 4.4e3, 4.0, 4.0), {"hammer": hammer}, progress=False)
+    assert {w.message.code for w in caught} == ({code} if code else set()), result.words
+    assert len(result.words) == 2 * bool(code) and [c.name for c in result.channels] == ["hammer.xa/f", "hammer.xb/f"]
+
+
+def test_modes_and_stiffnesses_in_other_units_are_named():
+    """Angular frequencies, damping in percent, a sensor that was mounted upside down; a data sheet in N/mm and degrees."""
+    model = two_masses(8e3, 4e3, 6.0, 3.0)
+    modes = jb.modes(jb.linearize(model, jb.equilibrium(model)))
+    f, shapes = np.asarray(modes.frequency), np.array([[1.0, 1.56], [1.0, -1.28]])
+    sensors = {name: jb.Position(name, axis=[1, 0, 0]) for name in "ab"}
+    sheet = jb.MeasuredStiffness("s1", [5.0, 10.0], magnitude=np.array([8.0, 8.1]), loss_angle=np.rad2deg([0.0236, 0.047]))
+    tests = {
+        "modal": jb.MeasuredModes(frequency=2 * np.pi * f, damping_ratio=100 * np.asarray(modes.damping_ratio)),
+        "shapes": jb.MeasuredModes(frequency=f, shapes=shapes * [1, -1], sensors=sensors),
+        "sheet": sheet,
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", jb.JaxbodyWarning)
+        text = "\n".join(jb.diagnose(model, tests, progress=False).words)
+        assert jb.diagnose(model, {"modal": jb.MeasuredModes(frequency=f, shapes=shapes, sensors=sensors)}, progress=False).words == ()
+    for words in (
+        "modal.frequency is 6.283 times the prediction: is it in rad/s",
+        "modal.damping_ratio is 100 times",
+        "is its sign or its axis reversed",
+        "sheet.magnitude is 0.001",
+        "times the prediction: is it in degrees",
+    ):
+        assert words in text, text
+
+
+@pytest.mark.parametrize("turn", [2 * np.pi, 360.0])
+def test_an_encoder_that_starts_again_after_a_turn_is_named(turn):
+    """A wheel that spins at 12 rad/s against a drag of 0.05 N m s: q = 24 (1 - exp(-t/2)), pi at 0.281 s."""
+    wheel = jb.Model(
+        bodies={"wheel": jb.Body(1.0, [0.1, 0.1, 0.1])},
+        joints={"wheel": jb.Hinge("world", axis=[0, 0, 1])},
+        elements={"drag": jb.Torsion("wheel", "world", axis=[0, 0, 1], damper=0.05)},
+    )
+    angle = 24 * (1 - np.exp(-TIMES / 2)) * turn / (2 * np.pi)
+    start = jb.State(q=jnp.zeros(1), v=jnp.array([12.0]))
+    for x, codes in (((angle + turn / 2) % turn - turn / 2, ["WRAPPED"]), (angle, [] if turn < 10 else ["GAIN_FACTOR"])):
+        run = jb.Experiment(TIMES, initial=start, sensors={"turn": jb.JointAngle("wheel")}, measured={"turn": x})
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", jb.JaxbodyWarning)
+            words = jb.diagnose(wheel, {"run": run}, progress=False).words
+        assert [w.message.code for w in caught] == codes, words
+        assert not codes or "WRAPPED" not in codes or ("np.unwrap" in words[0] and " 3 times, first at t = 0.3 s" in words[0])

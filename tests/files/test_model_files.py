@@ -345,3 +345,14 @@ def test_ten_thousand_mutated_files_are_models_or_clear_errors(tmp_path):
 def check_mutations(count, folder):
     """The number of changed files that are still models."""
     return check_changed(engine(folder), count, jb.read_model)
+
+
+def test_an_orientation_that_follows_from_the_drawing_is_not_written(tmp_path):
+    path = tmp_path / "m.toml"
+    turned = jb.Body(2.0, [1, 1, 1], orientation=jb.Euler("XYZ", [0.3, -0.2, 0.5]))
+    ends = {"a": ("box", [0, 0, 0]), "b": ("world", [0, 0, 0]), "orientation": jb.Euler("Y", [0.4])}
+    own = jb.Bushing(**ends, stiffness=[1, 2, 3], orientation_b=jb.Euler("Z", [0.1]))
+    model = jb.Model(bodies={"box": turned}, elements={"mount": jb.Mount(**ends, x=3.0), "own": own})
+    jb.write_model(model, path)
+    assert path.read_text().count("orientation_b") == 1
+    same_to_the_bit(model, jb.read_model(path))

@@ -13,6 +13,9 @@ from jaxbody.files.quantities import in_SI, unit_system
 TORSION = {"force": "N m", "argument": "rad"}
 TURN = 57.29577951308232  # degrees in a radian
 DRAWING = unit_system({"length": "mm", "force": "N", "time": "s", "angle": "deg"}, "units", Problems())
+ADAMS = unit_system({"length": "mm", "mass": "kg", "force": "N", "time": "s", "angle": "deg"}, "units", Problems())
+MILLINEWTON = unit_system({"length": "mm", "mass": "kg", "time": "s", "angle": "deg"}, "units", Problems())
+TONNES = unit_system({"length": "mm", "mass": "t", "time": "s", "angle": "deg"}, "units", Problems())
 CRASH = unit_system({"length": "mm", "force": "kN", "time": "ms", "angle": "rad"}, "units", Problems())
 SI = unit_system("SI", "units", Problems())
 
@@ -29,7 +32,13 @@ SI = unit_system("SI", "units", Problems())
         ("30 %", "", None, 0.3),
         (0.3, "", None, 0.3),
         (5, "N/m", DRAWING, 5000.0),
-        (2, "kg", DRAWING, 2000.0),  # N s2/mm are tonnes
+        (2, "kg", ADAMS, 2.0),
+        ([2, 3, 4], "kg m2", ADAMS, [2e-6, 3e-6, 4e-6]),
+        (-9806.65, "m/s2", ADAMS, -9.80665),
+        (5, "N/m", ADAMS, 5000.0),
+        (2, "1/kg", ADAMS, 2.0),
+        (0.2, "kg", TONNES, 200.0),
+        (5, "N/m", TONNES, 5000.0),  # t mm/s2 are newtons
         (2, "kg", CRASH, 2.0),  # kN ms2/mm are kilograms
         (3, "N s/m", CRASH, 3000.0),
         (["1 m", 700], "m", DRAWING, [1.0, 0.7]),
@@ -68,6 +77,33 @@ def test_what_is_no_quantity(value, unit, code):
     assert [problem.code for problem in problems.collected] == [code]
 
 
+@pytest.mark.parametrize(
+    "value, unit, system, meant",
+    [
+        (85, "kg", DRAWING, "is 85 without a unit, which would be 85000 kg by the units of the file"),  # N s2/mm are tonnes
+        (
+            2.1,
+            "kg m2",
+            DRAWING,
+            'which would be 0.0021 kg m2 by the units of the file (allowed: a unit such as kg m2). Write "2.1 kg m2", or add',
+        ),
+        (
+            -9.81,
+            "m/s2",
+            DRAWING,
+            'which would be -0.00981 m/s2 by the units of the file (allowed: a unit such as m/s2). Write "-9.81 m/s2".',
+        ),
+        (60, "N/m", MILLINEWTON, "is 60 without a unit, which would be 60 N/m"),  # kg mm/s2 are millinewtons
+        (0.1, "N m", MILLINEWTON, 'or add force = "N" to the units of the file'),
+    ],
+)
+def test_numbers_in_a_unit_that_follows_and_is_rarely_meant_are_refused(value, unit, system, meant):
+    problems = Problems()
+    in_SI(value, unit, {}, system, "f:1 x", problems)
+    (problem,) = problems.collected
+    assert problem.code == "NO_UNIT" and meant in str(problem)
+
+
 def test_a_number_too_large_for_a_float_is_infinite():
     assert in_SI(10**400, "m", {}, DRAWING, "f:1 x", Problems()) == float("inf")
 
@@ -77,6 +113,12 @@ def test_unit_systems_are_complete(stated):
     problems = Problems()
     unit_system(stated, "f:1 units", problems)
     assert {problem.code for problem in problems.collected} == {"BAD_UNIT"}
+
+
+def test_what_a_unit_system_lacks_is_said_whole():
+    problems = Problems()
+    unit_system({"length": "mm", "masses": "kg", "temperature": "K", "angle": "deg"}, "f:1 units", problems)
+    assert "has no mass or force and no time and has masses, temperature (allowed: length, time" in str(problems.collected[0])
 
 
 SWING = """jaxbody = 1
@@ -142,3 +184,12 @@ def test_constructors_warn_of_phases_in_degrees():
     ):
         with pytest.warns(jb.JaxbodyWarning, match=where):
             make()
+
+
+def test_pounds_and_kilograms_of_mass_are_no_forces():
+    problems = Problems()
+    for text, unit in (("400 lb/in", "N/m"), ("85 kg", "N"), ("9.81 m/s2", "m")):
+        in_SI(text, unit, {}, None, "f:1 x", problems)
+    hints = [problem.hint for problem in problems.collected]
+    assert [problem.code for problem in problems.collected] == 3 * ["WRONG_DIMENSION"]
+    assert ["lbf and kgf" in hint for hint in hints] == [True, True, False]

@@ -1,5 +1,6 @@
 """Laws, elements and bodies print with their numbers and units, whatever is in their fields."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -85,3 +86,20 @@ def test_what_is_traced_batched_or_no_number_prints_too():
     assert "free_length=[0 1 2] m" in repr(batch["s"])
     for change in (lambda x: None, lambda x: True, lambda x: x.sum(), lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype)):
         assert repr(jax.tree.map(change, model["s"])).startswith("SpringDamper(between=('mass', 'world')")
+
+
+class Network(jb.laws.Law):
+    net: eqx.nn.MLP
+    parts: dict
+
+    def force(self, x):
+        return self.net(x)
+
+
+def test_a_network_in_a_law_prints_as_the_number_of_its_numbers():
+    """16 + 16, 16 * 16 + 16 and 16 + 1 of weights and biases; a short dict as it is, a long one likewise."""
+    net = eqx.nn.MLP("scalar", "scalar", 16, 2, activation=jax.nn.tanh, key=jax.random.key(1))
+    assert repr(Network(net, {"a": 1})) == "Network(net=MLP(321 numbers), parts={'a': 1})"
+    long = {f"weights {i}": jnp.zeros(3) for i in range(9)}
+    assert repr(Network(net, long)) == "Network(net=MLP(321 numbers), parts=dict(27 numbers))"
+    assert max(map(len, str(model_with(spring=Network(net, {}), free_length=1.0)).splitlines())) < 120

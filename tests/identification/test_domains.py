@@ -237,7 +237,7 @@ class Mixed(Law):
         return (self.share * 10 + (1 - self.share) * 2) * x
 
 
-@pytest.mark.parametrize(("share", "end"), [(1.3, "one"), (-0.2, "zero")])
+@pytest.mark.parametrize(("share", "end"), [(1.3, "one"), (-0.05, "zero")])
 def test_a_fraction_stays_between_zero_and_one(share, end):
     run = Given(force(), {"numbers": (10 * share + 2 * (1 - share)) * AT})
     with pytest.warns(jb.JaxbodyWarning, match=rf"s.spring.share \({end}\) \[AT_BOUND"):
@@ -272,8 +272,17 @@ def test_a_fraction_has_an_interval_a_profile_bounds_and_random_starts_between_z
 
 def test_from_zero_a_fit_says_what_to_do():
     run = Given(force(), {"numbers": AT})
-    with pytest.raises(jb.JaxbodyError, match=r"s.spring.coefficient.*Start at a small positive number.*START_ON_BOUND"):
+    with pytest.raises(jb.JaxbodyError, match=r"s.spring.coefficient.*positive number of the size that you expect.*START_ON_BOUND"):
         jb.fit(holding(Linear(0.0)), {"run": run}, free=["s.spring.coefficient"])
+
+
+def test_of_a_row_that_is_zero_in_part_the_way_is_said():
+    mount = jb.Bushing(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=[1.0, 1, 1], damping=[100.0, 0, 0])
+    model = jb.Model(bodies={"mass": jb.Body(1.0, [1, 1, 1])}, elements={"mount": mount})
+    with pytest.raises(
+        jb.JaxbodyError, match=r"mount.damping is free as a whole, and its \[1\], \[2\] are zero.*SpringDamper. \[START_ON_BOUND"
+    ):
+        jb.tune(model, lambda model: model["mount"].damping.sum(), free="mount.damping")
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import scipy.optimize
 import scipy.stats
 
 import jaxbody as jb
+from jaxbody.parameters.spaces import space_of
 from jaxbody.parameters.transforms import Inertia
 from jaxbody.statistics.losses import LOSSES, linearized, robust_level, root
 
@@ -79,6 +80,13 @@ def test_what_is_tied_must_start_alike(record):
         fit(oscillator(), run(record), ("*t.stiffness = left.stiffness", "left.stiffness"))
     assert [(p.code, p.where) for p in error.value.problems] == [("LISTED_TWICE", "fit.free"), ("TIED_APART", "right.stiffness")]
     assert "39.0" in str(error.value) and "20.0" in str(error.value)
+
+
+def test_a_name_with_an_equals_sign_is_no_tie():
+    model = jb.Model(bodies={"a=b": jb.Body(mass=2.0, inertia=[1, 1, 1]), "c": jb.Body(mass=2.0, inertia=[1, 1, 1])})
+    names = lambda free: [parameter.path for parameter in space_of(model, free, "fit").parameters]  # noqa: E731
+    assert names(["a=b.mass", "c.mass"]) == ["a=b.mass", "c.mass"]
+    assert names("a?b.mass = c.mass") == ["a=b.mass"]
 
 
 def test_a_prior_is_one_more_measurement(record):

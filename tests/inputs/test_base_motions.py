@@ -102,6 +102,71 @@ def test_a_base_that_only_tilts_stays_in_its_place():
     np.testing.assert_allclose(values[:, :3], 0, rtol=0, atol=weaker * 9.81 * 3.0**2 / 2)
 
 
+def test_gravity_is_added_to_what_a_base_that_does_not_turn_reads():
+    """0.2 m/s2 along z and nothing else from rest is 0.1 t^2, with gravity in the reading and without."""
+    t = np.arange(0, 3, 0.01)
+    for gravity in (None, G):
+        f = np.array([0, 0, 0.2]) - (0 if gravity is None else gravity) + 1e-9 * np.sin(t[:, None] * [1, 2, 3])
+        moved = jb.base_motion(jb.Record(t, {"f": (f, "m/s2")}), "f", gravity=gravity, degree=None).motion
+        np.testing.assert_allclose(np.asarray(moved.values)[-1, :3], [0, 0, 0.1 * t[-1] ** 2], atol=1e-7)
+
+
+PITCHING = np.deg2rad(2) * np.sin(4.4 * TIMES)
+READ = np.stack([-np.sin(PITCHING), 0.001 * np.sin(3 * TIMES), np.cos(PITCHING)], 1) * (9.81 - 0.2 * np.sin(6 * TIMES))[:, None]
+RATES = np.stack([0.001 * np.sin(2 * TIMES), np.gradient(PITCHING, TIMES), 0.001 * np.cos(TIMES)], 1)
+
+
+@pytest.mark.parametrize(
+    ("reading", "gravity", "words"),
+    {
+        "an axis that is mirrored": (READ * [1, 1, -1], G, r"median .*, -9\.79\] m/s2 .*not \[0, 0, 9\.81\].*sign is reversed.*axes="),
+        "the other sign": (-READ, G, "sign is reversed"),
+        "gravity taken out": (READ + G, G, r"taken out already\? Then give gravity=\[0, 0, 0\]"),
+        "gravity left in": (READ, [0, 0, 0], r"give gravity=\[0, 0, -9\.81\]"),
+        "another axis": (READ[:, [2, 0, 1]], G, "Check axes="),
+    }.values(),
+)
+@pytest.mark.parametrize("turns", [True, False])
+def test_what_an_accelerometer_reads_at_rest_is_compared_with_gravity(reading, gravity, words, turns):
+    record = jb.Record(TIMES, {"f": (reading, "m/s2"), "w": (RATES, "rad/s")})
+    with pytest.warns(jb.JaxbodyWarning, match=words) as said:
+        jb.base_motion(record, "f", rates="w" if turns else None, gravity=gravity)
+    assert [warning.message.code for warning in said] == ["GRAVITY"]
+
+
+def on_a_bend(turns):
+    """A car's rates and specific force, one turn or part of it in 20 s at 10 m/s, rolling and pitching by a degree or two."""
+    t = np.arange(4000) / 200
+    w = 2 * np.pi * turns / 20
+
+    def attitude(t):
+        return Rotation.from_euler("ZYX", np.stack([w * t, 0.02 * np.sin(9 * t), 0.03 * np.sin(7 * t)], 1))
+
+    A = attitude(t)
+    rates = ((A.inv() * attitude(t + 1e-4)).as_rotvec() - (A.inv() * attitude(t - 1e-4)).as_rotvec()) / 2e-4
+    f = A.inv().apply(10 * w * np.stack([-np.sin(w * t), np.cos(w * t), 0 * t], 1) - G)
+    return A, jb.Record(t, {"f": (f, "m/s2"), "w": (rates, "rad/s")})
+
+
+@pytest.mark.parametrize("turns", [0.3, 1.5])
+def test_a_turn_that_is_removed_as_a_bias_of_the_rates_is_named(turns):
+    """The rest is roll and pitch of 0.02 and 0.03 rad."""
+    with pytest.warns(jb.JaxbodyWarning, match=rf"{360 * turns:.4g} degrees about z over 20 s .* {18 * turns:.3g} deg/s .*TURNS"):
+        moved = jb.base_motion(on_a_bend(turns)[1], "f", rates="w", gravity=G)
+    assert np.abs(np.asarray(moved.motion.values)[:, 3:]).max() < 0.06
+
+
+def test_a_car_turns_on_up_to_near_a_whole_turn_and_what_is_beyond_is_named():
+    attitude, record = on_a_bend(0.95)
+    moved = jb.base_motion(record, "f", rates="w", gravity=G, degree=None).motion
+    difference = Rotation.from_rotvec(np.asarray(moved.values)[:, 3:]) * attitude.inv() * attitude[0]
+    assert difference.magnitude().max() < 2e-3  # lines between samples
+    with pytest.raises(
+        jb.JaxbodyError, match=r"near a whole turn, 35.* at row \d+, and its axis.*End the samples before.*ORIENTATION_JUMP"
+    ):
+        jb.base_motion(on_a_bend(1.2)[1], "f", rates="w", gravity=G, degree=None)
+
+
 def test_without_gravity_stated_a_turning_base_is_refused(record):
     with pytest.raises(jb.JaxbodyError, match=r"is not stated.*gravity=\[0, 0, -9\.81\].*NO_GRAVITY"):
         jb.base_motion(record, "f", rates="w")

@@ -1,9 +1,13 @@
 """Signals and motions are one family: a motion as a signal, a signal of six numbers as a motion, sums and delays of both."""
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 
 import jaxbody as jb
 from jaxbody.core.errors import Problems
@@ -26,7 +30,7 @@ def shaken(stiffness=300.0):
 
 
 def heights(**options):
-    return np.asarray(jb.simulate(shaken(), TIMES, rtol=1e-10, **options).poses["mass"].p[:, 2])
+    return np.asarray(jb.simulate(shaken(), TIMES, rtol=1e-11, **options).poses["mass"].p[:, 2])
 
 
 def test_a_motion_is_a_signal():
@@ -83,6 +87,34 @@ def test_a_signal_moves_the_base_of_an_experiment_and_its_numbers_are_free_in_a_
     np.testing.assert_allclose(fit.estimates["run.base.phase"], 0.3, rtol=1e-6)
 
 
+@pytest.mark.parametrize("noise, n, most", [(1e-2, 401, 1.1), (0.0, 2001, 0.2)])
+def test_a_record_takes_a_step_a_sample_where_its_cubics_do_not_fit_smoothly_and_fewer_elsewhere(noise, n, most):
+    """m x'' = k (u - x) + c (u' - x') in steps that end at the samples, or not; against SciPy from sample to sample on the same cubics."""
+    t = np.linspace(0, 1, n)
+    u = 0.01 * np.sin(2 * np.pi * t) ** 2
+    u = u + noise * np.ptp(u) * np.random.default_rng(3).normal(size=t.size)
+    run = jb.simulate(shaken(), t, motion={"base": jb.Sampled(t, translation=np.outer(u, UP))}, rtol=1e-9)
+    slopes = [(1, np.polynomial.Polynomial.fit(t[part], u[part], 3).deriv()(t[part][0])) for part in (slice(4), slice(-1, -5, -1))]
+    cubics, y, exact = CubicSpline(t, u, bc_type=slopes), np.array([0.3, 0.0]), [0.3]
+
+    def rates(t, y):
+        return [y[1], (300.0 * (cubics(t) + 0.3 - y[0]) + 3.0 * (cubics(t, 1) - y[1])) / 2.0]
+
+    for a, b in pairwise(t):
+        y = solve_ivp(rates, (a, b), y, method="DOP853", rtol=1e-12, atol=1e-15).y[:, -1]
+        exact.append(y[0])
+    np.testing.assert_allclose(run.poses["mass"].p[:, 2], exact, rtol=0, atol=1e-9)
+    assert sum(int(n) for n in run.statistics.values()) <= most * n
+
+
+def test_a_line_through_two_points_bends_at_its_ends_alone():
+    """F(t) = 3 t on a free mass at rest: x = 3 t^3/(6 m); and a road of two points, a ramp."""
+    model = jb.Model(bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": jb.Guide("world", axis=UP)})
+    push = {"push": jb.Force("mass", force=Samples([0.0, 1.0], np.outer([0, 3], UP), kind="linear"))}
+    np.testing.assert_allclose(jb.simulate(model, TIMES, loads=push).poses["mass"].p[:, 2], TIMES**3 / 4, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(np.unique(jb.Road([1.0, 2.0], [0.0, 0.1], speed=2.0).kinks()), [0.5, 1.0])
+
+
 def test_sums_and_delays_of_signals_are_loads():
     """F(t) = 2 cos(3 t + 1) + t/2, half a second later, on a free mass that is at rest at t = 0: x from two integrals by hand."""
     model = jb.Model(bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": jb.Guide("world", axis=UP)})
@@ -100,7 +132,8 @@ def test_what_a_sum_and_a_delay_cover_and_where_they_bend(rng):
     later = Delayed(record, 0.25)
     total = later + Samples(KNOTS + 0.1, y) + Sine(amplitude=[1, 2, 3], frequency=1.0)
     assert later.covers() == (-0.25, 2.25) and total.covers() == (-0.25, 2.1)
-    np.testing.assert_array_equal(total.kinks(), KNOTS + 0.25)
+    inner = KNOTS[1:-1] + 0.1  # where the cubics through random values do not fit smoothly
+    np.testing.assert_array_equal(total.kinks(), [*np.sort([*KNOTS + 0.25, *inner]), np.inf])
     np.testing.assert_array_equal(kinks_of([record, later, Sine(amplitude=1.0, frequency=1.0)]), np.sort([*KNOTS, *(KNOTS + 0.25)]))
     t = np.linspace(-0.2, 2.2, 33)
     line = np.stack([np.interp(t - 0.25, KNOTS, column) for column in y.T], 1)
@@ -132,3 +165,25 @@ def test_a_sum_with_a_delay_can_be_differentiated_in_its_numbers(part):
     exact = {"amplitude": np.cos(angle), "frequency": -a * 2 * np.pi * (t - d) * np.sin(angle), "phase": -a * np.sin(angle)}
     assert abs(getattr(slope.signal.terms[0], part) - exact[part]) < 1e-14
     assert abs(slope.delay - (a * w * np.sin(angle) - 1)) < 1e-13
+
+
+def test_records_say_where_they_bend_and_where_they_begin_to_act():
+    """Held values where they jump; lines where their slope changes; of a smooth record the beginning of a shock, with parts that become
+    shorter towards it, and nothing of a sine."""
+    t = np.arange(0.0, 4.096, 1e-3)
+
+    def finite(kinks):
+        return np.sort(np.asarray(kinks)[np.isfinite(kinks)])
+
+    levels = np.where((t > 1.0005) & (t < 2.0005), 3.0, 0.0)
+    np.testing.assert_allclose(finite(Samples(t, levels, kind="hold").kinks()), [1.001, 2.001], atol=1e-12)
+    np.testing.assert_allclose(finite(Samples(t, levels, kind="linear").kinks()), [0, 1.0, 1.001, 2.0, 2.001, t[-1]], atol=1e-12)
+    s = (t - 3.0) / 0.02
+    bump = np.where((s > 0) & (s < 1), 1 - np.cos(2 * np.pi * s), 0.0)
+    for values in (bump, np.stack([np.sin(2 * np.pi * t), bump], 1)):
+        marks = finite(Samples(t, values).kinks())
+        parts = np.diff(np.concatenate([[0.0], marks, [t[-1]]]))
+        around = (marks > 2.95) & (marks < 3.07)
+        assert around.sum() >= 2 and np.diff(marks[around]).max() < 0.05  # no step reaches over the shock
+        assert len(marks) < 60 and parts.max() > 0.4
+    assert len(finite(Samples(t, np.sin(2 * np.pi * t)).kinks())) == 0

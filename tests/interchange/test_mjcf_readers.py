@@ -1,11 +1,13 @@
 """MJCF files that others wrote: energies and dampers as MuJoCo computes them, what is left out, problems with their lines."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import jaxbody as jb
+from jaxbody.interchange import mjcf_compiled, mjcf_readers
 
 mujoco = pytest.importorskip("mujoco")
 gymnasium = pytest.importorskip("gymnasium")
@@ -40,6 +42,18 @@ FILES = {  # what is left out
 }
 
 
+@pytest.fixture
+def own(monkeypatch):
+    """As where the package mujoco is not installed."""
+    monkeypatch.setattr(mjcf_readers, "compiled", lambda path, document: (None, None))
+
+
+@pytest.fixture(params=["by MuJoCo", "own"])
+def reader(request):
+    """What reads: MuJoCo's compiler, or jaxbody by itself."""
+    return request.param if request.param == "by MuJoCo" else request.getfixturevalue("own") or "own"
+
+
 def agree(model, m, rng, count=3):
     """T, V (from that of the reference pose) and R are MuJoCo's, to rounding of sums of some twenty terms."""
     states = list(mujoco_states.random_states(model, count, rng))
@@ -51,7 +65,7 @@ def agree(model, m, rng, count=3):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_public_files_have_the_energies_that_mujoco_computes(name, rng):
+def test_public_files_have_the_energies_that_mujoco_computes(name, rng, reader):
     m = mujoco.MjModel.from_xml_path(str(ASSETS / f"{name}.xml"))
     read = jb.read_mjcf(ASSETS / f"{name}.xml")
     assert {each.what for each in read.left_out} == FILES[name]
@@ -104,14 +118,14 @@ PART = """<body name="included" pos="1 0 0"><joint type="slide"/><joint name="tu
 <geom type="box" size="0.1 0.1 0.2" pos="0.1 0 0"/></body>"""
 
 
-def test_shapes_have_their_mass_and_inertia(tmp_path, rng):
+def test_shapes_have_their_mass_and_inertia(tmp_path, rng, reader):
     read, m = compiled(tmp_path, SHAPES)
     np.testing.assert_allclose(read.model["a"].mass, m.body_mass[1], rtol=1e-14)
     np.testing.assert_allclose(read.model["a"].com, m.body_ipos[1], rtol=1e-12)
     agree(read.model, m, rng)
 
 
-def test_classes_frames_includes_and_springs_of_all_kinds_of_joints(tmp_path, rng):
+def test_classes_frames_includes_and_springs_of_all_kinds_of_joints(tmp_path, rng, reader):
     read, m = compiled(tmp_path, KINDS, part=PART)
     model = read.model
     assert model.layout.supports == ("shelf",) and isinstance(model.joint("included"), jb.Composite)
@@ -120,7 +134,7 @@ def test_classes_frames_includes_and_springs_of_all_kinds_of_joints(tmp_path, rn
     agree(model, m, rng, count=5)
 
 
-def test_angles_are_in_degrees_unless_the_compiler_says_otherwise(tmp_path, rng):
+def test_angles_are_in_degrees_unless_the_compiler_says_otherwise(tmp_path, rng, reader):
     text = """<worldbody><body name="flap" euler="10 20 30"><joint axis="0 1 0" stiffness="5" springref="25" ref="-10"/>
 <geom size="0.1" pos="0.3 0 0"/></body></worldbody>"""
     read, m = compiled(tmp_path, text)
@@ -136,12 +150,13 @@ PARTS = """<worldbody><geom name="floor" type="plane" size="1 1 1"/><body name="
 <spatial><site site="s"/><site site="t"/></spatial></tendon><actuator><motor joint="c"/></actuator>"""
 
 
-def test_bodies_without_joints_are_supports_fixed_or_parts(tmp_path, rng):
+def test_bodies_without_joints_are_supports_fixed_or_parts(tmp_path, rng, reader):
     read, m = compiled(tmp_path, PARTS)
     model = read.model
     assert model.layout.supports == ("wall",) and model.layout.bodies == ("a_b", "body 3")
     assert isinstance(model.joint("body 3"), jb.Fixed) and model["a_b"].mass == 2
     left_out = {each.what: each.where for each in read.left_out}
+    lines = {name: "model.xml" for name in left_out} if reader == "by MuJoCo" else {}  # of what has no name in the file
     assert left_out == {
         "contact of geoms": "model.xml:1",
         "the name 'a.b', here 'a_b'": "model.xml:2",
@@ -149,8 +164,8 @@ def test_bodies_without_joints_are_supports_fixed_or_parts(tmp_path, rng):
         "tendons with a dead band above zero": "model.xml:6",
         "tendons without stiffness and damping": "model.xml:7",
         "actuator motor": "model.xml:7",
-    }
-    assert "contact of geoms                           3  model.xml:1" in str(read)
+    } | {what: where for what, where in lines.items() if "tendons" in what or "geoms" in what}
+    assert re.search(r"contact of geoms +3 +model.xml", str(read))
     state = jb.State(np.array([0.3]), np.array([2.0]))
     d = mujoco.MjData(m)
     d.qpos[:], d.qvel[:] = state.q, state.v
@@ -158,7 +173,7 @@ def test_bodies_without_joints_are_supports_fixed_or_parts(tmp_path, rng):
     np.testing.assert_allclose(mujoco_states.energies_here(model, state)[0], mujoco_states.energies(m, d)[0], rtol=1e-14)
 
 
-def test_what_is_complete_says_so(tmp_path):
+def test_what_is_complete_says_so(tmp_path, reader):
     (tmp_path / "m.xml").write_text(
         '<mujoco><worldbody><body><joint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/></body></worldbody></mujoco>'
     )
@@ -192,6 +207,9 @@ BALL = '<geom size="0.1"/>'
         ("<compiler coordinate='global'/><worldbody/>", ["global coordinates", "WRONG_KIND"]),
         ("<worldbody><body><joint/>{}</body>\n</worldbody><tendon><spatial damping='1'><site site='a'/><site site='b'/></spatial></tendon>",
          ["model.xml:2 ", "'a'", "UNKNOWN_NAME"]),
+        ("<worldbody>\n<body><joint/>{}\n<replicate count='4'>{}</replicate></body></worldbody>",
+         ["model.xml:3: is an element 'replicate', which may have mass", "pip install 'jaxbody[mujoco]'", "UNKNOWN_NAME"]),
+        ("<worldbody><composite type='cable'/></worldbody>", ["model.xml:1: is an element 'composite'"]),
         ("<include file='../x.xml'/>", ["includes '../x.xml'", "OUTSIDE_FOLDER"]),
         ("<include file='/etc/passwd'/>", ["includes '/etc/passwd'", "OUTSIDE_FOLDER"]),
         ("<include file='model.xml'/>", ["includes 'model.xml' once more", "LOOP"]),
@@ -200,7 +218,7 @@ BALL = '<geom size="0.1"/>'
         ("<worldbody>" + 250 * "<body>", ["nested too deep (allowed: 200 levels)", "TOO_LARGE"]),
     ],
 )  # fmt: skip
-def test_problems_have_their_line(text, messages, tmp_path):
+def test_problems_have_their_line(text, messages, tmp_path, own):
     (tmp_path / "model.xml").write_text(f"<mujoco>{text.replace('{}', BALL)}</mujoco>")
     with pytest.raises(jb.JaxbodyError) as raised:
         jb.read_mjcf(tmp_path / "model.xml")
@@ -211,21 +229,22 @@ def test_problems_have_their_line(text, messages, tmp_path):
 @pytest.mark.parametrize(
     "content, code",
     [
-        ("<robot/>", "WRONG_FORMAT"),
+        ("<sdf/>", "WRONG_FORMAT"),
+        ("<robot name='arm'/>", "MISSING_EXTRA"),
         ('<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]><mujoco>&b;</mujoco>', "WRONG_KIND"),
         ('<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><mujoco>&a;</mujoco>', "WRONG_KIND"),
         ('<?xml version="1.0" encoding="utf-99"?><mujoco/>', "ENCODING"),
         ("", "EMPTY_FILE"),
     ],
 )
-def test_files_of_another_kind(content, code, tmp_path):
+def test_files_of_another_kind(content, code, tmp_path, own):
     (tmp_path / "model.xml").write_text(content)
     with pytest.raises(jb.JaxbodyError) as raised:
         jb.read_mjcf(tmp_path / "model.xml")
     assert raised.value.code == code
 
 
-def test_all_problems_of_a_file_at_once(tmp_path):
+def test_all_problems_of_a_file_at_once(tmp_path, own):
     text = "<mujoco><worldbody>\n<body pos='1 2'><joint axis='1'/>\n<geom size='x'/></body></worldbody></mujoco>"
     (tmp_path / "model.xml").write_text(text)
     with pytest.raises(jb.JaxbodyError) as raised:
@@ -239,7 +258,76 @@ def test_all_problems_of_a_file_at_once(tmp_path):
 
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
 @pytest.mark.parametrize("count", [200, pytest.param(3000, marks=pytest.mark.long)])
-def test_mutated_files_are_models_or_clear_errors(count, tmp_path):
+def test_mutated_files_are_models_or_clear_errors(count, tmp_path, own):
     (tmp_path / "part.xml").write_text(f"<mujoco>{PART}</mujoco>")
     (tmp_path / "model.xml").write_text(f"<mujoco>{KINDS}</mujoco>")
     assert 0.1 * count < check_changed_text(tmp_path / "model.xml", count, jb.read_mjcf) < 0.9 * count
+
+
+BOWL = """<worldbody><body name="bowl"><freejoint/><geom size=".1" mass="1"/>
+<replicate count="4" euler="0 0 90"><geom size=".05" pos=".5 0 0" mass="2"/></replicate></body></worldbody>"""
+TETRAHEDRON = "v 0 0 0\nv 0.6 0 0\nv 0 0.6 0\nv 0 0 0.6\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+MESH = """<asset><mesh name="m" file="{}"/></asset>
+<worldbody><body name="stone"><freejoint/><geom type="mesh" mesh="m" density="2000"/></body></worldbody>"""
+
+
+def test_what_is_replicated_has_its_mass(tmp_path):
+    """Five balls of 1 kg and 4 times 2 kg, these 0.5 m from the axis."""
+    read, _ = compiled(tmp_path, BOWL)
+    bowl = read.model["bowl"]
+    np.testing.assert_allclose(bowl.mass, 9.0, rtol=1e-14)
+    np.testing.assert_allclose(bowl.inertia[2, 2], 0.4 * (1 * 0.1**2 + 8 * 0.05**2) + 8 * 0.5**2, rtol=1e-12)
+
+
+def test_a_mesh_beside_the_file_has_mass_and_one_elsewhere_is_not_read(tmp_path):
+    """A tetrahedron with three edges at right angles of the length a has the volume a^3/6 and its center at a/4."""
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "m.obj").write_text(TETRAHEDRON)
+    read, _ = compiled(tmp_path / "models", MESH.format("m.obj"))
+    np.testing.assert_allclose(read.model["stone"].mass, 2000 * 0.6**3 / 6, rtol=1e-6)  # MuJoCo's meshes are of 32 bits
+    (tmp_path / "m.obj").write_text(TETRAHEDRON)
+    for name in ("../m.obj", str(tmp_path / "m.obj")):
+        with pytest.raises(jb.JaxbodyError, match="has the type mesh, whose inertia is not computed"):
+            compiled(tmp_path / "models", MESH.format(name))
+
+
+URDF = """<robot name="arm"><link name="base"/>
+<link name="rod"><inertial><origin xyz="0 0 -0.4" rpy="0.1 0 0"/><mass value="3"/>
+ <inertia ixx="0.2" iyy="0.25" izz="0.1" ixy="0.01" ixz="0" iyz="0"/></inertial>
+ <visual><geometry><mesh filename="package://arm/rod.stl"/></geometry></visual></link>
+<joint name="pivot" type="revolute"><parent link="base"/><child link="rod"/><origin xyz="0 0 1" rpy="0 0 0"/><axis xyz="0 1 0"/>
+ <limit lower="-1" upper="1" effort="5" velocity="2"/><dynamics damping="0.7"/></joint></robot>"""
+
+
+def test_a_urdf_is_read_by_mujoco(tmp_path):
+    """The moment about the pivot: that about the center of mass, turned by 0.1 about x, and m l^2; meshes are not looked for."""
+    (tmp_path / "arm.urdf").write_text(URDF)
+    read = jb.read_mjcf(tmp_path / "arm.urdf")
+    rod, hinge = read.model["rod"], read.model.joint("rod")
+    turn = np.array([[1, 0, 0], [0, np.cos(0.1), -np.sin(0.1)], [0, np.sin(0.1), np.cos(0.1)]])
+    np.testing.assert_allclose(rod.inertia, turn @ [[0.2, 0.01, 0], [0.01, 0.25, 0], [0, 0, 0.1]] @ turn.T, atol=1e-12)
+    np.testing.assert_allclose(rod.com, [0, 0, -0.4], atol=1e-15)
+    assert isinstance(hinge, jb.Hinge) and [each.what for each in read.left_out] == ["limits of joints"]
+    lin = jb.linearize(read.model, read.model.reference)
+    np.testing.assert_allclose(lin.M, turn[1] @ [[0.2, 0.01, 0], [0.01, 0.25, 0], [0, 0, 0.1]] @ turn[1] + 3 * 0.4**2, rtol=1e-12)
+    np.testing.assert_allclose(lin.C, 0.7, rtol=1e-14)
+
+
+def test_what_ends_the_process_of_the_compiler_does_not_end_this_one(tmp_path, monkeypatch):
+    """A compiler that crashes: the file is read without it."""
+    process = tmp_path / "mujoco_process.py"
+    process.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)")
+    monkeypatch.setattr(mjcf_compiled, "__file__", str(process))
+    (tmp_path / "model.xml").write_text("<mujoco><worldbody><body><joint/><geom size='1' mass='2'/></body></worldbody></mujoco>")
+    assert jb.read_mjcf(tmp_path / "model.xml").model["body 1"].mass == 2
+    (tmp_path / "arm.urdf").write_text(URDF)
+    with pytest.raises(jb.JaxbodyError, match="URDF that MuJoCo refuses: its compilation ended with the exit code -9"):
+        jb.read_mjcf(tmp_path / "arm.urdf")
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_mutated_files_are_models_or_clear_errors_by_mujoco(tmp_path):
+    (tmp_path / "part.xml").write_text(f"<mujoco>{PART}</mujoco>")
+    (tmp_path / "model.xml").write_text(f"<mujoco>{KINDS}</mujoco>")
+    assert 10 < check_changed_text(tmp_path / "model.xml", 100, jb.read_mjcf) < 90

@@ -205,7 +205,6 @@ def test_a_table_from_a_file_is_in_si_units(tmp_path):
         ("-500,-1.0\n-100,-0.4\n0,0\n100,0.9\n", "NO_UNIT", "curve.csv:1 elongation [mm]"),
         ("velocity, force\n-500,-1.0\n", "NO_UNIT", "curve.csv:1"),
         ("", "EMPTY_FILE", "curve.csv no bytes"),
-        ("travel [mm], force [kgf]\n-500,-1.0\n", "UNKNOWN_UNIT", "kgf N kN"),
         ("travel [parsec], force [N]\n-500,-1.0\n", "UNKNOWN_UNIT", "parsec mm"),
         ("travel [mm], force [N]\n1,2\n1,5;2,6\n", "RAGGED_LINE", "curve.csv:3 3 cells 2"),
         ("travel [mm], force [N]\n1,2\n2,3\n3,4\n", "TABLE_SHORT", "3 points at least 4"),

@@ -1,5 +1,7 @@
 """Assembly of closed loops: closed forms of linkages, redundant conditions, derivatives, and messages."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -265,3 +267,101 @@ def test_a_condition_without_slopes_is_refused():
     apart = jb.closures.Equation(lambda A, B: jnp.linalg.norm(A.p - B.p), ("a", "world"))
     with pytest.raises(jb.JaxbodyError, match=r"closures\['apart'\]: has slopes that are not finite.*NON_FINITE"):
         jb.Model(bodies={"a": BAR}, closures={"apart": apart})
+
+
+def two_arms(length=0.35):
+    """Arms that turn about z and about y, joined by a rod; drawn open, with one freedom when assembled."""
+    place = np.array([0.25, 0.05, 0.1])
+    joints = {"input": jb.Hinge("world", axis="z"), "output": jb.Hinge("world", axis="y", at=place)}
+    rod = jb.closures.Rod(("input", [0.1, 0, 0]), ("output", [0.2, 0, 0]), length=length)
+    return jb.Model(bodies={"input": BAR, "output": jb.Body(1.0, [1, 1, 1], position=place)}, joints=joints, closures={"rod": rod})
+
+
+def differences(function, x, h=1e-5):
+    """Central, of fourth order."""
+    steps = h * np.eye(len(x))
+    return np.stack([(8 * (function(x + s) - function(x - s)) - function(x + 2 * s) + function(x - 2 * s)) / (12 * h) for s in steps], -1)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("hold", [(), ("input",)])
+def test_an_assembled_state_has_derivatives_by_its_start(hold):
+    """By a coordinate that is held, and by those of the least movement, which is far here; by a length too."""
+    model = two_arms()
+
+    def assembled(x):
+        changed = jb.replace(model, {"rod.length": x[2]})
+        return jb.assemble(changed, start=jb.State(x[:2], jnp.zeros(2)), hold=hold).state.q
+
+    x = jnp.array([np.deg2rad(30.0), 0.1, 0.35])
+    expected = differences(assembled, x)
+    assert np.abs(assembled(x) - x[:2]).max() > 0.05
+    if hold:  # F(a, b) = |d|^2 - l^2 = 0 gives db/da
+        np.testing.assert_allclose(expected[1, 0], 0.56819365, rtol=1e-7)
+    for of in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(of(assembled)(x), expected, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(jax.jit(of(assembled))(x), expected, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.long
+def test_the_reference_of_a_free_body_follows_where_it_is_drawn():
+    ball = jb.closures.Ball(("world", [0, 0, 0]), ("bar", [0, 0.1, 0.4]))
+    model = jb.Model(bodies={"bar": jb.Body(1.0, [1, 1, 1], position=[0.1, 0.2, -0.5])}, closures={"ball": ball})
+    place, at = jnp.array([0.1, 0.2, -0.5]), lambda p: jb.replace(model, {"bar.position": p}).reference.q
+    for of in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(jax.jit(of(at))(place), differences(at, place), rtol=1e-8, atol=1e-8)
+    open_, lengths = two_arms(), lambda x: jb.replace(two_arms(), {"rod.length": x[0]}).reference.q
+    assert np.abs(open_.reference.q).max() > 0.2  # rad, far from the drawing
+    np.testing.assert_allclose(jax.jacfwd(lengths)(jnp.array([0.35])), differences(lengths, jnp.array([0.35])), rtol=1e-7)
+
+
+@pytest.mark.nan
+@pytest.mark.long
+def test_what_cannot_be_assembled_is_nan_while_traced_and_stays_where_it_ended_otherwise():
+    model, start = two_arms(), jb.State(jnp.array([0.5, 0.4]), jnp.zeros(2))
+
+    def assembly(x):
+        return jb.assemble(jb.replace(model, {"rod.length": x[0]}), start=dataclasses.replace(start, q=x[1:]), hold=["input"])
+
+    def reference(x):
+        return jb.replace(model, {"rod.length": x[0]}).reference.q
+
+    x = jnp.array([5.0, 0.5, 0.4])
+    with pytest.warns(jb.JaxbodyWarning, match="NOT_CLOSED.*'rod length' stays"):
+        assert np.isfinite(assembly(x).state.q).all()
+    with pytest.warns(jb.JaxbodyWarning, match="assemble.*NOT_CLOSED"):
+        assert np.isfinite(reference(x)).all()
+    traced = jax.jit(assembly)(x)
+    assert np.isnan(traced.state.q).all()
+    assert "'rod length' stays" in traced.report()
+    with pytest.warns(jb.JaxbodyWarning, match="NOT_CLOSED"):
+        for of in (jax.jacfwd, jax.jacrev):
+            assert np.isnan(of(lambda x: assembly(x).state.q)(x)).all()
+            assert np.isnan(jax.jit(of(lambda x: assembly(x).state.q))(x)).all()
+    for of in (lambda f: f, jax.jacfwd, jax.jacrev):
+        assert np.isnan(jax.jit(of(reference))(x[:1])).all()
+
+
+def test_loops_are_refused_in_float32():
+    """Their gaps would have to be closed to more digits than there are."""
+    with jax.enable_x64(False):
+        model, corner = four_bar(), jb.double_wishbone()
+        calls = (
+            lambda: jb.assemble(model),
+            lambda: jb.simulate(model, [0.0, 0.1]),
+            lambda: jb.equilibrium(model),
+            lambda: jb.linearize(model, jb.State(np.zeros(3, np.float32), np.zeros(3, np.float32))),
+            lambda: corner.curves(0.0),
+        )
+        for call in calls:
+            with pytest.raises(jb.JaxbodyError, match=r"cannot close loops in float32.*jax_enable_x64.*building the model\. \[FLOAT32\]"):
+                call()
+
+
+def test_a_pin_of_a_planar_linkage_needs_no_conditions_out_of_its_plane():
+    """Inline along the axis of the hinges has two conditions, none of which follows from the others, and the same position."""
+    pin = jb.closures.Inline(("coupler", [CRANK + COUPLER, 0, 0]), ("rocker", [GROUND + ROCKER, 0, 0]), axis="z")
+    start = state(40, -20, 50)
+    two, five = (jb.assemble(model, start=start, hold=["crank"]) for model in (four_bar(pin), four_bar()))
+    np.testing.assert_allclose(two.state.q, five.state.q, atol=1e-9)
+    assert "implied" not in str(two) and "implied by the others: pin z, pin turn 1, pin turn 2" in str(five)

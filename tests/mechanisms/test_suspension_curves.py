@@ -7,12 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
 from jaxbody.mechanics.energies import frames_of
-from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE, FIVE_LINK
+from jaxbody.mechanisms.ready_axles import SOLID_AXLE
+from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE, FIVE_LINK, MACPHERSON
 
 TRAVEL = np.linspace(-0.1, 0.1, 11)
 
@@ -92,6 +94,10 @@ def test_motion_ratio_wheel_force_and_wheel_rate(double):
     dz, ratio, force, wheel_rate = table(SPRING)
     rows = np.searchsorted(TRAVEL, 1e-3 * dz - 1e-9)
     np.testing.assert_allclose(double["motion ratio of spring"][rows], ratio, atol=1e-9)
+    along = np.subtract(DOUBLE_WISHBONE["spring upper"], DOUBLE_WISHBONE["spring lower"])
+    shortened = CubicSpline(TRAVEL, double["motion ratio of spring"]).antiderivative()
+    expected = np.linalg.norm(along) + shortened(TRAVEL) - shortened(0.0)
+    np.testing.assert_allclose(double["length of spring"], expected, atol=1e-8)
     np.testing.assert_allclose(double["wheel force"][rows], force, rtol=1e-8)
     np.testing.assert_allclose(double["wheel rate"][rows], wheel_rate, rtol=1e-7)
 
@@ -291,3 +297,38 @@ def test_bad_input():
         jb.double_wishbone({"upper outer": (0, -0.7, 0.5)})
     with pytest.raises(jb.JaxbodyError, match=r"'lower outer' at y = 0.9 m.*Give all points of a right wheel"):
         jb.double_wishbone({"wheel center": (0, -0.9, 0.3)})
+
+
+READY = {
+    "double_wishbone": (jb.double_wishbone, DOUBLE_WISHBONE),
+    "macpherson": (jb.macpherson, MACPHERSON),
+    "five_link": (jb.five_link, FIVE_LINK),
+    "solid_axle": (jb.solid_axle, SOLID_AXLE),
+    "car": (lambda points: jb.car_on_double_wishbones(rear_points=points), DOUBLE_WISHBONE),
+}
+
+
+@pytest.mark.parametrize("name", READY)
+@pytest.mark.parametrize(
+    ("axes", "code", "words"),
+    [
+        ([1, 1, -1], "WRONG_SIDE", r"'upper' points at z = -0\.\d+ m.*Is z down there\? Turn the axes"),
+        ([1, -1, -1], "WRONG_SIDE", "Is z down there"),  # SAE J670
+        ([-1, -1, 1], "WRONG_SIDE", r"'front' points at x = -0\.\d+ m.*Is x rearward there\?"),
+        ([1e3, 1e3, 1e3], "UNIT", r"spans \d+(\.\d)? m \(allowed: 20 m\)\. Give all points in meters, not mm"),
+    ],
+)
+def test_hard_points_in_other_axes_or_units_are_refused(name, axes, code, words):
+    """With the names that the points have: a front point before a rear one, an upper one above a lower one."""
+    draw, points = READY[name]
+    with pytest.raises(jb.JaxbodyError, match=words) as refused:
+        draw({point: np.multiply(place, axes) for point, place in points.items()})
+    assert refused.value.code == code
+    with pytest.raises(jb.JaxbodyError, match="UNIT"):  # some of them
+        draw({point: np.multiply(place, 1e3) for point, place in list(points.items())[:3]})
+
+
+@pytest.mark.filterwarnings("ignore:.*FAR_FROM_DRAWN")  # a corner without a wheel load
+def test_the_plausibility_of_a_suspension_is_that_of_its_model():
+    corner = jb.double_wishbone()
+    assert jb.plausibility(corner).numbers == jb.plausibility(corner.model).numbers

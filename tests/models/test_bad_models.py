@@ -97,6 +97,7 @@ BAD = {
         None,
         "1, 2, 4 by 1 center units",
     ),
+    "10 of a plane": (lambda: body(inertia=[0, 0, 0.3]), "TRIANGLE", "Body.inertia", None, "0, 0, 0.3 plane 0.15, 0.15, 0.3."),
     "10 signs of products": (
         lambda: body(inertia=[2, 2, 2, 0.9, 0.9, 0.9]),
         "TRIANGLE",
@@ -135,7 +136,7 @@ BAD = {
         "damping",
     ),
     "bushing the wrong way round": (
-        lambda: model(elements={"m": bushing(orientation=[0, 0, 1, 0])}),
+        lambda: model(elements={"m": bushing(orientation_b=[0, 0, 1, 0])}),
         "HALF_TURN",
         "elements['m']",
         None,

@@ -1,6 +1,7 @@
 """Drawn models: labels do not overlap, tyres are round, the drawing fills the frame, and oblique views have no axis numbers."""
 
 import itertools
+import time
 
 import numpy as np
 import pytest
@@ -98,3 +99,18 @@ def test_a_joint_that_moves_along_axes_has_no_pivot_on_the_ground(figure):
     bars = [line for line in ax.lines if line.get_solid_capstyle() == "butt"]
     assert len(bars) == 2  # below the two springs
     assert drawn(ax, (1.0, 0.5), (1.0, 0.0))
+
+
+@pytest.mark.long
+def test_names_of_hundreds_of_springs_take_seconds(figure):
+    """20 bodies on 200 springs: 15 s of the processor when every label looked at everything that is drawn."""
+    rng = np.random.default_rng(0)
+    bodies = {f"b{i}": jb.Body(1.0, [0.1, 0.1, 0.1], position=p) for i, p in enumerate(rng.uniform(-1, 1, (20, 3)))}
+    pairs = [rng.choice(20, 2, replace=False) for _ in range(200)]
+    ends = [((f"b{a}", rng.uniform(-0.1, 0.1, 3)), (f"b{b}", rng.uniform(-0.1, 0.1, 3))) for a, b in pairs]
+    springs = {f"s{i}": jb.Spring(*each, stiffness=10.0, free_length=0.5) for i, each in enumerate(ends)}
+    model = jb.Model(bodies=bodies, elements=springs)
+    plots.draw_model(model, names=False, ax=figure.subplots())
+    before = time.process_time()
+    ax = plots.draw_model(model, ax=figure.add_subplot())
+    assert len(ax.texts) >= 220 and time.process_time() - before < 6

@@ -127,6 +127,42 @@ def test_any_frequencies_are_integrated_by_trapezoids(lin, ride):
     assert jb.Status(int(coarse.status)).name == "COARSE"
 
 
+def two_directions(damping):
+    """A mass held along x by a spring without damping, along y by one with; both at 1 Hz."""
+    mount = jb.Bushing(("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=[4 * np.pi**2] * 2 + [1.0], damping=[damping, 2.0, 0.0])
+    model = jb.Model(
+        bodies={"mass": jb.Body(1.0)},
+        joints={"mass": jb.Translation("world")},
+        supports={"base": jb.Support()},
+        elements={"mount": mount},
+    )
+    return jb.linearize(model, jb.equilibrium(model))
+
+
+@pytest.mark.nan
+def test_an_undamped_resonance_has_an_infinite_variance_where_it_is_excited_and_read():
+    """Also with one that lies midway between two points of the band, where all sums look resolved; in what is computed from the response,
+    too; not in outputs that do not contain it, and not with any damping."""
+    lin, f = two_directions(0.0), np.exp(0.05 * (np.arange(200) - 99.5))
+    forces = {name: jb.PointForce("mass", direction=name) for name in "xy"}
+    reads = {name: jb.Acceleration("mass", axis=name) for name in "xy"}
+    white = {name: jb.PowerLaw(1.0, unit="N2/Hz") for name in "xy"}
+    for band in (np.append(f[:100], [1.0, *f[100:]]), f, jb.Band(0.1, 10.0)):
+        with pytest.warns(jb.JaxbodyWarning, match=r"no damping.*; x near (0\.9|1).* Hz; give dampers.*UNDAMPED"):
+            both = jb.random_response(lin, band, forces, reads, white)
+        assert np.isinf(both["x"])
+    assert np.isfinite(both["y"])
+    assert np.isinf(jb.weighted(both, {"x": "Wd"})["x"]) and np.isfinite(jb.weighted(both, {"y": "Wd"})["y"])
+    assert np.isnan(jb.level_crossings(both, "x", 0.0)) and np.isfinite(jb.level_crossings(both, "y", 0.0))
+    for inputs, outputs in (("y", "xy"), ("xy", "y")):  # not excited, not read
+        part = [{name: table[name] for name in names} for table, names in ((forces, inputs), (reads, outputs), (white, inputs))]
+        assert jb.random_response(lin, jb.Band(0.1, 10.0), *part).ok
+    assert jb.random_response(two_directions(2e-3), jb.Band(0.5, 2.0, points=20001), forces, reads, white).ok
+    with_loss = jb.random_response(lin, jb.Band(0.5, 2.0), forces, reads, white, loss_factor=0.05)
+    with_ratio = jb.random_response(lin, jb.Band(0.5, 2.0), forces, reads, white, modal_damping=0.05)
+    assert with_loss.ok and with_ratio.ok
+
+
 @pytest.mark.long
 def test_a_wheelbase_filters_the_excitation_of_both_axles():
     """Heave and pitch of a symmetric half car behind each other at a distance: |1 + exp(-i w d)|^2/4 and |1 - exp(-i w d)|^2 of what

@@ -1,5 +1,7 @@
 """Shock spectra: El Centro and pulses as published and in closed form, peaks between samples, derivatives, bad input."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -84,25 +86,87 @@ def half_sine(ft):
     return during.max(), abs(2 * b * np.cos(np.pi / (2 * b)) / (1 - b**2))
 
 
-@pytest.mark.parametrize("ft", [0.1, 0.25, 0.5, 2.0, 3.0])
-def test_undamped_spectra_of_pulses_in_closed_form(ft):
-    """2000 straight lines for a half sine leave an error of (pi/2000)^2/8; a jump spread over a step of 1/2000 one of the same order."""
-    T = 0.02
+T = 0.02
+FT = np.array([0.1, 0.25, 0.5, 1.25, 3.0, 10.25, 40.25])  # frequencies times the length of a pulse
+PULSES = {  # and the largest error of 2000 straight lines
+    "half sine": (jb.HalfSine(3.0, T), (np.pi / 2000) ** 2 / 8),
+    "sawtooth": (jb.Sawtooth(3.0, T), 1e-11),
+    "triangle": (jb.Triangle(3.0, T), 1e-11),
+    "trapezoid": (jb.Trapezoid(3.0, T, rise=0.0011 * T, fall=0.31 * T), 1e-11),
+    "triangle of a trapezoid": (jb.Trapezoid(3.0, T, rise=0.5 * T, fall=0.5 * T), 3e-9),
+}
+
+
+@pytest.mark.parametrize("name", [name if name == "sawtooth" else pytest.param(name, marks=pytest.mark.long) for name in PULSES])
+def test_residual_spectra_of_pulses_are_their_fourier_transforms(name):
+    """After the pulse an undamped oscillator swings with w |int a e^(-i w t) dt| about zero, to both sides; far above 1/T the error is that
+    of the lines relative to the pulse."""
+    pulse, error = PULSES[name]
+    x, weights = np.polynomial.legendre.leggauss(300)
+    exact = np.zeros(len(FT), complex)
+    for low, high in itertools.pairwise(float(u) for u in pulse.corners()):
+        u = low + (high - low) * (x + 1) / 2
+        turns = np.exp(-2j * np.pi * FT[:, None] * u[None])
+        exact += 3.0 * 2 * np.pi * FT * (turns @ (weights * np.asarray(pulse.shape(jnp.asarray(u))[0]))) * (high - low) / 2
+    for side in ("maximax", "negative"):
+        residual = jb.shock_spectrum(pulse, FT / T, damping=0.0, part="residual", side=side)
+        np.testing.assert_allclose(residual.values[0], np.abs(exact), rtol=error, atol=3.0 * error)
+
+
+@pytest.mark.long
+def test_undamped_spectra_of_pulses_in_closed_form():
+    """The larger of both parts; while a sawtooth lasts, the response is t/T - sin(w t)/(w T)."""
+    few = FT[:5]
+    for pulse, exact in (("half sine", [max(half_sine(ft)) for ft in few]), ("sawtooth", [saw(ft) for ft in few])):
+        spectrum = jb.shock_spectrum(PULSES[pulse][0], few / T, damping=0.0)
+        np.testing.assert_allclose(spectrum.values[0] / 3.0, exact, rtol=1e-6)
+    assert "also in the free vibration after it" in str(spectrum)
+
+
+def saw(ft):
     th = 2 * np.pi * ft
     after = np.sqrt(1 - 2 * np.sin(th) / th + 2 * (1 - np.cos(th)) / th**2)
-    for pulse, exact in ((jb.HalfSine(3.0, T), max(half_sine(ft))), (jb.Sawtooth(3.0, T), max(after, 1 - np.sin(th) / th))):
-        spectrum = jb.shock_spectrum(pulse.samples(count=2000, lengths=15), [ft / T], damping=0.0, peaks="continuous")
-        np.testing.assert_allclose(spectrum.values[0, 0] / 3.0, exact, rtol=2e-6)
+    return max(after, *(u - np.sin(th * u) / th for u in np.linspace(0, 1, 20001)))
+
+
+@pytest.mark.long
+def test_the_parts_of_a_record_are_those_of_the_record_with_zeros(rng):
+    """The free vibration in closed form, against the recurrence through zeros, which the line down to the first of them precedes."""
+    times, a = noise_record(rng, duration=2.0, rate=100.0)
+    a[-1] = 0.0
+    longer, step = np.arange(3 * len(a)) * 0.01, 0.01
+    f, options = [0.3, 2.0, 11.0], {"damping": [0.0, 0.1], "peaks": "continuous"}
+    for side in ("positive", "negative"):
+        parts = {part: jb.shock_spectrum((times, a), f, side=side, part=part, **options).values for part in ("primary", "residual", "both")}
+        whole = jb.shock_spectrum((longer, np.append(a, np.zeros(2 * len(a)))), f, side=side, **options).values
+        np.testing.assert_allclose(parts["both"], whole, rtol=1e-9)
+        np.testing.assert_allclose(np.maximum(parts["primary"], parts["residual"]), whole, rtol=1e-9)
+        assert not np.allclose(parts["primary"], parts["residual"], rtol=0.1) and step == times[1] - times[0]
+    with pytest.raises(jb.JaxbodyError, match=r'add zeros, or give part="both" .*TOO_SHORT'):
+        jb.shock_spectrum((times, a), f)
+    with pytest.raises(jb.JaxbodyError, match=r"shock_spectrum.part.*BAD_OPTION"):
+        jb.shock_spectrum((times, a), [11.0], part="after")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("f", [40.0, 75.0])
+def test_derivatives_by_damping_at_none_are_those_of_the_first_of_equal_peaks(f):
+    """Undamped, all peaks of the free vibration are equal; with any damping the first is the largest."""
+    pulse = jb.HalfSine(15 * G, 0.011)
+    for given in (pulse, pulse.samples(lengths=30)):
+
+        def largest(zeta, given=given):
+            return jb.shock_spectrum(given, [f], damping=zeta, peaks="continuous").values[0, 0]
+
+        difference = (4 * largest(1e-6) - largest(2e-6) - 3 * largest(0.0)) / 2e-6
+        np.testing.assert_allclose(jax.grad(largest)(0.0), difference, rtol=1e-5)
 
 
 @pytest.mark.long
 def test_a_half_sine_of_15_g_and_11_ms():
     """Q = 10; the larger of the maxima in the pulse and after it, and the minimum."""
-    frequencies = [10, 20, 50, 75, 100, 200, 500]
-    samples = jb.HalfSine(15 * G, 0.011).samples(count=1000, lengths=30)
-    sides = {
-        side: jb.shock_spectrum(samples, frequencies, side=side, peaks="continuous").values[0] / G for side in ("positive", "negative")
-    }
+    frequencies, pulse = [10, 20, 50, 75, 100, 200, 500], jb.HalfSine(15 * G, 0.011)
+    sides = {side: jb.shock_spectrum(pulse, frequencies, side=side).values[0] / G for side in ("positive", "negative")}
     np.testing.assert_allclose(sides["positive"], [6.0776, 11.7467, 22.8943, 24.7744, 23.8709, 17.0941, 15.7053], rtol=1e-4)
     np.testing.assert_allclose(sides["negative"], [5.1931, 10.0372, 19.5656, 19.5196, 13.1006, 4.2628, 1.0485], rtol=1e-4)
 

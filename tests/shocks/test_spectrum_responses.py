@@ -133,6 +133,24 @@ def test_a_spectrum_gives_what_its_record_gives_for_strokes(rng):
     np.testing.assert_allclose(by_spectrum["force"], by_record["force"], rtol=0.05)
 
 
+class Plateau(jb.ResponseSpectrum):
+    """A spectrum of one's own that is flat, of 3 m/s2."""
+
+    def __call__(self, frequencies, damping=0.05):
+        return 3.0 * jnp.ones(jnp.shape(frequencies))
+
+    def covers(self):
+        return 0.1, 50.0
+
+
+def test_a_spectrum_of_ones_own_states_its_values_and_what_it_covers(five):
+    level, other = Plateau(), jb.DesignSpectrum([0.1, 50.0], [3.0, 3.0])
+    mine, theirs = (jb.spectrum_response(five, {"0": {"x": each}}, OUTPUTS, damping=0.05) for each in (level, other))
+    np.testing.assert_allclose(mine.values, theirs.values, rtol=1e-12)
+    assert [line.split() for line in str(level).splitlines()] == [["Plateau"], ["value"], ["lowest", "0.1", "Hz"], ["highest", "50", "Hz"]]
+    assert float(level.rigid()) == 3.0
+
+
 def test_modes_above_a_frequency_move_with_the_base(five):
     """All modes rigid: each floor has the acceleration of the ground, and the base shear is the mass times it."""
     level = jb.DesignSpectrum([0.1, 50.0], [3.0, 2.0])

@@ -320,6 +320,15 @@ def chain(speed):
     return model, start, {"end": lambda t: jnp.zeros(6).at[0].set(speed * t)}
 
 
+def test_without_an_initial_state_a_model_that_is_drawn_open_starts_closed():
+    """In its reference, which is closed, so that nobody is told that it was open."""
+    model = jb.replace(chain(0.0)[0], {"lower.orientation": jb.Euler("Z", [-0.5]), "end.position": [0.9, 0.1, 0]})
+    assert abs(float(model.reference.q[1]) + 0.5) > 0.05  # drawn open
+    trajectory = jb.simulate(model, [0.0, 1e-3])
+    np.testing.assert_allclose(trajectory.state.q[0], model.reference.q, atol=1e-9)
+    assert trajectory.ok and largest_gap(trajectory) < 1e-12
+
+
 @pytest.mark.long
 def test_where_a_motion_ends_or_cannot_start_is_said_by_name():
     model, start, motion = chain(0.2)
@@ -351,3 +360,38 @@ def test_steps_of_every_solver_are_projected(options):
     trajectory = jb.simulate(model, times, motion=motion, initial=start, **options)
     np.testing.assert_allclose(trajectory.state.q[:, 0], np.arccos(0.9 + 0.1 * times), atol=1e-12)
     assert largest_gap(trajectory) < 1e-12
+
+
+def bob_on_a_rod():
+    """In a plane, drawn closed."""
+    plane = jb.Composite("world", ["move", "move"], directions=[[1, 0, 0], [0, 0, 1]], points=[[0, 0, 0]] * 2)
+    rod = jb.closures.Rod(("world", [0, 0, 0]), ("bob", [0, 0, 0]), length=1.0)
+    bob = jb.Body(1.0, [1, 1, 1], position=[0.6, 0, -0.8])
+    return jb.Model(bodies={"bob": bob}, joints={"bob": plane}, closures={"rod": rod}, gravity=[0, 0, -G])
+
+
+@pytest.mark.nan
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+@pytest.mark.parametrize("solver, few", [(None, 3), (diffrax.Tsit5(), 12)])
+@pytest.mark.parametrize("of", [jax.jacfwd, jax.jacrev])
+def test_samples_after_a_failure_have_no_derivatives_and_those_before_keep_theirs(of, solver, few):
+    """By gravity and the initial state; the samples before are compared with those of the whole run."""
+    model, times = bob_on_a_rod(), jnp.linspace(0.0, 2.0, 21)
+
+    adjoint = diffrax.ForwardMode() if solver and of is jax.jacfwd else None
+
+    def states(x, max_steps):
+        changed, initial = jb.replace(model, {"gravity": jnp.array([0.0, 0.0, -G]) * x[0]}), jb.State(x[1:], jnp.zeros(2))
+        state = jb.simulate(
+            changed, times, initial=initial, max_steps=max_steps, solver=solver, rtol=1e-6, adjoint=adjoint, progress=False
+        ).state
+        return jnp.concatenate([state.q, state.v], 1)
+
+    x = jnp.array([1.0, 0.0, 0.0])
+    whole, cut = (np.asarray(jax.jit(of(lambda x, n=n: states(x, n)))(x)) for n in (10000, few))
+    values = np.asarray(states(x, few))
+    valid = np.isfinite(values).all(1)
+    assert 1 < valid.sum() < len(times)
+    assert np.isnan(cut[~valid]).all()
+    np.testing.assert_allclose(cut[valid], whole[valid], rtol=1e-4, atol=1e-5)

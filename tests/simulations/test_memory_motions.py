@@ -170,7 +170,9 @@ SHAKEN = {"base": jb.Harmonic(frequency=6.0, translation=[1e-3, 0, 4e-3])}
 
 
 def travel(model, values):
-    """Differences see the steps change with a parameter, derivatives hold them: they agree to the error of the motion."""
+    """Differences see the steps change with a parameter, derivatives hold them: they agree to the error of the motion. So do both modes,
+    from the first kink of hysteresis on: forward mode takes the steps anew, and where the error of a step is near rounding, rounding makes
+    them a little longer or shorter. With the lengths of one given to the other they agree to all digits."""
     model = jb.replace(model, dict(zip(("left.spring.terms.1.*", "right.spring.terms.2.alpha"), (values[:2], values[2]), strict=True)))
     run = jb.simulate(model, np.linspace(0, 0.2, 5), motion=SHAKEN, rtol=1e-13)
     return jnp.sum(run.state.q[:, :3] ** 2) * 1e4 + 1e-4 * jnp.sum(run.state.z**2)
@@ -180,7 +182,7 @@ def travel(model, values):
 def test_derivatives_of_a_motion(both):
     x = jnp.array([K1, TAU, 2e4])
     of = jax.jit(lambda x: travel(both, x))
-    rigs.check_derivatives(of, x)
+    rigs.check_derivatives(of, x, modes=1e-6)
 
 
 @pytest.mark.long

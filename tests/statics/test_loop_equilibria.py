@@ -141,3 +141,19 @@ def test_the_spring_of_a_corner_carries_its_weight_over_its_travel():
     result = jb.preload(model)
     assert result.ok and abs(float(slope(model, center))) > 1e3
     assert abs(float(slope(result.model, center))) < 1e-9 * float(jnp.abs(slope(model, center)))
+
+
+@pytest.mark.long
+def test_a_preload_of_a_loop_that_is_drawn_open_follows_a_length():
+    """The pose is the assembled one, by a movement that leaves a freedom."""
+    place = np.array([0.25, 0.05, 0.1])
+    model = jb.Model(
+        bodies={"input": jb.Body(1.0, [1, 1, 1]), "output": jb.Body(1.0, [1, 1, 1], position=place)},
+        joints={"input": jb.Hinge("world", axis="z"), "output": jb.Hinge("world", axis="y", at=place)},
+        elements={"s": jb.Spring(("input", [0.1, 0, 0]), ("world", [0, 0.4, 0.1]), stiffness=50.0, free_length=0.2)},
+        closures={"rod": jb.closures.Rod(("input", [0.1, 0, 0]), ("output", [0.2, 0, 0]), length=0.35)},
+    )
+    value, h = lambda length: jb.preload(jb.replace(model, {"rod.length": length})).values[0], 1e-5
+    difference = (value(0.35 + h) - value(0.35 - h)) / (2 * h)
+    for of in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(jax.jit(of(value))(0.35), difference, rtol=1e-7)

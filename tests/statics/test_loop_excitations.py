@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import rigs
 
 import jaxbody as jb
@@ -54,3 +55,11 @@ def test_the_excitation_of_a_slider_crank_is_the_change_of_its_slope():
         np.testing.assert_allclose(found, [slope(0.0, 0.0) - slope(height, turn)], rtol=1e-10)
     np.testing.assert_allclose(jax.jit(jax.jacfwd(force))(jnp.zeros(6)), lin.K_tilde, rtol=1e-9, atol=1e-9)
     assert np.isnan(force(jnp.array([0, 0.6, 0, 0, 0, 0]))).all()  # beyond reach
+
+
+@pytest.mark.nan
+def test_an_excitation_beyond_reach_has_no_derivative():
+    model, state = slider_crank(), jb.State(jnp.array([ANGLE, closed(0.0, 0.0)]), jnp.zeros(2))
+    force = lambda h: jb.excitation(model, state, {"base": jnp.zeros(6).at[1].set(h)})  # noqa: E731
+    for of in (jax.jacfwd, jax.jacrev):
+        assert np.isnan(jax.jit(of(force))(0.6)).all()

@@ -466,3 +466,117 @@ def test_a_model_in_which_nothing_moves_has_forces_at_rest_and_no_vibrations():
     for function in (jb.linearize, jb.linearize_spin, lambda model, state: jb.simulate(model, [0.0, 1.0], initial=state)):
         with pytest.raises(jb.JaxbodyError, match=r"no body that can move.*NOTHING_MOVES"):
             function(model, eq.state)
+
+
+def failing(function, x):
+    """The function, its derivatives in both modes, and all of them compiled, at x; where the search fails outside jit it warns."""
+    both = jax.jacfwd(function), jax.jacrev(function)
+    return [*(of(x) for of in both), *(jax.jit(of)(x) for of in (function, *both))]
+
+
+@pytest.mark.nan
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_what_a_search_did_not_find_is_nan_while_traced():
+    """A mass of -300 kg, too few steps, a load beyond the limit point of an arch; outside jit the last state remains, with a warning."""
+    spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=981.0, free_length=1.0)
+    slider = {"bodies": {"mass": jb.Body(2.0, [1, 1, 1])}, "joints": {"mass": jb.Guide("world", axis="y")}, "gravity": [0, -9.81, 0]}
+    model = jb.Model(**slider, elements={"spring": spring})
+    heavy = jax.jit(lambda m: jb.equilibrium(jb.replace(model, {"mass.mass": m})))(-300.0)
+    assert heavy.status == Status.NOT_CONVERGED
+    assert heavy.report().startswith("NOT_CONVERGED: ")
+    for x in (heavy.state.q, heavy.state.v, heavy.energy, heavy.elongations["spring"], heavy.forces["spring"]):
+        assert np.isnan(x).all()
+    for part in (lambda eq: eq.state.q, lambda eq: eq.energy, lambda eq: eq.forces["spring"]):
+        few = lambda m, part=part: part(jb.equilibrium(jb.replace(model, {"mass.mass": m}), max_steps=0))  # noqa: E731
+        assert all(np.isnan(x).all() for x in failing(few, 2.0))
+    assert float(jb.equilibrium(model, max_steps=0).state.q[0]) == 0.0  # where it ended
+
+    ends = {
+        name: jb.Spring(("top", [0, 0, 0]), ("world", [x, 0, 0]), stiffness=100.0, free_length=1.04**0.5)
+        for name, x in [("a", 1), ("b", -1)]
+    }
+    top = {"bodies": {"top": jb.Body(1e-6, [1, 1, 1], position=[0, 0.2, 0])}, "joints": {"top": jb.Guide("world", axis="y")}}
+    arch = jb.Model(**top, elements=ends)
+    pushed = lambda F: {"push": jb.Force("top", force=jnp.array([0.0, -1.0, 0.0]) * F)}  # noqa: E731
+    assert all(np.isnan(x).all() for x in failing(lambda F: jb.equilibrium(arch, loads=pushed(F)).state.q, 10.0))
+    kept = jb.equilibrium(arch, loads=pushed(10.0))
+    assert kept.status == Status.LIMIT_POINT
+    assert kept.state.q[0] < -0.05
+
+
+@pytest.mark.nan
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_a_case_that_cannot_be_carried_is_nan_while_traced_and_leaves_the_others_their_derivatives():
+    model = jb.Model(
+        bodies={"top": jb.Body(1e-6, [1, 1, 1], position=[0, 0.2, 0])},
+        joints={"top": jb.Guide("world", axis="y")},
+        elements={
+            n: jb.Spring(("top", [0, 0, 0]), ("world", [x, 0, 0]), stiffness=100.0, free_length=1.04**0.5) for n, x in [("a", 1), ("b", -1)]
+        },
+    )
+
+    def heights(F):
+        cases = {str(part): jb.LoadCase(loads={"push": jb.Force("top", force=jnp.array([0, -part, 0]) * F)}) for part in (1.0, 0.01)}
+        return jb.load_cases(model, cases).displacements["top"][:, 1]
+
+    h = 1e-4
+    assert np.isfinite(heights(10.0)).all()
+    difference = (heights(10.0 + h)[1] - heights(10.0 - h)[1]) / (2 * h)
+    for slope in (
+        jax.jacfwd(heights)(10.0),
+        jax.jacrev(heights)(10.0),
+        jax.jit(jax.jacfwd(heights))(10.0),
+        jax.jit(jax.jacrev(heights))(10.0),
+    ):
+        assert np.isnan(slope[0])
+        np.testing.assert_allclose(slope[1], difference, rtol=1e-7)
+    np.testing.assert_array_equal(np.isnan(jax.jit(heights)(10.0)), [True, False])
+
+
+@pytest.mark.nan
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_a_preload_that_balances_nothing_is_nan_while_traced():
+    spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=981.0, free_length=1.0)
+    model = jb.Model(bodies={"mass": jb.Body(2.0, [1, 1, 1])}, elements={"spring": spring}, gravity=[0, -9.81, 0])
+
+    def length(g):
+        return jb.preload(jb.replace(model, {"gravity": jnp.array([0.0, -9.81, 0.0]).at[0].set(g)})).values
+
+    np.testing.assert_allclose(length(5.0), [0.98])  # as before, with the residual of the warning
+    assert all(np.isnan(x).all() for x in failing(length, 5.0))
+    assert all(np.isfinite(x).all() for x in failing(length, 0.0))
+
+
+def test_what_looks_like_wrong_geometry_is_named_beside_an_ok_status():
+    """A pendulum of 0.5 m that is drawn sideways: its end is sqrt 2 times that away, turned by 90 degrees. Mounts drawn apart or turned."""
+    bob = jb.Body(2.0, [0.1, 0.1, 0.1], com=[0.5, 0, 0])
+    turned = jb.Bushing(
+        ("bob", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=np.diag([0, 0, 0, 0, 1e-3, 0]), orientation_b=jb.Euler("Y", [0.2])
+    )
+    aslant = jb.Torsion("bob", "world", axis="y", damper=1.0, orientation_b=jb.Euler("X", [0.3]))
+    parts = {"bodies": {"bob": bob}, "joints": {"bob": jb.Hinge("world", axis="y")}, "gravity": [0, 0, -9.81]}
+    eq = jb.equilibrium(jb.Model(**parts, elements={"turned": turned, "aslant": aslant}))
+    assert eq.ok and eq.remarks == [
+        "bushing 'turned' is drawn turned by 11.5 degrees between its ends",
+        "torsion 'aslant' has axes that are drawn turned by 17.2 degrees between its ends",
+        "the equilibrium is far from the drawn pose: 'bob' is 0.707 m and 90 degrees from it",
+    ]
+    assert all(said in str(eq) for said in eq.remarks)
+    away = jb.Bushing(("bob", [0.5, 0, 0]), ("world", [0.5, 0, 0.25]), stiffness=[1e4, 1e4, 1e4])
+    assert jb.equilibrium(jb.Model(**parts, elements={"away": away})).remarks[0] == "bushing 'away' is drawn 0.25 m apart"
+    held = jb.equilibrium(jb.Model(**parts, elements={"spring": jb.Torsion("bob", "world", axis="y", spring=1e3, free_angle=0.2)}))
+    assert held.remarks == []  # a preload is no fault
+
+
+def test_where_a_body_is_drawn_leaves_derivatives_as_they_are():
+    """d(height)/dg = -m/k of a mass at its drawn place, where the distance from there has no derivative."""
+
+    def height(g):
+        spring = jb.Spring(("m", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=50.0, free_length=1.0)
+        model = jb.Model(bodies={"m": jb.Body(2.0, [1, 1, 1])}, joints={"m": jb.Guide("world", axis="z")}, elements={"s": spring})
+        return jb.equilibrium(jb.replace(model, {"gravity": jnp.stack([0 * g, 0 * g, -g])})).state.q[0]
+
+    np.testing.assert_allclose(jax.grad(height)(0.0), -2 / 50, rtol=1e-12)

@@ -269,3 +269,24 @@ def test_what_does_not_take_states_yet_says_so(solid):
             call()
         assert caught.value.code == "MEMORY"
     assert holding(model, model.reference.z).layout == model.layout
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_a_body_that_hysteresis_alone_holds_is_not_free_to_move(free):
+    """Its tangent alpha resists; f = sqrt(alpha/m)/(2 pi). A body beside it that nothing holds is named alone."""
+    law = jb.laws.BoucWen(alpha=5e4, beta=1e3, gamma=0.8, delta=-1.1)
+    elements = {"grip": jb.SpringDamper(("held", [0, 0, 0]), ("world", [0, 0, -1.0]), spring=law, free_length=1.0)}
+    elements["loose"] = jb.Spring(("other", [0, 0, 0]), ("world", [2.0, 0, -1.0]), stiffness=0.0 if free else 1e4, free_length=1.0)
+    model = jb.Model(
+        bodies={"held": jb.Body(2.0), "other": jb.Body(1.0, position=[2.0, 0, 0])},
+        joints={name: jb.Guide("world", axis="z") for name in ("held", "other")},
+        elements=elements,
+    )
+    if free:
+        with pytest.warns(jb.JaxbodyWarning, match=r"SINGULAR_K.*; 'other' free to move along its guide \[") as said:
+            jb.equilibrium(model)
+        assert "'held'" not in str(said[0].message)
+        return
+    eq = jb.equilibrium(model)
+    assert eq.ok and eq.stable
+    np.testing.assert_allclose(jb.modes(jb.linearize(model, eq)).frequency[1], np.sqrt(5e4 / 2.0) / (2 * np.pi), rtol=1e-12)

@@ -302,3 +302,24 @@ def test_single_shapes_of_a_cluster_have_no_derivative_and_invariants_of_it_have
     invariant = jax.grad(lambda t: jnp.sum(shapes(t)[0, 1:3] ** 2))(0.0)  # of the projector
     ends = [np.sum(scipy.linalg.eigh(K + t * dK, M + t * dM)[1][0, 1:3] ** 2) for t in (1e-6, -1e-6)]
     np.testing.assert_allclose(invariant, (ends[0] - ends[1]) / 2e-6, rtol=1e-6)
+
+
+@pytest.mark.parametrize("ratio", [1e8, 1.1e10, 1e11])
+def test_a_soft_spring_beside_one_that_stands_for_a_link_is_no_free_motion(ratio):
+    """Both masses of 1 kg: w^2 = (s - sqrt(s^2 - 4 k0 k1))/2, s = k0 + 2 k1, here 2 k0 k1/(s + sqrt(...)); the static sag of the second
+    under 1 m/s2 is 1/k1 + 2/k0."""
+    k0, k1 = 100 * ratio, 100.0
+    model = jb.Model(
+        bodies={name: jb.Body(1.0, position=[x, 0, 0]) for name, x in (("link", 1.0), ("mass", 2.0))},
+        joints={name: jb.Guide("world", axis="x") for name in ("link", "mass")},
+        elements={
+            "stiff": jb.Spring(("link", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=k0, free_length=1.0),
+            "soft": jb.Spring(("mass", [0, 0, 0]), ("link", [0, 0, 0]), stiffness=k1, free_length=1.0),
+        },
+        gravity=[1.0, 0, 0],
+    )
+    eq = jb.equilibrium(model)
+    s = k0 + 2 * k1
+    expected = np.sqrt(2 * k0 * k1 / (s + np.sqrt(s**2 - 4 * k0 * k1))) / (2 * np.pi)
+    np.testing.assert_allclose(jb.modes(jb.linearize(model, eq)).frequency[0], expected, rtol=1e-4)
+    np.testing.assert_allclose(eq.state.q[1], 1 / k1 + 2 / k0, rtol=1e-5)
