@@ -242,6 +242,10 @@ def pullbacks(monkeypatch):
     return seen
 
 
+guessed = pytest.mark.skipif(jax.__version_info__ < (0, 8, 2), reason="a cotangent has a weak type there: a program more is compiled")
+
+
+@guessed
 @pytest.mark.nan  # where NaNs are looked for, nothing is compiled ahead
 def test_the_pullbacks_that_follow_are_known_at_the_first(pullbacks):
     """Those of three springs in a row, with an argument that two of them share, and of a model's first frequency."""
@@ -280,6 +284,7 @@ def test_what_is_expected_wrongly_does_no_harm(pullbacks):
     np.testing.assert_allclose(slope, (1.5**3 + np.cos(k)) * (0.25 + np.cos(f)) + 2 * k * np.cos(k**2), rtol=1e-13)
 
 
+@guessed
 @pytest.mark.nan  # where NaNs are looked for, nothing is compiled ahead
 def test_each_pullback_is_compiled_once_and_ahead():
     """What a thread has compiled is what the call then uses: JAX reports one compilation for each, and no more for the second gradient."""
