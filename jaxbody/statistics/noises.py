@@ -107,14 +107,19 @@ class _Piece:
         H, G = (1 / np.fft.rfft(np.append(1.0, -one.process.phi), 2 * self.n) for one in (self, other))
         return self.cross_covariance(other, H * G.conj())
 
-    def corrected_autocovariances(self, M: np.ndarray) -> np.ndarray:
-        """gamma_0 ... gamma_q from the products of residuals and those that the fit has removed, as expected from the process and M."""
+    def corrected(self, M: np.ndarray) -> Autoregression:
+        """The process from the products of residuals and those that the fit has removed, as expected from the process and M; the process
+        itself where no process has such autocovariances, as of residuals that an unfinished fit has left."""
+        from scipy.linalg import toeplitz
+
         n, sums, gamma = self.n, products(self.r, self.order), autocovariances(self.process, self.n)
         for k in range(self.order + 1):
             l = np.arange(k - n + 1, n)
             back = float(((self.Q[k:] @ M) * self.Q[: n - k]).sum())
             sums[k] += 2 * (self.overlaps[np.abs(l)] @ gamma[np.abs(l - k)]) - back
-        return sums / (n - np.arange(self.order + 1))
+        gamma = sums / (n - np.arange(self.order + 1))
+        w = np.linalg.eigvalsh(toeplitz(gamma))
+        return autoregressions(gamma)[-1] if w[0] > SINGULAR * w[-1] else self.process
 
 
 def noise_of(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> Noise:
@@ -137,7 +142,7 @@ def noise_of(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> Noi
     for _ in range(ROUNDS if colored else 0):
         M = rest + sum(one.covariance(one.process) for one in colored)
         for one in colored:
-            one.process = autoregressions(one.corrected_autocovariances(M))[-1]
+            one.process = one.corrected(M)
     M = rest + sum(one.covariance(one.process) for one in colored)
     parts = [
         np.sqrt(2 / freedom) * s2 * sum(one.square for one in plain if one.record.group == group)

@@ -96,7 +96,7 @@ def case(kind, seed):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", jb.JaxbodyWarning)
         run = jb.Experiment(TIMES, motion=motion, initial=INITIAL, sensors=SENSORS, measured=noisy)
-        fit = jb.fit(table(guess), {"run": run}, free=FREE, max_evaluations=100, max_steps=5000, progress=False)
+        fit = jb.fit(table(guess), {"run": run}, free=FREE, max_evaluations=40, max_steps=1000, progress=False)
     return fit, truth, words, level
 
 

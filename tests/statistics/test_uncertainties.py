@@ -11,7 +11,7 @@ from scipy.stats import chi2, kstest, t
 
 from jaxbody.identification.intervals import interval_of_u
 from jaxbody.statistics.autocorrelations import Autoregression, autocovariances, autoregressions, chosen_order, products, whiteness
-from jaxbody.statistics.noises import ResidualSeries
+from jaxbody.statistics.noises import ResidualSeries, noise_of
 from jaxbody.statistics.quantiles import quantile
 from jaxbody.statistics.uncertainties import assess, in_words
 
@@ -269,3 +269,16 @@ def test_correlated_residuals_are_said_without_empty_figures(orders, times, nois
     assert uncertainty.noise == noise and uncertainty.about_noise() == [
         f"residuals are correlated (lag one {uncertainty.correlation:.2f}){text}"
     ]
+
+
+def test_residuals_of_an_unfinished_fit_have_a_stationary_noise():
+    """Sines that are not orthogonal to the columns, as a fit has left them that ended early: no process has the autocovariances that the
+    correction for the columns makes of them. Q'e cannot vary more than n times the mean square of the residuals."""
+    t = 0.02 * np.arange(401)
+    for seed in (155, 266):
+        rng = np.random.default_rng(seed)
+        w = rng.uniform(1, 30, (5, 1))
+        Q = np.linalg.qr(np.sin(w * t + rng.uniform(0, 6, (5, 1))).T)[0]
+        r = sum(np.sin(rng.uniform(1, 30) * t + rng.uniform(0, 6)) for _ in range(5))
+        found = noise_of(r, Q, [ResidualSeries("y", "y", "run", np.arange(401), np.arange(401))])
+        assert 0 < np.linalg.eigvalsh(found.M)[-1] <= r @ r and np.isfinite(found.parts).all()
