@@ -61,7 +61,7 @@ def height(points):
 
 
 corner = jb.double_wishbone()
-slopes = {name: 10 * float(slope[2]) for name, slope in jax.grad(height)(corner.hard_points).items()}
+slopes = {name: 10 * float(slope[2]) for name, slope in jb.jit(jax.grad(height))(corner.hard_points).items()}
 most = sorted(slopes, key=lambda name: -abs(slopes[name]))[:8]
 print(f"the roll center is {1e3 * float(height(corner.hard_points)):.1f} mm above the road; it rises with 10 mm of height of")
 for name in most:

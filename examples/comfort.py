@@ -47,8 +47,8 @@ def comfort(damping):
 
 # %%
 dampings = jnp.linspace(400.0, 4000.0, 37)
-rides, weighted = jax.jit(jax.vmap(lambda c: (ride(c, band), comfort(c))))(dampings)
-best, slope = float(dampings[jnp.argmin(weighted)]), jax.jit(jax.grad(comfort))
+rides, weighted = jb.jit(jax.vmap(lambda c: (ride(c, band), comfort(c))))(dampings)
+best, slope = float(dampings[jnp.argmin(weighted)]), jb.jit(jax.grad(comfort))
 for _ in range(6):  # the second derivative by differences of the slope
     here, there = slope(best), slope(best + 1.0)
     best -= float(here / (there - here))
@@ -86,7 +86,7 @@ ax.legend(frameon=False)
 # %%
 W = 2 * np.pi**2 * 0.1**2 * float(class_c.level) * speed
 least = np.sqrt(W / 2 * ((ms + mu) * ks**2 / (exact * ms**2) + kt * exact / ms**2))
-minimum, gradient = jax.jit(jax.value_and_grad(lambda c: ride(c, jb.Band(1e-6, 1e7, points=2001))["body"]))(exact)
+minimum, gradient = jb.jit(jax.value_and_grad(lambda c: ride(c, jb.Band(1e-6, 1e7, points=2001))["body"]))(exact)
 print(f"least acceleration {minimum:.6f} m/s2 at {exact:.1f} N s/m, in closed form {least:.6f} m/s2")
 assert abs(minimum / least - 1) < 1e-6 and abs(gradient) * exact < 1e-5 * minimum
 

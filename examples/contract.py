@@ -42,7 +42,7 @@ fit = jb.fit(guess, {"run1": run}, free=["*.stiffness"], method=optax.lbfgs())  
 print(fit)                                        # estimates, standard errors, what could not be told
 
 first = lambda mod: jb.modes(jb.linearize(mod, jb.equilibrium(mod))).frequency[0]
-slope = jax.grad(first)(model)                    # a model of derivatives: slope["AB"].stiffness, slope["plate"].mass
-several = jax.vmap(lambda kk: first(jb.replace(model, {"*.stiffness": kk})))(k * jnp.linspace(0.8, 1.2, 5))
+slope = jb.jit(jax.grad(first))(model)            # a model of derivatives: slope["AB"].stiffness, slope["plate"].mass
+several = jb.jit(jax.vmap(lambda kk: first(jb.replace(model, {"*.stiffness": kk}))))(k * jnp.linspace(0.8, 1.2, 5))
 print("slope of the first frequency", slope["AB"].stiffness, "Hz per N/m,", slope["plate"].mass, "Hz per kg")
 print("first frequency for five stiffnesses", several, "Hz")

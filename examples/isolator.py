@@ -60,7 +60,7 @@ def vertical(k):
 
 
 vibration = ride(table)
-share = jax.jit(jax.jacfwd(vertical))(stiffness) * stiffness / vibration["acceleration z"]
+share = jb.jit(jax.jacfwd(vertical))(stiffness) * stiffness / vibration["acceleration z"]
 print(vibration)
 print("1 % more stiffness of isolator 1 along x, y, z changes the vertical rms by", np.round(np.asarray(share), 4), "%")
 

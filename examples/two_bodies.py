@@ -64,7 +64,7 @@ def first(model):
     return jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
 
 
-slope = jax.grad(first)(model)
+slope = jb.jit(jax.grad(first))(model)
 print("slope of the first frequency", slope["rope1"].stiffness, "Hz per N/m", slope["arm"].mass, "Hz per kg", slope["block"].com, "Hz/m")
-several = jax.vmap(lambda mass: first(jb.replace(model, {"arm.mass": mass})))(jnp.linspace(1.0, 3.0, 5))
+several = jb.jit(jax.vmap(lambda mass: first(jb.replace(model, {"arm.mass": mass}))))(jnp.linspace(1.0, 3.0, 5))
 print("first frequency for five masses of the arm", several, "Hz")

@@ -3,7 +3,7 @@
 The packages, in reading order; each imports only from those before it:
 
     core            Shared foundations: errors and statuses, numbers from users, results that print, units. No mechanics.
-    compilation     Programs of JAX: options and times of compilation, derivatives and batches outside a jit, programs on disk.
+    compilation     Programs of JAX: jit with options that compile quickly, times of compilation, programs on disk.
     workers         Batches in chunks over devices, processes and machines: programs as data, lost workers, results on disk.
     numerics        Computing without physics: batches in lanes, eigenproblems, blocks of Runge-Kutta steps, Gauss collocation.
     geometry        Rotations, poses and frames; points, directions and orientations as users give them; closures of loops.
@@ -56,8 +56,8 @@ _MODULES = {  # that are public themselves
 _NAMES = {  # what is public of each module; `__init__.pyi` says the same to editors and type checkers
     "jaxbody.app.reports": ("report",),
     "jaxbody.compilation.compilations": ("compile_times",),
-    "jaxbody.compilation.compile_options": ("fast_loops", "quick_options"),
-    "jaxbody.compilation.kept_programs": ("KeptPrograms", "keep_programs"),
+    "jaxbody.compilation.compile_options": ("fast_loops", "jit", "quick_options"),
+    "jaxbody.compilation.kept_programs": ("keep_programs",),
     "jaxbody.core.errors": ("JaxbodyError", "JaxbodyWarning", "Status", "codes"),
     "jaxbody.designs.fronts": ("Front", "pareto"),
     "jaxbody.designs.sensitivity_analyses": ("sensitivities",),
@@ -184,8 +184,7 @@ def __getattr__(name):
     if name not in _MODULES and name not in _PLACES:
         instead = f"; outputs are sensors: use {_SUCCESSORS[name]}" if name in _SUCCESSORS else ""
         raise AttributeError(f"module 'jaxbody' has no attribute '{name}'{instead}")
-    with import_module("jaxbody.compilation.shared_settings").little_garbage():
-        thing = import_module(_MODULES[name]) if name in _MODULES else getattr(import_module(_PLACES[name]), name)
+    thing = import_module(_MODULES[name]) if name in _MODULES else getattr(import_module(_PLACES[name]), name)
     globals()[name] = thing
     return thing
 

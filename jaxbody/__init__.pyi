@@ -6,8 +6,8 @@ from jaxbody import presets as presets
 from jaxbody.app.reports import report as report
 from jaxbody.compilation.compilations import compile_times as compile_times
 from jaxbody.compilation.compile_options import fast_loops as fast_loops
+from jaxbody.compilation.compile_options import jit as jit
 from jaxbody.compilation.compile_options import quick_options as quick_options
-from jaxbody.compilation.kept_programs import KeptPrograms as KeptPrograms
 from jaxbody.compilation.kept_programs import keep_programs as keep_programs
 from jaxbody.core import units as units
 from jaxbody.core.errors import JaxbodyError as JaxbodyError

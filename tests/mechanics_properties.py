@@ -12,7 +12,6 @@ import rigs
 from random_mechanics import PLAIN, View, turn_of
 
 import jaxbody as jb
-from jaxbody.compilation.compile_options import UNOPTIMIZED
 from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.energies import each_element, kinetic, potential, wrenches
 from jaxbody.mechanics.kinematics import Chart, Coordinates
@@ -165,7 +164,7 @@ class Program:
     """A function of a model, compiled once for a structure and a batch of models."""
 
     def __init__(self, function):
-        self.compiled = jax.jit(jax.vmap(function), compiler_options=UNOPTIMIZED)  # compiling is the cost
+        self.compiled = jb.jit(jax.vmap(function))  # compiling is the cost
 
     def __call__(self, *arguments):
         return {name: np.asarray(x) for name, x in self.compiled(*map(stacked, arguments)).items()}

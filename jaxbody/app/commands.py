@@ -11,9 +11,8 @@ import shlex
 import sys
 import warnings
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jaxbody as jb
 from jaxbody.app.changes import set_value
@@ -21,9 +20,6 @@ from jaxbody.app.file_commands import COMMANDS, Outcome
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.files.documents import LARGEST, read_document
 from jaxbody.files.schemas import checked_values
-
-if TYPE_CHECKING:
-    from jaxbody.compilation.kept_programs import KeptPrograms
 
 DESCRIPTION = "Differentiable rigid bodies on springs with an imposed base motion: simulation, vibration, identification and design."
 EPILOG = """first steps:
@@ -96,28 +92,22 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _demo(options: argparse.Namespace, own_process: bool) -> int:
-    kept = _prepare("demo") if own_process else None
+    if own_process:
+        _prepare()
     from jaxbody.app import demos
 
     if own_process:
         _look_for_garbage()
-    with ThreadPoolExecutor(max_workers=1) as executor:
-        code = demos.run(options.out, options.seed, executor)
-    if kept is not None:
-        kept.note_task("demo")
-    return code
+    return demos.run(options.out, options.seed)
 
 
-def _prepare(task: str) -> KeptPrograms | None:
-    """Fast loops, programs kept for the next run. Programs of this task are loaded in the background."""
+def _prepare() -> None:
+    """Fast loops, programs kept for the next run."""
     jb.fast_loops()
     try:
-        kept = jb.keep_programs()
+        jb.keep_programs()
     except JaxbodyError as error:
         print(f"Programs are not kept for the next run: {error}", file=sys.stderr)
-        return None
-    kept.load_ahead(task)
-    return kept
 
 
 def _look_for_garbage() -> None:
@@ -158,8 +148,8 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
         set_value(document, text)
     values = checked_values(document)
     _use_x64()
-    task = f"{options.command} {options.file.resolve()}"
-    kept = _prepare(task) if own_process else None
+    if own_process:
+        _prepare()
     import numpy as np
 
     from jaxbody.studies.study_files import study_of
@@ -175,8 +165,6 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
 
         save(outcome, options.out)
         print(f"saved {options.out}")
-    if kept is not None:
-        kept.note_task(task)
     ok = all(np.all(getattr(result, "ok", True)) for result in outcome.results)
     if outcome.space is not None and options.write:
         _write(options.file, document, outcome, ok)

@@ -1,13 +1,9 @@
-"""The command `jaxbody demo`: the plate of Stanescu and Mihalcea (2011), from its drawing to stiffnesses fitted to a noisy record.
-
-A second thread computes one result after the other while the main thread prints and draws those before.
-"""
+"""The command `jaxbody demo`: the plate of Stanescu and Mihalcea (2011), from its drawing to stiffnesses fitted to a noisy record."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -37,7 +33,7 @@ PRINTED = (
 )
 
 
-def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
+def run(out: Path, seed: int) -> int:
     """The demo: model, modes, motion, fit. Error: NOT_SAVED, before anything is computed."""
     import jax
 
@@ -65,15 +61,7 @@ def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
     sensors: dict[str, Any] = {"corner": jb.Position("plate", [3 * l, l, 0])}
     guess = jb.replace(plate, {"*.stiffness": 1.3 * np.array([k, k, kt])})
 
-    def fitted(trajectory, initial):
-        measured = jb.measure(trajectory, sensors, noise=NOISE, key=jax.random.key(seed))
-        experiment = jb.Experiment(times, motion=motion, initial=initial, sensors=sensors, measured=measured)
-        return jb.fit(guess, {"run1": experiment}, free=["*.stiffness"], method=optax.lbfgs())
-
-    at_rest = executor.submit(jb.equilibrium, plate)
-    moving = executor.submit(lambda: jb.simulate(plate, times, motion=motion, initial=at_rest.result().state))
-    fitting = executor.submit(lambda: fitted(moving.result(), at_rest.result().state))
-    eq = at_rest.result()
+    eq = jb.equilibrium(plate)
     print(eq)
 
     report("Simulating 5 s of the nonlinear motion; the base vibrates at 0.8 Hz with 10 mm along x, 20 mm along y and 20 mrad about z ...")
@@ -84,7 +72,7 @@ def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
     modes = jb.modes(lin)
     print(modes)
     figures = [draw_plate(plate, out / "plate.png"), draw_modes(lin, modes, out / "modes.png")]
-    trajectory = moving.result()
+    trajectory = jb.simulate(plate, times, motion=motion, initial=eq.state)
     report("The simulated motion:")
     print(trajectory)
 
@@ -92,7 +80,9 @@ def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
         f"Measuring the corner C with {1000 * NOISE:g} mm of noise, then fitting the stiffnesses with optax from a start 30 % too stiff ..."
     )
     figures.append(draw_motion(trajectory, out / "motion.png"))
-    fit = fitting.result()
+    measured = jb.measure(trajectory, sensors, noise=NOISE, key=jax.random.key(seed))
+    experiment = jb.Experiment(times, motion=motion, initial=eq.state, sensors=sensors, measured=measured)
+    fit = jb.fit(guess, {"run1": experiment}, free=["*.stiffness"], method=optax.lbfgs())
     figures.append(draw_fit(fit, out / "fit.png"))
     agree = compare_stiffnesses(fit, {"AB": k, "CD": k, "EF": kt})
     report("Figures: " + ", ".join(map(str, figures)))

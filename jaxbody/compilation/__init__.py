@@ -1,1 +1,1 @@
-"""Programs of JAX: options and times of compilation, derivatives and batches outside a jit, programs on disk."""
+"""Programs of JAX: jit with options that compile quickly, times of compilation, programs on disk."""

@@ -16,12 +16,13 @@ from jax import monitoring
 
 from jaxbody.core import tables
 from jaxbody.core.errors import warn
+from jaxbody.core.jax_internals import outermost
 
 LONG = 60.0  # time to compile from which a warning is given [s]
 MANY = 6  # compilations in a row for one reason from which a warning is given
 SHOWN = 4  # values in a warning
 REMEDIES = {
-    "shape": "arrays of one shape, or calls of one jitted function that holds the loop, are compiled once",
+    "shape": "arrays of one shape, or calls of one function in jb.jit that holds the loop, are compiled once",
     "type": "numbers of one type are compiled once",
     "value": "one value for all calls is compiled once",
     "function": "make it once, outside of the loop, or write a class that holds its arrays as fields",
@@ -168,8 +169,8 @@ class Compiled:
 
     @contextmanager
     def watched(self, args: tuple[Any, ...]) -> Iterator[None]:
-        """A call with these arguments; note it if it is compiled."""
-        self.calling, self.begun = True, False
+        """A call with these arguments; note it if it is compiled by itself."""
+        self.calling, self.begun = outermost(), False
         try:
             yield
         finally:
@@ -189,7 +190,8 @@ class Compiled:
         if seconds > LONG:
             remedy = (
                 "new numbers in the same shapes compile nothing, JAX keeps programs for later runs where JAX_COMPILATION_CACHE_DIR names a "
-                "directory, and a Python loop in a law or a motion compiles faster as jax.lax.fori_loop"
+                "directory, a Python loop in a law or a motion compiles faster as jax.lax.fori_loop, and jb.jit compiles your functions "
+                "more quickly"
             )
             warn(
                 "SLOW_COMPILATION",

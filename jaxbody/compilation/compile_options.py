@@ -1,4 +1,4 @@
-"""Options of XLA: faster compilation, with and without optimization, and on request fast loops on a CPU."""
+"""One way to compile: a function of models and arrays as one program, compiled quickly by itself and a part of others inside them."""
 
 from __future__ import annotations
 
@@ -8,32 +8,102 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import jaxlib.version
 
-from jaxbody.compilation.array_functions import KEPT, array_function, jitted, joined, known_to_xla
+from jaxbody.compilation.array_functions import ARRAYS, ArrayFunction, joined
 from jaxbody.compilation.compilations import Compiled
-from jaxbody.compilation.eager_programs import NOT_OPTIMIZED, OFTEN, calls_of, run
-from jaxbody.compilation.kept_programs import call, known, structs
-from jaxbody.compilation.late_imports import find_lapack
-from jaxbody.compilation.program_parts import programs_inside
-from jaxbody.compilation.shared_settings import little_garbage
 from jaxbody.core.errors import JaxbodyError, Problem, warn
-from jaxbody.core.jax_internals import only_transformed, outermost, started, without_manual_axes
+from jaxbody.core.jax_internals import outermost, started, without_manual_axes
+
+Options = tuple[tuple[str, Any], ...]  # of XLA, names and values
 
 TESTED = (0, 7, 2), (0, 12)  # oldest and newest jaxlib; XLA ends the process on an unknown option, and before on loops over long vectors
 HOLDER = "--xla_backend_extra_options="
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
 WIDTH = "--xla_cpu_prefer_vector_width="  # in bits, 512 for all that the processor has; XLA's default is 256
-NO_FUSION_EMITTERS = {"xla_cpu_use_fusion_emitters": False}  # compiles in two thirds of the time or less; programs run as fast
-UNOPTIMIZED = {  # halves the remaining time to compile; programs take up to three times as long
-    **dict([NOT_OPTIMIZED]),
-    "xla_cpu_parallel_codegen_split_count": 1,  # parts of a program that LLVM compiles one by one, for which so little work does not pay
-}
-BRIEF = tuple((NO_FUSION_EMITTERS | UNOPTIMIZED).items())  # of programs that take milliseconds
-MOST = 100  # steps of a loop that takes milliseconds, such as one over parameters
-_brief: set[str] = set()  # names of functions that are not optimized, and of those that may be
-_long: set[str] = set()
-VECTORIZED = {"xla_cpu_use_fusion_emitters": True, "xla_cpu_prefer_vector_width": 512}
+EMITTERS = "xla_cpu_use_fusion_emitters"  # without them programs compile in two thirds of the time and run as fast
+HAS_EMITTERS = tuple(map(int, jaxlib.version.__version__.split(".")[:2])) < (0, 11)  # later ones always use them
+OPTIMIZED: Options = ((EMITTERS, False),) if HAS_EMITTERS else ()
+WIDE: Options = ((EMITTERS, True),) if HAS_EMITTERS else ()
+WIDE += (("xla_cpu_prefer_vector_width", 512),)  # loops over a thousand numbers or so run in two thirds of the time
+QUICK: Options = (  # compiles in half the time of OPTIMIZED; programs take up to three times as long
+    *OPTIMIZED,
+    ("xla_backend_optimization_level", 0),
+    ("xla_cpu_parallel_codegen_split_count", 1),  # parts of a program that LLVM compiles one by one, for which so little work does not pay
+)
+STRUCTURES = 4096  # of arguments that a function keeps programs for
+
+
+def jit(function: Callable[..., Any]) -> Callable[..., Any]:
+    """jax.jit for functions of models and arrays, with options of XLA with which they compile quickly.
+
+    Arrays and Python floats, anywhere in the arguments, are arguments of the program, so that new values compile nothing; all else (names,
+    functions, integers) is fixed in it. Results may hold anything. Put it around whatever you differentiate, batch or repeat:
+
+        frequency = jb.jit(jax.grad(lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]))
+
+    What is lost: such a program runs up to three times slower; take `jax.jit` for what is called thousands of times. Inside another `jit`,
+    or inside a `grad`, `vmap` or `scan` that is in none, where JAX takes no options, it is an ordinary `jax.jit`.
+
+    >>> import jax
+    >>> import jaxbody as jb
+    >>> car = jb.presets.quarter_car()
+    >>> first = lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
+    >>> slope = jb.jit(jax.grad(first))(car)
+    >>> print(f"{slope['suspension'].stiffness:.2e} Hz per N/m")
+    1.69e-05 Hz per N/m
+    """
+    name = getattr(function, "__name__", type(function).__name__)
+    programs = _Programs(lambda args, named: function(*args, **named), name, QUICK)
+
+    @functools.wraps(function)
+    def call(*args, **named):
+        return programs(*jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float | complex) else x, (args, named)))
+
+    return call
+
+
+def program(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A driver: `jit` for jaxbody's own functions that take milliseconds, whose Python numbers are fixed in the program."""
+    return program_with(QUICK)(function)
+
+
+def program_with(options: Options | Callable[..., Options]) -> Callable[..., Any]:
+    """A decorator: a driver with these options, or with those that a function of its arguments chooses from their shapes."""
+
+    def driver_of(function):
+        compiled, inner = Compiled(function), without_manual_axes(function)
+
+        def noted(*args):
+            compiled.begin()
+            return inner(*args)
+
+        programs = _Programs(noted, function.__name__, options)
+
+        @functools.wraps(function)
+        def driver(*args):
+            with compiled.watched(args):
+                return programs(*args)
+
+        return driver
+
+    return driver_of
+
+
+class _Programs:
+    """The programs of a function, one for each structure of its arguments with all in it that is no array."""
+
+    def __init__(self, function: Callable[..., Any], name: str, options: Options | Callable[..., Options]):
+        self.options = options if callable(options) else lambda *args: options
+        self.of_arrays = functools.lru_cache(STRUCTURES)(functools.partial(ArrayFunction, function, name))
+        self.jitted = functools.lru_cache(STRUCTURES)(lambda function, options: jax.jit(function, compiler_options=dict(options) or None))
+
+    def __call__(self, *args: Any) -> Any:
+        leaves, tree = jax.tree.flatten(args)
+        arrays = [x for x in leaves if isinstance(x, ARRAYS)]
+        function = self.of_arrays(tree, tuple(None if isinstance(x, ARRAYS) else (type(x), x) for x in leaves))
+        return joined(*self.jitted(function, self.options(*args) if outermost() else ())(*arrays))
 
 
 def fast_loops() -> bool:
@@ -75,90 +145,6 @@ def fast_loops() -> bool:
     return True
 
 
-def jit_optimized(function: Callable[..., Any]) -> Callable[..., Any]:
-    """filter_jit for functions that run long: optimized. Unless part of another program, they, their derivatives and their batches compile
-    in two thirds of the time on a CPU."""
-    return _jit_by_itself(function, {})
-
-
-def jit_unoptimized(function: Callable[..., Any]) -> Callable[..., Any]:
-    """filter_jit for functions that take milliseconds: not optimized. Unless part of another program, they, their derivatives and their
-    batches compile in a third of the time."""
-    return _jit_by_itself(function, UNOPTIMIZED)
-
-
-def jit_optimized_where(long: Callable[..., bool]) -> Callable[..., Any]:
-    """A decorator: jit_optimized where long(*args), in batches of many and after a hundred calls, otherwise jit_unoptimized. The first
-    results of short motions then take half the time."""
-    return lambda function: _jit_by_itself(function, {}, lambda program, arrays, args: not long(*args))
-
-
-def jit_optimized_with_loops(long: Callable[..., bool]) -> Callable[..., Any]:
-    """A decorator: jit_optimized where long(*args), where there are other loops than those of functions that are not optimized, such as
-    motions in a function of a user, and after a hundred calls; otherwise jit_unoptimized."""
-
-    def brief(program, arrays, args):
-        return not (long(*args) or _has_loops(program, tuple(map(jax.typeof, arrays))))
-
-    return lambda function: _jit_by_itself(function, {}, brief)
-
-
-def jit_vectorized(function: Callable[..., Any]) -> Callable[..., Any]:
-    """filter_jit for loops over a thousand numbers or so: with the widest vectors of the processor, where XLA's default is 256 bits, and
-    the fusion of whole steps. Unless part of another program, they run in two thirds of the time."""
-    return _jit_by_itself(function, VECTORIZED)
-
-
-def _jit_by_itself(
-    function: Callable[..., Any], options: dict[str, Any], brief: Callable[..., bool] = lambda program, arrays, args: False
-) -> Callable[..., Any]:
-    """A function that is compiled with these options where it is not part of another program; with UNOPTIMIZED where it is `brief`."""
-    compiled = Compiled(function)
-    inner = without_manual_axes(function)
-    own_options = tuple((NO_FUSION_EMITTERS | options).items())
-    (_brief if options is UNOPTIMIZED else _long).add(function.__name__)
-
-    @functools.wraps(function)
-    def noted(*args):
-        compiled.begin()
-        return inner(*args)
-
-    def options_of(program, arrays, args):
-        return BRIEF if brief(program, arrays, args) and next(calls_of(program)) < OFTEN else own_options
-
-    @functools.wraps(function)
-    def driver(*args):
-        find_lapack()
-        program, arrays = array_function(noted, args)
-        if outermost():
-            with compiled.watched(args):
-                return joined(*call(program, options_of(program, arrays, args), arrays))
-        if only_transformed():
-            return joined(*run(program, (options_of(program, arrays, args), own_options), arrays))
-        return joined(*jitted(program)(*arrays))
-
-    return driver
-
-
-@functools.lru_cache(KEPT)
-def _has_loops(program: Callable[..., Any], types: tuple[Any, ...]) -> bool:
-    with little_garbage():
-        return known(program, types, "loops", lambda: _loops(jax.make_jaxpr(jitted(program))(*structs(types)).jaxpr))
-
-
-def _loops(jaxpr: Any) -> bool:
-    """Whether a program has a loop of unknown length or of more than MOST steps, but for those of functions that take milliseconds."""
-    for equation in jaxpr.eqns:
-        name, params = equation.primitive.name, equation.params
-        if name == "while" or (name == "scan" and params["length"] > MOST):
-            return True
-        if params.get("name") in _brief - _long:
-            continue
-        if any(map(_loops, programs_inside(equation))):
-            return True
-    return False
-
-
 def quick_options() -> dict[str, Any]:
     """Options for `jax.jit` with which your own programs compile in two thirds of the time or less on a CPU.
 
@@ -170,4 +156,4 @@ def quick_options() -> dict[str, Any]:
     >>> float(free_fall(2.0))
     19.62
     """
-    return known_to_xla(tuple(NO_FUSION_EMITTERS.items()))
+    return dict(OPTIMIZED)

@@ -1,5 +1,4 @@
-"""A traced program in parts, operations that stand alone and all between two of them as one part; what depends on its arguments; and what
-its derivatives need of it."""
+"""A traced program in parts, operations that stand alone and all between two of them as one part; and what depends on its arguments."""
 
 from __future__ import annotations
 
@@ -8,9 +7,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import numpy as np
 
-from jaxbody.core.jax_internals import ClosedJaxpr, Literal, chosen  # pyright: ignore[reportPrivateImportUsage]
+from jaxbody.core.jax_internals import ClosedJaxpr, Literal  # pyright: ignore[reportPrivateImportUsage]
 
 CALLS = {
     "in_lanes": "jaxpr",
@@ -106,47 +104,3 @@ def fixpoint(body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list[
         if after == carry:
             return carry
         carry = after
-
-
-# What derivatives need
-
-
-def with_known_results(program: ClosedJaxpr, moved: list[bool], wanted: list[bool]) -> tuple[ClosedJaxpr, list[int]]:
-    """The wanted results of a program as a program of its arguments and of its results at the places that are returned. These are results
-    through which no derivative by the arguments that are `moved` passes; what leads to them alone, such as a search, is left out."""
-    jaxpr = program.jaxpr
-    places, results = _without_derivative(jaxpr, moved), chosen(jaxpr.outvars, wanted)
-    kept, needed = [], {v for v in results if not isinstance(v, Literal)}
-    for eqn in reversed(jaxpr.eqns):
-        if any(v in needed and v not in places for v in eqn.outvars):
-            kept.append(eqn)
-            needed.update(v for v in eqn.invars if not isinstance(v, Literal))
-            places = {v: i for v, i in places.items() if v not in eqn.outvars}
-    places = {v: i for v, i in places.items() if v in needed}
-    part = jaxpr.replace(eqns=kept[::-1], invars=[*jaxpr.invars, *places], outvars=results)
-    return ClosedJaxpr(part, program.consts), [*places.values()]
-
-
-def _without_derivative(jaxpr, moved: list[bool]) -> dict[Any, int]:
-    """{variable through which no derivative passes: place of the result that has its value}."""
-    passes, made = dict(zip(jaxpr.invars, moved, strict=True)), {}
-    for eqn in jaxpr.eqns:
-        some = eqn.primitive.name != "stop_gradient" and any(not isinstance(v, Literal) and passes.get(v, False) for v in eqn.invars)
-        passes |= {v: some and np.issubdtype(v.aval.dtype, np.inexact) for v in eqn.outvars}
-        made |= dict.fromkeys(eqn.outvars, eqn)
-    places = {}
-    for i, v in enumerate(jaxpr.outvars):
-        while not isinstance(v, Literal) and v in made and passes[v]:
-            v = _same(v, made[v])
-        if not isinstance(v, Literal) and v in made:
-            places[v] = i
-    return places
-
-
-def _same(v, eqn) -> Any:
-    """The argument that a function with a derivative of its own returns as its result v; None where it returns another value."""
-    if eqn.primitive.name != "custom_jvp_call":
-        return None
-    inside = eqn.params["call_jaxpr"].jaxpr
-    out = inside.outvars[eqn.outvars.index(v)]
-    return eqn.invars[inside.invars.index(out)] if out in inside.invars else None

@@ -11,8 +11,7 @@ Programs will then have `call_hi_primitive` where `lanes` knows `custom_jvp_call
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -47,49 +46,6 @@ def started() -> bool:
         return xla_bridge.backends_are_initialized()
     except (ImportError, AttributeError):
         return False
-
-
-def only_transformed() -> bool:
-    """Whether a derivative or a batch is under way, but nothing becomes part of another program. False where JAX cannot tell, as above."""
-    try:
-        from jax._src import core
-
-        trace = core.trace_ctx.trace
-        while type(trace).__name__ in ("JVPTrace", "LinearizeTrace", "BatchTrace", "JaxprTrace"):
-            trace = trace.parent_trace  # pyright: ignore
-        return isinstance(trace, core.EvalTrace)
-    except (ImportError, AttributeError):
-        return False
-
-
-@contextmanager
-def traces_shared() -> Iterator[None]:
-    """Inside, JAX finds traces that it has kept outside. While it transposes it sets an empty mesh of devices, for which it has none."""
-    try:
-        from jax._src import config, mesh
-
-        has_setting = mesh if hasattr(mesh, "abstract_mesh_context_manager") else config
-        setting, unset = has_setting.abstract_mesh_context_manager, config.config_ext.unset  # pyright: ignore
-        is_set = setting.value is not None and setting.value.empty
-    except (ImportError, AttributeError):
-        yield
-        return
-    before = setting.swap_local(unset) if is_set else None
-    try:
-        yield
-    finally:
-        if is_set:
-            setting.set_local(before)
-
-
-def unknown(x: Any) -> bool:
-    """Whether x is a tangent for which a linear function is made, which will be known when that function is called."""
-    return isinstance(x, partial_eval.JaxprTracer) and not x.is_known()
-
-
-def unbatched(x: Any) -> bool:
-    """Whether x, inside `jax.vmap`, is the same for all members of the batch."""
-    return not (isinstance(x, Tracer) and type(x).__name__ == "BatchTracer")
 
 
 def chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
@@ -150,43 +106,6 @@ def tree_of_node(kind: type, data: Any, children: list[Any]) -> Any:
     return jax.tree.structure(node)
 
 
-# Compiled code
-
-
-@functools.cache
-def code_can_be_run() -> bool:
-    """Whether this version of JAX gives the code of a compiled program and runs such code, which was tried on CPUs only."""
-    try:
-        from jaxlib import _jax  # pyright: ignore
-
-        has_both = hasattr(_jax.LoadedExecutable, "serialize") and hasattr(jax.devices()[0].client, "deserialize_executable")
-        return has_both and jax.default_backend() == "cpu"
-    except (ImportError, AttributeError):
-        return False
-
-
-def code_of(compiled: jax.stages.Compiled) -> bytes:
-    """The code of a program that was compiled in this process, for arrays on one device."""
-    return compiled.runtime_executable().serialize()  # pyright: ignore
-
-
-def runner(code: bytes) -> Callable[[Sequence[Array]], list[Array]] | None:
-    """What runs such code on the first device, without tracing and lowering; None where JAX cannot load it."""
-    from jaxlib import _jax, xla_client  # pyright: ignore
-
-    device = jax.devices()[0]
-    try:
-        executable = device.client.deserialize_executable(code, _jax.DeviceList((device,)), xla_client.CompileOptions())
-    except (TypeError, jax.errors.JaxRuntimeError):
-        return None
-
-    def run(arrays):
-        parts = executable.execute_sharded(list(arrays)).disassemble_into_single_device_arrays()
-        return [type(x)(x.aval, x.sharding, [x], committed=False, _skip_checks=True) for (x,) in parts]
-
-    return run
-
-
 # New operations
 
 
@@ -219,32 +138,6 @@ def new_operation(
     elif transpose is not None:
         ad.deflinear2(primitive, transpose)
     return primitive
-
-
-def transpose_with_sums(primitive: Primitive, transpose: Callable[..., Any]) -> bool:
-    """Let transpose(cotangents, so_far, *args, **parameters) return sums with the cotangents that other operations have given to the same
-    args; `so_far` has None where there are none. Without this JAX adds them, outside a `jit` by a program for each shape. Returns whether
-    JAX can do so."""
-    ad.primitive_transposes[primitive] = lambda w, *args, **parameters: transpose(w, [None] * len(args), *args, **parameters)
-    try:
-        from jax._src.interpreters import ad as inside
-
-        rules, Sum = inside.fancy_transposes, inside.ValAccum
-    except (ImportError, AttributeError):  # before version 0.8
-        return False
-
-    def rule(cotangents, *args, **parameters):
-        first = {id(x): i for i, x in reversed([*enumerate(args)])}  # one may be given twice
-        known = [isinstance(x, Sum) and type(x.val) is not Zero and first[id(x)] == i for i, x in enumerate(args)]
-        so_far = [x.val if k else None for x, k in zip(args, known, strict=True)]
-        for x, before, after in zip(args, so_far, transpose(cotangents, so_far, *args, **parameters), strict=True):
-            if before is not None and type(after) is not Zero:
-                x.val = after
-            elif after is not None:
-                x.accum(after)
-
-    rules[primitive] = rule
-    return True
 
 
 def same_numbers(name: str, typed: Callable[..., Any] = lambda x, **_: x, **rules: Any) -> Primitive:

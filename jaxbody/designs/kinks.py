@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.errors import Status
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of
@@ -48,7 +48,7 @@ def at_kinks(model: Model) -> list[str]:
     return names
 
 
-@jit_unoptimized
+@program
 def _near_rest(model: Model):
     """Status of the equilibrium, and V'' and V''' near it for elements with one deformation."""
     eq = equilibrium_of(model, None, 200, None)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import jax.scipy.special
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Float, Inexact, concrete, float_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.responses.comfort_weightings import weighted
@@ -63,7 +63,7 @@ def smooth_min(x: Any, width: Any) -> Float[Array, ""]:
     return _smooth_extreme(_numbers(x, "smooth_min.x"), _width(width, "smooth_min.width"), -1)
 
 
-@jit_unoptimized
+@program
 def _smooth_extreme(x: Float[Array, "*n"], width: Float[Array, ""], sign: int) -> Float[Array, ""]:
     return sign * width * jax.scipy.special.logsumexp(sign * x / width)
 
@@ -83,7 +83,7 @@ def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
     return _peak(_numbers(x, "peak.x", allow_complex=True), power)
 
 
-@jit_unoptimized
+@program
 def _peak(x: Inexact[Array, "*n"], power: float) -> Float[Array, ""]:
     x = jnp.abs(x)
     largest = jax.lax.stop_gradient(jnp.max(x, initial=0.0))
@@ -104,7 +104,7 @@ def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
     return _dominant_shares(lin)
 
 
-@jit_unoptimized
+@program
 def _dominant_shares(lin: Linearization) -> Float[Array, "n"]:
     return 100 * jnp.max(kinetic_shares(lin), axis=0)
 
@@ -126,7 +126,7 @@ def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
     return _coupling_of_modes(lin)
 
 
-@jit_unoptimized
+@program
 def _coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
     e = kinetic_shares(lin)
     size = jnp.sqrt(e**2 + LEAST_SHARE**2) - LEAST_SHARE
@@ -165,7 +165,7 @@ def band_intrusion(frequencies: Any, band: tuple[float, float]) -> Float[Array, 
     return _band_intrusion(f, float_array([low, high], "band_intrusion.band"))
 
 
-@jit_unoptimized
+@program
 def _band_intrusion(f: Float[Array, "*n"], band: Float[Array, "2"]) -> Float[Array, ""]:
     middle, half = (band[0] + band[1]) / 2, (band[1] - band[0]) / 2
     return jnp.sum(jnp.maximum(0.0, 1 - ((f - middle) / half) ** 2) ** 2)
@@ -191,7 +191,7 @@ def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Ar
     return _transmitted(response, output, name)
 
 
-@jit_unoptimized
+@program
 def _transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Array, ""]:
     H, x = response[output, name], jnp.log(response.frequencies)
     return jnp.sqrt(jnp.trapezoid(jnp.real(H) ** 2 + jnp.imag(H) ** 2, x) / (x[-1] - x[0]))
@@ -214,7 +214,7 @@ def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
     return _comfort(ride, weights)
 
 
-@jit_unoptimized
+@program
 def _comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
     return _root(jnp.sum(weighted(ride, weights).rms ** 2))
 
@@ -240,7 +240,7 @@ def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, "
     return _road_holding(ride, {name: float_array(load, f"road_holding[{name!r}]") for name, load in forces.items()})
 
 
-@jit_unoptimized
+@program
 def _road_holding(ride: RandomResponse, forces: dict[str, Array]) -> Float[Array, ""]:
     shares = jnp.stack([ride[name] / load for name, load in forces.items()])
     return _root(jnp.mean(shares**2))
@@ -261,7 +261,7 @@ def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Arr
     return _stroke(ride, output, float_array(static, "stroke.static"))
 
 
-@jit_unoptimized
+@program
 def _stroke(ride: RandomResponse, output: str, static: Float[Array, ""]) -> Float[Array, ""]:
     return jnp.abs(static) + SIGMAS * ride[output]
 

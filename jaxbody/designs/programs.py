@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_optimized_with_loops
+from jaxbody.compilation.compile_options import OPTIMIZED, program_with
 from jaxbody.core.arrays import Array, Float, device_array, indices, module_of
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import REST_HAS_DERIVATIVES, jaxpr_as_fun, only_what_is_needed
@@ -175,7 +175,7 @@ def _runs_long(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[
     return u.ndim > 1 or is_costly(space.model)
 
 
-@jit_optimized_with_loops(_runs_long)
+@program_with(OPTIMIZED)
 def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any):
     """Values, derivatives and shapes of all quantities; the choice of the objective and the limits needs no new compilation.
 

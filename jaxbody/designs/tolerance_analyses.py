@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_optimized
+from jaxbody.compilation.compile_options import OPTIMIZED, program_with
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import Array, Float, Int, concrete, device_array, float_array, module_of
@@ -231,7 +231,7 @@ def _moments(f, J, H) -> tuple[Array, Array]:
     return f + jnp.trace(H, axis1=1, axis2=2) / 2, jnp.where(some, jnp.sqrt(jnp.where(some, variance, 1.0)), 0.0)
 
 
-@jit_optimized
+@program_with(OPTIMIZED)
 def _to_second_order(space: Space, evaluate: Evaluate):
     """The moments and shares, and the names of the quantities."""
     flat = Flat(space, evaluate)
@@ -241,7 +241,7 @@ def _to_second_order(space: Space, evaluate: Evaluate):
     return (f, jnp.sqrt(variance), *_moments(f, J, H), shares), tuple(labels_of(flat.shapes))
 
 
-@jit_optimized
+@program_with(OPTIMIZED)
 def _deviations(samples: int, size: int, key: Any):
     return jax.random.normal(key, (samples, size))
 

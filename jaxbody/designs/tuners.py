@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable
-from importlib import import_module
 from typing import Any
 
 import jax
@@ -17,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from jaxbody.compilation.compile_options import jit_optimized
-from jaxbody.compilation.late_imports import while_compiling
+from jaxbody.compilation.compile_options import OPTIMIZED, program_with
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import device_array, float_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
@@ -26,7 +24,7 @@ from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
 from jaxbody.designs.programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of, search_by_workers
 from jaxbody.designs.searches import MET, METHODS, Search, one_thread, run, run_in_lockstep, scales
-from jaxbody.designs.tunings import Tuning, placed, tuning_of
+from jaxbody.designs.tunings import Tuning, tuning_of
 from jaxbody.mechanisms.suspensions import Suspension
 from jaxbody.models.leaf_paths import matching
 from jaxbody.models.models import Model
@@ -120,8 +118,7 @@ def tune(
     )
     with working("tune", progress) as program.line:
         program.line("first evaluation, compiling")
-        with while_compiling(lambda: _prepare(space, U)):
-            check_start(program, U)
+        check_start(program, U)
         with one_thread():
             searches = [Search(u, low, high, program.rows) for u in U]
             if isinstance(method, str):
@@ -136,12 +133,6 @@ def tune(
     if not best.finite:
         check_slopes(program, best)
     return warn_if_failed(tuning_of(program, searches, best, max_iterations))
-
-
-def _prepare(space: Space, U: np.ndarray) -> None:
-    """Import and compile what the design needs after its first evaluation."""
-    import_module("scipy.optimize")
-    placed(space, device_array(U[0]), device_array(U))
 
 
 def _catalogs(space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np.ndarray) -> dict[int, np.ndarray]:
@@ -240,7 +231,7 @@ def _run_optax(program: Program, searches: list[Search], method: optax.GradientT
         search.size = abs(float(history[i, 0])) or 1.0
 
 
-@jit_optimized
+@program_with(OPTIMIZED)
 def _descend(space: Space, evaluate: Evaluate, minimize: str, method, steps: int, stochastic: bool, U, low, high, key):
     optimizer = optax.with_extra_args_support(method)
 

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, device_array, indices
 from jaxbody.core.datasets import Labeled, dataset
@@ -200,7 +200,7 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
     )
 
 
-@jit_unoptimized
+@program
 def placed(space: Space, u: Float[Array, "n"], U: Float[Array, "b n"]):
     """The design at u and its parameters, and those at each of U."""
     return space.designed(u)[0], space.values(u), jax.vmap(space.values)(U)

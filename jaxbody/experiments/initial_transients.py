@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_optimized_where
+from jaxbody.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.core.arrays import Float
 from jaxbody.experiments.experiments import Experiment, Integration
 from jaxbody.models.models import Model
@@ -78,6 +78,6 @@ def _sizes(experiment: Experiment, readings: dict[str, Any], noise: dict[str, An
     return np.sqrt(np.where(counts > 0, squares / np.maximum(counts, 1), np.nan))
 
 
-@jit_optimized_where(lambda model, experiment, integration: take_long(model, experiment.times))
+@program_with(lambda model, experiment, integration: OPTIMIZED if take_long(model, experiment.times) else QUICK)
 def _readings(model: Model, experiment: Experiment, integration: Integration):
     return experiment.readings(model, integration, None)

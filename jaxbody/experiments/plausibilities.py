@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Int
 from jaxbody.core.errors import Status, warn
@@ -137,7 +137,7 @@ def _at_reference(model: Model) -> Linearization:
     return linearize(model, model.reference)
 
 
-@jit_unoptimized
+@program
 def _scales(lin: Linearization) -> tuple[Array, Array]:
     """The first nonzero natural frequency [Hz], from |eigenvalues|, and the largest static displacement under gravity of modes with
     stiffness, relative to the size of the model; NaN without stiffness."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from functools import partial
-from importlib import import_module
 from typing import Any
 
 import diffrax
@@ -19,8 +18,7 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Float
 
-from jaxbody.compilation.compile_options import jit_unoptimized
-from jaxbody.compilation.late_imports import while_compiling
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import device_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, warn
@@ -36,7 +34,7 @@ from jaxbody.experiments.unexplained_records import unexplained
 from jaxbody.identification.checkpoints import resumed, save
 from jaxbody.identification.colorings import PRIORS
 from jaxbody.identification.fits import Fit
-from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_optax, by_scipy, prepare
+from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_optax, by_scipy
 from jaxbody.identification.residuals import (
     EXACT,
     ReadingsAndResiduals,
@@ -162,8 +160,7 @@ def fit(
             line=line,
         )
         try:
-            with while_compiling(lambda: _prepare(space, method)):
-                check_start(task, u, *evaluate(u)[:2])
+            check_start(task, u, *evaluate(u)[:2])
             for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
                 u, converged = _search(evaluate, task, u, method)
                 status = Status.OK if converged else Status.NOT_CONVERGED
@@ -194,15 +191,6 @@ def _check_method(method: Any, bounds: Any, problems: Problems) -> None:
     if not (least_squares or known):
         allowed = 'an optax optimizer, "least_squares" or an optimistix least-squares solver'
         problems.add("UNKNOWN_METHOD", "fit.method", f"is {method!r:.60}", value=method, limit=allowed)
-
-
-def _prepare(space: Space, method: Any) -> None:
-    """Import and compile what the fit needs after its first evaluation."""
-    if isinstance(method, str | optimistix.AbstractLeastSquaresSolver):
-        import_module("scipy.optimize" if isinstance(method, str) else "scipy.special")
-    else:
-        prepare(method, space.size)
-    _placed(space, device_array(np.zeros(space.size)))
 
 
 def _search(evaluate: Evaluations, task: Task, u: np.ndarray, method: Any) -> tuple[np.ndarray, bool]:
@@ -318,7 +306,7 @@ def _unexplained(task: Task, model: Model, experiments: dict[str, Measurement], 
     return sentences + [message for _, message in likely]
 
 
-@jit_unoptimized
+@program
 def _placed(space: Space, u: Float[Array, "n"]) -> tuple[Model | Suspension, dict[str, Measurement], dict[str, Array]]:
     """Model or suspension and runs at u, and d values/du of each parameter."""
     return *space.designed(u), jax.jacfwd(space.values)(u)

@@ -15,8 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.compilation.array_functions import compiled_with
-from jaxbody.compilation.compile_options import BRIEF
+from jaxbody.compilation.compile_options import jit
 from jaxbody.compilation.program_parts import parts_of, programs_inside, read
 from jaxbody.core.jax_internals import Zero, new_operation, same_operation, shaped
 
@@ -90,7 +89,7 @@ class Parts:
         self.branches.append(branch)
 
         def run(answer: Answer, args: list[Any]) -> list[Any]:
-            results = {kind: iter(own) for kind, own in self.program(which, self.filled(0, needed, args)).items()}
+            results = {kind: iter(own) for kind, own in self.program(np.int32(which), self.filled(0, needed, args)).items()}
             return [next(results[_type(v)]) for v in kept]
 
         return run
@@ -100,7 +99,7 @@ class Parts:
         def between(which, given):
             return jax.lax.switch(which, self.branches, given)
 
-        return compiled_with(BRIEF, between)
+        return jit(between)
 
     def filled(self, end: int, variables: list[Any], values: list[Any]) -> dict[Any, list[Any]]:
         """{type: arrays} of a part, with zeros for those that it does not have."""

@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optax
 
@@ -205,15 +204,6 @@ def by_optax(evaluate: Evaluations, u, optimizer, limits: Bounds) -> tuple[np.nd
         y = _descend(evaluate, optimizer, u, r0, unwhiten, size, sufficient=-SUFFICIENT * (1 / fraction - 0.5))
         u, reach = (u, reach / 10) if y is None else (u + unwhiten @ y, min(1.0, 10 * reach))
     return u, False
-
-
-def prepare(optimizer, size: int) -> None:
-    """Import what the uncertainty of the result needs, and compile what an optimizer of `size` numbers does between costs; one that takes
-    no costs becomes another one in each fit."""
-    import scipy.special  # noqa: F401  # slow to import
-
-    if isinstance(optimizer, optax.GradientTransformationExtraArgs):
-        _programs_of(optimizer, size, np.dtype(jnp.result_type(float)))
 
 
 def _descend(evaluate: Evaluations, optimizer, u, r0, unwhiten, size, sufficient: float) -> np.ndarray | None:

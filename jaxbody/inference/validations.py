@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_optimized_where
+from jaxbody.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array
 from jaxbody.core.errors import Status
@@ -124,6 +124,6 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     )
 
 
-@jit_optimized_where(lambda task: take_long(task.space.model, *task.times))
+@program_with(lambda task: OPTIMIZED if take_long(task.space.model, *task.times) else QUICK)
 def _runs(task: Task):
     return task.runs(jnp.zeros(0))

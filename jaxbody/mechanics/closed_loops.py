@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.frames import Frame, Instant, Pose
@@ -248,7 +248,7 @@ def _form_of(model: Model) -> Callable[..., Dynamics]:
     return FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies
 
 
-@jit_unoptimized
+@program
 def state_slopes(model: Model, state: State) -> Float[Array, "ny ny"]:
     """df/dy of y' = f(t, y) at t = 0, with the supports at rest in their reference poses."""
     dynamics = dynamics_of(model, ())

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Bool, Float, is_concrete, nan_unless
 from jaxbody.core.errors import warn
 from jaxbody.geometry.closures import Coupling, as_slide
@@ -169,7 +169,7 @@ def assembled_reference(model: Model) -> State:
     return state
 
 
-@jit_unoptimized
+@program
 def _assembled(model: Model) -> tuple[State, Bool[Array, ""]]:
     coordinates = Coordinates(model)
     drawn = coordinates.reference

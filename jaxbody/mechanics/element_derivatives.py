@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.elements.elements import Element
 from jaxbody.geometry.frames import Frame
 from jaxbody.mechanics.energies import each_element, end_rows, gravity_energy
@@ -70,13 +70,13 @@ def frames_displaced(model: Model, state: State, delta: Float[Array, "nv"], xi: 
     return coordinates.frames(coordinates.retract(state.q, delta), jnp.zeros_like(delta), supports)
 
 
-@jit_unoptimized
+@program
 def gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
     """The Hessian of the potential energy of the weights."""
     return jax.hessian(lambda d: gravity_energy(model, frames_displaced(model, state, d)))(jnp.zeros(model.layout.nv, state.q.dtype))
 
 
-@jit_unoptimized
+@program
 def split_stiffness(model: Model, state: State):
     """Elastic and geometric stiffness of every element, table by table: V'' de de, and the rest of the Hessian, V' d2e."""
     zero = jnp.zeros(n := model.layout.nv, state.q.dtype)

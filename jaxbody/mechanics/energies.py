@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
@@ -88,7 +88,7 @@ def _energy(energy: Callable[[Model, Frame], Array], model: Model, state: State,
     return _of_state(energy, model, state, xi, xi_dot)
 
 
-@jit_unoptimized
+@program
 def _of_state(energy: Callable[[Model, Frame], Array], model: Model, state: State, xi: Xi, xi_dot: Xi) -> Float[Array, ""]:
     frames = frames_of(model, state, xi, xi_dot)
     z = state.z if state.z.shape[-1] or not model.layout.nz else rest_states(model, frames.pose())

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Bool, Float, time_text
 from jaxbody.elements.second_derivatives import second_order
 from jaxbody.inputs.loads import Load
@@ -45,7 +45,7 @@ def nonfinite_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], tim
     return f"the coordinates of body '{bad[0]}'" if bad else ""
 
 
-@jit_unoptimized
+@program
 def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
     """Which numbers are finite `ahead` of a state: of the motions, of the elements with their e and e_dot, of the loads."""
     model = holding(model, state.z)
@@ -80,7 +80,7 @@ def changing_most(model: Model, motions: Motions, loads: tuple[Load, ...], times
     return f"{most} changes most there, by {changes[most]:.3g} N in {ahead:.2g} s" if most and changes[most] > 0 else ""
 
 
-@jit_unoptimized
+@program
 def _changes(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
     """By how much forces change from a state to `ahead` of it: of the motions, of the elements, of the loads."""
     model = holding(model, state.z)
@@ -127,7 +127,7 @@ def nonfinite_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Array, 
     return []
 
 
-@jit_unoptimized
+@program
 def _finite(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> dict[str, Bool[Array, ""]]:
     coordinates = Coordinates(model := relaxed(model))
     frames = coordinates.at_rest(coordinates.retract(q, delta))
@@ -159,7 +159,7 @@ def force_jump_messages(model: Model, times_of_jumps: list[Float[np.ndarray, "_"
     return _messages(model, [[f" at t = {time_text(t, times)} s" if np.isfinite(t) else None for t in rows] for rows in times_of_jumps])
 
 
-@jit_unoptimized
+@program
 def _away(model: Model, motions: Motions, times: Float[Array, "nt"], states: State) -> list[tuple[Array, Array]]:
     """The vector `away_from_jump` of all elements, and its rate, at these times, table by table."""
 

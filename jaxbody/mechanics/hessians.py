@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Float
 from jaxbody.elements.second_derivatives import Block, PairBlocks, dissipation_hessian, second_order, turning
 from jaxbody.geometry.frames import Frame
@@ -141,7 +141,7 @@ def damping(at: Configuration) -> Square:
     return _projected(at.J, _hessian(at.model, Block(), each_element(at.model, at.frames, dissipation_hessian), at.base))
 
 
-@jit_unoptimized
+@program
 def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
     """M, C and K at a state, with the supports at rest in their reference poses and coordinates of elements held."""
     at = configuration_at(Coordinates(apart(model, completed(model, state).z)), state.q, state.v, base=False)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, checked, is_concrete, rows_or_nan
 from jaxbody.core.datasets import Labeled, dataset
@@ -251,7 +251,7 @@ def _check_determined(model: Model, drives: tuple[Drive, ...], wheel: Wheel, whe
             problems.add("UNDRIVEN", f"{where}.drive", message, value=names, limit="all freedoms of the wheel", hint=hint)
 
 
-@jit_unoptimized
+@program
 def _slopes_at_reference(model: Model, drives: tuple[Drive, ...], wheel: Wheel):
     """At the assembled reference, by increments in meters: slopes of all conditions, of the closures alone, and of the wheel's center and
     axis."""
@@ -268,7 +268,7 @@ def _slopes_at_reference(model: Model, drives: tuple[Drive, ...], wheel: Wheel):
     return tuple(values_and_slopes(chart, part, q)[1] * scale for part in parts)
 
 
-@jit_unoptimized
+@program
 def _curves(
     model: Model,
     drives: tuple[Drive, ...],

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
@@ -117,7 +117,7 @@ def _held(model: Model, names: tuple[str, ...]) -> np.ndarray:
     return held
 
 
-@jit_unoptimized
+@program
 def _assembled(model: Model, start: State, hold: tuple[str, ...]) -> Assembly:
     before = closure_gaps(model, None, start.q)
     q, far = solve(closure_gaps, model, None, start.q, _held(model, hold))

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, device_array, functions_as_nodes, is_concrete, vector
@@ -216,7 +216,7 @@ def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
     return parents.inverse() @ bodies
 
 
-@jit_unoptimized
+@program
 def drawn_reference(model: Model) -> State:
     """The state of rest in the reference pose as it is drawn."""
     supports, bodies = support_poses(model), body_poses(model)
@@ -284,7 +284,7 @@ def independent_speeds(model: Model) -> tuple[int, ...] | None:
     return tuple(i for i in range(nv) if i not in dependent)
 
 
-@jit_unoptimized
+@program
 def _closure_slopes(model: Model, delta: Float[Array, "nv"]) -> tuple[Float[Array, "n nv"], Float[Array, ""]]:
     """dc/dDelta of all closures, by increments in meters, displaced from the reference pose by such; and the largest |c| over the largest
     distance of a point."""

@@ -49,21 +49,12 @@ inputs/motions.py
     Harmonic [a sine for each row]    one sine and cosine where frequencies are equal: T3 31 to 28
 compilation/compile_options.py
     fast_loops                        small loops as one function: T1 3.5 to 0.9 ms, jaxlib 0.10.2 and 0.12.0; wide vectors: T3 6.8 to 5.0
-    NO_FUSION_EMITTERS                compiling a motion 1.3 to 0.7 s; jaxlib 0.12 has no such option
-    UNOPTIMIZED                       first frequencies 3.9 to 2.4 s
-compilation/eager_programs.py
-    _compile_ahead                    pullbacks are traced while XLA compiles those called before them: a first gradient 2.4 to 2.1 s
-compilation/late_imports.py
-    find_lapack [jaxlib's own]        it imports all of scipy.linalg: first frequencies 1.23 to 1.11 s, with kept programs 0.49 to 0.43
-    while_compiling                   first result of a design 0.2 s earlier on two idle cores: XLA compiles while SciPy is imported
-compilation/array_functions.py
-    known_to_xla                      not every version has all options: they are tried once where this is not known
+    OPTIMIZED                         compiling a motion 1.3 to 0.7 s; jaxlib 0.12 has no such option
+    QUICK                             first frequencies 3.9 to 2.4 s
 workers/chunk_programs.py
     one_at_a_time                     two programs with LAPACK in one process may wait for each other for ever, jaxlib 0.10
 workers/executors.py
     processes                         the same, for executors of threads
-compilation/kept_programs.py
-    _first_results                    saved code that lacks functions fails only when it runs: it is replaced then
 
 One workaround replaced by the plain form, all others kept: processor time in ms, 640 members of T3 and 2560 of T4, jaxlib 0.10.2,
 fast_loops, 2026-11-22, on a busy machine; differences below a fifth are scatter.

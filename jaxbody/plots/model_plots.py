@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.tables import without_dust
 from jaxbody.elements.contacts import Tyre
@@ -376,7 +376,7 @@ def _triad(ax, look, size: float) -> None:
     ax.annotate(f"{length:g} m", origin, xytext=(0, -12), textcoords="offset points", fontsize=8, color=GRAY, ha="left", va="center")
 
 
-@jit_unoptimized
+@program
 def _poses(model: Model, q, delta, xi) -> Pose:
     coordinates = Coordinates(model)
     q, v = q if delta is None else moved_by(coordinates, q, delta), jnp.zeros(model.layout.nv, q.dtype)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
@@ -139,7 +139,7 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
     )  # fmt: skip
 
 
-@jit_unoptimized
+@program
 def _weighted(
     psd: Float[Array, "*b ny nf"],
     rms: Float[Array, "*b ny"],
@@ -179,7 +179,7 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
     return WeightedSignal(jnp.asarray(times, float), *results, jnp.array(Status.OK.value), name)
 
 
-@jit_unoptimized
+@program
 def _weighting(name: str, f: Float[Array, "nf"]) -> Complex[Array, "nf"]:
     p, s = WEIGHTINGS[name], jax.lax.complex(jnp.zeros_like(f), f)
     W = p.K * s**2 / (s**2 + 2**0.5 * p.f1 * s + p.f1**2)

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int, device_array, rows_or_nan, scalar
 from jaxbody.core.datasets import Labeled, dataset
@@ -153,7 +153,7 @@ def _bound(spring: laws.Law | None, make) -> Any:
     return jax.tree.map(one, spring, is_leaf=with_states)
 
 
-@jit_unoptimized
+@program
 def _stiffness(spring, damper, f: Float[Array, "nf"], preload: Float[Array, ""], amplitude: Float[Array, ""] | None):
     """(stiffness, deformation, status)."""
     at_rest = _bound(spring, lambda law, i, j: Relaxed(law, jnp.zeros(j - i, f.dtype)))

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
-from jaxbody.compilation.compile_options import jit_optimized_where
+from jaxbody.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int, checked, concrete, device_array, float_array, is_concrete
 from jaxbody.core.datasets import Labeled, dataset
@@ -236,7 +236,7 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
     return jnp.stack([device_array(value) for value in each]) if each else jnp.zeros(0)
 
 
-@jit_optimized_where(lambda lin, f, *_: are_many(f, lin.K))
+@program_with(lambda lin, f, *_: OPTIMIZED if are_many(f, lin.K) else QUICK)
 def response_values(
     lin: Linearization,
     f: Float[Array, "nf"],

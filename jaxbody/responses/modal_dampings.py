@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxbody.compilation.compile_options import jit_optimized
+from jaxbody.compilation.compile_options import OPTIMIZED, program_with
 from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, float_array
 from jaxbody.core.errors import Problems, Status
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, together
@@ -43,7 +43,7 @@ def with_modal_damping(lin: Linearization, ratios: Any, where: str) -> Lineariza
     return dataclasses.replace(lin, C=C, C_tilde=C_tilde, C_bb=C_bb, status=status)
 
 
-@jit_optimized
+@program_with(OPTIMIZED)
 def _added(lin: Linearization, ratios: Float[Array, "nv"]) -> tuple[Array, ...]:
     *_, status = modes_of(lin)
     values, shapes = natural(lin.K, lin.M)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
-from jaxbody.compilation.compile_options import jit_optimized_where
+from jaxbody.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int, is_concrete, part_of
 from jaxbody.core.datasets import Labeled, dataset
@@ -150,7 +150,7 @@ def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
     return jnp.where(jnp.any(jnp.abs(fine - rough) > COARSE * fine), Status.COARSE.value, Status.OK.value)
 
 
-@jit_optimized_where(lambda lin, f, *_: are_many(f, lin.K))
+@program_with(lambda lin, f, *_: OPTIMIZED if are_many(f, lin.K) else QUICK)
 def _random_response(lin: Linearization, f, weights, coarse, ports: Ports, inputs: tuple, names, spectra, eta):
     near = _beside_resonances(lin, f)
     f = jnp.concatenate([f, near])

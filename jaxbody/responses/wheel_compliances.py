@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.errors import JaxbodyError, unknown
@@ -69,7 +69,7 @@ def wheel_compliance(lin: Linearization, wheel: Wheel) -> WheelCompliance:
     return WheelCompliance(_compliance(lin, wheel), lin.status)
 
 
-@jit_unoptimized
+@program
 def _compliance(lin: Linearization, wheel: Wheel) -> Float[Array, "readings loads"]:
     model, q = lin.model, lin.state.q
     chart, coordinates, row = Chart(model), Coordinates(model), model.layout.frame(wheel.on)

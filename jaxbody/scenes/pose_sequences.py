@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.tables import without_dust
@@ -186,7 +186,7 @@ def _poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.nda
     return _configurations(model, _moved(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype)))
 
 
-@jit_unoptimized
+@program
 def _moved(model: Model, q, deltas) -> Array:
     return jax.vmap(lambda delta: moved(Coordinates(model), q, delta))(deltas)
 
@@ -197,7 +197,7 @@ def _configurations(model: Model, q: Any) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(frames.p), np.asarray(frames.R)
 
 
-@jit_unoptimized
+@program
 def _at_rest(model: Model, q) -> Pose:
     coordinates = Coordinates(model)
     return jax.vmap(lambda q: coordinates.at_rest(q).pose())(q)

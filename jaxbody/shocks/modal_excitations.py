@@ -20,7 +20,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.errors import Problems, Status, unknown
@@ -99,7 +99,7 @@ def modal_excitation(lin: Linearization, bases: Excited, sensors: tuple[Any, ...
     return _modal_excitation(lin, port_matrices(lin, inputs, sensors), together)
 
 
-@jit_unoptimized
+@program
 def _modal_excitation(lin: Linearization, ports: Ports, together: Float[Array, "nu ne"]) -> ModalExcitation:
     frequency, _, damping, _, _, status = modes_of(lin)
     values, shapes = natural(lin.K, lin.M)

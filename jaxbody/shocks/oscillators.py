@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxbody.compilation.compile_options import jit_vectorized
+from jaxbody.compilation.compile_options import WIDE, program_with
 from jaxbody.core.arrays import Array, Complex, Float
 
 SIDES = ("maximax", "positive", "negative")
@@ -62,7 +62,7 @@ def steps(s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], h: Any) -> tup
     return jnp.exp(z), -c * h * (phi1 - phi2), -c * h * phi2
 
 
-@jit_vectorized
+@program_with(WIDE)
 def peaks(
     a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], side: str, parts: int | None, r0: Any
 ) -> tuple[Float[Array, "n"], Complex[jax.Array, "n"]]:
@@ -89,7 +89,7 @@ def free_peaks(r: Complex[jax.Array, "n"], s: Complex[jax.Array, "n"], side: str
     return best
 
 
-@jit_vectorized
+@program_with(WIDE)
 def influences(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], parts: int):
     """Continuous peaks of |Im(r)| and their derivatives by the samples (n, nt): responses to the hat of each sample at the time of the
     peak."""
@@ -111,7 +111,7 @@ def influences(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Com
     return value, sign[:, None] * jnp.imag(inner)
 
 
-@jit_vectorized
+@program_with(WIDE)
 def history(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "m n"]) -> Float[Array, "nt m"]:
     """The sums over oscillators of Im(c r) at the samples, with the states r of c = 1."""
     e, before, after = steps(s, jnp.ones_like(s), h)

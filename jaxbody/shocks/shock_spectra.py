@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
-from jaxbody.compilation.compile_options import jit_vectorized
+from jaxbody.compilation.compile_options import WIDE, program_with
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of
 from jaxbody.core.arrays import Array, Complex, Float, Int, concrete, device_array
@@ -208,7 +208,7 @@ def _spectrum(samples, f, zeta, kind: str, side: str, peaks: str, part: str):
     return f, zeta, spectrum_values(samples, f, zeta, kind, side, peaks, part), jnp.array(Status.OK.value)
 
 
-_at_samples = jit_vectorized(_spectrum)
+_at_samples = program_with(WIDE)(_spectrum)
 
 
 def weights_of(s: Complex[jax.Array, "n"], kind: str) -> Complex[jax.Array, "n"]:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import optimistix
 
-from jaxbody.compilation.compile_options import jit_optimized_where
+from jaxbody.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.core.arrays import Array, rows_or_nan
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.inputs.signals import kinks_of
@@ -66,7 +66,7 @@ MOTION, CANONICAL = Driven(_drive, _driven), diffrax.ODETerm(_canonical)
 LOOPS = Driven(_drive, _driven_on_closures, _projected)
 
 
-@jit_optimized_where(lambda model, times, *_: take_long(model, times))
+@program_with(lambda model, times, *_: OPTIMIZED if take_long(model, times) else QUICK)
 def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
     """The jitted core of `simulate`: arrays only, never raises. It counts time from the first sample."""
     given, times = times, times - times[0]

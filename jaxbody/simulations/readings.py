@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_optimized, jit_optimized_where
+from jaxbody.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.core.arguments import check_key, check_kind
 from jaxbody.core.arrays import Array, PRNGKeyArray, as_numpy, concrete
 from jaxbody.core.errors import Problems
@@ -41,7 +41,7 @@ def _read(model, motions, t, state, loads, sensors):
     return read(model, motions, t, state, sensors, loads)
 
 
-@jit_optimized
+@program_with(OPTIMIZED)
 def _transduced(sensors: dict[str, Sensor], times: Array, measured: dict[str, Array]) -> dict[str, Array]:
     def over_batch(times, measured):
         return {name: sensor.transduced(times, measured[name]) for name, sensor in sensors.items()}
@@ -83,7 +83,7 @@ def measure(
     return _measured(trajectory, sensors, levels if noisy else {}, key if noisy else None)
 
 
-@jit_optimized_where(lambda trajectory, *_: take_long(trajectory.model, trajectory.times))
+@program_with(lambda trajectory, *_: OPTIMIZED if take_long(trajectory.model, trajectory.times) else QUICK)
 def _measured(trajectory: Trajectory, sensors: dict[str, Sensor], levels: dict[str, Array], key: PRNGKeyArray | None) -> dict[str, Array]:
     """Readings, NaN for samples that are unknown, with noise of these levels."""
     values = {name: _nan_outside(sensors[name], trajectory.times, x) for name, x in readings(trajectory, sensors).items()}

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import combine, field, is_array, partition
 
-from jaxbody.compilation.compile_options import jit_optimized_where
+from jaxbody.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, part_of, rows_or_nan, time_text
 from jaxbody.core.datasets import AXES, QUATERNION, Labeled, dataset, rows_of
@@ -300,7 +300,7 @@ def _support_power(model, motions, t, state, loads):
     return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
 
 
-@jit_optimized_where(lambda function, batch_axes, model, motions, loads, times, *_: take_long(model, times))
+@program_with(lambda function, batch_axes, model, motions, loads, times, *_: OPTIMIZED if take_long(model, times) else QUICK)
 def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
     numbers, rest = partition((model, motions, loads), is_array)
     others, fixed = partition(more, is_array)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, stack, vector
@@ -203,7 +203,7 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     return eqx.tree_at(lambda result: result.unloaded, result, finished(unloaded, at_rest, of_position))
 
 
-@jit_unoptimized
+@program
 def _load_cases(model: Model, unloaded: Equilibrium, searches: SearchResult, applied: AppliedLoads, names: tuple[str, ...]) -> LoadCases:
     coordinates = Coordinates(relaxed(model, unloaded.state.z))
     rest = configuration_at(coordinates, unloaded.state.q, base=False)

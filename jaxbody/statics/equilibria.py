@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, is_concrete, tangent_or_nan
@@ -305,14 +305,14 @@ def of_position(eq: Equilibrium) -> tuple[Any, ...]:
     return eq.state, eq.energy, eq.deformations, eq.element_forces, eq.on_supports, eq.from_drawn, *closed
 
 
-@jit_unoptimized
+@program
 def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, max_steps: int, z: Float[Array, "nz"] | None = None) -> Equilibrium:
     """The jitted core of `equilibrium` without loads; `z`: hysteretic states."""
     coordinates = Coordinates(relaxed(model, z))
     return equilibrium_at(coordinates, search_by_descent(coordinates, start, max_steps), no_loads(model.gravity.dtype), model)
 
 
-@jit_unoptimized
+@program
 def _equilibrium_at(model: Model, search: SearchResult, applied: AppliedLoads, z: Float[Array, "nz"]) -> Equilibrium:
     return equilibrium_at(Coordinates(relaxed(model, z)), search, applied, model)
 

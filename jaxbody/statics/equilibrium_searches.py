@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_optimized
+from jaxbody.compilation.compile_options import OPTIMIZED, program_with
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, positive_number, whole_number
 from jaxbody.core.arrays import Array, Float
@@ -122,7 +122,7 @@ def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
     return near or int(one.status) == int(other.status) == Status.SINGULAR_K
 
 
-@jit_optimized
+@program_with(OPTIMIZED)
 def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium:
     size, coordinates = size_of(model), Coordinates(relaxed(model))
     scale = scale_of(model, size)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Float
 from jaxbody.mechanics.free_motions import on_closures
 from jaxbody.mechanics.hessians import configuration_at, slope, stiffness
@@ -21,7 +21,7 @@ from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.descents import SINGULAR
 
 
-@jit_unoptimized
+@program
 def resisting_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
     """Scaled K with the tangents of hysteresis, along the closures where there are some."""
     coordinates = Coordinates(resisting(model, state.z))

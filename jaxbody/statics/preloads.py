@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind
 from jaxbody.core.arrays import Array, Float, Int, is_concrete
@@ -139,7 +139,7 @@ def _balanced(status):
     return jnp.isin(status, jnp.array((Status.OK, Status.NEGATIVE_LENGTH)))
 
 
-@jit_unoptimized
+@program
 def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[int, ...]) -> Preload:
     arrays, layout, n = jax.tree.leaves(model), model.layout, len(leaves)
     start = jnp.stack([*(leaf.read(arrays) for leaf in leaves), *jnp.zeros(len(rows), state.q.dtype)])

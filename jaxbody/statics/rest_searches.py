@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Bool, Float, Int, is_concrete
 from jaxbody.core.errors import Status
 from jaxbody.mechanics.constraints import closed
@@ -80,7 +80,7 @@ def search_under_loads(model: Model, unloaded: Any, start, applied: AppliedLoads
     return jax.lax.cond(any_of_batch(~jnp.all(settled)), descended, lambda: search)
 
 
-@jit_unoptimized
+@program
 def along_path(model: Model, unloaded: Any, applied: AppliedLoads, many: bool) -> tuple[SearchResult, Bool[Array, "*n"]]:
     """The search along the load path from the unloaded equilibrium, and whether its result is valid: it is not if K is singular at the
     start, unless the path reached its end or a limit point."""
@@ -99,7 +99,7 @@ def along_path(model: Model, unloaded: Any, applied: AppliedLoads, many: bool) -
     return loads.each(one, starts) if many else one(loads, starts)
 
 
-@jit_unoptimized
+@program
 def _by_descent(
     model: Model, start, applied: AppliedLoads, max_steps: int, many: bool, search: SearchResult, settled: Bool[Array, "*n"], z
 ) -> SearchResult:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, is_concrete, rows_or_nan, shaped, stack
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
@@ -46,7 +46,7 @@ def as_initial(initial: Any) -> Any:
     return Rest() if isinstance(initial, str) and initial == "rest" else initial
 
 
-@jit_unoptimized
+@program
 def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     """The state of rest at time t, NaN where there is none, and its equilibrium."""
     coordinates = Coordinates(relaxed(model))
@@ -137,7 +137,7 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
     return force(model, state, stack([xi.get(name, np.zeros(6)) for name in model.layout.supports]))
 
 
-@jit_unoptimized
+@program
 def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nv"]:
     zero, model = jnp.zeros(model.layout.nv, xi.dtype), holding(model, completed(model, state).z)
 
@@ -147,7 +147,7 @@ def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[A
     return slope(jnp.zeros_like(xi)) - slope(xi)
 
 
-@jit_unoptimized
+@program
 def _excitation_of_loops(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nf"]:
     model = holding(model, completed(model, state).z)
     coordinates, own, still = Coordinates(model), np.array(model.independent, int), jnp.zeros(model.layout.nv, xi.dtype)

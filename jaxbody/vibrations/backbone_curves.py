@@ -31,7 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, module_of, rows_or_nan, tangent_or_nan
 from jaxbody.core.datasets import Labeled, dataset
@@ -168,7 +168,7 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
     return warn_if_failed(_backbones(lin))
 
 
-@jit_unoptimized
+@program
 def _backbones(lin: Linearization) -> Backbones:
     model, K, M, straight = lin.model, (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2, Straight(Coordinates(lin.model))
     frozen = jax.lax.stop_gradient(lin)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int
 from jaxbody.core.errors import Status
@@ -92,7 +92,7 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     return warn_if_failed(_complex_modes(lin))
 
 
-@jit_unoptimized
+@program
 def _complex_modes(lin: LinearSystem) -> ComplexModes:
     n, unit = lin.nv, jax.lax.stop_gradient(lin.scale)  # nondimensional; results do not depend on it
     M, D, K = (scaled(X, unit) for X in (lin.M, lin.D, lin.K))
@@ -217,7 +217,7 @@ def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
     return _whirl(lin, modes.shapes)
 
 
-@jit_unoptimized
+@program
 def _whirl(lin: SpinLinearization, shapes: Complex[Array, "nv n"]) -> Float[Array, "n"]:
     bodies, V = lin.model.bodies.rows, lin.basis.velocities
     spin = (V @ lin.state.v)[:, 3:]

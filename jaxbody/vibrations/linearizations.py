@@ -14,7 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arguments import kind_of
 from jaxbody.core.arrays import Array, Float, Inexact, Int, is_concrete
@@ -304,7 +304,7 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     return _linearize_closed(model, at, None, ()) if model.closures else _linearize(model, at, None, ())
 
 
-@jit_unoptimized
+@program
 def _linearize_closed(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
     """`_linearize` of a model with closures."""
     layout, independent = model.layout, model.independent or ()
@@ -332,13 +332,13 @@ def _linearize_closed(model: Model, state: State, status: Int[Array, ""] | None,
     return Linearization(M, C, K, given, state, model, basis_of(at), *tilde, *bb, loads, dependent=moves)  # pyright: ignore[reportCallIssue]
 
 
-@jit_unoptimized
+@program
 def _closure_stiffness(lin: Linearization) -> Float[Array, "nf nf"]:
     nv, moves = lin.model.layout.nv, lin.dependent
     return lin.reduced(closure_stiffness(Coordinates(lin.held), lin.state.q, moves.multipliers)[:nv, :nv])  # pyright: ignore[reportOptionalMemberAccess]
 
 
-@jit_unoptimized
+@program
 def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
     """`status`: status of the equilibrium; None for other states."""
     nv, ny = model.layout.nv, len(model.layout.inner)
@@ -365,7 +365,7 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
     return Linearization(M, C, K, status, state, model, basis, *tilde, *bb, loads)  # pyright: ignore[reportCallIssue]
 
 
-@jit_unoptimized
+@program
 def _condensed(lin: Linearization) -> Linearization:
     nv, ny = lin.nv, lin.massless
     K, C, M = lin.whole

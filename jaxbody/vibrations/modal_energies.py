@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, is_concrete
 from jaxbody.core.datasets import Labeled, dataset
@@ -204,7 +204,7 @@ def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str,
     return direction_names(model, forward, up)
 
 
-@jit_unoptimized
+@program
 def _energies(lin: Linearization) -> tuple[Array, ...]:
     frequency, *_, status = modes_of(lin)
     values, shapes = natural(lin.K, lin.M)

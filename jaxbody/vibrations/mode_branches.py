@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, concrete, float_array, is_concrete
 from jaxbody.core.datasets import Labeled, dataset
@@ -103,7 +103,7 @@ def mac(one: Modes | ComplexModes | Any, other: Modes | ComplexModes | Any, *, m
     return _mac(X, Y, W)
 
 
-@jit_unoptimized
+@program
 def _mac(X: Array, Y: Array, W: Float[Array, "nv nv"]) -> Float[Array, "n m"]:
     def norm(Z):
         return jnp.sum(jnp.conj(Z) * (W.astype(Z.dtype) @ Z), 0).real
@@ -141,7 +141,7 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
     return warn_if_failed(_track(jnp.asarray(given), at_values, M))
 
 
-@jit_unoptimized
+@program
 def _track(values: Float[Array, "k"], at_values: Modes | ComplexModes, M: Float[Array, "k nv nv"]) -> Branches:
     n = at_values.frequency.shape[1]
     frozen = jax.lax.stop_gradient((at_values.shapes, M))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, shaped
@@ -173,7 +173,7 @@ def _rows(lin: Linearization, body: str) -> slice:
     return slice(lin.independent.index(own.start), lin.independent.index(own.start) + 6)
 
 
-@jit_unoptimized
+@program
 def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     rows, K = _rows(lin, body), lin.quasistatic[1]
     K = (K[rows, rows] + K[rows, rows].T) / 2
@@ -192,7 +192,7 @@ def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     return ElasticAxes(center, n, stiffness, points, pitch, torsional_axes, torsional, status, body)
 
 
-@jit_unoptimized
+@program
 def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) -> TorqueRollAxis:
     rows, row = _rows(lin, body), lin.model.bodies.rows
     i = lin.model.layout.bodies.index(body)

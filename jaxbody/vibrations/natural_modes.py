@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Inexact, Int
 from jaxbody.core.datasets import Labeled, dataset
@@ -146,7 +146,7 @@ def without_inner_rows(lin: Linearization, stiffness: str, where: str) -> Linear
     return lin.condensed if stiffness == "relaxed" else lin.instantaneous
 
 
-@jit_unoptimized
+@program
 def _modes(lin: Linearization) -> Modes:
     frequency, shapes, damping_ratio, eigenvalues, cluster, status = modes_of(lin)
     shapes = lin.expanded(shapes)
@@ -155,7 +155,7 @@ def _modes(lin: Linearization) -> Modes:
     return Modes(frequency, damping_ratio, shapes, cluster, status, lin.M, lin.model, lin.basis, eigenvalues)
 
 
-@jit_unoptimized
+@program
 def modes_of(lin: Linearization) -> tuple[Array, ...]:
     """Frequency, shapes, damping ratio, eigenvalues, cluster and status; of elements with memory the relaxed stiffness, unless the system
     has no rows for them."""

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Complex, Float
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame, Instant
@@ -240,7 +240,7 @@ def _reaction_rows(lin: Any, sensor: Reaction, held: Float[Array, "nxi"], F: Flo
     return _Rows(-jnp.stack([K + turned[np.array(places) - first], C, M]), F[own], reactions=places)
 
 
-@jit_unoptimized
+@program
 def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ...]) -> Ports:
     """The matrices between these inputs and outputs on a linearization."""
     layout = lin.model.layout

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Status
 from jaxbody.core.results import warn_if_failed
@@ -92,7 +92,7 @@ def linearize_spin(model: Model, at: State) -> SpinLinearization:
     return warn_if_failed(_linearize_spin(model, at))
 
 
-@jit_unoptimized
+@program
 def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     q, own = state.q, np.array(model.independent or (), int)
     dynamics, v = dynamics_of(model, tuple(AtRest() for _ in model.layout.supports)), state.v[own]

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.errors import Problems, Status
@@ -79,7 +79,7 @@ def _check_without_delay(outputs: dict[str, Any]) -> None:
                 problems.add("BAD_CHAIN", f"state_space.outputs[{name!r}]", "has a delay", value=sensor.delay, limit="no delay", hint=hint)
 
 
-@jit_unoptimized
+@program
 def _state_space(lin: Any, ports: Any):
     """The states are p = Delta - g u, r = Delta' - g u' - h u and, of massless coordinates, w = y - j u, so that no derivative of u is
     needed, then Xi and Xi' of inputs that are

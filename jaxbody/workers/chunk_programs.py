@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from importlib import metadata
+from importlib import metadata, resources
 from typing import Any
 
 import jax
@@ -26,8 +26,6 @@ import numpy as np
 from jax.sharding import AxisType, PartitionSpec
 
 from jaxbody.compilation.compile_options import OPTION, fast_loops, quick_options
-from jaxbody.compilation.kept_programs import hash_of_source
-from jaxbody.compilation.late_imports import find_lapack
 from jaxbody.core.errors import JaxbodyError, Problem
 
 KEPT = 16  # programs that a worker keeps
@@ -151,6 +149,19 @@ def types_of(arrays: dict[str, Any], axes: int = 0) -> Types:
 
 
 @functools.cache
+def hash_of_source() -> str:
+    """A hash of all files of jaxbody."""
+    source = hashlib.sha256()
+    for file in sorted(_sources(resources.files("jaxbody")), key=str):
+        source.update(file.read_bytes())
+    return source.hexdigest()
+
+
+def _sources(folder: Any) -> list[Any]:
+    return [file for x in folder.iterdir() for file in (_sources(x) if x.is_dir() else [x] if x.name.endswith(".py") else [])]
+
+
+@functools.cache
 def versions() -> tuple[tuple[str, str], ...]:
     """What the numbers depend on: jaxbody with a hash of its source, JAX and its compiler, and the kind of device."""
     libraries = [(name, metadata.version(name)) for name in ("jax", "jaxlib")]
@@ -186,7 +197,7 @@ _loaded: dict[str, LoadedProgram] = {}
 
 def _compiled(program: ChunkProgram) -> LoadedProgram:
     """Each device runs the same program on its own rows, so that numbers do not depend on how many there are."""
-    find_lapack()
+    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), jnp.result_type(float)))  # jaxlib then knows where LAPACK is
     exported = jax.export.deserialize(bytearray(program.data))
     devices = [] if b"lapack" in program.data and jax.default_backend() == "cpu" else jax.local_devices()  # see `one_at_a_time`
     width, call = program.width, exported.call

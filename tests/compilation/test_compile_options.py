@@ -1,4 +1,7 @@
-"""Short programs are compiled without optimization, long ones with it; what is compiled how is read from the call to XLA."""
+"""jb.jit is jax.jit with options that compile quickly; a driver is one program, whose options follow from the shapes of its arguments."""
+
+import functools
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -6,46 +9,99 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.compilation import compile_options, eager_programs, kept_programs
-from jaxbody.compilation.array_functions import array_function
-from jaxbody.designs.programs import values_and_slopes
-from jaxbody.identification.residuals import residual_and_jacobian
-from jaxbody.simulations.integrations import integrate
+from jaxbody.compilation.compile_options import program, program_with
+from jaxbody.simulations import integrations
+
+pytestmark = pytest.mark.everywhere
 
 
-class Stop(Exception):
+def spring(k, x, power=1, name="spring"):
+    """A force, an integer, a result without x, some that are no arrays: what drivers return, too."""
+    return {"force": k * x**power + jnp.sin(k), "count": jnp.arange(power), "stiffness": k**2, "said": name, "power": power}
+
+
+def test_results_of_jit_are_those_of_the_function_whatever_they_hold():
+    found, plain = jb.jit(spring)(3.0, np.array([1.0, 2.0]), power=2, name="strut"), spring(3.0, np.array([1.0, 2.0]), 2, "strut")
+    assert (found["said"], found["power"]) == ("strut", 2) and found["count"].tolist() == [0, 1]
+    np.testing.assert_allclose(found["force"], plain["force"], rtol=1e-15)
+    assert jb.jit(functools.partial(spring, 2.0))(1.0)["force"] == spring(2.0, 1.0)["force"]
+    assert jb.jit(spring).__name__ == "spring" and jb.jit(spring).__doc__ == spring.__doc__
+
+
+def test_new_floats_compile_nothing_and_other_words_do():
+    traced = []
+    force = jb.jit(lambda k, power: traced.append(power) or k**power)
+    assert [float(force(k, 2)) for k in (1.0, 2.0, np.float64(3.0), jnp.asarray(4.0))] == [1, 4, 9, 16]
+    assert traced.count(2) <= 2  # a float of Python has a weak type
+    assert float(force(2.0, 3)) == 8 and traced[-1] == 3
+    one = jb.jit(lambda x: type(x).__name__)
+    assert [one(1), one(True), one(1)] == ["int", "bool", "int"]  # equal, but not the same
+
+
+# sin k + 8 k: with its derivatives by k
+DERIVATIVES = [lambda k: 8 * k + np.sin(k), lambda k: 8 + np.cos(k), lambda k: -np.sin(k)]
+
+
+def force(k):
+    return jb.jit(spring)(k, jnp.asarray(2.0), 3)["force"]
+
+
+@pytest.mark.parametrize("inside", [force, lambda k: program(spring)(k, jnp.asarray(2.0), 3, "")["force"]], ids=["jit", "driver"])
+def test_derivatives_and_batches_inside_and_outside_of_jit(inside):
+    k = jnp.array([3.0, 5.0])
+    ways = [
+        (inside, 0),
+        (jax.grad(inside), 1),
+        (jax.jacfwd(inside), 1),
+        (lambda k: jax.vjp(inside, k)[1](1.0)[0], 1),
+        (jax.hessian(inside), 2),
+    ]
+    for way, order in ways:
+        expected = DERIVATIVES[order](np.asarray(k))
+        np.testing.assert_allclose(way(k[0]), expected[0], rtol=1e-14)
+        for compiled in (jax.jit, jb.jit):
+            np.testing.assert_allclose(compiled(way)(k[0]), expected[0], rtol=1e-14)
+            np.testing.assert_allclose(compiled(jax.vmap(way))(k), expected, rtol=1e-14)
+        np.testing.assert_allclose(jax.vmap(way)(k), expected, rtol=1e-14)
+    scanned = jax.lax.scan(lambda carry, k: (carry + inside(k), None), 0.0, k)[0]
+    np.testing.assert_allclose(scanned, DERIVATIVES[0](np.asarray(k)).sum(), rtol=1e-14)
+
+
+def test_keys_of_random_numbers_are_arguments():
+    drawn = jb.jit(lambda key, scale: scale * jax.random.normal(key, (2,)))
+    keys = jax.random.split(jax.random.key(0), 3)
+    np.testing.assert_allclose(jax.vmap(drawn, (0, None))(keys, 2.0), [2 * jax.random.normal(key, (2,)) for key in keys], rtol=1e-14)
+
+
+class Seen(Exception):
     """Instead of compiling the program that is looked at."""
 
 
-@pytest.fixture
-def optimized(monkeypatch):
-    """optimized(name, calls, times=1): whether the program of a driver of this name is compiled with optimization by what `calls` it
-    for the last of several times."""
-    others = compile_options.call
-    eager_programs.calls_of.cache_clear()
+@dataclass(frozen=True)
+class Options:
+    name: str
 
-    def run(name, calls, times=1):
-        levels = []
-
-        def call(program, options, arrays):
-            if program.__name__ != name:
-                return others(program, options, arrays)
-            levels.append(dict(options).get("xla_backend_optimization_level") != 0)
-            raise Stop
-
-        monkeypatch.setattr(compile_options, "call", call)
-        monkeypatch.setattr(eager_programs, "call", call)
-        monkeypatch.setattr(eager_programs, "compiled_by_jax", lambda arrays: False)  # ahead, in a thread
-        for _ in range(times):
-            with pytest.raises(Stop):
-                calls()
-        return levels[-1]
-
-    return run
+    def keys(self):
+        raise Seen(self.name)
 
 
-def model():
-    return jb.presets.quarter_car()
+def test_options_are_for_programs_by_themselves():
+    """Elsewhere JAX refuses them."""
+    driver = program_with(Options("own"))(spring)
+    with pytest.raises(Seen, match="own"):
+        driver(1.0, jnp.ones(()), 3, "")
+    for inside in (jax.jit, jb.jit, jax.grad, jax.vmap):
+        x = jnp.ones(3) if inside is jax.vmap else 1.0
+        assert np.isfinite(inside(lambda k: driver(k, jnp.ones(()), 3, "")["force"])(x)).all()
+
+
+def test_the_same_call_repeated_has_the_same_bits_and_compiles_nothing():
+    model = jb.presets.quarter_car()
+    run = lambda: jb.simulate(model, [0.0, 0.1]).state.v  # noqa: E731
+    first = np.asarray(run())
+    with jb.compile_times() as times:
+        assert all(np.array_equal(run(), first) for _ in range(200))
+    assert times.count == 0
 
 
 @pytest.mark.parametrize(
@@ -57,95 +113,9 @@ def model():
         (np.array([5.0, 35.1]), True),
     ],
 )
-def test_short_motions_are_not_optimized(optimized, times, long):
-    car = model()
-    assert optimized(integrate.__name__, lambda: jb.simulate(car, times, initial=car.reference)) == long
-
-
-@pytest.mark.parametrize(
-    ("name", "transformed", "long"),
-    [
-        ("integrate_jvp", lambda loss: jax.jvp(loss, (2e4,), (1.0,)), False),
-        ("integrate_pullback", lambda loss: jax.grad(loss)(2e4), False),
-        ("integrate_batch", lambda loss: jax.vmap(loss)(2e4 * np.ones(16)), False),
-        ("integrate_batch", lambda loss: jax.vmap(loss)(2e4 * np.ones(17)), True),
-    ],
-)
-def test_derivatives_of_short_motions_are_not_optimized_and_large_batches_are(optimized, name, transformed, long):
-    car = model()
-    assert optimized(name, lambda: transformed(lambda k: motion(jb.replace(car, {"suspension.stiffness": k})))) == long
-
-
-@pytest.mark.parametrize(("times", "often"), [(compile_options.OFTEN, False), (compile_options.OFTEN + 1, True)])
-@pytest.mark.parametrize("gradient", [False, True])
-def test_what_is_called_often_is_optimized(optimized, gradient, times, often):
-    car = model()
-    if gradient:
-        slope = jax.grad(lambda k: motion(jb.replace(car, {"suspension.stiffness": k})))
-        assert optimized("integrate_pullback", lambda: slope(2e4), times) == often
-    else:
-        assert optimized(integrate.__name__, lambda: motion(car), times) == often
-
-
-def test_motions_with_closures_are_optimized(optimized):
-    linkage = jb.presets.four_bar()
-    assert optimized(integrate.__name__, lambda: jb.simulate(linkage, [0.0, 0.1], initial=linkage.reference))
-
-
-def test_designs_with_closures_are_optimized(optimized):
-    linkage = jb.presets.four_bar()
-    assert optimized(
-        values_and_slopes.__name__, lambda: jb.tune(linkage, lambda m: m["rocker"].mass, free=["rocker.mass"], minimize="objective")
-    )
-
-
-def motion(model):
-    return jb.simulate(model, [0.0, 0.1], initial=model.reference).state.q[-1, 0]
-
-
-def frequency(model):
-    return jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
-
-
-def own_loop(model):
-    return jax.lax.while_loop(lambda x: x < 1e6, lambda x: 2 * x, model["suspension"].stiffness)
-
-
-def steps(model, n):
-    return jax.lax.fori_loop(0, n, lambda i, x: x + jnp.sin(x), model["suspension"].stiffness)
-
-
-@pytest.mark.everywhere  # JAX 0.7 could not differentiate such a motion
-@pytest.mark.parametrize(
-    ("function", "long"),
-    [
-        (frequency, False),
-        (motion, True),
-        (jax.jit(motion), True),
-        (own_loop, True),
-        (lambda model: steps(model, 10), False),
-        (lambda model: steps(model, 1000), True),
-    ],
-)
-def test_functions_of_a_user_with_loops_are_optimized(optimized, function, long):
-    tuned = optimized(values_and_slopes.__name__, lambda: jb.tune(model(), function, free=["suspension.stiffness"], minimize="objective"))
-    assert tuned == long
-
-
-@pytest.mark.parametrize(("samples", "long"), [(200, False), (1001, True)])
-def test_fits_of_short_records_are_not_optimized(optimized, samples, long):
-    car = model()
-    run = jb.Experiment(
-        np.linspace(0, 2, samples),
-        initial=car.reference,
-        sensors={"body": jb.Position("body", axis="z")},
-        measured={"body": np.sin(np.arange(samples))},
-    )
-    assert optimized(residual_and_jacobian.__name__, lambda: jb.fit(car, {"run": run}, free=["suspension.stiffness"])) == long
-
-
-def test_whether_a_kept_program_has_loops_is_known_without_tracing_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(kept_programs, "_kept", kept_programs.KeptPrograms(tmp_path))
-    program, types = array_function(jnp.linalg.norm, (np.zeros(3),))[0], (jax.typeof(np.zeros(3)),)
-    assert [kept_programs.known(program, types, "loops", lambda fact=fact: fact) for fact in (True, False)] == [True, True]
-    assert [kept_programs.known(program, types, "others", lambda fact=fact: fact) for fact in (False, True)] == [False, False]
+def test_long_motions_are_optimized(monkeypatch, times, long):
+    for name in ("OPTIMIZED", "QUICK"):
+        monkeypatch.setattr(integrations, name, Options(name))
+    car = jb.presets.quarter_car()
+    with pytest.raises(Seen, match="OPTIMIZED" if long else "QUICK"):
+        jb.simulate(car, times, initial=car.reference)

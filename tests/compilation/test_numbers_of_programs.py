@@ -77,8 +77,6 @@ print('programs', *sorted(ours))
 )
 DRIVERS = ["_excitation", "_linearize", "_measured", "_modes", "_placed", "between", "equilibrium_of", "integrate", "residual_and_jacobian"]
 
-TRACED = ["_nan_unless_found"]  # of an equilibrium outside a jit, with derivatives
-
 
 def programs(script, *arguments):
     hidden = {"JAX_COMPILATION_CACHE_DIR", "XLA_FLAGS"}
@@ -89,16 +87,13 @@ def programs(script, *arguments):
 
 
 def test_the_example_contract_compiles_one_program_for_each_driver():
+    """And one for each jb.jit, beside what a result is printed with."""
     found = programs(CONTRACT)
-    ours = [name for name in found if not name.endswith("_pullback")]
-    assert sorted([*DRIVERS, *TRACED, *TRACED]) == [name for name in ours if name != "_with_traced"]  # of frequencies and of a batch
-    assert ours.count("_with_traced") <= 1  # of a batch of stiffnesses
-    assert sorted(set(found) - set(ours)) == ["_linearize_pullback", "_modes_pullback", "equilibrium_of_pullback"]
+    assert sorted([*DRIVERS, "<lambda>", "<lambda>"]) == found
 
 
 def test_the_first_script_of_readme_compiles_its_drivers_and_their_derivatives():
-    of_gradient = ["_comfort", "_linearize", "_random_response", "equilibrium_of", "port_matrices"]
-    assert programs(COMFORT) == sorted(["_modes", *TRACED, *of_gradient, *(name + "_pullback" for name in of_gradient)])
+    assert programs(COMFORT) == sorted(["_linearize", "_modes", "comfort", "equilibrium_of"])
 
 
 def test_the_demo_compiles_few_programs(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.compilation import compilations
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.inputs.motions import as_motion
 
 
@@ -44,7 +44,7 @@ def warned(function, calls):
 @pytest.mark.parametrize("reason", CALLS)
 def test_what_makes_a_function_compile_again_and_again_is_named_once(reason):
     make, words = CALLS[reason]
-    (message,) = warned(jit_unoptimized(summed), [make(i) for i in range(8)])
+    (message,) = warned(program(summed), [make(i) for i in range(8)])
     assert message.startswith("test_recompilations.summed was compiled 6 times in a row") and message.endswith("[RECOMPILED]")
     with pytest.raises(AssertionError, match=words):
         raise AssertionError(message)
@@ -53,10 +53,10 @@ def test_what_makes_a_function_compile_again_and_again_is_named_once(reason):
 def test_programs_of_their_own_are_no_storm():
     """New numbers compile nothing; other functions, and two things at once, are other programs; five in a row are not many."""
     others = [np.sum, np.max, np.min, np.mean, np.prod, np.ptp, np.std]
-    assert warned(jit_unoptimized(summed), [(jnp.full(2, float(i)), 3, (once,)) for i in range(8)]) == []
-    assert warned(jit_unoptimized(summed), [(jnp.ones(i + 1), i, (once,)) for i in range(8)]) == []
-    assert warned(jit_unoptimized(summed), [(jnp.ones(i + 1), 3, (once,)) for i in range(5)]) == []
-    assert warned(jit_unoptimized(lambda x, f: jnp.asarray(f is None) + x), [(jnp.ones(2), f) for f in others]) == []
+    assert warned(program(summed), [(jnp.full(2, float(i)), 3, (once,)) for i in range(8)]) == []
+    assert warned(program(summed), [(jnp.ones(i + 1), i, (once,)) for i in range(8)]) == []
+    assert warned(program(summed), [(jnp.ones(i + 1), 3, (once,)) for i in range(5)]) == []
+    assert warned(program(lambda x, f: jnp.asarray(f is None) + x), [(jnp.ones(2), f) for f in others]) == []
 
 
 @pytest.mark.long
@@ -78,7 +78,7 @@ def test_a_motion_that_is_created_in_each_iteration_of_a_loop_is_named():
     def calls():
         return [((as_motion(lambda t: t * jnp.ones(6)),), jnp.array(0.5)) for _ in range(7)]
 
-    (message,) = warned(jit_unoptimized(place), calls())
+    (message,) = warned(program(place), calls())
     assert "for a new Python function in the structure of motions; make it once" in message
 
 
@@ -105,7 +105,7 @@ def test_a_compilation_of_more_than_a_minute_is_mentioned(case):
             jax.monitoring.record_event_duration_secs(COMPILING + event, seconds, fun_name=name)
         return 2 * x
 
-    once = jit_unoptimized(doubled_slowly)
+    once = program(doubled_slowly)
     seen = warned(once, [(jnp.ones(3),), (jnp.zeros(3),)])
     assert [
         message.endswith("[SLOW_COMPILATION]") and f"doubled_slowly took {time} to compile" in message
@@ -120,7 +120,7 @@ def test_the_seconds_of_a_compilation_are_those_that_jax_reports(monkeypatch):
         return 3 * x
 
     with jb.compile_times() as spent:
-        (message,) = warned(jit_unoptimized(tripled), [(jnp.ones(3),), (jnp.zeros(3),)])
+        (message,) = warned(program(tripled), [(jnp.ones(3),), (jnp.zeros(3),)])
     assert f"tripled took {sum(spent.programs['tripled'][:3]):.0f} s to compile" in message and spent.programs["tripled"][3] == 1
 
 
@@ -128,6 +128,6 @@ def test_results_have_no_weak_type_for_which_others_would_be_compiled_again():
     """A number of Python becomes one in a result of JAX, and batches lose it."""
     numbers = lambda x: (jnp.where(x > 0, 3, 5), 2.0 * jnp.ones(()), x)  # noqa: E731
     assert jax.jit(numbers)(jnp.ones(()))[0].aval.weak_type
-    result = jit_unoptimized(numbers)(jnp.ones(()))
+    result = program(numbers)(jnp.ones(()))
     assert [x.aval.weak_type for x in result] == [False, False, False]
     assert [x.dtype for x in result] == [jnp.result_type(int), jnp.result_type(float), jnp.result_type(float)]

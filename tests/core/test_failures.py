@@ -62,6 +62,10 @@ TRANSFORMED = {
 }
 
 
+def without_numbers(text):
+    return re.sub(r"\d[\d.e-]*", "#", text)
+
+
 def warned(function):
     """The result of a function, and the warnings that it issued."""
     with warnings.catch_warnings(record=True) as seen:
@@ -72,13 +76,14 @@ def warned(function):
 @pytest.mark.long
 @pytest.mark.parametrize("code", FAILURES)
 def test_a_failed_result_issues_the_same_warnings_under_derivatives(code):
-    """The derivative of a failed result is NaN; beyond a table the values are valid, and so are the derivatives."""
+    """The derivative of a failed result is NaN; beyond a table the values are valid, and so are the derivatives. Steps near a failure
+    depend on rounding, which XLA's options change: words are compared, not numbers."""
     number = FAILURES[code]
     _, plain = warned(lambda: number(400.0))
     assert len(plain) == 1 and plain[0].endswith(f"[{code}]")
     for name, transformed in TRANSFORMED.items():
         slope, seen = warned(lambda: transformed(number))  # noqa: B023
-        assert seen == plain, name
+        assert [without_numbers(text) for text in seen] == [without_numbers(text) for text in plain], name
         assert np.isfinite(slope) == (code == "TABLE_RANGE"), name
     slopes, seen = warned(lambda: jax.vmap(jax.grad(number))(jnp.array([400.0, 500.0])))
     assert seen == [] and (np.isfinite(slopes) == (code == "TABLE_RANGE")).all()

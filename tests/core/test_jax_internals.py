@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from jaxbody.compilation.shared_settings import without_cache
 from jaxbody.core import jax_internals
 
 pytestmark = pytest.mark.everywhere
@@ -106,34 +105,3 @@ def test_programs_lose_what_their_results_do_not_need(monkeypatch):
     assert [eqn.primitive.name for eqn in kept.jaxpr.eqns] == ["sin"]
     monkeypatch.delattr(jax_internals.partial_eval, "dce_jaxpr")
     assert [eqn.primitive.name for eqn in jax_internals.only_what_is_needed(traced).jaxpr.eqns] == ["sin", "cos"]
-
-
-def test_compiled_code_runs_in_another_process(tmp_path, monkeypatch):
-    """All kinds of numbers, results that are arguments or empty, and LAPACK, which jaxlib looks up only when it is asked to."""
-    if not jax_internals.code_can_be_run():
-        pytest.skip("not in this version of JAX, or not on this device")
-    arguments = [jnp.array([[4.0, 1.0], [1.0, 3.0]]), jnp.array(3), jnp.array(True), jnp.array(1 + 2j)]
-    call = lambda A, n, b, z: (jnp.linalg.cholesky(A), n, ~b, z * A, jnp.zeros((0, 3)), A.astype("float32"))  # noqa: E731
-    with without_cache():
-        (tmp_path / "code").write_bytes(jax_internals.code_of(jax.jit(call).lower(*arguments).compile()))
-    again = f"""
-import jax, jax.numpy as jnp
-from jaxbody.compilation.late_imports import find_lapack
-from jaxbody.core import jax_internals
-jax.config.update("jax_enable_x64", {jax.config.jax_enable_x64})
-find_lapack()
-run = jax_internals.runner(open({str(tmp_path / "code")!r}, "rb").read())
-arguments = [jnp.array([[4.0, 1.0], [1.0, 3.0]]), jnp.array(3), jnp.array(True), jnp.array(1 + 2j)]
-for _ in range(2):
-    L, n, b, z, empty, single = run(arguments)
-assert jnp.allclose(L @ L.T, arguments[0], rtol=1e-6) and n == 3 and not b and (z == (1 + 2j) * arguments[0]).all()
-assert empty.shape == (0, 3) and single.dtype == "float32" and not L.committed
-"""
-    done = subprocess.run([sys.executable, "-c", again], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert jax_internals.runner(b"no code") is None
-    jax_internals.code_can_be_run.cache_clear()
-    monkeypatch.delattr("jaxlib._jax.LoadedExecutable")
-    assert not jax_internals.code_can_be_run()
-    monkeypatch.undo()
-    jax_internals.code_can_be_run.cache_clear()

@@ -7,8 +7,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxbody as jb
-from jaxbody.compilation.array_functions import compiled_with
-from jaxbody.compilation.compile_options import BRIEF
 from jaxbody.experiments.experiments import Integration
 from jaxbody.identification.colorings import colors_of
 from jaxbody.identification.residuals import Task, first_noise, residual_and_jacobian
@@ -94,7 +92,7 @@ def test_columns_that_touch_different_residuals_share_a_tangent():
     assert space.size == 24 and len(set(colors_of(space))) == 7
     one_by_one = jax.jacfwd(lambda u: 2 * (task.residual(u),), has_aux=True)
     # with other options of XLA a step is accepted here and not there
-    all_columns, same = compiled_with(BRIEF, one_by_one)(u)
+    all_columns, same = jb.jit(one_by_one)(u)
     np.testing.assert_allclose(r, same, rtol=1e-13)
     np.testing.assert_allclose(J, all_columns, rtol=1e-12, atol=1e-12 * np.abs(J).max())
 

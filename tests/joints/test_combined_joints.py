@@ -1,7 +1,5 @@
 """Universal joints, cylindrical joints and planes: closed forms, the same joints as chains, derivatives where angles are zero, files."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxbody as jb
-from jaxbody.compilation.compile_options import UNOPTIMIZED
 from jaxbody.mechanics.closed_loops import acceleration
 from jaxbody.mechanics.energies import frames_of
 
 G = 9.81
-jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
+jit_once = jb.jit  # compiling is the cost
 BAR = jb.Body(mass=1.0, inertia=[1, 1, 1])
 
 

@@ -1,7 +1,5 @@
 """MuJoCo on the same models: accelerations and rates of inner states on moving supports, and motions over a second, base moving."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +12,6 @@ import in_mujoco  # noqa: E402
 import judged_models  # noqa: E402
 
 import jaxbody as jb  # noqa: E402
-from jaxbody.compilation.compile_options import UNOPTIMIZED  # noqa: E402
 from jaxbody.mechanics.closed_loops import dynamics_of  # noqa: E402
 
 SAMPLES = 4
@@ -33,7 +30,7 @@ def random_states(model, rng):
     return [jb.State(x, rng.normal(size=n), 0.3 * rng.normal(size=model.layout.nz)) for x in q]
 
 
-@functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
+@jb.jit  # compiling is the cost
 def rates(model, motions, times, states):
     """v' and z'."""
     dynamics = dynamics_of(model, motions)

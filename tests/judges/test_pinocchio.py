@@ -1,7 +1,5 @@
 """Pinocchio on the same models: accelerations, reactions and mass matrices of trees on moving supports, and rests of closed loops."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +13,6 @@ import in_pinocchio  # noqa: E402
 import judged_models  # noqa: E402
 
 import jaxbody as jb  # noqa: E402
-from jaxbody.compilation.compile_options import UNOPTIMIZED  # noqa: E402
 from jaxbody.mechanics.closed_loops import dynamics_of  # noqa: E402
 
 SAMPLES = 4
@@ -40,7 +37,7 @@ def random_states(model, rng):
     return jb.State(jnp.stack(q), jnp.array(rng.normal(size=(SAMPLES, model.layout.nv))))
 
 
-@functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
+@jb.jit  # compiling is the cost
 def by_jaxbody(model, motions, times, states):
     dynamics = dynamics_of(model, motions)
 

@@ -1,7 +1,5 @@
 """The equations of motion by three independent methods, and the reactions on supports."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,14 +7,13 @@ import paper
 import pytest
 
 import jaxbody as jb
-from jaxbody.compilation.compile_options import UNOPTIMIZED
 from jaxbody.geometry import rotations
 from jaxbody.mechanics.closed_loops import acceleration, dynamics_of
 from jaxbody.mechanics.equations_of_motion import FreeBodies, JointedBodies
 from jaxbody.mechanics.kinematics import Coordinates
 
 SAMPLES = 100
-jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
+jit_once = jb.jit  # compiling is the cost
 
 
 # Euler-Lagrange by automatic differentiation, in coordinates x: rotation vectors where the library has quaternions

@@ -12,7 +12,6 @@ mp = pytest.importorskip("mpmath", reason="needs mpmath: pip install 'jaxbody[ju
 mp.dps = 60
 
 import jaxbody as jb  # noqa: E402
-from jaxbody.compilation.compile_options import UNOPTIMIZED  # noqa: E402
 from jaxbody.mechanics.energies import potential  # noqa: E402
 from jaxbody.mechanics.kinematics import Chart, Coordinates  # noqa: E402
 
@@ -127,7 +126,7 @@ def stiffness(model, numbers, q, digits=15):
     return K
 
 
-@functools.partial(jax.jit, compiler_options=UNOPTIMIZED)
+@jb.jit
 def stiffness_and_slope(model, change, q):
     """K, and its derivative where all numbers of elements and the center of mass grow in proportion to `change`."""
 
@@ -218,7 +217,7 @@ ANGLES = [0.0, *10.0 ** np.arange(-16, 0, 1.25)]
 LIMITS = (1e-14, 1e-13, 1e-12, 1e-10)
 
 
-@functools.partial(jax.jit, compiler_options=UNOPTIMIZED)
+@jb.jit
 def slopes_along(model, q, direction):
     """The first four derivatives of V along a direction."""
 

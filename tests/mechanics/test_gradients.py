@@ -11,7 +11,6 @@ import rigs
 from rigs import max_difference
 
 import jaxbody as jb
-from jaxbody.compilation.compile_options import UNOPTIMIZED
 
 RNG = np.random.default_rng(11)
 TIMES = np.linspace(0, 0.6, 401)
@@ -19,7 +18,7 @@ INITIAL = {
     "q": np.array([0.15, -0.2, 0.45, 0.96, 0.1, -0.15, 0.2, 2.0]),
     "v": np.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.3, 0.8]),
 }
-jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
+jit_once = jb.jit  # compiling is the cost
 
 
 def still(p):

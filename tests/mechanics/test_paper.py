@@ -1,6 +1,5 @@
 """The paper's formulas for small oscillations, and its plate, against derivatives of the exact energies."""
 
-import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,13 +10,12 @@ import paper
 import pytest
 
 import jaxbody as jb
-from jaxbody.compilation.compile_options import UNOPTIMIZED
 from jaxbody.geometry import rotations
 from jaxbody.mechanics.energies import each_element, frames_of
 from jaxbody.mechanics.kinematics import Coordinates
 
 SPRINGS = ("AB", "CD", "EF")
-jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
+jit_once = jb.jit  # compiling is the cost
 
 
 # The plate of section 7

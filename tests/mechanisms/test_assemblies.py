@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import program
 from jaxbody.geometry.frames import Pose
 from jaxbody.mechanics.constraints import closed_on, drawn, gaps
 from jaxbody.mechanics.kinematics import Coordinates
@@ -191,7 +191,7 @@ def test_the_reference_of_a_model_is_assembled_and_follows_lengths():
 def test_a_start_off_the_closures_has_derivatives_by_the_point_that_sets_the_size():
     """Least movement weighs turns by the size of the model: a slider-crank whose crank is its longest part."""
 
-    @jit_unoptimized
+    @program
     def moved(crank):
         tip, slider = jnp.array([1.0, 0, 0]) * crank, jb.Guide("world", axis=[1, 0, 0])
         model = jb.Model(

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.compilation.compile_options import UNOPTIMIZED
 
 SIX = np.diag([3.0, 3, 3, 1, 1, 1]) * 100
 GOOD = {
@@ -64,7 +63,7 @@ def batch(cases):
 
 @pytest.fixture(scope="module")
 def outcomes():
-    return jax.jit(jax.vmap(outcome), compiler_options=UNOPTIMIZED)(batch([{}, *BAD.values()]))
+    return jb.jit(jax.vmap(outcome))(batch([{}, *BAD.values()]))
 
 
 @pytest.mark.long

@@ -1,7 +1,5 @@
 """The package's integration steps against diffrax's steps of the same method, gradients in every mode, batches against loops."""
 
-import functools
-
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,6 @@ import pytest
 import scipy.linalg
 
 import jaxbody as jb
-from jaxbody.compilation.compile_options import UNOPTIMIZED
 from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.numerics import step_blocks
 from jaxbody.simulations.simulations import motions_of
@@ -262,7 +259,7 @@ def test_simulate_works_on_every_jax_also_with_laws_that_interpolate():
     np.testing.assert_allclose(path(40.0), q[0], rtol=0, atol=1e-11)
 
 
-jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
+jit_once = jb.jit  # compiling is the cost
 
 
 def end(k):

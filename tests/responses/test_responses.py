@@ -1,7 +1,5 @@
 """Frequency response and state space: low-frequency limits, steady state, published vehicles and absorbers, symmetry, derivatives."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,13 +9,12 @@ import scipy.linalg
 from rigs import max_difference
 
 import jaxbody as jb
-from jaxbody.compilation.compile_options import UNOPTIMIZED
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 BASE = {d: jb.BaseMotion("base", d) for d in DIRECTIONS}
 POINT = np.array([0.1, -0.2, 0.3])
 LOW = 1e-6  # Hz: inertia and damping change the static response of these rigs by less than 1e-9
-jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
+jit_once = jb.jit  # compiling is the cost
 
 
 def at_rest(model):
