@@ -14,6 +14,16 @@ def hung(body, to=(0, 0, 0), gravity=(0, 0, 0), at=(0, 0, 0), **spring):
     return jb.Model(bodies={"body": body}, elements={"spring": jb.Spring(("body", at), ("world", to), **spring)}, gravity=gravity)
 
 
+def on_shaken_base(stiffness):
+    """A mass on a guide over a base that moves: m x'' = k (u - x) + c (u' - x') + F."""
+    return jb.Model(
+        bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 0.3])},
+        supports={"base": jb.Support()},
+        joints={"mass": jb.Guide("world", axis="z")},
+        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=stiffness, free_length=0.3, damping=3.0)},
+    )
+
+
 def motion(on, point=(0, 0, 0), direction="z"):
     """A sensor of the displacement of a point along x, y, z or a vector, or of the rotation about rx, ry or rz."""
     if isinstance(direction, str) and direction[0] == "r":

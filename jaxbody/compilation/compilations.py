@@ -16,7 +16,6 @@ from jax import monitoring
 
 from jaxbody.core import tables
 from jaxbody.core.errors import warn
-from jaxbody.core.jax_internals import outermost
 
 LONG = 60.0  # time to compile from which a warning is given [s]
 MANY = 6  # compilations in a row for one reason from which a warning is given
@@ -169,8 +168,8 @@ class Compiled:
 
     @contextmanager
     def watched(self, args: tuple[Any, ...]) -> Iterator[None]:
-        """A call with these arguments; note it if it is compiled by itself."""
-        self.calling, self.begun = outermost(), False
+        """A call with these arguments; note it if it is compiled."""
+        self.calling, self.begun = True, False
         try:
             yield
         finally:

@@ -59,7 +59,8 @@ def jit(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def call(*args, **named):
-        return programs(*jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float | complex) else x, (args, named)))
+        given = jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float | complex) else x, (args, named))
+        return programs.alone(*given) if outermost() else programs.inside(*given)
 
     return call
 
@@ -83,8 +84,10 @@ def program_with(options: Options | Callable[..., Options]) -> Callable[..., Any
 
         @functools.wraps(function)
         def driver(*args):
+            if not outermost():
+                return programs.inside(*args)
             with compiled.watched(args):
-                return programs(*args)
+                return programs.alone(*args)
 
         return driver
 
@@ -99,11 +102,19 @@ class _Programs:
         self.of_arrays = functools.lru_cache(STRUCTURES)(functools.partial(ArrayFunction, function, name))
         self.jitted = functools.lru_cache(STRUCTURES)(lambda function, options: jax.jit(function, compiler_options=dict(options) or None))
 
-    def __call__(self, *args: Any) -> Any:
+    def alone(self, *args: Any) -> Any:
+        """A program of its own, with the options."""
+        return self.result(args, self.options(*args))
+
+    def inside(self, *args: Any) -> Any:
+        """A part of another program, or of a derivative or batch, for which JAX takes no options."""
+        return self.result(args, ())
+
+    def result(self, args: tuple[Any, ...], options: Options) -> Any:
         leaves, tree = jax.tree.flatten(args)
         arrays = [x for x in leaves if isinstance(x, ARRAYS)]
         function = self.of_arrays(tree, tuple(None if isinstance(x, ARRAYS) else (type(x), x) for x in leaves))
-        return joined(*self.jitted(function, self.options(*args) if outermost() else ())(*arrays))
+        return joined(*self.jitted(function, options)(*arrays))
 
 
 def fast_loops() -> bool:

@@ -176,7 +176,8 @@ def end_of(domain, start):
 @pytest.mark.parametrize(("kind", "name"), ending(), ids=lambda x: getattr(x, "__name__", x))
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
 def test_data_that_pull_a_number_across_the_end_of_its_domain_leave_it_inside(kind, name):
-    """Measured is as much beyond what the number at its end gives as the start is before that."""
+    """Measured is as much beyond what the number at its end gives as the start is before that. Where more than half of its variation is
+    left, as of forces of the other sign, the status may say so rather than name the end, which the report does all the same."""
     assert kind in FITTED, f"{kind.__name__}.{name} has a domain that ends: say in FITTED what is measured of it"
     part, function = FITTED[kind]
     model, run = holding(part), Given(function, own=part)
@@ -204,7 +205,10 @@ def test_data_that_pull_a_number_across_the_end_of_its_domain_leave_it_inside(ki
         )
     rounded = 4 * np.spacing(value.max()) if name == "inertia" else 0.0  # a difference of moments of about 1; u is -25 and S e^-50 there
     assert -rounded < left < 1e-4
-    assert result.status == jb.Status.AT_BOUND
+    measured = 2 * last - first
+    rest = measured - np.asarray(function(result.model, result.experiments["run"].own))
+    explained = np.sqrt(np.mean(rest**2)) <= 0.5 * np.std(measured)
+    assert result.at_bound and (result.status == jb.Status.AT_BOUND or (not explained and result.status == jb.Status.FAR_OFF))
 
 
 def test_a_fit_that_ends_at_zero_says_so_once_and_assesses_the_others():

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import rigs
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
@@ -20,13 +21,7 @@ KNOTS = np.array([-0.5, 0.1, 0.4, 0.9, 2.0])
 
 
 def shaken(stiffness=300.0):
-    """A mass on a guide over a base that moves: m x'' = k (u - x) + c (u' - x') + F."""
-    return jb.Model(
-        bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 0.3])},
-        supports={"base": jb.Support()},
-        joints={"mass": jb.Guide("world", axis=UP)},
-        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=stiffness, free_length=0.3, damping=3.0)},
-    )
+    return rigs.on_shaken_base(stiffness)
 
 
 def heights(**options):

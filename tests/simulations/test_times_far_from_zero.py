@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import rigs
 
 import jaxbody as jb
 from jaxbody.core.arrays import time_text
@@ -23,12 +24,7 @@ ROWS = 2e-4 * np.cumsum(np.convolve(np.random.default_rng(0).normal(size=len(BEF
 
 
 def mass(stiffness=800.0):
-    return jb.Model(
-        bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 0.3])},
-        supports={"base": jb.Support()},
-        joints={"mass": jb.Guide("world", axis=UP)},
-        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=stiffness, free_length=0.3, damping=3.0)},
-    )
+    return rigs.on_shaken_base(stiffness)
 
 
 def moved(motion):
