@@ -147,14 +147,7 @@ class Trajectory(Labeled, Result):
     def explain(self) -> str:
         message, status = self._ended(), Status(int(self.status))
         if status in (Status.MAX_STEPS, Status.DT_MIN):
-            jump = force_jump_at(self.model, self.motions, *self.end)
-            jump = jump or changing_most(self.model, self.motions, self.loads, self.times, *self.end)
-            remedy = "dt0, a first step of your own" if status == Status.DT_MIN else "a larger max_steps"
-            stiff = "" if self.model.closures else ", or in Python solver=diffrax.Kvaerno5() if stiff"
-            usual = in_float64(self.state.q.dtype) or f"try {remedy}, a larger rtol{stiff}"
-            if (rounding := float(np.spacing(abs(self.end[0])))) > BLURRED * float(self.times[-1] - self.times[0]):
-                usual = f"functions of your own get times rounded to {rounding:.2g} s: count from the first sample; or {usual}"
-            message += "; " + "; ".join(filter(None, (jump, usual)))
+            message += "; " + (force_jump_at(self.model, self.motions, *self.end) or self._what_steps_need(status))
         if status == Status.SINGULAR_CLOSURE:
             message += "; " + singular_closure(self.model, self.motions, *self.end)
         if status == Status.TABLE_RANGE:
@@ -163,6 +156,16 @@ class Trajectory(Labeled, Result):
             first = nonfinite_ahead(self.model, self.motions, self.loads, self.times, *self.end)
             message += "; first not finite: " + (first or self._accelerations())
         return message
+
+    def _what_steps_need(self, status: Status) -> str:
+        """What changes fastest where the steps ended, and what else to try."""
+        changing = changing_most(self.model, self.motions, self.loads, self.times, *self.end)
+        remedy = "dt0, a first step of your own" if status == Status.DT_MIN else "a larger max_steps"
+        stiff = "" if self.model.closures else ", or in Python solver=diffrax.Kvaerno5() if stiff"
+        usual = in_float64(self.state.q.dtype) or f"try {remedy}, a larger rtol{stiff}"
+        if (rounding := float(np.spacing(abs(self.end[0])))) > BLURRED * float(self.times[-1] - self.times[0]):
+            usual = f"functions of your own get times rounded to {rounding:.2g} s: count from the first sample; or {usual}"
+        return "; ".join(filter(None, (changing, usual)))
 
     def _accelerations(self) -> str:
         """The name of the nonfinite part where all forces and motions are finite: accelerations or the state."""
