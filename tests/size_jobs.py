@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
@@ -193,7 +193,7 @@ def slope(function, x):
 
 
 def in_batch_of_slopes(function):
-    values, slopes = jax.jit(jax.vmap(lambda x: (function(x), slope(function, x))))(BATCH)
+    values, slopes = jb.jit(jax.vmap(lambda x: (function(x), slope(function, x))))(BATCH)
     return {"value": values[0], "slope": slopes[0]}
 
 
@@ -202,11 +202,10 @@ WAYS = {
     " in a vmap": lambda f: {"value": jax.vmap(f)(BATCH)[0]},
     " in a grad": lambda f: {"slope": slope(f, 1.0)},
     " in a jit": lambda f: {"value": jax.jit(f)(1.0)},
-    " in a grad in a jit": lambda f: {"slope": jax.jit(partial(slope, f))(1.0)},
+    " in a grad in a jit": lambda f: {"slope": jb.jit(partial(slope, f))(1.0)},
     " with its grad in a vmap in a jit": in_batch_of_slopes,
 }
-
-LONG_TO_COMPILE = (" in a grad in a jit", " with its grad in a vmap in a jit")  # more than all other ways together
+OUTSIDE_AND_INSIDE = ("", " with its grad in a vmap in a jit")
 
 
 def done(name: str, earlier: dict) -> None:
@@ -269,9 +268,9 @@ def failures(names: list[str]) -> list[str]:
     return lines + [f"{name} was not run" for name in names[begun:]]
 
 
-def all_ways(case: str, functions: str, but: tuple[str, ...] = ()) -> list[str]:
-    """Names of jobs: of functions in all ways but some."""
-    return [f"{case}: {function}{way}" for function in functions.split() for way in WAYS if way not in but]
+def jobs(case: str, functions: str, ways: Iterable[str] = WAYS) -> list[str]:
+    """Names of jobs: functions in these ways."""
+    return [f"{case}: {function}{way}" for function in functions.split() for way in ways]
 
 
 if __name__ == "__main__":

@@ -1,14 +1,12 @@
 """Every preset computes outside and inside a jit, in a vmap and in a grad, with the same numbers, and ends no process."""
 
 import pytest
-from size_jobs import LONG_TO_COMPILE, PRESETS, all_ways, failures
+from size_jobs import OUTSIDE_AND_INSIDE, PRESETS, WAYS, failures, jobs
 
 pytestmark = pytest.mark.long
-
-IN_ALL_WAYS = {"coupled_gliders", "four_bar"}
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset(name):
-    but = () if name in IN_ALL_WAYS else LONG_TO_COMPILE
-    assert failures([*all_ways(name, "equilibrium linearize modes simulate", but), f"{name}: fit"]) == []
+    ways = WAYS if name == "coupled_gliders" else OUTSIDE_AND_INSIDE
+    assert failures([*jobs(name, "equilibrium linearize modes simulate", ways), f"{name}: fit"]) == []

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import diffrax
 import pytest
-from size_jobs import LONG_TO_COMPILE, SOLVERS, all_ways, failures
+from size_jobs import OUTSIDE_AND_INSIDE, SOLVERS, failures, jobs
 
 import jaxbody as jb
 
@@ -27,11 +27,11 @@ def test_all_that_pages_and_docstrings_name_are_here():
 @pytest.mark.long
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_solver(solver):
-    jobs = [*all_ways(f"chain of 2 by {solver}", "simulate", LONG_TO_COMPILE), f"chain of 2 by {solver}: fit"]
-    jobs += [f"1 on bushings by {solver}: simulate", f"full_car by {solver}: simulate"]
-    assert failures(jobs) == []
+    names = [*jobs(f"chain of 2 by {solver}", "simulate", OUTSIDE_AND_INSIDE), f"chain of 2 by {solver}: fit"]
+    names += [f"1 on bushings by {solver}: simulate", f"full_car by {solver}: simulate"]
+    assert failures(names) == []
 
 
 @pytest.mark.long
 def test_a_fit_and_an_implicit_solver_in_all_ways():
-    assert failures([*all_ways("chain of 2", "fit"), *all_ways("chain of 2 by Kvaerno5", "simulate")]) == []
+    assert failures([*jobs("chain of 2", "fit"), *jobs("chain of 2 by Kvaerno5", "simulate")]) == []
