@@ -34,7 +34,8 @@ from jaxbody.experiments.unexplained_records import unexplained
 from jaxbody.identification.checkpoints import resumed, save
 from jaxbody.identification.colorings import PRIORS
 from jaxbody.identification.fits import Fit
-from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_optax, by_scipy
+from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_scipy
+from jaxbody.identification.optax_steps import by_optax
 from jaxbody.identification.residuals import (
     EXACT,
     ReadingsAndResiduals,
@@ -98,7 +99,7 @@ def fit(
         loss: None for least squares; "soft_l1" or "cauchy" for data with outliers (`losses`).
         rtol, solver, stepsize_controller, dt0: as in `simulate`.
         max_steps: largest number of integration steps of a run; by default 10,000, or 30 for each sample if that is more.
-        max_evaluations: largest number of evaluations of residuals and Jacobian.
+        max_evaluations: largest number of evaluations of residuals and Jacobian; of steps with an optax optimizer.
         progress: None shows progress on a terminal or in a notebook after five seconds, False is silent, True prints every evaluation.
         resume: an interrupted fit, or the path of its checkpoint, from which to continue.
         checkpoint: path of a file to which every improved trial is saved; by default none.
@@ -198,7 +199,7 @@ def _search(evaluate: Evaluations, task: Task, u: np.ndarray, method: Any) -> tu
     if isinstance(method, str):
         return by_scipy(evaluate, u, task.space.bounds)
     if not isinstance(method, optimistix.AbstractLeastSquaresSolver):
-        return by_optax(evaluate, u, method, task.space.bounds)
+        return by_optax(evaluate, task, u, method, task.space.bounds)
     best, status, steps = solve(task, u, method, max(evaluate.max_evaluations - evaluate.count, 1))
     evaluate.count += int(steps)
     return np.asarray(best), int(status) == Status.OK

@@ -1,32 +1,18 @@
-"""Minimization of the sum of squares of a residual r(u) with its Jacobian, by SciPy or by an optax optimizer in whitened coordinates.
-
-An optax optimizer works in coordinates y whitened by the Jacobian, J = U S V', u = u_k + V S^-1 |U'r| y, in which the linearized
-optimum lies at a distance of one. It is restarted from its best point until the Gauss-Newton step is small.
-"""
+"""Minimization of the sum of squares of a residual r(u) with its Jacobian by SciPy, ended by Gauss-Newton steps."""
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
 import jax
 import numpy as np
-import optax
 
 from jaxbody.core.arrays import device_array
-from jaxbody.identification.interrupted_programs import Parts, asked, interrupted
 from jaxbody.statistics.uncertainties import known_directions
 
-SIGNIFICANT = 0.01  # smallest decrease of the cost that counts as an improvement, relative to the expected decrease
-FLAT = 0.02  # gradient norm, relative to the first, below which the coordinates are whitened again
-SUFFICIENT = 0.75  # decrease of the cost, relative to the expected one, after which the coordinates are whitened again
 NEAR = 1e-4  # largest Gauss-Newton step in u from which Gauss-Newton steps finish the search
-FARTHEST = 0.7  # largest change of u for one unit of y: a factor of two for a positive parameter
-MAX_RESTARTS = 100
-MAX_INNER = 80
-PATIENCE = 25  # evaluations without an improvement
 CONVERGED = 1e-9  # norm of the part of the residual that the parameters still explain, relative to the whole
 SHORTER = 0.9  # largest ratio of a Gauss-Newton step to the step before it
 REMEMBERED = 3  # earlier steps used to accelerate the next one
@@ -128,7 +114,7 @@ def by_scipy(evaluate: Evaluations, u, limits: Bounds) -> tuple[np.ndarray, bool
     size = np.linalg.norm(evaluate(u)[0]) or 1.0  # the first trust region then depends on u and not on the noise level
 
     def jacobian(u):
-        projected, S, V = _whitened(evaluate.triangle(u))
+        projected, S, V = whitened(evaluate.triangle(u))
         if np.abs(V @ (projected / S)).max(initial=0.0) <= NEAR and (limits[0] < u).all() and (u < limits[1]).all():
             raise _NearOptimum(u)
         return evaluate.triangle(u)[1] / size
@@ -149,13 +135,13 @@ def gauss_newton(evaluate: Evaluations, u, converged: bool, limits: Bounds) -> t
     """Gauss-Newton steps as long as each is shorter than the one before; near the optimum, integration errors hide changes of the cost."""
     u = np.asarray(u)
     inside = np.all(np.abs(u - np.stack(limits)) > AT_BOUND, axis=0)
-    projected, S, V = _whitened(evaluate.triangle(u), inside)
+    projected, S, V = whitened(evaluate.triangle(u), inside)
     steps: list[tuple[np.ndarray, np.ndarray]] = []
     while converged and np.linalg.norm(projected) > CONVERGED * np.linalg.norm(evaluate(u)[0]) and not evaluate.exhausted:
         new = u.copy()
         steps = [*steps[-REMEMBERED:], (u[inside], -V @ (projected / S))]
         new[inside] = _accelerated(steps)
-        before, (projected, S, V) = np.linalg.norm(projected), _whitened(evaluate.triangle(new), inside)
+        before, (projected, S, V) = np.linalg.norm(projected), whitened(evaluate.triangle(new), inside)
         if not np.linalg.norm(projected) < SHORTER * before or (new < limits[0]).any() or (new > limits[1]).any():
             break
         u = new
@@ -173,7 +159,7 @@ def _accelerated(steps: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     return u + d - (U + D) @ np.linalg.lstsq(D, d, rcond=1e-6)[0]
 
 
-def _whitened(triangle: tuple[np.ndarray, np.ndarray], columns: Any = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def whitened(triangle: tuple[np.ndarray, np.ndarray], columns: Any = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """U'r, S and V of J = U S V', without the directions that the data do not determine: the Gauss-Newton step is -V S^-1 U'r."""
     r, J = triangle
     if not np.isfinite(r).all():
@@ -181,66 +167,3 @@ def _whitened(triangle: tuple[np.ndarray, np.ndarray], columns: Any = slice(None
     U, S, Vt = np.linalg.svd(J[:, columns], full_matrices=False)
     known = known_directions(S)
     return (U.T @ r)[known], S[known], Vt[known].T
-
-
-def by_optax(evaluate: Evaluations, u, optimizer, limits: Bounds) -> tuple[np.ndarray, bool]:
-    """The optimizer in whitened coordinates, restarted from the best point until the Gauss-Newton step is small.
-
-    Its update is traced once and runs as a few programs, between which it asks for costs. Within about a hundredth of a standard error,
-    integration errors make the cost too rough to descend; there Gauss-Newton steps take over, which do not use the cost."""
-    optimizer = optax.with_extra_args_support(optimizer)
-    u, reach = np.asarray(u), 1.0
-    for _ in range(MAX_RESTARTS):
-        r0 = evaluate(u)[0]
-        projected, S, V = _whitened(evaluate.triangle(u))
-        step = np.abs(V @ (projected / S)).max(initial=0.0)
-        if step <= NEAR:
-            return gauss_newton(evaluate, u, True, limits)
-        if evaluate.exhausted or reach < 1e-6:
-            break
-        fraction = reach * min(1.0, FARTHEST / step)  # of the distance to the linearized optimum that is one unit of y
-        size = fraction * np.linalg.norm(projected)
-        unwhiten = V * (size / S)  # u = u_k + unwhiten y
-        y = _descend(evaluate, optimizer, u, r0, unwhiten, size, sufficient=-SUFFICIENT * (1 / fraction - 0.5))
-        u, reach = (u, reach / 10) if y is None else (u + unwhiten @ y, min(1.0, 10 * reach))
-    return u, False
-
-
-def _descend(evaluate: Evaluations, optimizer, u, r0, unwhiten, size, sufficient: float) -> np.ndarray | None:
-    """The best y of the optimizer from 0, or None without a significant decrease of the cost."""
-
-    def value_and_gradient(y):
-        r, J, _ = evaluate(u + unwhiten @ y)
-        if not np.isfinite(r).all():
-            return 1e6, np.zeros_like(y)
-        # (r - r0)'(r + r0)/2 is the change of the cost without cancellation
-        return 0.5 * (r - r0) @ (r + r0) / size**2, unwhiten.T @ (J.T @ r) / size**2
-
-    begin, step = _programs_of(optimizer, unwhiten.shape[1], r0.dtype)
-    best, lowest, improved_at, first = None, -SIGNIFICANT / 2, evaluate.count, None
-    y, state = begin
-    for _ in range(MAX_INNER):
-        value, gradient = value_and_gradient(y)
-        slope = float(np.linalg.norm(gradient))
-        first = slope if first is None else first
-        if value < lowest:
-            best, lowest, improved_at = y, float(value), evaluate.count
-        if lowest < sufficient or slope < FLAT * first or evaluate.count - improved_at > PATIENCE or evaluate.exhausted:
-            break
-        y, state = step(value_and_gradient, y, state, np.asarray(value, y.dtype), np.asarray(gradient, y.dtype))
-        y = np.asarray(y)
-    return best
-
-
-@functools.lru_cache(maxsize=16)
-def _programs_of(optimizer, size: int, dtype) -> tuple[Any, Callable[..., Any]]:
-    """y = 0 with the optimizer's state there, and the function of (value_and_gradient, y, state, value, gradient) that updates them."""
-
-    def update(y, state, value, gradient):
-        change, state = optimizer.update(gradient, state, y, value=value, grad=gradient, value_fn=asked)
-        return optax.apply_updates(y, change), state
-
-    y, parts = np.zeros(size, dtype), Parts()
-    begin = interrupted(optimizer.init, y, parts=parts)
-    step = interrupted(update, y, jax.eval_shape(optimizer.init, y), y.dtype.type(0), y, parts=parts)
-    return (y, begin(None, y)), step

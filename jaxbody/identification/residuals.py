@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.compilation.compile_options import OPTIMIZED, QUICK, Options, program_with
 from jaxbody.core.arrays import Array, Float, as_numpy, device_array, module_of
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.experiments.experiments import Experiment, Integration
@@ -119,7 +119,12 @@ def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
     return sorted(runs, key=lambda run: (run == PRIORS, run))
 
 
-@program_with(lambda task, u: OPTIMIZED if take_long(task.space.model, *task.times) else QUICK)
+def options_of(task: Task) -> Options:
+    """Options of XLA for programs that simulate the runs of a task."""
+    return OPTIMIZED if take_long(task.space.model, *task.times) else QUICK
+
+
+@program_with(lambda task, u: options_of(task))
 def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, ReadingsAndResiduals]:
     """r, dr/du and the readings and residuals by channel, in one program, because compiling costs more than running."""
 
