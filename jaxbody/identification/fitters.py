@@ -252,8 +252,9 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
     ]
     at_bound += [f"{label} ({end})" for label, end in zip(space.names, ends, strict=True) if end]
     predicted = {run: runs[run][0] for run in task.experiments}
-    errors = _unexplained(task, model, experiments, runs) if np.isfinite(r).all() and np.linalg.norm(r) > floor(task) else []
-    if errors and status != Status.INTERRUPTED:
+    checked = np.isfinite(r).all() and np.linalg.norm(r) > floor(task)
+    errors, certain = _unexplained(task, model, experiments, runs) if checked else ([], False)
+    if (errors and status == Status.OK) or (certain and status != Status.INTERRUPTED):
         status = Status.FAR_OFF
     if status == Status.OK:
         rank = uncertainty.rank + np.count_nonzero(ends != "")
@@ -287,9 +288,9 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
     )
 
 
-def _unexplained(task: Task, model: Model, experiments: dict[str, Measurement], runs: ReadingsAndResiduals) -> list[str]:
+def _unexplained(task: Task, model: Model, experiments: dict[str, Measurement], runs: ReadingsAndResiduals) -> tuple[list[str], bool]:
     """Sentences on records that the fitted model does not explain, and on likely errors of measurements there or at the start, which may be
-    nearer to the truth."""
+    nearer to the truth; and whether one of these is certain, so that further evaluations are of no use."""
     residuals = {
         run: {
             name: np.asarray(runs[run][1][name]) * channel.spread(np.asarray(task.noise[run][name])) for name, channel in e.channels.items()
@@ -299,12 +300,12 @@ def _unexplained(task: Task, model: Model, experiments: dict[str, Measurement], 
     sentences = unexplained(experiments, residuals, task.loss is not None, integration_error(task))
     fitted = [error for run, e in experiments.items() for error in likely_errors(model, run, e, runs[run][0])[1]]
     if not sentences and not faults(fitted):
-        return []
+        return [], False
     first = residual_and_jacobian(task, device_array(np.zeros(task.space.size)))[2]
     start = [error for run, e in task.experiments.items() for error in likely_errors(task.space.model, run, e, first[run][0])[1]]
     other_than_offset = [[error for error in faults(errors) if error[0] != "OFFSET"] for errors in (start, fitted)]  # a unit makes one, too
     likely = next(filter(None, (*other_than_offset, faults(start), faults(fitted), start, fitted)), [])
-    return sentences + [message for _, message in likely]
+    return sentences + [message for _, message in likely], bool(faults(likely))
 
 
 @program
