@@ -99,7 +99,7 @@ class _Programs:
 
     def __init__(self, function: Callable[..., Any], name: str, options: Options | Callable[..., Options]):
         self.options = options if callable(options) else lambda *args: options
-        self.of_arrays = functools.lru_cache(STRUCTURES)(functools.partial(ArrayFunction, function, name))
+        self.of_arrays = functools.lru_cache(STRUCTURES)(lambda x64, *fixed: ArrayFunction(function, name, *fixed))
         self.jitted = functools.lru_cache(STRUCTURES)(lambda function, options: jax.jit(function, compiler_options=dict(options) or None))
 
     def alone(self, *args: Any) -> Any:
@@ -113,7 +113,8 @@ class _Programs:
     def result(self, args: tuple[Any, ...], options: Options) -> Any:
         leaves, tree = jax.tree.flatten(args)
         arrays = [x for x in leaves if isinstance(x, ARRAYS)]
-        function = self.of_arrays(tree, tuple(None if isinstance(x, ARRAYS) else (type(x), x) for x in leaves))
+        x64 = jax.config.read("jax_enable_x64")  # JAX keeps NumPy's constants of a function as they were in its first trace
+        function = self.of_arrays(x64, tree, tuple(None if isinstance(x, ARRAYS) else (type(x), x) for x in leaves))
         return joined(*self.jitted(function, options)(*arrays))
 
 

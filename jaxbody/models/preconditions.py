@@ -14,7 +14,6 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
-from jaxbody.numerics.precisions import begin
 
 MOST_MEMORY = 8e9  # bytes that the matrices of a model may take
 PER_ELEMENT = 2000  # bytes: 1400 were measured with 10 000 springs
@@ -44,13 +43,12 @@ def check_precision(where: str, model: Model, *, allow_float32: bool | None = Tr
             )
         )
     if x64:
-        return begin(x64)
+        return
     switch = 'jax.config.update("jax_enable_x64", True) before building the model'
     if not allow_float32 or model.closures:
         message = "cannot close loops in float32" if model.closures else "is unreliable in float32"
         hint = f"Say {switch}" + ("." if allow_float32 is None or model.closures else "; or allow_float32=True.")
         raise JaxbodyError(Problem("FLOAT32", where, message, dtype, "float64", hint))
-    begin(x64)
     if not _warned_of_float32:
         _warned_of_float32 = True
         warn("FLOAT32", f"{where}: computing in float32, with about 7 digits; for 16, use {switch}")

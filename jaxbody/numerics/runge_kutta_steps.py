@@ -160,7 +160,7 @@ def step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array,
         f_i, at_y = problem.rate(u, y_i, arguments)
         return (lax.dynamic_update_index_in_dim(k, h * f_i, i, 0), y_i, f_i, moved, error, at_y), None
 
-    A, C = method.A, method.C
+    A, C = method.A, method.C.astype(y.dtype)
     if project is not None:
         A, C = np.concatenate([A, A[-1:]]), np.append(C, C[-1])
     c = C if trial is None else jnp.where(trial, np.array([0.0, A[1, 1], *C[2:]]), C)  # of a trial step, which begins with f = 0
