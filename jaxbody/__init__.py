@@ -38,9 +38,7 @@ The packages, in reading order; each imports only from those before it:
     app             The command jaxbody; reports.
 """
 
-import sys
 from importlib import import_module
-from types import ModuleType
 
 __version__ = "0.1.0"
 
@@ -189,25 +187,5 @@ def __getattr__(name):
     return thing
 
 
-class _Listed(ModuleType):
-    """A module of this package whose `dir` lists its `__all__` if it has one, else its public names, else the names that it defines."""
-
-    def __dir__(self):
-        def own(x):
-            home = x.__name__ if isinstance(x, ModuleType) else getattr(x, "__module__", None)
-            return (home or "").startswith(self.__name__)
-
-        listed = vars(self).get("__all__") or _NAMES.get(self.__name__)
-        return listed or [name for name, x in vars(self).items() if name[0] != "_" and own(x)]
-
-    def __setattr__(self, name, value):
-        """The import system sets each module as an attribute of its package after running it; the module may have imported others
-        before."""
-        if isinstance(value, ModuleType) and value.__name__ == f"{self.__name__}.{name}":
-            value.__class__ = _Listed
-            for part in [*vars(value).items()]:
-                setattr(value, *part)
-        super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Listed
+def __dir__():
+    return __all__

@@ -6,7 +6,6 @@ Exit codes: 0, done; 1, done, but the result has another status than ok; 2, the 
 from __future__ import annotations
 
 import argparse
-import gc
 import shlex
 import sys
 import warnings
@@ -46,7 +45,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     own_process = arguments is None
     if own_process:
         warnings.showwarning = lambda message, *_, **__: print(f"warning: {message}", file=sys.stderr)  # without lines of code
-        gc.disable()  # what is imported stays: to look for garbage in it takes a tenth of the time
     options.typed = shlex.join(["jaxbody", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         return options.run(options, own_process)
@@ -96,8 +94,6 @@ def _demo(options: argparse.Namespace, own_process: bool) -> int:
         _prepare()
     from jaxbody.app import demos
 
-    if own_process:
-        _look_for_garbage()
     return demos.run(options.out, options.seed)
 
 
@@ -108,12 +104,6 @@ def _prepare() -> None:
         jb.keep_programs()
     except JaxbodyError as error:
         print(f"Programs are not kept for the next run: {error}", file=sys.stderr)
-
-
-def _look_for_garbage() -> None:
-    """From now on, but not among what was imported."""
-    gc.freeze()
-    gc.enable()
 
 
 def _new(options: argparse.Namespace, own_process: bool) -> int:
@@ -155,8 +145,6 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
     from jaxbody.studies.study_files import study_of
 
     study = study_of(document, values, options.file.parent, options.allow, measured=command.measured)
-    if own_process:
-        _look_for_garbage()
     outcome = command.run(study, options)
     for result in outcome.results:
         print(result)

@@ -13,17 +13,18 @@ import jaxlib.version
 
 from jaxbody.compilation.array_functions import ARRAYS, ArrayFunction, joined
 from jaxbody.compilation.compilations import Compiled
-from jaxbody.core.errors import JaxbodyError, Problem, warn
+from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.jax_internals import outermost, started, without_manual_axes
 
 Options = tuple[tuple[str, Any], ...]  # of XLA, names and values
 
-TESTED = (0, 7, 2), (0, 12)  # oldest and newest jaxlib; XLA ends the process on an unknown option, and before on loops over long vectors
 HOLDER = "--xla_backend_extra_options="
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
 WIDTH = "--xla_cpu_prefer_vector_width="  # in bits, 512 for all that the processor has; XLA's default is 256
 EMITTERS = "xla_cpu_use_fusion_emitters"  # without them programs compile in two thirds of the time and run as fast
-HAS_EMITTERS = tuple(map(int, jaxlib.version.__version__.split(".")[:2])) < (0, 11)  # later ones always use them
+VERSION = tuple(map(int, jaxlib.version.__version__.split(".")[:2]))
+HAS_EMITTERS = VERSION < (0, 11)  # later ones always use them
+HAS_SLOW_LOOPS = VERSION < (0, 12)  # one function for each loop slows later ones: T1 0.82 to 1.04 of C, T2 1.8 to 2.6, T4 0.64 to 0.79
 OPTIMIZED: Options = ((EMITTERS, False),) if HAS_EMITTERS else ()
 WIDE: Options = ((EMITTERS, True),) if HAS_EMITTERS else ()
 WIDE += (("xla_cpu_prefer_vector_width", 512),)  # loops over a thousand numbers or so run in two thirds of the time
@@ -119,31 +120,23 @@ class _Programs:
 
 
 def fast_loops() -> bool:
-    """Let XLA compile every loop on a CPU into one function; simulations of small models then run 2 to 5 times as fast.
+    """Let XLA before jaxlib 0.12 compile every loop on a CPU into one function; simulations of small models then run 2 to 5 times as fast.
 
-    By default XLA does so only for loops that carry less than 1024 bytes. The widest vector instructions are enabled too. Returns whether
-    the options are set. They apply to all that JAX compiles in this process and its child processes, so jaxbody sets them only when you
-    call this function. Call it before the first computation; other options in `XLA_FLAGS` are kept. Results change by rounding only.
+    From jaxlib 0.12 on it does nothing and returns False: loops are fast there, and the option slows them by a fifth.
 
-    Loops over long vectors become slower, because they then run on one core: 100 steps on a vector of 1e6 took twice the time on two cores.
-    Other programs were timed too (float32, two cores, jaxlib 0.10): a thousand random steps of 32 numbers took a quarter of the time. No
-    difference was measured for matrix products of 256 x 512 x 512 in a loop, a loop over vectors of 1e3, training steps of a small network,
-    a recurrent network, sorting and a convolution. Loops with LAPACK calls, sorts or scatters gain nothing. Time your own program both
-    ways.
+    Without it such a jaxlib makes one function only of loops that carry less than 1024 bytes. The widest vector instructions are enabled
+    too. The options apply to all that JAX compiles in this process and its child processes, so jaxbody sets them only when you call this
+    function. Call it before the first computation; other options in `XLA_FLAGS` are kept. Results change by rounding only. Loops over long
+    vectors become slower, because they then run on one core: 100 steps on a vector of 1e6 took twice the time on two cores.
 
-    Errors: TOO_LATE where JAX has already looked for devices, unless the option is set. Warns UNTESTED_JAXLIB, and changes nothing, for a
-    version of jaxlib that was not tested, because XLA ends the process on unknown options, and before 0.7.2 on loops over long vectors.
+    Errors: TOO_LATE where JAX has already looked for devices, unless the option is set.
 
     >>> done = fast_loops()  # doctest: +SKIP
     """
     flags = os.environ.get("XLA_FLAGS", "").split()
     if any(OPTION in flag for flag in flags):
         return True
-    version = tuple(int(part) for part in jaxlib.version.__version__.split(".")[:3])
-    oldest, newest = TESTED
-    if version < oldest or version[:2] > newest:
-        known = " to ".join(".".join(map(str, bound)) for bound in TESTED)
-        warn("UNTESTED_JAXLIB", f"fast_loops was tested with jaxlib {known}, not with {jaxlib.version.__version__}: nothing is changed")
+    if not HAS_SLOW_LOOPS:
         return False
     if started():
         hint = "Call jaxbody.fast_loops() before any array is made."

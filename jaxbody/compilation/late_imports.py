@@ -9,9 +9,9 @@ from collections.abc import Callable
 from typing import Any
 
 
-def late_names(package: str, modules: dict[str, tuple[str, ...]]) -> tuple[Callable[[str], Any], list[str]]:
-    """`__getattr__` and `__all__` of a package whose names are imported from its modules at their first use; its stub says the same to
-    editors and type checkers.
+def late_names(package: str, modules: dict[str, tuple[str, ...]]) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """`__getattr__`, `__dir__` and `__all__` of a package whose names are imported from its modules at their first use; its stub says the
+    same to editors and type checkers.
 
     Args:
         package: "jaxbody.laws"
@@ -26,4 +26,4 @@ def late_names(package: str, modules: dict[str, tuple[str, ...]]) -> tuple[Calla
         setattr(sys.modules[package], name, thing)
         return thing
 
-    return __getattr__, sorted(places)
+    return __getattr__, lambda: sorted(places), sorted(places)

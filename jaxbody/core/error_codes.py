@@ -237,7 +237,6 @@ CODES = {
     "UNSAFE_FOLDER": ("a folder for programs is open to others", "name one of your own, or make it private with chmod 700"),
     "UNSORTED_TIME": ("times go back", "sort the rows"),
     "UNSTABLE": ("the equilibrium is unstable", "start from a state moved along the unstable mode, or stiffen the model"),
-    "UNTESTED_JAXLIB": ("an option was not tested with this version of jaxlib", "nothing is changed; use a version in the message"),
     "USELESS_SPRING": ("an element is not attached to a body", "attach one of its ends to a body"),
     "WRAPPED": ("an angle jumps by whole turns where the prediction does not", "add up its turns: np.unwrap"),
     "WRONG_DIMENSION": ("the unit of a channel or column is one of another quantity", "name another channel, or correct its unit"),

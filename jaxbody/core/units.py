@@ -22,6 +22,10 @@ __all__ = [
 ]
 
 
+def __dir__():
+    return __all__
+
+
 Dimension = tuple[int, int, int, int, int]
 GRAVITY = 9.80665  # m/s2, standard gravity
 POUND = 4.4482216152605  # N

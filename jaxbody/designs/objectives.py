@@ -37,6 +37,10 @@ __all__ = [
 ]
 
 
+def __dir__():
+    return __all__
+
+
 LEAST_SHARE = 1e-6  # shares of energy below this are rounded off to avoid a kink at zero
 SIGMAS = 3.0
 

@@ -29,6 +29,10 @@ from jaxbody.geometry.vectors import axial, cross, dot, product, rotate, rotate_
 __all__ = ["Ball", "Closure", "Coupling", "Equation", "Guide", "Hinge", "Inline", "Rod", "Weld"]
 
 
+def __dir__():
+    return __all__
+
+
 class Closure(eqx.Module):
     """The base class of closures between two frames, named in `between`, at the points `a` and `b` in their axes.
 

@@ -27,7 +27,7 @@ PATIENCE = 25  # evaluations without an improvement
 FAILED = 1e6  # cost of a trial that cannot be simulated, where the expected decrease is 1/2
 
 
-class Coordinates(NamedTuple):
+class WhitenedCoordinates(NamedTuple):
     """u = origin + unwhiten y; costs are counted from |r0|^2/2 at the origin, in units of size^2."""
 
     origin: Float[Array, "n"]
@@ -44,7 +44,7 @@ class Coordinates(NamedTuple):
 
 
 @program_with(lambda task, *_: options_of(task))
-def _step(task: Task, optimizer: Any, at: Coordinates, y: Float[Array, "m"], state: Any, r: Array, J: Array) -> tuple[Array, Any]:
+def _step(task: Task, optimizer: Any, at: WhitenedCoordinates, y: Float[Array, "m"], state: Any, r: Array, J: Array) -> tuple[Array, Any]:
     """y and the state of the optimizer after one step from y, where residual and Jacobian are r and J."""
 
     @jax.custom_jvp  # the Jacobian comes with r, in forward mode; line searches differentiate in reverse
@@ -84,13 +84,13 @@ def by_optax(evaluate: Evaluations, task: Task, u, optimizer: Any, limits: Bound
             break
         fraction = reach * min(1.0, FARTHEST / step)  # of the distance to the linearized optimum that is one unit of y
         size = fraction * np.linalg.norm(projected)
-        at = Coordinates(u, V * (size / S), r0, np.asarray(size))
+        at = WhitenedCoordinates(u, V * (size / S), r0, np.asarray(size))
         y = _descend(evaluate, task, optimizer, at, sufficient=-SUFFICIENT * (1 / fraction - 0.5))
         u, reach = (u, reach / 10) if y is None else (u + at.unwhiten @ y, min(1.0, 10 * reach))
     return u, False
 
 
-def _descend(evaluate: Evaluations, task: Task, optimizer: Any, at: Coordinates, sufficient: float) -> np.ndarray | None:
+def _descend(evaluate: Evaluations, task: Task, optimizer: Any, at: WhitenedCoordinates, sufficient: float) -> np.ndarray | None:
     """The best y of the optimizer from 0, or None without a significant decrease of the cost."""
     y = np.zeros(at.unwhiten.shape[1], at.r0.dtype)
     state = _begin(optimizer, y)

@@ -30,6 +30,10 @@ __all__ = [
 ]
 
 
+def __dir__():
+    return __all__
+
+
 KINDS = ("hold", "linear", "cubic")
 
 

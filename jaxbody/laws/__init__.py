@@ -2,7 +2,7 @@
 
 from jaxbody.compilation.late_imports import late_names
 
-__getattr__, __all__ = late_names(
+__getattr__, __dir__, __all__ = late_names(
     "jaxbody.laws",
     {  # `__init__.pyi` says the same to editors and type checkers
         "damper_laws": (

@@ -105,3 +105,7 @@ __all__ = [
     "plot_validation",
     "plot_weighted_signal",
 ]
+
+
+def __dir__():
+    return __all__
