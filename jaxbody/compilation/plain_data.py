@@ -1,4 +1,4 @@
-"""Values and structures of trees as plain text and arrays, and back: names, numbers and tuples of them, never code.
+"""Values as plain text and arrays, and back: names, numbers and tuples of them, never code.
 
 Classes and functions are written by name; only those of jaxbody and of the libraries that it is built on are known, as their source is
 that of an installed version. A value of another kind has no text: `Unnamed` says which.
@@ -16,10 +16,8 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.core import ShapedArray
-from jax.tree_util import PyTreeDef
 
-from jaxbody.core.jax_internals import Tracer, tree_of_node
+from jaxbody.core.jax_internals import Tracer
 
 LIBRARIES = ("jaxbody", "diffrax", "equinox", "jax", "lineax", "optimistix")
 
@@ -70,13 +68,6 @@ class _Writer:
             return ["number", x.dtype.str, x.tobytes().hex()]
         if isinstance(x, np.ndarray | jax.Array):
             return self.array(x)
-        if isinstance(x, ShapedArray):
-            return ["type", list(x.shape), x.dtype.name, x.weak_type]
-        if isinstance(x, PyTreeDef):
-            node = x.node_data()
-            if node is None:
-                return ["leaf"] if x.num_leaves else ["empty"]
-            return ["tree", self.encoded(node[0]), self.encoded(node[1]), *(self.encoded(child) for child in x.children())]
         if isinstance(x, type) or (callable(x) and hasattr(x, "__qualname__") and not hasattr(x, "__self__")):
             return ["name", self.name(x)]
         return self.object(x)
@@ -179,9 +170,6 @@ class _Reader:
             object.__setattr__(made, field, value)
         return made
 
-    def tree(self, kind: Any, data: Any, *children: Any) -> Any:
-        return tree_of_node(self.decoded(kind), self.decoded(data), [self.decoded(child) for child in children])
-
     def array(self, kind: str, place: int) -> Any:
         x = self.arrays[place]
         return x if kind == "numpy" else jax.device_put(x)
@@ -199,10 +187,6 @@ READERS: dict[str, Callable[..., Any]] = {
     "enum": lambda read, kind, name: read.named(kind)[name],
     "dtype": lambda read, name: np.dtype(name),
     "number": lambda read, dtype, data: np.frombuffer(bytes.fromhex(data), dtype)[0],
-    "type": lambda read, shape, dtype, weak: ShapedArray(tuple(shape), np.dtype(dtype), weak_type=weak),
-    "leaf": lambda read: jax.tree.structure(0),
-    "empty": lambda read: jax.tree.structure(None),
-    "tree": _Reader.tree,
     "name": _Reader.named,
     "object": _Reader.object,
     "array": _Reader.array,

@@ -20,7 +20,6 @@ from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun  # pyright: ignore[reportPrivateImportUsage]
 from jax.interpreters import ad, batching, mlir, partial_eval
 from jax.interpreters.ad import Zero, instantiate_zeros
-from jax.tree_util import PyTreeDef
 
 __all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "instantiate_zeros", "jaxpr_as_fun"]  # used by other modules
 
@@ -88,22 +87,6 @@ def same_operation(equation: Any, args: Sequence[Any]) -> list[Any]:
     functions, params = params if isinstance(params, tuple) else ((), params)
     out = equation.primitive.bind(*functions, *args, **params)
     return list(out) if equation.primitive.multiple_results else [out]
-
-
-def tree_of_node(kind: type, data: Any, children: list[Any]) -> Any:
-    """The structure of a tree from what `node_data()` and `children()` of it return."""
-    if hasattr(PyTreeDef, "from_node_data_and_children"):
-        return PyTreeDef.from_node_data_and_children(jax.tree_util.default_registry, (kind, data), children)
-    from jax._src import tree_util
-
-    parts = [child.unflatten(range(child.num_leaves)) for child in children]
-    if kind is dict:
-        node = dict(zip(data, parts, strict=True))
-    elif issubclass(kind, tuple):
-        node = tuple(parts) if kind is tuple else kind(*parts)
-    else:
-        node = parts if kind is list else tree_util._registry[kind].from_iter(data, tuple(parts))
-    return jax.tree.structure(node)
 
 
 # New operations

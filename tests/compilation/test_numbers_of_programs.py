@@ -75,7 +75,8 @@ exec(code)
 print('programs', *sorted(ours))
 """
 )
-DRIVERS = ["_excitation", "_linearize", "_measured", "_modes", "_placed", "between", "equilibrium_of", "integrate", "residual_and_jacobian"]
+DRIVERS = ["_excitation", "_linearize", "_measured", "_modes", "equilibrium_of", "integrate"]
+DRIVERS += ["_begin", "_placed", "_step", "residual_and_jacobian"]  # of a fit by optax
 
 
 def programs(script, *arguments):

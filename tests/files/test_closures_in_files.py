@@ -130,7 +130,7 @@ def check_random_models(count, folder):
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
 def test_random_models_with_closures_are_the_same_again(tmp_path):
-    assert check_random_models(40, tmp_path) > 20
+    assert check_random_models(60, tmp_path) > 20
 
 
 def read(folder, text=STEERING, **options):
