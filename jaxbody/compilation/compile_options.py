@@ -5,11 +5,11 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Callable
+from importlib.metadata import version
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import jaxlib.version
 
 from jaxbody.compilation.array_functions import ARRAYS, ArrayFunction, joined
 from jaxbody.compilation.compilations import Compiled
@@ -22,7 +22,7 @@ HOLDER = "--xla_backend_extra_options="
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
 WIDTH = "--xla_cpu_prefer_vector_width="  # in bits, 512 for all that the processor has; XLA's default is 256
 EMITTERS = "xla_cpu_use_fusion_emitters"  # without them programs compile in two thirds of the time and run as fast
-VERSION = tuple(map(int, jaxlib.version.__version__.split(".")[:2]))
+VERSION = tuple(map(int, version("jaxlib").split(".")[:2]))
 HAS_EMITTERS = VERSION < (0, 11)  # later ones always use them
 HAS_SLOW_LOOPS = VERSION < (0, 12)  # one function for each loop slows later ones: T1 0.82 to 1.04 of C, T2 1.8 to 2.6, T4 0.64 to 0.79
 OPTIMIZED: Options = ((EMITTERS, False),) if HAS_EMITTERS else ()

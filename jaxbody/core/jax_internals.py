@@ -1,5 +1,13 @@
 """Internal functions of JAX that jaxbody uses, with an alternative where a version lacks them; `lanes` knows operations by name.
 
+    trace_state_clean             whether a driver is called by itself; without it options are left out
+    backends_are_initialized      whether options of XLA come too late; without it they have no effect
+    ClosedJaxpr, Literal          programs and constants in them, which `lanes` rewrites; without `lanes` all batches are those of jax.vmap
+    Primitive, primitive_jvps, primitive_transposes, primitive_batchers, register_lowering, lower_fun, core_call_lowering
+                                  operations with rules of their own; custom_jvp and custom_vmap are the way back, traced more often
+    Zero, instantiate_zeros       tangents that are known to be zero, in such rules
+    dce_jaxpr, dce_rules          removes what results do not need; without them more is computed
+
 Changes of JAX that matter here:
 0.10  most names of jax.core move to `jax.extend.core`; the last version for Python 3.11
 0.11  `jax.experimental.hijax`: "high" operations with their own rules, which are replaced by others before a program is compiled
@@ -17,11 +25,11 @@ from typing import Any
 import jax
 from jax import Array
 from jax.core import ShapedArray, Tracer
-from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun  # pyright: ignore[reportPrivateImportUsage]
+from jax.extend.core import ClosedJaxpr, Literal, Primitive  # pyright: ignore[reportPrivateImportUsage]
 from jax.interpreters import ad, batching, mlir, partial_eval
 from jax.interpreters.ad import Zero, instantiate_zeros
 
-__all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "instantiate_zeros", "jaxpr_as_fun"]  # used by other modules
+__all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "instantiate_zeros"]  # used by other modules
 
 
 # State of JAX
@@ -61,6 +69,11 @@ def merged(which: Sequence[bool], given: Sequence[Any], others: Sequence[Any]) -
 # Programs
 
 
+def jaxpr_as_fun(jaxpr: ClosedJaxpr) -> Callable[..., list[Any]]:
+    """The function that runs a program."""
+    return functools.partial(jax.core.eval_jaxpr, jaxpr.jaxpr, jaxpr.consts)
+
+
 REST_HAS_DERIVATIVES = jax.__version_info__ >= (0, 8)  # what 0.7 leaves of functions with rules of their own has none
 
 
@@ -76,9 +89,7 @@ def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     searchsorted, which JAX replaces by others just before it compiles."""
     if not getattr(jaxpr, "is_high", False):
         return jaxpr
-    if hasattr(partial_eval, "lower_jaxpr2"):
-        return partial_eval.lower_jaxpr2(jaxpr)  # pyright: ignore
-    return jax.jit(jaxpr_as_fun(jaxpr)).trace(*jaxpr.in_avals).lojax.jaxpr  # pyright: ignore  # the same, in other versions
+    return jax.jit(jaxpr_as_fun(jaxpr)).trace(*jaxpr.in_avals).lojax.jaxpr  # pyright: ignore
 
 
 def same_operation(equation: Any, args: Sequence[Any]) -> list[Any]:
@@ -106,7 +117,7 @@ def new_operation(
 ) -> Primitive:
     """A new operation of JAX that computes a function of (*arrays, **parameters), one array or several, with its rules. Types and lowering
     are those of `compute` unless `typed` and `lowered` are given, or what computes the same `inside` of a program; with a transpose but no
-    jvp the operation is linear."""
+    jvp the operation is linear, and of one array."""
     primitive = Primitive(name)
     primitive.multiple_results = several
     primitive.def_impl(compute)
@@ -114,13 +125,24 @@ def new_operation(
     mlir.register_lowering(primitive, lowered or mlir.lower_fun(inside or compute, multiple_results=several))
     if batch is not None:
         batching.primitive_batchers[primitive] = batch
-    if jvp is not None:
-        ad.primitive_jvps[primitive] = jvp
-        if transpose is not None:
-            ad.primitive_transposes[primitive] = transpose
-    elif transpose is not None:
-        ad.deflinear2(primitive, transpose)
+    if jvp is None and transpose is not None:
+        jvp, transpose = _rules_of_linear(primitive, transpose)
+    for rules, rule in ((ad.primitive_jvps, jvp), (ad.primitive_transposes, transpose)):
+        if rule is not None:
+            rules[primitive] = rule
     return primitive
+
+
+def _rules_of_linear(primitive: Primitive, transpose: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """The derivative of a linear operation of one array, and its transpose where nothing may come back."""
+
+    def jvp(primals, tangents, **parameters):
+        return primitive.bind(*primals, **parameters), primitive.bind(*tangents, **parameters)
+
+    def transposed(cotangent, x, **parameters):
+        return [Zero(x.aval)] if type(cotangent) is Zero else transpose(cotangent, x, **parameters)
+
+    return jvp, transposed
 
 
 def same_numbers(name: str, typed: Callable[..., Any] = lambda x, **_: x, **rules: Any) -> Primitive:

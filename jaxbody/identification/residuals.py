@@ -120,7 +120,7 @@ def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
 
 
 def options_of(task: Task) -> Options:
-    """Options of XLA for programs that simulate the runs of a task."""
+    """Options for programs that simulate the runs of a task."""
     return OPTIMIZED if take_long(task.space.model, *task.times) else QUICK
 
 

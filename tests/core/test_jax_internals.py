@@ -1,7 +1,11 @@
 """Internal functions of JAX behave as jaxbody needs them, and there is a substitute where they no longer exist."""
 
+import ast
+import importlib
+import inspect
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -72,15 +76,42 @@ def test_frequencies_and_their_slopes_in_shard_map():
     run_on_two(FREQUENCIES_ON_TWO)
 
 
-def test_programs_lose_what_only_jax_itself_can_compile(monkeypatch):
+def test_programs_lose_what_only_jax_itself_can_compile():
     table = jnp.arange(5.0)
-    traced = jax.make_jaxpr(lambda x: jnp.interp(x, table, table**2))(1.5)
-    for forget in ((), ("lower_jaxpr2",)):
-        for name in forget:
-            monkeypatch.delattr(jax_internals.partial_eval, name, raising=False)
-        lowered = jax_internals.without_high_operations(traced)
-        assert not getattr(lowered, "is_high", False)
-        assert jax.core.eval_jaxpr(lowered.jaxpr, lowered.consts, 1.5) == [2.5]
+    lowered = jax_internals.without_high_operations(jax.make_jaxpr(lambda x: jnp.interp(x, table, table**2))(1.5))
+    assert not getattr(lowered, "is_high", False)
+    assert jax.core.eval_jaxpr(lowered.jaxpr, lowered.consts, 1.5) == [2.5]
+
+
+INSIDE = ("jax._src", "jax.interpreters", "jax.extend", "jaxlib")
+
+
+def names_of_the_inside(path):
+    """What a file takes from these modules of JAX: names that it imports, and attributes of modules that it imports."""
+    tree, modules, names = ast.parse(path.read_text()), set(), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(INSIDE):
+            for alias in node.names:
+                of_module = f"{node.module}.{alias.name}"
+                (modules if inspect.ismodule(vars(importlib.import_module(node.module)).get(alias.name)) else names).add(of_module)
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names if alias.name.startswith(INSIDE)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            names |= {f"{module}.{node.attr}" for module in modules if module.rpartition(".")[2] == node.value.id}
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("getattr", "hasattr"):
+            of, name = map(ast.unparse, node.args[:2])
+            names |= {f"{module}.{name[1:-1]}" for module in modules if module.rpartition(".")[2] == of}
+    return names
+
+
+def test_the_inside_of_jax_is_used_in_one_file_by_few_names_each_with_why():
+    package = Path(jax_internals.__file__).parents[1]
+    found = {path.relative_to(package).as_posix(): names for path in package.rglob("*.py") if (names := names_of_the_inside(path))}
+    assert list(found) == ["core/jax_internals.py"]
+    (names,) = found.values()
+    assert len(names) <= 15, sorted(names)
+    assert [name for name in names if name.rpartition(".")[2] not in str(jax_internals.__doc__)] == []
 
 
 def test_whether_anything_is_being_traced(monkeypatch):
