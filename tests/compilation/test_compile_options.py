@@ -1,6 +1,9 @@
 """jb.jit is jax.jit with options that compile quickly; a driver is one program, whose options follow from the shapes of its arguments."""
 
 import functools
+import os
+import subprocess
+import sys
 from dataclasses import dataclass
 
 import jax
@@ -119,3 +122,33 @@ def test_long_motions_are_optimized(monkeypatch, times, long):
     car = jb.presets.quarter_car()
     with pytest.raises(Seen, match="OPTIMIZED" if long else "QUICK"):
         jb.simulate(car, times, initial=car.reference)
+
+
+SETTINGS = """
+import gc, os, threading, warnings
+import jax, numpy as np, optax, scipy.optimize  # which has filters of its own
+import jaxbody as jb
+
+jax.config.update("jax_enable_x64", True)
+car = jb.presets.quarter_car(damping=1500.0)
+jb.equilibrium(car)  # jax itself starts with it
+
+def settings():
+    threads = {thread.name for thread in threading.enumerate()}
+    of_python = gc.get_threshold(), gc.isenabled(), gc.get_freeze_count(), threads, dict(os.environ), list(warnings.filters)
+    return *of_python, np.geterr(), np.get_printoptions(), dict(jax.config.values)
+
+times, before = np.linspace(0, 1, 21), settings()
+run = dict(motion={"road": jb.Harmonic(frequency=2.0, translation=[0, 0, 0.01])}, sensors={"z": jb.Position("body", axis="z")})
+read = jb.measure(jb.simulate(car, times, motion=run["motion"]), run["sensors"])
+guess = jb.replace(car, {"suspension.stiffness": 3e4})
+for method in (optax.lbfgs(), "least_squares"):
+    assert jb.fit(guess, {"run": jb.Experiment(times, measured=read, noise=1e-4, **run)}, free="suspension.stiffness", method=method).ok
+print([i for i, (x, y) in enumerate(zip(before, settings())) if x != y])
+"""
+
+
+def test_a_fit_leaves_the_settings_of_the_process_as_they_were():
+    """Python's garbage collector, threads, environment and warnings, NumPy's settings and JAX's."""
+    done = subprocess.run([sys.executable, "-c", SETTINGS], capture_output=True, text=True, timeout=300, env=os.environ)
+    assert done.stdout == "[]\n", done.stdout + done.stderr
