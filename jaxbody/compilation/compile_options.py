@@ -6,7 +6,7 @@ import functools
 import os
 from collections.abc import Callable
 from importlib.metadata import version
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.jax_internals import outermost, started, without_manual_axes
 
 Options = tuple[tuple[str, Any], ...]  # of XLA, names and values
+F = TypeVar("F", bound=Callable[..., Any])
 
 HOLDER = "--xla_backend_extra_options="
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
@@ -36,7 +37,7 @@ QUICK: Options = (  # compiles in half the time of OPTIMIZED; programs take up t
 STRUCTURES = 4096  # of arguments that a function keeps programs for
 
 
-def jit(function: Callable[..., Any]) -> Callable[..., Any]:
+def jit(function: F) -> F:
     """jax.jit for functions of models and arrays, with options of XLA with which they compile quickly.
 
     Arrays and Python floats, anywhere in the arguments, are arguments of the program, so that new values compile nothing; all else (names,
@@ -63,15 +64,15 @@ def jit(function: Callable[..., Any]) -> Callable[..., Any]:
         given = jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float | complex) else x, (args, named))
         return programs.alone(*given) if outermost() else programs.inside(*given)
 
-    return call
+    return call  # pyright: ignore[reportReturnType]
 
 
-def program(function: Callable[..., Any]) -> Callable[..., Any]:
+def program(function: F) -> F:
     """A driver: `jit` for jaxbody's own functions that take milliseconds, whose Python numbers are fixed in the program."""
     return program_with(QUICK)(function)
 
 
-def program_with(options: Options | Callable[..., Options]) -> Callable[..., Any]:
+def program_with(options: Options | Callable[..., Options]) -> Callable[[F], F]:
     """A decorator: a driver with these options, or with those that a function of its arguments chooses from their shapes."""
 
     def driver_of(function):
@@ -92,7 +93,7 @@ def program_with(options: Options | Callable[..., Options]) -> Callable[..., Any
 
         return driver
 
-    return driver_of
+    return driver_of  # pyright: ignore[reportReturnType]
 
 
 class _Programs:

@@ -24,7 +24,7 @@ from typing import Any
 
 import jax
 from jax import Array
-from jax.core import ShapedArray, Tracer
+from jax.core import ShapedArray, Tracer, eval_jaxpr
 from jax.extend.core import ClosedJaxpr, Literal, Primitive  # pyright: ignore[reportPrivateImportUsage]
 from jax.interpreters import ad, batching, mlir, partial_eval
 from jax.interpreters.ad import Zero, instantiate_zeros
@@ -71,7 +71,7 @@ def merged(which: Sequence[bool], given: Sequence[Any], others: Sequence[Any]) -
 
 def jaxpr_as_fun(jaxpr: ClosedJaxpr) -> Callable[..., list[Any]]:
     """The function that runs a program."""
-    return functools.partial(jax.core.eval_jaxpr, jaxpr.jaxpr, jaxpr.consts)
+    return functools.partial(eval_jaxpr, jaxpr.jaxpr, jaxpr.consts)
 
 
 REST_HAS_DERIVATIVES = jax.__version_info__ >= (0, 8)  # what 0.7 leaves of functions with rules of their own has none

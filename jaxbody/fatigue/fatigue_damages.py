@@ -22,6 +22,7 @@ import jax.scipy.special
 import numpy as np
 from equinox import field
 
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables, units
 from jaxbody.core.arguments import check_one_of, checked_dict, positive_number
 from jaxbody.core.arrays import Array, Float, Int, device_array, is_concrete, part_of
@@ -197,7 +198,7 @@ def _check_curves(given: dict[str, Any], stated: dict[str, str], counted: bool, 
             problems.add("BAD_UNIT", where, f"is of {curve.unit}, but the output is in {limit}", value=curve.unit, limit=limit, hint=hint)
 
 
-@eqx.filter_jit
+@program
 def _expected(response: RandomResponse, rows: Any, curves: tuple[SNCurve, ...], T: Float[Array, ""], method: str) -> Arrays:
     """Damage, life, cycles and range of outputs of a response; moments are of f [Hz]."""
     each = zip((0, 1, 2, 4), moments(response, 0, 1, 2, 4), strict=True)

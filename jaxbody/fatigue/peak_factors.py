@@ -18,8 +18,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import field, filter_jit
+from equinox import field
 
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of, positive_number
 from jaxbody.core.arrays import Array, Float, Int, checked, concrete, device_array, part_of
@@ -111,7 +112,7 @@ def peak_factor(
     return warn_if_failed(PeakFactors(*values, response.outputs, response.units, formula))
 
 
-@filter_jit
+@program
 def _peaks(response: RandomResponse, T: Float[Array, ""], formula: str, p: Any):
     zeroth, first, second = moments(response, 0, 1, 2)
     rate, bandwidth = crossing_rate(zeroth, second), width(zeroth, first, second)

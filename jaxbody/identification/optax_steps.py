@@ -44,7 +44,7 @@ class WhitenedCoordinates(NamedTuple):
 
 
 @program_with(lambda task, *_: options_of(task))
-def _step(task: Task, optimizer: Any, at: WhitenedCoordinates, y: Float[Array, "m"], state: Any, r: Array, J: Array) -> tuple[Array, Any]:
+def _step(task: Task, optimizer: Any, at: WhitenedCoordinates, y: Float[Array, "m"], state: Any, r: Array, J: Array) -> tuple[Any, Any]:
     """y and the state of the optimizer after one step from y, where residual and Jacobian are r and J."""
 
     @jax.custom_jvp  # the Jacobian comes with r, in forward mode; line searches differentiate in reverse

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 
+from jaxbody.compilation.compile_options import program_with
 from jaxbody.core.arrays import Array
 from jaxbody.core.errors import Status
-from jaxbody.identification.residuals import Task, residual_and_jacobian, residuals_of_mean
+from jaxbody.identification.residuals import Task, options_of, residual_and_jacobian, residuals_of_mean
 
 
 @eqx.filter_custom_jvp  # not jax.custom_jvp: the task's solver and step controller may contain functions
@@ -29,7 +30,6 @@ def _residual_jvp(primals, tangents):
     return r / size, J @ tangents[2] / size
 
 
-@eqx.filter_jit
 def _minimize(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
     """The optimum by optimistix, a status and the number of steps."""
     signal = sum(
@@ -45,7 +45,7 @@ def _minimize(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Arra
     return result.value, jnp.where(failed, Status.NOT_CONVERGED.value, Status.OK.value), result.stats["num_steps"]
 
 
-@eqx.filter_jit
+@program_with(lambda task, *_: options_of(task))
 def solve(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
     """`_minimize` with its derivative: one program, also inside jit and vmap.
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key
 from jaxbody.core.arrays import Array, Float, PRNGKeyArray
@@ -82,7 +82,7 @@ def bands(
     with Problems() as problems:
         check_key(key, "bands.key", problems, "" if samples is None else "Draws need")
     uncertainty = fit._assessed()
-    f = eqx.filter_jit(lambda u: function(fit.task.space.place(u)[0]))
+    f = jit(lambda u: function(fit.task.space.place(u)[0]))
     value = f(fit.u)
     if not isinstance(value, jax.Array | np.ndarray) or jnp.iscomplexobj(value):
         hint = "Return one array; for complex numbers, magnitude and phase or real and imaginary parts."
@@ -93,7 +93,7 @@ def bands(
         error, low, high, finite = _drawn(fit, f, level, samples, key)
         freedom = np.full(value.shape, np.inf)
     else:
-        G = np.asarray(jax.jacfwd(f)(fit.u)).reshape(value.size, len(fit.u))
+        G = np.asarray(jit(jax.jacfwd(f))(fit.u)).reshape(value.size, len(fit.u))
         finite = np.isfinite(G).all(1).reshape(value.shape)
         error, freedom = (x.reshape(value.shape) for x in uncertainty.spread(np.nan_to_num(G)))
         error = np.where(finite, error, np.inf)

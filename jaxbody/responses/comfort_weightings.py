@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -190,7 +189,7 @@ def _weighting(name: str, f: Float[Array, "nf"]) -> Complex[Array, "nf"]:
     return W * (1 + s / (p.Q5 * p.f5) + (s / p.f5) ** 2) / (1 + s / (p.Q6 * p.f6) + (s / p.f6) ** 2) * (p.f5 / p.f6) ** 2
 
 
-@eqx.filter_jit
+@program
 def _weighted_signal(a: Float[Array, "nt"], step: Float[Array, ""], name: str, padding: int):
     n = len(a) + padding
     W = _weighting(name, jnp.fft.rfftfreq(n) / step)

@@ -15,8 +15,8 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from equinox import filter_jit
 
+from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Float, concrete, device_array
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import warn_if_failed
@@ -122,7 +122,7 @@ def _history(modal: ModalExcitation, records: list[tuple[Any, Any]], f: Any) -> 
     return floor, step / parts
 
 
-@filter_jit
+@program
 def _direct(modal: ModalExcitation, given: tuple[ResponseSpectrum, ...], f: Float[Array, "nf"], zeta: Float[Array, "nz"]):
     """The values (nz, nf) from spectra."""
     same = together(modal.cluster).astype(f.dtype)

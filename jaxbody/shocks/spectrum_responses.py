@@ -15,8 +15,9 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from equinox import field, filter_jit
+from equinox import field
 
+from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of, positive_number
 from jaxbody.core.arrays import Array, Float, Int, checked, concrete, device_array, float_array, is_concrete, part_of
@@ -269,7 +270,7 @@ def modal_peaks(modal: ModalExcitation, given: Any, e: int, taken: Array) -> tup
     return sign * peaks.reshape(c.shape), jnp.max(jnp.abs(a))
 
 
-@filter_jit
+@program
 def _combined(modal: ModalExcitation, taken: Array, peaks: Float[Array, "ne ny n"], rigid: Float[Array, "ne"], combine: str):
     """The fields of a result, up to its status."""
     w2 = (2 * jnp.pi * modal.frequency) ** 2

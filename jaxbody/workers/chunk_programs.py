@@ -14,7 +14,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from importlib import metadata, resources
 from typing import Any
@@ -76,12 +76,11 @@ class ChunkProgram:
 
     def _check(self) -> None:
         if self.fast and not _fast():
-            try:
+            with suppress(JaxbodyError):  # JAX has started already
                 fast_loops()
-            except JaxbodyError:
-                raise other_worker("has started JAX without fast_loops", "fast_loops") from None
         if _fast() != self.fast:
-            raise other_worker("has fast_loops set", "JAX without it")
+            known = ("has fast_loops set", "JAX without it"), ("has started JAX without fast_loops", "fast_loops")
+            raise other_worker(*known[self.fast])
         for (name, own), (_, wanted) in zip(versions(), self.versions, strict=True):
             if own != wanted:
                 raise other_worker(f"has {name} {own}", f"{name} {wanted}")

@@ -95,7 +95,7 @@ def test_speeds_in_the_readme_are_those_that_were_measured():
     """Ratios to C++ of the plate, rounded to two digits; the table in the manual is written by tests/benchmarks/run.py."""
     measured = (ROOT / "examples" / "docs" / "measured" / "speed.md").read_text()
     measured = measured[measured.index("| a plate on 5 springs") : measured.index("First result of a new process")]
-    for column, name in enumerate(("`fast_loops`", "MuJoCo RK4", "Exudyn RK4", "SciPy DOP853"), 2):
+    for column, name in enumerate(("| jaxbody |", "MuJoCo RK4", "Exudyn RK4", "SciPy DOP853"), 2):
         (line,) = [line for line in measured.splitlines() if name in line]
         ratios = [float(x) for x in re.findall(r"\(([\de.+]+);", line)]
         rows = [row.split("|")[1:] for row in README[README.index("| 10 s of motion") :].splitlines()[:4]]

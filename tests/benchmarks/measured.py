@@ -20,10 +20,8 @@ def job_of(name: str) -> Job:
     return {"plate": plate.JOB, "three": three.JOB}[name]
 
 
-def user_functions(job: Job, copies: int = 1, **options) -> dict[str, Callable]:
-    """What a user writes, each a function of the stiffnesses; with options of `jax.jit`."""
-    import functools
-
+def user_functions(job: Job, copies: int = 1, jit: Callable | None = None) -> dict[str, Callable]:
+    """What a user writes, each a function of the stiffnesses, in jax.jit or another."""
     import diffrax
     import jax
     import jax.numpy as jnp
@@ -49,7 +47,7 @@ def user_functions(job: Job, copies: int = 1, **options) -> dict[str, Callable]:
         result = jb.modes(jb.linearize(changed, eq))
         return result.frequency, result.status, eq.status, eq.stable
 
-    jit = functools.partial(jax.jit, **options)
+    jit = jit or jax.jit
     return {
         "T1": jit(lambda k: path(k, rtol=rtol["T1"])),
         "T2": jit(jax.jacfwd(loss)),
@@ -143,9 +141,8 @@ def medians(functions: dict[str, Callable], rounds: int) -> dict[str, float]:
     return {name: float(np.median(times)) for name, times in spent.items()}
 
 
-def start(job: Job, what: str, quick: bool) -> dict:
-    """Seconds to a first result in this process, after the bare imports of jax and diffrax, and of these; in a user's `jit`, maybe with
-    quick_options()."""
+def start(job: Job, what: str) -> dict:
+    """Seconds to a first result in this process, after the bare imports of jax and diffrax, and of these."""
     importing = time.perf_counter()
     import diffrax  # noqa: F401
     import jax
@@ -154,17 +151,17 @@ def start(job: Job, what: str, quick: bool) -> dict:
     begun = time.perf_counter()
     import jaxbody as jb
 
-    options = {"compiler_options": jb.quick_options()} if quick else {}
+    jit = jb.jit if what.endswith("jb.jit") else jax.jit
     if what == "motion":
         jax.block_until_ready(jb.simulate(job.model(), TIMES, motion=job.motion(), rtol=RTOL[job.name]["T1"]).state.q)
     elif what == "frequencies":
         model = job.model()
         jax.block_until_ready(jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency)
-    elif what == "motion in jit":
-        jax.block_until_ready(user_functions(job, **options)["T1"](job.stiffness))
+    elif what.startswith("motion in"):
+        jax.block_until_ready(user_functions(job, jit=jit)["T1"](job.stiffness))
     else:
         target = np.zeros((len(TIMES), 7 * len(job.mass)))
-        jax.block_until_ready(user_functions(job, **options)["T2"](job.stiffness, target))
+        jax.block_until_ready(user_functions(job, jit=jit)["T2"](job.stiffness, target))
     return {"imports": begun - importing, "seconds": time.perf_counter() - begun}
 
 

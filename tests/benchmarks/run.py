@@ -1,13 +1,12 @@
 """The speed of jaxbody compared with a hand-written C++ program and other programs, on two jobs: `python tests/benchmarks/run.py`.
 
-Prints one table for each job (plate.py, three.py): medians, ratios to C of medians measured in turn in one process, and errors,
-without and with XLA's option for small loops; then the time to a first result in a new process and the compile time. Needs g++.
-Includes MuJoCo, Exudyn and SciPy if they are installed.
+Prints one table for each job (plate.py, three.py): medians, ratios to C of medians measured in turn in one process, and errors; then the
+time to a first result in a new process and the compile time. Needs g++. Includes MuJoCo, Exudyn and SciPy if they are installed.
 
     --rounds N           how often each function is timed (default 13; slow functions 3 times)
     --job NAME           only this job: plate or three
     --only TEXT          only tasks whose name begins with TEXT, such as "T4"
-    --without, --with    only without, or only with the option
+    --fast               with fast_loops, for a jaxlib before 0.12
     --no-peers           C only
     --write              put the tables into the manual's page of speed, between its two marks
 
@@ -23,14 +22,16 @@ import platform
 import statistics
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import measured
 from measured import LIMITS, MEASURED_AGAINST
 
 JOBS = {"plate": "a plate on 5 springs", "three": "three bodies on 14 springs"}
-TARGETS = {("T1", False): 8, ("T1", True): 1.8, ("T2", True): 3, ("T3", True): 3, ("T4", True): 1.5, ("T4", False): 1.5}  # ratios to C
-STARTS = {"motion": 1.5, "frequencies": 1.5, "motion in jit": 1.5, "gradient in jit": 4.0}  # seconds to a first result
+TARGETS = {"T1": 1.8, "T2": 3, "T3": 3, "T4": 1.5}  # ratios to C
+STARTS = {"motion": 1.5, "frequencies": 1.5}  # seconds to a first result
+STARTS |= {f"{what} in {jit}": seconds for jit in ("jit", "jb.jit") for what, seconds in (("motion", 1.5), ("gradient", 4.0))}
 IMPORTS = "imports"
 COMPILATION = 1.2  # ratio of times for twenty times the springs
 WORDS = {"T1": "10 s of motion", "T2": "its gradient", "T3": "1000 x 1 s", "T4": "10000 x frequencies"}
@@ -38,16 +39,15 @@ PAGE = Path(__file__).parents[2] / "examples" / "docs" / "measured" / "speed.md"
 MARKS = "<!-- benchmarks: written by tests/benchmarks/run.py --write -->", "<!-- end of benchmarks -->"
 
 
-def child(*arguments: str, option: bool) -> dict:
+def child(*arguments: str) -> dict:
     """What this program prints when it is run with these arguments."""
-    done = subprocess.run([sys.executable, __file__, *arguments, *["--fast"] * option], stdout=subprocess.PIPE, check=True)
+    done = subprocess.run([sys.executable, __file__, *arguments], stdout=subprocess.PIPE, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def show(option: bool, result: dict) -> None:
-    print(f"{'with' if option else 'without'} the option")
+def show(result: dict) -> None:
     for name, ms in result["times"].items():
-        ratio, target = ms / result["times"][MEASURED_AGAINST[name[:2]]], TARGETS.get((name, option), "")
+        ratio, target = ms / result["times"][MEASURED_AGAINST[name[:2]]], TARGETS.get(name, "")
         first = f"{result['first'][name]:13.2f}" if name in result["first"] else ""
         print(f"  {name:22s} {ms:9.3f} {ratio:11.2f} {target:>7} {result['errors'][name]:9.1e} {LIMITS[name[:2]]:8.0e} {first}")
     for word in result["skipped"]:
@@ -56,57 +56,51 @@ def show(option: bool, result: dict) -> None:
 
 def main(chosen: argparse.Namespace) -> None:
     print(machine() + "\n")
-    options = [True] if chosen.with_ else [False] if chosen.without else [False, True]
-    results: dict[str, dict[bool, dict]] = {}
+    results: dict[str, dict] = {}
     for job in [chosen.job] if chosen.job else JOBS:
         print(
             f"{JOBS[job]}\n{'task':24s} {'ms':>9s} {'ratio to C':>11s} {'target':>7s} {'error':>9s} {'allowed':>8s} {'first call s':>13s}"
         )
         arguments = ["--measure", "--job", job, "--rounds", str(chosen.rounds), "--only", chosen.only]
-        for option in options:
-            no_peers = ["--no-peers"] if chosen.no_peers or option != options[0] else []
-            results.setdefault(job, {})[option] = result = child(*arguments, *no_peers, option=option)
-            show(option, result)
+        results[job] = child(*arguments, *["--no-peers"] * chosen.no_peers, *["--fast"] * chosen.fast)
+        show(results[job])
     if chosen.only:
         return
     starts = {job: starts_of(job) for job in results}
-    if chosen.write and len(results) == len(JOBS) and len(options) == 2:
+    if chosen.write and len(results) == len(JOBS):
         write(results, starts)
 
 
 def starts_of(job: str, rounds: int = 3) -> dict[str, float]:
     """First results of fresh processes and compile times, printed; medians of rounds in turn, and of the imports before them."""
     print(f"\n{JOBS[job]}: first result in a fresh process, seconds after the imports of jax and diffrax (T5)")
-    jitted = [what for what in STARTS if what.endswith("jit")]
-    asked = {what: [what] for what in STARTS} | {f"{what}, quick": [what, "--quick"] for what in jitted}
     spent: dict[str, list[float]] = {}
     for _ in range(rounds):
-        for what, arguments in asked.items():
-            result = child("--start", *arguments, "--job", job, option=False)
+        for what in STARTS:
+            result = child("--start", what, "--job", job)
             spent.setdefault(what, []).append(result["seconds"])
             spent.setdefault(IMPORTS, []).append(result["imports"])
     starts = {what: statistics.median(seconds) for what, seconds in spent.items()}
     for what, seconds in starts.items():
-        print(f"  {what:22s} {seconds:9.2f}   " + (f"target {STARTS[what.split(',')[0]]}" if what != IMPORTS else "before them"))
+        print(f"  {what:22s} {seconds:9.2f}   " + (f"target {STARTS[what]}" if what != IMPORTS else "before them"))
     print("tracing and compiling, seconds")
-    compiling = child("--compilation", "--job", job, option=False)
+    compiling = child("--compilation", "--job", job)
     for name in ("T1", "T4", "slope"):
         few, many = compiling[f"{name} 1"], compiling[f"{name} 20"]
         print(f"  {name:8s} {few:6.2f}   20 times the springs {many:6.2f}   ratio {many / few:5.2f}   target {COMPILATION}")
     return starts
 
 
-def markdown(results: dict[str, dict[bool, dict]], starts: dict[str, dict[str, float]]) -> str:
+def markdown(results: dict[str, dict], starts: dict[str, dict[str, float]]) -> str:
     """The tables that the manual shows."""
     shown = f"{machine()}; {datetime.date.today().isoformat()}. Median times in milliseconds; in parentheses the ratio to C and the error."
     lines = [shown, ""]
-    for job, by_option in results.items():
-        plain, fast = by_option[False], by_option[True]
-        rows = {"C": (plain, lambda task: MEASURED_AGAINST[task]), "jaxbody": (plain, str), "jaxbody, `fast_loops`": (fast, str)}
-        peers = [peer for peer in dict.fromkeys(n[3:] for n in plain["times"]) if peer[:2] not in ("", "C ")]
-        rows |= {peer: (plain, lambda task, peer=peer: f"{task} {peer}") for peer in peers}
+    for job, result in results.items():
+        peers = [peer for peer in dict.fromkeys(n[3:] for n in result["times"]) if peer[:2] not in ("", "C ")]
+        rows: dict[str, Callable[[str], str]] = {"C": lambda task: MEASURED_AGAINST[task], "jaxbody": str}
+        rows |= {peer: lambda task, peer=peer: f"{task} {peer}" for peer in peers}
         lines += [f"| {JOBS[job]} | " + " | ".join(WORDS.values()) + " |", "|---|" + "---|" * len(WORDS)]
-        for label, (result, name_of) in rows.items():
+        for label, name_of in rows.items():
             cells = []
             for task in WORDS:
                 name = name_of(task)
@@ -118,13 +112,13 @@ def markdown(results: dict[str, dict[bool, dict]], starts: dict[str, dict[str, f
                 cells.append(f"{ms:.3g} ({ratio:.2g}; {result['errors'][name]:.0e})")
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
         first = starts[job]
-        quick = f"{first['motion in jit, quick']:.1f} and {first['gradient in jit, quick']:.1f} s"
+        ours = f"{first['motion in jb.jit']:.1f} and {first['gradient in jb.jit']:.1f} s"
         lines += [
             "",
             f"First result of a new process, after the imports of jax and diffrax ({first[IMPORTS]:.1f} s): motion "
             f"{first['motion']:.1f} s, frequencies {first['frequencies']:.1f} s; "
-            f"inside your own `jit` motion {first['motion in jit']:.1f} s, "
-            f"gradient {first['gradient in jit']:.1f} s, with `quick_options` {quick}.",
+            f"inside `jax.jit` motion {first['motion in jit']:.1f} s, "
+            f"gradient {first['gradient in jit']:.1f} s, inside `jb.jit` {ours}.",
             "",
         ]
     return "\n".join(lines).rstrip()
@@ -156,22 +150,20 @@ if __name__ == "__main__":
     parser.add_argument("--rounds", type=int, default=13)
     parser.add_argument("--job", choices=JOBS)
     parser.add_argument("--only", default="")
-    parser.add_argument("--without", action="store_true")
-    parser.add_argument("--with", action="store_true", dest="with_")
-    parser.add_argument("--no-peers", action="store_true")
-    parser.add_argument("--write", action="store_true")
-    for name in ("measure", "compilation", "fast", "quick"):
+    for name in ("fast", "no-peers", "write"):
+        parser.add_argument(f"--{name}", action="store_true")
+    for name in ("measure", "compilation"):
         parser.add_argument(f"--{name}", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--start", choices=STARTS, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
-    if chosen.fast:
+    if chosen.fast and chosen.measure:
         import jaxbody
 
         jaxbody.fast_loops()
     if chosen.measure:
         print(json.dumps(measured.measure(measured.job_of(chosen.job), chosen.rounds, chosen.only, not chosen.no_peers)))
     elif chosen.start:
-        print(json.dumps(measured.start(measured.job_of(chosen.job), chosen.start, chosen.quick)))
+        print(json.dumps(measured.start(measured.job_of(chosen.job), chosen.start)))
     elif chosen.compilation:
         print(json.dumps(measured.compilation(measured.job_of(chosen.job))))
     else:

@@ -1,4 +1,4 @@
-"""Every preset computes outside and inside a jit, in a vmap and in a grad, with the same numbers, and ends no process; the largest outside."""
+"""Every preset computes outside and inside a jit, in a vmap and in a grad, with the same numbers, and ends no process."""
 
 import pytest
 from size_jobs import OUTSIDE_AND_INSIDE, PRESETS, WAYS, failures, jobs
@@ -10,7 +10,7 @@ ALONE = {
     "full_car_on_double_wishbones",
     "hydraulic_engine_mounts",
     "rubber_isolators",
-}  # whose slopes take minutes and gigabytes to compile
+}  # slopes of these take minutes and gigabytes to compile
 
 
 @pytest.mark.parametrize("name", PRESETS)
