@@ -20,7 +20,7 @@ from jax import lax
 from jax.dtypes import float0
 
 from jaxbody.compilation.compilations import note_left_to_vmap
-from jaxbody.compilation.program_parts import CALLS, fixpoint, parts_of_scan, reach, reach_of, reach_of_while
+from jaxbody.compilation.dependencies import CALLS, fixpoint, parts_of_scan, reach, reach_of, reach_of_while
 from jaxbody.core.arrays import Array
 from jaxbody.core.jax_internals import (
     ClosedJaxpr,  # pyright: ignore[reportPrivateImportUsage]
