@@ -26,4 +26,5 @@ def late_names(package: str, modules: dict[str, tuple[str, ...]]) -> tuple[Calla
         setattr(sys.modules[package], name, thing)
         return thing
 
-    return __getattr__, lambda: sorted(places), sorted(places)
+    names = sorted(places)
+    return __getattr__, lambda: names, names

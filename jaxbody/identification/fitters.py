@@ -120,7 +120,8 @@ def fit(
     the prediction of a run begins far from its first samples.
 
     Status FAR_OFF: the fitted model does not explain a record. Residuals exceed half of its variation and are not white noise, or the
-    record agrees with the prediction only with another sign, unit or channel; the report lists what `diagnose` finds.
+    record agrees with the prediction only with another sign, unit or channel; the report lists what `diagnose` finds. Of a search that did
+    not converge only the latter is FAR_OFF.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},

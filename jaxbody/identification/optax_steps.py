@@ -43,20 +43,24 @@ class WhitenedCoordinates(NamedTuple):
         return xp.where(failed, FAILED, value), xp.where(failed, 0.0, gradient)
 
 
-@program_with(lambda task, *_: options_of(task))
-def _step(task: Task, optimizer: Any, at: WhitenedCoordinates, y: Float[Array, "m"], state: Any, r: Array, J: Array) -> tuple[Any, Any]:
-    """y and the state of the optimizer after one step from y, where residual and Jacobian are r and J."""
+@program_with(options_of)
+def _step(
+    task: Task, optimizer: Any, at: WhitenedCoordinates, y: Float[Array, "m"], state: Any, value: Array, gradient: Array
+) -> tuple[Any, Any]:
+    """y and the state of the optimizer after one step from y, where the cost has this value and gradient."""
+
+    def value_and_gradient(y):
+        return at.value_and_gradient(*residual_and_jacobian(task, at.origin + at.unwhiten @ y)[:2])
 
     @jax.custom_jvp  # the Jacobian comes with r, in forward mode; line searches differentiate in reverse
     def cost(y):
-        return at.value_and_gradient(*residual_and_jacobian(task, at.origin + at.unwhiten @ y)[:2])[0]
+        return value_and_gradient(y)[0]
 
     @cost.defjvp
     def slope(primals, tangents):
-        value, gradient = at.value_and_gradient(*residual_and_jacobian(task, at.origin + at.unwhiten @ primals[0])[:2])
+        value, gradient = value_and_gradient(*primals)
         return value, gradient @ tangents[0]
 
-    value, gradient = at.value_and_gradient(r, J)
     optimizer = optax.with_extra_args_support(optimizer)
     change, state = optimizer.update(gradient, state, y, value=value, grad=gradient, value_fn=cost)
     return optax.apply_updates(y, change), state
@@ -104,6 +108,6 @@ def _descend(evaluate: Evaluations, task: Task, optimizer: Any, at: WhitenedCoor
             best, lowest, improved_at = y, float(value), evaluate.count
         if lowest < sufficient or slope < FLAT * first or evaluate.count - improved_at > PATIENCE or evaluate.exhausted:
             break
-        y, state = _step(task, optimizer, at, y, state, r, J)
+        y, state = _step(task, optimizer, at, y, state, value, gradient)
         y = np.asarray(y)
     return best

@@ -119,12 +119,12 @@ def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
     return sorted(runs, key=lambda run: (run == PRIORS, run))
 
 
-def options_of(task: Task) -> Options:
+def options_of(task: Task, *_: Any) -> Options:
     """Options for programs that simulate the runs of a task."""
     return OPTIMIZED if take_long(task.space.model, *task.times) else QUICK
 
 
-@program_with(lambda task, u: options_of(task))
+@program_with(options_of)
 def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, ReadingsAndResiduals]:
     """r, dr/du and the readings and residuals by channel, in one program, because compiling costs more than running."""
 

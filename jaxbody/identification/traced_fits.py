@@ -45,7 +45,7 @@ def _minimize(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Arra
     return result.value, jnp.where(failed, Status.NOT_CONVERGED.value, Status.OK.value), result.stats["num_steps"]
 
 
-@program_with(lambda task, *_: options_of(task))
+@program_with(options_of)
 def solve(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
     """`_minimize` with its derivative: one program, also inside jit and vmap.
 

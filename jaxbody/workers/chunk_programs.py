@@ -78,9 +78,10 @@ class ChunkProgram:
         if self.fast and not _fast():
             with suppress(JaxbodyError):  # JAX has started already
                 fast_loops()
-        if _fast() != self.fast:
-            known = ("has fast_loops set", "JAX without it"), ("has started JAX without fast_loops", "fast_loops")
-            raise other_worker(*known[self.fast])
+        if self.fast and not _fast():
+            raise other_worker("has started JAX without fast_loops", "fast_loops")
+        if _fast() and not self.fast:
+            raise other_worker("has fast_loops set", "JAX without it")
         for (name, own), (_, wanted) in zip(versions(), self.versions, strict=True):
             if own != wanted:
                 raise other_worker(f"has {name} {own}", f"{name} {wanted}")

@@ -5,12 +5,8 @@ from size_jobs import OUTSIDE_AND_INSIDE, PRESETS, WAYS, failures, jobs
 
 pytestmark = pytest.mark.long
 
-
-ALONE = {
-    "full_car_on_double_wishbones",
-    "hydraulic_engine_mounts",
-    "rubber_isolators",
-}  # slopes of these take minutes and gigabytes to compile
+# slopes of these take minutes and gigabytes to compile
+ALONE = {"full_car_on_double_wishbones", "hydraulic_engine_mounts", "rubber_isolators"}
 
 
 @pytest.mark.parametrize("name", PRESETS)
