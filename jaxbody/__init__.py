@@ -12,9 +12,10 @@ The packages, in reading order; each imports only from those before it:
     inputs          What acts on a model from outside, as functions of time: motions, signals, roads, loads.
     elements        Springs, bushings, mounts, torsion and contact: a deformation e(poses), V(e) and R(e, e_dot).
     models          Bodies, supports and joints by name, kept as arrays; paths to every number.
-    joints          Joints of every kind: slides and turns about one line, several together or in series.
+    joints          Joints of every kind; where frames, elements and closures are in their coordinates.
     sensors         What instruments on bodies read, with gain, bias, delay and lag.
-    mechanics       T, V and R, their derivatives, and the equations of motion.
+    lagrange        T, V, R and L = T - V: one file, the definition of a model.
+    mechanics       The same in structured form: second derivatives, constraints, the equations of motion.
     mechanisms      Closed loops: assembled configurations, driven positions, curves of suspensions over travel and steering.
     statics         Equilibria and their stability, load paths, load cases, preload, rest on a moving base.
     simulations     Trajectories by the equations of motion, and what sensors read along them.
@@ -109,8 +110,8 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.joints.composite_joints": ("Composite",),
     "jaxbody.joints.elementary_joints": ("Ball", "Guide", "Hinge"),
     "jaxbody.joints.series_joints": ("HeavePitch", "HeavePitchRoll", "Translation"),
-    "jaxbody.mechanics.energies": ("dissipation", "kinetic_energy", "lagrangian", "potential_energy"),
-    "jaxbody.mechanics.kinematics": ("retract",),
+    "jaxbody.lagrange": ("dissipation", "kinetic_energy", "lagrangian", "potential_energy"),
+    "jaxbody.joints.kinematics": ("retract",),
     "jaxbody.mechanisms.assemblies": ("assemble",),
     "jaxbody.mechanisms.compliances": ("Compliance", "compliant"),
     "jaxbody.mechanisms.corners": ("Corner",),

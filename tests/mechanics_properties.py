@@ -12,9 +12,10 @@ import rigs
 from random_mechanics import PLAIN, View, turn_of
 
 import jaxbody as jb
+from jaxbody.joints.element_tables import each_element, wrenches
+from jaxbody.joints.kinematics import Chart, Coordinates
+from jaxbody.lagrange import kinetic, potential
 from jaxbody.mechanics.closed_loops import dynamics_of
-from jaxbody.mechanics.energies import each_element, kinetic, potential, wrenches
-from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.models.memories import holding
 from jaxbody.models.sizes import scale_of, size_of
 

@@ -17,7 +17,7 @@ from jaxbody.experiments.measurements import Measurement
 from jaxbody.inputs.loads import Load, loads_by_name, loads_of
 from jaxbody.inputs.motions import as_motion
 from jaxbody.inputs.signals import Signal
-from jaxbody.mechanics.kinematics import Motions
+from jaxbody.joints.kinematics import Motions
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.records.records import Record

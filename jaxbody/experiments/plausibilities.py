@@ -17,8 +17,8 @@ from jaxbody.core.arrays import Array, Int
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.results import Result
 from jaxbody.core.units import GRAVITY
-from jaxbody.mechanics.energies import potential_energy
-from jaxbody.mechanics.kinematics import retract
+from jaxbody.joints.kinematics import retract
+from jaxbody.lagrange import potential_energy
 from jaxbody.mechanisms.suspensions import Suspension
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, unattached

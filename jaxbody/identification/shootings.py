@@ -27,8 +27,8 @@ from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.fitters import fit
 from jaxbody.identification.residuals import first_noise
-from jaxbody.mechanics.energies import completed
-from jaxbody.mechanics.kinematics import frames_at_time
+from jaxbody.joints.element_tables import completed
+from jaxbody.joints.kinematics import frames_at_time
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.sensors.channels import Channel

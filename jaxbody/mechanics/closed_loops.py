@@ -28,11 +28,12 @@ from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.frames import Frame, Instant, Pose
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on, drawn, each_closure, gaps_from, moving_slides
-from jaxbody.mechanics.energies import completed, inertial_tables, state_rates
+from jaxbody.joints.closure_tables import drawn, each_closure, gaps_from, moving_slides
+from jaxbody.joints.element_tables import completed, inertial_tables, state_rates
+from jaxbody.joints.kinematics import Motions, jacobian
+from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on
 from jaxbody.mechanics.equations_of_motion import Dynamics, FreeBodies, JointedBodies, all_free, generalized
 from jaxbody.mechanics.free_motions import FreeMotions
-from jaxbody.mechanics.kinematics import Motions, jacobian
 from jaxbody.models.memories import holding
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import scale_of, size_of

@@ -11,9 +11,10 @@ from jaxtyping import Array, Float
 from jaxbody.compilation.compile_options import program
 from jaxbody.elements.elements import Element
 from jaxbody.geometry.frames import Frame
-from jaxbody.mechanics.energies import each_element, end_rows, gravity_energy
+from jaxbody.joints.element_tables import each_element, end_rows
+from jaxbody.joints.kinematics import Coordinates
+from jaxbody.lagrange import gravity_energy
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxbody.core.arrays import Array, Float
 from jaxbody.elements.elements import Element
 from jaxbody.geometry.frames import Frame, Instant
-from jaxbody.mechanics.energies import end_rows, inertial_tables, of_table
+from jaxbody.joints.element_tables import end_rows, inertial_tables, of_table
 from jaxbody.models.models import Model
 from jaxbody.models.storage import KindTable
 from jaxbody.numerics.xla_workarounds import sums, take

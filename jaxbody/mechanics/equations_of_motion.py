@@ -27,9 +27,10 @@ from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
 from jaxbody.inputs.loads import Load
+from jaxbody.joints.element_tables import each_element, inertial_tables, state_rates, state_scales, wrenches
+from jaxbody.joints.kinematics import Coordinates, Motions, jacobian, with_world
+from jaxbody.lagrange import kinetic
 from jaxbody.mechanics.element_inertias import element_inertia, inertial_wrenches
-from jaxbody.mechanics.energies import each_element, inertial_tables, kinetic, state_rates, state_scales, wrenches
-from jaxbody.mechanics.kinematics import Coordinates, Motions, jacobian, with_world
 from jaxbody.models.joints import Free
 from jaxbody.models.layouts import WORLD, Layout
 from jaxbody.models.memories import apart, holding, rest_states

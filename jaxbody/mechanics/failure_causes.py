@@ -12,10 +12,10 @@ from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Bool, Float, time_text
 from jaxbody.elements.second_derivatives import second_order
 from jaxbody.inputs.loads import Load
+from jaxbody.joints.closure_tables import names_of_rows
+from jaxbody.joints.element_tables import each_element
+from jaxbody.joints.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.mechanics.closed_loops import ClosedLoops, acceleration
-from jaxbody.mechanics.constraints import names_of_rows
-from jaxbody.mechanics.energies import each_element
-from jaxbody.mechanics.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model
 from jaxbody.models.states import State

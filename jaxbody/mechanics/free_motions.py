@@ -18,8 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.mechanics.constraints import CLOSED, RANK, closed, gaps, gaps_at, how_open, values_and_slopes
-from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.joints.closure_tables import gaps, gaps_at
+from jaxbody.joints.kinematics import Coordinates
+from jaxbody.mechanics.constraints import CLOSED, RANK, closed, how_open, values_and_slopes
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import scale_of, scaled, size_of
 

@@ -27,10 +27,11 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.elements.second_derivatives import Block, PairBlocks, dissipation_hessian, second_order, turning
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, product, rotate, skew
+from jaxbody.joints.element_tables import completed, each_element, inertial_tables, wrenches
+from jaxbody.joints.kinematics import Coordinates, jacobian
+from jaxbody.lagrange import potential
 from jaxbody.mechanics.element_inertias import element_inertia
-from jaxbody.mechanics.energies import completed, each_element, inertial_tables, potential, wrenches
 from jaxbody.mechanics.equations_of_motion import all_free
-from jaxbody.mechanics.kinematics import Coordinates, jacobian
 from jaxbody.models.layouts import Layout
 from jaxbody.models.memories import apart
 from jaxbody.models.models import Model

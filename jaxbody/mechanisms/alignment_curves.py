@@ -20,9 +20,9 @@ from jaxbody.elements.elements import LineElement
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import axial, cross, dot, product, rotate
 from jaxbody.inputs.loads import Load, loads_of
+from jaxbody.joints.element_tables import each_element
+from jaxbody.joints.kinematics import Chart, Coordinates
 from jaxbody.mechanics.constraints import RANK, closure_gaps, values_and_slopes
-from jaxbody.mechanics.energies import each_element
-from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.mechanisms.driven_positions import Drive, conditions, drives_of, position, positions, readings
 from jaxbody.mechanisms.resting_positions import RestingSystem, resting_position, resting_positions
 from jaxbody.mechanisms.wheels import Wheel

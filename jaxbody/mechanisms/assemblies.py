@@ -12,15 +12,9 @@ from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
 from jaxbody.core.results import Result, finished
-from jaxbody.mechanics.constraints import (
-    CLOSED,
-    closure_gaps,
-    names_of_rows,
-    redundant_rows,
-    solve,
-    values_and_slopes,
-)
-from jaxbody.mechanics.kinematics import Chart
+from jaxbody.joints.closure_tables import names_of_rows, redundant_rows
+from jaxbody.joints.kinematics import Chart
+from jaxbody.mechanics.constraints import CLOSED, closure_gaps, solve, values_and_slopes
 from jaxbody.models.models import Model, drawn_reference
 from jaxbody.models.preconditions import check_precision, check_state
 from jaxbody.models.sizes import scale_of, size_of

@@ -17,8 +17,9 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.geometry.frames import Instant
-from jaxbody.mechanics.constraints import gaps, near, solve
-from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.joints.closure_tables import gaps
+from jaxbody.joints.kinematics import Coordinates
+from jaxbody.mechanics.constraints import near, solve
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of

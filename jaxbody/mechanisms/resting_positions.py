@@ -16,10 +16,10 @@ import jax.numpy as jnp
 from jaxbody.core.arrays import Array, Bool, Float, Int
 from jaxbody.core.errors import Status
 from jaxbody.inputs.loads import Load
+from jaxbody.joints.element_tables import each_element, wrenches
+from jaxbody.joints.kinematics import Coordinates, jacobian
 from jaxbody.mechanics.constraints import LARGEST_STEP, ORDERS, PRECISE, RANK, STEPS
-from jaxbody.mechanics.energies import each_element, wrenches
 from jaxbody.mechanics.equations_of_motion import generalized
-from jaxbody.mechanics.kinematics import Coordinates, jacobian
 from jaxbody.mechanisms.driven_positions import REACHED, Drive, conditions
 from jaxbody.models.memories import relaxed
 from jaxbody.models.models import Model

@@ -25,7 +25,7 @@ from jaxbody.core.arrays import Array, Float, concrete, indices, module_of
 from jaxbody.core.errors import Problem
 from jaxbody.geometry import rotations
 from jaxbody.geometry.vectors import cross, dot
-from jaxbody.mechanics.kinematics import Chart
+from jaxbody.joints.kinematics import Chart
 from jaxbody.models.leaf_paths import Leaf
 from jaxbody.models.models import Model
 

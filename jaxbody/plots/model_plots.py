@@ -18,8 +18,8 @@ from jaxbody.geometry.closures import Coupling, Equation, Inline
 from jaxbody.geometry.closures import Guide as GuideClosure
 from jaxbody.geometry.frames import Pose
 from jaxbody.joints.elementary_joints import Guide
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.free_motions import moved as moved_by
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_state

@@ -21,9 +21,9 @@ from jaxbody.core.arrays import Array, Complex, Float, Int, checked, concrete, d
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.hessians import configuration_at
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_memory
 from jaxbody.numerics.eigenproblems import ZERO, natural

@@ -13,7 +13,7 @@ from jaxbody.core.errors import JaxbodyError, unknown
 from jaxbody.core.results import Result
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import axial, product
-from jaxbody.mechanics.kinematics import Chart, Coordinates
+from jaxbody.joints.kinematics import Chart, Coordinates
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.vibrations.linearizations import Linearization
 

@@ -18,9 +18,9 @@ from jaxbody.core.tables import without_dust
 from jaxbody.geometry.closures import Coupling, Equation
 from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.roads import Road
-from jaxbody.mechanics.energies import each_element
+from jaxbody.joints.element_tables import each_element
+from jaxbody.joints.kinematics import Coordinates, frames_at_time
 from jaxbody.mechanics.free_motions import moved
-from jaxbody.mechanics.kinematics import Coordinates, frames_at_time
 from jaxbody.mechanisms.alignment_curves import SuspensionCurves
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.leaf_paths import by_name

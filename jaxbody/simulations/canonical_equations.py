@@ -16,7 +16,8 @@ import jax.numpy as jnp
 
 from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry.frames import Frame
-from jaxbody.mechanics.energies import kinetic, wrenches
+from jaxbody.joints.element_tables import wrenches
+from jaxbody.lagrange import kinetic
 from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.models.models import Model
 from jaxbody.models.states import State

@@ -15,12 +15,12 @@ from jaxbody.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.core.arrays import Array, rows_or_nan
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.inputs.signals import kinks_of
+from jaxbody.joints.element_tables import completed, outside_law_range
+from jaxbody.joints.kinematics import frames_at_time
 from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
 from jaxbody.mechanics.constraints import CLOSED
-from jaxbody.mechanics.energies import completed, outside_law_range
 from jaxbody.mechanics.equations_of_motion import Dynamics
-from jaxbody.mechanics.kinematics import frames_at_time
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import take_long
 from jaxbody.models.states import State

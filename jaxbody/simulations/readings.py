@@ -11,8 +11,8 @@ from jaxbody.core.arguments import check_key, check_kind
 from jaxbody.core.arrays import Array, PRNGKeyArray, as_numpy, concrete
 from jaxbody.core.errors import Problems
 from jaxbody.inputs.loads import Load
+from jaxbody.joints.kinematics import Motions, frames_at_time
 from jaxbody.mechanics.closed_loops import dynamics_of
-from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.memories import holding
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import take_long

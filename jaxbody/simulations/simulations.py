@@ -18,10 +18,10 @@ from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.inputs.motions import AtRest, Motion, as_motion, check_motion
+from jaxbody.joints.kinematics import Motions
 from jaxbody.mechanics.closed_loops import state_slopes
 from jaxbody.mechanics.failure_causes import force_jump_messages, force_jumps_along
 from jaxbody.mechanics.hessians import matrices
-from jaxbody.mechanics.kinematics import Motions
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_moves, check_precision, check_state, unattached
 from jaxbody.models.sizes import size_of

@@ -19,10 +19,12 @@ from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
 from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.loads import Load
+from jaxbody.joints.closure_tables import turning_rows
+from jaxbody.joints.element_tables import each_element, inertial_tables, outside_law_range
+from jaxbody.joints.kinematics import Motions, frames_at_time
+from jaxbody.lagrange import kinetic, potential
 from jaxbody.mechanics.closed_loops import ClosedLoops, Closing, dynamics_of
-from jaxbody.mechanics.constraints import turning_rows
 from jaxbody.mechanics.element_inertias import accelerated
-from jaxbody.mechanics.energies import each_element, inertial_tables, kinetic, outside_law_range, potential
 from jaxbody.mechanics.failure_causes import (
     changing_most,
     force_jump_at,
@@ -32,7 +34,6 @@ from jaxbody.mechanics.failure_causes import (
     singular_closure,
 )
 from jaxbody.mechanics.hessians import matrices
-from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.leaf_paths import by_name, springs_of
 from jaxbody.models.memories import holding
 from jaxbody.models.models import Model

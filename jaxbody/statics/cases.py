@@ -20,9 +20,9 @@ from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import product
 from jaxbody.inputs.loads import Load, loads_by_name, loads_of
-from jaxbody.mechanics.energies import each_element, frames_of
+from jaxbody.joints.element_tables import each_element, frames_of
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.hessians import configuration_at
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name, springs_of
 from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model

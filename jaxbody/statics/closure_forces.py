@@ -13,9 +13,9 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Bool, Float, is_concrete, rows_or_nan
 from jaxbody.core.errors import Status
-from jaxbody.mechanics.constraints import gaps_at, names_of_rows, redundant_rows, turning_rows
+from jaxbody.joints.closure_tables import gaps_at, names_of_rows, redundant_rows, turning_rows
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.free_motions import constraint_force, free_motions, scale_at, slopes_by_supports
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of
 

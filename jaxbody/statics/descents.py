@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float, Int
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.free_motions import is_closed, moved, on_closures
 from jaxbody.mechanics.hessians import configuration_at, expansion
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.sizes import scaled
 from jaxbody.numerics.lanes import LANES, in_lanes
 from jaxbody.numerics.precisions import NEWTON, reachable

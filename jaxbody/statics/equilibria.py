@@ -26,13 +26,14 @@ from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, finished
 from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load, loads_of
+from jaxbody.joints.closure_tables import gaps_at, names_of_rows
+from jaxbody.joints.element_tables import each_element, outside_law_range
+from jaxbody.joints.kinematics import Coordinates
+from jaxbody.lagrange import potential
 from jaxbody.laws.measured_curves import has_range
-from jaxbody.mechanics.constraints import gaps_at, names_of_rows
-from jaxbody.mechanics.energies import each_element, outside_law_range, potential
 from jaxbody.mechanics.failure_causes import nonfinite_downhill
 from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
 from jaxbody.mechanics.hessians import Configuration, configuration_at
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.leaf_paths import by_name, springs_of
 from jaxbody.models.memories import relaxed, rest_states

@@ -15,9 +15,9 @@ from jaxbody.core.arguments import check_key, positive_number, whole_number
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.free_motions import is_closed, moved, on_closures
 from jaxbody.mechanics.hessians import configuration_at, expansion, slope, stiffness
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.memories import relaxed
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision

@@ -22,9 +22,9 @@ from jaxbody.elements.second_derivatives import turning
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import cross, dot, product, rotate, skew
 from jaxbody.inputs.loads import Load
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.free_motions import moved, on_closures
 from jaxbody.mechanics.hessians import Configuration, DeadForces, configuration_at, slope, stiffness
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import scaled
 from jaxbody.numerics.precisions import NEWTON, reachable

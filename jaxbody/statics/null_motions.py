@@ -8,9 +8,9 @@ import numpy as np
 
 from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Float
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.free_motions import on_closures
 from jaxbody.mechanics.hessians import configuration_at, slope, stiffness
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.memories import resisting
 from jaxbody.models.models import Model

@@ -22,10 +22,11 @@ from jaxbody.core.arguments import check_kind
 from jaxbody.core.arrays import Array, Float, Int, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, finished
-from jaxbody.mechanics.constraints import CLOSED, closed_on, drawn, how_open
+from jaxbody.joints.closure_tables import drawn
+from jaxbody.joints.kinematics import Chart, Coordinates
+from jaxbody.mechanics.constraints import CLOSED, closed_on, how_open
 from jaxbody.mechanics.free_motions import free_motions
 from jaxbody.mechanics.hessians import configuration_at, slope
-from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
 from jaxbody.models.memories import relaxed, rest_states
 from jaxbody.models.models import Model

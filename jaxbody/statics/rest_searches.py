@@ -15,10 +15,10 @@ import numpy as np
 from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Bool, Float, Int, is_concrete
 from jaxbody.core.errors import Status
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.constraints import closed
 from jaxbody.mechanics.free_motions import is_closed
 from jaxbody.mechanics.hessians import configuration_at
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.memories import relaxed
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import scale_of, size_of

@@ -18,12 +18,14 @@ from jaxbody.compilation.compile_options import program
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, is_concrete, rows_or_nan, shaped, stack
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
-from jaxbody.mechanics.constraints import CLOSED, closed_on, drawn, gaps_at, gaps_from
+from jaxbody.joints.closure_tables import drawn, gaps_at, gaps_from
+from jaxbody.joints.element_tables import completed
+from jaxbody.joints.kinematics import Coordinates, Motions
+from jaxbody.lagrange import potential
+from jaxbody.mechanics.constraints import CLOSED, closed_on
 from jaxbody.mechanics.element_derivatives import frames_displaced
-from jaxbody.mechanics.energies import completed, potential
 from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
 from jaxbody.mechanics.hessians import configuration_at
-from jaxbody.mechanics.kinematics import Coordinates, Motions
 from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model, at_rest_in, rest_poses
 from jaxbody.models.preconditions import check_independent, check_precision, check_state

@@ -39,9 +39,10 @@ from jaxbody.core.errors import MESSAGES, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import rotate, rotate_back
-from jaxbody.mechanics.energies import inertial_tables, kinetic, of_table, potential
+from jaxbody.joints.element_tables import inertial_tables, of_table
+from jaxbody.joints.kinematics import Coordinates
+from jaxbody.lagrange import kinetic, potential
 from jaxbody.mechanics.free_motions import speeds_on_closures
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.preconditions import check_without_memory
 from jaxbody.models.sizes import scale_of, size_of

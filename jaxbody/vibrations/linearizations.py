@@ -22,13 +22,13 @@ from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.loads import Load
+from jaxbody.joints.element_tables import completed
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.constraints import how_open
 from jaxbody.mechanics.element_derivatives import gravity_stiffness, split_stiffness
-from jaxbody.mechanics.energies import completed
 from jaxbody.mechanics.free_motions import DependentMotions, closure_stiffness, dependent_motions
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.inner_rows import following, slow_matrices, whole_matrices
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name
 from jaxbody.models.memories import apart, settled
 from jaxbody.models.models import Model

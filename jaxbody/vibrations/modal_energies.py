@@ -15,11 +15,11 @@ from jaxbody.core.arrays import Array, Float, Int, is_concrete
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.joints.element_tables import inertial_tables, of_table
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.element_derivatives import element_derivatives
-from jaxbody.mechanics.energies import inertial_tables, of_table
 from jaxbody.mechanics.hessians import Configuration, configuration_at
 from jaxbody.mechanics.inner_rows import inner_rows
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.vibrations.linearizations import Linearization, check_system

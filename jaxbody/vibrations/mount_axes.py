@@ -16,7 +16,7 @@ from jaxbody.core.datasets import AXES, Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import axial, cross, dot, rotate, rotate_back, skew
-from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.models.joints import Free
 from jaxbody.numerics.eigenproblems import natural
 from jaxbody.vibrations.linearizations import Linearization, check_system

@@ -25,10 +25,10 @@ from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.places import DIRECTIONS
 from jaxbody.geometry.vectors import cross, skew
 from jaxbody.inputs.port_inputs import KINDS, BaseMotion, Input, PointForce
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.element_derivatives import ElementDerivatives, element_derivatives
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists, slope
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.memories import apart, settled
 from jaxbody.models.models import Model
 from jaxbody.models.states import State

@@ -31,8 +31,8 @@ from random_mechanics import Structure  # noqa: E402
 
 import jaxbody as jb  # noqa: E402
 from jaxbody.core.units import GRAVITY  # noqa: E402
-from jaxbody.mechanics.energies import potential  # noqa: E402
-from jaxbody.mechanics.kinematics import Chart  # noqa: E402
+from jaxbody.joints.kinematics import Chart  # noqa: E402
+from jaxbody.lagrange import potential  # noqa: E402
 from jaxbody.models.leaf_paths import leaves_of  # noqa: E402
 from jaxbody.models.sizes import scale_of, size_of  # noqa: E402
 from jaxbody.parameters.spaces import units_of  # noqa: E402

@@ -13,8 +13,8 @@ from jaxbody import laws
 from jaxbody.elements.second_derivatives import second_order
 from jaxbody.geometry import rotations, vectors
 from jaxbody.geometry.frames import Frame, Pose, Wrench
+from jaxbody.joints.element_tables import frames_of, wrenches
 from jaxbody.mechanics.closed_loops import dynamics_of
-from jaxbody.mechanics.energies import frames_of, wrenches
 
 RNG = np.random.default_rng(42)
 N = 200

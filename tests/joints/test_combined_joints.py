@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxbody as jb
+from jaxbody.joints.element_tables import frames_of
 from jaxbody.mechanics.closed_loops import acceleration
-from jaxbody.mechanics.energies import frames_of
 
 G = 9.81
 jit_once = jb.jit  # compiling is the cost

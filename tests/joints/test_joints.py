@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.joints.kinematics import Coordinates
 
 RNG = np.random.default_rng(7)
 AXIS, AT = np.array([0.6, -0.5, 1.1]), np.array([0.3, -0.8, 0.4])

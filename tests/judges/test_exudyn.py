@@ -6,7 +6,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.geometry import rotations
-from jaxbody.mechanics.energies import frames_of
+from jaxbody.joints.element_tables import frames_of
 from jaxbody.presets import presets
 
 exudyn = pytest.importorskip("exudyn", reason="needs exudyn: pip install 'jaxbody[judges]'")

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 import jaxbody as jb
 from jaxbody.compilation.compile_options import program
 from jaxbody.geometry.frames import Pose
-from jaxbody.mechanics.constraints import closed_on, drawn, gaps
-from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.joints.closure_tables import drawn, gaps
+from jaxbody.joints.kinematics import Coordinates
+from jaxbody.mechanics.constraints import closed_on
 from jaxbody.mechanisms.driven_positions import drives_of, position, positions
 
 BAR = jb.Body(mass=1.0, inertia=[1, 1, 1])

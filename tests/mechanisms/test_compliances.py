@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.mechanics.energies import frames_of
+from jaxbody.joints.element_tables import frames_of
 
 G = 9.81
 RADIUS, ROD, ANGLE = 0.1, 0.35, 0.9

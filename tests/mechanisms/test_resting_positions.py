@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxbody as jb
-from jaxbody.mechanics.energies import frames_of
+from jaxbody.joints.element_tables import frames_of
 
 SIDE, SPRING, LENGTH, OVER = 4e4, 3e4, 0.5, 0.6  # stiffnesses along y and of an inclined spring; its free length; its height at rest
 TRAVEL = np.array([-0.05, 0.0, 0.04])

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody.mechanics.energies import frames_of
+from jaxbody.joints.element_tables import frames_of
 from jaxbody.mechanisms.ready_axles import SOLID_AXLE
 from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE, FIVE_LINK, MACPHERSON
 

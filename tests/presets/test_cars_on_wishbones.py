@@ -9,8 +9,8 @@ from test_presets import full_car_matrices
 
 import jaxbody as jb
 from jaxbody import presets
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.constraints import how_open
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE
 
 G = 9.81

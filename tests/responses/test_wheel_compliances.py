@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.joints.kinematics import Coordinates
 
 K_ROD = 4e6
 

@@ -9,10 +9,10 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 import jaxbody as jb
+from jaxbody.joints.closure_tables import gaps
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.closed_loops import ClosedLoops
-from jaxbody.mechanics.constraints import gaps
 from jaxbody.mechanics.hessians import matrices
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.joints import Joint
 from jaxbody.simulations.simulations import motions_of
 from jaxbody.statics.rest_states import rest_state

@@ -18,8 +18,8 @@ from rigs import max_difference
 
 import jaxbody as jb
 from jaxbody import Status
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.closed_loops import dynamics_of
-from jaxbody.mechanics.kinematics import Coordinates
 
 PANELS, NODES = 50, 8
 

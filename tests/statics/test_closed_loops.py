@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxbody as jb
-from jaxbody.mechanics.energies import frames_of
+from jaxbody.joints.element_tables import frames_of
 
 G = 9.81
 CRANK, GROUND, OFFSET = 0.5, 0.3, 0.1  # of the parallelogram: its cranks are drawn hanging, with pins OFFSET to the right of their hinges

@@ -11,7 +11,7 @@ import rigs
 from scipy.optimize import brentq
 
 import jaxbody as jb
-from jaxbody.mechanics.energies import potential_energy
+from jaxbody.lagrange import potential_energy
 from jaxbody.mechanisms.driven_positions import drives_of, position
 
 G = 9.81

@@ -10,8 +10,8 @@ from rigs import max_difference
 
 import jaxbody as jb
 from jaxbody import Status
+from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.closed_loops import acceleration
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.statics.descents import eigenvalue_signs
 
 SIZE = 0.54  # of the plate: the corner farthest from O

@@ -7,9 +7,10 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxbody as jb
-from jaxbody.mechanics.constraints import gaps
-from jaxbody.mechanics.energies import frames_of, kinetic, potential
-from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.joints.closure_tables import gaps
+from jaxbody.joints.element_tables import frames_of
+from jaxbody.joints.kinematics import Coordinates
+from jaxbody.lagrange import kinetic, potential
 
 G = 9.81
 ARM, GROUND = 0.5, 0.3  # of the parallelogram: its cranks hang from hinges GROUND apart and carry a coupler

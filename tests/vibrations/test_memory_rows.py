@@ -7,8 +7,9 @@ import pytest
 import rigs
 
 import jaxbody as jb
+from jaxbody.joints.element_tables import frames_of
+from jaxbody.lagrange import rayleigh
 from jaxbody.mechanics.closed_loops import state_slopes
-from jaxbody.mechanics.energies import frames_of, rayleigh
 from jaxbody.models.memories import apart, holding
 from jaxbody.numerics.eigenproblems import first_order
 

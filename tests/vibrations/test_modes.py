@@ -10,7 +10,7 @@ import scipy.linalg
 from rigs import POWERTRAIN_ENERGIES, max_difference
 
 import jaxbody as jb
-from jaxbody.mechanics.energies import frames_of
+from jaxbody.joints.element_tables import frames_of
 from jaxbody.numerics.eigenproblems import natural
 from jaxbody.presets import presets
 
