@@ -1,91 +1,46 @@
-"""The scalar functions that define a model: kinetic energy T, potential energy V, Rayleigh dissipation R. Everything else is a derivative.
+"""The definition of a model: its energies T and V, its dissipation R, L = T - V, and what follows by jax.hessian, jax.grad and jax.jvp.
 
-Each takes the model, a state and, for supports away from their reference poses, Xi and its rate (6 numbers for each support).
+All are functions of small motions about a state: the coordinates become q (+) Delta, the supports move by Xi from their reference poses,
+and the velocities of all frames are the derivatives of their poses along Delta' and Xi'. At Delta = 0, Delta' = v is the state itself.
+
+    M | -M~ | M_bb    Hessian of T in (Delta', y', Xi')       | separates the blocks 11, 12, 22; y: coordinates of elements with memory
+    C | -C~ | C_bb    Hessian of R in (Delta', y', Xi')
+    K | -K~ | K_bb    Hessian of V + lambda c in (Delta, y, Xi), minus dQ/dDelta
+    motion            d/dt dL/dDelta' - dL/dDelta + dR/dDelta' = Q - J' lambda,   c'' = 0,   z' = f(e, e', z)
+
+Q are the generalized forces of what has no potential, by its virtual power, c the conditions of closures, J = dc/dDelta, lambda their
+multipliers, z the states of elements. Faster, structured forms of the same stand in `mechanics`; tests hold them to this file.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from jaxbody.compilation.compile_options import program
-from jaxbody.core.arrays import Array, Float
+from jaxbody.core.arrays import Array, Float, shaped
+from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame
-from jaxbody.geometry.vectors import dot, rotate, rotate_back
-from jaxbody.joints.element_tables import Xi, each_element, frames_of, inertial_tables, of_table
+from jaxbody.geometry.vectors import axial, dot, rotate, rotate_back
+from jaxbody.inputs.loads import Load
+from jaxbody.joints.closure_tables import drawn, gaps_from
+from jaxbody.joints.element_tables import completed, each_element, inertial_tables, of_table, state_rates
+from jaxbody.joints.kinematics import Coordinates, displacements
 from jaxbody.laws.memories import InState, memories
-from jaxbody.models.memories import holding, rest_states
+from jaxbody.models.memories import apart, holding
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_state
 from jaxbody.models.states import State
+from jaxbody.numerics.small_systems import saddle_point
 
-
-def kinetic_energy(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
-    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies, and of the energies of elements with inertia [J].
-
-    Source: (10), (11) of the paper.
-
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
-    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
-    >>> float(kinetic_energy(model, state))
-    9.0
-    """
-    return _energy(kinetic, model, state, xi, xi_dot)
-
-
-def potential_energy(model: Model, state: State, xi: Xi = None) -> Float[Array, ""]:
-    """V = sum over the elements of their energies - sum of m g . C over the bodies [J]. Source: (22), (60) of the paper.
-
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 1.5])}, gravity=[0, 0, -10.0])
-    >>> float(potential_energy(model, model.reference))
-    30.0
-    """
-    return _energy(potential, model, state, xi, None)
-
-
-def dissipation(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
-    """R = sum over the elements, 1/2 c e_dot^2 for a linear damper [W]; 2 R is the power dissipated by linear dampers.
-
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
-    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
-    >>> float(dissipation(model, state))
-    0.0
-    """
-    return _energy(rayleigh, model, state, xi, xi_dot)
-
-
-def lagrangian(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
-    """L = T - V [J]. Source: (12) of the paper.
-
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
-    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
-    >>> float(lagrangian(model, state))
-    9.0
-    """
-    return _energy(kinetic_less_potential, model, state, xi, xi_dot)
-
-
-def _energy(energy: Callable[[Model, Frame], Array], model: Model, state: State, xi: Xi, xi_dot: Xi) -> Float[Array, ""]:
-    check_state(model, state, "state")
-    return _of_state(energy, model, state, xi, xi_dot)
-
-
-@program
-def _of_state(energy: Callable[[Model, Frame], Array], model: Model, state: State, xi: Xi, xi_dot: Xi) -> Float[Array, ""]:
-    frames = frames_of(model, state, xi, xi_dot)
-    z = state.z if state.z.shape[-1] or not model.layout.nz else rest_states(model, frames.pose())
-    return energy(holding(model, z), frames)
-
-
-def kinetic_less_potential(model: Model, frames: Frame) -> Float[Array, ""]:
-    """L of a table of frames."""
-    return kinetic(model, frames) - potential(model, frames)
+# T, V and R of the frames of a model whose laws with memory know their states
 
 
 def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
-    """T of a table of frames."""
+    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies, and of the energies of elements with inertia. (10), (11) of the paper."""
     bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
     v_C = moving.velocity(bodies.com)
     w_B = rotate_back(moving.R, moving.w)
@@ -102,10 +57,230 @@ def gravity_energy(model: Model, frames: Frame) -> Float[Array, ""]:
 
 
 def potential(model: Model, frames: Frame) -> Float[Array, ""]:
-    """V of a table of frames."""
+    """V = sum of V(e) over the elements - sum of m g . C over the bodies. (22), (60) of the paper."""
     return gravity_energy(model, frames) + sum(jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.potential(*F)))
 
 
 def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
-    """R of a table of frames."""
+    """R = sum of R(e, e') over the elements."""
     return sum((jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.dissipation(*s.rates(*F)))), jnp.zeros((), frames.p.dtype))
+
+
+# The same in the chart at a state
+
+
+def frames_at(model: Model, state: State, delta: Array, delta_dot: Array, xi: Array, xi_dot: Array) -> Frame:
+    """The frames at q (+) Delta on supports displaced by Xi, with the velocities that Delta' and Xi' give them: v = p', [w] = R' R^T."""
+    coordinates = Coordinates(model)
+
+    def poses(delta, xi):
+        at_rest = coordinates.supports_at(xi, jnp.zeros_like(xi))
+        return coordinates.frames(coordinates.retract(state.q, delta), jnp.zeros_like(delta), at_rest).pose()
+
+    pose, rate = jax.jvp(poses, (delta, xi), (delta_dot, xi_dot))
+    return Frame(pose.p, pose.R, rate.p, jax.vmap(axial)(rate.R @ jnp.swapaxes(pose.R, -1, -2)))
+
+
+def T(model: Model, state: State, *small: Array) -> Float[Array, ""]:
+    """T of Delta, Delta', Xi, Xi'."""
+    return kinetic(apart(model, state.z), frames_at(model, state, *small))
+
+
+def V(model: Model, state: State, *small: Array) -> Float[Array, ""]:
+    """V of Delta, Delta', Xi, Xi'; the rates have no effect."""
+    return potential(apart(model, state.z), frames_at(model, state, *small))
+
+
+def R(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, ""]:
+    """R of z', Delta, Delta', Xi, Xi'."""
+    return rayleigh(apart(model, state.z, z_dot), frames_at(model, state, *small))
+
+
+def L(model: Model, state: State, *small: Array) -> Float[Array, ""]:
+    """T - V. (12) of the paper."""
+    return T(model, state, *small) - V(model, state, *small)
+
+
+def c(model: Model, state: State, delta: Array, xi: Array) -> Float[Array, "nc"]:
+    """The conditions of closures."""
+    still = jnp.zeros_like(delta), xi, jnp.zeros_like(xi)
+    coordinates = Coordinates(model)
+    return gaps_from(model, drawn(coordinates), frames_at(model, state, delta, *still), coordinates.retract(state.q, delta))
+
+
+def Q(model: Model, state: State, loads: tuple[Load, ...], t: Any, *small: Array) -> Float[Array, "nv"]:
+    """The generalized forces of what has no potential, by its virtual power P(v*) = Q . v*, v* a virtual Delta'. Of loads P is F . v* + M
+    . w*, of elements with hysteresis - F' . e*, with F' the part of their force that depends on the rate e'."""
+    here = apart(model, state.z)
+    now = frames_at(model, state, *small).at_time(t, state)
+
+    def power(virtual):
+        delta, _, xi, xi_dot = small
+        moved = frames_at(model, state, delta, virtual, xi, jnp.zeros_like(xi_dot))
+        P = jnp.zeros((), virtual.dtype)
+        for load in loads:
+            i = model.layout.frame(load.on)
+            force, moment = load.wrench(now.frame(i))
+            P = P + force @ moved.v[i] + moment @ moved.w[i]
+        for table in here.elements:
+            if any(not law.law.has_rows for law in memories(table.rows, InState)):
+                rates = of_table(here, moved, table, lambda s, *F: s.rates(*F)[1])
+                P = P - jnp.sum(of_table(here, now, table, _without_potential) * rates)
+        return P
+
+    return jax.grad(power)(jnp.zeros_like(state.v))
+
+
+def _without_potential(element, *frames: Frame) -> Array:
+    """The part of the force that depends on the rate and is not dR/de'."""
+    e, e_dot = element.rates(*frames)
+    return element.damping_force(e, e_dot) - jax.grad(element.dissipation, 1)(e, e_dot)
+
+
+# What follows
+
+
+def matrices(model: Model, state: State, multipliers: Array, loads: tuple[Load, ...] = ()):
+    """M, C and K of (Delta, y, Xi) about a state, and d(V + lambda c)/d(Delta, y, Xi)."""
+    layout = model.layout
+    nv, ny, n_inertial = layout.nv, len(layout.inner_places), len(layout.inertial)
+    still, base = jnp.zeros(nv, state.q.dtype), jnp.zeros((len(layout.supports), 6), state.q.dtype)
+
+    def parts(x):
+        return x[:nv], x[nv : nv + ny], x[nv + ny :].reshape(base.shape)
+
+    def with_z(places, values):
+        return State(state.q, state.v, jnp.asarray(state.z).at[places].set(values))
+
+    def of_T(rates):
+        delta_dot, y_dot, xi_dot = parts(rates)
+        return T(model, with_z(layout.inner_rates, y_dot[:n_inertial]), still, delta_dot, base, xi_dot)
+
+    def of_R(rates):
+        delta_dot, y_dot, xi_dot = parts(rates)
+        z_dot = jnp.zeros_like(state.z).at[layout.inner_places].set(y_dot)
+        return R(model, with_z(layout.inner_rates, y_dot[:n_inertial]), z_dot, still, delta_dot, base, xi_dot)
+
+    def of_V(x):
+        delta, y, xi = parts(x)
+        moved = with_z(layout.inner_places, state.z[layout.inner_places] + y)
+        return V(model, moved, delta, still, xi, base) + multipliers @ c(model, state, delta, xi)
+
+    y_dot = jnp.zeros(ny, state.q.dtype).at[:n_inertial].set(state.z[layout.inner_rates])
+    rates, x = jnp.concatenate([state.v, y_dot, base.ravel()]), jnp.zeros(nv + ny + base.size, state.q.dtype)
+    K = jax.hessian(of_V)(x)
+    of_loads = jax.jacfwd(lambda delta: Q(model, state, loads, jnp.zeros((), still.dtype), delta, still, base, base))(still)
+    return jax.hessian(of_T)(rates), jax.hessian(of_R)(rates), K.at[:nv, :nv].add(-of_loads), jax.grad(of_V)(x)
+
+
+def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array, rank: int):
+    """v' and z' by Lagrange's equations on supports that move, and the equations [M J'; J 0] of v' and lambda, None without closures."""
+
+    def imposed(t):
+        return jnp.stack([motion(t) for motion in motions]) if motions else jnp.zeros((len(model.layout.supports), 6), t.dtype)
+
+    def velocity(t):
+        return jax.jvp(imposed, (t,), (jnp.ones_like(t),))
+
+    (xi, xi_dot), (_, xi_ddot) = jax.jvp(velocity, (t,), (jnp.ones_like(t),))
+    zero = jnp.zeros_like(state.v)
+    here, along = (zero, state.v, xi, xi_dot), (state.v, zero, xi_dot, xi_ddot)
+    z_dot = state_rates(holding(model, state.z), frames_at(model, state, *here)) if model.layout.nz else state.z
+    of_L, of_R = (lambda *small: L(model, state, *small)), (lambda *small: R(model, state, z_dot, *small))
+    momentum = jax.grad(of_L, 1)
+    M = jax.jacfwd(momentum, 1)(*here)
+    _, drift = jax.jvp(momentum, here, along)
+    f = jax.grad(of_L, 0)(*here) - jax.grad(of_R, 1)(*here) + Q(model, state, loads, t, *here) - drift
+    if not model.closures:
+        return jnp.linalg.solve(M, f), z_dot, None
+
+    def c_dot(delta, delta_dot, xi, xi_dot):
+        return jax.jvp(lambda delta, xi: c(model, state, delta, xi), (delta, xi), (delta_dot, xi_dot))[1]
+
+    J, (_, bend) = jax.jacfwd(c_dot, 1)(*here), jax.jvp(c_dot, here, along)
+    equations = saddle_point(M, J, rank)
+    return equations.solve(f, -bend)[0], z_dot, equations
+
+
+# For users: the same with their defaults, each a program
+
+
+def kinetic_energy(model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None) -> Float[Array, ""]:
+    """T at q (+) Delta with the rates Delta', on supports displaced by Xi with the rate Xi' [J]; see `lagrangian`.
+
+    Source: (10), (11) of the paper.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
+    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
+    >>> float(kinetic_energy(model, state))
+    9.0
+    """
+    return _value(T, model, state, delta, delta_dot, xi, xi_dot)
+
+
+def potential_energy(model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None) -> Float[Array, ""]:
+    """V at q (+) Delta, on supports displaced by Xi [J]; see `lagrangian`. Source: (22), (60) of the paper.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 1.5])}, gravity=[0, 0, -10.0])
+    >>> float(potential_energy(model, model.reference))
+    30.0
+    """
+    return _value(V, model, state, delta, delta_dot, xi, xi_dot)
+
+
+def dissipation(model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None) -> Float[Array, ""]:
+    """R [W], 1/2 c e'^2 for a linear damper; 2 R is the power dissipated by linear dampers. See `lagrangian`.
+
+    In derivatives the rates of the states of elements are constant, so that -dR/dDelta' is the force of dampers.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
+    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
+    >>> float(dissipation(model, state))
+    0.0
+    """
+    return _value(_R, model, state, delta, delta_dot, xi, xi_dot)
+
+
+def lagrangian(model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None) -> Float[Array, ""]:
+    """L = T - V of small motions about a state [J], to differentiate. Source: (12) of the paper.
+
+    Args:
+        delta: increments Delta of the coordinates, by default 0: of a free body the displacement of its O [m] and a rotation vector [rad]
+        delta_dot: Delta', by default the speeds v of the state
+        xi: displacements Xi of the supports from their reference poses, by default 0: {support: six numbers}, or a row for each support
+        xi_dot: their rates, by default 0
+
+    Errors: BAD_SHAPE, NON_FINITE, UNKNOWN_NAME for a support.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> stiffness = jax.hessian(lambda delta: -lagrangian(model, model.reference, delta))(jnp.zeros(1))
+    >>> mass = jax.hessian(lambda rate: lagrangian(model, model.reference, None, rate))(jnp.zeros(1))
+    >>> stiffness.round(9).tolist(), mass.round(9).tolist()
+    ([[50.0]], [[2.0]])
+    """
+    return _value(L, model, state, delta, delta_dot, xi, xi_dot)
+
+
+def _R(model: Model, state: State, *small: Array) -> Float[Array, ""]:
+    """R with the z' of this motion."""
+    z_dot = state_rates(holding(model, state.z), frames_at(model, state, *jax.lax.stop_gradient(small))) if model.layout.nz else state.z
+    return R(model, state, z_dot, *small)
+
+
+def _value(function: Callable[..., Array], model: Model, state: State, delta, delta_dot, xi, xi_dot) -> Float[Array, ""]:
+    check_state(model, state, "state")
+    with Problems() as problems:
+        speeds = (model.layout.nv,)
+        delta = None if delta is None else shaped(delta, speeds, "delta", problems)
+        delta_dot = None if delta_dot is None else shaped(delta_dot, speeds, "delta_dot", problems)
+        xi, xi_dot = (None if x is None else displacements(model, x, name, problems) for name, x in (("xi", xi), ("xi_dot", xi_dot)))
+    return _program(function, model, state, (delta, delta_dot, xi, xi_dot))
+
+
+@program
+def _program(function: Callable[..., Array], model: Model, state: State, small: tuple[Array | None, ...]) -> Float[Array, ""]:
+    still, base = jnp.zeros_like(state.v), jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
+    delta, delta_dot, xi, xi_dot = (zero if x is None else x for x, zero in zip(small, (still, state.v, base, base), strict=True))
+    state = completed(model, state, frames_at(model, state, delta, still, xi, base))
+    return function(model, state, delta, delta_dot, xi, xi_dot)

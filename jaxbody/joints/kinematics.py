@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, numbers
+from jaxbody.core.arrays import Array, Float, numbers, shaped
+from jaxbody.core.arrays import stack as stack_rows
+from jaxbody.core.errors import Problems, unknown
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Instant, Pose, stack
 from jaxbody.geometry.vectors import cross, rotate
@@ -102,6 +106,16 @@ class Coordinates(Chart):
             linear.append((table.names, axes[0]))
             angular.append((table.names, axes[1]))
         return _rows(known, [order.index(name) for name in layout.frames]), (layout.joined(linear), layout.joined(angular))
+
+
+def displacements(model: Model, given: Any, where: str, problems: Problems) -> Float[Array, "ns 6"]:
+    """Xi of the supports, or its rate, from {support: six numbers}, 0 for those left out, or from a row for each support. Errors:
+    UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
+    names = model.layout.supports
+    if not isinstance(given, dict):
+        return shaped(given, (len(names), 6), where, problems)
+    problems.collected += [unknown(name, where, names) for name in given if name not in names]
+    return stack_rows([shaped(given.get(name, np.zeros(6)), (6,), f"{where}[{name!r}]", problems) for name in names])
 
 
 def with_world(*frames: Frame) -> Frame:

@@ -15,12 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.compilation.compile_options import program
-from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, Float, is_concrete, rows_or_nan, shaped, stack
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
+from jaxbody.core.arrays import Array, Float, is_concrete, rows_or_nan
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.joints.closure_tables import drawn, gaps_at, gaps_from
 from jaxbody.joints.element_tables import completed
-from jaxbody.joints.kinematics import Coordinates, Motions
+from jaxbody.joints.kinematics import Coordinates, Motions, displacements
 from jaxbody.lagrange import potential
 from jaxbody.mechanics.constraints import CLOSED, closed_on
 from jaxbody.mechanics.element_derivatives import frames_displaced
@@ -104,8 +103,8 @@ def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str
     return state
 
 
-def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nf"]:
-    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, with the coordinates held fixed:
+def excitation(model: Model, at: Equilibrium | State, displaced: Any) -> Float[Array, "nf"]:
+    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)} or a row for each, the coordinates held:
 
         F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
 
@@ -131,12 +130,8 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
         message = "has hysteretic elements, whose force depends on the path of the displacement"
         raise JaxbodyError(Problem("MEMORY", "excitation.model", message, limit="elements without hysteresis", hint=hint))
     with Problems() as problems:
-        given = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
-        problems.collected += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
-        known = [name for name in model.layout.supports if name in given]
-        xi = {name: shaped(given[name], (6,), f"excitation[{name!r}]", problems) for name in known}
-    force = _excitation_of_loops if model.closures else _excitation
-    return force(model, state, stack([xi.get(name, np.zeros(6)) for name in model.layout.supports]))
+        xi = displacements(model, displaced, "excitation.displaced", problems)
+    return (_excitation_of_loops if model.closures else _excitation)(model, state, xi)
 
 
 @program

@@ -355,10 +355,10 @@ def everything(model, delta, v, xi, xi_dot):
     """V, R, their gradients in (Delta, Xi) and (v, Xi'), and the wrenches on all frames."""
 
     def V(delta, xi):
-        return jb.potential_energy(model, displaced(model, delta), xi)
+        return jb.potential_energy(model, displaced(model, delta), xi=xi)
 
     def R(v, xi_dot):
-        return jb.dissipation(model, jb.State(displaced(model, delta).q, v), xi, xi_dot)
+        return jb.dissipation(model, jb.State(displaced(model, delta).q, v), xi=xi, xi_dot=xi_dot)
 
     frames = frames_of(model, jb.State(displaced(model, delta).q, v), xi, xi_dot)
     return *jax.value_and_grad(V, (0, 1))(delta, xi), *jax.value_and_grad(R, (0, 1))(v, xi_dot), wrenches(model, frames)
@@ -416,7 +416,7 @@ def test_a_damper_to_a_moving_base_feels_its_velocity():
         """Dissipation, and the accelerations of the body, whose axes are those of the world."""
         sine = {"frequency": 1 / (2 * np.pi), "translation_phase": -np.pi / 2, "rotation_phase": -np.pi / 2}
         dynamics = dynamics_of(model, (jb.Harmonic(translation=velocity, rotation=spin, **sine),))
-        R = jb.dissipation(model, model.reference, None, jnp.concatenate([velocity, spin])[None])
+        R = jb.dissipation(model, model.reference, xi_dot=jnp.concatenate([velocity, spin])[None])
         return R, dynamics.rate(jnp.array(0.0), dynamics.pack(model.reference))[7:]
 
     R, moved = felt(velocity, spin)

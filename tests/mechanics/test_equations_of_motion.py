@@ -63,7 +63,7 @@ def euler_lagrange(model, motions, t, x, x_dot):
         return jax.jvp(lambda t: jnp.concatenate([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),))
 
     def value(function, y, y_dot):
-        return function(model, state_of(model, y[:n], y_dot[:n]), y[n:].reshape(-1, 6), y_dot[n:].reshape(-1, 6))
+        return function(model, state_of(model, y[:n], y_dot[:n]), xi=y[n:].reshape(-1, 6), xi_dot=y_dot[n:].reshape(-1, 6))
 
     (xi, xi_dot), (_, xi_ddot) = jax.jvp(imposed, (t,), (jnp.ones_like(t),))
     y, y_dot = jnp.concatenate([x, xi]), jnp.concatenate([x_dot, xi_dot])
@@ -404,13 +404,13 @@ def test_matrices_are_the_hessians_that_define_them(inerters):
     @jax.vmap
     def definition(state):
         def kinetic(s):
-            return jb.kinetic_energy(tree, jb.State(state.q, s[:n]), jnp.zeros((2, 6)), s[n:])
+            return jb.kinetic_energy(tree, jb.State(state.q, s[:n]), xi_dot=s[n:].reshape(2, 6))
 
         def rayleigh(s):
-            return jb.dissipation(tree, jb.State(state.q, s[:n]), jnp.zeros((2, 6)), s[n:])
+            return jb.dissipation(tree, jb.State(state.q, s[:n]), xi_dot=s[n:].reshape(2, 6))
 
         def potential(d):
-            return jb.potential_energy(tree, jb.State(Coordinates(tree).retract(state.q, d[:n]), state.v), d[n:])
+            return jb.potential_energy(tree, jb.State(Coordinates(tree).retract(state.q, d[:n]), state.v), xi=d[n:].reshape(2, 6))
 
         speeds, still = jnp.concatenate([state.v, jnp.zeros(nxi)]), jnp.zeros(n + nxi)
         return jax.hessian(kinetic)(speeds), jax.hessian(rayleigh)(speeds), jax.hessian(potential)(still)

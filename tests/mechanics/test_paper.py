@@ -258,7 +258,7 @@ def energies(model, state, D, Xi):
 
     def V(t):
         moved = jb.State(Coordinates(model).retract(state.q, t * D), state.v)
-        return jb.potential_energy(model, moved, t * Xi[None])
+        return jb.potential_energy(model, moved, xi=t * Xi[None])
 
     def slope(t):
         return jax.jvp(V, (t,), (1.0,))
@@ -275,7 +275,7 @@ def forces(model, state, D, Xi):
     def force(t):
         def V(delta):
             moved = jb.State(Coordinates(model).retract(state.q, delta), state.v)
-            return jb.potential_energy(model, moved, t * Xi[None])
+            return jb.potential_energy(model, moved, xi=t * Xi[None])
 
         return -jax.grad(V)(t * D)
 

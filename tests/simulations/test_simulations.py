@@ -261,8 +261,8 @@ def test_results_by_name_agree_with_the_state(rig, shaken):
     one = jb.State(state.q[i], state.v[i])
     rate = jax.jvp(SHAKEN["base"], (jnp.array(TIMES[i]),), (jnp.ones(()),))[1]
     energies = {
-        "kinetic": jb.kinetic_energy(rig, one, xi[i][None], rate[None]),
-        "potential": jb.potential_energy(rig, one, xi[i][None]),
+        "kinetic": jb.kinetic_energy(rig, one, xi=xi[i][None], xi_dot=rate[None]),
+        "potential": jb.potential_energy(rig, one, xi=xi[i][None]),
     }
     for kind, value in energies.items():
         assert abs(shaken.energies[kind][i] - value) < 1e-12 * abs(value)

@@ -180,13 +180,13 @@ def assert_second_derivatives(model, state):
     @jax.jit
     def definition(model, state):
         def potential(x):
-            return jb.potential_energy(model, jb.State(Coordinates(model).retract(state.q, x[:n]), state.v), x[n:])
+            return jb.potential_energy(model, jb.State(Coordinates(model).retract(state.q, x[:n]), state.v), xi=x[n:].reshape(-1, 6))
 
         def kinetic(x):
-            return jb.kinetic_energy(model, jb.State(state.q, x[:n]), None, x[n:])
+            return jb.kinetic_energy(model, jb.State(state.q, x[:n]), xi_dot=x[n:].reshape(-1, 6))
 
         def rayleigh(x):
-            return jb.dissipation(model, jb.State(state.q, x[:n]), None, x[n:])
+            return jb.dissipation(model, jb.State(state.q, x[:n]), xi_dot=x[n:].reshape(-1, 6))
 
         still, moving = jnp.zeros(n + nxi), jnp.concatenate([state.v, jnp.zeros(nxi)])
         return jax.hessian(kinetic)(moving), jax.hessian(rayleigh)(moving), jax.hessian(potential)(still)

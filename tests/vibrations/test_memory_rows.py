@@ -110,7 +110,7 @@ def test_the_rows_are_the_second_derivatives_of_V_and_R():
 
     def V(x):
         state = jb.State(eq.state.q + x[:nv], eq.state.v, eq.state.z + x[nv : nv + ny])
-        return jb.potential_energy(model, state, x[nv + ny :].reshape(-1, 6))
+        return jb.potential_energy(model, state, xi=x[nv + ny :].reshape(-1, 6))
 
     def R(rate):
         state = jb.State(eq.state.q, rate[:nv], eq.state.z)
