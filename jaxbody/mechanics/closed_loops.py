@@ -32,7 +32,7 @@ from jaxbody.joints.closure_tables import drawn, each_closure, gaps_from, moving
 from jaxbody.joints.element_tables import completed, inertial_tables, state_rates
 from jaxbody.joints.kinematics import Motions, jacobian
 from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on
-from jaxbody.mechanics.equations_of_motion import Dynamics, FreeBodies, JointedBodies, all_free, generalized
+from jaxbody.mechanics.dynamics import Dynamics, FreeBodies, JointedBodies, all_free, generalized
 from jaxbody.mechanics.free_motions import FreeMotions
 from jaxbody.models.memories import holding
 from jaxbody.models.models import Model

@@ -30,8 +30,8 @@ from jaxbody.geometry.vectors import cross, product, rotate, skew
 from jaxbody.joints.element_tables import completed, each_element, inertial_tables, wrenches
 from jaxbody.joints.kinematics import Coordinates, jacobian
 from jaxbody.lagrange import potential
+from jaxbody.mechanics.dynamics import all_free
 from jaxbody.mechanics.element_inertias import element_inertia
-from jaxbody.mechanics.equations_of_motion import all_free
 from jaxbody.models.layouts import Layout
 from jaxbody.models.memories import apart
 from jaxbody.models.models import Model

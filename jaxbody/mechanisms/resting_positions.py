@@ -19,7 +19,7 @@ from jaxbody.inputs.loads import Load
 from jaxbody.joints.element_tables import each_element, wrenches
 from jaxbody.joints.kinematics import Coordinates, jacobian
 from jaxbody.mechanics.constraints import LARGEST_STEP, ORDERS, PRECISE, RANK, STEPS
-from jaxbody.mechanics.equations_of_motion import generalized
+from jaxbody.mechanics.dynamics import generalized
 from jaxbody.mechanisms.driven_positions import REACHED, Drive, conditions
 from jaxbody.models.memories import relaxed
 from jaxbody.models.models import Model

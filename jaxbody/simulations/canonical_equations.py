@@ -18,7 +18,7 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry.frames import Frame
 from jaxbody.joints.element_tables import wrenches
 from jaxbody.lagrange import kinetic
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.dynamics import Dynamics
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 

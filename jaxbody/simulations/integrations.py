@@ -20,7 +20,7 @@ from jaxbody.joints.kinematics import frames_at_time
 from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
 from jaxbody.mechanics.constraints import CLOSED
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.dynamics import Dynamics
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import take_long
 from jaxbody.models.states import State

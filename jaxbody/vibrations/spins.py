@@ -22,7 +22,7 @@ from jaxbody.core.results import warn_if_failed
 from jaxbody.inputs.motions import AtRest
 from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.constraints import how_open
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.dynamics import Dynamics
 from jaxbody.mechanics.free_motions import closure_stiffness, dependent_motions, speeds_on_closures
 from jaxbody.mechanics.hessians import configuration_at, damping, mass, slope, stiffness
 from jaxbody.models.models import Model

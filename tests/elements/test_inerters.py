@@ -10,7 +10,7 @@ import scipy.integrate
 
 import jaxbody as jb
 from jaxbody.mechanics.closed_loops import dynamics_of, state_slopes
-from jaxbody.mechanics.equations_of_motion import FreeBodies
+from jaxbody.mechanics.dynamics import FreeBodies
 from jaxbody.numerics.eigenproblems import first_order
 
 M, K, C, B = 100.0, 1e4, 50.0, 20.0  # the isolator of REFERENCES2 3.5

@@ -10,7 +10,7 @@ import jaxbody as jb
 from jaxbody.geometry import rotations
 from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.closed_loops import acceleration, dynamics_of
-from jaxbody.mechanics.equations_of_motion import FreeBodies, JointedBodies
+from jaxbody.mechanics.dynamics import FreeBodies, JointedBodies
 
 SAMPLES = 100
 jit_once = jb.jit  # compiling is the cost
