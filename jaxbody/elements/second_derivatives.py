@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import singledispatch
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -83,7 +83,7 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlo
     d = (B.p - A.p) + (b - a)
     square = dot(d, d)
     inverse = inverse_root(square)
-    k0, rest, rate = line.split(square * inverse)
+    k0, rest, rate = _states_held(line.split, square * inverse)
     h = k0 + rest * inverse
     c = (rate - rest * inverse) * inverse**2
     g_a, g_b = (jnp.concatenate([d, cross(arm, d)]) for arm in (a, b))
@@ -151,7 +151,7 @@ def _in_relative_motion(
 
     u = rotate(J, t)
     e = jnp.concatenate([u, theta])
-    f, K = bushing.static_force(e), bushing.tangent(e)
+    f, K = _states_held(bushing.static_force, e), bushing.tangent(e)
     f_u, N_t = f[:3], N(t)
     p = f[3:] + rotate_back(N_t, f_u)
     w = cross(cross(theta, t), f_u) + cross(t, cross(f_u, theta))
@@ -166,6 +166,12 @@ def _in_relative_motion(
     mixed = product(J.T, P(f_u))
     M = _square(jnp.zeros_like(J), mixed.T, mixed, (bend + bend.T) / 2)
     return f @ E, E.T @ K @ E + M
+
+
+def _states_held(force, e: Array) -> Any:
+    """force(e). In its derivatives by parameters the states of laws with hysteresis stay; they follow only where e is displaced, as
+    `laws.memories.Apart` has it wherever a force is differentiated directly."""
+    return jax.jvp(force, (e,), (jnp.ones_like(e),))[0]
 
 
 def _with_derivatives(function, x: Array) -> tuple[Array, Array, Array]:

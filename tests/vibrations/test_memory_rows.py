@@ -291,3 +291,21 @@ def test_a_body_that_hysteresis_alone_holds_is_not_free_to_move(free):
     eq = jb.equilibrium(model)
     assert eq.ok and eq.stable
     np.testing.assert_allclose(jb.modes(jb.linearize(model, eq)).frequency[1], np.sqrt(5e4 / 2.0) / (2 * np.pi), rtol=1e-12)
+
+
+def test_hysteretic_states_stay_in_derivatives_by_parameters():
+    """The tension in K of a state does not follow a change of the free length by its z, as a displacement takes it along."""
+    law = jb.laws.Linear(400.0) + jb.laws.BoucWen(alpha=900.0, beta=20.0, gamma=0.8, delta=-0.3)
+    model = jb.Model(
+        bodies={"ball": jb.Body(2.0, [1, 1, 1])}, joints={"ball": jb.Translation("world")},
+        elements={"s": jb.SpringDamper(("ball", [0, 0, 0]), ("world", [0, 0, 1]), spring=law, free_length=0.8)},
+    )  # fmt: skip
+    state = jb.State(model.reference.q, model.reference.v, jnp.array([3.0]))
+
+    @jb.jit
+    def K(length):
+        return jb.linearize(jb.replace(model, {"s.free_length": length}), state).K
+
+    slope, h = jax.jacfwd(K)(jnp.array(0.8)), 1e-6
+    np.testing.assert_allclose(slope, (K(0.8 + h) - K(0.8 - h)) / (2 * h), atol=1e-6 * float(jnp.abs(slope).max()))
+    np.testing.assert_allclose(slope[0, 0], -400.0 / 1.0, rtol=1e-12)  # d(F/L)/d l0, by the elastic part alone
