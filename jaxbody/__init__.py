@@ -150,6 +150,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.shocks.response_spectra": ("ResponseSpectrum",),
     "jaxbody.shocks.shock_spectra": ("shock_spectrum",),
     "jaxbody.shocks.spectrum_responses": ("spectrum_response",),
+    "jaxbody.simulations.own_solvers": ("equations_of_motion",),
     "jaxbody.simulations.readings": ("measure",),
     "jaxbody.simulations.simulations": ("simulate",),
     "jaxbody.statics.cases": ("LoadCase", "load_cases"),

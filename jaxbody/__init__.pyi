@@ -171,6 +171,7 @@ from jaxbody.shocks.matched_records import matched_record as matched_record
 from jaxbody.shocks.response_spectra import ResponseSpectrum as ResponseSpectrum
 from jaxbody.shocks.shock_spectra import shock_spectrum as shock_spectrum
 from jaxbody.shocks.spectrum_responses import spectrum_response as spectrum_response
+from jaxbody.simulations.own_solvers import equations_of_motion as equations_of_motion
 from jaxbody.simulations.readings import measure as measure
 from jaxbody.simulations.simulations import simulate as simulate
 from jaxbody.statics.cases import LoadCase as LoadCase

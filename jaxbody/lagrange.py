@@ -15,6 +15,7 @@ multipliers, z the states of elements. Faster, structured forms of the same stan
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -26,7 +27,7 @@ from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import axial, dot, rotate, rotate_back
 from jaxbody.inputs.loads import Load
-from jaxbody.joints.closure_tables import drawn, gaps_from
+from jaxbody.joints.closure_tables import drawn, gaps_from, rank
 from jaxbody.joints.element_tables import completed, each_element, inertial_tables, of_table, state_rates
 from jaxbody.joints.kinematics import Coordinates, displacements
 from jaxbody.laws.memories import InState, memories
@@ -83,12 +84,12 @@ def frames_at(model: Model, state: State, delta: Array, delta_dot: Array, xi: Ar
 
 def T(model: Model, state: State, *small: Array) -> Float[Array, ""]:
     """T of Delta, Delta', Xi, Xi'."""
-    return kinetic(apart(model, state.z), frames_at(model, state, *small))
+    return kinetic(holding(model, state.z), frames_at(model, state, *small))
 
 
 def V(model: Model, state: State, *small: Array) -> Float[Array, ""]:
     """V of Delta, Delta', Xi, Xi'; the rates have no effect."""
-    return potential(apart(model, state.z), frames_at(model, state, *small))
+    return potential(holding(model, state.z), frames_at(model, state, *small))
 
 
 def R(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, ""]:
@@ -103,77 +104,92 @@ def L(model: Model, state: State, *small: Array) -> Float[Array, ""]:
 
 def c(model: Model, state: State, delta: Array, xi: Array) -> Float[Array, "nc"]:
     """The conditions of closures."""
-    still = jnp.zeros_like(delta), xi, jnp.zeros_like(xi)
-    coordinates = Coordinates(model)
-    return gaps_from(model, drawn(coordinates), frames_at(model, state, delta, *still), coordinates.retract(state.q, delta))
+    coordinates, rest = Coordinates(model), jnp.zeros_like(xi)
+    frames = frames_at(model, state, delta, jnp.zeros_like(delta), xi, rest)
+    return gaps_from(model, drawn(coordinates), frames, coordinates.retract(state.q, delta))
 
 
 def Q(model: Model, state: State, loads: tuple[Load, ...], t: Any, *small: Array) -> Float[Array, "nv"]:
-    """The generalized forces of what has no potential, by its virtual power P(v*) = Q . v*, v* a virtual Delta'. Of loads P is F . v* + M
-    . w*, of elements with hysteresis - F' . e*, with F' the part of their force that depends on the rate e'."""
-    here = apart(model, state.z)
+    """The generalized forces of what has no potential, by its virtual power P(v*) = Q . v*, v* a virtual Delta': of loads P = F . v* + M
+    . w*, of elements with hysteresis P = -(F - dV/de - dR/de') . e*."""
+    delta, _, xi, xi_dot = small
     now = frames_at(model, state, *small).at_time(t, state)
+    pairs = zip(holding(model, state.z).elements, apart(model, state.z, _z_dot(model, state, *small)).elements, strict=True)
+    elements = [
+        replace(one, rows=(one.rows, other.rows)) for one, other in pairs if any(not x.law.has_rows for x in memories(one, InState))
+    ]
 
     def power(virtual):
-        delta, _, xi, xi_dot = small
         moved = frames_at(model, state, delta, virtual, xi, jnp.zeros_like(xi_dot))
         P = jnp.zeros((), virtual.dtype)
         for load in loads:
             i = model.layout.frame(load.on)
             force, moment = load.wrench(now.frame(i))
             P = P + force @ moved.v[i] + moment @ moved.w[i]
-        for table in here.elements:
-            if any(not law.law.has_rows for law in memories(table.rows, InState)):
-                rates = of_table(here, moved, table, lambda s, *F: s.rates(*F)[1])
-                P = P - jnp.sum(of_table(here, now, table, _without_potential) * rates)
+        for table in elements:
+            rates = of_table(model, moved, table, lambda s, *F: s[0].rates(*F)[1])
+            P = P - jnp.sum(of_table(model, now, table, _without_potential) * rates)
         return P
 
     return jax.grad(power)(jnp.zeros_like(state.v))
 
 
-def _without_potential(element, *frames: Frame) -> Array:
-    """The part of the force that depends on the rate and is not dR/de'."""
-    e, e_dot = element.rates(*frames)
-    return element.damping_force(e, e_dot) - jax.grad(element.dissipation, 1)(e, e_dot)
+def _without_potential(element: Any, *frames: Frame) -> Array:
+    """F - dV/de - dR/de' of an element whose states move, and the same whose rates are known."""
+    moving, known = element
+    e, e_dot = moving.rates(*frames)
+    return moving.force(*frames) - jax.grad(moving.energy)(e) - jax.grad(known.dissipation, 1)(e, e_dot)
+
+
+def _z_dot(model: Model, state: State, *small: Array) -> Array:
+    """The rates of the states of elements."""
+    return state_rates(holding(model, state.z), frames_at(model, state, *small)) if model.layout.nz else state.z
 
 
 # What follows
 
 
-def matrices(model: Model, state: State, multipliers: Array, loads: tuple[Load, ...] = ()):
-    """M, C and K of (Delta, y, Xi) about a state, and d(V + lambda c)/d(Delta, y, Xi)."""
-    layout = model.layout
-    nv, ny, n_inertial = layout.nv, len(layout.inner_places), len(layout.inertial)
-    still, base = jnp.zeros(nv, state.q.dtype), jnp.zeros((len(layout.supports), 6), state.q.dtype)
+def unbalanced(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv"]:
+    """dV/dDelta - Q at rest, zero at an equilibrium without closures."""
+    still, base, t = jnp.zeros_like(state.v), jnp.zeros((len(model.layout.supports), 6), state.q.dtype), jnp.zeros((), state.q.dtype)
+    return jax.grad(lambda delta: V(model, state, delta, still, base, base))(still) - Q(model, state, loads, t, still, still, base, base)
+
+
+def matrices(model: Model, state: State, loads: tuple[Load, ...], multipliers: Array) -> tuple[Array, Array, Array]:
+    """M, C and K of (Delta, y, Xi) about a state."""
+    layout, base = model.layout, jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
+    nv, ny, heavy = layout.nv, len(layout.inner_places), len(layout.inertial)
+    still, z = jnp.zeros_like(state.v), jnp.asarray(state.z)
 
     def parts(x):
         return x[:nv], x[nv : nv + ny], x[nv + ny :].reshape(base.shape)
 
-    def with_z(places, values):
-        return State(state.q, state.v, jnp.asarray(state.z).at[places].set(values))
+    def with_rates(y_dot):
+        return State(state.q, state.v, z.at[layout.inner_rates].set(y_dot[:heavy])), jnp.zeros_like(z).at[layout.inner_places].set(y_dot)
 
-    def of_T(rates):
-        delta_dot, y_dot, xi_dot = parts(rates)
-        return T(model, with_z(layout.inner_rates, y_dot[:n_inertial]), still, delta_dot, base, xi_dot)
+    def of_T(x_dot):
+        delta_dot, y_dot, xi_dot = parts(x_dot)
+        return T(model, with_rates(y_dot)[0], still, delta_dot, base, xi_dot)
 
-    def of_R(rates):
-        delta_dot, y_dot, xi_dot = parts(rates)
-        z_dot = jnp.zeros_like(state.z).at[layout.inner_places].set(y_dot)
-        return R(model, with_z(layout.inner_rates, y_dot[:n_inertial]), z_dot, still, delta_dot, base, xi_dot)
+    def of_R(x_dot):
+        delta_dot, y_dot, xi_dot = parts(x_dot)
+        return R(model, *with_rates(y_dot), still, delta_dot, base, xi_dot)
 
     def of_V(x):
         delta, y, xi = parts(x)
-        moved = with_z(layout.inner_places, state.z[layout.inner_places] + y)
-        return V(model, moved, delta, still, xi, base) + multipliers @ c(model, state, delta, xi)
+        moved = State(state.q, state.v, z.at[layout.inner_places].add(y))
+        frames = frames_at(model, moved, delta, still, xi, base)
+        return potential(apart(model, moved.z), frames) + multipliers @ c(model, state, delta, xi)
 
-    y_dot = jnp.zeros(ny, state.q.dtype).at[:n_inertial].set(state.z[layout.inner_rates])
-    rates, x = jnp.concatenate([state.v, y_dot, base.ravel()]), jnp.zeros(nv + ny + base.size, state.q.dtype)
-    K = jax.hessian(of_V)(x)
-    of_loads = jax.jacfwd(lambda delta: Q(model, state, loads, jnp.zeros((), still.dtype), delta, still, base, base))(still)
-    return jax.hessian(of_T)(rates), jax.hessian(of_R)(rates), K.at[:nv, :nv].add(-of_loads), jax.grad(of_V)(x)
+    def of_loads(delta):
+        return Q(model, state, loads, jnp.zeros((), z.dtype), delta, still, base, base)
+
+    x_dot = jnp.concatenate([state.v, z[layout.inner_rates], jnp.zeros(ny - heavy + base.size, z.dtype)])
+    M, C, K = jax.hessian(of_T)(x_dot), jax.hessian(of_R)(x_dot), jax.hessian(of_V)(jnp.zeros_like(x_dot))
+    return M, C, K.at[:nv, :nv].add(-jax.jacfwd(of_loads)(still))
 
 
-def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array, rank: int):
+def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array):
     """v' and z' by Lagrange's equations on supports that move, and the equations [M J'; J 0] of v' and lambda, None without closures."""
 
     def imposed(t):
@@ -185,7 +201,7 @@ def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array
     (xi, xi_dot), (_, xi_ddot) = jax.jvp(velocity, (t,), (jnp.ones_like(t),))
     zero = jnp.zeros_like(state.v)
     here, along = (zero, state.v, xi, xi_dot), (state.v, zero, xi_dot, xi_ddot)
-    z_dot = state_rates(holding(model, state.z), frames_at(model, state, *here)) if model.layout.nz else state.z
+    z_dot = _z_dot(model, state, *here)
     of_L, of_R = (lambda *small: L(model, state, *small)), (lambda *small: R(model, state, z_dot, *small))
     momentum = jax.grad(of_L, 1)
     M = jax.jacfwd(momentum, 1)(*here)
@@ -198,7 +214,7 @@ def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array
         return jax.jvp(lambda delta, xi: c(model, state, delta, xi), (delta, xi), (delta_dot, xi_dot))[1]
 
     J, (_, bend) = jax.jacfwd(c_dot, 1)(*here), jax.jvp(c_dot, here, along)
-    equations = saddle_point(M, J, rank)
+    equations = saddle_point(M, J, rank(model))
     return equations.solve(f, -bend)[0], z_dot, equations
 
 
@@ -264,8 +280,7 @@ def lagrangian(model: Model, state: State, delta=None, delta_dot=None, xi=None, 
 
 def _R(model: Model, state: State, *small: Array) -> Float[Array, ""]:
     """R with the z' of this motion."""
-    z_dot = state_rates(holding(model, state.z), frames_at(model, state, *jax.lax.stop_gradient(small))) if model.layout.nz else state.z
-    return R(model, state, z_dot, *small)
+    return R(model, state, _z_dot(model, state, *jax.lax.stop_gradient(small)), *small)
 
 
 def _value(function: Callable[..., Array], model: Model, state: State, delta, delta_dot, xi, xi_dot) -> Float[Array, ""]:

@@ -165,6 +165,7 @@ DERIVED = {  # from these concrete classes others derive, which are all that the
     "Pose": "a frame is a pose with velocities",
     "Frame": "an instant is a table of frames with the state that it comes from",
     "JointedBodies": "closed loops are bodies on joints with multipliers",
+    "ClosedLoops": "Lagrange's equations are integrated on closures as the structured ones are",
     "Chart": "coordinates are a chart with the reference poses",
     "Described": "prints the fields of a class, whatever they are",
     "Law": "states its force or its potential, either by the other; its constructor asks for one",

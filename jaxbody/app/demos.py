@@ -51,11 +51,11 @@ def run(out: Path, seed: int) -> int:
     print(f"  m = {m} kg, l = {l} m, springs AB and CD above with k = m g/l = {k:.4g} N/m, spring EF below with kt = {kt:g} N/m.")
     plate = model(l, m, g, k, kt)
 
-    report("Computing K~, the force on the plate per displacement of the base, from derivatives of the energies ...")
+    report("Computing K~, the force on the plate per displacement of the base: minus the mixed second derivative of V, in closed form ...")
     lin = jb.linearize(plate, plate.reference)
     compare_K_tilde(np.asarray(lin.K_tilde), k, kt, l)
 
-    report("Computing the equilibrium ...")
+    report("Computing the equilibrium, where jax.grad of V is zero ...")
     times = np.linspace(0.0, 5.0, 501)
     motion = {"base": jb.Harmonic(frequency=0.8, translation=[0.01, 0.02, 0], rotation=[0, 0, 0.02])}
     sensors: dict[str, Any] = {"corner": jb.Position("plate", [3 * l, l, 0])}
@@ -64,10 +64,10 @@ def run(out: Path, seed: int) -> int:
     eq = jb.equilibrium(plate)
     print(eq)
 
-    report("Simulating 5 s of the nonlinear motion; the base vibrates at 0.8 Hz with 10 mm along x, 20 mm along y and 20 mrad about z ...")
+    report("Simulating 5 s of the nonlinear motion by diffrax; the base at 0.8 Hz with 10 mm along x, 20 mm along y, 20 mrad about z ...")
     xi = np.array([0.01, 0, 0, 0, 0, 0.02])
     compare_forces(np.asarray(lin.K_tilde) @ xi, np.asarray(jb.excitation(plate, eq, {"base": xi})), k, l)
-    report("Modes about the equilibrium:")
+    report("Modes about the equilibrium, by the Hessians of T, R and V:")
     lin = jb.linearize(plate, eq)
     modes = jb.modes(lin)
     print(modes)
@@ -134,7 +134,7 @@ def compare_K_tilde(K_tilde: np.ndarray, k: float, kt: float, l: float) -> None:
 
 def compare_forces(linear: np.ndarray, exact: np.ndarray, k: float, l: float) -> None:
     """Print the force due to a displaced base: the linear one, the one by the paper's (79), and the exact one."""
-    report("The force due to a base displaced by 10 mm along x and turned by 20 mrad about z:")
+    report("The force due to a base displaced by 10 mm along x and turned by 20 mrad about z, by jax.grad of V:")
     printed = printed_force(k, l, 0.01, 0.02)
     rows = [(axis, linear[i], printed[i], exact[i]) for i, axis in ((0, "along x [N]"), (1, "along y [N]"), (5, "about z [N m]"))]
     print(text(PrintedTable("", ("", "K~ Xi", "paper (79)", "exact, finite Xi"), rows)), flush=True)

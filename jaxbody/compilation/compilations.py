@@ -232,7 +232,7 @@ def _under_way() -> dict[str, float]:
 def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, Any]:
     """{place: (shape, type) of an array, any other leaf itself, or the structure of an argument}."""
     places: dict[str, Any] = {}
-    for name, arg in zip(parameters, args, strict=True):
+    for name, arg in zip(parameters, args, strict=False):
         leaves, structure = jax.tree_util.tree_flatten_with_path(arg)
         places |= {name + jax.tree_util.keystr(path): (x.shape, x.dtype) if hasattr(x, "dtype") else x for path, x in leaves}
         places[f"the structure of {name}"] = structure

@@ -45,7 +45,7 @@ class Integration(eqx.Module):
     def trajectory(self, model: Model, times: Array, motions: Motions, loads: tuple[Load, ...], initial: State | None) -> Trajectory:
         return integrate(
             model, times, motions, loads, initial, self.rtol, self.solver, self.stepsize_controller, diffrax.ForwardMode(),
-            self.dt0, self.max_steps or most_steps(len(times), MAX_STEPS), diffrax.NoProgressMeter(),
+            self.dt0, self.max_steps or most_steps(len(times), MAX_STEPS), diffrax.NoProgressMeter(), "structured",
         )  # fmt: skip
 
 

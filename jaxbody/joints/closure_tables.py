@@ -33,6 +33,12 @@ def redundant_rows(model: Model, slopes: Float[Array, "n nv"]) -> tuple[str, ...
     return tuple(name for i, name in enumerate(names_of_rows(model)) if i not in independent)
 
 
+def rank(model: Model) -> int:
+    """The number of independent conditions, or the most there can be."""
+    nv = model.layout.nv
+    return min(nv, len(names_of_rows(model))) if model.independent is None else nv - len(model.independent)
+
+
 def turning_rows(model: Model) -> np.ndarray:
     """(n,): True for conditions on angles."""
     return np.array([turns for table in model.closures for _ in table.names for turns in _turning(table)], bool)

@@ -28,7 +28,7 @@ from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.frames import Frame, Instant, Pose
 from jaxbody.inputs.loads import Load
-from jaxbody.joints.closure_tables import drawn, each_closure, gaps_from, moving_slides
+from jaxbody.joints.closure_tables import drawn, each_closure, gaps_from, moving_slides, rank
 from jaxbody.joints.element_tables import completed, inertial_tables, state_rates
 from jaxbody.joints.kinematics import Motions, jacobian
 from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on
@@ -126,17 +126,7 @@ class ClosedLoops(JointedBodies):
 
     def _saddle(self, frames: Frame, q: Float[Array, "nq"], J: tuple[Array, Array]) -> SaddlePoint:
         """[M J'; J 0] from the velocities of the bodies per unit of each speed."""
-        return saddle_point(self.inertia(frames, *J)[0], self._slopes(frames, q, J), self.rank)
-
-    @property
-    def rank(self) -> int:
-        """The number of independent conditions, or the most there can be."""
-        independent, nv = self.model.independent, self.model.layout.nv
-        return (
-            min(nv, sum(len(table.names) * len(table.rows.rows) for table in self.model.closures))
-            if independent is None
-            else nv - len(independent)
-        )
+        return saddle_point(self.inertia(frames, *J)[0], self._slopes(frames, q, J), rank(self.model))
 
     def _slopes(self, frames: Frame, q: Float[Array, "nq"], J: tuple[Array, Array]) -> Float[Array, "n nv"]:
         """dc/dDelta."""
@@ -160,7 +150,7 @@ class ClosedLoops(JointedBodies):
     def smallest(self, t: Float[Array, ""], state: State) -> Float[Array, ""]:
         """The smallest singular value of dc/dDelta that should not be zero, relative to the largest."""
         values = jnp.linalg.svdvals(jax.lax.stop_gradient(self.slopes(t, state)))
-        return values[self.rank - 1] / jnp.maximum(values[0], 1e-300)
+        return values[rank(self.model) - 1] / jnp.maximum(values[0], 1e-300)
 
     def _rates(self, frames: Frame, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "n"]:
         """c'."""

@@ -12,7 +12,7 @@ from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Bool, Float, time_text
 from jaxbody.elements.second_derivatives import second_order
 from jaxbody.inputs.loads import Load
-from jaxbody.joints.closure_tables import names_of_rows
+from jaxbody.joints.closure_tables import names_of_rows, rank
 from jaxbody.joints.element_tables import each_element
 from jaxbody.joints.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.mechanics.closed_loops import ClosedLoops, acceleration
@@ -112,8 +112,9 @@ def singular_closure(model: Model, motions: Motions, t: Array, state: State) -> 
     """The condition that follows from the others at a state, though it does not elsewhere, and the smallest singular value."""
     loops = ClosedLoops(model, motions)
     left, values, _ = np.linalg.svd(np.asarray(loops.slopes(t, state)))
-    condition = names_of_rows(model)[int(np.argmax(np.abs(left[:, loops.rank - 1])))]
-    return f"at '{condition}': the smallest singular value is {values[loops.rank - 1] / values[0]:.3g} of the largest"
+    independent = rank(model)
+    condition = names_of_rows(model)[int(np.argmax(np.abs(left[:, independent - 1])))]
+    return f"at '{condition}': the smallest singular value is {values[independent - 1] / values[0]:.3g} of the largest"
 
 
 def nonfinite_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Array, "nv"], size: float) -> list[str]:

@@ -21,6 +21,7 @@ from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
 from jaxbody.mechanics.constraints import CLOSED
 from jaxbody.mechanics.dynamics import Dynamics
+from jaxbody.mechanics.lagrange_equations import LagrangeBodies, LagrangeLoops
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import take_long
 from jaxbody.models.states import State
@@ -67,10 +68,13 @@ LOOPS = Driven(_drive, _driven_on_closures, _projected)
 
 
 @program_with(lambda model, times, *_: OPTIMIZED if take_long(model, times) else QUICK)
-def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
+def integrate(
+    model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter, equations
+) -> Trajectory:
     """The jitted core of `simulate`: arrays only, never raises. It counts time from the first sample."""
     given, times = times, times - times[0]
-    dynamics = dynamics_of(model, *(tuple(part.after(given[0]) for part in parts) for parts in (motions, loads)))
+    form_of: Any = dynamics_of if equations == "structured" else LagrangeLoops if model.closures else LagrangeBodies
+    dynamics = form_of(model, *(tuple(part.after(given[0]) for part in parts) for parts in (motions, loads)))
     initial, closing = dynamics.coordinates.reference if initial is None else _completed(dynamics, initial, times[0]), None
     if isinstance(dynamics, ClosedLoops):
         initial, closing = dynamics.closed(times[0], initial)

@@ -11,7 +11,7 @@ import diffrax
 import jax
 import numpy as np
 
-from jaxbody.core.arguments import check_kind, checked_dict, positive_number, whole_number
+from jaxbody.core.arguments import check_kind, check_one_of, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, is_concrete, part_of, time_text
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown, warn
 from jaxbody.core.progress_lines import working
@@ -56,6 +56,7 @@ def simulate(
     dt0: float | Array | None = None,
     max_steps: int | None = None,
     progress: bool | None = None,
+    equations: str = "structured",
 ) -> Trajectory:
     """The motion from `initial` at times[0], sampled at `times` [s], which may be far from zero, as Unix times: steps are counted from
     times[0], and motions and loads are evaluated by `after(times[0])`.
@@ -74,11 +75,14 @@ def simulate(
             parameters diffrax.ForwardMode() is faster; forward mode needs it, or jb.Blocks(), if you give a `solver`.
         dt0: the first step, or the constant step [s]; by default chosen.
         max_steps: the largest number of steps; by default 100,000, or 30 for each sample if that is more.
+        equations: "structured", or "lagrange": those of L = T - V and R by JAX's derivatives, as `lagrange.py` states them, more slowly.
         progress: None shows the time taken on a terminal or in a notebook after five seconds; False is silent, True shows diffrax's meter.
 
     diffrax's own loop takes the place of the blocks with a solver, another stepsize_controller or adjoint, or progress=True. A batch by
     jax.vmap runs in chunks of 40, each member with its own steps; constant steps take half the time, but nothing controls the error:
     compare with a shorter dt0.
+
+    Results are at the times asked for: for diffrax's SaveAt (dense, steps, a function) and Event take `jb.equations_of_motion`.
 
     Steps end at kinks of motions and loads and where records begin to act. After a step that tells nothing about the next, as at rest or in
     free flight, the next is checked between its ends and at `times` before it is taken, also with other solvers that have an error; sample
@@ -118,6 +122,7 @@ def simulate(
     with Problems() as problems:
         motions = problems.gather(lambda: motions_of(model, motion))
         loads_on = problems.gather(lambda: loads_of(loads, model.layout.bodies))
+        check_one_of(equations, ("structured", "lagrange"), "BAD_METHOD", "simulate.equations", problems)
         max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "simulate", adjoint))
         times = problems.gather(lambda: check_run(model, times, motions or (), {} if loads_on is None else loads or {}, initial))
     max_steps = most_steps(len(times), MAX_STEPS) if max_steps is None else max_steps
@@ -132,7 +137,7 @@ def simulate(
         _warn_of_long_steps(model, model.reference if initial is None else initial, float(step), solver)  # pyright: ignore[reportArgumentType]
     with working("simulate", progress), _forward_mode_explained(adjoint):
         result = integrate(
-            model, times, motions, loads_on, initial, tolerance, solver, stepsize_controller, adjoint, step, max_steps, meter
+            model, times, motions, loads_on, initial, tolerance, solver, stepsize_controller, adjoint, step, max_steps, meter, equations
         )
         if is_concrete(result.status):
             jax.block_until_ready(result.status)

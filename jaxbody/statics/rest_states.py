@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.compilation.compile_options import program
+from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, is_concrete, rows_or_nan
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.joints.closure_tables import drawn, gaps_at, gaps_from
@@ -103,8 +104,8 @@ def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str
     return state
 
 
-def excitation(model: Model, at: Equilibrium | State, displaced: Any) -> Float[Array, "nf"]:
-    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)} or a row for each, the coordinates held:
+def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nf"]:
+    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, with the coordinates held fixed:
 
         F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
 
@@ -130,7 +131,8 @@ def excitation(model: Model, at: Equilibrium | State, displaced: Any) -> Float[A
         message = "has hysteretic elements, whose force depends on the path of the displacement"
         raise JaxbodyError(Problem("MEMORY", "excitation.model", message, limit="elements without hysteresis", hint=hint))
     with Problems() as problems:
-        xi = displacements(model, displaced, "excitation.displaced", problems)
+        given = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
+        xi = displacements(model, given, "excitation", problems)
     return (_excitation_of_loops if model.closures else _excitation)(model, state, xi)
 
 

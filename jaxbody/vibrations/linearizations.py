@@ -14,12 +14,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody import lagrange
 from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
-from jaxbody.core.arguments import kind_of
+from jaxbody.core.arguments import check_one_of, kind_of
 from jaxbody.core.arrays import Array, Float, Inexact, Int, is_concrete
 from jaxbody.core.datasets import Labeled, dataset
-from jaxbody.core.errors import JaxbodyError, Problem, Status
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.loads import Load
 from jaxbody.joints.element_tables import completed
@@ -270,15 +271,16 @@ def check_system(lin: Any, where: str, kind: type[LinearSystem] = Linearization,
     check_precision(where, lin.model, allow_float32=allow_float32)
 
 
-def linearize(model: Model, at: Equilibrium | State) -> Linearization:
+def linearize(model: Model, at: Equilibrium | State, *, method: str = "structured") -> Linearization:
     """M, C, K and their blocks that couple to the supports, at an equilibrium or any state, with the supports at their reference poses.
 
     Of a model with closures the rows are those of independent coordinates, chosen in its reference pose; the others follow,
     Delta = N Delta_i + S Xi, and every matrix is T' H T, T = [[N, S], [0, 1]], with H of K the Hessian of V + lambda c.
 
     Loads of the equilibrium are included: K = d2V/dDelta2 - dQ/dDelta. The status of a failed equilibrium is kept; it is STALE, with a
-    warning, if numbers of the model have changed so that the state is no longer an equilibrium. Errors: BAD_SHAPE, NON_FINITE for a state,
-    OTHER_MODEL, NOTHING_MOVES.
+    warning, if numbers of the model have changed so that the state is no longer an equilibrium. With method="definition" the matrices are
+    jax.hessian of T, R and V + lambda c, as `lagrange.py` states them: the same, more slowly. Errors: BAD_SHAPE, NON_FINITE for a state,
+    OTHER_MODEL, NOTHING_MOVES, BAD_METHOD.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
@@ -290,46 +292,81 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     check_moves("linearize", model)
     check_independent("linearize", model)
     check_memory("linearize", model)
+    with Problems() as problems:
+        check_one_of(method, ("structured", "definition"), "BAD_METHOD", "linearize.method", problems)
+    linearized = _by_definition if method == "definition" else _linearize
     if isinstance(at, Equilibrium):
         if at.layout != model.layout:
             hint = "Give the equilibrium of this model, or a state."
             message = "is of a model with other bodies, supports or joints"
             raise JaxbodyError(Problem("OTHER_MODEL", "linearize.at", message, at.layout, "an equilibrium of this model", hint))
-        linearized = _linearize_closed if model.closures else _linearize
         result = linearized(model, at.state, at.status, at.loads)
         if is_concrete(result.status) and np.any(np.asarray(result.status) == Status.STALE):
             warn_if_failed(result)
         return result
     check_state(model, at, "state")
-    return _linearize_closed(model, at, None, ()) if model.closures else _linearize(model, at, None, ())
+    return linearized(model, at, None, ())
 
 
 @program
-def _linearize_closed(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
-    """`_linearize` of a model with closures."""
-    layout, independent = model.layout, model.independent or ()
-    nv, ny, nf = layout.nv, len(layout.inner), len(independent)
+def _by_definition(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
     state = completed(model, state)
-    coordinates, q = Coordinates(apart(model, state.z)), state.q
-    at = configuration_at(coordinates, q, state.v)
-    (M, C, K), slope = whole_matrices(at)
-    r = slope[:nv] - generalized_force(model, q, loads, jnp.ones(len(loads), q.dtype), jnp.zeros(nv, q.dtype))
-    moves = dependent_motions(coordinates, q, r, independent)
+    coordinates, r = Coordinates(apart(model, state.z)), lagrange.unbalanced(model, state, loads)
+    moves = dependent_motions(coordinates, state.q, r, model.independent or ()) if model.closures else None
+    whole, ny = lagrange.matrices(model, state, loads, moves.multipliers if moves else jnp.zeros(0, r.dtype)), len(model.layout.inner)
+    basis = basis_of(configuration_at(coordinates, state.q, state.v))
+    blocks = _blocks([moves.of(H, ny) for H in whole] if moves else whole, len(model.independent or ()) + ny)
+    return _system(model, state, status, loads, blocks, r, basis, moves)
+
+
+@program
+def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
+    state, nv, ny = completed(model, state), model.layout.nv, len(model.layout.inner)
+    numbers, rest = eqx.partition(apart(model, state.z), eqx.is_array)
+
+    def matrices(numbers, q, v) -> Any:
+        at = configuration_at(Coordinates(eqx.combine(numbers, rest)), q, v)
+        whole, slope = whole_matrices(at)
+        return whole if model.closures else _blocks(whole, nv + ny), slope[:nv], basis_of(at)
+
+    found, slope, basis = (matrices if model.closures else in_lanes(matrices, reversible=True))(numbers, state.q, state.v)
+    r = slope - generalized_force(model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros(nv, state.q.dtype))
+    of_loads = _load_stiffness(model, state, loads)
+    if not model.closures:
+        (M, C, K), tilde, bb = found
+        blocks = (M, C, K - jnp.pad(of_loads, (0, ny))), tilde, bb
+        return _system(model, state, status, loads, blocks, r, basis, None)
+    coordinates, (M, C, K) = Coordinates(eqx.combine(numbers, rest)), found
+    moves = dependent_motions(coordinates, state.q, r, model.independent or ())
     x = np.r_[:nv, nv + ny : len(K)]  # the rows of (Delta, Xi)
-    K = jnp.asarray(K).at[np.ix_(x, x)].add(closure_stiffness(coordinates, q, moves.multipliers))
-    K = K.at[:nv, :nv].add(-_load_stiffness(model, state, loads))
-    n = nf + ny
-    blocks = [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in (moves.of(H, ny) for H in (M, C, K))]
-    (M, C, K), tilde, bb = zip(*blocks, strict=True)
-    given = jnp.array(Status.OK.value) if status is None else status
-    size, scale = size_of(model), scale_of(model, size_of(model))[np.array(independent, int)]
-    if status is not None:
-        largest = jnp.max(jnp.abs(scaled(K[:nf, :nf], scale)), initial=0.0) * size
-        stale = jnp.max(jnp.abs(moves.N.T @ r * scale), initial=0.0) > jnp.finfo(r.dtype).eps ** 0.5 * largest
-        given = jnp.where(stale & ~jnp.isin(given, jnp.array(NOT_AT_REST)), Status.STALE.value, given)
-    fails = [how_open(coordinates, q) > NEARLY_CLOSED, moves.smallest < SINGULAR_CLOSURES]
-    given = jnp.select(fails, [Status.NOT_CLOSED.value, Status.SINGULAR_CLOSURE.value], given)
-    return Linearization(M, C, K, given, state, model, basis_of(at), *tilde, *bb, loads, dependent=moves)  # pyright: ignore[reportCallIssue]
+    K = jnp.asarray(K).at[np.ix_(x, x)].add(closure_stiffness(coordinates, state.q, moves.multipliers))
+    K = K.at[:nv, :nv].add(-of_loads)
+    return _system(model, state, status, loads, _blocks([moves.of(H, ny) for H in (M, C, K)], len(moves.N.T) + ny), r, basis, moves)
+
+
+def _blocks(whole: Any, n: int) -> list[tuple[Array, ...]]:
+    """From M, C and K of n coordinates and Xi those of the coordinates, those with Xi, and those of Xi."""
+    return list(zip(*((H[:n, :n], -H[:n, n:], H[n:, n:]) for H in whole), strict=True))
+
+
+def _system(
+    model: Model, state: State, status: Any, loads: tuple[Load, ...], blocks: Any, r: Float[Array, "nv"], basis: Basis, moves: Any
+) -> Linearization:
+    """The result, with the status of the equilibrium, None for another state, unless r = dV/dDelta - Q is not zero any more."""
+    (M, C, K), tilde, bb = blocks
+    own = np.array(model.independent, int)
+    size = size_of(model)
+    scale = scale_of(model, size)[own]
+    if status is None:
+        status = jnp.array(Status.OK.value)
+    else:
+        largest = jnp.max(jnp.abs(scaled(K[: len(own), : len(own)], scale)), initial=0.0) * size
+        stale = jnp.max(jnp.abs((r if moves is None else moves.N.T @ r) * scale), initial=0.0) > jnp.finfo(r.dtype).eps ** 0.5 * largest
+        status = jnp.where(stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status)
+    if moves is not None:
+        fails = [how_open(Coordinates(model), state.q) > NEARLY_CLOSED, moves.smallest < SINGULAR_CLOSURES]
+        status = jnp.select(fails, [Status.NOT_CLOSED.value, Status.SINGULAR_CLOSURE.value], status)
+    return Linearization(M, C, K, status, state, model, basis, *tilde, *bb, loads, dependent=moves)  # pyright: ignore[reportCallIssue]
 
 
 @program
@@ -339,39 +376,11 @@ def _closure_stiffness(lin: Linearization) -> Float[Array, "nf nf"]:
 
 
 @program
-def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
-    """`status`: status of the equilibrium; None for other states."""
-    nv, ny = model.layout.nv, len(model.layout.inner)
-    state = completed(model, state)
-    n, (numbers, rest) = nv + ny, eqx.partition(apart(model, state.z), eqx.is_array)
-
-    def matrices(numbers, q, v):
-        at = configuration_at(Coordinates(eqx.combine(numbers, rest)), q, v)
-        whole, slope = whole_matrices(at)
-        return list(zip(*((H[:n, :n], -H[:n, n:], H[n:, n:]) for H in whole), strict=True)), slope[:nv], basis_of(at)
-
-    ((M, C, K), tilde, bb), slope, basis = in_lanes(matrices, reversible=True)(numbers, state.q, state.v)
-    of_loads = _load_stiffness(model, state, loads)
-    K = K - (jnp.pad(of_loads, (0, ny)) if ny else of_loads)
-    if status is None:
-        status = jnp.array(Status.OK.value)
-    else:
-        size = size_of(model)
-        scale = scale_of(model, size)
-        unbalanced = slope - generalized_force(model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros_like(slope))
-        largest = jnp.max(jnp.abs(scaled(K[:nv, :nv], scale)), initial=0.0) * size
-        stale = jnp.max(jnp.abs(unbalanced * scale), initial=0.0) > jnp.finfo(unbalanced.dtype).eps ** 0.5 * largest
-        status = jnp.where(stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status)
-    return Linearization(M, C, K, status, state, model, basis, *tilde, *bb, loads)  # pyright: ignore[reportCallIssue]
-
-
-@program
 def _condensed(lin: Linearization) -> Linearization:
     nv, ny = lin.nv, lin.massless
     K, C, M = lin.whole
     T = following(K, nv, ny)
-    blocks = [(H[:nv, :nv], -H[:nv, nv:], H[nv:, nv:]) for H in (T.T @ H @ T for H in (M, C, K))]
-    (M, C, K), tilde, bb = zip(*blocks, strict=True)
+    (M, C, K), tilde, bb = _blocks([T.T @ H @ T for H in (M, C, K)], nv)
     return Linearization(M, C, K, lin.status, lin.state, lin.model, lin.basis, *tilde, *bb, lin.loads, slow=True, dependent=lin.dependent)  # pyright: ignore[reportCallIssue]
 
 

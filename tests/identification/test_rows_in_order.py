@@ -33,7 +33,7 @@ def test_a_fitted_table_does_not_fall():
     flat = jb.replace(holding(TABLE), {"s.spring.forces": [-10.0, 0.0, 10.0, 10.0]})
     at = np.linspace(-0.9, 1.9, 29)
     first, last = (np.asarray(force(at)(model, None)) for model in (holding(TABLE), flat))
-    with pytest.warns(jb.JaxbodyWarning, match=r"s.spring.forces\[3\] - \[2\] \(zero\) \[AT_BOUND"):
+    with pytest.warns(jb.JaxbodyWarning, match=r"ends with s.spring.forces\[3\] - \[2\] \(zero\).*FAR_OFF"):
         result = jb.fit(holding(TABLE), {"run": Given(force(at), {"numbers": jnp.asarray(2 * last - first)})}, free=["s.spring.forces"])
     steps = np.diff(result.estimates["s.spring.forces"])
     assert (steps[:2] > 1).all() and 0 < steps[2] < 0.3
