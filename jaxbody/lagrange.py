@@ -6,10 +6,11 @@ and the velocities of all frames are the derivatives of their poses along Delta'
     M | -M~ | M_bb    Hessian of T in (Delta', y', Xi')       | separates the blocks 11, 12, 22; y: coordinates of elements with memory
     C | -C~ | C_bb    Hessian of R in (Delta', y', Xi')
     K | -K~ | K_bb    Hessian of V + lambda c in (Delta, y, Xi), minus dQ/dDelta
-    motion            d/dt dL/dDelta' - dL/dDelta + dR/dDelta' = Q - J' lambda,   c'' = 0,   z' = f(e, e', z)
+    motion            d/dt dL/dDelta' - dL/dDelta + dR/dDelta' = Q + H - J' lambda,   c'' = 0,   z' = f(e, e', z)
 
-Q are the generalized forces of what has no potential, by its virtual power, c the conditions of closures, J = dc/dDelta, lambda their
-multipliers, z the states of elements. Faster, structured forms of the same stand in `mechanics`; tests hold them to this file.
+Q and H are the generalized forces of loads and of hysteresis, which have no potential, by their virtual power; in C and K hysteresis has
+those of its tangent. c are the conditions of closures, J = dc/dDelta, lambda their multipliers, z the states of elements. Faster,
+structured forms of the same stand in `mechanics`; tests hold them to this file.
 """
 
 from __future__ import annotations
@@ -110,28 +111,38 @@ def c(model: Model, state: State, delta: Array, xi: Array) -> Float[Array, "nc"]
 
 
 def Q(model: Model, state: State, loads: tuple[Load, ...], t: Any, *small: Array) -> Float[Array, "nv"]:
-    """The generalized forces of what has no potential, by its virtual power P(v*) = Q . v*, v* a virtual Delta': of loads P = F . v* + M
-    . w*, of elements with hysteresis P = -(F - dV/de - dR/de') . e*."""
-    delta, _, xi, xi_dot = small
+    """The generalized forces of loads, by their virtual power P(v*) = Q . v*, v* a virtual Delta': P = sum of F . v* + M . w*."""
     now = frames_at(model, state, *small).at_time(t, state)
-    pairs = zip(holding(model, state.z).elements, apart(model, state.z, _z_dot(model, state, *small)).elements, strict=True)
-    elements = [
-        replace(one, rows=(one.rows, other.rows)) for one, other in pairs if any(not x.law.has_rows for x in memories(one, InState))
-    ]
 
-    def power(virtual):
-        moved = frames_at(model, state, delta, virtual, xi, jnp.zeros_like(xi_dot))
-        P = jnp.zeros((), virtual.dtype)
+    def power(moved):
+        P = jnp.zeros((), state.q.dtype)
         for load in loads:
             i = model.layout.frame(load.on)
             force, moment = load.wrench(now.frame(i))
             P = P + force @ moved.v[i] + moment @ moved.w[i]
-        for table in elements:
+        return P
+
+    return _by_virtual_power(power, model, state, *small)
+
+
+def H(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, "nv"]:
+    """The generalized forces of what has no potential in elements with hysteresis: P = -sum of (F - dV/de - dR/de') . e*."""
+    now, pairs = frames_at(model, state, *small), zip(holding(model, state.z).elements, apart(model, state.z, z_dot).elements, strict=True)
+    tables = [replace(a, rows=(a.rows, b.rows)) for a, b in pairs if any(not law.law.has_rows for law in memories(a, InState))]
+
+    def power(moved):
+        P = jnp.zeros((), state.q.dtype)
+        for table in tables:
             rates = of_table(model, moved, table, lambda s, *F: s[0].rates(*F)[1])
             P = P - jnp.sum(of_table(model, now, table, _without_potential) * rates)
         return P
 
-    return jax.grad(power)(jnp.zeros_like(state.v))
+    return _by_virtual_power(power, model, state, *small)
+
+
+def _by_virtual_power(power: Callable[[Frame], Array], model: Model, state: State, delta, _, xi, xi_dot) -> Float[Array, "nv"]:
+    """dP/dv*, of the power of frames with the virtual velocities."""
+    return jax.grad(lambda v: power(frames_at(model, state, delta, v, xi, jnp.zeros_like(xi_dot))))(jnp.zeros_like(state.v))
 
 
 def _without_potential(element: Any, *frames: Frame) -> Array:
@@ -150,9 +161,11 @@ def _z_dot(model: Model, state: State, *small: Array) -> Array:
 
 
 def unbalanced(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv"]:
-    """dV/dDelta - Q at rest, zero at an equilibrium without closures."""
-    still, base, t = jnp.zeros_like(state.v), jnp.zeros((len(model.layout.supports), 6), state.q.dtype), jnp.zeros((), state.q.dtype)
-    return jax.grad(lambda delta: V(model, state, delta, still, base, base))(still) - Q(model, state, loads, t, still, still, base, base)
+    """dV/dDelta - Q - H at rest, zero at an equilibrium without closures."""
+    still, base = jnp.zeros_like(state.v), jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
+    here = still, still, base, base
+    forces = Q(model, state, loads, jnp.zeros((), still.dtype), *here) + H(model, state, _z_dot(model, state, *here), *here)
+    return jax.grad(lambda delta: V(model, state, delta, still, base, base))(still) - forces
 
 
 def matrices(model: Model, state: State, loads: tuple[Load, ...], multipliers: Array) -> tuple[Array, Array, Array]:
@@ -206,7 +219,7 @@ def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array
     momentum = jax.grad(of_L, 1)
     M = jax.jacfwd(momentum, 1)(*here)
     _, drift = jax.jvp(momentum, here, along)
-    f = jax.grad(of_L, 0)(*here) - jax.grad(of_R, 1)(*here) + Q(model, state, loads, t, *here) - drift
+    f = jax.grad(of_L, 0)(*here) - jax.grad(of_R, 1)(*here) + Q(model, state, loads, t, *here) + H(model, state, z_dot, *here) - drift
     if not model.closures:
         return jnp.linalg.solve(M, f), z_dot, None
 

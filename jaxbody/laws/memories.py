@@ -88,12 +88,12 @@ class Apart(InState):
         return super().force(x) if self.law.has_rows else _tangent_force(functions_as_nodes(self.law), x, self.z)
 
     def viscous(self, x, x_dot):
-        if self.law.has_rows:
-            return self.law.viscous_force(x_dot, self.rates)
-        return self.law.restoring_force(x, x_dot, self.z) - self.law.static_force(x, self.z)
+        return self.law.viscous_force(x_dot, self.rates) if self.law.has_rows else _rate_part(self.law, x, x_dot, self.z)
 
     def dissipation(self, x, x_dot):
-        return self.law.dissipation(x_dot, self.rates) if self.law.has_rows else jnp.zeros_like(x)
+        if self.law.has_rows:
+            return self.law.dissipation(x_dot, self.rates)
+        return _rate_potential(functions_as_nodes(self.law), x, x_dot, self.z)
 
     def inner(self, x: Number, x_dot: Number) -> tuple[Array, ...]:
         """V_ye, V_yy, R_ye, R_yy and T_yy."""
@@ -162,6 +162,22 @@ def _tangent_force_jvp(primals, tangents):
     follows = per_speed(law, x, z) * x_dot
     changed = jax.jvp(lambda law, x, z: law.static_force(x, z), primals, (law_dot, x_dot, z_dot + follows))
     return changed
+
+
+@jax.custom_jvp
+def _rate_potential(law: Hysteretic, x: Number, x_dot: Number, z: States) -> Number:
+    """Zero, whose derivative in the rate is the part of the force that depends on it."""
+    return jnp.zeros_like(x)
+
+
+@_rate_potential.defjvp
+def _rate_potential_jvp(primals, tangents):
+    rate_force = _rate_part(*primals)
+    return jnp.zeros_like(rate_force), rate_force * tangents[2]
+
+
+def _rate_part(law: Hysteretic, x: Number, x_dot: Number, z: States) -> Number:
+    return law.restoring_force(x, x_dot, z) - law.static_force(x, z)
 
 
 # Elements with a law `spring` that may have memory and a law `damper` that may not

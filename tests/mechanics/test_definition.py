@@ -31,6 +31,7 @@ def cases(shape, seeds):
     for seed in range(seeds):
         model, rng = structure.model(seed), structure.rng(seed, "direction")
         state = structure.state(seed, model)
+        state = jb.State(state.q, state.v, state.z + 0.1 * structure.size(seed) * rng.normal(size=state.z.shape))
         yield (
             structure,
             seed,
@@ -132,6 +133,8 @@ def test_forces_without_a_potential_beside_others_in_one_element():
     motion = {"base": jb.Harmonic(frequency=2.0, translation=[0.02, 0, 0.01])}
     one, other = (jb.simulate(model, [0.0, 0.05, 0.1], motion=motion, initial=state, equations=how) for how in ("structured", "lagrange"))
     np.testing.assert_allclose(other.state.v, one.state.v, rtol=0, atol=1e-8)
+    lins = [jb.linearize(model, state, method=how) for how in ("structured", "definition")]
+    assert_alike([{name: getattr(lin, name) for name in MATRICES} for lin in lins], 1e-12)
     np.testing.assert_allclose(other.state.z, one.state.z, rtol=0, atol=1e-7)
     with pytest.raises(jb.JaxbodyError, match=r"structured or lagrange.*BAD_METHOD"):
         jb.simulate(model, [0.0, 1.0], equations="hamilton")
