@@ -152,6 +152,14 @@ def frames_at_time(model: Model, motions: Motions, t, state: State) -> Instant:
     return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t)).at_time(t, state)
 
 
+def frames_displaced(model: Model, state: State, delta: Float[Array, "nv"], xi: Float[Array, "*ns 6"] | None = None) -> Frame:
+    """The table of frames at q (+) Delta, at rest, with the supports displaced by Xi."""
+    coordinates = Coordinates(model)
+    zero = jnp.zeros((len(model.layout.supports), 6), delta.dtype)
+    supports = coordinates.supports_at(zero if xi is None else xi.reshape(-1, 6), zero)
+    return coordinates.frames(coordinates.retract(state.q, delta), jnp.zeros_like(delta), supports)
+
+
 def retract(model: Model, q, delta) -> Float[Array, "nq"]:
     """q (+) Delta: the coordinates after small displacements Delta, one for each speed; of a free body its displacement [m] and
     rotation vector [rad], in world axes.

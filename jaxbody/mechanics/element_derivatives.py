@@ -12,7 +12,7 @@ from jaxbody.compilation.compile_options import program
 from jaxbody.elements.elements import Element
 from jaxbody.geometry.frames import Frame
 from jaxbody.joints.element_tables import each_element, end_rows
-from jaxbody.joints.kinematics import Coordinates
+from jaxbody.joints.kinematics import Coordinates, frames_displaced
 from jaxbody.lagrange import gravity_energy
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists
 from jaxbody.models.models import Model
@@ -61,14 +61,6 @@ def on_coordinates(model: Model, table: KindTable, slopes: list[Float[Array, "ne
     """de/d(Delta, Xi) of the elements of a table from their slopes and the twists of the frames."""
     rows: Any = end_rows(model, table)
     return sum(slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True))  # pyright: ignore[reportReturnType]
-
-
-def frames_displaced(model: Model, state: State, delta: Float[Array, "nv"], xi: Float[Array, "*ns 6"] | None = None) -> Frame:
-    """The table of frames at q (+) Delta, at rest, with the supports displaced by Xi."""
-    coordinates = Coordinates(model)
-    zero = jnp.zeros((len(model.layout.supports), 6), delta.dtype)
-    supports = coordinates.supports_at(zero if xi is None else xi.reshape(-1, 6), zero)
-    return coordinates.frames(coordinates.retract(state.q, delta), jnp.zeros_like(delta), supports)
 
 
 @program

@@ -20,10 +20,9 @@ from jaxbody.core.arrays import Array, Float, is_concrete, rows_or_nan
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.joints.closure_tables import drawn, gaps_at, gaps_from
 from jaxbody.joints.element_tables import completed
-from jaxbody.joints.kinematics import Coordinates, Motions, displacements
+from jaxbody.joints.kinematics import Coordinates, Motions, displacements, frames_displaced
 from jaxbody.lagrange import potential
 from jaxbody.mechanics.constraints import CLOSED, closed_on
-from jaxbody.mechanics.element_derivatives import frames_displaced
 from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.models.memories import holding, relaxed
