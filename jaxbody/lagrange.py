@@ -30,7 +30,7 @@ from jaxbody.geometry.vectors import axial, dot, rotate, rotate_back
 from jaxbody.inputs.loads import Load
 from jaxbody.joints.closure_tables import drawn, gaps_from, rank
 from jaxbody.joints.element_tables import completed, each_element, inertial_tables, of_table, state_rates
-from jaxbody.joints.kinematics import Coordinates, displacements
+from jaxbody.joints.kinematics import Coordinates, displacements, frames_displaced, imposed
 from jaxbody.laws.memories import InState, memories
 from jaxbody.models.memories import apart, holding
 from jaxbody.models.models import Model
@@ -73,13 +73,7 @@ def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
 
 def frames_at(model: Model, state: State, delta: Array, delta_dot: Array, xi: Array, xi_dot: Array) -> Frame:
     """The frames at q (+) Delta on supports displaced by Xi, with the velocities that Delta' and Xi' give them: v = p', [w] = R' R^T."""
-    coordinates = Coordinates(model)
-
-    def poses(delta, xi):
-        at_rest = coordinates.supports_at(xi, jnp.zeros_like(xi))
-        return coordinates.frames(coordinates.retract(state.q, delta), jnp.zeros_like(delta), at_rest).pose()
-
-    pose, rate = jax.jvp(poses, (delta, xi), (delta_dot, xi_dot))
+    pose, rate = jax.jvp(lambda delta, xi: frames_displaced(model, state, delta, xi).pose(), (delta, xi), (delta_dot, xi_dot))
     return Frame(pose.p, pose.R, rate.p, jax.vmap(axial)(rate.R @ jnp.swapaxes(pose.R, -1, -2)))
 
 
@@ -105,9 +99,8 @@ def L(model: Model, state: State, *small: Array) -> Float[Array, ""]:
 
 def c(model: Model, state: State, delta: Array, xi: Array) -> Float[Array, "nc"]:
     """The conditions of closures."""
-    coordinates, rest = Coordinates(model), jnp.zeros_like(xi)
-    frames = frames_at(model, state, delta, jnp.zeros_like(delta), xi, rest)
-    return gaps_from(model, drawn(coordinates), frames, coordinates.retract(state.q, delta))
+    coordinates = Coordinates(model)
+    return gaps_from(model, drawn(coordinates), frames_displaced(model, state, delta, xi), coordinates.retract(state.q, delta))
 
 
 def Q(model: Model, state: State, loads: tuple[Load, ...], t: Any, *small: Array) -> Float[Array, "nv"]:
@@ -204,15 +197,8 @@ def matrices(model: Model, state: State, loads: tuple[Load, ...], multipliers: A
 
 def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array):
     """v' and z' by Lagrange's equations on supports that move, and the equations [M J'; J 0] of v' and lambda, None without closures."""
-
-    def imposed(t):
-        return jnp.stack([motion(t) for motion in motions]) if motions else jnp.zeros((len(model.layout.supports), 6), t.dtype)
-
-    def velocity(t):
-        return jax.jvp(imposed, (t,), (jnp.ones_like(t),))
-
-    (xi, xi_dot), (_, xi_ddot) = jax.jvp(velocity, (t,), (jnp.ones_like(t),))
-    zero = jnp.zeros_like(state.v)
+    zero, rest = jnp.zeros_like(state.v), jnp.zeros((2, len(model.layout.supports), 6), t.dtype)
+    (xi, xi_dot), (_, xi_ddot) = jax.jvp(lambda t: imposed(motions, t), (t,), (jnp.ones_like(t),)) if motions else (rest, rest)
     here, along = (zero, state.v, xi, xi_dot), (state.v, zero, xi_dot, xi_ddot)
     z_dot = _z_dot(model, state, *here)
     of_L, of_R = (lambda *small: L(model, state, *small)), (lambda *small: R(model, state, z_dot, *small))

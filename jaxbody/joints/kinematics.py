@@ -79,8 +79,7 @@ class Coordinates(Chart):
         """Frames of the supports at time t."""
         if not motions:
             return self.supports.at_rest()
-        xi, xi_dot = jax.jvp(lambda t: jnp.stack([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),))
-        return self.supports_at(xi, xi_dot)
+        return self.supports_at(*imposed(motions, t))
 
     def at_rest(self, q: Float[Array, "nq"], v: Float[Array, "nv"] | None = None) -> Frame:
         """The table of frames with supports at rest in their reference poses, and bodies at rest or with speeds v."""
@@ -106,6 +105,11 @@ class Coordinates(Chart):
             linear.append((table.names, axes[0]))
             angular.append((table.names, axes[1]))
         return _rows(known, [order.index(name) for name in layout.frames]), (layout.joined(linear), layout.joined(angular))
+
+
+def imposed(motions: Motions, t: Float[Array, ""]) -> tuple[Float[Array, "ns 6"], Float[Array, "ns 6"]]:
+    """Xi and Xi' at time t."""
+    return jax.jvp(lambda t: jnp.stack([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),))
 
 
 def displacements(model: Model, given: Any, where: str, problems: Problems) -> Float[Array, "ns 6"]:

@@ -12,8 +12,8 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problems, Status
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.joints.element_tables import state_rates
-from jaxbody.joints.kinematics import Motions, frames_at_time
-from jaxbody.mechanics.closed_loops import dynamics_of
+from jaxbody.joints.kinematics import Chart, Motions, frames_at_time
+from jaxbody.mechanics.closed_loops import acceleration
 from jaxbody.models.memories import holding
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_moves, check_precision
@@ -31,10 +31,8 @@ class EquationsOfMotion(eqx.Module):
     def __call__(self, t: Any, state: State, model: Model) -> State:
         """The rates q', v' and z' of a state at time t [s]."""
         time, held = jnp.asarray(t, state.q.dtype), holding(model, state.z)
-        dynamics = dynamics_of(held, self.motions, self.loads)
-        v_dot = dynamics.acceleration(time, state.q, state.v)
         z_dot = state_rates(held, frames_at_time(held, self.motions, time, state)) if model.layout.nz else state.z
-        return State(dynamics.coordinates.rate(state.q, state.v), v_dot, z_dot)
+        return State(Chart(model).rate(state.q, state.v), acceleration(model, state, time, self.motions, self.loads), z_dot)
 
     def trajectory(self, times: Float[Array, "nt"], states: State, model: Model) -> Trajectory:
         """States at these times, such as `ts` and `ys` of a solution, with all that a trajectory knows: poses, forces, energies, plots, and

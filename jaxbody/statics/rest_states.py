@@ -20,7 +20,7 @@ from jaxbody.core.arrays import Array, Float, is_concrete, rows_or_nan
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.joints.closure_tables import drawn, gaps_at, gaps_from
 from jaxbody.joints.element_tables import completed
-from jaxbody.joints.kinematics import Coordinates, Motions, displacements, frames_displaced
+from jaxbody.joints.kinematics import Coordinates, Motions, displacements, frames_displaced, imposed
 from jaxbody.lagrange import potential
 from jaxbody.mechanics.constraints import CLOSED, closed_on
 from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
@@ -53,7 +53,7 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     coordinates = Coordinates(relaxed(model))
     xi, xi_dot = jnp.zeros((0, 6)), jnp.zeros((0, 6))
     if motions:
-        xi, xi_dot = jax.jvp(lambda t: jnp.stack([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),))
+        xi, xi_dot = imposed(motions, t)
 
     def displaced(xi):
         return eqx.tree_at(lambda c: c.supports, coordinates, coordinates.supports.displaced(xi))

@@ -352,7 +352,7 @@ def _blocks(whole: Any, n: int) -> list[tuple[Array, ...]]:
 def _system(
     model: Model, state: State, status: Any, loads: tuple[Load, ...], blocks: Any, r: Float[Array, "nv"], basis: Basis, moves: Any
 ) -> Linearization:
-    """The result, with the status of the equilibrium, None for another state, unless r = dV/dDelta - Q is not zero any more."""
+    """The result. `status`: of the equilibrium, None for another state; it becomes STALE where r = dV/dDelta - Q is not zero."""
     (M, C, K), tilde, bb = blocks
     own = np.array(model.independent, int)
     size = size_of(model)

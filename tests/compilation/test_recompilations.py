@@ -50,6 +50,12 @@ def test_what_makes_a_function_compile_again_and_again_is_named_once(reason):
         raise AssertionError(message)
 
 
+def test_an_argument_left_to_its_default_takes_no_part():
+    scaled = program(lambda x, by=2.0: by * x)
+    (message,) = warned(scaled, [(jnp.ones(i + 1),) for i in range(8)])
+    assert "for the shape of x" in message
+
+
 def test_programs_of_their_own_are_no_storm():
     """New numbers compile nothing; other functions, and two things at once, are other programs; five in a row are not many."""
     others = [np.sum, np.max, np.min, np.mean, np.prod, np.ptp, np.std]
