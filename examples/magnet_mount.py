@@ -1,10 +1,11 @@
-"""An element of one's own: an instrument that floats on repelling magnets. The magnets are fitted to a measured motion, then tuned.
+"""An energy of one's own: an instrument that floats on repelling magnets. The magnets are fitted to a measured motion, then tuned.
 
 Two magnets on one axis, at a distance e much larger than themselves, repel each other as dipoles do. A copper plate between them damps:
 
     V(e) = A/(3 e^3),   F = A/e^4,   R = c e_dot^2/2
 
-The fields of the class state unit and domain, so A and c stay positive in `fit`, `tune` and `replace`, and print with their units.
+Each is a function of frames in a few lines. Their fields state unit and domain, so A and c stay positive in `fit`, `tune` and `replace`,
+and print with their units. Forces, equilibrium, stiffness and frequencies follow.
 The instrument of mass m floats where A/e^4 = m g. There K = 4 A/e^5 = 4 m g/e, so its frequency depends on the distance only:
 
     w^2 = 4 g/e
@@ -16,6 +17,7 @@ To save the figure, give a file name: python examples/magnet_mount.py magnets.pn
 
 import sys
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -27,38 +29,41 @@ import jaxbody as jb
 if __name__ == "__main__":
     jb.fast_loops()
 jax.config.update("jax_enable_x64", True)
-MASS, G = 2.0, 9.81
+MASS, G, DRAWN = 2.0, 9.81, 0.06
 
 
-class Magnets(jb.Element):
-    """Repelling magnets with a copper plate between them."""
+class Magnets(eqx.Module):
+    """V of two repelling magnets, one on the instrument and one at the origin of the world."""
 
     strength: jax.Array = jb.field("N m4", "positive")
+
+    def __call__(self, frames):
+        return self.strength / (3 * jnp.linalg.norm(frames["instrument"].p) ** 3)
+
+
+class Plate(eqx.Module):
+    """R of the copper plate between them, c e_dot^2/2 with e_dot along the line between the magnets."""
+
     damping: jax.Array = jb.field("N s/m", "nonnegative")
 
-    def deformation(self, A, B):
-        return jnp.linalg.norm(B.point(self.b) - A.point(self.a))
-
-    def energy(self, e):
-        return self.strength / (3 * e**3)
-
-    def dissipation(self, e, e_dot):
-        return self.damping * e_dot**2 / 2
+    def __call__(self, frames):
+        magnet = frames["instrument"]
+        return self.damping * (magnet.v @ magnet.p / jnp.linalg.norm(magnet.p)) ** 2 / 2
 
 
 def instrument(strength: float, damping: float) -> jb.Model:
     """An instrument guided vertically, 60 mm above the lower magnet in its reference pose."""
-    magnets = Magnets(("instrument", "world"), a=jnp.zeros(3), b=jnp.zeros(3), strength=jnp.array(strength), damping=jnp.array(damping))
     return jb.Model(
-        bodies={"instrument": jb.Body(mass=MASS, inertia=[0.01, 0.01, 0.01], position=[0, 0, 0.06])},
+        bodies={"instrument": jb.Body(mass=MASS, inertia=[0.01, 0.01, 0.01], position=[0, 0, DRAWN])},
         joints={"instrument": jb.Guide("world", axis=[0, 0, 1])},
-        elements={"magnets": magnets},
+        energies={"magnets": Magnets(strength)},
+        dissipations={"plate": Plate(damping)},
         gravity=[0, 0, -G],
     )
 
 
 # 1. The record: the instrument is released at rest 60 mm above the lower magnet
-TRUE = {"magnets.strength": 5.0e-5, "magnets.damping": 4.0}
+TRUE = {"magnets.strength": 5.0e-5, "plate.damping": 4.0}
 times, noise = np.linspace(0.0, 1.0, 201), 1e-4
 A, c = TRUE.values()
 height = solve_ivp(lambda _, x: [x[1], A / (MASS * x[0] ** 4) - G - c / MASS * x[1]], (0, 1), [0.06, 0.0], "DOP853", times, rtol=1e-10).y[0]
@@ -77,7 +82,7 @@ for path, true in TRUE.items():
 # 3. Where the instrument floats, and how fast it oscillates
 floating = jb.equilibrium(fit.model)
 modes = jb.modes(jb.linearize(fit.model, floating))
-distance = float(floating.elongations["magnets"])
+distance = DRAWN + float(floating.state.q[0])
 print(floating, modes, sep="\n")
 assert abs(distance / (float(fit.estimates["magnets.strength"]) / (MASS * G)) ** 0.25 - 1) < 1e-9
 assert abs(float(modes.frequency[0]) / (np.sqrt(4 * G / distance) / (2 * np.pi)) - 1) < 1e-9
@@ -86,7 +91,7 @@ assert abs(float(modes.frequency[0]) / (np.sqrt(4 * G / distance) / (2 * np.pi))
 # 4. The weakest magnets that keep a distance of 30 mm, for the lowest price
 def float_at(model):
     eq = jb.equilibrium(model)
-    return {"strength": model["magnets"].strength * 1e5, "distance": eq.elongations["magnets"]}
+    return {"strength": model["magnets"].strength * 1e5, "distance": DRAWN + eq.state.q[0]}
 
 
 design = jb.tune(

@@ -9,7 +9,7 @@ from typing import Any
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.files.documents import Document, EntryPath
 
-SECTIONS = ("bodies", "supports", "elements", "closures")  # whose names are unique in a model
+SECTIONS = ("bodies", "supports", "elements", "closures", "energies", "dissipations")  # whose names are unique in a model
 
 
 def set_value(document: Document, text: str) -> None:

@@ -59,7 +59,8 @@ def _place(values: dict[str, Any], path: str) -> EntryPath | None:
     if not parts:
         return (name,)
     of_body = {argument.field for argument in arguments_of(Body)}
-    sections = ("bodies", "supports", "elements") if parts[0] in of_body else ("joints", "elements", "closures")
+    bodies = ("bodies", "supports") if parts[0] in of_body else ("joints",)
+    sections = (*bodies, "elements", "closures", "energies", "dissipations")
     section = next(section for section in sections if name in values.get(section, {}))
     table = values[section][name]
     kind = class_of(section, table.get("type"))

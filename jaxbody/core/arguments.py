@@ -112,8 +112,11 @@ def is_own(part: Any) -> bool:
     return not type(part).__module__.startswith("jaxbody.") or type(part).__name__.endswith("Function")
 
 
-def check_returned(call: Callable[[Any, Any], Any], module: Any, shape: tuple[int, ...], where: str, problems: Problems) -> None:
-    """Check that JAX can trace call(module, number) and that it returns an array of this shape; nothing is computed or compiled.
+def check_returned(
+    call: Callable[[Any, Any], Any], module: Any, shape: tuple[int, ...], where: str, problems: Problems, of: str = "jnp.array(0.1)"
+) -> None:
+    """Check that JAX can trace call(module, number), a function `of` this argument, and that it returns an array of this shape; nothing is
+    computed or compiled.
 
     Errors: NOT_TRACEABLE, FUNCTION_FAILED, BAD_SHAPE."""
     returns = "one number" if shape == () else f"{shape[0]} numbers in one array"
@@ -124,7 +127,7 @@ def check_returned(call: Callable[[Any, Any], Any], module: Any, shape: tuple[in
         problems.add("NOT_TRACEABLE", where, message, limit="functions of jax.numpy", hint=USE_JNP)
     except Exception as error:  # a function of the user may raise anything
         text = (str(error).splitlines() or [""])[0]
-        hint = f"Call it by itself with jnp.array(0.1); it must return {returns}."
+        hint = f"Call it by itself with {of}; it must return {returns}."
         problems.add("FUNCTION_FAILED", where, f"raises {type(error).__name__}: {text:.200}", limit=returns, hint=hint)
     else:
         returned = getattr(out, "shape", None)

@@ -16,17 +16,15 @@ from jaxbody.laws.laws import Law, parts
 from jaxbody.laws.memories import memories
 
 
-def check_leaves(problems: Problems, elements: dict[str, Element]) -> None:
-    """Check that elements hold only numbers, functions and static fields."""
-    for name, element in elements.items():
-        for keys, leaf in jax.tree_util.tree_leaves_with_path(element):
-            if not isinstance(leaf, np.ndarray | jax.Array):
-                where = f"elements[{name!r}]{jax.tree_util.keystr(keys)}"
-                try:
-                    float_array(leaf, where)
-                except JaxbodyError as error:
-                    hint = "Declare what is not a number as a static field: mode: str = equinox.field(static=True)."
-                    problems.collected += [replace(problem, hint=hint) for problem in error.problems]
+def check_leaves(problems: Problems, where: str, thing: Any) -> None:
+    """Check that an element, or a function of the user's, holds only numbers, functions and static fields."""
+    for keys, leaf in jax.tree_util.tree_leaves_with_path(thing):
+        if not isinstance(leaf, np.ndarray | jax.Array):
+            try:
+                float_array(leaf, where + jax.tree_util.keystr(keys))
+            except JaxbodyError as error:
+                hint = "Declare what is not a number as a static field: mode: str = equinox.field(static=True)."
+                problems.collected += [replace(problem, hint=hint) for problem in error.problems]
 
 
 def check_laws(problems: Problems, elements: dict[str, Element]) -> None:

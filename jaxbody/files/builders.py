@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import numpy as np
 
 from jaxbody.core import units
@@ -40,7 +41,7 @@ from jaxbody.sensors.sensors import Sensor
 
 IN_PLACE = ("file", "part")  # entries of a record that are no arguments of read_record
 MORE_THAN_A_TURN = r".* rad, more than a turn; if it is in degrees"
-PLACE = re.compile(r"(bodies|supports|joints|elements|closures)\['(.*?)'\]|(gravity)")
+PLACE = re.compile(r"(bodies|supports|joints|elements|closures|energies|dissipations)\['(.*?)'\]|(gravity)")
 
 
 class Builder:
@@ -240,7 +241,9 @@ class Builder:
         kind = self.own_object(name, path)
         if kind is None or (inspect.isclass(kind) and issubclass(kind, Element | Joint | Closure | Law | Load | Sensor | Signal)):
             return kind
-        message = f"names '{name}', which is no element, joint, closure, law, load, motion or sensor"
+        if path[0] in ("energies", "dissipations") and inspect.isclass(kind) and issubclass(kind, eqx.Module):
+            return kind
+        message = f"names '{name}', which is no element, joint, closure, law, load, motion, sensor or equinox.Module of energies"
         self.problems.add("UNKNOWN_NAME", self.document.where((*path, "type")), message, value=name)
         return None
 

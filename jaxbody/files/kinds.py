@@ -75,6 +75,8 @@ SECTIONS = {
     "joints": "Joints by the name of the body that each carries. A body without a joint is free.",
     "elements": "Springs, dampers and contacts by name.",
     "closures": "Joints and rods that close loops, and couplings of coordinates, by name.",
+    "energies": "Potential energies of your own by name: functions of frames, classes of an allowed module.",
+    "dissipations": "Dissipations of your own by name, likewise.",
 }
 
 

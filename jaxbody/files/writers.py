@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 import tomlkit
 
@@ -14,6 +16,7 @@ from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import si_words
 from jaxbody.elements.bushings import FramePair
+from jaxbody.elements.own_energies import OwnDissipation, OwnEnergy
 from jaxbody.files.coordinate_units import coordinate_units, words_of_coupling
 from jaxbody.files.kinds import CLOSURES, ELEMENTS, PLAIN, SECTIONS, TYPES, Argument, arguments_of, definition_of
 from jaxbody.files.quantities import dimension
@@ -48,11 +51,18 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
         "joints": {name: joint for name, joint in joints.items() if not (type(joint) is Free and joint.parent == "world")},
         "elements": {name: _as_given(model, name) for name in model.element_names},
         "closures": {name: model[name] for name in model.closure_names},
-    }
+    } | _own_functions(model)
     values = {name: {key: writer.table(thing, f"{name}.{key}") for key, thing in things.items()} for name, things in sections.items()}
     writer.problems.raise_if_any()
     first = {"jaxbody": VERSION, "units": "SI", "gravity": numbers_of(model.gravity)}
     return first | {name: tables for name, tables in values.items() if tables}
+
+
+def _own_functions(model: Model) -> dict[str, dict[str, Any]]:
+    """The energies and dissipations of the user's own."""
+    kinds = {"energies": OwnEnergy, "dissipations": OwnDissipation}
+    names = {key: [name for table in model.elements if isinstance(table.rows, kind) for name in table.names] for key, kind in kinds.items()}
+    return {key: {name: model[name] for name in own} for key, own in names.items()}
 
 
 def _as_given(model: Model, name: str) -> Any:
@@ -76,9 +86,10 @@ class Writer:
         kind = type(thing)
         if kind in (*TYPES.values(), *CLOSURES):
             return kind.__name__
-        if isinstance(thing, Function | Equation) or "<locals>" in kind.__qualname__:
+        if isinstance(thing, Function | Equation | jax.tree_util.Partial) or "<locals>" in kind.__qualname__:
+            what = "function" if kind is jax.tree_util.Partial else kind.__name__
             hint = f"{NOT_IN_FILES} Write a class in a module of yours, and name the module in allow=[...]."
-            self.problems.add("OWN_CODE", where, f"is a {kind.__name__} of your own Python", value=thing, hint=hint)
+            self.problems.add("OWN_CODE", where, f"is a {what} of your own Python", value=thing, hint=hint)
         elif kind.__module__ not in self.allow:
             hint = f"Give allow=['{kind.__module__}'] here and to read_model."
             self.problems.add("NOT_ALLOWED", where, f"is a {kind.__name__} from {kind.__module__}", value=thing, hint=hint)
@@ -87,7 +98,7 @@ class Writer:
     def table(self, thing: Any, where: str) -> dict[str, Any]:
         values: dict[str, Any] = {} if type(thing) in PLAIN.values() else {"type": self.type_of(thing, where)}
         ends = iter(zip(thing.between, thing.points, strict=True) if type(thing) in (*ELEMENTS, *CLOSURES) else ())
-        for argument in arguments_of(type(thing)):
+        for argument in arguments_of(type(thing)) if dataclasses.is_dataclass(thing) else ():
             if argument.role == "end":
                 name, point = next(ends)
                 values[argument.name] = [name, numbers_of(point)]

@@ -10,6 +10,8 @@ from jaxtyping import Array, Float
 
 from jaxbody.compilation.compile_options import program
 from jaxbody.elements.elements import Element
+from jaxbody.elements.own_energies import OfFrames
+from jaxbody.elements.second_derivatives import PairBlocks, dissipation_hessian, second_order
 from jaxbody.geometry.frames import Frame
 from jaxbody.joints.element_tables import each_element, end_rows
 from jaxbody.joints.kinematics import Coordinates, frames_displaced
@@ -21,7 +23,8 @@ from jaxbody.models.storage import KindTable
 
 
 class ElementDerivatives(NamedTuple):
-    """Of the k deformations e of each of ne elements: J = de/d(Delta, Xi), V''(e) and R''(e, e_dot)."""
+    """Of the k deformations e of each of ne elements: J = de/d(Delta, Xi), V''(e) and R''(e, e_dot); of energies of the user's own e are
+    the displacements and rotations of their frames."""
 
     J: Float[Array, "ne k n"]
     stiffness: Float[Array, "ne k k"]
@@ -36,6 +39,10 @@ def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
     """The derivatives for each table of elements, at the speeds of the configuration."""
 
     def of(element, *frames: Frame):
+        if isinstance(element, OfFrames):
+            n = 6 * len(frames)
+            slopes = jnp.split(jnp.eye(n, dtype=frames[0].p.dtype), len(frames), 1)
+            return slopes, _whole(second_order(element, *frames)[1], n), _whole(dissipation_hessian(element, *frames), n)
         e, e_dot = element.rates(*frames)
         k = e.size
         damping = jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot)
@@ -46,6 +53,14 @@ def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
     for table, (slopes, *second) in zip(at.model.elements, each_element(at.model, at.frames, of), strict=True):
         results.append(ElementDerivatives(on_coordinates(at.model, table, slopes, twists), *second))
     return results
+
+
+def _whole(blocks: PairBlocks, n: int) -> Float[Array, "n n"]:
+    """The Hessian in all displacements of the frames of an element."""
+    H = jnp.zeros((n, n))
+    for (i, j), block in blocks.items():
+        H = H.at[6 * i : 6 * i + 6, 6 * j : 6 * j + 6].set(block.whole())
+    return jnp.triu(H) + jnp.triu(H, 1).T
 
 
 def deformation_slopes(element: Element, *frames: Frame) -> list[Float[Array, "k 6"]]:

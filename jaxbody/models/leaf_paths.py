@@ -21,6 +21,7 @@ import numpy as np
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, checked, concrete, device_array, is_concrete, module_of, of_unit_length, part_of
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.elements.own_energies import OfFrames
 from jaxbody.geometry.fields import Kind, in_domain, kind_along, kind_of, nan_outside
 from jaxbody.models.bodies import check_inertia
 from jaxbody.models.models import Model
@@ -76,7 +77,8 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
     found = []
     tables = lambda model: (model.bodies, model.supports, *model.joints, *model.elements, *model.closures)  # noqa: E731
     for table, rows in zip(tables(numbers), [table.rows for table in tables(tree)], strict=True):
-        for (path, n, kind), rank in zip(_fields(table.rows, rows), table.ranks, strict=True):
+        of = (rows.function if isinstance(rows, OfFrames) else rows for rows in (table.rows, rows))
+        for (path, n, kind), rank in zip(_fields(*of), table.ranks, strict=True):
             found += [Leaf(f"{prefix}{name}.{path}", n, row, rank, kind) for row, name in enumerate(table.names)]
     return [*found, Leaf(f"{prefix}gravity", numbers.gravity, None, 1, kind_of(tree, "gravity"))]
 
@@ -261,6 +263,12 @@ def by_name(names: Sequence[tuple[str, ...]], tables: Sequence[Array], axis: int
     """{name: row} of tables whose rows, along `axis`, have these names."""
     lead = (slice(None),) * axis
     return {name: part_of(table, (*lead, i, ...)) for group, table in zip(names, tables, strict=True) for i, name in enumerate(group)}
+
+
+def of_elements(model: Any, values: Sequence[Array], axis: int = 0) -> dict[str, Any]:
+    """{element: row} of the values of each table of elements, whose rows lie along `axis`; energies of the user's own are left out."""
+    names = [table.names for table in model.attached]
+    return by_name(names, values[: len(names)], axis)
 
 
 def springs_of(model: Any) -> list[str]:

@@ -18,12 +18,12 @@ from jaxbody.core.arrays import Array, Float, device_array, functions_as_nodes, 
 from jaxbody.core.errors import JaxbodyError, Problems, unknown
 from jaxbody.elements.element_checks import check_laws, check_leaves
 from jaxbody.elements.elements import Element
+from jaxbody.elements.own_energies import NOWHERE, OfFrames, OwnDissipation, OwnEnergy, own_functions
 from jaxbody.geometry import rotations
 from jaxbody.geometry.closures import Closure, Coupling, as_slide
 from jaxbody.geometry.descriptions import text_of
 from jaxbody.geometry.fields import field, kind_of, units_of
 from jaxbody.geometry.frames import Pose
-from jaxbody.geometry.orientations import IDENTITY
 from jaxbody.geometry.vectors import cross
 from jaxbody.laws.laws import Law
 from jaxbody.models.bodies import Body, Support, warn_of_points
@@ -60,6 +60,9 @@ class Model(tables.Printed, eqx.Module):
         joints: {name of the body that the joint carries: joint}; a body without a joint is free
         closures: {name: closure}, which close loops of joints: `jb.closures`
         gravity: [m/s2], in world axes
+        energies: {name: V(frames) [J]}, of your own: an equinox.Module, whose numbers have paths, or a function. `frames["body"]` is a pose
+            with p, R and point(x), of a body, a support or the world
+        dissipations: {name: R(frames) [W]}, likewise, of frames with v, w and velocity(x) besides
 
     `model["AB"]` is the element, body, support or closure of that name, `model.joint("arm")` a body's joint, `model.reference` the state
     at rest in the reference pose: as it is drawn, or, where closures are drawn open, assembled by the least movement. A derivative with
@@ -89,6 +92,8 @@ class Model(tables.Printed, eqx.Module):
         joints: dict[str, Joint] | None = None,
         closures: dict[str, Closure] | None = None,
         gravity=(0, 0, 0),
+        energies: dict[str, Any] | None = None,
+        dissipations: dict[str, Any] | None = None,
     ):
         with Problems() as problems:
             bodies, supports = (
@@ -100,19 +105,25 @@ class Model(tables.Printed, eqx.Module):
                 checked_dict(joints, "joints", "name: jb.Hinge(...)", problems),
                 checked_dict(closures, "closures", "name: jb.closures.Ball(...)", problems),
             )
-        check_names(problems, bodies=bodies, supports=supports, elements=elements, closures=closures)
+            energies, dissipations = (
+                checked_dict(energies, "energies", "name: a function of frames", problems),
+                checked_dict(dissipations, "dissipations", "name: a function of frames", problems),
+            )
+        names: Any = {"bodies": bodies, "supports": supports, "elements": elements, "closures": closures}
+        check_names(problems, **names, energies=energies, dissipations=dissipations)
         bodies, supports = of_kind(problems, "bodies", bodies, Body), of_kind(problems, "supports", supports, Support)
         elements, joints = of_kind(problems, "elements", elements, Element), of_kind(problems, "joints", joints, Joint)
         closures = of_kind(problems, "closures", closures, Closure)
         check_links(problems, bodies, supports, {"elements": elements, "closures": closures}, joints)
         gravity = vector(gravity, "gravity", problems)
         elements = {name: functions_as_nodes(element) for name, element in elements.items()}
-        turns = {name: each.orientation for name, each in {**supports, **bodies}.items()}
-        elements = {
-            name: element.as_drawn(*(turns.get(end, np.array(IDENTITY)) for end in element.between)) for name, element in elements.items()
-        }
-        check_leaves(problems, elements)
+        drawn = {WORLD: NOWHERE, **{name: (each.position, each.orientation) for name, each in {**supports, **bodies}.items()}}
+        elements = {name: element.as_drawn(*(drawn.get(end, NOWHERE)[1] for end in element.between)) for name, element in elements.items()}
+        for name, element in elements.items():
+            check_leaves(problems, f"elements[{name!r}]", element)
         check_laws(problems, elements)
+        elements |= own_functions(problems, "energies", OwnEnergy, energies, drawn)
+        elements |= own_functions(problems, "dissipations", OwnDissipation, dissipations, drawn)
         check_reference(problems, bodies, supports, {"elements": elements, "closures": closures})
         problems.raise_if_any()
         every_joint = {name: joints.get(name, Free()) for name in bodies}
@@ -136,12 +147,22 @@ class Model(tables.Printed, eqx.Module):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All names of bodies, supports, elements and closures."""
-        return self.layout.bodies + self.layout.supports + self.element_names + self.closure_names
+        """All names of bodies, supports, elements, energies, dissipations and closures."""
+        return self.layout.bodies + self.layout.supports + self.element_names + self.energy_names + self.closure_names
 
     @property
     def element_names(self) -> tuple[str, ...]:
-        return tuple(name for table in self.elements for name in table.names)
+        return tuple(name for table in self.attached for name in table.names)
+
+    @property
+    def energy_names(self) -> tuple[str, ...]:
+        """The names of energies and dissipations of the user's own."""
+        return tuple(name for table in self.elements[len(self.attached) :] for name in table.names)
+
+    @property
+    def attached(self) -> tuple[KindTable, ...]:
+        """The tables of elements but those of energies and dissipations of the user's own, which come last."""
+        return tuple(table for table in self.elements if not isinstance(table.rows, OfFrames))
 
     @property
     def closure_names(self) -> tuple[str, ...]:
@@ -151,7 +172,8 @@ class Model(tables.Printed, eqx.Module):
         for tables_of_kind in ((self.bodies, self.supports), self.elements, self.closures):
             for table in tables_of_kind:
                 if name in table.names:
-                    return table.row(name)
+                    row = table.row(name)
+                    return row.function if isinstance(row, OfFrames) else row
         raise JaxbodyError(unknown(name, "model[...]", self.names))
 
     def joint(self, body: str) -> Joint:
@@ -176,12 +198,14 @@ class Model(tables.Printed, eqx.Module):
         ]
         shown = [tables.PrintedTable("Model", ("body", "joint", "on", "mass [kg]", "position [m]"), rows)]
         for table in self.elements:
-            columns, kind = self._columns(table), type(table.rows).__name__.lower()
+            columns, kind = self._columns(table), type(self[table.names[0]]).__name__.lower()
+            own = isinstance(table.rows, OfFrames)
+            kind = "function" if kind == "partial" else kind
             rows = [
-                (name, *link, *(_cell(table.row(name), column) for column in columns))
+                (name, *((", ".join(table.rows.reads),) if own else link), *(_cell(self[name], column) for column in columns))
                 for name, link in zip(table.names, table.links, strict=True)
             ]
-            heads = ("from", "to", "on")[: len(table.links[0])]
+            heads = ("of",) if own else ("from", "to", "on")[: len(table.links[0])]
             shown.append(tables.PrintedTable("", (kind, *heads, *columns.values()), rows))
         rows = [(n, type(t.rows).__name__.lower(), *link) for t in self.closures for n, link in zip(t.names, t.links, strict=True)]
         return [*shown, tables.PrintedTable("", ("closure", "kind", "from", "to"), rows)] if rows else shown
@@ -189,8 +213,8 @@ class Model(tables.Printed, eqx.Module):
     def _columns(self, table: KindTable) -> dict[str, str]:
         """Fields of elements that are printed, with their column headings: laws, numbers and matrices of coefficients, but no points and
         directions."""
-        row, heads, batch = table.row(table.names[0]), {}, self.gravity.ndim - 1
-        for name in row.__dataclass_fields__:
+        row, heads, batch = self[table.names[0]], {}, self.gravity.ndim - 1
+        for name in getattr(row, "__dataclass_fields__", ()):
             value: Any = getattr(row, name, None)
             kind = kind_of(row, name)
             shape = np.shape(value)[batch:] if hasattr(value, "ndim") else None

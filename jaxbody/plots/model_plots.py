@@ -147,7 +147,7 @@ class Scene:
             return p + R @ np.asarray(point)
 
         self.ends, links = {}, {}
-        for table in self.model.elements:
+        for table in self.model.attached:
             links |= dict(zip(table.names, table.links, strict=True))
             for name, link, a, b in zip(table.names, table.links, *(np.asarray(x) for x in table.rows.points[:2]), strict=True):
                 self.ends[name] = (in_world(link[0], a), in_world(link[1], b))
@@ -212,7 +212,7 @@ def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, al
         _outline(ax, scene.points[name] @ look.T, size, color or COLORS[i % len(COLORS)], edge, alpha if color else 0.35, color is not None)
         if color is None:
             ax.plot(*(scene.centers[name] @ look.T), "o", ms=6, mfc="white", mec=INK, mew=1.0, zorder=6)
-    for table in scene.model.elements:
+    for table in scene.model.attached:
         if isinstance(table.rows, Tyre):
             _wheels(ax, scene, table, look, size, edge, alpha, ground)
             continue

@@ -223,7 +223,7 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
     """One loss factor for each element, from one for all or {element: factor}. Errors: UNKNOWN_NAME, BAD_SHAPE, NEGATIVE."""
     if given is None:
         return None
-    names = model.element_names
+    names = model.element_names + model.energy_names
     with Problems() as problems:
         for name in given if isinstance(given, dict) else ():
             if name not in names:

@@ -29,7 +29,7 @@ TUBE = 0.55  # length of a damper's tube over that of the damper in the first fr
 def parts_of_elements(sequence: PoseSequence, size: float, up: np.ndarray) -> list[DrawnPart]:
     """The parts of all elements but tyres."""
     parts: list[DrawnPart] = []
-    for table in sequence.model.elements:
+    for table in sequence.model.attached:
         for name in table.names:
             element = table.row(name)
             if isinstance(element, Tyre):

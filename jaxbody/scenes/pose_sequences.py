@@ -23,7 +23,7 @@ from jaxbody.joints.kinematics import Coordinates, frames_at_time
 from jaxbody.mechanics.free_motions import moved
 from jaxbody.mechanisms.alignment_curves import SuspensionCurves
 from jaxbody.mechanisms.wheels import Wheel
-from jaxbody.models.leaf_paths import by_name
+from jaxbody.models.leaf_paths import of_elements
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_state
 from jaxbody.models.states import State
@@ -83,7 +83,7 @@ def along(trajectory: Trajectory, most: int, forces: bool = False, title: str = 
         lambda x: (x.times, x.state), trajectory, (trajectory.times[rows], jax.tree.map(lambda x: x[rows], trajectory.state))
     )
     frames, model = part.at_samples(_frames), trajectory.model
-    exerted: dict[str, Any] = by_name(tuple(t.names for t in model.elements), part.at_samples(_end_forces), axis=1) if forces else {}
+    exerted: dict[str, Any] = of_elements(model, part.at_samples(_end_forces), axis=1) if forces else {}
     roads = {name: motion for name, motion in zip(model.layout.supports, trajectory.motions, strict=False) if isinstance(motion, Road)}
     forces_by_name = {name: np.asarray(force) for name, force in exerted.items()}
     chosen = times[rows]

@@ -34,7 +34,7 @@ from jaxbody.mechanics.failure_causes import (
     singular_closure,
 )
 from jaxbody.mechanics.hessians import matrices
-from jaxbody.models.leaf_paths import by_name, springs_of
+from jaxbody.models.leaf_paths import by_name, of_elements, springs_of
 from jaxbody.models.memories import holding
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of, take_long
@@ -96,7 +96,8 @@ class Trajectory(Labeled, Result):
     @property
     def lost_powers(self) -> dict[str, Array]:
         """{element: power that it dissipates, dR/de_dot . e_dot [W] (nt,)}."""
-        return self._of_elements(_lost_powers)
+        names = tuple(table.names for table in self.model.elements)
+        return by_name(names, self.at_samples(_lost_powers), axis=self.times.ndim)
 
     @property
     def powers(self) -> dict[str, Array]:
@@ -129,7 +130,7 @@ class Trajectory(Labeled, Result):
         return named
 
     def _of_elements(self, function: Callable, *, loads: bool = False) -> dict[str, Array]:
-        return by_name(tuple(table.names for table in self.model.elements), self.at_samples(function, loads=loads), axis=self.times.ndim)
+        return of_elements(self.model, self.at_samples(function, loads=loads), axis=self.times.ndim)
 
     def at_samples(self, function: Callable, *more: Any, loads: bool = False) -> Any:
         """function(model, motions, t, state, *more) at every sample, with `loads` (..., state, loads, *more); leading axes of a batch are
@@ -179,7 +180,7 @@ class Trajectory(Labeled, Result):
         beyond = np.asarray(self.at_samples(_beyond_laws))
         parts = [
             f"'{name}' first at t = {time_text(self.times[np.argmax(column)], self.times)} s, in {column.sum()} of {len(column)} samples"
-            for name, column in zip(self.model.element_names, beyond.T, strict=True)
+            for name, column in zip(self.model.element_names, beyond.T, strict=False)  # energies of the user's own come last
             if column.any()
         ]
         return "; ".join(parts) + ": beyond its table a law continues with its end slope"

@@ -23,7 +23,7 @@ from jaxbody.inputs.loads import Load, loads_by_name, loads_of
 from jaxbody.joints.element_tables import each_element, frames_of
 from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.hessians import configuration_at
-from jaxbody.models.leaf_paths import by_name, springs_of
+from jaxbody.models.leaf_paths import of_elements, springs_of
 from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
@@ -97,7 +97,7 @@ class LoadCases(Labeled, Result):
         return self._of_elements(self.force_rows)
 
     def _of_elements(self, rows: tuple[Array, ...]) -> dict[str, Array]:
-        return by_name(tuple(table.names for table in self.unloaded.model.elements), rows, axis=1)
+        return of_elements(self.unloaded.model, rows, axis=1)
 
     def report(self) -> str:
         codes, factors, *marks = without_derivatives((self.status, self.load_factor, self.descended, self.by_joints))

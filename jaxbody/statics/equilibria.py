@@ -35,7 +35,7 @@ from jaxbody.mechanics.failure_causes import nonfinite_downhill
 from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
 from jaxbody.mechanics.hessians import Configuration, configuration_at
 from jaxbody.models.layouts import Layout
-from jaxbody.models.leaf_paths import by_name, springs_of
+from jaxbody.models.leaf_paths import of_elements, springs_of
 from jaxbody.models.memories import relaxed, rest_states
 from jaxbody.models.models import Model, body_poses
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
@@ -132,7 +132,7 @@ class Equilibrium(Labeled, Result):
         return [] if self.status.ndim or not is_concrete(self) else [*drawn_apart(self.model), *self.far]
 
     def _of_elements(self, rows: tuple[Array, ...]) -> dict[str, Array]:
-        return by_name(tuple(table.names for table in self.model.elements), rows, axis=self.energy.ndim)
+        return of_elements(self.model, rows, axis=self.energy.ndim)
 
     @property
     def layout(self) -> Layout:
@@ -161,7 +161,7 @@ class Equilibrium(Labeled, Result):
         if status == Status.UNSTABLE:
             return f"{int(self.negative)} negative eigenvalue(s) of K; start from a state moved along that mode to descend"
         if status == Status.TABLE_RANGE:
-            return "; ".join(f"'{name}'" for name, out in zip(self.model.element_names, np.asarray(self.beyond), strict=True) if out)
+            return "; ".join(f"'{name}'" for name, out in zip(self.model.element_names, np.asarray(self.beyond), strict=False) if out)
         if status == Status.NOT_CONVERGED:
             worst = int(np.argmax(np.abs(np.asarray(self.residual)))) if np.isfinite(np.asarray(self.residual)).all() else 0
             unit = "N m" if self.layout.turns[worst] else "N"
@@ -243,7 +243,8 @@ class Equilibrium(Labeled, Result):
             note += f"; {DESCENDED}"
         largest = np.abs(self.residual).max() if is_concrete(self.residual) and self.residual.size else None
         columns, elements = element_rows(self.model, self.elongations, self.forces)
-        shown = [tables.PrintedTable("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows), tables.PrintedTable("", columns, elements)]
+        shown = [tables.PrintedTable("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows)]
+        shown += [tables.PrintedTable("", columns, elements)] if elements else []
         shown += [tables.PrintedTable("", ("state", "at rest"), self._states())] if layout.nz else []
         shown += [tables.PrintedTable("", *support_rows(self.reactions))] if self.layout.supports else []
         shown += [self.closed.table(self.model)] if self.closed else []

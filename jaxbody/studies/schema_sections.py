@@ -14,7 +14,7 @@ from typing import Any
 from jaxbody.designs.tuners import tune
 from jaxbody.files import kinds
 from jaxbody.files.kinds import DIRECTION, PAIR, PLAIN_TYPES, SECTIONS, by_name, named, object_schema, one_of, table_schema, texts_of
-from jaxbody.files.schemas import SCHEMA_FILE, VERSION
+from jaxbody.files.schemas import ANYTHING, SCHEMA_FILE, VERSION
 from jaxbody.identification.fitters import fit
 from jaxbody.identification.multistarts import multistart
 from jaxbody.inputs.base_motions import base_motion
@@ -32,7 +32,8 @@ OF_STUDIES = {
     "experiments": "Measured runs, modes and responses by name.",
     "designs": "What `tune` minimizes and limits, by name.",
 }
-SINGULAR = {"bodies": "body"} | {name: name.removesuffix("s") for name in (*SECTIONS, *OF_STUDIES) if name != "bodies"}
+SINGULAR = {name: name.removesuffix("s") for name in (*SECTIONS, *OF_STUDIES)}
+SINGULAR |= {"bodies": "body", "energies": "own function", "dissipations": "own function"}
 
 
 def schema() -> dict[str, Any]:
@@ -70,6 +71,12 @@ def schema() -> dict[str, Any]:
         "motion": one_of(*(kind.__name__ for kind in kinds.MOTIONS), "Sampled", "base_motion"),
         "element": one_of(*(kind.__name__ for kind in kinds.ELEMENTS)),
         "closure": one_of(*(kinds.definition_of("closures", name) for name in kinds.CLOSURE_TYPES)),
+        "own function": {
+            "type": "object",
+            "required": ["type"],
+            "additionalProperties": ANYTHING,
+            "properties": {"type": {"type": "string", "description": "module:Class, of an equinox.Module with __call__(frames)."}},
+        },
         "load": one_of(*(kind.__name__ for kind in kinds.LOADS)),
         "sensor": one_of(*(kind.__name__ for kind in kinds.SENSORS)),
         "signal": {

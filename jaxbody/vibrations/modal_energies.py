@@ -65,8 +65,13 @@ class ModeEnergies(Labeled, Result):
         return {name: self.inertia_shares[..., i, :] for i, name in enumerate(names)}
 
     @property
+    def owners(self) -> tuple[str, ...]:
+        """The elements and the energies of the user's own that strain and dissipation belong to."""
+        return _owners(self.model)
+
+    @property
     def strain(self) -> dict[str, Float[Array, "n"]]:
-        return {name: self.strain_shares[..., i, :] for i, name in enumerate(self.model.element_names)}
+        return {name: self.strain_shares[..., i, :] for i, name in enumerate(self.owners)}
 
     @property
     def other_strain(self) -> dict[str, Float[Array, "n"]]:
@@ -74,7 +79,7 @@ class ModeEnergies(Labeled, Result):
 
     @property
     def dissipation(self) -> dict[str, Float[Array, "n"]]:
-        return {name: self.dissipation_shares[..., i, :] for i, name in enumerate(self.model.element_names)}
+        return {name: self.dissipation_shares[..., i, :] for i, name in enumerate(self.owners)}
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -110,7 +115,7 @@ class ModeEnergies(Labeled, Result):
             "mode": list(range(1, count + 1)),
             "body": list(model.layout.bodies),
             "direction": list(self.directions),
-            "element": list(model.element_names),
+            "element": list(self.owners),
             "other": list(self.other_strain),
         } | ({"inertial_element": list(self.inertia)} if self.inertia else {})
         return dataset(variables, coordinates, "energies of modes")
@@ -246,6 +251,10 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     )  # fmt: skip
 
 
+def _owners(model: Model) -> tuple[str, ...]:
+    return model.element_names + model.energy_names
+
+
 def _energies_of_inner(at: Configuration, whole: Float[Array, "n m"]):
     """Twice the kinetic energy of each coordinate of elements with mass along these shapes, and what each adds to V and R of its element,
     for all elements."""
@@ -253,7 +262,7 @@ def _energies_of_inner(at: Configuration, whole: Float[Array, "n m"]):
     x, y = whole[: layout.nv], whole[layout.nv :]
     k, n = len(y), layout.nv
     owners = [block.owner for block in layout.blocks for _ in block.states]
-    of_elements = np.array([[owners[i] == name for i in layout.inertial] for name in at.model.element_names], whole.dtype)
+    of_elements = np.array([[owners[i] == name for i in layout.inertial] for name in _owners(at.model)], whole.dtype)
     added = [
         of_elements @ (y * (2 * H_yx[:k, :n] @ x + H_yy[:k, :k] @ y)) for H_yx, H_yy in ((rows.K_yx, rows.K_yy), (rows.C_yx, rows.C_yy))
     ]
