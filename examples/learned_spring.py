@@ -96,4 +96,4 @@ print(f"rms error of the force: {100 * error:.2f} % of the largest")
 assert error < 0.02
 
 # %% [markdown]
-# Better than two percent, from positions alone. Read on: `magnet_mount.py`, an element of one's own; `pendulum.py`, laws with a formula.
+# Better than two percent, from positions alone. Read on: `magnet_mount.py`, an energy of one's own; `pendulum.py`, laws with a formula.

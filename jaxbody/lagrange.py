@@ -33,7 +33,7 @@ from jaxbody.joints.element_tables import completed, each_element, inertial_tabl
 from jaxbody.joints.kinematics import Coordinates, displacements, frames_displaced, imposed
 from jaxbody.laws.memories import InState, memories
 from jaxbody.models.memories import apart, holding
-from jaxbody.models.models import Model
+from jaxbody.models.models import Model, refuse_batch
 from jaxbody.models.preconditions import check_state
 from jaxbody.models.states import State
 from jaxbody.numerics.small_systems import saddle_point
@@ -283,6 +283,7 @@ def _R(model: Model, state: State, *small: Array) -> Float[Array, ""]:
 
 
 def _value(function: Callable[..., Array], model: Model, state: State, delta, delta_dot, xi, xi_dot) -> Float[Array, ""]:
+    refuse_batch(model, "model")
     check_state(model, state, "state")
     with Problems() as problems:
         speeds = (model.layout.nv,)

@@ -16,7 +16,6 @@ from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import si_words
 from jaxbody.elements.bushings import FramePair
-from jaxbody.elements.own_energies import OwnDissipation, OwnEnergy
 from jaxbody.files.coordinate_units import coordinate_units, words_of_coupling
 from jaxbody.files.kinds import CLOSURES, ELEMENTS, PLAIN, SECTIONS, TYPES, Argument, arguments_of, definition_of
 from jaxbody.files.quantities import dimension
@@ -26,7 +25,7 @@ from jaxbody.geometry.orientations import IDENTITY
 from jaxbody.laws.laws import Function, Law, Linear, Sum
 from jaxbody.models.joints import Free
 from jaxbody.models.layouts import WORLD
-from jaxbody.models.models import Model
+from jaxbody.models.models import Model, refuse_batch
 
 IN_LINE = 8  # items
 SMALL = 3  # rows of a matrix in one line
@@ -40,29 +39,15 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
         raise JaxbodyError(
             Problem("TRACED", "write_model", "cannot be called inside jit, vmap or grad", hint="Write the result of the program.")
         )
-    if model.gravity.ndim > 1:
-        hint = "Write one of them: jax.tree.map(lambda x: x[0], models)."
-        raise JaxbodyError(Problem("BAD_SHAPE", "write_model", f"is a batch of {len(model.gravity)} models", limit="one model", hint=hint))
-    layout, writer = model.layout, Writer(allow)
-    joints = {name: model.joint(name) for name in layout.bodies}
-    sections: dict[str, dict[str, Any]] = {
-        "bodies": {name: model[name] for name in layout.bodies},
-        "supports": {name: model[name] for name in layout.supports},
-        "joints": {name: joint for name, joint in joints.items() if not (type(joint) is Free and joint.parent == "world")},
-        "elements": {name: _as_given(model, name) for name in model.element_names},
-        "closures": {name: model[name] for name in model.closure_names},
-    } | _own_functions(model)
+    refuse_batch(model, "write_model")
+    parts, writer = model.parts(), Writer(allow)
+    joints = {name: joint for name, joint in parts["joints"].items() if not (type(joint) is Free and joint.parent == "world")}
+    parts |= {"joints": joints, "elements": {name: _as_given(model, name) for name in model.element_names}}
+    sections = {name: parts[name] for name in SECTIONS}
     values = {name: {key: writer.table(thing, f"{name}.{key}") for key, thing in things.items()} for name, things in sections.items()}
     writer.problems.raise_if_any()
     first = {"jaxbody": VERSION, "units": "SI", "gravity": numbers_of(model.gravity)}
     return first | {name: tables for name, tables in values.items() if tables}
-
-
-def _own_functions(model: Model) -> dict[str, dict[str, Any]]:
-    """The energies and dissipations of the user's own."""
-    kinds = {"energies": OwnEnergy, "dissipations": OwnDissipation}
-    names = {key: [name for table in model.elements if isinstance(table.rows, kind) for name in table.names] for key, kind in kinds.items()}
-    return {key: {name: model[name] for name in own} for key, own in names.items()}
 
 
 def _as_given(model: Model, name: str) -> Any:

@@ -69,11 +69,8 @@ def compliant(model: Model, compliances: Mapping[str, Compliance]) -> Model:
     >>> elastic.element_names, elastic.closure_names
     (('spring', 'lower arm joint', 'upper ball'), ('tie rod',))
     """
-    layout = model.layout
-    bodies = {name: model[name] for name in layout.bodies}
-    joints = {name: model.joint(name) for name in layout.bodies}
-    elements = {name: model[name] for name in model.element_names}
-    closing = {name: model[name] for name in model.closure_names}
+    parts = model.parts()
+    joints, elements, closing = parts["joints"], parts["elements"], parts["closures"]
     with Problems() as problems:
         for name, compliance in compliances.items():
             where = f"compliant['{name}']"
@@ -84,9 +81,8 @@ def compliant(model: Model, compliances: Mapping[str, Compliance]) -> Model:
                 made = problems.gather(lambda name=name, c=compliance, at=where: _of_joint(model, name, joints.pop(name), c, at))
                 elements |= {} if made is None else {f"{name} joint": made}
             else:
-                problems.collected.append(unknown(name, where, (*layout.bodies, *model.closure_names)))
-    supports = {name: model[name] for name in layout.supports}
-    return Model(bodies=bodies, supports=supports, joints=joints, closures=closing, elements=elements, gravity=model.gravity)
+                problems.collected.append(unknown(name, where, (*model.layout.bodies, *model.closure_names)))
+    return Model(**parts)
 
 
 def _of_joint(model: Model, body: str, joint: Joint, compliance: Compliance, where: str) -> Element:

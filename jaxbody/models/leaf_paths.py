@@ -14,17 +14,20 @@ from fnmatch import fnmatchcase
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, checked, concrete, device_array, is_concrete, module_of, of_unit_length, part_of
-from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.elements.own_energies import OfFrames
 from jaxbody.geometry.fields import Kind, in_domain, kind_along, kind_of, nan_outside
+from jaxbody.laws.laws import Law
 from jaxbody.models.bodies import check_inertia
-from jaxbody.models.models import Model
+from jaxbody.models.joints import Joint
+from jaxbody.models.models import Model, refuse_batch
 from jaxbody.numerics.xla_workarounds import put
 
 
@@ -157,7 +160,8 @@ def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
 
 
 def replace(tree: Any, values: dict[str, Any]) -> Any:
-    """A copy of the model or experiment with other values: {path or pattern: value}.
+    """A copy of the model or experiment with other values: {path or pattern: value}; of a model also with other parts, {name: element,
+    joint, body, closure or energy}, or other laws, {"left.damper": law}.
 
     A value has the shape of one leaf, and is then used for every match, or one more leading axis with a value for each match, in the
     order of `paths`. As when a model is built, an axis may have any length, masses must be positive and quaternions of unit length.
@@ -167,11 +171,17 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
     >>> float(replace(model, {"*.mass": 3.0})["mass"].mass)
     3.0
+    >>> on_guide = replace(model, {"mass": Guide("world", axis=[0, 0, 1])})
+    >>> type(on_guide.joint("mass")).__name__, float(on_guide["mass"].mass)
+    ('Guide', 2.0)
     """
-    arrays, treedef = jax.tree.flatten(tree)
     listed = set()
     with Problems() as problems:
         values = checked_dict(values, "replace.values", "path: value", problems)
+    whole = {path: x for path, x in values.items() if (isinstance(x, eqx.Module) or callable(x)) and not hasattr(x, "__array__")}
+    if whole and isinstance(tree, Model):
+        tree, values = _with_parts(tree, whole), {path: value for path, value in values.items() if path not in whole}
+    arrays, treedef = jax.tree.flatten(tree)
     new: dict[int, list[tuple[list[Leaf], Any, tuple[Any, ...] | None]]] = {}
     for pattern, leaves in matching(leaves_of(tree), values, "replace").items():
         where = f"replace['{pattern}']"
@@ -212,6 +222,28 @@ def _with_traced(array: Any, blocks: list[Any], leaves: tuple[Leaf, ...], places
     first = leaves[0]
     made = [x if place is None else _traced_rows(x, first.rank, *place) for x, place in zip(blocks, places, strict=True)]
     return _put(array, leaves, made[0] if len(made) == 1 else jnp.concatenate(made, array.ndim - 1 - first.rank))
+
+
+def _with_parts(model: Model, values: dict[str, Any]) -> Model:
+    """The model with other bodies, joints, elements, closures or energies, {name: part}, or other laws, {"name.spring": law}."""
+    refuse_batch(model, "replace")
+    parts, problems = model.parts(), Problems()
+    for path, value in values.items():
+        name, _, field = path.partition(".")
+        group = next((group for group, each in parts.items() if group not in ("joints", "gravity") and name in each), "bodies")
+        group = "joints" if isinstance(value, Joint) else group
+        if name not in parts[group]:
+            problems.collected.append(unknown(name, f"replace[{path!r}]", model.names))
+        elif not field:
+            parts[group][name] = value
+        elif not isinstance(value, Law) or not isinstance(getattr(parts[group][name], field, 0), Law | None):
+            problems.add("UNKNOWN_PATH", f"replace[{path!r}]", "is no law of an element", value=path, hint="Replace the element.")
+        else:
+            parts[group][name] = eqx.tree_at(
+                lambda part, at=field: getattr(part, at), parts[group][name], value, is_leaf=lambda x: x is None
+            )
+    problems.raise_if_any()
+    return Model(**parts)
 
 
 def _block(value: Any, rows: tuple[int, ...] | int, axis: int | None) -> Any:

@@ -15,7 +15,7 @@ from jaxbody.compilation.compile_options import program
 from jaxbody.core import tables
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, device_array, functions_as_nodes, is_concrete, vector
-from jaxbody.core.errors import JaxbodyError, Problems, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.elements.element_checks import check_laws, check_leaves
 from jaxbody.elements.elements import Element
 from jaxbody.elements.own_energies import NOWHERE, OfFrames, OwnDissipation, OwnEnergy, own_functions
@@ -183,9 +183,19 @@ class Model(tables.Printed, eqx.Module):
                 return table.row(body)
         raise JaxbodyError(unknown(body, "model.joint(...)", self.layout.bodies))
 
+    def parts(self) -> dict[str, Any]:
+        """The arguments of which this model can be built again."""
+        kinds = (("energies", OwnEnergy), ("dissipations", OwnDissipation))
+        names: Any = {group: [n for table in self.elements if isinstance(table.rows, kind) for n in table.names] for group, kind in kinds}
+        names |= {"bodies": self.layout.bodies, "supports": self.layout.supports, "elements": self.element_names}
+        names |= {"closures": self.closure_names}
+        found: dict[str, Any] = {group: {name: self[name] for name in each} for group, each in names.items()}
+        return found | {"joints": {name: self.joint(name) for name in self.layout.bodies}, "gravity": self.gravity}
+
     @property
     def reference(self) -> State:
         """The state at rest in the reference pose, closures fulfilled and elements with memory relaxed."""
+        refuse_batch(self, "model.reference")
         if self.closures:  # the mechanics of a model come after models
             return import_module("jaxbody.mechanics.constraints").assembled_reference(self)
         return drawn_reference(self)
@@ -222,6 +232,13 @@ class Model(tables.Printed, eqx.Module):
                 units = set(units_of(kind, shape)) if shape is not None else {""}
                 heads[name] = name.replace("_", " ") + (f" [{unit}]" if len(units) == 1 and (unit := units.pop()) else "")
         return heads
+
+
+def refuse_batch(model: Model, where: str) -> None:
+    """Refuse a batch of models. Error: BAD_SHAPE."""
+    if model.gravity.ndim > 1:
+        message, hint = f"is a batch of {len(model.gravity)} models", "Use jax.vmap; one of them is jax.tree.map(lambda x: x[0], models)."
+        raise JaxbodyError(Problem("BAD_SHAPE", where, message, np.shape(model.gravity), "one model", hint))
 
 
 def _cell(element: Element, name: str) -> Any:

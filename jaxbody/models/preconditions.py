@@ -12,7 +12,7 @@ from jaxbody.core.arguments import kind_of
 from jaxbody.core.arrays import concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.models.layouts import WORLD
-from jaxbody.models.models import Model
+from jaxbody.models.models import Model, refuse_batch
 from jaxbody.models.states import State
 
 MOST_MEMORY = 8e9  # bytes that the matrices of a model may take
@@ -22,13 +22,15 @@ _warned_of_float32 = False
 
 
 def check_precision(where: str, model: Model, *, allow_float32: bool | None = True) -> None:
-    """Warn once about float32; refuse it where half the digits would be lost, unless allowed (None: it cannot be allowed), and with
-    closures, which are not fulfilled then. A change of the x64 switch after the model was built is an error."""
+    """Refuse what is no model, or a batch of them. Warn once about float32; refuse it where half the digits would be lost, unless
+    allowed (None: it cannot be allowed), and with closures, which are not fulfilled then. A change of the x64 switch after the model was
+    built is an error."""
     global _warned_of_float32
     if not isinstance(model, Model):
         raise JaxbodyError(
             Problem("WRONG_KIND", f"{where}.model", f"is a {type(model).__name__}", model, "jb.Model", "Give the model first.")
         )
+    refuse_batch(model, f"{where}.model")
     x64 = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
     dtype = model.gravity.dtype
     if x64 != (dtype == jnp.float64):

@@ -33,6 +33,9 @@ class KindTable(eqx.Module):
         leaves, treedef = jax.tree.flatten(self.rows)
         if not all(leaf is None or hasattr(leaf, "__getitem__") for leaf in leaves):
             raise JaxbodyError(self._no_node(name))
+        if any(np.ndim(leaf) <= rank for leaf, rank in zip(leaves, self.ranks, strict=True) if leaf is not None):
+            hint = "A function of whole arrays, such as a norm, was applied to its tree; apply it to the values of jb.paths(model)."
+            raise JaxbodyError(Problem("BAD_SHAPE", f"model['{name}']", "has leaves without rows", limit="a row for each name", hint=hint))
         rows = [(..., i, *[slice(None)] * rank) for rank in self.ranks]
         picked = [leaf if leaf is None else arrays.part_of(leaf, row) for leaf, row in zip(leaves, rows, strict=True)]
         return with_link(jax.tree.unflatten(treedef, picked), self.links[i])

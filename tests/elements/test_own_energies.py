@@ -119,6 +119,10 @@ def test_one_class_many_times_and_a_bare_function(tmp_path):
     assert model.energy_names == ("left pull", "right pull", "lift", "floor") and not model.element_names
     for row in (r"left pull +left, base +504 +0.3", r"right pull +right, base +505 +0.3", r"lift +right, world"):
         assert re.search(row, str(model)), row
+    without = jb.replace(model, {"lift": lambda frames: 0 * frames["right"].p[2], "left pull": Pull(700.0, 0.3, "left")})
+    np.testing.assert_allclose(
+        jb.linearize(without, model.reference).K, np.diag([second(0.0, 700.0) + 100.0, second(0.0, 505.0)]), rtol=1e-12
+    )
     with pytest.raises(jb.JaxbodyError, match=r"energies.lift: is a function of your own Python.*OWN_CODE"):
         jb.write_model(model, tmp_path / "model.toml", allow=[__name__])
 

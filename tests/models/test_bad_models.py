@@ -471,3 +471,28 @@ def test_responses_at_too_many_frequencies_are_refused(monkeypatch):
         ) as refused:
             compute()
         assert refused.value.code == "TOO_LARGE"
+
+
+BATCHED = {
+    "equilibrium": jb.equilibrium,
+    "linearize": lambda cars: jb.linearize(cars, CAR.reference),
+    "simulate": lambda cars: jb.simulate(cars, [0.0, 0.1]),
+    "potential_energy": lambda cars: jb.potential_energy(cars, CAR.reference),
+    "reference": lambda cars: cars.reference,
+}
+CAR = jb.presets.quarter_car()
+
+
+@pytest.mark.parametrize("name", BATCHED)
+def test_a_batch_of_models_is_refused_with_the_way(name):
+    """Each would end in a message of JAX about shapes; in a vmap all take it."""
+    cars = jax.vmap(lambda k: jb.replace(CAR, {"suspension.stiffness": k}))(jnp.array([2e4, 3e4]))
+    with pytest.raises(jb.JaxbodyError, match=r"is a batch of 2 models .*Use jax.vmap.*BAD_SHAPE"):
+        BATCHED[name](cars)
+    assert jax.vmap(lambda car: car.reference.q)(cars).shape == (2, 2)
+
+
+def test_a_row_of_a_tree_without_rows_is_named():
+    norms = jax.tree.map(jnp.linalg.norm, CAR)
+    with pytest.raises(jb.JaxbodyError, match=r"model\['tyre'\]: has leaves without rows .*jb.paths\(model\)"):
+        norms["tyre"]

@@ -167,3 +167,25 @@ def test_a_field_of_a_law_that_is_not_a_number_is_static_or_refused_by_its_path(
         slider(s=Named("hard", 3.0))
     assert raised.value.code == "NOT_A_NUMBER"
     assert "elements['s'].spring.mode" in str(raised.value) and "equinox.field(static=True)" in str(raised.value)
+
+
+def test_whole_parts_and_laws_are_replaced_beside_numbers():
+    """As if the model had been built with them; what is left is the same to the bit."""
+    spring = jb.SpringDamper(("mass", [0, 0, 0]), ("world", [0, 0, 1]), spring=500.0, free_length=0.8)
+    parts = {"bodies": {"mass": jb.Body(2.0, [1, 1, 1])}, "joints": {"mass": jb.Guide("world", axis=[0, 0, 1])}}
+    model = jb.Model(**parts, elements={"s": spring, "t": spring}, gravity=[0, 0, -9.81])
+    stop, bushing = (
+        jb.laws.Stop(gap=0.01, stiffness=1e5, engagement=1e-3),
+        jb.Bushing(("mass", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=[1e3] * 3),
+    )
+    changed = jb.replace(model, {"s.damper": stop, "t": bushing, "mass": jb.Ball("world"), "mass.mass": 3.0, "s.free_length": 0.7})
+    with_stop = jb.SpringDamper(("mass", [0, 0, 0]), ("world", [0, 0, 1]), spring=500.0, damper=stop, free_length=0.7)
+    parts = {"bodies": {"mass": jb.Body(3.0, [1, 1, 1])}, "joints": {"mass": jb.Ball("world")}}
+    wanted = jb.Model(**parts, elements={"s": with_stop, "t": bushing}, gravity=[0, 0, -9.81])
+    assert jax.tree.structure(changed) == jax.tree.structure(wanted)
+    assert all(map(np.array_equal, jax.tree.leaves(changed), jax.tree.leaves(wanted)))
+    wrong = {"u": bushing, "s.free_length": stop, "mass": jb.Guide("nowhere", axis=[0, 0, 1])}
+    with pytest.raises(jb.JaxbodyError, match=r"(?s)'u' is unknown.*\['s.free_length'\]: is no law"):
+        jb.replace(model, wrong)
+    with pytest.raises(jb.JaxbodyError, match="'nowhere' is unknown"):
+        jb.replace(model, {"mass": wrong["mass"]})

@@ -635,3 +635,15 @@ def test_newtons_method_takes_the_steps_of_a_stiff_part_that_turns():
     accepted, rejected = (int(stiff.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
     assert stiff.ok and accepted < 1000 and rejected < 0.1 * accepted
     assert max_difference(stiff.state.q, explicit.state.q) < 1e-8
+
+
+def test_reverse_mode_over_another_derivative_is_refused_as_the_manual_says():
+    """guide/jax.md quotes JAX; `jax.hessian`, which is forward over reverse, works."""
+    car = jb.presets.quarter_car(damping=1500.0)
+
+    def heave(x):
+        return jb.simulate(jb.replace(car, {"suspension.stiffness": 35e3 * x}), [0.0, 0.01], max_steps=4).state.q[-1, 0]
+
+    for derivative in (jax.grad(jax.grad(heave)), jax.grad(jax.jacfwd(heave))):
+        with pytest.raises(ValueError, match="failed to produce known values for all output primals"):
+            jb.jit(derivative)(1.0)
