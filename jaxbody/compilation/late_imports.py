@@ -1,5 +1,5 @@
-"""Names of a package that are imported from its modules at their first use: a model has one or two of the laws of forces, whose modules
-take a tenth of what an equilibrium imports."""
+"""Names of a package that are imported from its modules at their first use: importing all takes three times as long as importing those that
+a simulation needs, and a model has one or two of the laws of forces."""
 
 from __future__ import annotations
 
@@ -9,20 +9,28 @@ from collections.abc import Callable
 from typing import Any
 
 
-def late_names(package: str, modules: dict[str, tuple[str, ...]]) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def late_names(
+    package: str, modules: dict[str, tuple[str, ...]], whole: dict[str, str] | None = None, successors: dict[str, str] | None = None
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """`__getattr__`, `__dir__` and `__all__` of a package whose names are imported from its modules at their first use; its stub says the
     same to editors and type checkers.
 
     Args:
         package: "jaxbody.laws"
-        modules: {module: public names in it}
+        modules: {module in it: public names}
+        whole: {public name of a module: module}
+        successors: {name that was public: what the message says after it}
     """
-    places = {name: module for module, names in modules.items() for name in names}
+    places = {name: (module, name) for module, names in modules.items() for name in names}
+    places |= {name: (module, "") for name, module in (whole or {}).items()}
+    instead = successors or {}
 
     def __getattr__(name: str) -> Any:
         if name not in places:
-            raise AttributeError(f"module '{package}' has no attribute '{name}'")
-        thing = getattr(importlib.import_module(f"{package}.{places[name]}"), name)
+            raise AttributeError(f"module '{package}' has no attribute '{name}'{instead.get(name, '')}")
+        module, attribute = places[name]
+        found = importlib.import_module(f"{package}.{module}")
+        thing = getattr(found, attribute) if attribute else found
         setattr(sys.modules[package], name, thing)
         return thing
 

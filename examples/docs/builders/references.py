@@ -15,14 +15,14 @@ from .docstrings import _prose, to_rst
 
 PACKAGES = re.findall(r"^    (\w+) +(\S.*)$", jb.__doc__ or "", re.M)  # with their purposes, from the ground up
 FAMILIES = ("Element", "Joint", "Sensor", "Load", "Motion", "closures.Closure", "signals.Signal", "laws.Law")  # members share methods
-OPEN = {name: module.split(".")[1] for name, module in jb._MODULES.items()}  # public modules, with their packages
+OPEN = {name: module.split(".")[0] for name, module in jb._MODULES.items()}  # public modules, with their packages
 
 
 def public_names() -> dict[str, list[str]]:
     """The public names of each package as they follow `jb.`, those of open modules with the name of the module."""
     names: dict[str, list[str]] = {package: [] for package, _ in PACKAGES}
-    for name, module in jb._PLACES.items():
-        names[module.split(".")[1]].append(name)
+    for module, public in jb._NAMES.items():
+        names[module.split(".")[0]] += public
     for module, package in OPEN.items():
         inside = getattr(jb, module)
         names[package] += [f"{module}.{name}" for name in dir(inside) if getattr(inside, name) is not getattr(jb, name, None)]
