@@ -89,6 +89,11 @@ class OwnDissipation(OfFrames):
         return self.of_frames(e, e_dot)
 
 
+def unwrapped(row: Any) -> Any:
+    """The function of an energy or dissipation of the user's own; any other object itself."""
+    return row.function if isinstance(row, OfFrames) else row
+
+
 class _Reading(Mapping):
     """The frames where they are drawn, which notes the names of those that are read."""
 

@@ -60,6 +60,12 @@ PairBlocks = dict[tuple[int, int], Block]  # for each pair (i, j) of an element'
 
 @singledispatch
 def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, PairBlocks]:
+    """Gradient and Hessian of V."""
+    G, H = potential_derivatives(element, *frames)
+    return tuple(jnp.split(G, len(frames))), _blocks(H)
+
+
+def potential_derivatives(element: Element, *frames: Frame) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
     """Gradient and Hessian of V; the Hessian is the symmetric part of the derivative of the wrenches, because rotations only add a skew
     part."""
     n = 6 * len(frames)
@@ -73,7 +79,7 @@ def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, P
         return G, G
 
     D, G = jax.jacfwd(slopes, has_aux=True)(jnp.zeros(n, frames[0].p.dtype))
-    return tuple(jnp.split(G, len(frames))), _blocks((D + D.T) / 2)
+    return G, (D + D.T) / 2
 
 
 @second_order.register
@@ -192,6 +198,11 @@ def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Arr
 
 @singledispatch
 def dissipation_hessian(element: Element, *frames: Frame) -> PairBlocks:
+    """Hessian of R in the velocities of the frames."""
+    return _blocks(damping_matrix(element, *frames))
+
+
+def damping_matrix(element: Element, *frames: Frame) -> Float[Array, "n n"]:
     """Hessian of R in the velocities of the frames: J' R'' J, with J the derivative of e_dot in these velocities."""
     e, e_dot = element.rates(*frames)
     n = 6 * len(frames)
@@ -202,7 +213,7 @@ def dissipation_hessian(element: Element, *frames: Frame) -> PairBlocks:
 
     J = jax.vmap(rates, out_axes=-1)(np.eye(n, dtype=frames[0].p.dtype)).reshape(-1, n)
     second = jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot).reshape(len(J), len(J))
-    return _blocks(J.T @ second @ J)
+    return J.T @ second @ J
 
 
 @dissipation_hessian.register

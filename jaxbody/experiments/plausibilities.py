@@ -119,9 +119,9 @@ def _gyration_ratios(model: Model) -> dict[str, float]:
     for name in model.layout.bodies:
         body = model[name]
         reach = [0.0]
-        for table in model.elements:
+        for table in model.attached:
             for i, link in enumerate(table.links):
-                points = [np.asarray(end[i]) for end, on in zip(table.rows.points, link, strict=False) if on == name]
+                points = [np.asarray(end[i]) for end, on in zip(table.rows.points, link, strict=True) if on == name]
                 reach += [float(np.linalg.norm(point - body.com)) for point in points]
         if model.layout.turns[model.layout.v_slices[name]].any() and max(reach) > 0:
             ratios[name] = float(np.sqrt(np.linalg.eigvalsh(body.inertia)[-1] / body.mass) / max(reach))

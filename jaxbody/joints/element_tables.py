@@ -32,7 +32,8 @@ def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> F
 
 def outside_law_range(model: Model, frames: Frame) -> Bool[Array, "ne"]:
     """Whether each element, in the order of their names, is outside the range of its law."""
-    return jnp.concatenate([jnp.zeros(0, bool), *each_element(model, frames, lambda s, *F: s.beyond(*s.rates(*F)))])
+    beyond = (of_table(model, frames, table, lambda s, *F: s.beyond(*s.rates(*F))) for table in model.attached)
+    return jnp.concatenate([jnp.zeros(0, bool), *beyond])
 
 
 def each_element(model: Model, frames: Frame, function) -> list:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxbody.compilation.compile_options import program
 from jaxbody.elements.elements import Element
 from jaxbody.elements.own_energies import OfFrames
-from jaxbody.elements.second_derivatives import PairBlocks, dissipation_hessian, second_order
+from jaxbody.elements.second_derivatives import damping_matrix, potential_derivatives
 from jaxbody.geometry.frames import Frame
 from jaxbody.joints.element_tables import each_element, end_rows
 from jaxbody.joints.kinematics import Coordinates, frames_displaced
@@ -42,7 +42,7 @@ def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
         if isinstance(element, OfFrames):
             n = 6 * len(frames)
             slopes = jnp.split(jnp.eye(n, dtype=frames[0].p.dtype), len(frames), 1)
-            return slopes, _whole(second_order(element, *frames)[1], n), _whole(dissipation_hessian(element, *frames), n)
+            return slopes, potential_derivatives(element, *frames)[1], damping_matrix(element, *frames)
         e, e_dot = element.rates(*frames)
         k = e.size
         damping = jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot)
@@ -53,14 +53,6 @@ def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
     for table, (slopes, *second) in zip(at.model.elements, each_element(at.model, at.frames, of), strict=True):
         results.append(ElementDerivatives(on_coordinates(at.model, table, slopes, twists), *second))
     return results
-
-
-def _whole(blocks: PairBlocks, n: int) -> Float[Array, "n n"]:
-    """The Hessian in all displacements of the frames of an element."""
-    H = jnp.zeros((n, n))
-    for (i, j), block in blocks.items():
-        H = H.at[6 * i : 6 * i + 6, 6 * j : 6 * j + 6].set(block.whole())
-    return jnp.triu(H) + jnp.triu(H, 1).T
 
 
 def deformation_slopes(element: Element, *frames: Frame) -> list[Float[Array, "k 6"]]:

@@ -22,7 +22,7 @@ import numpy as np
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, checked, concrete, device_array, is_concrete, module_of, of_unit_length, part_of
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
-from jaxbody.elements.own_energies import OfFrames
+from jaxbody.elements.own_energies import unwrapped
 from jaxbody.geometry.fields import Kind, in_domain, kind_along, kind_of, nan_outside
 from jaxbody.laws.laws import Law
 from jaxbody.models.bodies import check_inertia
@@ -80,8 +80,7 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
     found = []
     tables = lambda model: (model.bodies, model.supports, *model.joints, *model.elements, *model.closures)  # noqa: E731
     for table, rows in zip(tables(numbers), [table.rows for table in tables(tree)], strict=True):
-        of = (rows.function if isinstance(rows, OfFrames) else rows for rows in (table.rows, rows))
-        for (path, n, kind), rank in zip(_fields(*of), table.ranks, strict=True):
+        for (path, n, kind), rank in zip(_fields(unwrapped(table.rows), unwrapped(rows)), table.ranks, strict=True):
             found += [Leaf(f"{prefix}{name}.{path}", n, row, rank, kind) for row, name in enumerate(table.names)]
     return [*found, Leaf(f"{prefix}gravity", numbers.gravity, None, 1, kind_of(tree, "gravity"))]
 

@@ -14,6 +14,7 @@ from jaxbody.core.errors import Problems, unknown, warn
 from jaxbody.elements.bushings import FramePair
 from jaxbody.elements.elements import LineElement
 from jaxbody.elements.inerters import Inerter
+from jaxbody.elements.own_energies import DrawnAt
 from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry.closures import Coupling, Rod
 from jaxbody.geometry.orientations import matrix
@@ -152,10 +153,9 @@ def check_slopes(closures: tuple[KindTable, ...], finite: np.ndarray) -> None:
             problems.add("NON_FINITE", f"closures[{name!r}]", message, value=name, limit="finite slopes", hint=hint)
 
 
-def check_reference(problems: Problems, bodies, supports, groups: dict[str, dict[str, Any]]) -> None:
+def check_reference(problems: Problems, places: dict[str, DrawnAt], groups: dict[str, dict[str, Any]]) -> None:
     """Check that in the reference pose every line and every rod drawn to its length has a direction, and that every bushing and torsion
     spring is turned by less than half a turn, where its deformation jumps."""
-    places = {WORLD: (np.zeros(3), np.array([1.0, 0, 0, 0])), **{n: (b.position, b.orientation) for n, b in {**supports, **bodies}.items()}}
     for where, part in ((f"{group}[{name!r}]", part) for group, parts in groups.items() for name, part in parts.items()):
         check = next((check for kind, check in CHECKS if isinstance(part, kind)), None)
         if check is None or not set(part.between) <= set(places):

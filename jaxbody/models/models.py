@@ -18,7 +18,7 @@ from jaxbody.core.arrays import Array, Float, device_array, functions_as_nodes, 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.elements.element_checks import check_laws, check_leaves
 from jaxbody.elements.elements import Element
-from jaxbody.elements.own_energies import NOWHERE, OfFrames, OwnDissipation, OwnEnergy, own_functions
+from jaxbody.elements.own_energies import NOWHERE, OfFrames, OwnDissipation, OwnEnergy, own_functions, unwrapped
 from jaxbody.geometry import rotations
 from jaxbody.geometry.closures import Closure, Coupling, as_slide
 from jaxbody.geometry.descriptions import text_of
@@ -124,7 +124,7 @@ class Model(tables.Printed, eqx.Module):
         check_laws(problems, elements)
         elements |= own_functions(problems, "energies", OwnEnergy, energies, drawn)
         elements |= own_functions(problems, "dissipations", OwnDissipation, dissipations, drawn)
-        check_reference(problems, bodies, supports, {"elements": elements, "closures": closures})
+        check_reference(problems, drawn, {"elements": elements, "closures": closures})
         problems.raise_if_any()
         every_joint = {name: joints.get(name, Free()) for name in bodies}
         parents, blocks = zip(*((joint.parent, joint.block(name)) for name, joint in every_joint.items()), strict=True)
@@ -172,8 +172,7 @@ class Model(tables.Printed, eqx.Module):
         for tables_of_kind in ((self.bodies, self.supports), self.elements, self.closures):
             for table in tables_of_kind:
                 if name in table.names:
-                    row = table.row(name)
-                    return row.function if isinstance(row, OfFrames) else row
+                    return unwrapped(table.row(name))
         raise JaxbodyError(unknown(name, "model[...]", self.names))
 
     def joint(self, body: str) -> Joint:

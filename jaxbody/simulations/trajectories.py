@@ -180,7 +180,7 @@ class Trajectory(Labeled, Result):
         beyond = np.asarray(self.at_samples(_beyond_laws))
         parts = [
             f"'{name}' first at t = {time_text(self.times[np.argmax(column)], self.times)} s, in {column.sum()} of {len(column)} samples"
-            for name, column in zip(self.model.element_names, beyond.T, strict=False)  # energies of the user's own come last
+            for name, column in zip(self.model.element_names, beyond.T, strict=True)
             if column.any()
         ]
         return "; ".join(parts) + ": beyond its table a law continues with its end slope"

@@ -161,7 +161,7 @@ class Equilibrium(Labeled, Result):
         if status == Status.UNSTABLE:
             return f"{int(self.negative)} negative eigenvalue(s) of K; start from a state moved along that mode to descend"
         if status == Status.TABLE_RANGE:
-            return "; ".join(f"'{name}'" for name, out in zip(self.model.element_names, np.asarray(self.beyond), strict=False) if out)
+            return "; ".join(f"'{name}'" for name, out in zip(self.model.element_names, np.asarray(self.beyond), strict=True) if out)
         if status == Status.NOT_CONVERGED:
             worst = int(np.argmax(np.abs(np.asarray(self.residual)))) if np.isfinite(np.asarray(self.residual)).all() else 0
             unit = "N m" if self.layout.turns[worst] else "N"
