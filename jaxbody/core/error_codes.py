@@ -116,6 +116,10 @@ CODES = {
     "NEGATIVE_LENGTH": ("a free length would have to be negative", "give 0 or more, or move the ends of the element"),
     "NEGATIVE_STIFFNESS": ("a stiffness is negative", "give 0 or more; if a negative value is intended, allow_negative=True"),
     "NEVER_MOVED": ("a free parameter has no effect on the data", "fix it, or measure a quantity that it affects"),
+    "NOISY_INPUT": (
+        "noise in the record of a motion or load acts as a force that the model does not have",
+        "filter it, or measure it better",
+    ),
     "NONFINITE": ("a value is not finite", "the message names the first one; check the law or motion there"),
     "NONFINITE_START": ("the model has no finite result where a search starts", "start from parameters that can be simulated"),
     "NON_FINITE": ("a number is NaN or infinite", "give finite numbers"),

@@ -155,6 +155,7 @@ class Status(enum.IntEnum):
     SINGULAR_CLOSURE = 30
     UNDAMPED = 31
     FAR_OFF = 32
+    NOISY_INPUT = 33
 
 
 MESSAGES = {status: CODES[status.name][0] for status in Status}

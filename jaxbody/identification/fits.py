@@ -37,8 +37,8 @@ class Fit(Labeled, Result):
     `correlation`, the lag-one correlation of the residuals; `cost` 1/2 r'r; `history`, the cost of every evaluation; `rounds`, the
     evaluations after which the noise was estimated again; `failed`, the number of trials that could not be simulated; `remarks`, remedies.
 
-    `status`: OK, FAR_OFF, NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED, AT_BOUND or INTERRUPTED. A batch keeps its leading axes; a fit
-    inside jit or vmap has no standard errors.
+    `status`: OK, FAR_OFF, NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED, AT_BOUND, NOISY_INPUT or INTERRUPTED. A batch keeps its
+    leading axes; a fit inside jit or vmap has no standard errors.
 
     >>> import inspect
     >>> inspect.signature(fit).return_annotation  # the result of fit

@@ -35,6 +35,7 @@ from jaxbody.identification.checkpoints import resumed, save
 from jaxbody.identification.colorings import PRIORS
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_scipy
+from jaxbody.identification.noisy_inputs import noisy_inputs
 from jaxbody.identification.optax_steps import by_optax
 from jaxbody.identification.residuals import (
     EXACT,
@@ -122,6 +123,9 @@ def fit(
     Status FAR_OFF: the fitted model does not explain a record. Residuals exceed half of its variation and are not white noise, or the
     record agrees with the prediction only with another sign, unit or channel; the report lists what `diagnose` finds. Of a search that did
     not converge only the latter is FAR_OFF.
+
+    Status NOISY_INPUT: noise in the record of an imposed motion or load acts as a force that the model does not have, so that estimates
+    are biased and intervals too narrow.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
@@ -265,7 +269,10 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
             (at_bound, Status.AT_BOUND),
         )
         status = next((code for condition, code in conditions if condition), Status.OK)
-    remarks = tuple(errors)
+    noisy = noisy_inputs(task, device_array(u), runs) if status == Status.OK or (status == Status.FAR_OFF and not certain) else []
+    if noisy:
+        status = Status.NOISY_INPUT
+    remarks = (*errors, *noisy)
     remarks += () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
     if np.linalg.norm(r) > exact:
         remarks += tuple(transients(model, experiments, predicted, task.noise, task.integration))
