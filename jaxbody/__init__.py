@@ -40,6 +40,7 @@ The packages, in reading order; each imports only from those before it:
 """
 
 from jaxbody.compilation.late_imports import late_names
+from jaxbody.core.handed_down import hand_down
 
 __version__ = "0.1.0"
 
@@ -175,4 +176,8 @@ _SUCCESSORS = {  # of names that were public
     "PointMotion": "; outputs are sensors: use Position, Velocity or Acceleration, or Rotation, AngularVelocity or AngularAcceleration",
     "SupportReaction": "; outputs are sensors: use Reaction",
 }
+hand_down(
+    assembled_reference=("jaxbody.mechanics.constraints", "assembled_reference"),
+    picture_of=("jaxbody.plots.pictures", "picture_of"),
+)
 __getattr__, __dir__, __all__ = late_names("jaxbody", _NAMES, _MODULES, _SUCCESSORS)

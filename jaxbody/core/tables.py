@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from html import escape
-from importlib import import_module
 from types import MethodType
 from typing import Any
 
 import jax
 import numpy as np
 
+from jaxbody.core.handed_down import handed_down
 from jaxbody.core.jax_internals import Tracer
 
 MOST_ROWS = 400  # that print
@@ -31,12 +31,10 @@ class PrintedTable:
 
 
 class PlotMethod:
-    """`plot(*, ax=None, ...)` of a class: the function of `jaxbody.plots.pictures` that draws it, with the object as first argument.
-
-    The plots come after all results, which they import, so that they are found by name when one of them is asked for."""
+    """`plot(*, ax=None, ...)` of a class: the function that draws it, with the object as first argument."""
 
     def __get__(self, result: Any, kind: type) -> Callable[..., Any]:
-        draw = import_module("jaxbody.plots.pictures").picture_of(kind).draw
+        draw = handed_down("picture_of")(kind).draw
         return draw if result is None else MethodType(draw, result)
 
 

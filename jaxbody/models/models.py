@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
 from typing import Any
 
 import equinox as eqx
@@ -16,6 +15,7 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, device_array, functions_as_nodes, is_concrete, vector
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
+from jaxbody.core.handed_down import handed_down
 from jaxbody.elements.element_checks import check_laws, check_leaves
 from jaxbody.elements.elements import Element
 from jaxbody.elements.own_energies import NOWHERE, OfFrames, OwnDissipation, OwnEnergy, own_functions, unwrapped
@@ -195,9 +195,7 @@ class Model(tables.Printed, eqx.Module):
     def reference(self) -> State:
         """The state at rest in the reference pose, closures fulfilled and elements with memory relaxed."""
         refuse_batch(self, "model.reference")
-        if self.closures:  # the mechanics of a model come after models
-            return import_module("jaxbody.mechanics.constraints").assembled_reference(self)
-        return drawn_reference(self)
+        return handed_down("assembled_reference")(self) if self.closures else drawn_reference(self)
 
     def _tables(self) -> list[tables.PrintedTable]:
         layout = self.layout
