@@ -15,10 +15,8 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 if TYPE_CHECKING:
     from jaxbody.studies.study_files import Study
 
-QUANTITIES = {"displacement": ("Position", "Rotation"), "velocity": ("Velocity", "AngularVelocity"),
-              "acceleration": ("Acceleration", "AngularAcceleration")}  # fmt: skip
-
-
+QUANTITIES = {"displacement": ("Position", "Rotation")}
+QUANTITIES |= {name.lower(): (name, f"Angular{name}") for name in ("Velocity", "Acceleration")}
 FLAT = (".csv", ".parquet", ".nc", ".png", ".svg", ".pdf")
 IN_SPACE = (*FLAT, ".html")  # a page in three dimensions
 

@@ -21,6 +21,7 @@ from jaxbody.core.arrays import Array, Int, indices, time_text
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
+from jaxbody.experiments.correlations import best_shift, centered, correlation
 from jaxbody.experiments.experiments import Experiment, check_measurements
 from jaxbody.experiments.measured_responses import small_motions
 from jaxbody.experiments.measurements import Measurement
@@ -217,7 +218,7 @@ def _turned(name: str, frequencies: np.ndarray, y: np.ndarray, p: np.ndarray) ->
     if frequencies.max() > SPAN * frequencies.min() and round(powers) in POWERS and abs(powers - round(powers)) < 0.25:
         message = f"{name} grows as f^{round(powers)} relative to the prediction: is it {POWERS[round(powers)]}? Use a sensor that reads it"
         return [("OTHER_RESPONSE", message)]
-    real, imaginary = (_correlation(a, b) for a, b in (((y / abs(y)).real, (p / abs(p)).real), ((y / abs(y)).imag, (p / abs(p)).imag)))
+    real, imaginary = (correlation(a, b) for a, b in (((y / abs(y)).real, (p / abs(p)).real), ((y / abs(y)).imag, (p / abs(p)).imag)))
     if min(abs(real), abs(imaginary)) < AGREED or min(real, imaginary) > 0:
         return []
     if real < 0 and imaginary < 0:
@@ -321,9 +322,9 @@ def _unrelated(channels: dict[str, Any], arranged: list[tuple[str, str]], step: 
 
     In a record of a small motion in much noise a correlation is low too; its difference from the prediction then is white noise."""
     remarks = []
-    centered = {name: _centered(y, p) for name, (y, p, _) in channels.items()}
-    for name, (y, p, valid) in centered.items():
-        test, r = whiteness((y - p)[valid]), _correlation(y, p)
+    without_means = {name: centered(y, p) for name, (y, p, _) in channels.items()}
+    for name, (y, p, valid) in without_means.items():
+        test, r = whiteness((y - p)[valid]), correlation(y, p)
         known = any(name.partition("[")[0] in message for _, message in arranged)
         if known or r**2 >= EXPLAINED or test is None or test.p > UNLIKELY:
             continue
@@ -331,39 +332,18 @@ def _unrelated(channels: dict[str, Any], arranged: list[tuple[str, str]], step: 
             f"{name} hardly follows the prediction, correlation {r:.2g}, R2 {r**2:.2g}: is it the right channel, with the right sign, unit "
         )
         message += "and times, or is the guess far off?"
-        near = max((other for other in centered if other != name), key=lambda other: _correlation(y, centered[other][1]) ** 2, default=name)
-        alike, (late, of_shift) = _correlation(y, centered[near][1]), _shift(y, p)
+        near = max(
+            (other for other in without_means if other != name),
+            key=lambda other: correlation(y, without_means[other][1]) ** 2,
+            default=name,
+        )
+        alike, (late, of_shift) = correlation(y, without_means[near][1]), best_shift(y, p)
         if abs(alike) > CORRELATED:
             message += f" It follows that of {near}, correlation {alike:.2g}."
         elif abs(of_shift) > CORRELATED:
             message += f" It follows it {abs(late) * step:.3g} s {'later' if late > 0 else 'earlier'}, correlation {of_shift:.2g}."
         remarks.append(("UNCORRELATED", message))
     return remarks
-
-
-def _centered(y: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A record and its prediction from their means, zero for missing samples, and which samples are there."""
-    valid = np.isfinite(y) & np.isfinite(p)
-    return *(np.where(valid, x - np.mean(x, where=valid), 0.0) for x in (y, p)), valid  # pyright: ignore[reportReturnType]
-
-
-def _correlation(y: np.ndarray, p: np.ndarray) -> float:
-    """Of two records without means; 0 for a constant one."""
-    size = float(np.sqrt((y @ y) * (p @ p)))
-    return float(y @ p) / size if size else 0.0
-
-
-def _shift(y: np.ndarray, p: np.ndarray) -> tuple[int, float]:
-    """By how many samples a record is later than its prediction for the largest correlation, up to half the record, and this."""
-    from scipy.signal import correlate, correlation_lags
-
-    lags = correlation_lags(len(y), len(p))
-    near = np.abs(lags) <= len(y) // 2
-    overlap, size = (correlate(a, b, method="fft")[near] for a, b in ((y, p), (y**2, np.ones(len(p)))))
-    other = correlate(np.ones(len(y)), p**2, method="fft")[near]
-    r = overlap / np.sqrt(np.maximum(size * other, np.finfo(float).tiny))
-    best = int(np.argmax(np.abs(r)))
-    return int(lags[near][best]), float(r[best])
 
 
 def _without_gravity(run: str, model: Model, experiment: Experiment, readings: dict[str, np.ndarray]) -> list[tuple[str, str]]:

@@ -25,15 +25,13 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_state
 from jaxbody.models.states import State
 from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT, Label, annotate, axes_or_new, check_known
+from jaxbody.plots.symbols import AXES, frame_axes, ground_at, zigzag_path
 from jaxbody.vibrations.damped_modes import ComplexModes
 from jaxbody.vibrations.linearizations import Linearization
 from jaxbody.vibrations.natural_modes import Modes
 from jaxbody.vibrations.spins import SpinLinearization
 
-AXES = "xyz"
 RIM = 8.0  # points, width of the rounded rim of an outline
-MARGIN = 0.06  # around the drawing, relative to its longer side
-SLIM = 0.35  # smallest ratio of the sides of the frame
 SWING = 1 / 8  # largest displacement of a drawn mode, relative to the size of the model
 
 
@@ -72,7 +70,7 @@ def draw_model(
     look = projection(view, model, [scene])
     ax = _axes(ax, [scene], look)
     _draw(ax, scene, look, scene.size(look))
-    _frame(ax, look, scene.size(look))
+    frame_axes(ax, look, scene.size(look))
     if names:
         annotate(ax, _names(scene, look))
     return ax
@@ -122,7 +120,7 @@ def draw_mode(
     frequency, ratio = (float(x[number - 1]) for x in (np.asarray(modes.frequency), without_dust(modes.damping_ratio, 1.0)))
     title = f"mode {number}: {frequency:.4g} Hz" + (f", damping ratio {ratio:.2g}" if ratio > 0 else "")
     ax.set_title(f"{title}\n{modes.names[number - 1]}", fontsize=9)
-    _frame(ax, look, size)
+    frame_axes(ax, look, size)
     return ax
 
 
@@ -219,14 +217,14 @@ def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, al
         zigzag, slim = isinstance(table.rows, LineElement), isinstance(table.rows, LineElement | Inerter)
         for name, link in zip(table.names, table.links, strict=True):
             A, B = (end @ look.T for end in scene.ends[name])
-            path = _zigzag(A, B, 0.022 * size) if zigzag else np.array([A, B])
+            path = zigzag_path(A, B, 0.022 * size) if zigzag else np.array([A, B])
             ax.plot(*path.T, color=springs, lw=1.1 if slim else 3.0, alpha=alpha, solid_joinstyle="round", zorder=4)
             ax.plot(*np.array([A, B]).T, "." if slim else "s", color=springs, ms=4, alpha=alpha, zorder=5)
             if isinstance(table.rows, Inerter):
                 ax.plot(*((A + B) / 2), "o", mfc="white", mec=springs, mew=1.6, ms=9, alpha=alpha, zorder=5)  # its flywheel
             for end, here, there in zip(link[:2], (A, B), (B, A), strict=True):
                 if ground and end not in layout.bodies:
-                    _ground(ax, here, here - there, 0.035 * size)
+                    ground_at(ax, here, here - there, 0.035 * size)
     _closures(ax, scene, look, size, edge, alpha, ground)
     for name, (at, parent) in scene.pivots.items():
         pivot, joint = at @ look.T, scene.model.joint(name)
@@ -237,7 +235,7 @@ def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, al
         elif not joint.in_series:
             ax.plot(*pivot, "o", ms=6, mfc="white", mec=edge, mew=1.2, alpha=alpha, zorder=6)
             if ground and parent not in layout.bodies:
-                _ground(ax, pivot - np.array([0, 0.02 * size]), np.array([0.0, -1.0]), 0.035 * size)
+                ground_at(ax, pivot - np.array([0, 0.02 * size]), np.array([0.0, -1.0]), 0.035 * size)
 
 
 def _closures(ax, scene: Scene, look, size, edge, alpha, ground) -> None:
@@ -255,7 +253,7 @@ def _closures(ax, scene: Scene, look, size, edge, alpha, ground) -> None:
             ax.plot(*path.T, "-", marker="o", color=edge, lw=1.8, ms=6, mfc="white", mew=1.2, alpha=alpha, zorder=5, gid=name)
         for end, here, there in zip(closure.between, (A, B), (B, A), strict=True):
             if ground and end not in layout.bodies and (here != there).any():
-                _ground(ax, here, here - there, 0.035 * size)
+                ground_at(ax, here, here - there, 0.035 * size)
 
 
 def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
@@ -269,7 +267,7 @@ def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
         if up.any():
             ax.add_patch(Circle(hub, radius, fill=False, edgecolor=edge, lw=1.6, alpha=alpha, zorder=1))
             if ground:
-                _ground(ax, road, -up, 0.035 * size)
+                ground_at(ax, road, -up, 0.035 * size)
 
 
 def _names(scene: Scene, look) -> list[Label]:
@@ -321,59 +319,6 @@ def _hull(points: np.ndarray, tolerance: float) -> np.ndarray:
 
 def _area(a, b, c) -> float:
     return float((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
-
-
-def _zigzag(A, B, width: float, coils: int = 7) -> np.ndarray:
-    """The path of a spring from A to B: straight ends, an eighth of the length each, and a zigzag between them."""
-    along = B - A
-    length = np.linalg.norm(along)
-    if length == 0:
-        return np.array([A, B])
-    side = np.array([-along[1], along[0]]) / length * min(width, length / 4)
-    s = np.concatenate([[0, 0.12], 0.12 + 0.76 * (np.arange(2 * coils) + 0.5) / (2 * coils), [0.88, 1]])
-    teeth = np.concatenate([[0, 0], np.where(np.arange(2 * coils) % 2, -1, 1), [0, 0]])
-    return A + s[:, None] * along + teeth[:, None] * side
-
-
-def _ground(ax, at, outward, half: float) -> None:
-    """A bar across the direction `outward`, hatched on its far side."""
-    length = np.linalg.norm(outward)
-    n = outward / length if length else np.array([0.0, -1.0])
-    t = np.array([-n[1], n[0]])
-    ax.plot(*np.array([at - half * t, at + half * t]).T, color=INK, lw=1.6, solid_capstyle="butt", zorder=4)
-    for x in np.linspace(-0.8, 1.0, 6):
-        start = at + half * x * t
-        ax.plot(*np.array([start, start + half * (0.5 * n - 0.4 * t)]).T, color=INK, lw=0.7, zorder=3)
-
-
-def _frame(ax, look, size: float) -> None:
-    """Set the limits of the axes and label them in meters; an oblique view shows the three world axes instead, because its scale depends
-    on the direction."""
-    if np.count_nonzero(look) > 2:
-        _triad(ax, look, size)
-        ax.set_axis_off()
-    else:
-        right, up = (int(np.argmax(np.abs(row))) for row in look)
-        ax.set(xlabel=f"{AXES[right]} [m]", ylabel=f"{AXES[up]} [m]")
-    (x0, y0), (x1, y1) = ax.dataLim.get_points()
-    width, height = np.array([x1 - x0, y1 - y0]) + 2 * MARGIN * max(x1 - x0, y1 - y0)
-    width, height = max(width, SLIM * height), max(height, SLIM * width)
-    ax.set_xlim((x0 + x1 - width) / 2, (x0 + x1 + width) / 2)
-    ax.set_ylim((y0 + y1 - height) / 2, (y0 + y1 + height) / 2)
-    ax.set_aspect("equal", adjustable="box")
-    ax.apply_aspect()
-
-
-def _triad(ax, look, size: float) -> None:
-    """The projected world axes at the lower left, with their length written below."""
-    length = 10.0 ** np.floor(np.log10(size / 7))
-    length *= max(k for k in (1, 2, 5) if k * length <= size / 7)
-    low = ax.dataLim.get_points()[0]
-    origin = low - length * (look * (look > 0)).sum(1) * [1.3, 0] - length * (look * (look < 0)).sum(1) * [1, 1] * [0, 1]
-    for name, direction in zip(AXES, look.T, strict=True):
-        ax.plot(*np.array([origin, origin + length * direction]).T, color=GRAY, lw=1.2, gid=f"axis {name}")
-        ax.text(*(origin + 1.25 * length * direction), name, fontsize=8, color=GRAY, ha="center", va="center")
-    ax.annotate(f"{length:g} m", origin, xytext=(0, -12), textcoords="offset points", fontsize=8, color=GRAY, ha="left", va="center")
 
 
 @program

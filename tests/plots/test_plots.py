@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 
 import jaxbody as jb
 from jaxbody import plots
-from jaxbody.plots import model_plots, motion_plots
+from jaxbody.plots import model_plots, motion_plots, symbols
 
 
 @pytest.fixture(autouse=True)
@@ -248,9 +248,9 @@ def test_outlines_are_convex_hulls(rng, count):
 
 def test_a_zigzag_ends_where_the_spring_ends(rng):
     A, B = rng.normal(size=(2, 2))
-    path = model_plots._zigzag(A, B, 0.1)
+    path = symbols.zigzag_path(A, B, 0.1)
     np.testing.assert_allclose(path[[0, -1]], [A, B])
     along = (B - A) / np.linalg.norm(B - A)
     across = (path - A) @ np.array([-along[1], along[0]])
     assert abs(np.abs(across).max() - min(0.1, np.linalg.norm(B - A) / 4)) < 1e-12
-    assert np.array_equal(model_plots._zigzag(A, A, 0.1), [A, A])
+    assert np.array_equal(symbols.zigzag_path(A, A, 0.1), [A, A])
