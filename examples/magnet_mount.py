@@ -1,12 +1,16 @@
-"""An energy of one's own: an instrument that floats on repelling magnets. The magnets are fitted to a measured motion, then tuned.
+"""An energy of one's own: an instrument that floats on repelling magnets. The magnets are fitted to
+a measured motion, then tuned.
 
-Two magnets on one axis, at a distance e much larger than themselves, repel each other as dipoles do. A copper plate between them damps:
+Two magnets on one axis, at a distance e much larger than themselves, repel each other as dipoles
+do. A copper plate between them damps:
 
     V(e) = A/(3 e^3),   F = A/e^4,   R = c e_dot^2/2
 
-Each is a function of frames in a few lines. Their fields state unit and domain, so A and c stay positive in `fit`, `tune` and `replace`,
-and print with their units. Forces, equilibrium, stiffness and frequencies follow.
-The instrument of mass m floats where A/e^4 = m g. There K = 4 A/e^5 = 4 m g/e, so its frequency depends on the distance only:
+Each is a function of frames in a few lines. Their fields state unit and domain, so A and c stay
+positive in `fit`, `tune` and `replace`, and print with their units. Forces, equilibrium, stiffness
+and frequencies follow.
+The instrument of mass m floats where A/e^4 = m g. There K = 4 A/e^5 = 4 m g/e, so its frequency
+depends on the distance only:
 
     w^2 = 4 g/e
 
@@ -42,7 +46,8 @@ class Magnets(eqx.Module):
 
 
 class Plate(eqx.Module):
-    """R of the copper plate between them, c e_dot^2/2 with e_dot along the line between the magnets."""
+    """R of the copper plate between them, c e_dot^2/2 with e_dot along the line between
+    the magnets."""
 
     damping: jax.Array = jb.field("N s/m", "nonnegative")
 
@@ -54,7 +59,9 @@ class Plate(eqx.Module):
 def instrument(strength: float, damping: float) -> jb.Model:
     """An instrument guided vertically, 60 mm above the lower magnet in its reference pose."""
     return jb.Model(
-        bodies={"instrument": jb.Body(mass=MASS, inertia=[0.01, 0.01, 0.01], position=[0, 0, DRAWN])},
+        bodies={
+            "instrument": jb.Body(mass=MASS, inertia=[0.01, 0.01, 0.01], position=[0, 0, DRAWN])
+        },
         joints={"instrument": jb.Guide("world", axis=[0, 0, 1])},
         energies={"magnets": Magnets(strength)},
         dissipations={"plate": Plate(damping)},
@@ -66,14 +73,23 @@ def instrument(strength: float, damping: float) -> jb.Model:
 TRUE = {"magnets.strength": 5.0e-5, "plate.damping": 4.0}
 times, noise = np.linspace(0.0, 1.0, 201), 1e-4
 A, c = TRUE.values()
-height = solve_ivp(lambda _, x: [x[1], A / (MASS * x[0] ** 4) - G - c / MASS * x[1]], (0, 1), [0.06, 0.0], "DOP853", times, rtol=1e-10).y[0]
+height = solve_ivp(
+    lambda _, x: [x[1], A / (MASS * x[0] ** 4) - G - c / MASS * x[1]],
+    (0, 1),
+    [0.06, 0.0],
+    "DOP853",
+    times,
+    rtol=1e-10,
+).y[0]
 measured = height + noise * np.random.default_rng(7).normal(size=times.shape)
 
 # 2. The fit, from magnets of half the strength and hardly any damping
 guess = instrument(2.5e-5, 0.5)
 start = jb.State(q=jnp.zeros(1), v=jnp.zeros(1))
 position = jb.Position("instrument", axis=[0, 0, 1])
-release = jb.Experiment(times, initial=start, sensors={"height": position}, measured={"height": measured}, noise=noise)
+release = jb.Experiment(
+    times, initial=start, sensors={"height": position}, measured={"height": measured}, noise=noise
+)
 fit = jb.fit(guess, {"release": release}, free=list(TRUE))
 print(fit)
 for path, true in TRUE.items():
@@ -95,9 +111,13 @@ def float_at(model):
 
 
 design = jb.tune(
-    fit.model, float_at, free="magnets.strength", minimize="strength", limits={"distance": (0.03, None)},
+    fit.model,
+    float_at,
+    free="magnets.strength",
+    minimize="strength",
+    limits={"distance": (0.03, None)},
     bounds={"magnets.strength": (1e-6, 1e-3)},
-)  # fmt: skip
+)
 print(design)
 assert abs(float(design.values["magnets.strength"]) / (MASS * G * 0.03**4) - 1) < 1e-6
 

@@ -6,9 +6,10 @@
 # %% [markdown]
 # # An optimizer and a sampler of one's own
 #
-# A model is a pytree, and a motion is a function of it with derivatives, so any loop that takes JAX's gradients takes jaxbody: here one of
-# optax that finds two parameters of a suspension, and NUTS of blackjax that draws from their posterior. Are the error bars of the curvature
-# at the optimum, which `jb.fit` states too, those of the draws?
+# A model is a pytree, and a motion is a function of it with derivatives, so any loop that takes
+# JAX's gradients takes jaxbody: here one of optax that finds two parameters of a suspension, and
+# NUTS of blackjax that draws from their posterior. Are the error bars of the curvature at the
+# optimum, which `jb.fit` states too, those of the draws?
 
 # %%
 import blackjax
@@ -22,10 +23,15 @@ import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
 
-# A quarter of a car on a wavy road for a second; the heave of its body is recorded with a noise of 0.3 mm.
+# A quarter of a car on a wavy road for a second; the heave of its body is recorded with a noise
+# of 0.3 mm.
 PATHS, NOISE = ("suspension.stiffness", "suspension.damping"), 3e-4
 car = jb.presets.quarter_car(stiffness=35e3, damping=1500.0)
-times, road, rest = jnp.linspace(0, 1, 51), {"road": jb.Harmonic(frequency=1.5, translation=[0, 0, 0.01])}, jb.equilibrium(car).state
+times, road, rest = (
+    jnp.linspace(0, 1, 51),
+    {"road": jb.Harmonic(frequency=1.5, translation=[0, 0, 0.01])},
+    jb.equilibrium(car).state,
+)
 
 
 def heave(logarithms):
@@ -46,7 +52,8 @@ def loss(logarithms):
 
 
 # %% [markdown]
-# Positive numbers are free as their logarithms, as in `jb.fit`. One `jb.jit` around the whole loop compiles motion and gradient once.
+# Positive numbers are free as their logarithms, as in `jb.fit`. One `jb.jit` around the whole loop
+# compiles motion and gradient once.
 
 # %%
 optimizer = optax.lbfgs()
@@ -65,11 +72,15 @@ def optimized(start):
 
 
 best, values, covariance = optimized(jnp.log(jnp.array([20e3, 2500.0])))
-print(dict(zip(PATHS, np.exp(best).round(1).tolist(), strict=True)), f"loss {values[-1]:.1f} of {len(times)} samples")
+print(
+    dict(zip(PATHS, np.exp(best).round(1).tolist(), strict=True)),
+    f"loss {values[-1]:.1f} of {len(times)} samples",
+)
 
 # %% [markdown]
-# NUTS starts where the optimizer ended, with the covariance there as its inverse mass matrix, so it needs no warm-up. A sampler's own
-# default start, such as 1 N/m, would spend it far from any motion that resembles the record.
+# NUTS starts where the optimizer ended, with the covariance there as its inverse mass matrix, so it
+# needs no warm-up. A sampler's own default start, such as 1 N/m, would spend it far from any motion
+# that resembles the record.
 
 # %%
 nuts = blackjax.nuts(lambda x: -loss(x), step_size=0.5, inverse_mass_matrix=covariance)
@@ -80,14 +91,22 @@ def draw(state, key):
     return state, (state.position, info.is_divergent)
 
 
-draws, divergent = jb.jit(lambda keys: jax.lax.scan(draw, nuts.init(best), keys)[1])(jax.random.split(jax.random.key(0), 400))
+draws, divergent = jb.jit(lambda keys: jax.lax.scan(draw, nuts.init(best), keys)[1])(
+    jax.random.split(jax.random.key(0), 400)
+)
 spread, by_curvature = draws.std(0), jnp.sqrt(jnp.diag(covariance))
 print(f"standard deviations: {spread} drawn, {by_curvature} by curvature")
-assert np.all(np.abs(spread / by_curvature - 1) < 0.15) and np.all(np.abs(best - true) < 4 * by_curvature) and not divergent.any()
+assert (
+    np.all(np.abs(spread / by_curvature - 1) < 0.15)
+    and np.all(np.abs(best - true) < 4 * by_curvature)
+    and not divergent.any()
+)
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
 left.semilogy(values)
 left.set(xlabel="step of L-BFGS", ylabel="loss", title="An optax loop")
-circle = np.linalg.cholesky(covariance) @ np.array([np.cos(t := np.linspace(0, 2 * np.pi, 100)), np.sin(t)])
+circle = np.linalg.cholesky(covariance) @ np.array(
+    [np.cos(t := np.linspace(0, 2 * np.pi, 100)), np.sin(t)]
+)
 right.plot(*np.exp(draws).T, ".", ms=3, color="0.6", label="400 draws of NUTS")
 right.plot(*np.exp(best[:, None] + 2 * circle), lw=1.2, label="2 standard errors by curvature")
 right.plot(*np.exp(true), "k+", ms=10, label="true")
@@ -95,5 +114,6 @@ right.set(xlabel="stiffness [N/m]", ylabel="damping [N s/m]", title="What the re
 right.legend(frameon=False)
 
 # %% [markdown]
-# The loss ends at half the number of samples, as noise alone would have it, and the draws fill the ellipse of the curvature: here the
-# intervals of `jb.fit` are those of the posterior. Read on: *For users of JAX* in the manual; `pendulum.py`, a record of a real machine.
+# The loss ends at half the number of samples, as noise alone would have it, and the draws fill the
+# ellipse of the curvature: here the intervals of `jb.fit` are those of the posterior. Read on: *For
+# users of JAX* in the manual; `pendulum.py`, a record of a real machine.

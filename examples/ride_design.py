@@ -1,8 +1,9 @@
-"""A car suspension tuned for ride comfort: twelve parameters of springs, dampers, tyres and anti-roll bars on a class C road.
+"""A car suspension tuned for ride comfort: twelve parameters of springs, dampers, tyres and
+anti-roll bars on a class C road.
 
-The worst weighted vibration of the driver, at two speeds and with one or four persons aboard, is minimized within the available strokes
-and with all tyres on the road. The same search with finite differences follows. `python examples/ride_design.py ride.png` saves the
-figure.
+The worst weighted vibration of the driver, at two speeds and with one or four persons aboard, is
+minimized within the available strokes and with all tyres on the road. The same search with finite
+differences follows. `python examples/ride_design.py ride.png` saves the figure.
 """
 
 import sys
@@ -30,7 +31,9 @@ speeds = jnp.array([15.0, 30.0])
 loads = {  # the driver alone; four persons and luggage behind the center
     "car.mass": jnp.array([1175.0, 1480.0]),
     "car.com": jnp.array([[0.0, 0.02, 0.0], [-0.15, 0.0, 0.05]]),
-    "car.inertia": jnp.stack([jnp.diag(jnp.array([465.0, 1530.0, 1750.0])), jnp.diag(jnp.array([540.0, 1900.0, 2150.0]))]),
+    "car.inertia": jnp.stack(
+        [jnp.diag(jnp.array([465.0, 1530.0, 1750.0])), jnp.diag(jnp.array([540.0, 1900.0, 2150.0]))]
+    ),
 }
 at_wheels = {wheel: jb.BaseMotion(f"road {wheel}", "z") for wheel in wheels}
 driver = {f"seat {axis}": jb.Acceleration("car", [0.2, 0.35, 0.3], axis=axis) for axis in "xyz"}
@@ -43,8 +46,8 @@ tracks = {
 
 
 def rides(model):
-    """For each load and speed: weighted vibration of the driver [m/s2], strokes of the wheels [m], and shares of the tyre loads that may
-    be lost.
+    """For each load and speed: weighted vibration of the driver [m/s2], strokes of the wheels [m],
+    and shares of the tyre loads that may be lost.
 
     The strokes are measured from the equilibrium with the driver alone."""
 
@@ -53,14 +56,24 @@ def rides(model):
         eq = jb.equilibrium(aboard)
         lin = jb.linearize(aboard, eq)
         elongations = jnp.stack([eq.elongations[f"spring {wheel}"] for wheel in wheels])
-        static = {f"tyre {wheel}": -aboard[f"tyre {wheel}"].stiffness * eq.elongations[f"tyre {wheel}"] for wheel in wheels}
+        static = {
+            f"tyre {wheel}": -aboard[f"tyre {wheel}"].stiffness * eq.elongations[f"tyre {wheel}"]
+            for wheel in wheels
+        }
 
         def driven(speed):
             delays = {wheel: 2.6 / speed for wheel in ("rl", "rr")}
-            felt = jb.CrossPSD(dict.fromkeys(wheels, road.at_speed(speed)), delays=delays, coherence=tracks)
+            felt = jb.CrossPSD(
+                dict.fromkeys(wheels, road.at_speed(speed)), delays=delays, coherence=tracks
+            )
             ride = jb.random_response(lin, band, at_wheels, driver | travel | tyres, felt)
             strokes = jnp.stack([jb.objectives.stroke(ride, name) for name in travel])
-            unloading = jnp.stack([3 * jb.objectives.road_holding(ride, {name: load}) for name, load in static.items()])
+            unloading = jnp.stack(
+                [
+                    3 * jb.objectives.road_holding(ride, {name: load})
+                    for name, load in static.items()
+                ]
+            )
             return jb.objectives.comfort(ride, weights), strokes, unloading
 
         return elongations, *jax.vmap(driven)(speeds)
@@ -70,7 +83,8 @@ def rides(model):
     return {"felt": felt, "stroke": static + strokes, "tyre": unloading}
 
 
-worst = jax.vmap(lambda cases, width: jb.objectives.smooth_max(cases, width), (1, None))  # over loads and speeds, for each wheel
+# over loads and speeds, for each wheel
+worst = jax.vmap(lambda cases, width: jb.objectives.smooth_max(cases, width), (1, None))
 
 
 def evaluate(model):
@@ -110,17 +124,31 @@ print(design)
 # The same optimizer and the same function, with derivatives by finite differences
 
 start = jnp.array([jb.paths(car)[path] for path in design.values])
-ends = np.array([next(ends for pattern, ends in bounds.items() if fnmatch(path, pattern)) for path in design.values])
+ends = np.array(
+    [
+        next(ends for pattern, ends in bounds.items() if fnmatch(path, pattern))
+        for path in design.values
+    ]
+)
 factors = ends[:, 0] > 0  # parameters that vary by factors
 size = np.where(factors, 1.0, np.diff(ends)[:, 0] / 2)
-scaled = np.where(factors[:, None], np.log(np.maximum(ends, 1.0) / start[:, None]), (ends - start[:, None]) / size[:, None])
-names = {path: [path, path.replace("l.", "r.")] if path.startswith("tyre") else [path] for path in design.values}
+scaled = np.where(
+    factors[:, None],
+    np.log(np.maximum(ends, 1.0) / start[:, None]),
+    (ends - start[:, None]) / size[:, None],
+)
+names = {
+    path: [path, path.replace("l.", "r.")] if path.startswith("tyre") else [path]
+    for path in design.values
+}
 
 
 @partial(jax.jit, compiler_options=jb.quick_options())
 def numbers(u):
     x = jnp.where(factors, start * jnp.exp(u), start + size * u)
-    values = evaluate(jb.replace(car, {path: x[i] for i, paths in enumerate(names.values()) for path in paths}))
+    values = evaluate(
+        jb.replace(car, {path: x[i] for i, paths in enumerate(names.values()) for path in paths})
+    )
     limited = jnp.concatenate([1 - values["stroke"] / 0.075, 1 - values["tyre"] / 0.75])
     return values["worst"] / design.before["worst"], limited
 
@@ -139,42 +167,95 @@ def objective(u):
 begin = time.perf_counter()
 margins = [dict(type="ineq", fun=lambda u: np.asarray(numbers(u)[1]))]
 rough = scipy.optimize.minimize(
-    objective, np.zeros(12), bounds=scaled, constraints=margins, method="SLSQP", options=dict(ftol=1e-10, maxiter=200)
+    objective,
+    np.zeros(12),
+    bounds=scaled,
+    constraints=margins,
+    method="SLSQP",
+    options=dict(ftol=1e-10, maxiter=200),
 )
 differences = time.perf_counter() - begin
 least = float(design.after["worst"])
-print(f"exact derivatives: {least:.5f} m/s2 in {exact:.2f} s, {design.evaluations} evaluations; {first:.1f} s with compilation")
 print(
-    f"differences:       {rough.fun * design.before['worst']:.5f} m/s2 in {differences:.2f} s, {len(calls)} evaluations of the objective;",
+    f"exact derivatives: {least:.5f} m/s2 in {exact:.2f} s, {design.evaluations} evaluations; "
+    f"{first:.1f} s with compilation"
+)
+print(
+    f"differences:       {rough.fun * design.before['worst']:.5f} m/s2 in {differences:.2f} s, "
+    f"{len(calls)} evaluations of the objective;",
     f"{compiling + differences:.1f} s with compilation",
 )
 assert design.ok and abs(rough.fun * design.before["worst"] / least - 1) < 1e-4
 
 # The trade-off between comfort and stroke, and the parameter with the largest influence
 
-front = jb.pareto(car, evaluate, minimize=["worst", "longest"], free=free, bounds=bounds, limits={"tyre": (None, 0.75)}, points=9)
+front = jb.pareto(
+    car,
+    evaluate,
+    minimize=["worst", "longest"],
+    free=free,
+    bounds=bounds,
+    limits={"tyre": (None, 0.75)},
+    points=9,
+)
 print(front)
-present = [path for path in free if design.values[path.partition(" = ")[0]] > 0]  # a bar that tuning removed has no ten percent more
+# a bar that tuning removed has no ten percent more
+present = [path for path in free if design.values[path.partition(" = ")[0]] > 0]
 strongest = jb.sensitivities(design.model, evaluate, free=present, change=0.1)
 print("largest influence on it:", ", ".join(strongest.ranked("worst")[:3]))
 
-figure, axes = plt.subplot_mosaic([["felt", "front"], ["stroke", "tornado"], ["search", "search"]], figsize=(12, 10), layout="constrained")
-cases = [f"{who}\n{3.6 * speed:.0f} km/h" for who in ("alone", "four aboard") for speed in np.asarray(speeds)]
+figure, axes = plt.subplot_mosaic(
+    [["felt", "front"], ["stroke", "tornado"], ["search", "search"]],
+    figsize=(12, 10),
+    layout="constrained",
+)
+cases = [
+    f"{who}\n{3.6 * speed:.0f} km/h"
+    for who in ("alone", "four aboard")
+    for speed in np.asarray(speeds)
+]
 for i, (when, quantities) in enumerate({"before": design.before, "tuned": design.after}.items()):
-    axes["felt"].bar(np.arange(4) + 0.4 * i - 0.2, np.ravel(quantities["felt"]), 0.38, color=COLORS[i], label=when)
-    shares = np.concatenate([np.asarray(quantities["stroke"]) / 0.075, np.asarray(quantities["tyre"]) / 0.75])
+    axes["felt"].bar(
+        np.arange(4) + 0.4 * i - 0.2,
+        np.ravel(quantities["felt"]),
+        0.38,
+        color=COLORS[i],
+        label=when,
+    )
+    shares = np.concatenate(
+        [np.asarray(quantities["stroke"]) / 0.075, np.asarray(quantities["tyre"]) / 0.75]
+    )
     axes["stroke"].bar(np.arange(8) + 0.4 * i - 0.2, shares, 0.38, color=COLORS[i], label=when)
 axes["felt"].set_xticks(range(4), cases, fontsize=8)
 axes["felt"].set(ylabel="weighted acceleration [m/s2]", title="Vibration at the driver's seat")
 axes["stroke"].axhline(1.0, color="black", lw=0.8)
-axes["stroke"].set_xticks(range(8), [f"{what}\n{wheel}" for what in ("stroke", "tyre") for wheel in wheels], fontsize=8)
-axes["stroke"].set(ylabel="share of the limit", ylim=(0, 1.6), title="Limits: stroke 75 mm, at least a quarter of each tyre load")
-plots.plot_front(front, ax=axes["front"]).set(
-    xlabel="longest stroke [m]", ylabel="worst vibration [m/s2]", title="Trade-off between comfort and stroke"
+axes["stroke"].set_xticks(
+    range(8), [f"{what}\n{wheel}" for what in ("stroke", "tyre") for wheel in wheels], fontsize=8
 )
-axes["front"].plot(float(design.after["longest"]), float(design.after["worst"]), "*", ms=13, color=COLORS[1], label="the design")
-plots.plot_tornado(strongest, "worst", ax=axes["tornado"]).set(xlabel="worst vibration [m/s2]", title="Largest influences on it")
-plots.plot_tuning(design, ax=axes["search"]).set(ylabel="worst vibration [m/s2]", title=f"The search, {design.evaluations} evaluations")
+axes["stroke"].set(
+    ylabel="share of the limit",
+    ylim=(0, 1.6),
+    title="Limits: stroke 75 mm, at least a quarter of each tyre load",
+)
+plots.plot_front(front, ax=axes["front"]).set(
+    xlabel="longest stroke [m]",
+    ylabel="worst vibration [m/s2]",
+    title="Trade-off between comfort and stroke",
+)
+axes["front"].plot(
+    float(design.after["longest"]),
+    float(design.after["worst"]),
+    "*",
+    ms=13,
+    color=COLORS[1],
+    label="the design",
+)
+plots.plot_tornado(strongest, "worst", ax=axes["tornado"]).set(
+    xlabel="worst vibration [m/s2]", title="Largest influences on it"
+)
+plots.plot_tuning(design, ax=axes["search"]).set(
+    ylabel="worst vibration [m/s2]", title=f"The search, {design.evaluations} evaluations"
+)
 for name in ("felt", "stroke", "front"):
     axes[name].legend(frameon=False, fontsize=8, loc="upper right")
 if len(sys.argv) == 2 and sys.argv[1].endswith(".png"):

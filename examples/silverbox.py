@@ -6,12 +6,15 @@
 # %% [markdown]
 # # The Silverbox
 #
-# The Silverbox is an electronic circuit that moves like a mass on a hardening spring, a benchmark of nonlinear identification. How well
-# does a mass on a spring, fitted to 86300 samples, predict 40576 others of rising amplitude?
+# The Silverbox is an electronic circuit that moves like a mass on a hardening spring, a benchmark
+# of nonlinear identification. How well does a mass on a spring, fitted to 86300 samples, predict
+# 40576 others of rising amplitude?
 #
-# $$ m\ddot x + F_d(\dot x) + k_1 e + k_2 e^2 + k_3 e^3 = V_1, \qquad e = x + 1 - l_0, \qquad x = V_2 $$
+# $$ m\ddot x + F_d(\dot x) + k_1 e + k_2 e^2 + k_3 e^3 = V_1, \qquad
+# e = x + 1 - l_0, \qquad x = V_2 $$
 #
-# Data: T. Wigren, J. Schoukens, ECC 2013. Voltages are taken as newtons and meters; the free length $l_0$ absorbs their offsets.
+# Data: T. Wigren, J. Schoukens, ECC 2013. Voltages are taken as newtons and meters; the free length
+# $l_0$ absorbs their offsets.
 
 # %%
 import os
@@ -37,9 +40,10 @@ times, V1, V2 = signals.times, signals["V1"], signals["V2"]
 ESTIMATION, ARROW_HEAD = slice(40700, 127000), slice(0, 40576)
 
 # %% [markdown]
-# A mass on a guide with a strut: a cubic spring, and a damper whose damping rises slightly with the speed. Between samples the input is a
-# cubic spline: linear interpolation would lose some of it, a zero-order hold would delay it by half a sample. With one step per sample, no
-# step contains a knot. The oscillator moves when a part begins.
+# A mass on a guide with a strut: a cubic spring, and a damper whose damping rises slightly with the
+# speed. Between samples the input is a cubic spline: linear interpolation would lose some of it, a
+# zero-order hold would delay it by half a sample. With one step per sample, no step contains a
+# knot. The oscillator moves when a part begins.
 
 # %%
 along, velocity = {"axis": [1, 0, 0]}, CubicSpline(times, V2).derivative()
@@ -59,7 +63,14 @@ def record(part):
     drive = jb.signals.Samples(times[part], V1[part][:, None] * [1.0, 0.0, 0.0], kind="cubic")
     start = jb.State(q=jnp.asarray(V2[part][:1]), v=jnp.asarray(velocity(times[part][:1])))
     force, sensors = {"drive": jb.Force("mass", force=drive)}, {"V2": jb.Position("mass", **along)}
-    return jb.Experiment(times[part], loads=force, initial=start, sensors=sensors, measured={"V2": V2[part]}, noise=3e-4)
+    return jb.Experiment(
+        times[part],
+        loads=force,
+        initial=start,
+        sensors=sensors,
+        measured={"V2": V2[part]},
+        noise=3e-4,
+    )
 
 
 def fitted(start):
@@ -81,10 +92,23 @@ print(fit)
 
 # %%
 rms = 1e3 * float(np.sqrt(np.mean(error**2)))
-figure, (above, below) = plt.subplots(2, sharex=True, figsize=(9, 5), layout="constrained", height_ratios=[2, 1])
-above.axhspan(1e3 * V2[ESTIMATION].min(), 1e3 * V2[ESTIMATION].max(), color="0.9", label="amplitudes of the fit")
+figure, (above, below) = plt.subplots(
+    2, sharex=True, figsize=(9, 5), layout="constrained", height_ratios=[2, 1]
+)
+above.axhspan(
+    1e3 * V2[ESTIMATION].min(),
+    1e3 * V2[ESTIMATION].max(),
+    color="0.9",
+    label="amplitudes of the fit",
+)
 above.plot(times[ARROW_HEAD], 1e3 * V2[ARROW_HEAD], "C0", lw=0.3, label="measured")
-above.plot(times[ARROW_HEAD], 1e3 * error, "C1", lw=0.8, label=f"prediction minus measured, {rms:.3f} mV rms")
+above.plot(
+    times[ARROW_HEAD],
+    1e3 * error,
+    "C1",
+    lw=0.8,
+    label=f"prediction minus measured, {rms:.3f} mV rms",
+)
 below.plot(times[ARROW_HEAD], 1e3 * error, "C1", lw=0.3)
 above.set(ylabel="displacement [mV]", xlim=(0, times[ARROW_HEAD][-1]))
 below.set(xlabel="time [s]", ylabel="error [mV]")
@@ -95,5 +119,6 @@ print(f"rms error: fitted {1e3 * float(fit.noise['records']['V2']):.4f} mV, pred
 assert abs(rms - 0.285) < 0.01
 
 # %% [markdown]
-# Published fits of a plain Duffing equation reach 0.35 to 0.45 mV in this test, nonlinear state space models about 0.26 mV. Read on:
-# `pendulum.py`, friction; `chaos.py`, records where no single simulation stays near the measurement.
+# Published fits of a plain Duffing equation reach 0.35 to 0.45 mV in this test, nonlinear state
+# space models about 0.26 mV. Read on: `pendulum.py`, friction; `chaos.py`, records where no single
+# simulation stays near the measurement.

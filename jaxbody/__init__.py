@@ -2,39 +2,39 @@
 
 The packages, in reading order; each imports only from those before it:
 
-    core            Shared foundations: errors and statuses, numbers from users, results that print, units. No mechanics.
-    compilation     Programs of JAX: jit with options that compile quickly, times of compilation, programs on disk.
-    workers         Batches in chunks over devices, processes and machines: programs as data, lost workers, results on disk.
-    numerics        Computing without physics: batches in lanes, eigenproblems, blocks of Runge-Kutta steps, Gauss collocation.
-    geometry        Rotations, poses and frames; points, directions and orientations as users give them; closures of loops.
+    core            Errors and statuses, numbers from users, results that print, units.
+    compilation     Programs of JAX: jit with options that compile quickly, programs on disk.
+    workers         Batches in chunks over devices, processes and machines, with results on disk.
+    numerics        Computing without physics: batches in lanes, eigenproblems, Runge-Kutta steps.
+    geometry        Rotations, poses, frames; points and directions as users give them; closures.
     records         Measured data: files, formats, units, sampling, repairs.
-    laws            Force laws F(x) of one number, of springs and dampers, with and without memory.
-    inputs          What acts on a model from outside, as functions of time: motions, signals, roads, loads.
-    elements        Springs, bushings, mounts, torsion and contact: a deformation e(poses), V(e) and R(e, e_dot).
+    laws            Force laws F(x) of springs and dampers, with and without memory.
+    inputs          What acts from outside, as functions of time: motions, signals, roads, loads.
+    elements        Springs, bushings, mounts, torsion, contact: e(poses), V(e) and R(e, e_dot).
     models          Bodies, supports and joints by name, kept as arrays; paths to every number.
-    joints          Joints of every kind; where frames, elements and closures are in their coordinates.
+    joints          Joints; where frames, elements and closures are in their coordinates.
     sensors         What instruments on bodies read, with gain, bias, delay and lag.
     lagrange        T, V, R and L = T - V: one file, the definition of a model.
-    mechanics       The same in structured form: second derivatives, constraints, the equations of motion.
-    mechanisms      Closed loops: assembled configurations, driven positions, curves of suspensions over travel and steering.
-    statics         Equilibria and their stability, load paths, load cases, preload, rest on a moving base.
+    mechanics       The same in structured form: second derivatives, the equations of motion.
+    mechanisms      Closed loops: assembled configurations, curves of suspensions over travel.
+    statics         Equilibria and their stability, load paths, load cases, preload.
     simulations     Trajectories by the equations of motion, and what sensors read along them.
-    vibrations      Small motions: matrices, inputs and outputs, state space, modes of every kind.
-    responses       Responses to harmonic and random excitation, spectra, roads and comfort.
-    shocks          Shock and earthquake: response spectra, maxima by spectra, floor spectra, design spectra, records that meet them.
-    fatigue         Peaks of random responses, level crossings, and fatigue damage from densities and records.
-    statistics      Uncertainty of estimates from residuals: noise models, covariance, robust losses. No mechanics.
-    parameters      Free parameters of fit and tune: ties, transforms, bounds, priors, units, random starts.
-    experiments     Measurements, and the predictions of a model for them; checks of records and models before a fit.
+    vibrations      Small motions: matrices, inputs and outputs, modes of every kind.
+    responses       Responses to harmonic and random excitation, spectra, roads, comfort.
+    shocks          Shock and earthquake: response spectra, maxima, records that meet spectra.
+    fatigue         Peaks of random responses, level crossings, fatigue damage.
+    statistics      Uncertainty of estimates from residuals: noise models, covariance, losses.
+    parameters      Free parameters of fit and tune: ties, transforms, bounds, priors.
+    experiments     Measurements and the predictions of a model for them; checks before a fit.
     identification  Fits: residuals, searches, results, several initial guesses, multiple shooting.
     inference       Uncertainty of fits: profiles, bands, coverage, validation.
     designs         Tuning: tune, pareto, sweep, tolerances, objectives.
-    files           Model files: text to numbers in SI without JAX, to models and back; archives of results.
-    studies         Studies in files: a model with motions, sensors, experiments and designs; the schema of all that a file may hold.
-    interchange     Files of others: data sheets of mounts, models of MuJoCo, linear systems for MATLAB.
+    files           Model files: text to numbers in SI, to models and back; archives of results.
+    studies         Studies in files: a model with motions, sensors, experiments and designs.
+    interchange     Files of others: data sheets of mounts, models of MuJoCo, MATLAB.
     presets         Ready models.
     plots           Pictures with matplotlib.
-    scenes          Models and their motions as drawn parts in three dimensions: plain arrays, no renderer.
+    scenes          Models and their motions as parts in three dimensions: plain arrays.
     views           Scenes in a browser, in a notebook, in one HTML file, as pictures that move.
     app             The command jaxbody; reports.
 """
@@ -53,7 +53,8 @@ _MODULES = {  # that are public themselves
     "signals": "inputs.signals",
     "units": "core.units",
 }
-_NAMES = {  # what is public of each module; `__init__.pyi` says the same to editors and type checkers
+# what is public of each module; `__init__.pyi` says the same to editors and type checkers
+_NAMES = {
     "app.reports": ("report",),
     "compilation.compilations": ("compile_times",),
     "compilation.compile_options": ("fast_loops", "jit", "quick_options"),
@@ -142,8 +143,24 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "scenes.shapes": ("Shape",),
     "sensors.attitudes": ("BodyPose", "Orientation"),
     "sensors.gauges": ("Displacement", "LaserDistance", "LaserVibrometer", "StringPotentiometer"),
-    "sensors.instruments": ("Accelerometer", "Elongation", "ForcePlate", "Gyro", "JointAngle", "LoadCell", "Reaction", "Tilt"),
-    "sensors.kinematic_sensors": ("Acceleration", "AngularAcceleration", "AngularVelocity", "Position", "Rotation", "Velocity"),
+    "sensors.instruments": (
+        "Accelerometer",
+        "Elongation",
+        "ForcePlate",
+        "Gyro",
+        "JointAngle",
+        "LoadCell",
+        "Reaction",
+        "Tilt",
+    ),
+    "sensors.kinematic_sensors": (
+        "Acceleration",
+        "AngularAcceleration",
+        "AngularVelocity",
+        "Position",
+        "Rotation",
+        "Velocity",
+    ),
     "sensors.sensors": ("Sensor",),
     "shocks.design_spectra": ("ASCE7", "DesignSpectrum", "Eurocode8"),
     "shocks.floor_spectra": ("floor_spectrum",),
@@ -173,7 +190,10 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
 _SUCCESSORS = {  # of names that were public
     "ElementDeformation": "; outputs are sensors: use Elongation",
     "ElementForce": "; outputs are sensors: use LoadCell",
-    "PointMotion": "; outputs are sensors: use Position, Velocity or Acceleration, or Rotation, AngularVelocity or AngularAcceleration",
+    "PointMotion": (
+        "; outputs are sensors: use Position, Velocity or Acceleration, or Rotation, "
+        "AngularVelocity or AngularAcceleration"
+    ),
     "SupportReaction": "; outputs are sensors: use Reaction",
 }
 hand_down(

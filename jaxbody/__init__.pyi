@@ -1,4 +1,5 @@
-"""What `import jaxbody` offers, for editors and type checkers; `__init__.py` imports each at its first use."""
+"""What `import jaxbody` offers, for editors and type checkers; `__init__.py` imports each at its
+first use."""
 
 from jaxbody import laws as laws
 from jaxbody import plots as plots

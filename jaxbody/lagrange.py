@@ -1,16 +1,21 @@
-"""The definition of a model: its energies T and V, its dissipation R, L = T - V, and what follows by jax.hessian, jax.grad and jax.jvp.
+"""The definition of a model: its energies T and V, its dissipation R, L = T - V, and what follows
+by jax.hessian, jax.grad and jax.jvp.
 
-All are functions of small motions about a state: the coordinates become q (+) Delta, the supports move by Xi from their reference poses,
-and the velocities of all frames are the derivatives of their poses along Delta' and Xi'. At Delta = 0, Delta' = v is the state itself.
+All are functions of small motions about a state: the coordinates become q (+) Delta, the supports
+move by Xi from their reference poses, and the velocities of all frames are the derivatives of their
+poses along Delta' and Xi'. At Delta = 0, Delta' = v is the state itself.
 
-    M | -M~ | M_bb    Hessian of T in (Delta', y', Xi')       | separates the blocks 11, 12, 22; y: coordinates of elements with memory
+    M | -M~ | M_bb    Hessian of T in (Delta', y', Xi')
     C | -C~ | C_bb    Hessian of R in (Delta', y', Xi')
     K | -K~ | K_bb    Hessian of V + lambda c in (Delta, y, Xi), minus dQ/dDelta
-    motion            d/dt dL/dDelta' - dL/dDelta + dR/dDelta' = Q + H - J' lambda,   c'' = 0,   z' = f(e, e', z)
+    motion            d/dt dL/dDelta' - dL/dDelta + dR/dDelta' = Q + H - J' lambda,   c'' = 0,
+                      z' = f(e, e', z)
 
-Q and H are the generalized forces of loads and of hysteresis, which have no potential, by their virtual power; in C and K hysteresis has
-those of its tangent. c are the conditions of closures, J = dc/dDelta, lambda their multipliers, z the states of elements. Faster,
-structured forms of the same stand in `mechanics`; tests hold them to this file.
+y are the coordinates of elements with memory; | separates the blocks 11, 12 and 22. Q and H are
+the generalized forces of loads and of hysteresis, which have no potential, by their
+virtual power; in C and K hysteresis has those of its tangent. c are the conditions of closures,
+J = dc/dDelta, lambda their multipliers, z the states of elements. Faster, structured forms of the
+same stand in `mechanics`; tests hold them to this file.
 """
 
 from __future__ import annotations
@@ -29,7 +34,13 @@ from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import axial, dot, rotate, rotate_back
 from jaxbody.inputs.loads import Load
 from jaxbody.joints.closure_tables import drawn, gaps_from, rank
-from jaxbody.joints.element_tables import completed, each_element, inertial_tables, of_table, state_rates
+from jaxbody.joints.element_tables import (
+    completed,
+    each_element,
+    inertial_tables,
+    of_table,
+    state_rates,
+)
 from jaxbody.joints.kinematics import Coordinates, displacements, frames_displaced, imposed
 from jaxbody.laws.memories import InState, memories
 from jaxbody.models.memories import apart, holding
@@ -42,38 +53,64 @@ from jaxbody.numerics.small_systems import saddle_point
 
 
 def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
-    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies, and of the energies of elements with inertia. (10), (11) of the paper."""
+    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies, and of the energies of elements with
+    inertia. (10), (11) of the paper."""
     bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
     v_C = moving.velocity(bodies.com)
     w_B = rotate_back(moving.R, moving.w)
     T = 0.5 * jnp.sum(bodies.mass * dot(v_C, v_C) + dot(w_B, rotate(bodies.inertia, w_B)))
-    inertial = (of_table(model, frames, table, lambda s, *F: s.kinetic_energy(*s.rates(*F))) for table in inertial_tables(model))
-    inner = (jax.vmap(lambda law: law.kinetic())(law) for law in memories(model.elements, InState) if law.law.inertial)
+    inertial = (
+        of_table(model, frames, table, lambda s, *F: s.kinetic_energy(*s.rates(*F)))
+        for table in inertial_tables(model)
+    )
+    inner = (
+        jax.vmap(lambda law: law.kinetic())(law)
+        for law in memories(model.elements, InState)
+        if law.law.inertial
+    )
     return sum(map(jnp.sum, (*inertial, *inner)), T)
 
 
 def gravity_energy(model: Model, frames: Frame) -> Float[Array, ""]:
     """-sum of m g . C."""
     bodies = model.bodies.rows
-    return -jnp.sum(bodies.mass * dot(frames[model.layout.first_body :].point(bodies.com), model.gravity[None]))
+    return -jnp.sum(
+        bodies.mass * dot(frames[model.layout.first_body :].point(bodies.com), model.gravity[None])
+    )
 
 
 def potential(model: Model, frames: Frame) -> Float[Array, ""]:
-    """V = sum of V(e) over the elements - sum of m g . C over the bodies. (22), (60) of the paper."""
-    return gravity_energy(model, frames) + sum(jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.potential(*F)))
+    """V = sum of V(e) over the elements - sum of m g . C over the bodies. (22), (60) of
+    the paper."""
+    return gravity_energy(model, frames) + sum(
+        jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.potential(*F))
+    )
 
 
 def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
     """R = sum of R(e, e') over the elements."""
-    return sum((jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.dissipation(*s.rates(*F)))), jnp.zeros((), frames.p.dtype))
+    return sum(
+        (
+            jnp.sum(e)
+            for e in each_element(model, frames, lambda s, *F: s.dissipation(*s.rates(*F)))
+        ),
+        jnp.zeros((), frames.p.dtype),
+    )
 
 
 # The same in the chart at a state
 
 
-def frames_at(model: Model, state: State, delta: Array, delta_dot: Array, xi: Array, xi_dot: Array) -> Frame:
-    """The frames at q (+) Delta on supports displaced by Xi, with the velocities that Delta' and Xi' give them: v = p', [w] = R' R^T."""
-    pose, rate = jax.jvp(lambda delta, xi: frames_displaced(model, state, delta, xi).pose(), (delta, xi), (delta_dot, xi_dot))
+def frames_at(
+    model: Model, state: State, delta: Array, delta_dot: Array, xi: Array, xi_dot: Array
+) -> Frame:
+    """The frames at q (+) Delta on supports displaced by Xi, with the velocities that Delta' and
+    Xi' give them: v = p', [w] = R' R^T."""
+    pose, rate = jax.jvp(
+        lambda delta, xi: frames_displaced(model, state, delta, xi).pose(),
+        (delta, xi),
+        (delta_dot, xi_dot),
+    )
     return Frame(pose.p, pose.R, rate.p, jax.vmap(axial)(rate.R @ jnp.swapaxes(pose.R, -1, -2)))
 
 
@@ -100,11 +137,19 @@ def L(model: Model, state: State, *small: Array) -> Float[Array, ""]:
 def c(model: Model, state: State, delta: Array, xi: Array) -> Float[Array, "nc"]:
     """The conditions of closures."""
     coordinates = Coordinates(model)
-    return gaps_from(model, drawn(coordinates), frames_displaced(model, state, delta, xi), coordinates.retract(state.q, delta))
+    return gaps_from(
+        model,
+        drawn(coordinates),
+        frames_displaced(model, state, delta, xi),
+        coordinates.retract(state.q, delta),
+    )
 
 
-def Q(model: Model, state: State, loads: tuple[Load, ...], t: Any, *small: Array) -> Float[Array, "nv"]:
-    """The generalized forces of loads, by their virtual power P(v*) = Q . v*, v* a virtual Delta': P = sum of F . v* + M . w*."""
+def Q(
+    model: Model, state: State, loads: tuple[Load, ...], t: Any, *small: Array
+) -> Float[Array, "nv"]:
+    """The generalized forces of loads, by their virtual power P(v*) = Q . v*, v* a virtual Delta':
+    P = sum of F . v* + M . w*."""
     now = frames_at(model, state, *small).at_time(t, state)
 
     def power(moved):
@@ -119,9 +164,17 @@ def Q(model: Model, state: State, loads: tuple[Load, ...], t: Any, *small: Array
 
 
 def H(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, "nv"]:
-    """The generalized forces of what has no potential in elements with hysteresis: P = -sum of (F - dV/de - dR/de') . e*."""
-    now, pairs = frames_at(model, state, *small), zip(holding(model, state.z).elements, apart(model, state.z, z_dot).elements, strict=True)
-    tables = [replace(a, rows=(a.rows, b.rows)) for a, b in pairs if any(not law.law.has_rows for law in memories(a, InState))]
+    """The generalized forces of what has no potential in elements with hysteresis: P = -sum of
+    (F - dV/de - dR/de') . e*."""
+    now, pairs = (
+        frames_at(model, state, *small),
+        zip(holding(model, state.z).elements, apart(model, state.z, z_dot).elements, strict=True),
+    )
+    tables = [
+        replace(a, rows=(a.rows, b.rows))
+        for a, b in pairs
+        if any(not law.law.has_rows for law in memories(a, InState))
+    ]
 
     def power(moved):
         P = jnp.zeros((), state.q.dtype)
@@ -133,21 +186,33 @@ def H(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, "
     return _by_virtual_power(power, model, state, *small)
 
 
-def _by_virtual_power(power: Callable[[Frame], Array], model: Model, state: State, delta, _, xi, xi_dot) -> Float[Array, "nv"]:
+def _by_virtual_power(
+    power: Callable[[Frame], Array], model: Model, state: State, delta, _, xi, xi_dot
+) -> Float[Array, "nv"]:
     """dP/dv*, of the power of frames with the virtual velocities."""
-    return jax.grad(lambda v: power(frames_at(model, state, delta, v, xi, jnp.zeros_like(xi_dot))))(jnp.zeros_like(state.v))
+    return jax.grad(lambda v: power(frames_at(model, state, delta, v, xi, jnp.zeros_like(xi_dot))))(
+        jnp.zeros_like(state.v)
+    )
 
 
 def _without_potential(element: Any, *frames: Frame) -> Array:
     """F - dV/de - dR/de' of an element whose states move, and the same whose rates are known."""
     moving, known = element
     e, e_dot = moving.rates(*frames)
-    return moving.force(*frames) - jax.grad(moving.energy)(e) - jax.grad(known.dissipation, 1)(e, e_dot)
+    return (
+        moving.force(*frames)
+        - jax.grad(moving.energy)(e)
+        - jax.grad(known.dissipation, 1)(e, e_dot)
+    )
 
 
 def _z_dot(model: Model, state: State, *small: Array) -> Array:
     """The rates of the states of elements."""
-    return state_rates(holding(model, state.z), frames_at(model, state, *small)) if model.layout.nz else state.z
+    return (
+        state_rates(holding(model, state.z), frames_at(model, state, *small))
+        if model.layout.nz
+        else state.z
+    )
 
 
 # What follows
@@ -157,11 +222,15 @@ def unbalanced(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Arr
     """dV/dDelta - Q - H at rest, zero at an equilibrium without closures."""
     still, base = jnp.zeros_like(state.v), jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
     here = still, still, base, base
-    forces = Q(model, state, loads, jnp.zeros((), still.dtype), *here) + H(model, state, _z_dot(model, state, *here), *here)
+    forces = Q(model, state, loads, jnp.zeros((), still.dtype), *here) + H(
+        model, state, _z_dot(model, state, *here), *here
+    )
     return jax.grad(lambda delta: V(model, state, delta, still, base, base))(still) - forces
 
 
-def matrices(model: Model, state: State, loads: tuple[Load, ...], multipliers: Array) -> tuple[Array, Array, Array]:
+def matrices(
+    model: Model, state: State, loads: tuple[Load, ...], multipliers: Array
+) -> tuple[Array, Array, Array]:
     """M, C and K of (Delta, y, Xi) about a state."""
     layout, base = model.layout, jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
     nv, ny, heavy = layout.nv, len(layout.inner_places), len(layout.inertial)
@@ -171,7 +240,9 @@ def matrices(model: Model, state: State, loads: tuple[Load, ...], multipliers: A
         return x[:nv], x[nv : nv + ny], x[nv + ny :].reshape(base.shape)
 
     def with_rates(y_dot):
-        return State(state.q, state.v, z.at[layout.inner_rates].set(y_dot[:heavy])), jnp.zeros_like(z).at[layout.inner_places].set(y_dot)
+        return State(state.q, state.v, z.at[layout.inner_rates].set(y_dot[:heavy])), jnp.zeros_like(
+            z
+        ).at[layout.inner_places].set(y_dot)
 
     def of_T(x_dot):
         delta_dot, y_dot, xi_dot = parts(x_dot)
@@ -190,27 +261,49 @@ def matrices(model: Model, state: State, loads: tuple[Load, ...], multipliers: A
     def of_loads(delta):
         return Q(model, state, loads, jnp.zeros((), z.dtype), delta, still, base, base)
 
-    x_dot = jnp.concatenate([state.v, z[layout.inner_rates], jnp.zeros(ny - heavy + base.size, z.dtype)])
-    M, C, K = jax.hessian(of_T)(x_dot), jax.hessian(of_R)(x_dot), jax.hessian(of_V)(jnp.zeros_like(x_dot))
+    x_dot = jnp.concatenate(
+        [state.v, z[layout.inner_rates], jnp.zeros(ny - heavy + base.size, z.dtype)]
+    )
+    M, C, K = (
+        jax.hessian(of_T)(x_dot),
+        jax.hessian(of_R)(x_dot),
+        jax.hessian(of_V)(jnp.zeros_like(x_dot)),
+    )
     return M, C, K.at[:nv, :nv].add(-jax.jacfwd(of_loads)(still))
 
 
 def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array):
-    """v' and z' by Lagrange's equations on supports that move, and the equations [M J'; J 0] of v' and lambda, None without closures."""
+    """v' and z' by Lagrange's equations on supports that move, and the equations [M J'; J 0] of v'
+    and lambda, None without closures."""
     zero, rest = jnp.zeros_like(state.v), jnp.zeros((2, len(model.layout.supports), 6), t.dtype)
-    (xi, xi_dot), (_, xi_ddot) = jax.jvp(lambda t: imposed(motions, t), (t,), (jnp.ones_like(t),)) if motions else (rest, rest)
+    (xi, xi_dot), (_, xi_ddot) = (
+        jax.jvp(lambda t: imposed(motions, t), (t,), (jnp.ones_like(t),))
+        if motions
+        else (rest, rest)
+    )
     here, along = (zero, state.v, xi, xi_dot), (state.v, zero, xi_dot, xi_ddot)
     z_dot = _z_dot(model, state, *here)
-    of_L, of_R = (lambda *small: L(model, state, *small)), (lambda *small: R(model, state, z_dot, *small))
+    of_L, of_R = (
+        (lambda *small: L(model, state, *small)),
+        (lambda *small: R(model, state, z_dot, *small)),
+    )
     momentum = jax.grad(of_L, 1)
     M = jax.jacfwd(momentum, 1)(*here)
     _, drift = jax.jvp(momentum, here, along)
-    f = jax.grad(of_L, 0)(*here) - jax.grad(of_R, 1)(*here) + Q(model, state, loads, t, *here) + H(model, state, z_dot, *here) - drift
+    f = (
+        jax.grad(of_L, 0)(*here)
+        - jax.grad(of_R, 1)(*here)
+        + Q(model, state, loads, t, *here)
+        + H(model, state, z_dot, *here)
+        - drift
+    )
     if not model.closures:
         return jnp.linalg.solve(M, f), z_dot, None
 
     def c_dot(delta, delta_dot, xi, xi_dot):
-        return jax.jvp(lambda delta, xi: c(model, state, delta, xi), (delta, xi), (delta_dot, xi_dot))[1]
+        return jax.jvp(
+            lambda delta, xi: c(model, state, delta, xi), (delta, xi), (delta_dot, xi_dot)
+        )[1]
 
     J, (_, bend) = jax.jacfwd(c_dot, 1)(*here), jax.jvp(c_dot, here, along)
     equations = saddle_point(M, J, rank(model))
@@ -220,8 +313,11 @@ def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array
 # For users: the same with their defaults, each a program
 
 
-def kinetic_energy(model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None) -> Float[Array, ""]:
-    """T at q (+) Delta with the rates Delta', on supports displaced by Xi with the rate Xi' [J]; see `lagrangian`.
+def kinetic_energy(
+    model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
+) -> Float[Array, ""]:
+    """T at q (+) Delta with the rates Delta', on supports displaced by Xi with the rate Xi' [J];
+    see `lagrangian`.
 
     Source: (10), (11) of the paper.
 
@@ -233,20 +329,30 @@ def kinetic_energy(model: Model, state: State, delta=None, delta_dot=None, xi=No
     return _value(T, model, state, delta, delta_dot, xi, xi_dot)
 
 
-def potential_energy(model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None) -> Float[Array, ""]:
-    """V at q (+) Delta, on supports displaced by Xi [J]; see `lagrangian`. Source: (22), (60) of the paper.
+def potential_energy(
+    model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
+) -> Float[Array, ""]:
+    """V at q (+) Delta, on supports displaced by Xi [J]; see `lagrangian`. Source: (22), (60) of
+    the paper.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 1.5])}, gravity=[0, 0, -10.0])
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 1.5])},
+    ...     gravity=[0, 0, -10.0],
+    ... )
     >>> float(potential_energy(model, model.reference))
     30.0
     """
     return _value(V, model, state, delta, delta_dot, xi, xi_dot)
 
 
-def dissipation(model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None) -> Float[Array, ""]:
-    """R [W], 1/2 c e'^2 for a linear damper; 2 R is the power dissipated by linear dampers. See `lagrangian`.
+def dissipation(
+    model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
+) -> Float[Array, ""]:
+    """R [W], 1/2 c e'^2 for a linear damper; 2 R is the power dissipated by linear dampers.
+    See `lagrangian`.
 
-    In derivatives the rates of the states of elements are constant, so that -dR/dDelta' is the force of dampers.
+    In derivatives the rates of the states of elements are constant, so that -dR/dDelta' is the
+    force of dampers.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
     >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
@@ -256,21 +362,36 @@ def dissipation(model: Model, state: State, delta=None, delta_dot=None, xi=None,
     return _value(_R, model, state, delta, delta_dot, xi, xi_dot)
 
 
-def lagrangian(model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None) -> Float[Array, ""]:
+def lagrangian(
+    model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
+) -> Float[Array, ""]:
     """L = T - V of small motions about a state [J], to differentiate. Source: (12) of the paper.
 
     Args:
-        delta: increments Delta of the coordinates, by default 0: of a free body the displacement of its O [m] and a rotation vector [rad]
+        delta: increments Delta of the coordinates, by default 0: of a free body the displacement of
+            its O [m] and a rotation vector [rad]
         delta_dot: Delta', by default the speeds v of the state
-        xi: displacements Xi of the supports from their reference poses, by default 0: {support: six numbers}, or a row for each support
+        xi: displacements Xi of the supports from their reference poses, by default 0: {support: six
+            numbers}, or a row for each support
         xi_dot: their rates, by default 0
 
     Errors: BAD_SHAPE, NON_FINITE, UNKNOWN_NAME for a support.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
-    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
-    >>> stiffness = jax.hessian(lambda delta: -lagrangian(model, model.reference, delta))(jnp.zeros(1))
-    >>> mass = jax.hessian(lambda rate: lagrangian(model, model.reference, None, rate))(jnp.zeros(1))
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     elements={
+    ...         "s": Spring(
+    ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0
+    ...         )
+    ...     },
+    ... )
+    >>> stiffness = jax.hessian(lambda delta: -lagrangian(model, model.reference, delta))(
+    ...     jnp.zeros(1)
+    ... )
+    >>> mass = jax.hessian(lambda rate: lagrangian(model, model.reference, None, rate))(
+    ...     jnp.zeros(1)
+    ... )
     >>> stiffness.round(9).tolist(), mass.round(9).tolist()
     ([[50.0]], [[2.0]])
     """
@@ -282,20 +403,30 @@ def _R(model: Model, state: State, *small: Array) -> Float[Array, ""]:
     return R(model, state, _z_dot(model, state, *jax.lax.stop_gradient(small)), *small)
 
 
-def _value(function: Callable[..., Array], model: Model, state: State, delta, delta_dot, xi, xi_dot) -> Float[Array, ""]:
+def _value(
+    function: Callable[..., Array], model: Model, state: State, delta, delta_dot, xi, xi_dot
+) -> Float[Array, ""]:
     refuse_batch(model, "model")
     check_state(model, state, "state")
     with Problems() as problems:
         speeds = (model.layout.nv,)
         delta = None if delta is None else shaped(delta, speeds, "delta", problems)
         delta_dot = None if delta_dot is None else shaped(delta_dot, speeds, "delta_dot", problems)
-        xi, xi_dot = (None if x is None else displacements(model, x, name, problems) for name, x in (("xi", xi), ("xi_dot", xi_dot)))
+        xi, xi_dot = (
+            None if x is None else displacements(model, x, name, problems)
+            for name, x in (("xi", xi), ("xi_dot", xi_dot))
+        )
     return _program(function, model, state, (delta, delta_dot, xi, xi_dot))
 
 
 @program
-def _program(function: Callable[..., Array], model: Model, state: State, small: tuple[Array | None, ...]) -> Float[Array, ""]:
+def _program(
+    function: Callable[..., Array], model: Model, state: State, small: tuple[Array | None, ...]
+) -> Float[Array, ""]:
     still, base = jnp.zeros_like(state.v), jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
-    delta, delta_dot, xi, xi_dot = (zero if x is None else x for x, zero in zip(small, (still, state.v, base, base), strict=True))
+    delta, delta_dot, xi, xi_dot = (
+        zero if x is None else x
+        for x, zero in zip(small, (still, state.v, base, base), strict=True)
+    )
     state = completed(model, state, frames_at(model, state, delta, still, xi, base))
     return function(model, state, delta, delta_dot, xi, xi_dot)

@@ -1,4 +1,5 @@
-"""The folder of the measured and reference data: JAXBODY_DATA, or ../shared/data next to the checkout."""
+"""The folder of the measured and reference data: JAXBODY_DATA, or ../shared/data next to
+the checkout."""
 
 import os
 from pathlib import Path
@@ -14,7 +15,9 @@ def data(*parts):
     folder = Path(os.environ.get("JAXBODY_DATA", BESIDE))
     path = folder.joinpath(*parts)
     if not path.exists():
-        pytest.skip(f"no {'/'.join(parts)} in {folder}; set JAXBODY_DATA to the folder of reference data")
+        pytest.skip(
+            f"no {'/'.join(parts)} in {folder}; set JAXBODY_DATA to the folder of reference data"
+        )
     return path
 
 

@@ -1,4 +1,5 @@
-"""Every class of the package whose fields say what their numbers are, and which of these fields have a domain that ends."""
+"""Every class of the package whose fields say what their numbers are, and which of these fields
+have a domain that ends."""
 
 import dataclasses
 import importlib
@@ -10,7 +11,17 @@ import jaxbody as jb
 from jaxbody.geometry.fields import Kind
 from jaxbody.inputs.signals import Signal
 
-OWNERS = (jb.Element, jb.laws.Law, jb.Joint, jb.Body, jb.Support, jb.Load, jb.Motion, jb.Sensor, Signal)
+OWNERS = (
+    jb.Element,
+    jb.laws.Law,
+    jb.Joint,
+    jb.Body,
+    jb.Support,
+    jb.Load,
+    jb.Motion,
+    jb.Sensor,
+    Signal,
+)
 ENDING = ("nonnegative", "positive", "fraction", "definite", "inertia", "increasing", "rising")
 
 
@@ -19,7 +30,11 @@ def owners():
     for module in pkgutil.walk_packages(jaxbody.__path__, "jaxbody."):
         if ".app" not in module.name and ".plots" not in module.name:
             for kind in vars(importlib.import_module(module.name)).values():
-                if isinstance(kind, type) and issubclass(kind, OWNERS) and kind.__module__ == module.name:
+                if (
+                    isinstance(kind, type)
+                    and issubclass(kind, OWNERS)
+                    and kind.__module__ == module.name
+                ):
                     yield kind
 
 
@@ -29,5 +44,6 @@ def ending():
         (kind, field.name)
         for kind in owners()
         for field in dataclasses.fields(kind)
-        if field.name in inspect.get_annotations(kind) and field.metadata.get("kind", Kind()).domain.partition(" ")[0] in ENDING
+        if field.name in inspect.get_annotations(kind)
+        and field.metadata.get("kind", Kind()).domain.partition(" ")[0] in ENDING
     ]

@@ -1,6 +1,8 @@
-"""Pages of the manual as they run: their blocks of Python in order, in one process, and what each prints beside what the page shows.
+"""Pages of the manual as they run: their blocks of Python in order, in one process, and what each
+prints beside what the page shows.
 
-python tests/manual_pages.py examples/docs/guide/build.md ... runs pages and writes what they print into them."""
+python tests/manual_pages.py examples/docs/guide/build.md ... runs pages and writes what they print
+into them."""
 
 import contextlib
 import io
@@ -27,16 +29,25 @@ class Block:
 
 
 def blocks(page: Path) -> list[Block]:
-    """The blocks of Python of a page, whole files that it includes too; a block of text directly below one is what it prints."""
+    """The blocks of Python of a page, whole files that it includes too; a block of text directly
+    below one is what it prints."""
     source = page.read_text()
     fences, found = list(FENCE.finditer(source)), []
     for fence, after in zip(fences, [*fences, None][1:], strict=True):
         kind, code = fence["kind"].strip(), fence["text"]
-        if kind.startswith("{literalinclude}") and kind.endswith(".py") and ":pyobject:" not in code:
+        if (
+            kind.startswith("{literalinclude}")
+            and kind.endswith(".py")
+            and ":pyobject:" not in code
+        ):
             code = (page.parent / kind.split()[1]).read_text()
         elif kind != "python":
             continue
-        below = after is not None and after["kind"].strip() == "text" and not source[fence.end() : after.start()].strip()
+        below = (
+            after is not None
+            and after["kind"].strip() == "text"
+            and not source[fence.end() : after.start()].strip()
+        )
         shown, end = (after["text"], after.end()) if below and after else ("", fence.end())
         found.append(Block(code, shown, fence.end(), end))
     return found
@@ -55,7 +66,8 @@ def printed(found: list[Block], name: str) -> list[str]:
 
 
 def assert_same(shown: str, text: str) -> None:
-    """The same words, and numbers to a part in a thousand; the number of evaluations of a search may depend on the platform."""
+    """The same words, and numbers to a part in a thousand; the number of evaluations of a search
+    may depend on the platform."""
     shown, text = (re.sub(r"\d+ (evaluations|steps)", r"\1", each) for each in (shown, text))
     assert NUMBER.sub(" # ", shown).split() == NUMBER.sub(" # ", text).split()
     numbers = [np.array([float(x) for x in NUMBER.findall(each)]) for each in (shown, text)]
@@ -66,7 +78,11 @@ def write(page: Path) -> None:
     """Put what the blocks of a page print into it."""
     source, found = page.read_text(), blocks(page)
     for block, text in reversed(list(zip(found, printed(found, page.name), strict=True))):
-        shown = "\n```text\n" + re.sub(r"\n{3,}", "\n\n", text).strip("\n").rstrip() + "\n```\n" if text.strip() else ""
+        shown = (
+            "\n```text\n" + re.sub(r"\n{3,}", "\n\n", text).strip("\n").rstrip() + "\n```\n"
+            if text.strip()
+            else ""
+        )
         source = source[: block.end] + shown + source[block.shown_end :]
     page.write_text(source)
 

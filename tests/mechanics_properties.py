@@ -1,7 +1,9 @@
-"""Properties that every model has, each as a number with a limit, over random models of `random_mechanics`.
+"""Properties that every model has, each as a number with a limit, over random models
+of `random_mechanics`.
 
-Dissipation, potential forces, action and reaction, invariance, stiffness, modes, responses, statuses. A value is relative to the largest
-number of its kind in the model; wrong statuses and numbers that are not finite are counted.
+Dissipation, potential forces, action and reaction, invariance, stiffness, modes, responses,
+statuses. A value is relative to the largest number of its kind in the model; wrong statuses and
+numbers that are not finite are counted.
 """
 
 import equinox as eqx
@@ -52,7 +54,9 @@ LIMITS = {
 def in_state(model, state):
     """The model with its laws with memory as in the state, and its frames there."""
     coordinates = Coordinates(model)
-    return holding(model, state.z), coordinates.frames(state.q, state.v, coordinates.supports.at_rest())
+    return holding(model, state.z), coordinates.frames(
+        state.q, state.v, coordinates.supports.at_rest()
+    )
 
 
 def without_closures(model):
@@ -67,12 +71,20 @@ def forces(model, state):
     """T, V, the force of each element, v', and what does not depend on the choice of q."""
     held, frames = in_state(model, state)
     tensions = each_element(held, frames, lambda s, *F: s.force(*F))
-    stiff = each_element(held, frames, lambda s, *F: jnp.max(jnp.abs(s.tangent(s.deformation(*(f.pose() for f in F))))))
+    stiff = each_element(
+        held,
+        frames,
+        lambda s, *F: jnp.max(jnp.abs(s.tangent(s.deformation(*(f.pose() for f in F))))),
+    )
     v_dot = dynamics_of(held, ()).acceleration(jnp.zeros(()), state.q, state.v)
     return {
-        "T": kinetic(model, frames), "V": potential(held, frames), "force": jnp.concatenate([jnp.ravel(x) for x in tensions]),
-        "stiffest": jnp.max(jnp.concatenate([jnp.ravel(x) for x in stiff])), "size": size_of(model), "v_dot": v_dot,
-    }  # fmt: skip
+        "T": kinetic(model, frames),
+        "V": potential(held, frames),
+        "force": jnp.concatenate([jnp.ravel(x) for x in tensions]),
+        "stiffest": jnp.max(jnp.concatenate([jnp.ravel(x) for x in stiff])),
+        "size": size_of(model),
+        "v_dot": v_dot,
+    }
 
 
 def near(model, state, around):
@@ -80,20 +92,33 @@ def near(model, state, around):
     held, frames = in_state(model, state)
     names = model.layout.frames
     size = size_of(model)
-    ends = [[names.index(name) for name in end] for table in model.elements for end in zip(*table.links, strict=True)]
-    acting = [w for per_end in each_element(held, frames, lambda s, *F: s.wrenches(*F)) for w in per_end]
-    left, total, i = [], jnp.zeros(2), 0  # force and moment about the world's origin of each element, and their sizes summed
+    ends = [
+        [names.index(name) for name in end]
+        for table in model.elements
+        for end in zip(*table.links, strict=True)
+    ]
+    acting = [
+        w for per_end in each_element(held, frames, lambda s, *F: s.wrenches(*F)) for w in per_end
+    ]
+    # force and moment about the world's origin of each element, and their sizes summed
+    left, total, i = [], jnp.zeros(2), 0
     for table in model.elements:
         n = len(table.links[0])
         F, M = (jnp.stack([acting[i + j][k] for j in range(n)]) for k in (0, 1))
         p = jnp.stack([frames.p[np.array(ends[i + j])] for j in range(n)])
         arm = jnp.linalg.norm(p, axis=-1) + size
-        left.append(jnp.array([jnp.max(jnp.abs(F.sum(0))), jnp.max(jnp.abs((M + jnp.cross(p, F)).sum(0)))]))
+        left.append(
+            jnp.array([jnp.max(jnp.abs(F.sum(0))), jnp.max(jnp.abs((M + jnp.cross(p, F)).sum(0)))])
+        )
         size_of_F = jnp.linalg.norm(F, axis=-1)
-        total = total + jnp.array([jnp.sum(size_of_F), jnp.sum(arm * size_of_F + jnp.linalg.norm(M, axis=-1))])
+        total = total + jnp.array(
+            [jnp.sum(size_of_F), jnp.sum(arm * size_of_F + jnp.linalg.norm(M, axis=-1))]
+        )
         i += n
     balance = jnp.max(jnp.stack(left) / (total + TINY)[None])
-    power = jnp.concatenate([jnp.ravel(x) for x in each_element(held, frames, lambda s, *F: s.lost_power(*F))])
+    power = jnp.concatenate(
+        [jnp.ravel(x) for x in each_element(held, frames, lambda s, *F: s.lost_power(*F))]
+    )
     chart, scale = Chart(model), scale_of(model, size)
 
     def energy(delta):
@@ -137,7 +162,10 @@ def rest(model, points, fractions):
     f = fractions * jnp.nanmax(jnp.where(jnp.isfinite(found.frequency), found.frequency, 0.0))
     inputs = {n: jb.PointForce(b, p, direction=a) for n, (b, p, a) in ports.items()}
     outputs = {n: jb.Position(b, p, axis=a) for n, (b, p, a) in ports.items()}
-    direct, modal = (jb.frequency_response(lin, f, inputs, outputs, method=how).values for how in ("direct", "modal"))
+    direct, modal = (
+        jb.frequency_response(lin, f, inputs, outputs, method=how).values
+        for how in ("direct", "modal")
+    )
     chart = Chart(model)
 
     def places(delta):
@@ -150,11 +178,24 @@ def rest(model, points, fractions):
     B = B if lin.dependent is None else B @ lin.dependent.N
     size = size_of(model)
     return {
-        "status": eq.status, "stable": eq.stable, "left": eq.residual * scale_of(model, size), "size": size, "state": eq.state.q,
-        "K": lin.K * scale[:, None] * scale, "M": lin.M * scale[:, None] * scale, "C": lin.C * scale[:, None] * scale, "B": B * scale,
-        "frequency": found.frequency, "eigenvalues": found.eigenvalues, "shapes": found.shapes, "mode status": found.status,
-        "unit": scale, "H": direct, "modal": modal, "f": f,
-    }  # fmt: skip
+        "status": eq.status,
+        "stable": eq.stable,
+        "left": eq.residual * scale_of(model, size),
+        "size": size,
+        "state": eq.state.q,
+        "K": lin.K * scale[:, None] * scale,
+        "M": lin.M * scale[:, None] * scale,
+        "C": lin.C * scale[:, None] * scale,
+        "B": B * scale,
+        "frequency": found.frequency,
+        "eigenvalues": found.eigenvalues,
+        "shapes": found.shapes,
+        "mode status": found.status,
+        "unit": scale,
+        "H": direct,
+        "modal": modal,
+        "f": f,
+    }
 
 
 def stacked(items):
@@ -213,27 +254,37 @@ def at_random_states(structure, seeds, programs):
     """Properties away from equilibria."""
     models = [structure.model(seed) for seed in seeds]
     states = [structure.state(seed, model) for seed, model in zip(seeds, models, strict=True)]
-    around = [0.05 * structure.rng(seed, "loop").normal(size=(2, models[0].layout.nv)) for seed in seeds]
+    around = [
+        0.05 * structure.rng(seed, "loop").normal(size=(2, models[0].layout.nv)) for seed in seeds
+    ]
     plain, local = programs.forces(models, states), programs.near(models, states, around)
     found = {
-        "T3 no damper gives power": np.maximum(0.0, -local["power"]) / np.maximum(local["powers"], TINY),
+        "T3 no damper gives power": np.maximum(0.0, -local["power"])
+        / np.maximum(local["powers"], TINY),
         "T5 forces of elements are in balance": local["balance"],
         "T23 K is symmetric": relative(local["K"], np.swapaxes(local["K"], 1, 2)),
     }
     if smooth(structure):
         found["T4 no work around a closed loop"] = local["loop"] / np.maximum(local["works"], TINY)
         if not remembers(structure):
-            found["T24 K is the difference of the gradient"] = relative(local["K"], local["K_by_differences"])
+            found["T24 K is the difference of the gradient"] = relative(
+                local["K"], local["K_by_differences"]
+            )
     moved, scaled = zip(*(views(structure, seed) for seed in seeds), strict=True)
     for name, view in (("moved", moved), ("scaled", scaled)):
         there = [structure.model(seed, v) for seed, v in zip(seeds, view, strict=True)]
-        other = programs.forces(there, [structure.state(s, m, v) for s, m, v in zip(seeds, there, view, strict=True)])
+        other = programs.forces(
+            there, [structure.state(s, m, v) for s, m, v in zip(seeds, there, view, strict=True)]
+        )
         if name == "moved":
             scale = plain["stiffest"]  # forces of a stretch of the size of the model
             found["T9 forces do not depend on the place and turn of the whole"] = relative(
                 plain["force"], other["force"], scale * np.minimum(plain["size"], 1.0)
             )
-            back = [turned_back(structure, m, a, v) for m, a, v in zip(there, other["v_dot"], view, strict=True)]
+            back = [
+                turned_back(structure, m, a, v)
+                for m, a, v in zip(there, other["v_dot"], view, strict=True)
+            ]
             found["T9 accelerations turn with the whole"] = relative(plain["v_dot"], np.array(back))
         else:
             energy = np.array([v.unit(2, 1, -2) for v in view])
@@ -241,10 +292,20 @@ def at_random_states(structure, seeds, programs):
                 relative(plain["T"] * energy, other["T"]), relative(plain["V"] * energy, other["V"])
             )
             unit = [np.where(models[0].layout.turns, 1.0, v.length) / v.time**2 for v in view]
-            found["T10 accelerations in other units"] = relative(plain["v_dot"] * unit, other["v_dot"])
-    flipped = programs.forces(models, [flip(model, state) for model, state in zip(models, states, strict=True)])
-    found["T14 q and -q"] = np.max([relative(plain[name], flipped[name]) for name in ("T", "V", "force", "v_dot")], axis=0)
-    bad = [~np.isfinite(np.reshape(x, (len(seeds), -1))).all(1) for part in (plain, local) for x in part.values()]
+            found["T10 accelerations in other units"] = relative(
+                plain["v_dot"] * unit, other["v_dot"]
+            )
+    flipped = programs.forces(
+        models, [flip(model, state) for model, state in zip(models, states, strict=True)]
+    )
+    found["T14 q and -q"] = np.max(
+        [relative(plain[name], flipped[name]) for name in ("T", "V", "force", "v_dot")], axis=0
+    )
+    bad = [
+        ~np.isfinite(np.reshape(x, (len(seeds), -1))).all(1)
+        for part in (plain, local)
+        for x in part.values()
+    ]
     found["T53 numbers that are not finite and not announced"] = np.sum(bad, axis=0)
     return found
 
@@ -259,13 +320,20 @@ def flip(model, state):
 
 
 def ill_conditioned(M, C, K):
-    """By how much the condition of a mass matrix with a diagonal of 1 is beyond 1e3, and the poles are further than 1e4 apart: rounding
-    changes frequencies and shapes in proportion to the first, and a sum over modes to both."""
+    """By how much the condition of a mass matrix with a diagonal of 1 is beyond 1e3, and the poles
+    are further than 1e4 apart: rounding changes frequencies and shapes in proportion to the first,
+    and a sum over modes to both."""
     if not all(np.isfinite(X).all() for X in (M, C, K)):
         return 1.0, 1.0
     unit = 1 / np.sqrt(np.diag(M))
-    poles = np.abs(np.linalg.eigvals(np.block([[0 * M, np.eye(len(M))], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])))
-    return max(1.0, np.linalg.cond(M * unit[:, None] * unit) / 1e3), max(1.0, np.max(poles) / max(np.min(poles), TINY) / 1e4)
+    poles = np.abs(
+        np.linalg.eigvals(
+            np.block([[0 * M, np.eye(len(M))], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
+        )
+    )
+    return max(1.0, np.linalg.cond(M * unit[:, None] * unit) / 1e3), max(
+        1.0, np.max(poles) / max(np.min(poles), TINY) / 1e4
+    )
 
 
 def at_rest(structure, seeds, programs):
@@ -273,22 +341,42 @@ def at_rest(structure, seeds, programs):
     fractions = [np.array([0.0, 0.03, 0.31, 0.77, 1.9])] * len(seeds)
 
     def solved(view):
-        points = [structure.size(s) * structure.rng(s, "ports").normal(size=(3, 3)) * v.length for s, v in zip(seeds, view, strict=True)]
-        return programs.rest([structure.model(s, v) for s, v in zip(seeds, view, strict=True)], points, fractions)
+        points = [
+            structure.size(s) * structure.rng(s, "ports").normal(size=(3, 3)) * v.length
+            for s, v in zip(seeds, view, strict=True)
+        ]
+        return programs.rest(
+            [structure.model(s, v) for s, v in zip(seeds, view, strict=True)], points, fractions
+        )
 
     views_of = [views(structure, seed) for seed in seeds]
-    plain, moved, scaled = solved([PLAIN] * len(seeds)), solved([v for v, _ in views_of]), solved([v for _, v in views_of])
+    plain, moved, scaled = (
+        solved([PLAIN] * len(seeds)),
+        solved([v for v, _ in views_of]),
+        solved([v for _, v in views_of]),
+    )
     ok = plain["status"] == 0
     good = ok & (plain["mode status"] == 0)
-    beyond, apart = np.transpose([ill_conditioned(*x) for x in zip(plain["M"], plain["C"], plain["K"], strict=True)])
+    beyond, apart = np.transpose(
+        [ill_conditioned(*x) for x in zip(plain["M"], plain["C"], plain["K"], strict=True)]
+    )
     found = {}
 
     def enter(name, applies, values):
         found[name] = np.where(applies, values, -1.0)
 
-    least = np.array([np.linalg.eigvalsh(K)[0] / np.abs(K).max() if np.isfinite(K).all() else np.nan for K in plain["K"]])
+    least = np.array(
+        [
+            np.linalg.eigvalsh(K)[0] / np.abs(K).max() if np.isfinite(K).all() else np.nan
+            for K in plain["K"]
+        ]
+    )
     decided = (np.abs(least) > 1e-12) & np.isin(plain["status"], (0, int(jb.Status.UNSTABLE)))
-    enter("T22 stability is the sign of the smallest eigenvalue (wrong)", decided, plain["stable"] != (least > 0))
+    enter(
+        "T22 stability is the sign of the smallest eigenvalue (wrong)",
+        decided,
+        plain["stable"] != (least > 0),
+    )
     enter("R1 rest called ok with K not positive (wrong)", ok, ~(least > 0))
     largest = np.abs(plain["K"]).max((1, 2)) * plain["size"]
     enter("R1 rest called ok: force left over", ok, np.abs(plain["left"]).max(1) / largest)
@@ -300,7 +388,8 @@ def at_rest(structure, seeds, programs):
         ("T10 frequencies in other units", scaled, scaled["frequency"] * time),
     ):
         difference = relative(plain["frequency"], frequency)
-        same = good & (other["status"] == 0) & (other["mode status"] == 0) & (difference < 1e-6)  # else another of several rests was found
+        # else another of several rests was found
+        same = good & (other["status"] == 0) & (other["mode status"] == 0) & (difference < 1e-6)
         enter(name, same, difference / beyond)
     if not structure.closed:
         u, w2 = plain["shapes"] / plain["unit"][:, :, None], plain["eigenvalues"]
@@ -320,7 +409,11 @@ def at_rest(structure, seeds, programs):
         enter("T33 response is B (K + i w C - w2 M)^-1 B'", good, per_line(H, expected))
     mobility = np.where(good[:, None, None, None], 1j * w * H, 0)
     power = np.linalg.eigvalsh((mobility + np.conj(np.swapaxes(mobility, 2, 3))) / 2)[..., 0]
-    enter("T34 no negative power", good, np.max(np.maximum(0, -power) / np.maximum(np.abs(mobility).max((2, 3)), TINY), axis=1))
+    enter(
+        "T34 no negative power",
+        good,
+        np.max(np.maximum(0, -power) / np.maximum(np.abs(mobility).max((2, 3)), TINY), axis=1),
+    )
     return found, plain["status"]
 
 
@@ -334,14 +427,23 @@ def reordered(structure, seeds, programs):
     """Properties of models whose parts are named in another order."""
     other = View(reverse=True)
     models = [[structure.model(seed, view) for seed in seeds] for view in (PLAIN, other)]
-    states = [[structure.state(seed, model) for seed, model in zip(seeds, ms, strict=True)] for ms in models]
+    states = [
+        [structure.state(seed, model) for seed, model in zip(seeds, ms, strict=True)]
+        for ms in models
+    ]
     one, two = (programs.forces(m, s) for m, s in zip(models, states, strict=True))
-    found = {"T12 energies in another order": np.maximum(relative(one["T"], two["T"]), relative(one["V"], two["V"]))}
+    found = {
+        "T12 energies in another order": np.maximum(
+            relative(one["T"], two["T"]), relative(one["V"], two["V"])
+        )
+    }
     points = [structure.size(s) * structure.rng(s, "ports").normal(size=(3, 3)) for s in seeds]
     fractions = [np.array([0.0, 0.03, 0.31, 0.77, 1.9])] * len(seeds)
     one, two = (programs.rest(m, points, fractions) for m in models)
     difference = relative(one["frequency"], two["frequency"])
     same = (one["status"] == 0) & (two["status"] == 0) & (difference < 1e-6)
-    beyond = np.array([ill_conditioned(*x)[0] for x in zip(one["M"], one["C"], one["K"], strict=True)])
+    beyond = np.array(
+        [ill_conditioned(*x)[0] for x in zip(one["M"], one["C"], one["K"], strict=True)]
+    )
     found["T12 frequencies in another order"] = np.where(same, difference / beyond, -1.0)
     return found

@@ -10,8 +10,8 @@ mujoco.set_mju_user_warning(lambda text: None)  # else it writes a file into the
 
 
 def put(model, state, m):
-    """MuJoCo's data with this state. It turns free bodies and balls with speeds about their own axes, and a ball's quaternion counts from
-    the body's orientation in the file."""
+    """MuJoCo's data with this state. It turns free bodies and balls with speeds about their own
+    axes, and a ball's quaternion counts from the body's orientation in the file."""
     d = mujoco.MjData(m)
     numbers = bodies(model, m)
     for body in model.layout.bodies:
@@ -34,7 +34,8 @@ def put(model, state, m):
 
 
 def bodies(model, m):
-    """The numbers of the bodies; those without a name in the file have one of their own here, in the same order."""
+    """The numbers of the bodies; those without a name in the file have one of their own here, in
+    the same order."""
     named = {m.body(i).name: i for i in range(m.nbody) if m.body(i).name}
     unnamed = iter(i for i in range(m.nbody) if not m.body(i).name and m.body_jntnum[i])
     return {body: named.get(body) or next(unnamed, 0) for body in model.layout.bodies}
@@ -57,7 +58,12 @@ def energies(m, d):
 
 def energies_here(model, state):
     """T, V [J] and R [W]."""
-    return np.array([float(energy(model, state)) for energy in (jb.kinetic_energy, jb.potential_energy, jb.dissipation)])
+    return np.array(
+        [
+            float(energy(model, state))
+            for energy in (jb.kinetic_energy, jb.potential_energy, jb.dissipation)
+        ]
+    )
 
 
 def random_states(model, count, rng, size=0.3):
@@ -71,5 +77,13 @@ def random_states(model, count, rng, size=0.3):
 
 def reordered(state, model, other):
     """A state of a model for another with the same bodies in another order."""
-    q, v = ((x, getattr(model.layout, slices)) for x, slices in ((state.q, "q_slices"), (state.v, "v_slices")))
-    return jb.State(*(np.concatenate([x[..., slices[body]] for body in other.layout.bodies], -1) for x, slices in (q, v)))
+    q, v = (
+        (x, getattr(model.layout, slices))
+        for x, slices in ((state.q, "q_slices"), (state.v, "v_slices"))
+    )
+    return jb.State(
+        *(
+            np.concatenate([x[..., slices[body]] for body in other.layout.bodies], -1)
+            for x, slices in (q, v)
+        )
+    )

@@ -1,4 +1,5 @@
-"""Files with characters, words and values deleted, doubled, exchanged or replaced: each is read, or ends in a clear error."""
+"""Files with characters, words and values deleted, doubled, exchanged or replaced: each is read, or
+ends in a clear error."""
 
 import json
 import re
@@ -30,7 +31,23 @@ ODD = [
     "1979-05-27",
     '"""',
 ]
-ODD_VALUES = [None, True, -1, 1e400, 10**400, "", "1 kg", "nan m", [], [[1], 2], {}, {"type": "Stop"}, {"type": 3}, "world", ["world", 1]]
+ODD_VALUES = [
+    None,
+    True,
+    -1,
+    1e400,
+    10**400,
+    "",
+    "1 kg",
+    "nan m",
+    [],
+    [[1], 2],
+    {},
+    {"type": "Stop"},
+    {"type": 3},
+    "world",
+    ["world", 1],
+]
 
 
 def changed_text(rng, path):
@@ -48,11 +65,14 @@ def changed_value(rng, path):
 
 
 def check_changed(path, count, read):
-    """Change a file this many times, as TOML and as JSON; the number of changed files that are read without an error."""
+    """Change a file this many times, as TOML and as JSON; the number of changed files that are read
+    without an error."""
     rng = np.random.default_rng(0)
     text, values = path.read_text(), json.dumps(read_document(path).values)
     return sum(
-        _is_read(path.with_suffix(".json"), _value(rng, values), read) if rng.random() < 0.3 else _is_read(path, _text(rng, text), read)
+        _is_read(path.with_suffix(".json"), _value(rng, values), read)
+        if rng.random() < 0.3
+        else _is_read(path, _text(rng, text), read)
         for _ in range(count)
     )
 
@@ -77,7 +97,9 @@ def _value(rng, values):
     changed: Any = json.loads(values)
     holder = changed
     while True:
-        key = rng.choice(list(holder)) if isinstance(holder, dict) else int(rng.integers(len(holder)))
+        key = (
+            rng.choice(list(holder)) if isinstance(holder, dict) else int(rng.integers(len(holder)))
+        )
         if rng.random() < 0.3 or not (isinstance(holder[key], dict | list) and holder[key]):
             break
         holder = holder[key]
@@ -89,6 +111,12 @@ def _text(rng, text):
     parts = re.split(r"(\b)", text) if rng.random() < 0.5 else list(text)
     for _ in range(rng.integers(1, 3)):
         i, j = sorted(rng.integers(0, len(parts), 2))
-        new = [[], parts[i : i + 1] * 2, [parts[j]], [str(rng.choice(ODD))], [chr(rng.integers(1, 0x2FF))]][rng.integers(5)]
+        new = [
+            [],
+            parts[i : i + 1] * 2,
+            [parts[j]],
+            [str(rng.choice(ODD))],
+            [chr(rng.integers(1, 0x2FF))],
+        ][rng.integers(5)]
         parts[i : i + 1] = new
     return "".join(parts)

@@ -1,7 +1,9 @@
-"""The formulas of Stanescu and Mihalcea (13th IFToMM World Congress, 2011, A14_316) in NumPy, each with its equation number.
+"""The formulas of Stanescu and Mihalcea (13th IFToMM World Congress, 2011, A14_316) in NumPy, each
+with its equation number.
 
-They use nothing from the library. Arrays may have leading axes. Names: `O`, `R` the reference point and orientation of a frame, `r_A`,
-`r_B`, `r_C` points in body axes in section 2 and 3 of the paper, in world axes at equilibrium in section 4.
+They use nothing from the library. Arrays may have leading axes. Names: `O`, `R` the reference point
+and orientation of a frame, `r_A`, `r_B`, `r_C` points in body axes in section 2 and 3 of the paper,
+in world axes at equilibrium in section 4.
 """
 
 import numpy as np
@@ -14,7 +16,9 @@ def skew(v):
     v = np.asarray(v)
     x, y, z = v[..., 0], v[..., 1], v[..., 2]
     o = np.zeros_like(x)
-    return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)
+    return np.stack(
+        [np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2
+    )
 
 
 def times(A, b):
@@ -61,11 +65,19 @@ def rotation(angles):
 
 
 def rates_to_angular_velocity(angles):
-    """(2), (3) Q with body-frame angular velocity w = Q (psi', theta', phi'): its columns are the three axes seen from the body."""
+    """(2), (3) Q with body-frame angular velocity w = Q (psi', theta', phi'): its columns are the
+    three axes seen from the body."""
     theta, phi = angles[..., 1], angles[..., 2]
     after_theta = transposed(turn(2, phi))
     after_psi = after_theta @ transposed(turn(1, theta))
-    return np.stack([after_psi[..., :, 0], after_theta[..., :, 1], np.broadcast_to(I[2], after_psi[..., 2].shape)], -1)
+    return np.stack(
+        [
+            after_psi[..., :, 0],
+            after_theta[..., :, 1],
+            np.broadcast_to(I[2], after_psi[..., 2].shape),
+        ],
+        -1,
+    )
 
 
 def mass_matrix(body, q):
@@ -78,7 +90,10 @@ def mass_matrix(body, q):
 def inertia_forces(body, q, q_dot):
     """(16)-(19) F~_q = -Mdot q' + d(1/2 q'' M q')/dq."""
     M_dot = mass_matrix(body, q + 1j * H * q_dot).imag / H
-    slopes = [0.5 * np.einsum("...i,...ij,...j", q_dot, mass_matrix(body, q + 1j * H * e).imag / H, q_dot) for e in np.eye(6)]
+    slopes = [
+        0.5 * np.einsum("...i,...ij,...j", q_dot, mass_matrix(body, q + 1j * H * e).imag / H, q_dot)
+        for e in np.eye(6)
+    ]
     return -times(M_dot, q_dot) + np.stack(slopes, -1)
 
 
@@ -106,24 +121,38 @@ def generalized_force(q, r_A, force):
 
 
 def accelerations(bodies, springs, gravity, q, q_dot, base):
-    """(12)-(19), (29): M q'' = F_q + F~_q for each body; springs are ((frame, point), (frame, point), k, l0), base gives (O, R) of
-    the frames that are moved. A dictionary of q''."""
+    """(12)-(19), (29): M q'' = F_q + F~_q for each body; springs are ((frame, point), (frame,
+    point), k, l0), base gives (O, R) of the frames that are moved. A dictionary of q''."""
     frames = base | {name: (x[..., :3], rotation(x[..., 3:])) for name, x in q.items()}
-    total = {name: generalized_force(q[name], body["r_C"], body["m"] * gravity + 0 * q[name][..., :3]) for name, body in bodies.items()}
+    total = {
+        name: generalized_force(q[name], body["r_C"], body["m"] * gravity + 0 * q[name][..., :3])
+        for name, body in bodies.items()
+    }
     for (one, r_A), (other, r_B), k, l0 in springs:
-        force = spring_force(k, l0, spring_point(*frames[one], r_A), spring_point(*frames[other], r_B))
+        force = spring_force(
+            k, l0, spring_point(*frames[one], r_A), spring_point(*frames[other], r_B)
+        )
         for name, r, f in ((one, r_A, force), (other, r_B, -force)):
             if name in bodies:
                 total[name] = total[name] + generalized_force(q[name], r, f)
     return {
-        name: np.linalg.solve(mass_matrix(body, q[name]), (total[name] + inertia_forces(body, q[name], q_dot[name]))[..., None])[..., 0]
+        name: np.linalg.solve(
+            mass_matrix(body, q[name]),
+            (total[name] + inertia_forces(body, q[name], q_dot[name]))[..., None],
+        )[..., 0]
         for name, body in bodies.items()
     }
 
 
 def world_velocity(q, q_dot):
     """(velocity of O, angular velocity R Q (psi', theta', phi')), world axes."""
-    return np.concatenate([q_dot[..., :3], times(rotation(q[..., 3:]) @ rates_to_angular_velocity(q[..., 3:]), q_dot[..., 3:])], -1)
+    return np.concatenate(
+        [
+            q_dot[..., :3],
+            times(rotation(q[..., 3:]) @ rates_to_angular_velocity(q[..., 3:]), q_dot[..., 3:]),
+        ],
+        -1,
+    )
 
 
 def world_acceleration(q, q_dot, q_ddot):
@@ -194,11 +223,14 @@ def displacement(D, r):
 
 
 def displacement_slopes(D, r):
-    """(56) rows dD_A/ddelta_i = e_i and dD_A/dtheta_i = e_i x r + 1/2 (e_i x (theta x r) + theta x (e_i x r))."""
+    """(56) rows dD_A/ddelta_i = e_i and dD_A/dtheta_i = e_i x r + 1/2 (e_i x (theta x r) + theta x
+    (e_i x r))."""
     theta = D[..., 3:]
     rows = [np.broadcast_to(e, r.shape) for e in I]
     for e in I:
-        rows.append(np.cross(e, r) + (np.cross(e, np.cross(theta, r)) + np.cross(theta, np.cross(e, r))) / 2)
+        rows.append(
+            np.cross(e, r) + (np.cross(e, np.cross(theta, r)) + np.cross(theta, np.cross(e, r))) / 2
+        )
     return np.stack(rows, -2)
 
 
@@ -223,15 +255,31 @@ def gravity_potential(m, g, u_C, D_C):
 
 def plate_points(l):
     """A, B, C, D, E, F and O0, world axes at O."""
-    points = dict(A=(-3, 1, 0), B=(-5, 3, 0), C=(3, 1, 0), D=(5, 3, 0), E=(0, -1, 0), F=(0, -3, 0), O0=(0, -4, 0))
+    points = dict(
+        A=(-3, 1, 0),
+        B=(-5, 3, 0),
+        C=(3, 1, 0),
+        D=(5, 3, 0),
+        E=(0, -1, 0),
+        F=(0, -3, 0),
+        O0=(0, -4, 0),
+    )
     return {name: l * np.array(p, float) for name, p in points.items()}
 
 
 def plate_U(l):
     """(68), (71), (74) U and U~ of the three springs."""
     c = np.sqrt(2) / 2
-    U = {"AB": c * np.array([-1, 1, 0, 0, 0, -2 * l]), "CD": c * np.array([1, 1, 0, 0, 0, 2 * l]), "EF": np.array([0, -1.0, 0, 0, 0, 0])}
-    U_tilde = {"AB": c * np.array([-1, 1, 0, 0, 0, 2 * l]), "CD": c * np.array([1, 1, 0, 0, 0, -2 * l]), "EF": U["EF"]}
+    U = {
+        "AB": c * np.array([-1, 1, 0, 0, 0, -2 * l]),
+        "CD": c * np.array([1, 1, 0, 0, 0, 2 * l]),
+        "EF": np.array([0, -1.0, 0, 0, 0, 0]),
+    }
+    U_tilde = {
+        "AB": c * np.array([-1, 1, 0, 0, 0, 2 * l]),
+        "CD": c * np.array([1, 1, 0, 0, 0, -2 * l]),
+        "EF": U["EF"],
+    }
     return U, U_tilde
 
 

@@ -1,8 +1,10 @@
-"""Random drops on contacts, bump stops and within clearances, and their motion phase by phase, with every event at its own time.
+"""Random drops on contacts, bump stops and within clearances, and their motion phase by phase, with
+every event at its own time.
 
-A drop has one coordinate: the penetration d of the lower stop, -height at the start. Its force is polynomial in d and d' on each phase
-(flight, engagement, full stiffness, a contact that would pull), so that a Taylor series of high order gives the motion to rounding, and
-roots of this polynomial the events. Nothing of jaxbody is used in `exact`.
+A drop has one coordinate: the penetration d of the lower stop, -height at the start. Its force is
+polynomial in d and d' on each phase (flight, engagement, full stiffness, a contact that would
+pull), so that a Taylor series of high order gives the motion to rounding, and roots of this
+polynomial the events. Nothing of jaxbody is used in `exact`.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ import jaxbody as jb
 
 G = 9.81
 KINDS = ("contact", "stop", "gap")
-LIMIT = 1e-6  # of turning points, of the height, and of energies that rise, of the energy of the fall
+# of turning points, of the height, and of energies that rise, of the energy of the fall
+LIMIT = 1e-6
 RTOL = 1e-9
 SAMPLES = 320
 ORDER = 30  # of the Taylor series
@@ -28,8 +31,9 @@ POINT = [1e-3, 1e-3, 1e-3]
 
 @dataclass(frozen=True)
 class Drop:
-    """A `contact`: a body above it, whose damper acts only while it touches; a `stop`: a bump stop beside a damper and half of the time a
-    soft spring; a `gap`: a body within a clearance between two stops, dropped or thrown up."""
+    """A `contact`: a body above it, whose damper acts only while it touches; a `stop`: a bump stop
+    beside a damper and half of the time a soft spring; a `gap`: a body within a clearance between
+    two stops, dropped or thrown up."""
 
     kind: str
     mass: float
@@ -37,15 +41,22 @@ class Drop:
     height: float  # above the lower stop
     engagement: float
     damping: float
-    spring: float = 0.0  # soft spring beside the stop [N/m], whose force is zero `gap` above the stop
+    # soft spring beside the stop [N/m], whose force is zero `gap` above the stop
+    spring: float = 0.0
     gap: float = 0.0
     clearance: float = np.inf
     speed: float = 0.0  # upward at the start
     room: float = 1.0  # from the deepest point on to where the ends of the stop meet, in heights
 
     def __str__(self):
-        numbers = {name: value for name, value in vars(self).items() if name != "kind" and value != 0 and value != np.inf}
-        return f"{self.kind}, " + ", ".join(f"{name} {value:.4g}" for name, value in numbers.items())
+        numbers = {
+            name: value
+            for name, value in vars(self).items()
+            if name != "kind" and value != 0 and value != np.inf
+        }
+        return f"{self.kind}, " + ", ".join(
+            f"{name} {value:.4g}" for name, value in numbers.items()
+        )
 
 
 def log_uniform(rng, low, high):
@@ -53,12 +64,17 @@ def log_uniform(rng, low, high):
 
 
 def random_drop(seed: int, kind: str | None = None) -> Drop:
-    """With masses of 1e-2 to 1e4 kg, stiffnesses of 1e2 to 1e9 N/m and heights of 1e-3 to 10 m; half have dampers. Stops that would sink
-    by more than the height under the weight are drawn again: they are springs."""
+    """With masses of 1e-2 to 1e4 kg, stiffnesses of 1e2 to 1e9 N/m and heights of 1e-3 to 10 m;
+    half have dampers. Stops that would sink by more than the height under the weight are drawn
+    again: they are springs."""
     rng = np.random.default_rng([41, seed])
     kind = kind or KINDS[seed % len(KINDS)]
     while True:
-        m, k, h = log_uniform(rng, 1e-2, 1e4), log_uniform(rng, 1e2, 1e9), log_uniform(rng, 1e-3, 10.0)
+        m, k, h = (
+            log_uniform(rng, 1e-2, 1e4),
+            log_uniform(rng, 1e2, 1e9),
+            log_uniform(rng, 1e-3, 10.0),
+        )
         if m * G / k <= h:
             break
     w = 1e-3 if rng.random() < 0.5 else log_uniform(rng, 1e-5, 1e-2)
@@ -66,7 +82,15 @@ def random_drop(seed: int, kind: str | None = None) -> Drop:
     ratio = log_uniform(rng, 0.01, 1.0)
     fall = np.sqrt(2 * h / G)
     if kind == "contact":
-        return Drop(kind, m, k, h, w, float(damped * 2 * ratio * np.sqrt(k * m)), room=log_uniform(rng, 0.05, 2.0))
+        return Drop(
+            kind,
+            m,
+            k,
+            h,
+            w,
+            float(damped * 2 * ratio * np.sqrt(k * m)),
+            room=log_uniform(rng, 0.05, 2.0),
+        )
     c = float(damped * ratio * min(2 * np.sqrt(k * m), m / fall))  # it acts in flight, too
     if kind == "stop":
         gap = h * log_uniform(rng, 0.1, 2.0)
@@ -74,7 +98,17 @@ def random_drop(seed: int, kind: str | None = None) -> Drop:
         return Drop(kind, m, k, h, w, c, spring=spring, gap=gap, room=log_uniform(rng, 0.05, 2.0))
     above = h * log_uniform(rng, 0.1, 1.0)  # up to the upper stop
     speed = float(np.sqrt(2 * G * above * rng.uniform(1.5, 4.0)))
-    return Drop(kind, m, k, h, w, c, gap=h * rng.uniform(0.2, 1.0), clearance=h + above, speed=speed if rng.random() < 0.5 else 0.0)
+    return Drop(
+        kind,
+        m,
+        k,
+        h,
+        w,
+        c,
+        gap=h * rng.uniform(0.2, 1.0),
+        clearance=h + above,
+        speed=speed if rng.random() < 0.5 else 0.0,
+    )
 
 
 # The motion, phase by phase
@@ -82,7 +116,8 @@ def random_drop(seed: int, kind: str | None = None) -> Drop:
 
 @dataclass
 class Motion:
-    """Pieces (t, h, side, coefficients) of y(t): the penetration of the lower stop (side 0) or of the upper one (side 1)."""
+    """Pieces (t, h, side, coefficients) of y(t): the penetration of the lower stop (side 0) or of
+    the upper one (side 1)."""
 
     drop: Drop
     pieces: list = field(default_factory=list)
@@ -98,7 +133,9 @@ class Motion:
         starts = np.array([piece[0] for piece in self.pieces])
         out = np.empty((len(times), 2))
         for n, t in enumerate(times):
-            start, _, side, c = self.pieces[max(int(np.searchsorted(starts, t, side="right")) - 1, 0)]
+            start, _, side, c = self.pieces[
+                max(int(np.searchsorted(starts, t, side="right")) - 1, 0)
+            ]
             y, v = _value(c, t - start), _rate(c, t - start)
             out[n] = (y, v) if side == 0 else (-self.drop.clearance - y, -v)
         return out
@@ -152,24 +189,36 @@ def _field(drop, side, phase):
 def _events(drop, side, phase):
     """Of a phase: (weights of y, y' and 1, direction of the crossing, next side and phase)."""
     k, w, c = drop.stiffness, drop.engagement, drop.damping
-    pull = {"engaging": (k / 2, c, 0.0), "deep": (k, c, -k * w / 2)}  # force of the contact over c_e/c: it never pulls
+    # force of the contact over c_e/c: it never pulls
+    pull = {"engaging": (k / 2, c, 0.0), "deep": (k, c, -k * w / 2)}
     clamps = drop.kind == "contact" and c > 0
-    leave, rise, fall = ((1.0, 0.0, 0.0), -1, side, "flight"), ((1.0, 0.0, -w), 1), ((1.0, 0.0, -w), -1)
+    leave, rise, fall = (
+        ((1.0, 0.0, 0.0), -1, side, "flight"),
+        ((1.0, 0.0, -w), 1),
+        ((1.0, 0.0, -w), -1),
+    )
     if phase == "flight":
         return [((1.0, 0.0, 0.0), 1, side, "engaging")] + (
-            [((1.0, 0.0, drop.clearance), -1, 1 - side, "engaging")] if np.isfinite(drop.clearance) else []
+            [((1.0, 0.0, drop.clearance), -1, 1 - side, "engaging")]
+            if np.isfinite(drop.clearance)
+            else []
         )
     if phase == "engaging":
-        return [leave, (*rise, side, "deep")] + ([(pull[phase], -1, side, "loose engaging")] if clamps else [])
+        return [leave, (*rise, side, "deep")] + (
+            [(pull[phase], -1, side, "loose engaging")] if clamps else []
+        )
     if phase == "deep":
-        return [(*fall, side, "engaging")] + ([(pull[phase], -1, side, "loose deep")] if clamps else [])
+        return [(*fall, side, "engaging")] + (
+            [(pull[phase], -1, side, "loose deep")] if clamps else []
+        )
     if phase == "loose engaging":
         return [leave, (pull["engaging"], 1, side, "engaging"), (*rise, side, "loose deep")]
     return [(*fall, side, "loose engaging"), (pull["deep"], 1, side, "deep")]
 
 
 def exact(drop: Drop, turns: int = TURNS) -> Motion:
-    """The motion until this many turning points, or until a damped body has stayed on its stop for many periods."""
+    """The motion until this many turning points, or until a damped body has stayed on its stop for
+    many periods."""
     out, side, phase, t, y, v = Motion(drop), 0, "flight", 0.0, -drop.height, -drop.speed
     omega = np.sqrt(drop.stiffness / drop.mass)
     touching, longest = 0.0, 20 * np.sqrt(2 * drop.height / G) + 40 / omega
@@ -181,7 +230,8 @@ def exact(drop: Drop, turns: int = TURNS) -> Motion:
         elif drop.spring:
             h = min(h, np.sqrt(drop.mass / drop.spring))
         event, direction = None, np.sign(v) or np.sign(c[2])
-        if _rate(c, h) * direction < 0:  # v is monotone over so short a step, or the step is a parabola
+        # v is monotone over so short a step, or the step is a parabola
+        if _rate(c, h) * direction < 0:
             low = 0.0
             if v == 0 or np.sign(_rate(c, 1e-9 * h)) != direction:
                 low = 1e-9 * h
@@ -189,13 +239,18 @@ def exact(drop: Drop, turns: int = TURNS) -> Motion:
         for (of_y, of_v, constant), sense, *after in _events(drop, side, phase):
 
             def crossing(x, c=c, of_y=of_y, of_v=of_v, constant=constant, sense=sense):
-                return sense * (of_y * _value(c, x) + (of_v * _rate(c, x) if of_v else 0.0) + constant)
+                return sense * (
+                    of_y * _value(c, x) + (of_v * _rate(c, x) if of_v else 0.0) + constant
+                )
 
             points = h * np.linspace(0, 1, 9)
             values = [crossing(x) for x in points]
             for i in range(8):
                 if values[i + 1] > 0 and (values[i] < 0 or (values[i] == 0 and i > 0)):
-                    h, event = brentq(crossing, points[i], points[i + 1], xtol=1e-300, rtol=1e-15), (of_y, of_v, constant, after)
+                    h, event = (
+                        brentq(crossing, points[i], points[i + 1], xtol=1e-300, rtol=1e-15),
+                        (of_y, of_v, constant, after),
+                    )
                     break
         out.pieces.append((t, h, side, c))
         y, v = _value(c, h), _rate(c, h)
@@ -226,17 +281,26 @@ def energy(drop: Drop, d, v):
 
     def stop(x):
         w = drop.engagement
-        return drop.stiffness * np.where(x <= 0, 0.0, np.where(x < w, x**3 / (6 * w), x**2 / 2 - x * w / 2 + w**2 / 6))
+        return drop.stiffness * np.where(
+            x <= 0, 0.0, np.where(x < w, x**3 / (6 * w), x**2 / 2 - x * w / 2 + w**2 / 6)
+        )
 
     upper = stop(-d - drop.clearance) if np.isfinite(drop.clearance) else 0.0
-    return 0.5 * drop.mass * v**2 + stop(d) + upper + 0.5 * drop.spring * (d + drop.gap) ** 2 - drop.mass * G * d
+    return (
+        0.5 * drop.mass * v**2
+        + stop(d)
+        + upper
+        + 0.5 * drop.spring * (d + drop.gap) ** 2
+        - drop.mass * G * d
+    )
 
 
 # The same by jaxbody
 
 
 def model_of(drop: Drop, deepest: float):
-    """Bodies on a guide along z above the world's origin; numbers alone differ between drops of a kind."""
+    """Bodies on a guide along z above the world's origin; numbers alone differ between drops of
+    a kind."""
     room = 2 * max(deepest, 0.0) + drop.room * drop.height
     ends, touch = (("body", [0, 0, 0]), ("world", [0, 0, 0])), room
     law = {"stiffness": drop.stiffness, "engagement": drop.engagement}
@@ -248,7 +312,9 @@ def model_of(drop: Drop, deepest: float):
             spring = jb.laws.Linear(drop.spring) + stop
         else:
             spring = stop + jb.laws.Stop(gap=drop.clearance - drop.gap, extension=True, **law)
-        element = jb.SpringDamper(*ends, spring=spring, damper=drop.damping, free_length=touch + drop.gap)
+        element = jb.SpringDamper(
+            *ends, spring=spring, damper=drop.damping, free_length=touch + drop.gap
+        )
     return jb.Model(
         bodies={"body": jb.Body(drop.mass, inertia=POINT, position=[0, 0, touch + drop.height])},
         joints={"body": jb.Guide("world", axis=[0, 0, 1])},
@@ -258,7 +324,8 @@ def model_of(drop: Drop, deepest: float):
 
 
 def sample_times(motion: Motion):
-    """The turning points, ten times in each contact, and others, equally many for each drop; and the places of the turning points."""
+    """The turning points, ten times in each contact, and others, equally many for each drop; and
+    the places of the turning points."""
     turns = [t for t, _ in motion.turns]
     within = [t for a, b in motion.touches for t in np.linspace(a, b, 12)[1:-1]]
     special = np.unique([0.0, motion.end, *turns, *within])
@@ -271,7 +338,8 @@ def sample_times(motion: Motion):
 
 
 def judged(drop: Drop, rtol: float = RTOL, **options):
-    """What a simulation of this drop is worth: largest errors relative to their limits, statuses, steps, and the accuracy of the judge."""
+    """What a simulation of this drop is worth: largest errors relative to their limits, statuses,
+    steps, and the accuracy of the judge."""
     motion = exact(drop)
     times, at = sample_times(motion)
     reference = motion.at(times)
@@ -280,7 +348,9 @@ def judged(drop: Drop, rtol: float = RTOL, **options):
     start = jb.State(q=np.zeros(1), v=np.array([drop.speed]))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", jb.JaxbodyWarning)  # the status says as much
-        run = jb.simulate(model, times, initial=start, rtol=jnp.array(rtol), progress=False, **options)
+        run = jb.simulate(
+            model, times, initial=start, rtol=jnp.array(rtol), progress=False, **options
+        )
     d, v = -drop.height - np.asarray(run.state.q)[:, 0], -np.asarray(run.state.v)[:, 0]
     scale = drop.mass * G * drop.height + 0.5 * drop.mass * drop.speed**2
     height = drop.height if np.isinf(drop.clearance) else drop.clearance
@@ -293,10 +363,13 @@ def judged(drop: Drop, rtol: float = RTOL, **options):
     own = energy(drop, *motion.at(times[::4]).T)
     return {
         "status": jb.Status(int(run.status)).name,
-        "turning points": float(np.max(np.abs(d[at] - turns), initial=0.0) / height) if np.isfinite(d[at]).all() else float("nan"),
+        "turning points": float(np.max(np.abs(d[at] - turns), initial=0.0) / height)
+        if np.isfinite(d[at]).all()
+        else float("nan"),
         "own energy": rise(np.asarray(run.energies["total"])),
         "energy": rise(energy(drop, d, v)),
-        "steps": int(run.statistics["num_accepted_steps"]) + int(run.statistics["num_rejected_steps"]),
+        "steps": int(run.statistics["num_accepted_steps"])
+        + int(run.statistics["num_rejected_steps"]),
         "turns": len(turns),
         "judge": float(np.ptp(own) / scale) if drop.damping == 0 else rise(own),
     }
@@ -305,4 +378,8 @@ def judged(drop: Drop, rtol: float = RTOL, **options):
 def faults(result) -> list[str]:
     """What is wrong with it, [] if nothing."""
     wrong = [] if result["status"] == "OK" else [result["status"]]
-    return wrong + [f"{name} {result[name]:.1e}" for name in ("turning points", "own energy", "energy") if not result[name] <= LIMIT]
+    return wrong + [
+        f"{name} {result[name]:.1e}"
+        for name in ("turning points", "own energy", "energy")
+        if not result[name] <= LIMIT
+    ]

@@ -1,7 +1,9 @@
-"""Random models for properties of the mechanics: structures, and for each as many models as wanted that share compiled programs.
+"""Random models for properties of the mechanics: structures, and for each as many models as wanted
+that share compiled programs.
 
-A structure fixes the bodies, joints, elements, laws and closures; a seed draws the numbers of a model. The same seed gives the same model
-in other units, moved and turned as a whole, or with its parts named in another order.
+A structure fixes the bodies, joints, elements, laws and closures; a seed draws the numbers of a
+model. The same seed gives the same model in other units, moved and turned as a whole, or with its
+parts named in another order.
 """
 
 import dataclasses
@@ -14,8 +16,31 @@ import jaxbody as jb
 
 SPECIAL = ("zero rotation", "planar", "collinear", "no free length")
 SHAPES, SYMMETRIC, BUSHINGS, CLOSED = 13, 4, 10, (6, 12)
-JOINTS = ("free", "free", "free on base", "ball", "hinge", "guide", "composite", "heave pitch", "fixed")
-ELEMENTS = ("spring", "spring", "spring", "bushing", "hardening", "rope", "stop", "digressive", "torsion", "inerter", "maxwell", "bouc wen")
+JOINTS = (
+    "free",
+    "free",
+    "free on base",
+    "ball",
+    "hinge",
+    "guide",
+    "composite",
+    "heave pitch",
+    "fixed",
+)
+ELEMENTS = (
+    "spring",
+    "spring",
+    "spring",
+    "bushing",
+    "hardening",
+    "rope",
+    "stop",
+    "digressive",
+    "torsion",
+    "inerter",
+    "maxwell",
+    "bouc wen",
+)
 IDENTITY = np.array([1.0, 0, 0, 0])
 
 
@@ -40,7 +65,8 @@ def inverse(q):
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """How a model is seen: the meter, kilogram and second in the units used, and the pose of the old origin."""
+    """How a model is seen: the meter, kilogram and second in the units used, and the pose of the
+    old origin."""
 
     length: float = 1.0
     mass: float = 1.0
@@ -64,8 +90,9 @@ PLAIN = View()
 
 
 class Structure:
-    """One of SHAPES shapes, which its compiled programs depend on, in one of four kinds of numbers: parameters over two and over six
-    decades, and special layouts with either. One shape is a body on springs of fourfold symmetry, one has bushings alone, two closures."""
+    """One of SHAPES shapes, which its compiled programs depend on, in one of four kinds of numbers:
+    parameters over two and over six decades, and special layouts with either. One shape is a body
+    on springs of fourfold symmetry, one has bushings alone, two closures."""
 
     def __init__(self, number):
         self.number, self.shape, kind = number, number // 4 % SHAPES, number % 4
@@ -78,16 +105,29 @@ class Structure:
         self.bodies = [f"b{i}" for i in range(n)]
         self.joints, self.parents = [], []
         for i in range(n):
-            joint = "free" if self.shape % 3 == 0 or self.shape == SYMMETRIC else JOINTS[rng.integers(len(JOINTS))]
+            joint = (
+                "free"
+                if self.shape % 3 == 0 or self.shape == SYMMETRIC
+                else JOINTS[rng.integers(len(JOINTS))]
+            )
             if self.closed and i < 2:
                 joint = ("hinge", "ball")[i]
             if i == 0 and joint == "fixed":
                 joint = "hinge"
-            parent = "base" if i == 0 else "b0" if i == 1 and self.closed else self.bodies[rng.integers(i)]
+            parent = (
+                "base"
+                if i == 0
+                else "b0"
+                if i == 1 and self.closed
+                else self.bodies[rng.integers(i)]
+            )
             self.joints.append(joint)
             self.parents.append({"free": "world", "free on base": "base"}.get(joint, parent))
-        self.elements = [("spring", name, "base") for name in self.bodies for _ in range(6 if n == 1 else 4)]  # each body holds by enough
-        kinds = ELEMENTS if self.shape % 2 else ELEMENTS[:4]  # half of them have springs and bushings alone
+        self.elements = [
+            ("spring", name, "base") for name in self.bodies for _ in range(6 if n == 1 else 4)
+        ]  # each body holds by enough
+        # half of them have springs and bushings alone
+        kinds = ELEMENTS if self.shape % 2 else ELEMENTS[:4]
         while len(self.elements) < min(25, 4 * n + 3 + self.shape):
             a, b = rng.permutation(["base", *self.bodies])[:2]
             self.elements.append((kinds[rng.integers(len(kinds))], str(a), str(b)))
@@ -123,7 +163,11 @@ class Structure:
         return 10 ** self.rng(seed, "size").uniform(-1, 1)
 
     def body(self, seed, name, view):
-        rng, size, (p, q) = self.rng(seed, f"{name} inertia"), self.size(seed), self.places(seed)[name]
+        rng, size, (p, q) = (
+            self.rng(seed, f"{name} inertia"),
+            self.size(seed),
+            self.places(seed)[name],
+        )
         mass = self.log_uniform(rng)
         points, weights = size * rng.normal(size=(rng.integers(4, 9), 3)), rng.uniform(0.2, 1, 8)
         weights = weights[: len(points)] / weights[: len(points)].sum()
@@ -139,7 +183,12 @@ class Structure:
         )  # fmt: skip
 
     def joint(self, seed, i, view):
-        rng, kind, parent, size = self.rng(seed, f"joint {i}"), self.joints[i], self.parents[i], self.size(seed)
+        rng, kind, parent, size = (
+            self.rng(seed, f"joint {i}"),
+            self.joints[i],
+            self.parents[i],
+            self.size(seed),
+        )
         if kind == "free":
             return jb.Free()
         if kind == "free on base":
@@ -156,11 +205,19 @@ class Structure:
         if kind == "fixed":
             return jb.Fixed(parent)
         lines = size * view.length * rng.normal(size=(2, 3))
-        return jb.Composite(parent, ["move", "turn"], directions=rng.normal(size=(2, 3)), points=lines)
+        return jb.Composite(
+            parent, ["move", "turn"], directions=rng.normal(size=(2, 3)), points=lines
+        )
 
     def element(self, seed, i, view):
-        """Free lengths are about the distance of the ends in the reference pose; bushings are nearly relaxed there."""
-        rng, size, (kind, a, b), places = self.rng(seed, f"element {i}"), self.size(seed), self.elements[i], self.places(seed)
+        """Free lengths are about the distance of the ends in the reference pose; bushings are
+        nearly relaxed there."""
+        rng, size, (kind, a, b), places = (
+            self.rng(seed, f"element {i}"),
+            self.size(seed),
+            self.elements[i],
+            self.places(seed),
+        )
         ends = [size * rng.normal(size=3) * (2.0 if name == "base" else 0.5) for name in (a, b)]
         if self.special == "collinear":
             ends = [size * np.array([1.0, 0.2, 0.1]) * rng.normal() for _ in range(2)]
@@ -171,7 +228,9 @@ class Structure:
             out = np.array([np.cos(angle), np.sin(angle), (-1.0) ** (i // 4)])
             ends = [0.5 * size * out, 1.5 * size * out]
         p, q = ([places[name][j] for name in (a, b)] for j in (0, 1))
-        line = np.linalg.norm(p[1] + rigs.turned(q[1]) @ ends[1] - p[0] - rigs.turned(q[0]) @ ends[0])
+        line = np.linalg.norm(
+            p[1] + rigs.turned(q[1]) @ ends[1] - p[0] - rigs.turned(q[0]) @ ends[0]
+        )
         k, loss = self.log_uniform(rng) * 1e3, 10 ** rng.uniform(-3, -1)
         if self.special == "symmetric":
             k, loss = 1e3, 1e-2
@@ -181,45 +240,85 @@ class Structure:
         between = [(name, end * view.length) for name, end in zip((a, b), ends, strict=True)]
         N_m, N_s_m = view.unit(0, 1, -2), view.unit(0, 1, -1)
         if kind == "spring":
-            return jb.Spring(*between, stiffness=k * N_m, free_length=length * view.length, damping=loss * k * N_s_m)
+            return jb.Spring(
+                *between,
+                stiffness=k * N_m,
+                free_length=length * view.length,
+                damping=loss * k * N_s_m,
+            )
         if kind == "bushing":
             A = rng.normal(size=(6, 6))
             arm = size * view.length
             scale = np.array([1, 1, 1, arm, arm, arm])
             K = k * scale[:, None] * (A @ A.T / 6 + np.eye(6)) * scale
             orientation = IDENTITY if self.special == "zero rotation" else turn_of(rng)
-            meeting = times(times(inverse(q[1]), q[0]), times(orientation, turn_of(rng, rng.uniform(0, 0.5))))
-            meet = rigs.turned(q[1]).T @ (p[0] + rigs.turned(q[0]) @ ends[0] + 0.1 * size * rng.normal(size=3) - p[1])
+            meeting = times(
+                times(inverse(q[1]), q[0]), times(orientation, turn_of(rng, rng.uniform(0, 0.5)))
+            )
+            meet = rigs.turned(q[1]).T @ (
+                p[0] + rigs.turned(q[0]) @ ends[0] + 0.1 * size * rng.normal(size=3) - p[1]
+            )
             return jb.Bushing(
-                between[0], (b, meet * view.length), stiffness=K * N_m, damping=loss * K * N_s_m,
-                orientation=orientation, orientation_b=IDENTITY if self.special == "zero rotation" else meeting,
-            )  # fmt: skip
+                between[0],
+                (b, meet * view.length),
+                stiffness=K * N_m,
+                damping=loss * K * N_s_m,
+                orientation=orientation,
+                orientation_b=IDENTITY if self.special == "zero rotation" else meeting,
+            )
         if kind == "inerter":
             return jb.Inerter(*between, inertance=self.log_uniform(rng) * view.unit(mass=1))
         if kind == "torsion":
-            about = {"spring": k * size**2 * view.unit(2, 1, -2), "damper": loss * k * size**2 * view.unit(2, 1, -1)}
+            about = {
+                "spring": k * size**2 * view.unit(2, 1, -2),
+                "damper": loss * k * size**2 * view.unit(2, 1, -1),
+            }
             meeting = times(inverse(q[1]), q[0])
-            return jb.Torsion(a, b, axis=rng.normal(size=3), free_angle=0.1, orientation_b=meeting, **about)
+            return jb.Torsion(
+                a, b, axis=rng.normal(size=3), free_angle=0.1, orientation_b=meeting, **about
+            )
         laws = jb.laws
         law, damper = {
-            "hardening": lambda: (laws.Polynomial(k * np.array([1, 0.3 / line, 1 / line**2]) * N_m / view.length ** np.arange(3.0)), None),
+            "hardening": lambda: (
+                laws.Polynomial(
+                    k * np.array([1, 0.3 / line, 1 / line**2]) * N_m / view.length ** np.arange(3.0)
+                ),
+                None,
+            ),
             "rope": lambda: (laws.TensionOnly(k * N_m), None),
             "stop": lambda: (
-                laws.Linear(k * N_m) + laws.Stop(gap=0.05 * line * view.length, stiffness=9 * k * N_m, engagement=0.1 * line * view.length),
+                laws.Linear(k * N_m)
+                + laws.Stop(
+                    gap=0.05 * line * view.length,
+                    stiffness=9 * k * N_m,
+                    engagement=0.1 * line * view.length,
+                ),
                 None,
             ),
             "digressive": lambda: (
                 laws.Linear(k * N_m),
-                laws.Digressive(slow=loss * k * N_s_m, fast=0.1 * loss * k * N_s_m, knee=0.3 * line * view.unit(1, 0, -1)),
+                laws.Digressive(
+                    slow=loss * k * N_s_m,
+                    fast=0.1 * loss * k * N_s_m,
+                    knee=0.3 * line * view.unit(1, 0, -1),
+                ),
             ),
             "maxwell": lambda: (
-                laws.Linear(k * N_m) + laws.Maxwell(stiffness=2 * k * N_m, relaxation_time=10 ** rng.uniform(-2, 0) * view.time), None,
+                laws.Linear(k * N_m)
+                + laws.Maxwell(
+                    stiffness=2 * k * N_m, relaxation_time=10 ** rng.uniform(-2, 0) * view.time
+                ),
+                None,
             ),
             "bouc wen": lambda: (
-                laws.Linear(k * N_m) + laws.BoucWen(alpha=k * N_m, beta=3 / (line * view.length), gamma=0.8, delta=-0.3), loss * k * N_s_m,
+                laws.Linear(k * N_m)
+                + laws.BoucWen(alpha=k * N_m, beta=3 / (line * view.length), gamma=0.8, delta=-0.3),
+                loss * k * N_s_m,
             ),
-        }[kind]()  # fmt: skip
-        return jb.SpringDamper(*between, spring=law, damper=damper, free_length=length * view.length)
+        }[kind]()
+        return jb.SpringDamper(
+            *between, spring=law, damper=damper, free_length=length * view.length
+        )
 
     def model(self, seed, view=PLAIN):
         rng, g = self.rng(seed, "gravity"), np.zeros(3)
@@ -234,8 +333,12 @@ class Structure:
         model = jb.Model(
             bodies={name: self.body(seed, name, view) for name in self.bodies[::order]},
             supports={"base": jb.Support(view.point(p), view.turned(q))},
-            joints={name: self.joint(seed, i, view) for i, name in list(enumerate(self.bodies))[::order]},
-            elements={f"e{i}": self.element(seed, i, view) for i in range(len(self.elements))[::order]},
+            joints={
+                name: self.joint(seed, i, view) for i, name in list(enumerate(self.bodies))[::order]
+            },
+            elements={
+                f"e{i}": self.element(seed, i, view) for i in range(len(self.elements))[::order]
+            },
             closures=closures,
             gravity=rigs.turned(view.turn) @ g * view.unit(1, 0, -2),
         )

@@ -8,16 +8,34 @@ import jaxbody as jb
 from jaxbody.files.kinds import CLOSURES, ELEMENTS, JOINTS
 from jaxbody.geometry.closures import AlongAxis
 
-NUMBERS = st.floats(-1e9, 1e9, allow_subnormal=True) | st.sampled_from([-0.0, 5e-324, 1e-300, 0.1, 1 / 3])
+NUMBERS = st.floats(-1e9, 1e9, allow_subnormal=True) | st.sampled_from(
+    [-0.0, 5e-324, 1e-300, 0.1, 1 / 3]
+)
 above_zero = st.floats(1e-9, 1e9)
 below_one = st.floats(0, 1)
-turns = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1).map(lambda q: q / np.linalg.norm(q))
-names = st.text(st.characters(exclude_categories=["C", "Z"], exclude_characters=".*?[]"), min_size=1, max_size=6)
-curves = st.lists(above_zero, min_size=4, max_size=9).map(np.cumsum).filter(lambda x: (np.diff(x) > 0).all())
+turns = (
+    st.lists(st.floats(-1, 1), min_size=4, max_size=4)
+    .filter(lambda q: np.linalg.norm(q) > 0.1)
+    .map(lambda q: q / np.linalg.norm(q))
+)
+names = st.text(
+    st.characters(exclude_categories=["C", "Z"], exclude_characters=".*?[]"), min_size=1, max_size=6
+)
+curves = (
+    st.lists(above_zero, min_size=4, max_size=9)
+    .map(np.cumsum)
+    .filter(lambda x: (np.diff(x) > 0).all())
+)
 SIMPLE_LAWS = st.one_of(
     st.builds(jb.laws.Linear, above_zero),
     st.builds(jb.laws.Polynomial, st.lists(NUMBERS, min_size=1, max_size=4)),
-    st.builds(jb.laws.Stop, gap=above_zero, stiffness=above_zero, engagement=above_zero, extension=st.booleans()),
+    st.builds(
+        jb.laws.Stop,
+        gap=above_zero,
+        stiffness=above_zero,
+        engagement=above_zero,
+        extension=st.booleans(),
+    ),
     st.builds(jb.laws.TensionOnly, above_zero),
     st.builds(jb.laws.AirSpring, pressure=above_zero, area=above_zero, height=above_zero),
     st.builds(jb.laws.Digressive, slow=above_zero, fast=above_zero, knee=above_zero),
@@ -25,7 +43,11 @@ SIMPLE_LAWS = st.one_of(
     curves.map(lambda x: jb.laws.Table(x, x)),
 )
 SOME_LAWS = SIMPLE_LAWS | st.builds(jb.laws.TwoSided, bump=SIMPLE_LAWS, rebound=SIMPLE_LAWS)
-SOME_LAWS = st.none() | SOME_LAWS | st.lists(SOME_LAWS, min_size=1, max_size=3).map(lambda laws: jb.laws.Sum(*laws))
+SOME_LAWS = (
+    st.none()
+    | SOME_LAWS
+    | st.lists(SOME_LAWS, min_size=1, max_size=3).map(lambda laws: jb.laws.Sum(*laws))
+)
 
 
 def inertia(moments, q):
@@ -59,14 +81,25 @@ def models(draw, numbers=NUMBERS):
     }  # fmt: skip
     joints = {}
     for i, name in enumerate(body_names):
-        kind, parent = draw(st.sampled_from([None, *JOINTS])), draw(st.sampled_from(["world", support, *body_names[:i]]))
+        kind, parent = (
+            draw(st.sampled_from([None, *JOINTS])),
+            draw(st.sampled_from(["world", support, *body_names[:i]])),
+        )
         more = {"axis": draw(directions)} if kind in (jb.Guide, jb.Hinge, jb.Cylindrical) else {}
-        more |= {"at": draw(st.none() | points)} if kind in (jb.Hinge, jb.Ball, jb.Universal, jb.Cylindrical) else {}
+        more |= (
+            {"at": draw(st.none() | points)}
+            if kind in (jb.Hinge, jb.Ball, jb.Universal, jb.Cylindrical)
+            else {}
+        )
         if kind in (jb.Universal, jb.Planar):
             more |= dict(zip(("first", "second"), draw(crossed), strict=True))
         if kind is jb.Composite:
             steps = draw(st.lists(st.sampled_from(["move", "turn"]), min_size=1, max_size=3))
-            more = {"steps": steps, "directions": [draw(directions) for _ in steps], "points": [draw(points) for _ in steps]}
+            more = {
+                "steps": steps,
+                "directions": [draw(directions) for _ in steps],
+                "points": [draw(points) for _ in steps],
+            }
         if kind is not None:
             joints[name] = kind(parent, **more)
 
@@ -82,7 +115,13 @@ def models(draw, numbers=NUMBERS):
         if kind is jb.Bushing:
             k = draw(st.lists(above_zero, min_size=6, max_size=6))
             full = draw(st.booleans())
-            return kind(a, b, stiffness=np.diag(k) if full else k[:3], orientation=draw(turns), orientation_b=draw(turns))
+            return kind(
+                a,
+                b,
+                stiffness=np.diag(k) if full else k[:3],
+                orientation=draw(turns),
+                orientation_b=draw(turns),
+            )
         if kind is jb.Contact:
             return kind(a, b, distance=draw(above_zero), **stiffness)
         if kind is jb.Tyre:
@@ -96,7 +135,15 @@ def models(draw, numbers=NUMBERS):
             return kind(a, b, axis=draw(directions), free_angle=draw(below_one), **both)
         if kind is jb.Mount:
             damping = draw(st.lists(above_zero, min_size=6, max_size=6))
-            return kind(a, b, x=draw(SOME_LAWS), ry=draw(SOME_LAWS), damping=damping, orientation=draw(turns), orientation_b=draw(turns))
+            return kind(
+                a,
+                b,
+                x=draw(SOME_LAWS),
+                ry=draw(SOME_LAWS),
+                damping=damping,
+                orientation=draw(turns),
+                orientation_b=draw(turns),
+            )
         return kind(a, b, c, axis=draw(directions), **both)
 
     kinds = draw(st.lists(st.sampled_from(ELEMENTS), max_size=4))
@@ -124,8 +171,14 @@ def models_with_closures(draw):
 
     def closure(kind):
         if kind is jb.closures.Coupling:
-            of, by = draw(st.lists(st.sampled_from(coordinates), min_size=2, max_size=2, unique=True))
-            law = draw(st.none() | SIMPLE_LAWS | st.lists(SIMPLE_LAWS, min_size=2, max_size=3).map(lambda laws: jb.laws.Sum(*laws)))
+            of, by = draw(
+                st.lists(st.sampled_from(coordinates), min_size=2, max_size=2, unique=True)
+            )
+            law = draw(
+                st.none()
+                | SIMPLE_LAWS
+                | st.lists(SIMPLE_LAWS, min_size=2, max_size=3).map(lambda laws: jb.laws.Sum(*laws))
+            )
             return kind(of, by, ratio=draw(NUMBERS)) if law is None else kind(of, by, function=law)
         names = draw(st.lists(st.sampled_from(frames), min_size=2, max_size=2, unique=True))
         more = {"axis": draw(directions)} if issubclass(kind, AlongAxis) else {}

@@ -1,4 +1,5 @@
-"""Random models at rest whose coordinates are zero up to rounding, and what then acts on them: a step load, gravity, a moving base."""
+"""Random models at rest whose coordinates are zero up to rounding, and what then acts on them: a
+step load, gravity, a moving base."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ SAMPLES = 11
 
 @dataclass
 class Start:
-    """One case: a model, its initial state, what acts, and, of a linear model, the state matrix and the constant rate."""
+    """One case: a model, its initial state, what acts, and, of a linear model, the state matrix and
+    the constant rate."""
 
     kind: str
     rtol: float
@@ -33,13 +35,17 @@ class Start:
 
     def __str__(self):
         q = np.asarray(self.initial.q)
-        return f"{self.kind}, rtol {self.rtol:.2g}, {self.end:.3g} s, q = {np.array2string(q, precision=3)}"
+        return (
+            f"{self.kind}, rtol {self.rtol:.2g}, {self.end:.3g} s, q = "
+            f"{np.array2string(q, precision=3)}"
+        )
 
 
 def random_start(seed: int, kind: str | None = None) -> Start:
-    """A `car` in the equilibrium of its preload under a step load and a `mass` on a spring, up to 1e-12 m from zero, under gravity, both
-    with the exact motion; a `four_bar` from its reference pose under gravity; an `engine` at rest under a step load; a quarter car on a
-    moving `base`. rtol is 1e-11 to 1e-6."""
+    """A `car` in the equilibrium of its preload under a step load and a `mass` on a spring, up to
+    1e-12 m from zero, under gravity, both with the exact motion; a `four_bar` from its reference
+    pose under gravity; an `engine` at rest under a step load; a quarter car on a moving `base`.
+    rtol is 1e-11 to 1e-6."""
     rng = np.random.default_rng([43, seed])
     kind = kind or KINDS[seed % len(KINDS)]
     rtol, end = log_uniform(rng, 1e-11, 1e-6), log_uniform(rng, 0.2, 2.0)
@@ -58,18 +64,28 @@ def _car(rng, kind, rtol, end):
     m1, m2, k1, k2, c = rng.uniform(0.5, 2.0, 5) * [400.0, 40.0, 2e4, 1.8e5, 1200.0]
     push = rng.uniform(100, 1000)
     car = jb.Model(
-        bodies={"body": jb.Body(m1, inertia=POINT, position=[0, 0, 0.8]), "wheel": jb.Body(m2, inertia=POINT, position=[0, 0, 0.3])},
+        bodies={
+            "body": jb.Body(m1, inertia=POINT, position=[0, 0, 0.8]),
+            "wheel": jb.Body(m2, inertia=POINT, position=[0, 0, 0.3]),
+        },
         joints={name: jb.Guide("world", axis="z") for name in ("body", "wheel")},
         elements={
-            "suspension": jb.Spring(("body", [0, 0, 0]), ("wheel", [0, 0, 0]), stiffness=k1, damping=c, free_length=0.5),
-            "tyre": jb.Spring(("wheel", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=k2, free_length=0.3),
+            "suspension": jb.Spring(
+                ("body", [0, 0, 0]), ("wheel", [0, 0, 0]), stiffness=k1, damping=c, free_length=0.5
+            ),
+            "tyre": jb.Spring(
+                ("wheel", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=k2, free_length=0.3
+            ),
         },
         gravity=[0, 0, -G],
     )
     model, initial = _settled(car)
     stiffness = np.array([[k1, -k1], [-k1, k1 + k2]]) / [[m1], [m2]]
     damping = np.array([[c, -c], [-c, c]]) / [[m1], [m2]]
-    linear = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -damping]]), np.array([0, 0, -push / m1, 0])
+    linear = (
+        np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -damping]]),
+        np.array([0, 0, -push / m1, 0]),
+    )
     loads = {"push": jb.Force("body", force=[0, 0, -push])}
     return Start(kind, rtol, end, model, initial, loads=loads, linear=linear)
 
@@ -83,7 +99,14 @@ def _mass(rng, kind, rtol, end):
     model = jb.Model(
         bodies={"mass": jb.Body(m, inertia=POINT)},
         joints={"mass": jb.Guide("world", axis="z")},
-        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, -2 * length]), stiffness=k, free_length=2 * length)},
+        elements={
+            "spring": jb.Spring(
+                ("mass", [0, 0, 0]),
+                ("world", [0, 0, -2 * length]),
+                stiffness=k,
+                free_length=2 * length,
+            )
+        },
         gravity=[0, 0, -G],
     )
     linear = np.array([[0, 1.0], [-k / m, 0]]), np.array([0, -G])
@@ -93,7 +116,13 @@ def _mass(rng, kind, rtol, end):
 def _four_bar(rng, kind, rtol, end):
     a, b, c, d = np.array([0.04, 0.12, 0.08, 0.1]) * rng.uniform(0.9, 1.1, 4)
     model = jb.presets.four_bar(
-        crank=a, coupler=b, rocker=c, ground=d, angle=rng.uniform(20, 160), stiffness=rng.uniform(1, 4), gravity=rng.uniform(1, 10)
+        crank=a,
+        coupler=b,
+        rocker=c,
+        ground=d,
+        angle=rng.uniform(20, 160),
+        stiffness=rng.uniform(1, 4),
+        gravity=rng.uniform(1, 10),
     )
     return Start(kind, rtol, 0.1 * end, model, model.reference)
 
@@ -103,18 +132,34 @@ def _engine(rng, kind, rtol, end):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", jb.JaxbodyWarning)
         initial = jb.equilibrium(model).state if rng.random() < 0.5 else model.reference
-    return Start(kind, rtol, end, model, initial, loads={"push": jb.Force("engine", force=rng.normal(size=3) * 300)})
+    return Start(
+        kind,
+        rtol,
+        end,
+        model,
+        initial,
+        loads={"push": jb.Force("engine", force=rng.normal(size=3) * 300)},
+    )
 
 
 def _base(rng, kind, rtol, end):
-    car = jb.presets.quarter_car(sprung=375 * rng.uniform(0.5, 2), unsprung=75 * rng.uniform(0.5, 2), damping=rng.uniform(0, 2000))
+    car = jb.presets.quarter_car(
+        sprung=375 * rng.uniform(0.5, 2),
+        unsprung=75 * rng.uniform(0.5, 2),
+        damping=rng.uniform(0, 2000),
+    )
     initial = jb.State(q=rng.normal(size=2) * 1e-17, v=np.zeros(2))
-    shaken = jb.Harmonic(frequency=log_uniform(rng, 0.5, 20), translation=[0, 0, 0.01], translation_phase=float(rng.choice([0, np.pi / 2])))
+    shaken = jb.Harmonic(
+        frequency=log_uniform(rng, 0.5, 20),
+        translation=[0, 0, 0.01],
+        translation_phase=float(rng.choice([0, np.pi / 2])),
+    )
     return Start(kind, rtol, end, car, initial, motion={"road": shaken})
 
 
 def judged(start: Start, **options):
-    """Status, number of samples that are not finite, steps, and the error of linear models in rtol of the largest motion."""
+    """Status, number of samples that are not finite, steps, and the error of linear models in rtol
+    of the largest motion."""
     times = np.linspace(0, start.end, SAMPLES)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", jb.JaxbodyWarning)  # the status says as much
@@ -142,7 +187,12 @@ def judged(start: Start, **options):
         rows = np.array(rows)
         error = float(np.abs(q - q[:1] - rows).max() / np.abs(rows).max()) / start.rtol
     steps = int(run.statistics["num_accepted_steps"]) + int(run.statistics["num_rejected_steps"])
-    return {"status": jb.Status(int(run.status)).name, "missing": missing, "error": error, "steps": steps}
+    return {
+        "status": jb.Status(int(run.status)).name,
+        "missing": missing,
+        "error": error,
+        "steps": steps,
+    }
 
 
 def faults(result) -> list[str]:

@@ -19,7 +19,9 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         stated = dict(attributes)
-        self.links += [stated[name] for name in ("src", "href", "srcset", "action") if name in stated]
+        self.links += [
+            stated[name] for name in ("src", "href", "srcset", "action") if name in stated
+        ]
         self.inside = tag + (f".{stated['class']}" if "class" in stated else "")
         if tag == "table":
             self.tables.append([])
@@ -53,12 +55,21 @@ def _number(cell):
 
 
 def check_golden(name, page):
-    """Structure as it was; numbers, also those in a text, to 1e-3, as an optimum is found to its tolerance; zeros by rounding errors."""
+    """Structure as it was; numbers, also those in a text, to 1e-3, as an optimum is found to its
+    tolerance; zeros by rounding errors."""
     known = json.loads((GOLDEN / f"{name}.json").read_text())
     assert page.headings == known["headings"] and page.pictures == known["pictures"]
-    assert [[len(row) for row in table] for table in page.tables] == [[len(row) for row in table] for table in known["tables"]]
+    assert [[len(row) for row in table] for table in page.tables] == [
+        [len(row) for row in table] for table in known["tables"]
+    ]
     found, expected = (
-        [_number(word) for table in tables for row in table for cell in row for word in str(cell).split()]
+        [
+            _number(word)
+            for table in tables
+            for row in table
+            for cell in row
+            for word in str(cell).split()
+        ]
         for tables in (numbers(page), known["tables"])
     )
     for word, other in zip(found, expected, strict=True):

@@ -1,4 +1,5 @@
-"""A machine on a shaker: the file that describes it, and its record by SciPy. Nothing of jaxbody is used."""
+"""A machine on a shaker: the file that describes it, and its record by SciPy. Nothing of jaxbody
+is used."""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -23,27 +24,47 @@ initial = "rest"
 motion.floor = {type = "Sampled", record = "shaker", translation = "floor", axis = "z"}
 [fit]
 free = ["mount.stiffness", "mount.damping"]
-"""
+"""  # noqa: E501
 
 
 def floor(t, phases):
     """The motion of the floor and its speed: tones that begin within half a second, from rest."""
     s = np.pi / BEGIN
     ramp, slope = (0.5 * (1 - np.cos(s * t)), 0.5 * s * np.sin(s * t)) if t < BEGIN else (1.0, 0.0)
-    b, rate = AMPLITUDES @ np.sin(OMEGA * t + phases), (AMPLITUDES * OMEGA) @ np.cos(OMEGA * t + phases)
+    b, rate = (
+        AMPLITUDES @ np.sin(OMEGA * t + phases),
+        (AMPLITUDES * OMEGA) @ np.cos(OMEGA * t + phases),
+    )
     return ramp * b, slope * b + ramp * rate
 
 
 def record(times, k, c, phases, floor_noise, rng):
-    """Rows of t, b, x and a: m x'' + c (x' - b') + k (x - b) = 0, with noise on what is measured, and on the floor's motion too."""
+    """Rows of t, b, x and a: m x'' + c (x' - b') + k (x - b) = 0, with noise on what is measured,
+    and on the floor's motion too."""
 
     def rate(t, y):
         b, speed = floor(t, phases)
         return [y[1], (-k * (y[0] - b) - c * (y[1] - speed)) / MASS]
 
-    y = solve_ivp(rate, (0, times[-1]), [0.0, 0.0], method="DOP853", t_eval=times, rtol=1e-10, atol=1e-13, max_step=0.02).y
-    b, x, a = [floor(t, phases)[0] for t in times], y[0], [rate(t, z)[1] for t, z in zip(times, y.T, strict=True)]
-    b, x, a = (column + size * rng.normal(size=len(times)) for column, size in zip((b, x, a), (floor_noise, *NOISE), strict=True))
+    y = solve_ivp(
+        rate,
+        (0, times[-1]),
+        [0.0, 0.0],
+        method="DOP853",
+        t_eval=times,
+        rtol=1e-10,
+        atol=1e-13,
+        max_step=0.02,
+    ).y
+    b, x, a = (
+        [floor(t, phases)[0] for t in times],
+        y[0],
+        [rate(t, z)[1] for t, z in zip(times, y.T, strict=True)],
+    )
+    b, x, a = (
+        column + size * rng.normal(size=len(times))
+        for column, size in zip((b, x, a), (floor_noise, *NOISE), strict=True)
+    )
     return np.column_stack([times, b, x, a])
 
 
@@ -52,6 +73,13 @@ def write_case(folder, rows, units=("ms", "mm", "m/s2"), more=""):
     time, place, acceleration = units
     names = {"t": time, "b": place, "x": place, "a": acceleration}
     heads = ",".join(f"{name} [{unit}]" for name, unit in names.items())
-    np.savetxt(folder / "shaker.csv", rows * [FACTORS[unit] for unit in names.values()], "%.9g", ",", header=heads, comments="")
+    np.savetxt(
+        folder / "shaker.csv",
+        rows * [FACTORS[unit] for unit in names.values()],
+        "%.9g",
+        ",",
+        header=heads,
+        comments="",
+    )
     (folder / "shaker.toml").write_text(FILE + more)
     return folder / "shaker.toml"

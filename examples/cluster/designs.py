@@ -1,9 +1,11 @@
-"""The sweep that the recipes in this folder compute: frequencies and travel of a quarter car for 200 000 designs, in chunks of 4096.
+"""The sweep that the recipes in this folder compute: frequencies and travel of a quarter car for
+200 000 designs, in chunks of 4096.
 
 python designs.py --out sweep.zarr                      all chunks, in this process
 python designs.py --out sweep.zarr --workers 8          by eight processes of this machine
 python designs.py --out sweep.zarr --job 3 --jobs 20    the chunks 3, 23, 43 ... of a job array
-python designs.py --out sweep.zarr --dask address       by the Dask cluster whose scheduler has this address, or this file
+python designs.py --out sweep.zarr --dask address       by the Dask cluster whose scheduler has this
+                                                        address, or this file
 Called again, each continues where it stopped.
 """
 
@@ -21,7 +23,10 @@ DESIGNS, CHUNK = 200_000, 4096
 
 def quantities(model):
     lin = jb.linearize(model, model.reference)
-    return {"frequency": jb.modes(lin).frequency, "travel": model["body"].mass * 9.81 / model["suspension"].stiffness}
+    return {
+        "frequency": jb.modes(lin).frequency,
+        "travel": model["body"].mass * 9.81 / model["suspension"].stiffness,
+    }
 
 
 def executor_of(address: str):
@@ -43,14 +48,32 @@ def main() -> None:
     parser.add_argument("--dask")
     parser.add_argument("--designs", type=int, default=DESIGNS)
     args = parser.parse_args()
-    over = {"suspension.stiffness": (15e3, 40e3), "body.mass": (250.0, 450.0), "tyre.stiffness": (150e3, 250e3)}
+    over = {
+        "suspension.stiffness": (15e3, 40e3),
+        "body.mass": (250.0, 450.0),
+        "tyre.stiffness": (150e3, 250e3),
+    }
     chunks = range(args.job, -(-args.designs // CHUNK), args.jobs)
-    stack, workers = executor_of(args.dask) if args.dask else (contextlib.nullcontext(), args.workers)
+    stack, workers = (
+        executor_of(args.dask) if args.dask else (contextlib.nullcontext(), args.workers)
+    )
     with stack:
         car = jb.presets.quarter_car(damping=1500.0)
-        result = jb.sweep(car, quantities, over, samples=args.designs, chunk=CHUNK, chunks=chunks, workers=workers, out=args.out)
+        result = jb.sweep(
+            car,
+            quantities,
+            over,
+            samples=args.designs,
+            chunk=CHUNK,
+            chunks=chunks,
+            workers=workers,
+            out=args.out,
+        )
     status = result["status"].values
-    print(f"{np.count_nonzero(status == 0)} of {args.designs} designs, {np.count_nonzero(status == jb.Status.LOST)} lost")
+    print(
+        f"{np.count_nonzero(status == 0)} of {args.designs} designs, "
+        f"{np.count_nonzero(status == jb.Status.LOST)} lost"
+    )
 
 
 if __name__ == "__main__":

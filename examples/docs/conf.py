@@ -34,13 +34,15 @@ toc_object_entries = False
 myst_enable_extensions = ["dollarmath", "colon_fence", "attrs_inline"]
 myst_heading_anchors = 3
 nb_execution_mode = "force"
-nb_execution_excludepatterns = ["*.ipynb"]  # notebooks run in tests; here their results are shown where there are any
+# notebooks run in tests; here their results are shown where there are any
+nb_execution_excludepatterns = ["*.ipynb"]
 nb_execution_timeout = 300
 nb_execution_raise_on_error = nb_merge_streams = True
 nb_ipywidgets_js = {}  # nothing comes from other servers
 linkcheck_timeout, linkcheck_retries, linkcheck_workers = 20, 2, 4
 linkcheck_ignore = [  # by the command in development.md, which needs a network
-    r"^(?!https?:)",  # pages of the manual and files beside it: the tests of the built pages follow these
+    # pages of the manual and files beside it: the tests of the built pages follow these
+    r"^(?!https?:)",
     r"https?://(localhost|127\.0\.0\.1)",
 ]
 linkcheck_allowed_redirects = {r"https://(dx\.)?doi\.org/.*": r".*"}
@@ -52,7 +54,8 @@ def convert_docstring(app, what, name, found, options, lines):
 
 
 def shorten_signature(app, what, name, found, options, signature, result):
-    """Arrays as the code writes them. Classes of results are made by functions: their fields stand in a table, not in a signature."""
+    """Arrays as the code writes them. Classes of results are made by functions: their fields stand
+    in a table, not in a signature."""
     if what == "class" and name.removeprefix("jaxbody.").split(".")[0] not in jaxbody.__all__:
         return "", None
     return tuple(text and references.short_types(text) for text in (signature, result))
@@ -72,11 +75,15 @@ def remove_old_pages(app, error):
 def forbid_requests(app, page, template, context, doctree):
     """A policy in each page by which browsers refuse to ask other servers for anything."""
     policy = "default-src 'self' file: data: 'unsafe-inline'"
-    context["metatags"] = context.get("metatags", "") + f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+    context["metatags"] = (
+        context.get("metatags", "")
+        + f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+    )
 
 
 def link_names(app, doctree, page):
-    """Code that is a public name links to its page, except where it names an argument or a field."""
+    """Code that is a public name links to its page, except where it names an argument or
+    a field."""
     for literal in doctree.findall(nodes.literal):
         name = literal.astext().removeprefix("jb.").removesuffix("()")
         target, parents = f"generated/reference/{references.place(name)}", set()
@@ -84,16 +91,27 @@ def link_names(app, doctree, page):
         while node is not None:
             parents.add(type(node))
             node = node.parent
-        if target in app.env.all_docs and target != page and not parents & {nodes.reference, nodes.term, nodes.title, nodes.entry}:
-            link = nodes.reference("", "", refuri=app.builder.get_relative_uri(page, target), internal=True)
+        if (
+            target in app.env.all_docs
+            and target != page
+            and not parents & {nodes.reference, nodes.term, nodes.title, nodes.entry}
+        ):
+            link = nodes.reference(
+                "", "", refuri=app.builder.get_relative_uri(page, target), internal=True
+            )
             literal.parent.replace(literal, link)
             link += literal
 
 
 def setup(app):
-    sources = [HERE / "conf.py", *(HERE / "builders").glob("*.py"), *Path(jaxbody.__file__).parent.rglob("*.py")]
+    sources = [
+        HERE / "conf.py",
+        *(HERE / "builders").glob("*.py"),
+        *Path(jaxbody.__file__).parent.rglob("*.py"),
+    ]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(sources))).hexdigest()
-    app.add_config_value("sources_digest", digest, "env")  # all is built anew where the package or its rendering changes
+    # all is built anew where the package or its rendering changes
+    app.add_config_value("sources_digest", digest, "env")
     app.connect("autodoc-process-docstring", convert_docstring)
     app.connect("build-finished", remove_old_pages)
     app.connect("html-page-context", forbid_requests)

@@ -1,5 +1,5 @@
-"""Draws the pictures of the notebooks: `python examples/images/draw.py [NAME ...]` runs them and saves the `figure` of each beside this
-file as NAME.png."""
+"""Draws the pictures of the notebooks: `python examples/images/draw.py [NAME ...]` runs them and
+saves the `figure` of each beside this file as NAME.png."""
 
 import os
 import runpy
@@ -18,7 +18,11 @@ COLORS = 64  # a palette of so many keeps a picture small, without a difference 
 
 def notebooks() -> list[Path]:
     """The examples that open as notebooks: they start with a header for Jupyter."""
-    return [path for path in sorted(HERE.parent.glob("*.py")) if path.read_text().startswith("# ---\n# jupyter:\n")]
+    return [
+        path
+        for path in sorted(HERE.parent.glob("*.py"))
+        if path.read_text().startswith("# ---\n# jupyter:\n")
+    ]
 
 
 for path in [HERE.parent / f"{name}.py" for name in sys.argv[1:]] or notebooks():

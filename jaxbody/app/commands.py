@@ -1,6 +1,8 @@
-"""The command `jaxbody`: a model file on one line. Arguments and the file are checked before JAX is imported.
+"""The command `jaxbody`: a model file on one line. Arguments and the file are checked before JAX
+is imported.
 
-Exit codes: 0, done; 1, done, but the result has another status than ok; 2, the arguments or the file are not valid.
+Exit codes: 0, done; 1, done, but the result has another status than ok; 2, the arguments or the
+file are not valid.
 """
 
 from __future__ import annotations
@@ -20,7 +22,10 @@ from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.files.documents import LARGEST, read_document
 from jaxbody.files.schemas import checked_values
 
-DESCRIPTION = "Differentiable rigid bodies on springs with an imposed base motion: simulation, vibration, identification and design."
+DESCRIPTION = (
+    "Differentiable rigid bodies on springs with an imposed base motion: simulation, vibration, "
+    "identification and design."
+)
 EPILOG = """first steps:
   jaxbody new engine > engine.toml   # a file to edit; jaxbody new lists the ready models
   jaxbody check engine.toml
@@ -44,7 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     own_process = arguments is None
     if own_process:
-        warnings.showwarning = lambda message, *_, **__: print(f"warning: {message}", file=sys.stderr)  # without lines of code
+        warnings.showwarning = lambda message, *_, **__: print(
+            f"warning: {message}", file=sys.stderr
+        )  # without lines of code
     options.typed = shlex.join(["jaxbody", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         return options.run(options, own_process)
@@ -57,34 +64,80 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     form = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(prog="jaxbody", description=DESCRIPTION, epilog=EPILOG, formatter_class=form)
+    parser = argparse.ArgumentParser(
+        prog="jaxbody", description=DESCRIPTION, epilog=EPILOG, formatter_class=form
+    )
     parser.add_argument("--version", action="version", version=f"jaxbody {jb.__version__}")
     commands = parser.add_subparsers(dest="command", title="commands", metavar="command")
-    epilog = "examples:\n  jaxbody new quarter_car > car.toml\n  jaxbody new --mounts mounts.csv > engine.toml"
+    epilog = (
+        "examples:\n  jaxbody new quarter_car > car.toml\n"
+        "  jaxbody new --mounts mounts.csv > engine.toml"
+    )
     about = "print the file of a ready model, or of a body on the mounts of a data sheet"
-    new = commands.add_parser("new", help=about, description=about.capitalize() + ".", epilog=epilog, formatter_class=form)
+    new = commands.add_parser(
+        "new", help=about, description=about.capitalize() + ".", epilog=epilog, formatter_class=form
+    )
     chosen = new.add_mutually_exclusive_group()
-    chosen.add_argument("model", nargs="?", help="name of a ready model; without it, their names are printed")
     chosen.add_argument(
-        "--mounts", type=Path, metavar="FILE", help="data sheet: name, x [mm], y [mm], z [mm], kx [N/mm], ky [N/mm], kz [N/mm], ..."
+        "model", nargs="?", help="name of a ready model; without it, their names are printed"
+    )
+    chosen.add_argument(
+        "--mounts",
+        type=Path,
+        metavar="FILE",
+        help="data sheet: name, x [mm], y [mm], z [mm], kx [N/mm], ky [N/mm], kz [N/mm], ...",
     )
     new.set_defaults(run=_new)
     for name, command in COMMANDS.items():
         epilog = f"example:\n  {command.example}"
         sub = commands.add_parser(
-            name, help=command.about, description=command.about.capitalize() + ".", epilog=epilog, formatter_class=form
+            name,
+            help=command.about,
+            description=command.about.capitalize() + ".",
+            epilog=epilog,
+            formatter_class=form,
         )
         sub.add_argument("file", type=Path, help="model file, .toml or .json")
-        sub.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", help='another value, such as left.stiffness="30 N/mm"')
-        sub.add_argument("--allow", action="append", default=[], metavar="MODULE", help="module of yours whose classes the file may use")
-        sub.add_argument("--largest", type=float, default=LARGEST, metavar="N", help="largest size of the file [bytes] (default: 2e7)")
-        sub.add_argument("--out", type=Path, metavar="FILE", help=f"save the result: {' '.join(command.formats)}")
+        sub.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="PATH=VALUE",
+            help='another value, such as left.stiffness="30 N/mm"',
+        )
+        sub.add_argument(
+            "--allow",
+            action="append",
+            default=[],
+            metavar="MODULE",
+            help="module of yours whose classes the file may use",
+        )
+        sub.add_argument(
+            "--largest",
+            type=float,
+            default=LARGEST,
+            metavar="N",
+            help="largest size of the file [bytes] (default: 2e7)",
+        )
+        sub.add_argument(
+            "--out", type=Path, metavar="FILE", help=f"save the result: {' '.join(command.formats)}"
+        )
         for flags, more in command.options:
             sub.add_argument(*flags, **more)
         sub.set_defaults(run=_on_file)
-    demo = commands.add_parser("demo", help="a plate on three springs and a shaking base, from the drawing to fitted stiffnesses")
-    demo.add_argument("--out", type=Path, default=Path("jaxbody-demo"), help="folder for the figures (default: ./jaxbody-demo)")
-    demo.add_argument("--seed", type=int, default=0, help="seed of the measurement noise (default: 0)")
+    demo = commands.add_parser(
+        "demo",
+        help="a plate on three springs and a shaking base, from the drawing to fitted stiffnesses",
+    )
+    demo.add_argument(
+        "--out",
+        type=Path,
+        default=Path("jaxbody-demo"),
+        help="folder for the figures (default: ./jaxbody-demo)",
+    )
+    demo.add_argument(
+        "--seed", type=int, default=0, help="seed of the measurement noise (default: 0)"
+    )
     demo.set_defaults(run=_demo)
     return parser
 
@@ -113,12 +166,20 @@ def _new(options: argparse.Namespace, own_process: bool) -> int:
         from jaxbody.app.new_files import text_of_mounts
 
         print(text_of_mounts(options.mounts), end="")
-        print(f"Mass, center of mass and inertia are not in {options.mounts.name}: replace the placeholders in the file.", file=sys.stderr)
+        print(
+            f"Mass, center of mass and inertia are not in {options.mounts.name}: replace the "
+            "placeholders in the file.",
+            file=sys.stderr,
+        )
         return 0
     if options.model is None:
         print("Ready models: " + ", ".join(ready))
         return 0
-    chosen = [options.model] if options.model in ready else [name for name in ready if name.startswith(options.model)]
+    chosen = (
+        [options.model]
+        if options.model in ready
+        else [name for name in ready if name.startswith(options.model)]
+    )
     if len(chosen) != 1:
         raise JaxbodyError(unknown(options.model, "new", tuple(ready)))
     _use_x64()
@@ -132,7 +193,15 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
     """Read the file, run the command, print its tables, save them or a picture."""
     command = COMMANDS[options.command]
     if options.out is not None and options.out.suffix not in command.formats:
-        raise JaxbodyError(Problem("UNKNOWN_FORMAT", "--out", f"is {options.out}", options.out, " ".join(command.formats)))
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_FORMAT",
+                "--out",
+                f"is {options.out}",
+                options.out,
+                " ".join(command.formats),
+            )
+        )
     document = read_document(options.file, options.largest)
     for text in options.set:
         set_value(document, text)
@@ -144,7 +213,9 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
 
     from jaxbody.studies.study_files import study_of
 
-    study = study_of(document, values, options.file.parent, options.allow, measured=command.measured)
+    study = study_of(
+        document, values, options.file.parent, options.allow, measured=command.measured
+    )
     outcome = command.run(study, options)
     for result in outcome.results:
         print(result)

@@ -1,4 +1,5 @@
-"""The command `jaxbody demo`: the plate of Stanescu and Mihalcea (2011), from its drawing to stiffnesses fitted to a noisy record."""
+"""The command `jaxbody demo`: the plate of Stanescu and Mihalcea (2011), from its drawing to
+stiffnesses fitted to a noisy record."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from jaxbody.core.tables import PrintedTable, text
 NOISE = 2e-3  # m, of the simulated camera
 LIKELY = 4.0  # largest accepted error of an estimate, in standard errors
 START = time.perf_counter()
-# The nonzero entries of the paper's (77) in units of k/4: row, column, as printed, as a function of kt/k and l
+# The nonzero entries of the paper's (77) in units of k/4: row, column, as printed, as a function of
+# kt/k and l
 PRINTED = (
     (0, 0, "5", lambda r, l: 5.0),
     (0, 5, "-20 l", lambda r, l: -20 * l),
@@ -47,26 +49,42 @@ def run(out: Path, seed: int) -> int:
 
     l, m, g, kt = 0.7, 3.0, 9.81, 120.0
     k = m * g / l
-    report("The plate of N.-D. Stanescu and S. Mihalcea, 13th IFToMM World Congress, 2011, A14_316, section 7:")
-    print(f"  m = {m} kg, l = {l} m, springs AB and CD above with k = m g/l = {k:.4g} N/m, spring EF below with kt = {kt:g} N/m.")
+    report(
+        "The plate of N.-D. Stanescu and S. Mihalcea, 13th IFToMM World Congress, "
+        "2011, A14_316, section 7:"
+    )
+    print(
+        f"  m = {m} kg, l = {l} m, springs AB and CD above with k = m g/l = {k:.4g} N/m, spring "
+        f"EF below with kt = {kt:g} N/m."
+    )
     plate = model(l, m, g, k, kt)
 
-    report("Computing K~, the force on the plate per displacement of the base: minus the mixed second derivative of V, in closed form ...")
+    report(
+        "Computing K~, the force on the plate per displacement of the base: minus the mixed "
+        "second derivative of V, in closed form ..."
+    )
     lin = jb.linearize(plate, plate.reference)
     compare_K_tilde(np.asarray(lin.K_tilde), k, kt, l)
 
     report("Computing the equilibrium, where jax.grad of V is zero ...")
     times = np.linspace(0.0, 5.0, 501)
-    motion = {"base": jb.Harmonic(frequency=0.8, translation=[0.01, 0.02, 0], rotation=[0, 0, 0.02])}
+    motion = {
+        "base": jb.Harmonic(frequency=0.8, translation=[0.01, 0.02, 0], rotation=[0, 0, 0.02])
+    }
     sensors: dict[str, Any] = {"corner": jb.Position("plate", [3 * l, l, 0])}
     guess = jb.replace(plate, {"*.stiffness": 1.3 * np.array([k, k, kt])})
 
     eq = jb.equilibrium(plate)
     print(eq)
 
-    report("Simulating 5 s of the nonlinear motion by diffrax; the base at 0.8 Hz with 10 mm along x, 20 mm along y, 20 mrad about z ...")
+    report(
+        "Simulating 5 s of the nonlinear motion by diffrax; the base at 0.8 Hz with 10 mm along "
+        "x, 20 mm along y, 20 mrad about z ..."
+    )
     xi = np.array([0.01, 0, 0, 0, 0, 0.02])
-    compare_forces(np.asarray(lin.K_tilde) @ xi, np.asarray(jb.excitation(plate, eq, {"base": xi})), k, l)
+    compare_forces(
+        np.asarray(lin.K_tilde) @ xi, np.asarray(jb.excitation(plate, eq, {"base": xi})), k, l
+    )
     report("Modes about the equilibrium, by the Hessians of T, R and V:")
     lin = jb.linearize(plate, eq)
     modes = jb.modes(lin)
@@ -77,11 +95,14 @@ def run(out: Path, seed: int) -> int:
     print(trajectory)
 
     report(
-        f"Measuring the corner C with {1000 * NOISE:g} mm of noise, then fitting the stiffnesses with optax from a start 30 % too stiff ..."
+        f"Measuring the corner C with {1000 * NOISE:g} mm of noise, then fitting the stiffnesses "
+        "with optax from a start 30 % too stiff ..."
     )
     figures.append(draw_motion(trajectory, out / "motion.png"))
     measured = jb.measure(trajectory, sensors, noise=NOISE, key=jax.random.key(seed))
-    experiment = jb.Experiment(times, motion=motion, initial=eq.state, sensors=sensors, measured=measured)
+    experiment = jb.Experiment(
+        times, motion=motion, initial=eq.state, sensors=sensors, measured=measured
+    )
     fit = jb.fit(guess, {"run1": experiment}, free=["*.stiffness"], method=optax.lbfgs())
     figures.append(draw_fit(fit, out / "fit.png"))
     agree = compare_stiffnesses(fit, {"AB": k, "CD": k, "EF": kt})
@@ -102,9 +123,27 @@ def model(l: float, m: float, g: float, k: float, kt: float) -> Any:
         bodies={"plate": jb.Body(mass=m, inertia=[0.3, 0.9, 1.2])},
         supports={"base": jb.Support(position=[0, -4 * l, 0])},
         elements={
-            "AB": jb.Spring(("plate", [-3 * l, l, 0]), ("base", [-5 * l, 7 * l, 0]), stiffness=k, free_length=free, damping=1.0),
-            "CD": jb.Spring(("plate", [3 * l, l, 0]), ("base", [5 * l, 7 * l, 0]), stiffness=k, free_length=free, damping=1.0),
-            "EF": jb.Spring(("plate", [0, -l, 0]), ("base", [0, l, 0]), stiffness=kt, free_length=2 * l, damping=1.0),
+            "AB": jb.Spring(
+                ("plate", [-3 * l, l, 0]),
+                ("base", [-5 * l, 7 * l, 0]),
+                stiffness=k,
+                free_length=free,
+                damping=1.0,
+            ),
+            "CD": jb.Spring(
+                ("plate", [3 * l, l, 0]),
+                ("base", [5 * l, 7 * l, 0]),
+                stiffness=k,
+                free_length=free,
+                damping=1.0,
+            ),
+            "EF": jb.Spring(
+                ("plate", [0, -l, 0]),
+                ("base", [0, l, 0]),
+                stiffness=kt,
+                free_length=2 * l,
+                damping=1.0,
+            ),
         },
         gravity=[0, -g, 0],
     )
@@ -119,42 +158,77 @@ def printed_K_tilde(k: float, kt: float, l: float) -> np.ndarray:
 
 
 def printed_force(k: float, l: float, xi0: float, phi0: float) -> np.ndarray:
-    """The amplitude of the excitation force by (79), for a base that moves by xi0 along x and turns by phi0 about z."""
+    """The amplitude of the excitation force by (79), for a base that moves by xi0 along x and turns
+    by phi0 about z."""
     return k / 4 * np.array([5 * xi0 - 20 * l * phi0, 0, 0, 0, 0, 4 * l * xi0 + 32 * l**2 * phi0])
 
 
 def compare_K_tilde(K_tilde: np.ndarray, k: float, kt: float, l: float) -> None:
     """Print K~ and the paper's (77)."""
     printed, axes = printed_K_tilde(k, kt, l), ("x", "y", "z", "about x", "about y", "about z")
-    rows = [(f"plate {axes[i]}", f"base {axes[j]}", K_tilde[i, j], printed[i, j], formula) for i, j, formula, _ in PRINTED]
-    note = f"the other {36 - len(rows)} entries are zero; largest difference {np.abs(K_tilde - printed).max():.1g}"
+    rows = [
+        (f"plate {axes[i]}", f"base {axes[j]}", K_tilde[i, j], printed[i, j], formula)
+        for i, j, formula, _ in PRINTED
+    ]
+    note = (
+        f"the other {36 - len(rows)} entries are zero; largest difference "
+        f"{np.abs(K_tilde - printed).max():.1g}"
+    )
     columns = ("force along", "displacement along", "jaxbody", "paper (77)", "k/4 times")
     print(text(PrintedTable("K~ [N/m, N, N m]", columns, rows, note)), flush=True)
 
 
 def compare_forces(linear: np.ndarray, exact: np.ndarray, k: float, l: float) -> None:
-    """Print the force due to a displaced base: the linear one, the one by the paper's (79), and the exact one."""
-    report("The force due to a base displaced by 10 mm along x and turned by 20 mrad about z, by jax.grad of V:")
+    """Print the force due to a displaced base: the linear one, the one by the paper's (79), and the
+    exact one."""
+    report(
+        "The force due to a base displaced by 10 mm along x and turned by 20 mrad about "
+        "z, by jax.grad of V:"
+    )
     printed = printed_force(k, l, 0.01, 0.02)
-    rows = [(axis, linear[i], printed[i], exact[i]) for i, axis in ((0, "along x [N]"), (1, "along y [N]"), (5, "about z [N m]"))]
+    rows = [
+        (axis, linear[i], printed[i], exact[i])
+        for i, axis in ((0, "along x [N]"), (1, "along y [N]"), (5, "about z [N m]"))
+    ]
     print(text(PrintedTable("", ("", "K~ Xi", "paper (79)", "exact, finite Xi"), rows)), flush=True)
 
 
 def compare_stiffnesses(fit: Any, truth: dict[str, float]) -> bool:
-    """Print true values, estimates and standard errors; True when the fit succeeded and all errors are within LIKELY standard errors."""
+    """Print true values, estimates and standard errors; True when the fit succeeded and all errors
+    are within LIKELY standard errors."""
     rows, agree = [], bool(fit.ok)
     for name, true in truth.items():
-        estimate, error = (float(x[f"{name}.stiffness"]) for x in (fit.estimates, fit.standard_errors))
+        estimate, error = (
+            float(x[f"{name}.stiffness"]) for x in (fit.estimates, fit.standard_errors)
+        )
         ratio = abs(estimate - true) / error
         agree &= bool(ratio <= LIKELY)
         rows.append((name, 1.3 * true, true, estimate, error, f"{ratio:.1f}"))
     report(f"Fitted stiffnesses [N/m], {int(fit.evaluations)} evaluations, {fit.report()}:")
-    print(text(PrintedTable("", ("spring", "start", "truth", "estimate", "standard error", "error / standard error"), rows)), flush=True)
+    print(
+        text(
+            PrintedTable(
+                "",
+                (
+                    "spring",
+                    "start",
+                    "truth",
+                    "estimate",
+                    "standard error",
+                    "error / standard error",
+                ),
+                rows,
+            )
+        ),
+        flush=True,
+    )
     return agree
 
 
 @contextmanager
-def figure(path: Path, width: float, height: float, rows: int = 1, columns: int = 1, **ratios: Any) -> Iterator[Any]:
+def figure(
+    path: Path, width: float, height: float, rows: int = 1, columns: int = 1, **ratios: Any
+) -> Iterator[Any]:
     """The axes of a figure, created without a window or global state and saved at the end."""
     from matplotlib.figure import Figure
 
@@ -166,7 +240,9 @@ def figure(path: Path, width: float, height: float, rows: int = 1, columns: int 
 def draw_plate(plate: Any, path: Path) -> Path:
     """Draw the plate at rest."""
     with figure(path, 6.5, 4.6) as (ax,):
-        jb.plots.draw_model(plate, ax=ax).set_title("the plate, its springs and the base", fontsize=9)
+        jb.plots.draw_model(plate, ax=ax).set_title(
+            "the plate, its springs and the base", fontsize=9
+        )
     return path
 
 
@@ -189,7 +265,11 @@ def draw_motion(trajectory: Any, path: Path) -> Path:
 def draw_fit(fit: Any, path: Path) -> Path:
     """Draw the model, the record with the fit, and the history of the cost."""
     with figure(path, 14.0, 4.4, 1, 3, width_ratios=(1.0, 1.25, 0.65)) as (left, middle, right):
-        jb.plots.draw_model(fit.model, ax=left).set_title("the plate on its vibrating base", fontsize=9)
-        jb.plots.plot_fit(fit, ax=middle).set_title("motion of its upper right corner, measured and fitted", fontsize=9)
+        jb.plots.draw_model(fit.model, ax=left).set_title(
+            "the plate on its vibrating base", fontsize=9
+        )
+        jb.plots.plot_fit(fit, ax=middle).set_title(
+            "motion of its upper right corner, measured and fitted", fontsize=9
+        )
         jb.plots.plot_history(fit, ax=right).set_title("cost of the fit", fontsize=9)
     return path

@@ -23,8 +23,8 @@ IN_SPACE = (*FLAT, ".html")  # a page in three dimensions
 
 @dataclass(frozen=True)
 class Command:
-    """A command on a model file: what it does, an example, and the function that does it and returns what is printed and drawn. `measured`:
-    it needs the experiments of the file."""
+    """A command on a model file: what it does, an example, and the function that does it and
+    returns what is printed and drawn. `measured`: it needs the experiments of the file."""
 
     about: str
     example: str
@@ -36,9 +36,10 @@ class Command:
 
 @dataclass
 class Outcome:
-    """Results, which print as tables; functions that draw them into a picture, that show them in three dimensions, and that give what --out
-    saves in place of the tables, as numbers over the first column in all formats, or as text in .csv alone; for --write the space of the
-    free parameters, and the model and experiments with their values."""
+    """Results, which print as tables; functions that draw them into a picture, that show them in
+    three dimensions, and that give what --out saves in place of the tables, as numbers over the
+    first column in all formats, or as text in .csv alone; for --write the space of the free
+    parameters, and the model and experiments with their values."""
 
     results: list[Any]
     draw: Callable[[], Any] | None = None
@@ -54,7 +55,12 @@ def _check(study: Study, options: argparse.Namespace) -> Outcome:
     from jaxbody.core.tables import counted
 
     model = study.model
-    counts = {"support": model.layout.supports, "element": model.element_names, "load": study.loads, "sensor": study.sensors}
+    counts = {
+        "support": model.layout.supports,
+        "element": model.element_names,
+        "load": study.loads,
+        "sensor": study.sensors,
+    }
     counts |= {"experiment": study.experiments, "held-out experiment": study.held_out}
     said = [counted(len(names), what) for what, names in counts.items() if names]
     bodies = "1 body" if len(model.layout.bodies) == 1 else f"{len(model.layout.bodies)} bodies"
@@ -62,16 +68,27 @@ def _check(study: Study, options: argparse.Namespace) -> Outcome:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what it warns of is printed
         remarks = jb.plausibility(model, study.experiments).words if model.layout.nv else ()
-    return Outcome([f"{options.file.name}: {', '.join([bodies, *said])}, {freedoms} of freedom; no errors", *remarks])
+    return Outcome(
+        [
+            f"{options.file.name}: {', '.join([bodies, *said])}, {freedoms} of freedom; no errors",
+            *remarks,
+        ]
+    )
 
 
 def _show(study: Study, options: argparse.Namespace) -> Outcome:
-    return Outcome([study.model], lambda: jb.plots.draw_model(study.model), view=lambda: jb.view(study.model))
+    return Outcome(
+        [study.model], lambda: jb.plots.draw_model(study.model), view=lambda: jb.view(study.model)
+    )
 
 
 def _equilibrium(study: Study, options: argparse.Namespace) -> Outcome:
     equilibrium = jb.equilibrium(study.model)
-    return Outcome([equilibrium], lambda: jb.plots.draw_model(study.model, equilibrium.state), view=lambda: jb.view(equilibrium))
+    return Outcome(
+        [equilibrium],
+        lambda: jb.plots.draw_model(study.model, equilibrium.state),
+        view=lambda: jb.view(equilibrium),
+    )
 
 
 def _modes(study: Study, options: argparse.Namespace) -> Outcome:
@@ -79,7 +96,9 @@ def _modes(study: Study, options: argparse.Namespace) -> Outcome:
     modes: Any = jb.complex_modes(lin) if options.damped else jb.modes(lin)
     energies = [jb.mode_energies(lin)] if options.energies and not options.damped else []
     draw = lambda: jb.plots.draw_mode(lin, modes, options.draw)  # noqa: E731
-    return Outcome([modes, *energies, *remarks], draw, view=lambda: jb.view(modes, number=options.draw, at=lin))
+    return Outcome(
+        [modes, *energies, *remarks], draw, view=lambda: jb.view(modes, number=options.draw, at=lin)
+    )
 
 
 def _response(study: Study, options: argparse.Namespace) -> Outcome:
@@ -91,7 +110,11 @@ def _response(study: Study, options: argparse.Namespace) -> Outcome:
     low, high = options.frequencies
     inputs, outputs = _ports(study, options, options.kind)
     response = jb.frequency_response(lin, np.geomspace(low, high, options.points), inputs, outputs)
-    return Outcome([response, *remarks], lambda: jb.plots.plot_frequency_response(response), lambda: number_tables.over_frequency(response))
+    return Outcome(
+        [response, *remarks],
+        lambda: jb.plots.plot_frequency_response(response),
+        lambda: number_tables.over_frequency(response),
+    )
 
 
 def _random(study: Study, options: argparse.Namespace) -> Outcome:
@@ -101,7 +124,11 @@ def _random(study: Study, options: argparse.Namespace) -> Outcome:
     inputs, outputs = _ports(study, options, "displacement")
     spectra: Any = dict.fromkeys(inputs, jb.Unevenness.iso(options.road).at_speed(options.speed))
     response = jb.random_response(lin, jb.Band(*options.frequencies), inputs, outputs, spectra)
-    return Outcome([response, *remarks], lambda: jb.plots.plot_psd(response), lambda: number_tables.densities(response))
+    return Outcome(
+        [response, *remarks],
+        lambda: jb.plots.plot_psd(response),
+        lambda: number_tables.densities(response),
+    )
 
 
 def _load_cases(study: Study, options: argparse.Namespace) -> Outcome:
@@ -109,7 +136,13 @@ def _load_cases(study: Study, options: argparse.Namespace) -> Outcome:
 
     if not options.case:  # of a report
         raise JaxbodyError(
-            Problem("NO_DATA", "--case", "is missing", limit="at least one", hint="Give --case bump=0,0,3, an acceleration in g.")
+            Problem(
+                "NO_DATA",
+                "--case",
+                "is missing",
+                limit="at least one",
+                hint="Give --case bump=0,0,3, an acceleration in g.",
+            )
         )
     cases = {name: jb.LoadCase(acceleration=acceleration) for name, acceleration in options.case}
     result = jb.load_cases(study.model, cases)
@@ -122,8 +155,18 @@ def _simulate(study: Study, options: argparse.Namespace) -> Outcome:
     from jaxbody.app import number_tables
 
     times = np.linspace(0.0, options.duration, round(options.duration / options.interval) + 1)
-    trajectory = jb.simulate(study.model, times, motion=study.motion, loads=study.loads, initial="rest", **_steps(options))
-    over_time, view = lambda: number_tables.over_time(trajectory, study.sensors), lambda: jb.view(trajectory)
+    trajectory = jb.simulate(
+        study.model,
+        times,
+        motion=study.motion,
+        loads=study.loads,
+        initial="rest",
+        **_steps(options),
+    )
+    over_time, view = (
+        lambda: number_tables.over_time(trajectory, study.sensors),
+        lambda: jb.view(trajectory),
+    )
     return Outcome([trajectory], lambda: jb.plots.plot_trajectory(trajectory), over_time, view=view)
 
 
@@ -131,40 +174,82 @@ def _fit(study: Study, options: argparse.Namespace) -> Outcome:
     results = _fitted(study, options)
     fit = results["Fit"]
     trees = {"": fit.model, **fit.experiments}
-    return Outcome(list(results.values()), lambda: jb.plots.plot_fit(fit), space=fit.task.space, trees=trees)
+    return Outcome(
+        list(results.values()), lambda: jb.plots.plot_fit(fit), space=fit.task.space, trees=trees
+    )
 
 
 def _fitted(study: Study, options: argparse.Namespace) -> dict[str, Any]:
-    """The fit, its optima where it has several starts, and its validation by the experiments that were held out."""
+    """The fit, its optima where it has several starts, and its validation by the experiments that
+    were held out."""
     asked = study.fit | ({"free": options.free} if options.free else {}) | _steps(options)
     with Problems() as problems:
         if not study.experiments:
-            message, hint = "has no experiments", "State [records], [sensors] and [experiments]: help(jaxbody.read_study)."
+            message, hint = (
+                "has no experiments",
+                "State [records], [sensors] and [experiments]: help(jaxbody.read_study).",
+            )
             if study.held_out:
-                message, hint = "has validate = true in all experiments", "Leave it out of those that the fit is made of."
-            problems.add("NO_DATA", options.file.name, message, limit="at least one to fit", hint=hint)
+                message, hint = (
+                    "has validate = true in all experiments",
+                    "Leave it out of those that the fit is made of.",
+                )
+            problems.add(
+                "NO_DATA", options.file.name, message, limit="at least one to fit", hint=hint
+            )
         if "free" not in asked:
             hint = 'Give --free "spring.stiffness", or free = [...] below [fit] in the file.'
-            problems.add("NOTHING_FREE", options.file.name, "does not say what is free", limit="at least one path", hint=hint)
-    several = {"Optima from several starts": jb.multistart(study.model, study.experiments, **asked)} if "starts" in asked else {}
-    fit = next(iter(several.values())).best if several else jb.fit(study.model, study.experiments, **asked)
-    return {"Fit": fit, **several, **({"Validation": jb.validate(fit, study.held_out)} if study.held_out else {})}
+            problems.add(
+                "NOTHING_FREE",
+                options.file.name,
+                "does not say what is free",
+                limit="at least one path",
+                hint=hint,
+            )
+    several = (
+        {"Optima from several starts": jb.multistart(study.model, study.experiments, **asked)}
+        if "starts" in asked
+        else {}
+    )
+    fit = (
+        next(iter(several.values())).best
+        if several
+        else jb.fit(study.model, study.experiments, **asked)
+    )
+    return {
+        "Fit": fit,
+        **several,
+        **({"Validation": jb.validate(fit, study.held_out)} if study.held_out else {}),
+    }
 
 
 def _steps(options: argparse.Namespace) -> dict[str, Any]:
     """The options of the integration that are given."""
-    return {name: given for name in ("rtol", "max_steps") if (given := getattr(options, name)) is not None}
+    return {
+        name: given
+        for name in ("rtol", "max_steps")
+        if (given := getattr(options, name)) is not None
+    }
 
 
 def _tune(study: Study, options: argparse.Namespace) -> Outcome:
     if not study.designs:
-        hint = "State free, minimize, quantities and limits below [designs.NAME]: help(jaxbody.read_study)."
-        raise JaxbodyError(Problem("NOTHING_FREE", options.file.name, "has no designs", limit="at least one", hint=hint))
+        hint = (
+            "State free, minimize, quantities and limits below [designs.NAME]: "
+            "help(jaxbody.read_study)."
+        )
+        raise JaxbodyError(
+            Problem(
+                "NOTHING_FREE", options.file.name, "has no designs", limit="at least one", hint=hint
+            )
+        )
     name = options.design or next(iter(study.designs))
     if name not in study.designs:
         raise JaxbodyError(unknown(name, "--design", tuple(study.designs)))
     tuning = jb.tune(study.model, **study.designs[name])
-    return Outcome([tuning], lambda: jb.plots.plot_tuning(tuning), space=tuning.space, trees={"": tuning.model})
+    return Outcome(
+        [tuning], lambda: jb.plots.plot_tuning(tuning), space=tuning.space, trees={"": tuning.model}
+    )
 
 
 def _report(study: Study, options: argparse.Namespace) -> Outcome:
@@ -176,14 +261,24 @@ def _report(study: Study, options: argparse.Namespace) -> Outcome:
         results |= PARTS[part](study, options)
     if options.input or options.output:
         results["Response"] = _response(study, options).results[0]
-    path = jb.report(results, path, title=options.title or options.file.stem, files=[options.file, *study.files], command=options.typed)
+    path = jb.report(
+        results,
+        path,
+        title=options.title or options.file.stem,
+        files=[options.file, *study.files],
+        command=options.typed,
+    )
     failed = [result for result in results.values() if not np.all(getattr(result, "ok", True))]
     return Outcome([f"saved {path}", *failed], saved=True)
 
 
 def _parts_of_modes(study: Study, options: argparse.Namespace) -> dict[str, Any]:
     lin, _ = _linear(study)
-    return {"Small motions": lin, "Modes": jb.modes(lin), "Energies of modes": jb.mode_energies(lin)}
+    return {
+        "Small motions": lin,
+        "Modes": jb.modes(lin),
+        "Energies of modes": jb.mode_energies(lin),
+    }
 
 
 def _linear(study: Study) -> tuple[Any, list[str]]:
@@ -192,17 +287,30 @@ def _linear(study: Study) -> tuple[Any, list[str]]:
     return jb.linearize(study.model, equilibrium), equilibrium.remarks
 
 
-def _ports(study: Study, options: argparse.Namespace, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
+def _ports(
+    study: Study, options: argparse.Namespace, kind: str
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """The inputs, motions of supports of this kind, and the outputs."""
     inputs = {text: jb.BaseMotion(*_place(text, "--input"), kind=kind) for text in options.input}
-    return inputs, {text: study.sensors.get(text) or _sensor(text, options.quantity, study.model.element_names) for text in options.output}
+    return inputs, {
+        text: study.sensors.get(text) or _sensor(text, options.quantity, study.model.element_names)
+        for text in options.output
+    }
 
 
 def _place(text: str, where: str) -> tuple[str, str]:
     """A name and a direction of "road.z"."""
     name, _, direction = text.rpartition(".")
     if not name:
-        raise JaxbodyError(Problem("BAD_DIRECTION", where, f"is '{text}'", text, "a name and a direction, such as road.z"))
+        raise JaxbodyError(
+            Problem(
+                "BAD_DIRECTION",
+                where,
+                f"is '{text}'",
+                text,
+                "a name and a direction, such as road.z",
+            )
+        )
     return name, direction
 
 
@@ -210,8 +318,14 @@ def _sensor(text: str, quantity: str, elements: tuple[str, ...]) -> Any:
     """What "car.z" or the name of an element measures."""
     name, direction = (text, "") if text in elements else _place(text, "--output")
     line, turn = QUANTITIES[quantity]
-    sensor: Any = getattr(jb, "Elongation" if not direction else turn if direction[0] == "r" else line)
-    return sensor(name, axis=[float(direction[-1] == axis) for axis in "xyz"]) if direction else sensor(name)
+    sensor: Any = getattr(
+        jb, "Elongation" if not direction else turn if direction[0] == "r" else line
+    )
+    return (
+        sensor(name, axis=[float(direction[-1] == axis) for axis in "xyz"])
+        if direction
+        else sensor(name)
+    )
 
 
 def _case(text: str) -> tuple[str, list[float]]:
@@ -241,12 +355,22 @@ _band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of
 
 
 def _ports_options(required: bool) -> tuple[Any, ...]:
-    where, directions = "body and direction, element, or sensor of the file", "support and x, y, z, rx, ry or rz"
+    where, directions = (
+        "body and direction, element, or sensor of the file",
+        "support and x, y, z, rx, ry or rz",
+    )
     several: dict[str, Any] = {"action": "append", "required": required, "default": []}
     return (
         (("--input",), several | {"metavar": "SUPPORT.z", "help": directions}),
         (("--output",), several | {"metavar": "BODY.z", "help": where}),
-        (("--quantity",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the output (default: displacement)"}),
+        (
+            ("--quantity",),
+            {
+                "choices": list(QUANTITIES),
+                "default": "displacement",
+                "help": "of the output (default: displacement)",
+            },
+        ),
     )
 
 
@@ -255,23 +379,84 @@ def _case_option(required: bool) -> tuple[Any, ...]:
     return ("--case",), named | {"metavar": "NAME=X,Y,Z", "help": "acceleration of a load case [g]"}
 
 
-BAND = (("--frequencies",), {"type": _band, "default": (0.1, 50.0), "metavar": "LOW:HIGH", "help": "[Hz] (default: 0.1:50)"})
+BAND = (
+    ("--frequencies",),
+    {
+        "type": _band,
+        "default": (0.1, 50.0),
+        "metavar": "LOW:HIGH",
+        "help": "[Hz] (default: 0.1:50)",
+    },
+)
 OF_RESPONSE = (
     BAND,
-    (("--points",), {"type": int, "default": 400, "metavar": "N", "help": "number of frequencies (default: 400)"}),
-    (("--kind",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the input (default: displacement)"}),
+    (
+        ("--points",),
+        {
+            "type": int,
+            "default": 400,
+            "metavar": "N",
+            "help": "number of frequencies (default: 400)",
+        },
+    ),
+    (
+        ("--kind",),
+        {
+            "choices": list(QUANTITIES),
+            "default": "displacement",
+            "help": "of the input (default: displacement)",
+        },
+    ),
 )
 OF_MOTION = (
-    (("--duration",), {"type": _above_zero, "default": 5.0, "metavar": "T", "help": "[s] (default: 5)"}),
-    (("--interval",), {"type": _above_zero, "default": 0.01, "metavar": "DT", "help": "between samples [s] (default: 0.01)"}),
+    (
+        ("--duration",),
+        {"type": _above_zero, "default": 5.0, "metavar": "T", "help": "[s] (default: 5)"},
+    ),
+    (
+        ("--interval",),
+        {
+            "type": _above_zero,
+            "default": 0.01,
+            "metavar": "DT",
+            "help": "between samples [s] (default: 0.01)",
+        },
+    ),
 )
 OF_STEPS = (
-    (("--rtol",), {"type": _above_zero, "metavar": "R", "help": "tolerance of the integration (default: 1e-8)"}),
-    (("--max-steps",), {"type": int, "metavar": "N", "help": "largest number of its steps (default: by the number of samples)"}),
+    (
+        ("--rtol",),
+        {
+            "type": _above_zero,
+            "metavar": "R",
+            "help": "tolerance of the integration (default: 1e-8)",
+        },
+    ),
+    (
+        ("--max-steps",),
+        {
+            "type": int,
+            "metavar": "N",
+            "help": "largest number of its steps (default: by the number of samples)",
+        },
+    ),
 )
-FREE = (("--free",), {"action": "append", "metavar": "PATH", "help": "parameter or pattern (default: those of [fit])"})
+FREE = (
+    ("--free",),
+    {
+        "action": "append",
+        "metavar": "PATH",
+        "help": "parameter or pattern (default: those of [fit])",
+    },
+)
 DESIGN = (("--design",), {"metavar": "NAME", "help": "design of the file (default: its first one)"})
-WRITE = (("--write",), {"action": "store_true", "help": "write the values into the file, in the units that stand there"})
+WRITE = (
+    ("--write",),
+    {
+        "action": "store_true",
+        "help": "write the values into the file, in the units that stand there",
+    },
+)
 PARTS: dict[str, Callable[[Any, argparse.Namespace], dict[str, Any]]] = {
     "model": lambda study, options: {"Model": study.model},
     "equilibrium": lambda study, options: {"Equilibrium": jb.equilibrium(study.model)},
@@ -279,10 +464,19 @@ PARTS: dict[str, Callable[[Any, argparse.Namespace], dict[str, Any]]] = {
     "load-cases": lambda study, options: {"Load cases": _load_cases(study, options).results[0]},
     "motion": lambda study, options: {"Motion": _simulate(study, options).results[0]},
     "fit": _fitted,
-    "design": lambda study, options: {f"Design {options.design or next(iter(study.designs), '')}": _tune(study, options).results[0]},
+    "design": lambda study, options: {
+        f"Design {options.design or next(iter(study.designs), '')}": _tune(study, options).results[
+            0
+        ]
+    },
 }
 COMMANDS = {
-    "check": Command("check a model file and the records that it names", "jaxbody check engine.toml", _check, measured=True),
+    "check": Command(
+        "check a model file and the records that it names",
+        "jaxbody check engine.toml",
+        _check,
+        measured=True,
+    ),
     "show": Command(
         "print and draw a model; --out engine.html shows it in three dimensions",
         "jaxbody show engine.toml --out engine.png",
@@ -300,21 +494,47 @@ COMMANDS = {
         "jaxbody modes engine.toml --energies --out modes.csv",
         _modes,
         (
-            (("--damped",), {"action": "store_true", "help": "complex modes, with their damping ratios"}),
-            (("--energies",), {"action": "store_true", "help": "the shares of the energy of each mode"}),
-            (("--draw",), {"type": int, "default": 1, "metavar": "N", "help": "the mode that --out draws (default: 1)"}),
+            (
+                ("--damped",),
+                {"action": "store_true", "help": "complex modes, with their damping ratios"},
+            ),
+            (
+                ("--energies",),
+                {"action": "store_true", "help": "the shares of the energy of each mode"},
+            ),
+            (
+                ("--draw",),
+                {
+                    "type": int,
+                    "default": 1,
+                    "metavar": "N",
+                    "help": "the mode that --out draws (default: 1)",
+                },
+            ),
         ),
         formats=IN_SPACE,
     ),
     "random": Command(
         "the response to an uneven road, of class A to H by ISO 8608, under each input",
-        "jaxbody random car.toml --input road.z --output body.z --speed 20 --set suspension.damping='1.5 N s/mm' --out psd.png",
+        "jaxbody random car.toml --input road.z --output body.z --speed 20 --set "
+        "suspension.damping='1.5 N s/mm' --out psd.png",
         _random,
         (
             *_ports_options(True),
             BAND,
-            (("--road",), {"default": "C", "metavar": "CLASS", "help": "A (smooth) to H (default: C)"}),
-            (("--speed",), {"type": _above_zero, "default": 20.0, "metavar": "V", "help": "[m/s] (default: 20)"}),
+            (
+                ("--road",),
+                {"default": "C", "metavar": "CLASS", "help": "A (smooth) to H (default: C)"},
+            ),
+            (
+                ("--speed",),
+                {
+                    "type": _above_zero,
+                    "default": 20.0,
+                    "metavar": "V",
+                    "help": "[m/s] (default: 20)",
+                },
+            ),
         ),
     ),
     "load-cases": Command(
@@ -332,18 +552,33 @@ COMMANDS = {
     ),
     "report": Command(
         "one HTML file of tables and pictures, which needs no network",
-        "jaxbody report measured.toml --part model --part modes --part fit --free suspension.stiffness --out report.html",
+        "jaxbody report measured.toml --part model --part modes --part fit --free "
+        "suspension.stiffness --out report.html",
         _report,
         (
-            (("--part",), {"action": "append", "choices": list(PARTS), "help": "a section (default: model, equilibrium and modes)"}),
+            (
+                ("--part",),
+                {
+                    "action": "append",
+                    "choices": list(PARTS),
+                    "help": "a section (default: model, equilibrium and modes)",
+                },
+            ),
             (("--title",), {"metavar": "TEXT", "help": "title (default: the name of the file)"}),
-            *_ports_options(False), *OF_RESPONSE, *OF_MOTION, *OF_STEPS, _case_option(False), FREE, DESIGN,
+            *_ports_options(False),
+            *OF_RESPONSE,
+            *OF_MOTION,
+            *OF_STEPS,
+            _case_option(False),
+            FREE,
+            DESIGN,
         ),
         measured=True,
         formats=(".html",),
     ),
     "fit": Command(
-        "estimate parameters from the experiments of a file, and validate them by those that it holds out",
+        "estimate parameters from the experiments of a file, and validate them by "
+        "those that it holds out",
         "jaxbody fit measured.toml --free suspension.stiffness --write --out fit.csv",
         _fit,
         (FREE, *OF_STEPS, WRITE),
@@ -357,8 +592,9 @@ COMMANDS = {
     ),
     "response": Command(
         "the response to a harmonic motion of supports",
-        "jaxbody response car.toml --input road.z --output body.z --frequencies 0.5:20 --out response.png",
+        "jaxbody response car.toml --input road.z --output body.z --frequencies "
+        "0.5:20 --out response.png",
         _response,
         (*_ports_options(True), *OF_RESPONSE),
     ),
-}  # fmt: skip
+}

@@ -1,4 +1,5 @@
-"""New numbers in a model file: each at its place and in the unit that stands there. Comments and the order of entries stay."""
+"""New numbers in a model file: each at its place and in the unit that stands there. Comments and
+the order of entries stay."""
 
 from __future__ import annotations
 
@@ -26,35 +27,48 @@ POINT = "point"  # of an end, the last step to its place
 
 
 def update(path: Path, document: Document, space: Space, trees: dict[str, Any]) -> list[str]:
-    """Write the values of free parameters into a file. `trees`: the model "" and the experiments by name, with these values. Returns the
-    paths that have no entry in the file, such as the gain of a sensor in one of several experiments. Error: NOT_SAVED."""
+    """Write the values of free parameters into a file. `trees`: the model "" and the experiments by
+    name, with these values. Returns the paths that have no entry in the file, such as the gain of a
+    sensor in one of several experiments. Error: NOT_SAVED."""
     text, left = path.read_text(encoding="utf-8"), []
     content: Any = tomlkit.parse(text) if path.suffix == ".toml" else json.loads(text)
     system = unit_system(document.values.get("units"), "units", Problems())
     for run, leaf in (place for parameter in space.parameters for place in parameter.places):
-        place = _run_place(document.values, leaf.path) if run else _place(document.values, leaf.path)
+        place = (
+            _run_place(document.values, leaf.path) if run else _place(document.values, leaf.path)
+        )
         if place is None:
             left.append(leaf.path)
             continue
         value = np.asarray(leaf.read(jax.tree.leaves(trees[run])))
         _set(content, place, value, units_of(leaf, space.model, value), system)
-    text = tomlkit.dumps(content) if path.suffix == ".toml" else json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    text = (
+        tomlkit.dumps(content)
+        if path.suffix == ".toml"
+        else json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    )
     with writing(path), replacing(path) as new:
         new.write_text(text, encoding="utf-8")
     return left
 
 
 def _run_place(values: dict[str, Any], path: str) -> EntryPath | None:
-    """The entry of an initial state, "run1.initial.v", or of a loss factor, "hammer.loss_factor.all"."""
+    """The entry of an initial state, "run1.initial.v", or of a loss factor,
+    "hammer.loss_factor.all"."""
     run, part, *rest = path.split(".")
     stated = values["experiments"][run].get(part)
     if part == "loss_factor":
         return ("experiments", run, part, *(rest if isinstance(stated, dict) else ()))
-    return ("experiments", run, part, *rest) if part == "initial" and isinstance(stated, dict) else None
+    return (
+        ("experiments", run, part, *rest)
+        if part == "initial" and isinstance(stated, dict)
+        else None
+    )
 
 
 def _place(values: dict[str, Any], path: str) -> EntryPath | None:
-    """The entry of a number of the model, "left.spring.terms.0.coefficient"; None for one that a file beside it holds."""
+    """The entry of a number of the model, "left.spring.terms.0.coefficient"; None for one that a
+    file beside it holds."""
     name, *parts = path.split(".")
     if not parts:
         return (name,)
@@ -68,7 +82,11 @@ def _place(values: dict[str, Any], path: str) -> EntryPath | None:
     ends = dict(zip("abc", (each.name for each in arguments if each.role == "end"), strict=False))
     if parts[0] in ends:
         return (section, name, ends[parts[0]], POINT)
-    place: EntryPath = (section, name, next((each.name for each in arguments if parts[0] == each.field), parts[0]))
+    place: EntryPath = (
+        section,
+        name,
+        next((each.name for each in arguments if parts[0] == each.field), parts[0]),
+    )
     node = table.get(place[-1])
     for part in parts[1:]:
         if isinstance(node, list):
@@ -81,7 +99,9 @@ def _place(values: dict[str, Any], path: str) -> EntryPath | None:
     return place
 
 
-def _set(content: Any, place: EntryPath, value: np.ndarray, si: list[str], system: UnitSystem | None) -> None:
+def _set(
+    content: Any, place: EntryPath, value: np.ndarray, si: list[str], system: UnitSystem | None
+) -> None:
     """Set the entry at a place, in the units that it has."""
     *before, last = place
     for key in before[:-1]:
@@ -92,18 +112,28 @@ def _set(content: Any, place: EntryPath, value: np.ndarray, si: list[str], syste
         content[before[-1]] = [name, _written(value, point, si, system)]
         return
     content = content[before[-1]] if before else content
-    content[last] = _written(value, content[last] if isinstance(last, int) else content.get(last), si, system)
+    content[last] = _written(
+        value, content[last] if isinstance(last, int) else content.get(last), si, system
+    )
 
 
 def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | None) -> Any:
     """Numbers in SI in the form and the units of the old ones."""
     match = NUMBERS.match(old.strip()) if isinstance(old, str) else None
-    count = len(re.findall(r"[^\s,;()\[\]]+", match.group())) if match else np.size(old) if isinstance(old, list) else 1
+    count = (
+        len(re.findall(r"[^\s,;()\[\]]+", match.group()))
+        if match
+        else np.size(old)
+        if isinstance(old, list)
+        else 1
+    )
     if value.ndim == 2 and count == len(value) and np.array_equal(value, np.diag(np.diag(value))):
         value, si = np.diag(value), [*np.reshape(si, value.shape).diagonal()]
     if value.ndim and isinstance(old, list) and len(old) == len(value):
         rows = np.reshape(si, (len(value), -1)).tolist()
-        return [_written(x, each, row, system) for x, each, row in zip(value, old, rows, strict=True)]
+        return [
+            _written(x, each, row, system) for x, each, row in zip(value, old, rows, strict=True)
+        ]
     if value.ndim > 1:
         rows = np.reshape(si, (len(value), -1)).tolist()
         return [_written(x, None, row, system) for x, row in zip(value, rows, strict=True)]
@@ -112,11 +142,21 @@ def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | No
         return _text(value, stated, units.parse(stated, "unit").factor)
     if not any(si) or not value.any():  # zero needs no unit
         return numbers_of(value)
-    if system is not None and isinstance(old, int | float | list | str) and all(system.states(unit or "1") for unit in si):
+    if (
+        system is not None
+        and isinstance(old, int | float | list | str)
+        and all(system.states(unit or "1") for unit in si)
+    ):
         factors = [system.factor(unit or "1") for unit in si]
-        numbers = [_number(x, factor) for x, factor in zip(value.ravel().tolist(), factors, strict=True)]
+        numbers = [
+            _number(x, factor) for x, factor in zip(value.ravel().tolist(), factors, strict=True)
+        ]
         return numbers if value.ndim else numbers[0]
-    return _text(value, si[0], 1.0) if len(set(si)) == 1 else [_text(x, unit, 1.0) for x, unit in zip(value, si, strict=True)]
+    return (
+        _text(value, si[0], 1.0)
+        if len(set(si)) == 1
+        else [_text(x, unit, 1.0) for x, unit in zip(value, si, strict=True)]
+    )
 
 
 def _text(value: np.ndarray, unit: str, factor: float) -> str:
@@ -124,7 +164,8 @@ def _text(value: np.ndarray, unit: str, factor: float) -> str:
 
 
 def _number(value: float, factor: float) -> float:
-    """The number that is read as this value in a unit of this factor, to the bit where there is one."""
+    """The number that is read as this value in a unit of this factor, to the bit where there
+    is one."""
     near = value / factor
     neighbors = (near, math.nextafter(near, math.inf), math.nextafter(near, -math.inf))
     return next((x for x in neighbors if times(x, factor) == value), near)

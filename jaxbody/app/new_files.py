@@ -1,5 +1,5 @@
-"""New files for a newcomer to edit: a ready model with a motion, sensors, a design and, as comments, measured data; the mounts of a data
-sheet with a body on them."""
+"""New files for a newcomer to edit: a ready model with a motion, sensors, a design and, as
+comments, measured data; the mounts of a data sheet with a body on them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from jaxbody.interchange.mount_tables import mounted_frames
 HEADING = """# A model for jaxbody. Check it with `jaxbody check FILE`; `jaxbody --help` lists what comes next.
 # Numbers without a unit are in SI; "21 N/mm" is a number with its own. Bodies: `position` is where the origin O of the body's axes is
 # before the model settles, `com` the center of mass from O. Elements: each end is a body, a support or "world", and a point in its axes.
-"""
+"""  # noqa: E501
 OF_SHEET = """# The mounts are those of {file}, in its axes. Mass, center of mass and inertia of {bodies} are not in it: write yours below.
-"""
+"""  # noqa: E501
 PLACEHOLDER = ", not in the sheet: a placeholder"
 PLACEHOLDER_MASS, PLACEHOLDER_INERTIA = 100.0, [5.0, 5.0, 5.0]
 MOTION = """
@@ -54,13 +54,16 @@ MEASURED = """
 # noise = {{frequency = "0.02 Hz"}}        # standard deviation; without it, estimated
 # [fit]
 # free = ["{fitted}"]
-"""
-ON_BASE = '# motion.{support} = {{type = "Sampled", record = "run1", translation = "base", axis = "z"}}\n'
+"""  # noqa: E501
+ON_BASE = (
+    '# motion.{support} = {{type = "Sampled", record = "run1", translation = "base", axis = "z"}}\n'
+)
 
 
 @dataclass(frozen=True)
 class Start:
-    """What a newcomer would read, tune and fit of a ready model. `initial`: of an experiment that no support moves."""
+    """What a newcomer would read, tune and fit of a ready model. `initial`: of an experiment that
+    no support moves."""
 
     frequencies: str  # [Hz]
     sensors: str
@@ -97,7 +100,8 @@ lowest = {type = "frequency", mode = 1}""",
     ),
     "full_car": Start(
         "1.34, 1.57",
-        'reading = {type = "Acceleration", on = "car", axis = "z"}\ntravel = {type = "Elongation", on = "spring fl"}',
+        'reading = {type = "Acceleration", on = "car", axis = "z"}\n'
+        'travel = {type = "Elongation", on = "spring fl"}',
         "car.mass",
         """free = ["spring fl.damping = spring fr.damping", "spring rl.damping = spring rr.damping"]
 minimize = "discomfort"
@@ -113,7 +117,12 @@ discomfort = {type = "comfort", weights = {reading = "Wk"}}
 travel = {type = "stroke", sensor = "travel"}""",
         unit="g",
     ),
-    "full_car_on_double_wishbones": Start("1.33, 1.55", 'reading = {type = "Acceleration", on = "car", axis = "z"}', "car.mass", unit="g"),
+    "full_car_on_double_wishbones": Start(
+        "1.33, 1.55",
+        'reading = {type = "Acceleration", on = "car", axis = "z"}',
+        "car.mass",
+        unit="g",
+    ),
     "four_bar": Start(
         "18.2",
         'reading = {type = "Position", on = "rocker", point = [0.08, 0, 0], axis = "x"}',
@@ -213,7 +222,11 @@ def text_of(name: str) -> str:
     """The text of the file of a ready model."""
     model, start = getattr(jb.presets, name)(), STARTS[name]
     support = next((toml_key(name) for name in model.layout.supports), "")
-    on_base = {"base": ", base [mm]", "channel": ', base = "base"', "motion": ON_BASE.format(support=support)}
+    on_base = {
+        "base": ", base [mm]",
+        "channel": ', base = "base"',
+        "motion": ON_BASE.format(support=support),
+    }
     measured = MEASURED.format(
         unit=start.unit,
         fitted=start.fitted,
@@ -234,24 +247,36 @@ def text_of(name: str) -> str:
 
 
 def text_of_mounts(path: Path) -> str:
-    """The text of a file with the mounts of a data sheet. The names in column a are bodies, without masses in the sheet; they are at
-    the origin, so that points in their axes are those of the sheet."""
+    """The text of a file with the mounts of a data sheet. The names in column a are bodies,
+    without masses in the sheet; they are at the origin, so that points in their axes are those of
+    the sheet."""
     bodies, supports = mounted_frames(path)
     bodies, supports = bodies or ["engine"], supports or ["frame"]
     origin = {bodies[0]: jb.Support(), **dict.fromkeys([*supports, *bodies[1:]], jb.Support())}
     mounts = jb.read_mounts(path, origin)
-    ends = [end for mount in mounts.values() for end in zip(mount.between, mount.points, strict=True)]
+    ends = [
+        end for mount in mounts.values() for end in zip(mount.between, mount.points, strict=True)
+    ]
     places = {name: [point for end, point in ends if end == name] for name in origin}
     centers = {name: np.mean(points, 0).round(3) for name, points in places.items() if points}
     model = jb.Model(
-        bodies={name: jb.Body(PLACEHOLDER_MASS, PLACEHOLDER_INERTIA, com=centers[name]) for name in bodies if name in centers},
+        bodies={
+            name: jb.Body(PLACEHOLDER_MASS, PLACEHOLDER_INERTIA, com=centers[name])
+            for name in bodies
+            if name in centers
+        },
         supports={name: jb.Support() for name in supports if name in centers},
         elements=mounts,
         gravity=[0, 0, -9.81],
     )
-    text = re.sub("^((?:mass|inertia|com) = .*)$", rf"\1{PLACEHOLDER}", _text_of_model(model), flags=re.M)
+    text = re.sub(
+        "^((?:mass|inertia|com) = .*)$", rf"\1{PLACEHOLDER}", _text_of_model(model), flags=re.M
+    )
     support = toml_key(model.layout.supports[0]) if model.layout.supports else ""
-    sensors = "\n".join(f'{toml_key(f"{name}_z")} = {{type = "Position", on = "{name}", axis = "z"}}' for name in model.layout.bodies)
+    sensors = "\n".join(
+        f'{toml_key(f"{name}_z")} = {{type = "Position", on = "{name}", axis = "z"}}'
+        for name in model.layout.bodies
+    )
     return "".join(
         [
             HEADING,
@@ -266,7 +291,10 @@ def text_of_mounts(path: Path) -> str:
 def _text_of_model(model: jb.Model) -> str:
     """The model with its units, without negative zeros."""
     text = toml_of(values_of(jax.tree.map(lambda x: x + 0.0, model)), units=True)
-    return text.replace("gravity = [0.0, 0.0, 0.0] # m/s2", "gravity = [0.0, 0.0, 0.0] # m/s2; zero, as in the source of this model")
+    return text.replace(
+        "gravity = [0.0, 0.0, 0.0] # m/s2",
+        "gravity = [0.0, 0.0, 0.0] # m/s2; zero, as in the source of this model",
+    )
 
 
 def toml_key(name: str) -> str:

@@ -1,4 +1,5 @@
-"""Reports: results with their tables and pictures in one HTML file, which needs no network and prints on paper."""
+"""Reports: results with their tables and pictures in one HTML file, which needs no network and
+prints on paper."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ MOST_RECORDS = 6  # of a fit that are drawn
 LARGEST_DRAWING = 300_000  # bytes of a vector drawing, above which it is a picture of points
 DPI = 170  # of these
 LIBRARIES = ("jaxbody", "jax", "jaxlib", "diffrax", "numpy", "scipy")
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"  # a browser then asks for nothing, and complains if the file does
+# a browser then asks for nothing, and complains if the file does
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 STYLE = """
 :root { color: #2b2f36; font: 15px/1.5 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
 body { max-width: 60rem; margin: 0 auto; padding: 1rem; }
@@ -67,15 +69,23 @@ footer { margin-top: 2.5rem; border-top: 1px solid #c5ccd6; font-size: .8rem; ov
   figure img { max-height: 18cm; }
 }
 @page { margin: 18mm; }
-"""
+"""  # noqa: E501
 
 
-def report(results: dict[str, Any], path: Any, *, title: str = "", files: Iterable[Any] = (), command: str = "") -> Path:
-    """Write a report: a section for each result, with its status, its tables and its pictures. Returns the path.
+def report(
+    results: dict[str, Any],
+    path: Any,
+    *,
+    title: str = "",
+    files: Iterable[Any] = (),
+    command: str = "",
+) -> Path:
+    """Write a report: a section for each result, with its status, its tables and its pictures.
+    Returns the path.
 
     Args:
-        results: {heading: result of jaxbody}, with its tables and the picture of its `plot`; of a linearization the modes are drawn, a
-            fit beside its data
+        results: {heading: result of jaxbody}, with its tables and the picture of its `plot`; of a
+            linearization the modes are drawn, a fit beside its data
         path: path of the file, .html; it replaces one of the same name
         title: title; default: the name of the file
         files: paths of the files that the results are from, whose hashes are listed
@@ -86,32 +96,69 @@ def report(results: dict[str, Any], path: Any, *, title: str = "", files: Iterab
     >>> import pathlib, tempfile
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> path = pathlib.Path(tempfile.mkdtemp(), "car.html")
-    >>> text = report({"Car": car, "Modes": modes(linearize(car, car.reference))}, path, title="Quarter car").read_text()
+    >>> text = report(
+    ...     {"Car": car, "Modes": modes(linearize(car, car.reference))}, path, title="Quarter car"
+    ... ).read_text()
     >>> "<h1>Quarter car</h1>" in text, "<script" in text
     (True, False)
     """
     path = Path(path)
     found = [
-        Problem("WRONG_KIND", f"report['{name}']", f"is a {type(result).__name__}", result, "a result of jaxbody")
+        Problem(
+            "WRONG_KIND",
+            f"report['{name}']",
+            f"is a {type(result).__name__}",
+            result,
+            "a result of jaxbody",
+        )
         for name, result in results.items()
         if not isinstance(result, Printed)
     ]
     if path.suffix != ".html":
-        found.append(Problem("UNKNOWN_FORMAT", path.name, f"has the extension '{path.suffix}'", path.suffix, ".html"))
+        found.append(
+            Problem(
+                "UNKNOWN_FORMAT",
+                path.name,
+                f"has the extension '{path.suffix}'",
+                path.suffix,
+                ".html",
+            )
+        )
     if not results:
-        found.append(Problem("NO_DATA", "report.results", "is empty", limit="at least one", hint='Give {"Modes": modes}.'))
+        found.append(
+            Problem(
+                "NO_DATA",
+                "report.results",
+                "is empty",
+                limit="at least one",
+                hint='Give {"Modes": modes}.',
+            )
+        )
     if found:
         raise JaxbodyError(*found)
     hashes = [(Path(file).name, _hash(Path(file))) for file in files]
-    sections = [f"<section id='s{i}'>{_section(name, result)}</section>" for i, (name, result) in enumerate(results.items())]
-    links = "".join(f"<li><a href='#s{i}'>{escape(name)}</a></li>" for i, name in enumerate(results))
+    sections = [
+        f"<section id='s{i}'>{_section(name, result)}</section>"
+        for i, (name, result) in enumerate(results.items())
+    ]
+    links = "".join(
+        f"<li><a href='#s{i}'>{escape(name)}</a></li>" for i, name in enumerate(results)
+    )
     contents = f"<nav aria-label='Contents'><ul>{links}</ul></nav>" if len(results) > 3 else ""
     heading = escape(title or path.stem)
-    head = f"""<meta charset='utf-8'><meta http-equiv="Content-Security-Policy" content="{POLICY}">"""
-    head += f"<meta name='viewport' content='width=device-width, initial-scale=1'><title>{heading}</title>"
+    head = (
+        f"""<meta charset='utf-8'><meta http-equiv="Content-Security-Policy" content="{POLICY}">"""
+    )
+    head += (
+        "<meta name='viewport' content='width=device-width, "
+        f"initial-scale=1'><title>{heading}</title>"
+    )
     body = f"<main><h1>{heading}</h1>{contents}{''.join(sections)}</main>{_footer(hashes, command)}"
     with writing(path):
-        text = f"<!DOCTYPE html>\n<html lang='en'><head>{head}<style>{STYLE}</style></head><body>{body}</body></html>\n"
+        text = (
+            "<!DOCTYPE html>\n<html "
+            f"lang='en'><head>{head}<style>{STYLE}</style></head><body>{body}</body></html>\n"
+        )
         path.write_text(text, encoding="utf-8")
     return path
 
@@ -139,18 +186,26 @@ def _pictures(result: Any) -> Pictures:
 def _figure(caption: str, ax: Any) -> str:
     if ax is None:
         return f"<p class='note'>{escape(caption)}</p>"
-    return f"<figure><img src='{_image(ax)}' alt='{escape(caption)}'><figcaption>{escape(caption)}</figcaption></figure>"
+    return (
+        f"<figure><img src='{_image(ax)}' "
+        f"alt='{escape(caption)}'><figcaption>{escape(caption)}</figcaption></figure>"
+    )
 
 
 def _table(table: PrintedTable) -> str:
     caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
     head = "".join(f"<th scope='col'>{escape(column)}</th>" for column in table.columns)
     rows = [
-        f"<tr><th scope='row'>{escape(number(row[0]))}</th>" + "".join(f"<td>{escape(number(cell))}</td>" for cell in row[1:]) + "</tr>"
+        f"<tr><th scope='row'>{escape(number(row[0]))}</th>"
+        + "".join(f"<td>{escape(number(cell))}</td>" for cell in row[1:])
+        + "</tr>"
         for row in table.rows
     ]
     note = f"<p class='note'>{escape(table.note)}</p>" if table.note else ""
-    return f"<div class='table'><table>{caption}<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>{note}"
+    return (
+        "<div "
+        f"class='table'><table>{caption}<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>{note}"
+    )
 
 
 def _image(ax: Any) -> str:
@@ -163,7 +218,9 @@ def _image(ax: Any) -> str:
     kind = "svg+xml"
     if len(data.getvalue()) > LARGEST_DRAWING:
         kind, data = "png", io.BytesIO()
-        figure.savefig(data, format="png", dpi=DPI, metadata={"Software": None}, bbox_inches="tight")
+        figure.savefig(
+            data, format="png", dpi=DPI, metadata={"Software": None}, bbox_inches="tight"
+        )
     plt.close(figure)
     return f"data:image/{kind};base64,{base64.b64encode(data.getvalue()).decode()}"
 
@@ -174,7 +231,9 @@ def _hash(path: Path) -> str:
 
 
 def _footer(hashes: list[tuple[str, str]], command: str) -> str:
-    versions = ", ".join([*(f"{name} {version(name)}" for name in LIBRARIES), f"Python {platform.python_version()}"])
+    versions = ", ".join(
+        [*(f"{name} {version(name)}" for name in LIBRARIES), f"Python {platform.python_version()}"]
+    )
     lines = [f"Made on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC with {versions}."]
     lines += [f"{escape(name)}: SHA-256 {digest}" for name, digest in hashes]
     lines += [f"Made again by <code>{escape(command)}</code>"] if command else []
@@ -183,7 +242,9 @@ def _footer(hashes: list[tuple[str, str]], command: str) -> str:
 
 def _of_modes(lin: Linearization) -> Iterator[tuple[str, Any]]:
     natural = modes(lin)
-    for i, (f, name) in enumerate(zip(np.asarray(natural.frequency)[:MOST_MODES], natural.names, strict=False), 1):
+    for i, (f, name) in enumerate(
+        zip(np.asarray(natural.frequency)[:MOST_MODES], natural.names, strict=False), 1
+    ):
         yield f"Mode {i}, {f:.4g} Hz, {name}", plots.draw_mode(lin, natural, i)
 
 
@@ -197,7 +258,10 @@ def _of_fit(fit: Fit) -> Iterator[tuple[str, Any]]:
     records, note = _drawn(fit, "plot_fit(fit, run=..., sensor=...)")
     yield from note
     for run, sensor in records:
-        yield f"{run}, {sensor}: measured and fitted, with the residual", plots.plot_fit(fit, run=run, sensor=sensor)
+        yield (
+            f"{run}, {sensor}: measured and fitted, with the residual",
+            plots.plot_fit(fit, run=run, sensor=sensor),
+        )
     if fit.uncertainty is not None and fit.u.size > 1:
         yield "Correlations of the estimates", plots.plot_correlations(fit)
 
@@ -206,28 +270,42 @@ def _of_validation(validation: Validation) -> Iterator[tuple[str, Any]]:
     records, note = _drawn(validation, "plot_validation(validation, run=..., sensor=...)")
     yield from note
     for run, sensor in records:
-        yield f"{run}, {sensor}: measured, and predicted without a fit to it", validation.plot(run=run, sensor=sensor)
+        yield (
+            f"{run}, {sensor}: measured, and predicted without a fit to it",
+            validation.plot(run=run, sensor=sensor),
+        )
 
 
-def _drawn(result: Fit | Validation, others: str) -> tuple[list[tuple[str, str]], list[tuple[str, None]]]:
-    """The records that are drawn, those with the largest misfits if there are many, and then a note."""
+def _drawn(
+    result: Fit | Validation, others: str
+) -> tuple[list[tuple[str, str]], list[tuple[str, None]]]:
+    """The records that are drawn, those with the largest misfits if there are many, and then
+    a note."""
     records = [(run, sensor) for run, sensors in result.predicted.items() for sensor in sensors]
     if len(records) <= MOST_RECORDS:
         return records, []
-    which = f"{MOST_RECORDS} of {len(records)} records are drawn, those with the largest residuals relative to the measured variation."
+    which = (
+        f"{MOST_RECORDS} of {len(records)} records are drawn, those with the largest residuals "
+        "relative to the measured variation."
+    )
     return sorted(records, key=lambda record: -misfit(result, *record))[:MOST_RECORDS], [
         (f"{which} jaxbody.plots.{others} draws any other.", None)
     ]
 
 
 def misfit(fit: Fit | Validation, run: str, sensor: str) -> float:
-    """The rms residual of a record relative to the variation of the measured values, or to their size where they do not vary; of several
-    components the largest. Missing samples do not count."""
-    measured, predicted = np.asarray(fit.experiments[run].measured[sensor]), np.asarray(fit.predicted[run][sensor])
+    """The rms residual of a record relative to the variation of the measured values, or to their
+    size where they do not vary; of several components the largest. Missing samples do not count."""
+    measured, predicted = (
+        np.asarray(fit.experiments[run].measured[sensor]),
+        np.asarray(fit.predicted[run][sensor]),
+    )
     present = ~np.isnan(measured)
 
     def rms(x: np.ndarray) -> np.ndarray | np.floating:
-        return np.sqrt(np.sum(np.abs(np.where(present, x, 0)) ** 2, 0) / np.maximum(present.sum(0), 1))
+        return np.sqrt(
+            np.sum(np.abs(np.where(present, x, 0)) ** 2, 0) / np.maximum(present.sum(0), 1)
+        )
 
     mean = np.sum(np.where(present, measured, 0), 0) / np.maximum(present.sum(0), 1)
     variation, size = rms(measured - mean), rms(measured)
@@ -235,7 +313,8 @@ def misfit(fit: Fit | Validation, run: str, sensor: str) -> float:
     return float(np.max(rms(predicted - measured) / scale))
 
 
-SEVERAL: dict[type, Callable[[Any], Pictures]] = {  # pictures; of other results it is the one of `plot`
+# pictures; of other results it is the one of `plot`
+SEVERAL: dict[type, Callable[[Any], Pictures]] = {
     Linearization: _of_modes,
     Trajectory: _of_motion,
     Fit: _of_fit,

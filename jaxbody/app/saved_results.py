@@ -1,4 +1,5 @@
-"""What a command found, saved with --out: tables as text, Parquet or netCDF, a picture, or a page in three dimensions."""
+"""What a command found, saved with --out: tables as text, Parquet or netCDF, a picture, or a page
+in three dimensions."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from jaxbody.records.text_tables import split_unit
 
 
 def save(outcome: Any, path: Path) -> None:
-    """Save an outcome in the format of the path's extension. Errors: UNKNOWN_FORMAT, MISSING_EXTRA, NOT_SAVED."""
+    """Save an outcome in the format of the path's extension. Errors: UNKNOWN_FORMAT,
+    MISSING_EXTRA, NOT_SAVED."""
     with writing(path):
         if path.suffix == ".csv":
             path.write_text("\n".join(_text(table) for table in _tables(outcome)), encoding="utf-8")
@@ -28,7 +30,15 @@ def save(outcome: Any, path: Path) -> None:
         elif path.suffix == ".html":
             outcome.view().save(path)
         elif outcome.draw is None:
-            raise JaxbodyError(Problem("UNKNOWN_FORMAT", "--out", "is a picture, which this command does not draw", path, ".csv"))
+            raise JaxbodyError(
+                Problem(
+                    "UNKNOWN_FORMAT",
+                    "--out",
+                    "is a picture, which this command does not draw",
+                    path,
+                    ".csv",
+                )
+            )
         else:
             outcome.draw().figure.savefig(path, dpi=130)
 
@@ -37,14 +47,26 @@ def _tables(outcome: Any) -> list[PrintedTable]:
     made = outcome.text or outcome.series
     if made is not None:
         return [made()]
-    return [table for result in outcome.results if hasattr(result, "_tables") for table in in_numpy(result)._tables()]
+    return [
+        table
+        for result in outcome.results
+        if hasattr(result, "_tables")
+        for table in in_numpy(result)._tables()
+    ]
 
 
 def _labeled(outcome: Any) -> Labeled:
     """The first result that has labeled arrays."""
     labeled = next((result for result in outcome.results if isinstance(result, Labeled)), None)
     if labeled is None:
-        raise JaxbodyError(Problem("UNKNOWN_FORMAT", "--out", "is for labeled numbers, which this command has none of", limit=".csv"))
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_FORMAT",
+                "--out",
+                "is for labeled numbers, which this command has none of",
+                limit=".csv",
+            )
+        )
     return labeled
 
 
@@ -54,17 +76,22 @@ def _frame(outcome: Any) -> Any:
         labeled = _labeled(outcome)
         return frame_of(_real(labeled.to_xarray()), labeled.index, "--out")
     table = outcome.series()
-    frame = import_extra("pandas", "--out").DataFrame(np.array(table.rows, float), columns=list(table.columns))
+    frame = import_extra("pandas", "--out").DataFrame(
+        np.array(table.rows, float), columns=list(table.columns)
+    )
     frame.attrs["units"] = {name: split_unit(name)[1] or "" for name in table.columns}
     return frame
 
 
 def _arrow(frame: Any) -> Any:
-    """A table of Arrow with the unit of each column of numbers in its metadata, where `read_record` finds it."""
+    """A table of Arrow with the unit of each column of numbers in its metadata, where `read_record`
+    finds it."""
     pyarrow = import_extra("pyarrow", "--out")
     table, units = pyarrow.Table.from_pandas(frame), frame.attrs["units"]
     fields = [
-        field.with_metadata({"unit": units.get(field.name) or "1"}) if pyarrow.types.is_floating(field.type) else field
+        field.with_metadata({"unit": units.get(field.name) or "1"})
+        if pyarrow.types.is_floating(field.type)
+        else field
         for field in table.schema
     ]
     return table.cast(pyarrow.schema(fields, metadata=table.schema.metadata))
@@ -76,14 +103,20 @@ def _dataset(outcome: Any) -> Any:
         return _real(_labeled(outcome).to_xarray())
     table = outcome.series()
     (index, over), *columns = zip(table.columns, np.array(table.rows, float).T, strict=True)
-    return import_extra("xarray", "--out").Dataset({_plain(name): (_plain(index), x) for name, x in columns}, {_plain(index): over})
+    return import_extra("xarray", "--out").Dataset(
+        {_plain(name): (_plain(index), x) for name, x in columns}, {_plain(index): over}
+    )
 
 
 def _real(data: Any) -> Any:
-    """A Dataset whose complex variables are two real ones, which files know: "pole" as "pole_real" and "pole_imaginary"."""
+    """A Dataset whose complex variables are two real ones, which files know: "pole" as "pole_real"
+    and "pole_imaginary"."""
     for name in [name for name, x in data.data_vars.items() if np.iscomplexobj(x)]:
         x = data[name]
-        halves = {f"{name}_real": x.real.assign_attrs(x.attrs), f"{name}_imaginary": x.imag.assign_attrs(x.attrs)}
+        halves = {
+            f"{name}_real": x.real.assign_attrs(x.attrs),
+            f"{name}_imaginary": x.imag.assign_attrs(x.attrs),
+        }
         data = data.assign(halves).drop_vars(name)
     return data
 

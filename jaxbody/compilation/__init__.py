@@ -1,1 +1,2 @@
-"""Programs of JAX: jit with options that compile quickly, times of compilation, programs on disk."""
+"""Programs of JAX: jit with options that compile quickly, times of compilation, programs
+on disk."""

@@ -1,4 +1,5 @@
-"""Functions of arrays alone: all else that a call depends on is fixed in them, so that JAX keeps one trace for each."""
+"""Functions of arrays alone: all else that a call depends on is fixed in them, so that JAX keeps
+one trace for each."""
 
 from __future__ import annotations
 
@@ -19,18 +20,22 @@ class Remainder:
     value: Any
 
 
-jax.tree_util.register_pytree_node(Remainder, lambda remainder: ((), remainder.value), lambda value, _: Remainder(value))
+jax.tree_util.register_pytree_node(
+    Remainder, lambda remainder: ((), remainder.value), lambda value, _: Remainder(value)
+)
 
 
 @dataclass(frozen=True, eq=False)
 class ArrayFunction:
-    """function(*args) as a function of the arrays in args; it returns the arrays of the result, and a Remainder with all else of it. No
-    result has a weak type: batches lose it, and what takes the result would be traced again."""
+    """function(*args) as a function of the arrays in args; it returns the arrays of the result, and
+    a Remainder with all else of it. No result has a weak type: batches lose it, and what takes the
+    result would be traced again."""
 
     function: Callable[..., Any]
     name: str
     tree: Any  # of args
-    others: tuple[tuple[type, Any] | None, ...]  # leaves of args with their types (1, 1.0 and True are equal); None for arrays
+    # leaves of args with their types (1, 1.0 and True are equal); None for arrays
+    others: tuple[tuple[type, Any] | None, ...]
 
     @property
     def __name__(self) -> str:
@@ -44,7 +49,8 @@ class ArrayFunction:
 
 
 def without_weak_type(x: Any) -> Any:
-    """x with the type that it has, where JAX would let others decide it, as of a number of Python."""
+    """x with the type that it has, where JAX would let others decide it, as of a number
+    of Python."""
     return jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x
 
 
@@ -59,4 +65,6 @@ def joined(arrays: Sequence[Any], remainder: Remainder) -> Any:
     """The tree of `separated`."""
     structure, others = remainder.value
     given = iter(arrays)
-    return jax.tree.unflatten(structure, [next(given) if other is None else other[0] for other in others])
+    return jax.tree.unflatten(
+        structure, [next(given) if other is None else other[0] for other in others]
+    )

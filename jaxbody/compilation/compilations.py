@@ -1,4 +1,5 @@
-"""Compilations and their times as reported by JAX; warnings about functions that are compiled repeatedly or for over a minute."""
+"""Compilations and their times as reported by JAX; warnings about functions that are compiled
+repeatedly or for over a minute."""
 
 from __future__ import annotations
 
@@ -21,13 +22,19 @@ LONG = 60.0  # time to compile from which a warning is given [s]
 MANY = 6  # compilations in a row for one reason from which a warning is given
 SHOWN = 4  # values in a warning
 REMEDIES = {
-    "shape": "arrays of one shape, or calls of one function in jb.jit that holds the loop, are compiled once",
+    "shape": (
+        "arrays of one shape, or calls of one function in jb.jit that holds the "
+        "loop, are compiled once"
+    ),
     "type": "numbers of one type are compiled once",
     "value": "one value for all calls is compiled once",
-    "function": "make it once, outside of the loop, or write a class that holds its arrays as fields",
+    "function": (
+        "make it once, outside of the loop, or write a class that holds its arrays as fields"
+    ),
 }
 
-LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"  # the event of JAX after which a program is compiled
+# the event of JAX after which a program is compiled
+LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
 PHASES = {
     "/jax/core/compile/jaxpr_trace_duration": 0,
     LOWERED: 1,
@@ -42,19 +49,22 @@ MOST_ROWS = 10  # printed; all others are summed in one row
 class CompileTimes:
     """Compilations and their times.
 
-    `programs` {function: (seconds of tracing, of lowering, of compiling, number of compilations)}; `count` and `seconds`: totals; `cached`:
-    number of programs from JAX's persistent cache; `left_to_vmap` {function of jaxbody: reason why its batch was not rewritten for lanes},
-    where results are the same but slower.
+    `programs` {function: (seconds of tracing, of lowering, of compiling, number of compilations)};
+    `count` and `seconds`: totals; `cached`: number of programs from JAX's persistent cache;
+    `left_to_vmap` {function of jaxbody: reason why its batch was not rewritten for lanes}, where
+    results are the same but slower.
 
     >>> CompileTimes().count
     0
     """
 
-    traced: dict[str, list[tuple[float, float]]] = field(default_factory=dict, repr=False)  # when each trace began and ended
+    # when each trace began and ended
+    traced: dict[str, list[tuple[float, float]]] = field(default_factory=dict, repr=False)
     programs: dict[str, tuple[float, float, float, int]] = field(default_factory=dict)
     cached: int = 0
     left_to_vmap: dict[str, str] = field(default_factory=dict)
-    counted: list[tuple[float, float]] = field(default_factory=list, repr=False)  # spans of time in `programs`, none in another
+    # spans of time in `programs`, none in another
+    counted: list[tuple[float, float]] = field(default_factory=list, repr=False)
 
     @property
     def count(self) -> int:
@@ -65,8 +75,9 @@ class CompileTimes:
         return sum(sum(times) for *times, _ in self.programs.values())
 
     def heard(self, event: str, seconds: float, **more: str) -> None:
-        """Record an event of JAX. Only traces that become programs are counted; traces of inner functions are part of those of the outer
-        functions, and programs that are compiled and run during a trace are no part of it."""
+        """Record an event of JAX. Only traces that become programs are counted; traces of inner
+        functions are part of those of the outer functions, and programs that are compiled and run
+        during a trace are no part of it."""
         phase, name, now = PHASES.get(event), program(more), time.perf_counter()
         if phase == 0:
             self.traced.setdefault(name, []).append((now - seconds, now))
@@ -74,26 +85,55 @@ class CompileTimes:
             trace, lowered, compiled, n = self.programs.get(name, (0.0, 0.0, 0.0, 0))
             trace += sum(self.count_once(*span) for span in self.traced.pop(name, []))
             spent = self.count_once(now - seconds, now)
-            self.programs[name] = (trace, lowered + spent, compiled, n) if phase == 1 else (trace, lowered, compiled + spent, n + 1)
+            self.programs[name] = (
+                (trace, lowered + spent, compiled, n)
+                if phase == 1
+                else (trace, lowered, compiled + spent, n + 1)
+            )
 
     def count_once(self, begin: float, end: float) -> float:
         """Seconds of this span that were not counted before; they are counted from now on."""
-        spent = end - begin - sum(max(min(end, until) - max(begin, since), 0.0) for since, until in self.counted)
-        self.counted = [(since, until) for since, until in self.counted if not begin <= since <= until <= end] + [(begin, end)]
+        spent = (
+            end
+            - begin
+            - sum(max(min(end, until) - max(begin, since), 0.0) for since, until in self.counted)
+        )
+        self.counted = [
+            (since, until) for since, until in self.counted if not begin <= since <= until <= end
+        ] + [(begin, end)]
         return max(spent, 0.0)
 
     def __repr__(self) -> str:
-        rows: list[tuple[Any, ...]] = sorted(((name, *times) for name, times in self.programs.items()), key=lambda row: -sum(row[1:4]))
+        rows: list[tuple[Any, ...]] = sorted(
+            ((name, *times) for name, times in self.programs.items()),
+            key=lambda row: -sum(row[1:4]),
+        )
         rest = rows[MOST_ROWS:]
         shown = rows[:MOST_ROWS]
         if rest:
-            shown.append((f"{len(rest)} others", *(sum(column) for column in list(zip(*rest, strict=True))[1:])))
+            shown.append(
+                (
+                    f"{len(rest)} others",
+                    *(sum(column) for column in list(zip(*rest, strict=True))[1:]),
+                )
+            )
         end = f"{tables.counted(self.count, 'compilation')}, {self.seconds:.3g} s" + (
             f", {self.cached} from the cache" if self.cached else ""
         )
-        printed = [tables.PrintedTable("Compilations", ("function", "traced [s]", "lowered [s]", "compiled [s]", "count"), shown, end)]
+        printed = [
+            tables.PrintedTable(
+                "Compilations",
+                ("function", "traced [s]", "lowered [s]", "compiled [s]", "count"),
+                shown,
+                end,
+            )
+        ]
         if self.left_to_vmap:
-            printed.append(tables.PrintedTable("Left to jax.vmap, slower", ("function", "why"), list(self.left_to_vmap.items())))
+            printed.append(
+                tables.PrintedTable(
+                    "Left to jax.vmap, slower", ("function", "why"), list(self.left_to_vmap.items())
+                )
+            )
         return tables.text(*printed)
 
 
@@ -109,9 +149,11 @@ def note_left_to_vmap(function: str, why: str) -> None:
 
 @contextmanager
 def compile_times() -> Iterator[CompileTimes]:
-    """Record all compilations by JAX inside a `with` block, of jaxbody's functions and all others; the record prints as a table.
+    """Record all compilations by JAX inside a `with` block, of jaxbody's functions and all others;
+    the record prints as a table.
 
-    A second run with new values should compile nothing; where it does, a shape, a type or a Python function has changed.
+    A second run with new values should compile nothing; where it does, a shape, a type or a Python
+    function has changed.
 
     >>> with compile_times() as times:
     ...     _ = jax.jit(lambda x: x + 1.5)(jnp.ones(3))
@@ -131,7 +173,9 @@ def compile_times() -> Iterator[CompileTimes]:
 
 
 @contextmanager
-def listening(to_times: Callable[..., None], to_events: Callable[..., None] = lambda event, **more: None) -> Iterator[None]:
+def listening(
+    to_times: Callable[..., None], to_events: Callable[..., None] = lambda event, **more: None
+) -> Iterator[None]:
     """Inside, JAX calls to_times(event, seconds, **data) and to_events(event, **data)."""
     inside = True
 
@@ -149,7 +193,8 @@ def listening(to_times: Callable[..., None], to_events: Callable[..., None] = la
         yield
     finally:
         inside = False
-        if hasattr(monitoring, "unregister_event_listener"):  # older versions of JAX cannot remove them
+        # older versions of JAX cannot remove them
+        if hasattr(monitoring, "unregister_event_listener"):
             monitoring.unregister_event_duration_listener(timed)
             monitoring.unregister_event_listener(counted)
 
@@ -158,7 +203,10 @@ class Compiled:
     """The successive compilations of a function, with what changed in its arguments."""
 
     def __init__(self, function: Callable[..., Any]):
-        self.name, self.program = f"{function.__module__}.{function.__qualname__}", function.__name__
+        self.name, self.program = (
+            f"{function.__module__}.{function.__qualname__}",
+            function.__name__,
+        )
         self.parameters = tuple(inspect.signature(function).parameters)
         self.last: dict[str, Any] = {}
         self.reason: tuple[str, tuple[str, ...]] | None = None
@@ -184,17 +232,20 @@ class Compiled:
             _under_way()[self.program] = 0.0
 
     def end(self, args: tuple[Any, ...]) -> None:
-        """Note the end of a compilation for these arguments. Warns SLOW_COMPILATION; warns RECOMPILED once, if only one thing changes."""
+        """Note the end of a compilation for these arguments. Warns SLOW_COMPILATION; warns
+        RECOMPILED once, if only one thing changes."""
         seconds = _under_way().pop(self.program, 0.0)
         if seconds > LONG:
             remedy = (
-                "new numbers in the same shapes compile nothing, JAX keeps programs for later runs where JAX_COMPILATION_CACHE_DIR names a "
-                "directory, a Python loop in a law or a motion compiles faster as jax.lax.fori_loop, and jb.jit compiles your functions "
-                "more quickly"
+                "new numbers in the same shapes compile nothing, JAX keeps programs for later "
+                "runs where JAX_COMPILATION_CACHE_DIR names a directory, a Python loop in a law "
+                "or a motion compiles faster as jax.lax.fori_loop, and jb.jit compiles your "
+                "functions more quickly"
             )
             warn(
                 "SLOW_COMPILATION",
-                f"{self.name} took {seconds:.0f} s to compile; {remedy}; jb.compile_times shows which function takes how long",
+                f"{self.name} took {seconds:.0f} s to compile; {remedy}; jb.compile_times shows "
+                "which function takes how long",
             )
         self._compare(args)
 
@@ -213,12 +264,17 @@ class Compiled:
         what = "a new Python function in" if kind == "function" else f"the {kind} of"
         values = "" if kind == "function" else f": {', '.join(self.seen[:SHOWN])}, ..."
         places = ", ".join(where[:SHOWN]) + (", ..." if len(where) > SHOWN else "")
-        warn("RECOMPILED", f"{self.name} was compiled {len(self.seen)} times in a row for {what} {places}{values}; {REMEDIES[kind]}")
+        warn(
+            "RECOMPILED",
+            f"{self.name} was compiled {len(self.seen)} times in a row for {what} "
+            f"{places}{values}; {REMEDIES[kind]}",
+        )
 
 
 @functools.cache
 def _under_way() -> dict[str, float]:
-    """{function that is being compiled: seconds that JAX has spent on it}, from events of JAX after the first call."""
+    """{function that is being compiled: seconds that JAX has spent on it}, from events of JAX after
+    the first call."""
     spent: dict[str, float] = {}
 
     def heard(event: str, duration_secs: float, **more: Any) -> None:
@@ -230,17 +286,22 @@ def _under_way() -> dict[str, float]:
 
 
 def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, Any]:
-    """{place: (shape, type) of an array, any other leaf itself, or the structure of an argument}."""
+    """{place: (shape, type) of an array, any other leaf itself, or the structure of
+    an argument}."""
     places: dict[str, Any] = {}
     for name, arg in zip(parameters, args, strict=False):
         leaves, structure = jax.tree_util.tree_flatten_with_path(arg)
-        places |= {name + jax.tree_util.keystr(path): (x.shape, x.dtype) if hasattr(x, "dtype") else x for path, x in leaves}
+        places |= {
+            name + jax.tree_util.keystr(path): (x.shape, x.dtype) if hasattr(x, "dtype") else x
+            for path, x in leaves
+        }
         places[f"the structure of {name}"] = structure
     return places
 
 
 def _difference(before: dict[str, Any], now: dict[str, Any]) -> tuple[str, tuple[str, ...]] | None:
-    """The kind of change, and where; None if several kinds changed, or if the new arguments need another program anyway."""
+    """The kind of change, and where; None if several kinds changed, or if the new arguments need
+    another program anyway."""
     if before.keys() != now.keys():
         return None
     changed = [place for place in now if before[place] != now[place]]
@@ -261,4 +322,6 @@ def _without_addresses(thing: Any) -> str:
 
 
 def _shown(described: Any) -> str:
-    return f"{described[0]} {described[1]}" if isinstance(described, tuple) else f"{described!r:.40}"
+    return (
+        f"{described[0]} {described[1]}" if isinstance(described, tuple) else f"{described!r:.40}"
+    )

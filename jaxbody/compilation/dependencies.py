@@ -34,19 +34,23 @@ def reach_of(eqn, on: list[bool]) -> list[bool]:
         carry = fixpoint(p["jaxpr"], on[:consts], on[consts:end], on[end:])
         return carry + reach(p["jaxpr"], on[:consts] + carry + on[end:])[len(carry) :]
     if name == "cond" and not on[0]:
-        return [any(of) for of in zip(*(reach(branch, on[1:]) for branch in p["branches"]), strict=True)]
+        return [
+            any(of) for of in zip(*(reach(branch, on[1:]) for branch in p["branches"]), strict=True)
+        ]
     return [any(on) and name != "any_of_batch"] * len(eqn.outvars)
 
 
 def reach_of_while(p, on: list[bool]) -> tuple[bool, list[bool]]:
-    """Whether the condition of a while loop depends on the arguments that are `on`, and which of its carried values do."""
+    """Whether the condition of a while loop depends on the arguments that are `on`, and which of
+    its carried values do."""
     a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
     carry = fixpoint(p["body_jaxpr"], on[a:b], on[b:], [])
     return reach(p["cond_jaxpr"], on[:a] + carry)[0], carry
 
 
 def parts_of_scan(eqn) -> tuple[int, int]:
-    """Where the carry begins and ends among the arguments of a scan; carried values have the same shape in the body, mapped ones do not."""
+    """Where the carry begins and ends among the arguments of a scan; carried values have the same
+    shape in the body, mapped ones do not."""
 
     def alike(outer, inner):
         return sum(a.aval.shape == b.aval.shape for a, b in zip(outer, inner, strict=True))
@@ -56,7 +60,9 @@ def parts_of_scan(eqn) -> tuple[int, int]:
     return end - carried, end
 
 
-def fixpoint(body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list[bool]) -> list[bool]:
+def fixpoint(
+    body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list[bool]
+) -> list[bool]:
     """Which carried values of a loop depend on what is `on` after any number of steps."""
     while True:
         after = [a or b for a, b in zip(carry, reach(body, consts + carry + xs), strict=False)]

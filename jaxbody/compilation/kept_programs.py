@@ -15,28 +15,41 @@ def keep_programs(folder: str | os.PathLike | None = None) -> Path:
     """Let JAX keep what it compiles on disk, for later processes, and return the folder.
 
     Args:
-        folder: a folder of your own that no other user may read or write; by default `jaxbody` in your cache folder (XDG_CACHE_HOME or
-            ~/.cache). It is made if there is none.
+        folder: a folder of your own that no other user may read or write; by default `jaxbody` in
+            your cache folder (XDG_CACHE_HOME or ~/.cache). It is made if there is none.
 
-    This is JAX's persistent cache with programs of any size, however fast they compile; where JAX has a folder already
-    (JAX_COMPILATION_CACHE_DIR), that one stays. A later process traces its functions again, which is the greater part of the time, but
-    compiles only those that have changed. Call it before the first computation; the command `jaxbody` does.
+    This is JAX's persistent cache with programs of any size, however fast they compile; where JAX
+    has a folder already (JAX_COMPILATION_CACHE_DIR), that one stays. A later process traces its
+    functions again, which is the greater part of the time, but compiles only those that have
+    changed. Call it before the first computation; the command `jaxbody` does.
 
-    Errors: UNSAFE_FOLDER for a folder that is not yours or not of mode 0700, NOT_SAVED where it cannot be made.
+    Errors: UNSAFE_FOLDER for a folder that is not yours or not of mode 0700, NOT_SAVED where it
+    cannot be made.
 
     >>> import jaxbody as jb
     >>> folder = jb.keep_programs()  # doctest: +SKIP
     """
-    path = Path(folder) if folder is not None else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxbody"
+    path = (
+        Path(folder)
+        if folder is not None
+        else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxbody"
+    )
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         state = path.stat()
     except OSError as error:
-        raise JaxbodyError(Problem("NOT_SAVED", str(path), str(error), hint="Name another folder.")) from None
+        raise JaxbodyError(
+            Problem("NOT_SAVED", str(path), str(error), hint="Name another folder.")
+        ) from None
     if hasattr(os, "getuid") and (state.st_uid != os.getuid() or state.st_mode & 0o077):
-        message = f"belongs to user {state.st_uid} and has mode {state.st_mode & 0o777:04o}, so that others might change programs in it"
+        message = (
+            f"belongs to user {state.st_uid} and has mode {state.st_mode & 0o777:04o}, so that "
+            "others might change programs in it"
+        )
         hint = f"Name a folder of your own, or make it private: chmod 700 {path}"
-        raise JaxbodyError(Problem("UNSAFE_FOLDER", str(path), message, path, "your own, mode 0700", hint))
+        raise JaxbodyError(
+            Problem("UNSAFE_FOLDER", str(path), message, path, "your own, mode 0700", hint)
+        )
     present = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     if present:
         return Path(present)

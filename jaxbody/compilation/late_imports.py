@@ -1,5 +1,6 @@
-"""Names of a package that are imported from its modules at their first use: importing all takes three times as long as importing those that
-a simulation needs, and a model has one or two of the laws of forces."""
+"""Names of a package that are imported from its modules at their first use: importing all takes
+three times as long as importing those that a simulation needs, and a model has one or two of the
+laws of forces."""
 
 from __future__ import annotations
 
@@ -10,10 +11,13 @@ from typing import Any
 
 
 def late_names(
-    package: str, modules: dict[str, tuple[str, ...]], whole: dict[str, str] | None = None, successors: dict[str, str] | None = None
+    package: str,
+    modules: dict[str, tuple[str, ...]],
+    whole: dict[str, str] | None = None,
+    successors: dict[str, str] | None = None,
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """`__getattr__`, `__dir__` and `__all__` of a package whose names are imported from its modules at their first use; its stub says the
-    same to editors and type checkers.
+    """`__getattr__`, `__dir__` and `__all__` of a package whose names are imported from its modules
+    at their first use; its stub says the same to editors and type checkers.
 
     Args:
         package: "jaxbody.laws"
@@ -27,7 +31,9 @@ def late_names(
 
     def __getattr__(name: str) -> Any:
         if name not in places:
-            raise AttributeError(f"module '{package}' has no attribute '{name}'{instead.get(name, '')}")
+            raise AttributeError(
+                f"module '{package}' has no attribute '{name}'{instead.get(name, '')}"
+            )
         module, attribute = places[name]
         found = importlib.import_module(f"{package}.{module}")
         thing = getattr(found, attribute) if attribute else found

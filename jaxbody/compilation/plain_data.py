@@ -1,7 +1,8 @@
 """Values as plain text and arrays, and back: names, numbers and tuples of them, never code.
 
-Classes and functions are written by name; only those of jaxbody and of the libraries that it is built on are known, as their source is
-that of an installed version. A value of another kind has no text: `Unnamed` says which.
+Classes and functions are written by name; only those of jaxbody and of the libraries that it is
+built on are known, as their source is that of an installed version. A value of another kind has no
+text: `Unnamed` says which.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ class Unnamed(Exception):
 
 
 def text_of(value: Any, arrays: list[Any] | None = None, allow: Sequence[str] = ()) -> str:
-    """The text of a value; equal values have equal texts. Arrays are added to `arrays`, where it is given, and the text has their places
-    in it. `allow`: modules whose classes have names too. Error: Unnamed."""
+    """The text of a value; equal values have equal texts. Arrays are added to `arrays`, where it is
+    given, and the text has their places in it. `allow`: modules whose classes have names too.
+    Error: Unnamed."""
     return json.dumps(_Writer(arrays, allow).encoded(value), separators=(",", ":"))
 
 
@@ -36,7 +38,8 @@ def value_of(text: str, arrays: Sequence[Any] = (), allow: Sequence[str] = ()) -
     """The value of a text. Error: ValueError where the text is not that of a value."""
     try:
         return _Reader(arrays, allow).decoded(json.loads(text))
-    except (AttributeError, ImportError, IndexError, KeyError, RuntimeError, TypeError) as error:  # RecursionError is a RuntimeError
+    except (AttributeError, ImportError, IndexError, KeyError, RuntimeError, TypeError) as error:
+        # RecursionError is a RuntimeError
         raise ValueError(f"not the text of a value: {error!r}") from None
 
 
@@ -57,7 +60,10 @@ class _Writer:
             return ["complex", x.real.hex(), x.imag.hex()]
         if kind in (tuple, list, set, frozenset):
             items = [self.encoded(y) for y in x]
-            return [kind.__name__, *(sorted(items, key=json.dumps) if kind in (set, frozenset) else items)]
+            return [
+                kind.__name__,
+                *(sorted(items, key=json.dumps) if kind in (set, frozenset) else items),
+            ]
         if kind is dict:
             return ["dict", *([self.encoded(key), self.encoded(y)] for key, y in x.items())]
         if isinstance(x, enum.Enum):
@@ -68,7 +74,9 @@ class _Writer:
             return ["number", x.dtype.str, x.tobytes().hex()]
         if isinstance(x, np.ndarray | jax.Array):
             return self.array(x)
-        if isinstance(x, type) or (callable(x) and hasattr(x, "__qualname__") and not hasattr(x, "__self__")):
+        if isinstance(x, type) or (
+            callable(x) and hasattr(x, "__qualname__") and not hasattr(x, "__self__")
+        ):
             return ["name", self.name(x)]
         return self.object(x)
 
@@ -85,11 +93,17 @@ class _Writer:
         names = _fields(kind)
         if names is not None:
             fields = {name: self.encoded(getattr(x, name)) for name in names if hasattr(x, name)}
-            if "wrapper_fields" in fields:  # of a module, by equinox before 0.13.3 in the order of a set
+            # of a module, by equinox before 0.13.3 in the order of a set
+            if "wrapper_fields" in fields:
                 fields["wrapper_fields"][1:] = sorted(fields["wrapper_fields"][1:], key=json.dumps)
             return ["object", self.name(kind), *map(list, fields.items())]
-        home = "equinox._module._module" if kind is object else kind.__module__  # of an object that stands for what is missing
-        names = [name for name, one in vars(sys.modules[home]).items() if one is x] if home.split(".")[0] in LIBRARIES else []
+        # of an object that stands for what is missing
+        home = "equinox._module._module" if kind is object else kind.__module__
+        names = (
+            [name for name, one in vars(sys.modules[home]).items() if one is x]
+            if home.split(".")[0] in LIBRARIES
+            else []
+        )
         return ["name", f"{home}:{names[0]}"] if names else _refused(x)
 
     def name(self, thing: Any) -> str:
@@ -97,22 +111,31 @@ class _Writer:
         module, name = getattr(thing, "__module__", None) or "", getattr(thing, "__qualname__", "")
         if module == "builtins" and isinstance(thing, type):
             return f"builtins:{name}"
-        if (module.split(".")[0] not in LIBRARIES and module not in self.allow) or not _same(_found(module, name), thing):
+        if (module.split(".")[0] not in LIBRARIES and module not in self.allow) or not _same(
+            _found(module, name), thing
+        ):
             _refused(thing)
         return f"{module}:{name}"
 
 
 def _fields(kind: type) -> tuple[str, ...] | None:
-    """The names of the values that an object of a class consists of; None where it does not say so."""
+    """The names of the values that an object of a class consists of; None where it does not
+    say so."""
     if issubclass(kind, tuple):
         return getattr(kind, "_fields", None)
     if dataclasses.is_dataclass(kind):
         return tuple(f.name for f in dataclasses.fields(kind))
-    return tuple(kind.__annotations__) if kind.__module__.startswith("jaxbody.") and "__annotations__" in vars(kind) else None
+    return (
+        tuple(kind.__annotations__)
+        if kind.__module__.startswith("jaxbody.") and "__annotations__" in vars(kind)
+        else None
+    )
 
 
 def _same(found: Any, thing: Any) -> bool:
-    return found is thing or getattr(found, "__wrapped__", found) is getattr(thing, "__wrapped__", thing)
+    return found is thing or getattr(found, "__wrapped__", found) is getattr(
+        thing, "__wrapped__", thing
+    )
 
 
 def _found(module: str, name: str) -> Any:
@@ -123,7 +146,10 @@ def _found(module: str, name: str) -> Any:
 
 
 def _refused(x: Any) -> Any:
-    raise Unnamed(f"{getattr(x, '__module__', type(x).__module__)}.{getattr(x, '__qualname__', type(x).__qualname__)}")
+    raise Unnamed(
+        f"{getattr(x, '__module__', type(x).__module__)}."
+        f"{getattr(x, '__qualname__', type(x).__qualname__)}"
+    )
 
 
 @dataclasses.dataclass

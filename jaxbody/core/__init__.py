@@ -1,1 +1,2 @@
-"""Foundations of all packages: errors and statuses, checks of arguments, printed results, units. No mechanics."""
+"""Foundations of all packages: errors and statuses, checks of arguments, printed results, units.
+No mechanics."""

@@ -1,4 +1,5 @@
-"""Checks of arguments other than arrays: dicts, names, whole and positive numbers, random keys, objects, functions from the user."""
+"""Checks of arguments other than arrays: dicts, names, whole and positive numbers, random keys,
+objects, functions from the user."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ USE_JNP = "Write it with jax.numpy: jnp.sin for np.sin and math.sin, jnp.where f
 
 
 def plain(name: Any) -> Any:
-    """A name, or a tuple of names, as Python strings, because JAX treats NumPy strings as arrays."""
+    """A name, or a tuple of names, as Python strings, because JAX treats NumPy strings
+    as arrays."""
     if isinstance(name, tuple):
         return tuple(map(plain, name))
     return str(name) if isinstance(name, str) else name
@@ -33,18 +35,29 @@ def kind_of(value: Any) -> str:
 
 
 def checked_dict(things: Any, where: str, kind: str, problems: Problems) -> dict[Any, Any]:
-    """The dict with Python strings as names; empty if `things` is not a dict, with a problem added."""
+    """The dict with Python strings as names; empty if `things` is not a dict, with a
+    problem added."""
     if things is None:
         return {}
     if not isinstance(things, Mapping):
         hint = f'Write {where.rpartition(".")[2]}={{"...": {kind.partition(": ")[2]}}}.'
-        problems.add("WRONG_KIND", where, f"is {kind_of(things)}", value=things, limit=f"a dict {{{kind}}}", hint=hint)
+        problems.add(
+            "WRONG_KIND",
+            where,
+            f"is {kind_of(things)}",
+            value=things,
+            limit=f"a dict {{{kind}}}",
+            hint=hint,
+        )
         return {}
     return {plain(name): thing for name, thing in things.items()}
 
 
-def whole_number(value: Any, where: str, problems: Problems, least: int = 1, code: str = "BAD_NUMBER") -> Any:
-    """A whole number, `least` or more; 1e5 counts as whole. Traced numbers are returned unchanged."""
+def whole_number(
+    value: Any, where: str, problems: Problems, least: int = 1, code: str = "BAD_NUMBER"
+) -> Any:
+    """A whole number, `least` or more; 1e5 counts as whole. Traced numbers are
+    returned unchanged."""
     if isinstance(value, Tracer):
         return value
     number: Any = int(value) if isinstance(value, float) and value.is_integer() else value
@@ -53,13 +66,16 @@ def whole_number(value: Any, where: str, problems: Problems, least: int = 1, cod
     except TypeError:
         valid = False
     if not valid:
-        problems.add(code, where, f"is {value!r:.60}", value=value, limit=f"a whole number >= {least}")
+        problems.add(
+            code, where, f"is {value!r:.60}", value=value, limit=f"a whole number >= {least}"
+        )
         return least
     return number
 
 
 def positive_number(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER") -> Any:
-    """One finite number above zero; None if it is not, with a problem added, and NaN if it is traced."""
+    """One finite number above zero; None if it is not, with a problem added, and NaN if it
+    is traced."""
     number = checked(value, ((),), where, problems)
     known = None if number is None else concrete(number)
     if known is not None and not known > 0:
@@ -68,15 +84,29 @@ def positive_number(value: Any, where: str, problems: Problems, code: str = "BAD
     return number if number is None or known is not None else nan_unless(number > 0, number)
 
 
-def check_one_of(value: Any, known: Collection[str], code: str, where: str, problems: Problems, hint: str = "Give one of these.") -> None:
+def check_one_of(
+    value: Any,
+    known: Collection[str],
+    code: str,
+    where: str,
+    problems: Problems,
+    hint: str = "Give one of these.",
+) -> None:
     """Check that a word is one of those that are known."""
     if value not in known:
-        problems.add(code, where, f"is {value!r:.60}", value=value, limit=(" or " if len(known) == 2 else " ").join(known), hint=hint)
+        problems.add(
+            code,
+            where,
+            f"is {value!r:.60}",
+            value=value,
+            limit=(" or " if len(known) == 2 else " ").join(known),
+            hint=hint,
+        )
 
 
 def check_key(key: Any, where: str, problems: Problems, needed: str = "") -> None:
-    """Check a random key of JAX, typed or of the old kind. `needed`: the reason why a key is required, for the hint; "" if the key may be
-    None."""
+    """Check a random key of JAX, typed or of the old kind. `needed`: the reason why a key is
+    required, for the hint; "" if the key may be None."""
     if key is None:
         if needed:
             problems.add("NO_KEY", where, "is missing", hint=f"{needed} key=jax.random.key(...).")
@@ -90,48 +120,88 @@ def check_key(key: Any, where: str, problems: Problems, needed: str = "") -> Non
     except TypeError:
         seed = 0
     message = f"is {key!r:.60}".splitlines()[0]
-    problems.add("WRONG_KIND", where, message, value=key, limit="one key of jax.random", hint=f"Write key=jax.random.key({seed}).")
+    problems.add(
+        "WRONG_KIND",
+        where,
+        message,
+        value=key,
+        limit="one key of jax.random",
+        hint=f"Write key=jax.random.key({seed}).",
+    )
 
 
 def warn_of_degrees(angle: Any, where: str) -> None:
     """Warn UNIT for an angle of more than one turn."""
     known = concrete(angle)
     if known is not None and (largest := float(np.abs(known).max(initial=0.0))) > 2 * np.pi:
-        warn("UNIT", f"{where} is {largest:.4g} rad, more than a turn; if it is in degrees, write np.deg2rad({largest:.4g})")
+        warn(
+            "UNIT",
+            f"{where} is {largest:.4g} rad, more than a turn; if it is in degrees, write "
+            f"np.deg2rad({largest:.4g})",
+        )
 
 
-def check_kind(value: Any, kinds: type | tuple[type, ...], where: str, wanted: str, problems: Problems) -> None:
-    """Check that an object is of one of these kinds; a class given instead of an instance gets its own hint."""
+def check_kind(
+    value: Any, kinds: type | tuple[type, ...], where: str, wanted: str, problems: Problems
+) -> None:
+    """Check that an object is of one of these kinds; a class given instead of an instance gets its
+    own hint."""
     if not isinstance(value, kinds):
         hint = f"Write {value.__name__}(...)." if isinstance(value, type) else f"Give {wanted}."
-        problems.add("WRONG_KIND", where, f"is {kind_of(value)}", value=value, limit=wanted, hint=hint)
+        problems.add(
+            "WRONG_KIND", where, f"is {kind_of(value)}", value=value, limit=wanted, hint=hint
+        )
 
 
 def is_own(part: Any) -> bool:
     """True for a module of a class that the user wrote, and for one that holds a bare function."""
-    return not type(part).__module__.startswith("jaxbody.") or type(part).__name__.endswith("Function")
+    return not type(part).__module__.startswith("jaxbody.") or type(part).__name__.endswith(
+        "Function"
+    )
 
 
 def check_returned(
-    call: Callable[[Any, Any], Any], module: Any, shape: tuple[int, ...], where: str, problems: Problems, of: str = "jnp.array(0.1)"
+    call: Callable[[Any, Any], Any],
+    module: Any,
+    shape: tuple[int, ...],
+    where: str,
+    problems: Problems,
+    of: str = "jnp.array(0.1)",
 ) -> None:
-    """Check that JAX can trace call(module, number), a function `of` this argument, and that it returns an array of this shape; nothing is
-    computed or compiled.
+    """Check that JAX can trace call(module, number), a function `of` this argument, and that it
+    returns an array of this shape; nothing is computed or compiled.
 
     Errors: NOT_TRACEABLE, FUNCTION_FAILED, BAD_SHAPE."""
     returns = "one number" if shape == () else f"{shape[0]} numbers in one array"
     try:
         out = jax.eval_shape(call, module, jax.ShapeDtypeStruct((), jnp.result_type(float)))
     except jax.errors.JAXTypeError:
-        message = "cannot be traced by JAX: it passes its argument to numpy or math, or asks for its value"
+        message = (
+            "cannot be traced by JAX: it passes its argument to numpy or math, "
+            "or asks for its value"
+        )
         problems.add("NOT_TRACEABLE", where, message, limit="functions of jax.numpy", hint=USE_JNP)
     except Exception as error:  # a function of the user may raise anything
         text = (str(error).splitlines() or [""])[0]
         hint = f"Call it by itself with {of}; it must return {returns}."
-        problems.add("FUNCTION_FAILED", where, f"raises {type(error).__name__}: {text:.200}", limit=returns, hint=hint)
+        problems.add(
+            "FUNCTION_FAILED",
+            where,
+            f"raises {type(error).__name__}: {text:.200}",
+            limit=returns,
+            hint=hint,
+        )
     else:
         returned = getattr(out, "shape", None)
         if returned != shape:
-            message = f"returns a {type(out).__name__}" if returned is None else f"returns shape {returned}"
-            hint = f"Return jnp.array([...]), {returns}." if shape else "Return one number, of shape ()."
+            message = (
+                f"returns a {type(out).__name__}"
+                if returned is None
+                else f"returns shape {returned}"
+            )
+            hint = (
+                f"Return jnp.array([...]), {returns}."
+                if shape
+                else "Return one number, of shape ()."
+            )
             problems.add("BAD_SHAPE", where, message, value=returned, limit=str(shape), hint=hint)

@@ -14,11 +14,13 @@ from jaxtyping import Bool, Complex, Float, Inexact, Int, PRNGKeyArray  # noqa: 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.jax_internals import Tracer
 
-Array = jax.Array | np.ndarray  # in annotations: numbers that a user gave stay NumPy's, on no device, until something is computed
+# in annotations: numbers that a user gave stay NumPy's, on no device, until something is computed
+Array = jax.Array | np.ndarray
 
 
 def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
-    """A number, list, array or data frame as a float64 NumPy array; as a JAX array where some of it is traced.
+    """A number, list, array or data frame as a float64 NumPy array; as a JAX array where some of it
+    is traced.
 
     With NumPy, building a model uses no device and does not depend on the x64 switch.
     """
@@ -27,13 +29,26 @@ def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
         value = np.ma.filled(value.astype(float), np.nan)  # a gap, not the number behind the mask
     try:
         array = jnp.asarray(value) if traced else np.asarray(value)
-        if array.dtype == object and all(isinstance(x, Real) for _, x in np.ndenumerate(array)):  # numbers of several kinds
+        # numbers of several kinds
+        if array.dtype == object and all(isinstance(x, Real) for _, x in np.ndenumerate(array)):
             array = array.astype(np.float64)
-    except (TypeError, ValueError, RuntimeError, OverflowError):  # ragged rows, or an object that does not convert
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        # ragged rows, or an object that does not convert
         array = np.array(None)
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
-        raise JaxbodyError(Problem("COMPLEX", where, f"is complex ({array.dtype})", value, "real numbers", "Give real numbers."))
-    if array.dtype.kind == "m" or not (jnp.issubdtype(array.dtype, jnp.number) or array.dtype == bool):  # durations are integers to NumPy
+        raise JaxbodyError(
+            Problem(
+                "COMPLEX",
+                where,
+                f"is complex ({array.dtype})",
+                value,
+                "real numbers",
+                "Give real numbers.",
+            )
+        )
+    if array.dtype.kind == "m" or not (
+        jnp.issubdtype(array.dtype, jnp.number) or array.dtype == bool
+    ):  # durations are integers to NumPy
         text, hint = _not_a_number(value, array.dtype.kind)
         message = f"is {value!r:.60}".splitlines()[0] + f", which is not an array of numbers{text}"
         raise JaxbodyError(Problem("NOT_A_NUMBER", where, message, value, "numbers", hint))
@@ -41,14 +56,27 @@ def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
 
 
 def _not_a_number(value: Any, kind: str) -> tuple[str, str]:
-    """Which element of an array or list is no number, as text, and what to do; `kind` of NumPy's type, "m" or "M" of durations or dates."""
+    """Which element of an array or list is no number, as text, and what to do; `kind` of NumPy's
+    type, "m" or "M" of durations or dates."""
     hint = "Give a number, or a list or array of numbers."
     try:
         elements: Any = np.asarray(value, object)
         if kind in "mM" or isinstance(elements.flat[0], date):
-            return "", 'Give seconds: of dates (t - t[0]) / np.timedelta64(1, "s"), of durations t / np.timedelta64(1, "s").'
-        rows = elements.ndim == 1 and all(isinstance(x, list | tuple | np.ndarray) for x in elements)
-        index, x = next((i, x) for i, x in np.ndenumerate(elements) if (len(x) != len(elements[0]) if rows else not isinstance(x, Real)))
+            return (
+                "",
+                (
+                    'Give seconds: of dates (t - t[0]) / np.timedelta64(1, "s"), of durations t / '
+                    'np.timedelta64(1, "s").'
+                ),
+            )
+        rows = elements.ndim == 1 and all(
+            isinstance(x, list | tuple | np.ndarray) for x in elements
+        )
+        index, x = next(
+            (i, x)
+            for i, x in np.ndenumerate(elements)
+            if (len(x) != len(elements[0]) if rows else not isinstance(x, Real))
+        )
     except (TypeError, ValueError, RuntimeError, StopIteration, IndexError):
         return "", hint
     what = f"has length {len(x)}, the first one {len(elements[0])}" if rows else f"is {x!r:.40}"
@@ -58,32 +86,54 @@ def _not_a_number(value: Any, kind: str) -> tuple[str, str]:
 def time_array(value: Any, where: str) -> np.ndarray | jax.Array:
     """The same of times, which are not True or False."""
     array = float_array(value, where)
-    if str(getattr(value, "dtype", "")) in ("bool", "boolean") or (isinstance(value, list | tuple) and bool in map(type, value)):
-        message, hint = "are True and False, not times", "Give times [s]; is this a comparison, such as t > 0?"
+    if str(getattr(value, "dtype", "")) in ("bool", "boolean") or (
+        isinstance(value, list | tuple) and bool in map(type, value)
+    ):
+        message, hint = (
+            "are True and False, not times",
+            "Give times [s]; is this a comparison, such as t > 0?",
+        )
         raise JaxbodyError(Problem("NOT_A_NUMBER", where, message, value, "numbers", hint))
     return array
 
 
 def numbers(value: Any, where: str) -> Any:
-    """An array of floats as it is; lists, integers and single numbers as one. Error: NOT_A_NUMBER."""
-    return float_array(value, where) if getattr(value, "dtype", np.dtype(int)).kind in "biu" else value
+    """An array of floats as it is; lists, integers and single numbers as one.
+    Error: NOT_A_NUMBER."""
+    return (
+        float_array(value, where) if getattr(value, "dtype", np.dtype(int)).kind in "biu" else value
+    )
 
 
-def checked(value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problems: Problems, hint: str = "") -> Any:
+def checked(
+    value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problems: Problems, hint: str = ""
+) -> Any:
     """A finite float array of one of the shapes; None if it is not, with a problem added."""
     array = problems.gather(lambda: float_array(value, where))
     if array is None:
         return None
     if array.shape not in shapes:
         limit = " or ".join(map(str, shapes))
-        hint = hint or f"Give {' or '.join('one number' if shape == () else f'{shape[0]} numbers' for shape in shapes)}."
-        problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=limit, hint=hint)
+        counts = ["one number" if shape == () else f"{shape[0]} numbers" for shape in shapes]
+        hint = hint or f"Give {' or '.join(counts)}."
+        problems.add(
+            "BAD_SHAPE",
+            where,
+            f"has shape {array.shape}",
+            value=array.shape,
+            limit=limit,
+            hint=hint,
+        )
         return None
     known = concrete(array)
     if known is not None and not np.isfinite(known).all():
         first = tuple(int(i) for i in np.argwhere(~np.isfinite(known))[0])
-        message = f"is {known.tolist()}" if known.size <= 6 else f"is {known[first]} at {list(first)}"
-        problems.add("NON_FINITE", where, message, value=known, limit="finite", hint="Give finite numbers.")
+        message = (
+            f"is {known.tolist()}" if known.size <= 6 else f"is {known[first]} at {list(first)}"
+        )
+        problems.add(
+            "NON_FINITE", where, message, value=known, limit="finite", hint="Give finite numbers."
+        )
         return None
     return array
 
@@ -95,12 +145,16 @@ def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -
 
 
 def device_array(value: Any) -> jax.Array:
-    """The value as a JAX array, float64 or, where x64 is off, float32; numbers are converted without a program."""
-    return jnp.asarray(np.asarray(value, jnp.result_type(float)) if module_of(value) is np else value, float)
+    """The value as a JAX array, float64 or, where x64 is off, float32; numbers are converted
+    without a program."""
+    return jnp.asarray(
+        np.asarray(value, jnp.result_type(float)) if module_of(value) is np else value, float
+    )
 
 
 def functions_as_nodes(tree: Any) -> Any:
-    """The tree with each leaf that is a function, such as the activation of a network, replaced by a node that can be called."""
+    """The tree with each leaf that is a function, such as the activation of a network, replaced by
+    a node that can be called."""
     return jax.tree.map(lambda leaf: jax.tree_util.Partial(leaf) if callable(leaf) else leaf, tree)
 
 
@@ -117,13 +171,18 @@ def module_of(*x: Any) -> Any:
 
 
 def as_numpy(x: Any) -> Any:
-    """x as a NumPy array, with which single operations are no programs to compile; x itself while it is being traced."""
+    """x as a NumPy array, with which single operations are no programs to compile; x itself while
+    it is being traced."""
     return x if isinstance(x, Tracer) else np.asarray(x)
 
 
 def part_of(x: Array, index: Any) -> Array:
     """x[index] of the same kind of array, without a program for it."""
-    return x[index] if isinstance(x, Tracer | np.ndarray) else jnp.asarray(np.asarray(np.asarray(x)[index]), x.dtype)
+    return (
+        x[index]
+        if isinstance(x, Tracer | np.ndarray)
+        else jnp.asarray(np.asarray(np.asarray(x)[index]), x.dtype)
+    )
 
 
 def indices(shape: tuple[int, ...]) -> list[str]:
@@ -143,8 +202,8 @@ def nan_unless(valid: Any, x: Any) -> jax.Array:
 
 @jax.custom_jvp
 def rows_or_nan(valid: Any, x: Any) -> jax.Array:
-    """The same, where derivatives of valid rows remain: `nan_unless` would lose them in reverse mode, and `jnp.where` has derivatives of
-    zero where x is not valid."""
+    """The same, where derivatives of valid rows remain: `nan_unless` would lose them in reverse
+    mode, and `jnp.where` has derivatives of zero where x is not valid."""
     return jnp.where(valid, x, jnp.nan)
 
 
@@ -154,12 +213,15 @@ def _rows_or_nan_jvp(primals, tangents):
 
 
 def tangent_or_nan(valid: Any, x: Any) -> jax.Array:
-    """A tangent where it is valid, else NaN; backward a slope of zero remains zero. Use it in rules, which JAX transposes."""
+    """A tangent where it is valid, else NaN; backward a slope of zero remains zero. Use it in
+    rules, which JAX transposes."""
 
     def backward(_, slope):
         return jnp.where(valid | (slope == 0), slope, jnp.nan)
 
-    return jax.lax.custom_linear_solve(lambda x: x, x, lambda _, x: jnp.where(valid, x, jnp.nan), backward)
+    return jax.lax.custom_linear_solve(
+        lambda x: x, x, lambda _, x: jnp.where(valid, x, jnp.nan), backward
+    )
 
 
 def is_concrete(*trees: Any) -> bool:
@@ -178,22 +240,29 @@ def vector(value: Any, where: str, problems: Problems) -> Any:
 
 
 def of_unit_length(rows: np.ndarray) -> np.ndarray:
-    """Rows divided by their lengths. A row that has length 1 but for rounding stays, so that it is the same if it is given again."""
+    """Rows divided by their lengths. A row that has length 1 but for rounding stays, so that it is
+    the same if it is given again."""
     length = np.linalg.norm(rows, axis=-1, keepdims=True)
-    return np.where(np.abs(length - 1) <= 4 * jnp.finfo(jnp.result_type(float)).eps, rows, rows / length)
+    return np.where(
+        np.abs(length - 1) <= 4 * jnp.finfo(jnp.result_type(float)).eps, rows, rows / length
+    )
 
 
 def time_text(t: Any, times: Any, digits: int = 6) -> str:
     """A time [s] with so many digits besides those that all `times` share, as Unix times do."""
     known = np.asarray(times, float)
     known = known[np.isfinite(known)]
-    shared = np.log10(max(np.abs(known).max() / (np.ptp(known) or np.inf), 1.0)) if len(known) else 0
+    shared = (
+        np.log10(max(np.abs(known).max() / (np.ptp(known) or np.inf), 1.0)) if len(known) else 0
+    )
     return f"{float(t):.{min(digits + int(shared), 17)}g}"
 
 
-def check_times(times, problems: Problems, where: str = "times", minimum: int = 1, *, kept: bool = False) -> np.ndarray | jax.Array | None:
-    """Increasing, finite, one-dimensional times, as JAX's arrays hold them or, with `kept`, as they are; None if they are not, with a
-    problem added."""
+def check_times(
+    times, problems: Problems, where: str = "times", minimum: int = 1, *, kept: bool = False
+) -> np.ndarray | jax.Array | None:
+    """Increasing, finite, one-dimensional times, as JAX's arrays hold them or, with `kept`, as they
+    are; None if they are not, with a problem added."""
     times = problems.gather(lambda given=times: time_array(given, where))
     if times is None:
         return None
@@ -201,23 +270,49 @@ def check_times(times, problems: Problems, where: str = "times", minimum: int = 
     if times.ndim != 1 or times.shape[0] < minimum:
         code = "NO_DATA" if times.size == 0 or times.ndim == 1 else "BAD_SHAPE"
         limit = f"(n,) with n >= {minimum}"
-        problems.add(code, where, f"has shape {times.shape}", value=times.shape, limit=limit, hint=f"Give at least {minimum} times.")
+        problems.add(
+            code,
+            where,
+            f"has shape {times.shape}",
+            value=times.shape,
+            limit=limit,
+            hint=f"Give at least {minimum} times.",
+        )
         return None
     if known is None:
         return times
     if not np.isfinite(known).all():
         i = int(np.flatnonzero(~np.isfinite(known))[0])
         hint = "Cut the record, or drop the samples whose time is unknown."
-        problems.add("NAN_TIME", where, f"is {known[i]} at index {i}", value=float(known[i]), limit="finite", hint=hint)
+        problems.add(
+            "NAN_TIME",
+            where,
+            f"is {known[i]} at index {i}",
+            value=float(known[i]),
+            limit="finite",
+            hint=hint,
+        )
         return None
     steps = np.diff(known if kept else known.astype(jnp.result_type(float)))
     if (steps <= 0).any():
         i = int(np.flatnonzero(steps <= 0)[0])
-        code, word = ("DUPLICATE_TIME", "repeats") if steps[i] == 0 else ("UNSORTED_TIME", "goes back")
+        code, word = (
+            ("DUPLICATE_TIME", "repeats") if steps[i] == 0 else ("UNSORTED_TIME", "goes back")
+        )
         hint = "Sort the samples and drop duplicates."
         if steps[i] == 0 and steps.dtype == np.float32:
-            word, hint = "repeats in float32", hint[:-1] + ", and subtract the first time or enable float64."
+            word, hint = (
+                "repeats in float32",
+                hint[:-1] + ", and subtract the first time or enable float64.",
+            )
         first, second = (time_text(t, known[i : i + 2], 9) for t in known[i : i + 2])
-        problems.add(code, where, f"{word} at index {i + 1}: {first} s, then {second} s", value=i + 1, limit="increasing", hint=hint)
+        problems.add(
+            code,
+            where,
+            f"{word} at index {i + 1}: {first} s, then {second} s",
+            value=i + 1,
+            limit="increasing",
+            hint=hint,
+        )
         return None
     return times

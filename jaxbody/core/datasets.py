@@ -1,6 +1,8 @@
-"""Results as labeled arrays, an xarray.Dataset with names, units and coordinates, and as a table of pandas.
+"""Results as labeled arrays, an xarray.Dataset with names, units and coordinates, and as a table
+of pandas.
 
-Both are imported here, on first use, and are an extra: `pip install 'jaxbody[xarray]'`. Leading axes of a batch become `sample`.
+Both are imported here, on first use, and are an extra: `pip install 'jaxbody[xarray]'`. Leading
+axes of a batch become `sample`.
 """
 
 from __future__ import annotations
@@ -26,13 +28,16 @@ class Labeled(ABC):
         """An xarray.Dataset with units in the attributes of its variables."""
 
     def to_pandas(self, over: str | None = None) -> Any:
-        """A pandas.DataFrame of the variables of `to_xarray` that have one dimension, a row for each of its values.
+        """A pandas.DataFrame of the variables of `to_xarray` that have one dimension, a row for
+        each of its values.
 
         Args:
-            over: the dimension; None: the main one, such as time or mode. Labels of other dimensions stand in the names of the columns,
-                "position[car, z]". Of a batch, `sample` is the first level of the index.
+            over: the dimension; None: the main one, such as time or mode. Labels of other
+                dimensions stand in the names of the columns, "position[car, z]". Of a batch,
+                `sample` is the first level of the index.
 
-        `attrs["units"]` {column: unit}; "" where there is none. Errors: UNKNOWN_NAME, with the dimensions; MISSING_EXTRA."""
+        `attrs["units"]` {column: unit}; "" where there is none. Errors: UNKNOWN_NAME, with the
+        dimensions; MISSING_EXTRA."""
         import_extra("pandas", "to_pandas")
         return frame_of(self.to_xarray(), over or self.index, f"{type(self).__name__}.to_pandas")
 
@@ -43,7 +48,10 @@ def frame_of(data: Any, over: str, where: str) -> Any:
     if over not in data.dims:
         raise JaxbodyError(unknown(over, where, tuple(map(str, data.dims))))
     index = [dim for dim in ("sample", over) if dim in data.dims]
-    labels = {dim: data[dim].values if dim in data.coords else np.arange(size) for dim, size in data.sizes.items()}
+    labels = {
+        dim: data[dim].values if dim in data.coords else np.arange(size)
+        for dim, size in data.sizes.items()
+    }
     columns, units = {}, {}
     for name, array in data.data_vars.items():
         others = [dim for dim in array.dims if dim not in index]
@@ -53,17 +61,29 @@ def frame_of(data: Any, over: str, where: str) -> Any:
         for place in product(*(range(data.sizes[dim]) for dim in others)):
             words = [str(labels[dim][i]) for dim, i in zip(others, place, strict=True)]
             column = f"{name}[{', '.join(words)}]" if words else str(name)
-            columns[column] = values[place].ravel() if index[0] in array.dims else np.tile(values[place], data.sizes["sample"])
+            columns[column] = (
+                values[place].ravel()
+                if index[0] in array.dims
+                else np.tile(values[place], data.sizes["sample"])
+            )
             units[column] = _unit(data, array, dict(zip(others, place, strict=True)))
     names = [labels[dim] for dim in index]
-    made = pandas.MultiIndex.from_product(names, names=index) if len(index) > 1 else pandas.Index(names[0], name=over)
+    made = (
+        pandas.MultiIndex.from_product(names, names=index)
+        if len(index) > 1
+        else pandas.Index(names[0], name=over)
+    )
     frame = pandas.DataFrame(columns, index=made)
-    frame.attrs["units"] = {over: data[over].attrs.get("units", "") if over in data.coords else "", **units}
+    frame.attrs["units"] = {
+        over: data[over].attrs.get("units", "") if over in data.coords else "",
+        **units,
+    }
     return frame
 
 
 def _unit(data: Any, array: Any, place: dict[str, int]) -> str:
-    """The unit of a column, in which the word `unit` stands for that in the variable `unit` at this place."""
+    """The unit of a column, in which the word `unit` stands for that in the variable `unit` at
+    this place."""
     stated = array.attrs.get("units", "")
     if "unit" not in stated or "unit" not in data:
         return stated
@@ -73,15 +93,20 @@ def _unit(data: Any, array: Any, place: dict[str, int]) -> str:
     return str(own) if stated == "unit" else stated.replace("unit", f"({own})")
 
 
-def dataset(variables: dict[str, tuple[tuple[str, ...], Any, str]], coordinates: dict[str, Any], kind: str) -> Any:
-    """{name: (dimensions, values, unit)} as a Dataset; values with one axis more than dimensions are a batch of samples."""
+def dataset(
+    variables: dict[str, tuple[tuple[str, ...], Any, str]], coordinates: dict[str, Any], kind: str
+) -> Any:
+    """{name: (dimensions, values, unit)} as a Dataset; values with one axis more than dimensions
+    are a batch of samples."""
     xarray = import_extra("xarray", "to_xarray")
     arrays = {}
     for name, (dimensions, values, unit) in variables.items():
         values = np.asarray(values)
         if values.ndim == len(dimensions) + 1:
             dimensions = ("sample", *dimensions)
-        arrays[name] = xarray.DataArray(values, dims=dimensions, attrs={"units": unit} if unit else {})
+        arrays[name] = xarray.DataArray(
+            values, dims=dimensions, attrs={"units": unit} if unit else {}
+        )
     return xarray.Dataset(arrays, coords=coordinates, attrs={"title": kind})
 
 

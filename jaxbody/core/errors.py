@@ -1,4 +1,5 @@
-"""Errors: one exception, one warning, a missing extra, and the statuses that jitted code returns instead of raising."""
+"""Errors: one exception, one warning, a missing extra, and the statuses that jitted code returns
+instead of raising."""
 
 from __future__ import annotations
 
@@ -14,10 +15,21 @@ from typing import Any
 from jaxbody.core.error_codes import CODES
 from jaxbody.core.progress_lines import clear
 
-MOST_PROBLEMS, MOST_LINES = 20, 10  # listed of a batch, and of a message, whose `problems` holds them all
-EXTRAS = {"pandas": "xarray", "casadi": "ipopt", "asammdf": "mdf", "loky": "cluster", "zarr": "cluster", "rainflow": "fatigue"}
-EXTRAS |= dict.fromkeys(("h5py", "nptdms", "pyarrow", "pyuff"), "files") | dict.fromkeys(("imageio_ffmpeg", "trimesh", "viser"), "view")
-SKIPPED = {"jaxbody", "equinox", "jax", "jaxtyping", "beartype", "contextlib", "functools"}  # packages whose lines do not help a user
+# listed of a batch, and of a message, whose `problems` holds them all
+MOST_PROBLEMS, MOST_LINES = 20, 10
+EXTRAS = {
+    "pandas": "xarray",
+    "casadi": "ipopt",
+    "asammdf": "mdf",
+    "loky": "cluster",
+    "zarr": "cluster",
+    "rainflow": "fatigue",
+}
+EXTRAS |= dict.fromkeys(("h5py", "nptdms", "pyarrow", "pyuff"), "files") | dict.fromkeys(
+    ("imageio_ffmpeg", "trimesh", "viser"), "view"
+)
+# packages whose lines do not help a user
+SKIPPED = {"jaxbody", "equinox", "jax", "jaxtyping", "beartype", "contextlib", "functools"}
 
 
 @dataclass(frozen=True)
@@ -32,12 +44,16 @@ class Problem:
     hint: str = ""
 
     def __str__(self) -> str:
-        limit, hint = f" (allowed: {self.limit})" if self.limit else "", f" {self.hint}" if self.hint else ""
+        limit, hint = (
+            f" (allowed: {self.limit})" if self.limit else "",
+            f" {self.hint}" if self.hint else "",
+        )
         return f"{self.where}: {self.message.rstrip('.')}{limit}.{hint} [{self.code}]"
 
 
 class JaxbodyError(ValueError):
-    """The one exception of jaxbody, with all `problems` of a call; the fields of the first are its attributes. `jb.codes()` lists codes.
+    """The one exception of jaxbody, with all `problems` of a call; the fields of the first are its
+    attributes. `jb.codes()` lists codes.
 
     >>> JaxbodyError(Problem("BAD_MASS", "plate", "has a mass of -3 kg")).code
     'BAD_MASS'
@@ -45,14 +61,27 @@ class JaxbodyError(ValueError):
 
     def __init__(self, *problems: Problem):
         self.problems, first = problems, problems[0]
-        self.code, self.where, self.value, self.limit, self.hint = first.code, first.where, first.value, first.limit, first.hint
+        self.code, self.where, self.value, self.limit, self.hint = (
+            first.code,
+            first.where,
+            first.value,
+            first.limit,
+            first.hint,
+        )
         shown = [str(problem) for problem in problems[:MOST_LINES]]
-        shown += [f"... and {len(problems) - MOST_LINES} more in `problems`"] * (len(problems) > MOST_LINES)
-        super().__init__(shown[0] if len(problems) == 1 else f"{len(problems)} problems:\n  " + "\n  ".join(shown))
+        shown += [f"... and {len(problems) - MOST_LINES} more in `problems`"] * (
+            len(problems) > MOST_LINES
+        )
+        super().__init__(
+            shown[0]
+            if len(problems) == 1
+            else f"{len(problems)} problems:\n  " + "\n  ".join(shown)
+        )
 
 
 class JaxbodyWarning(UserWarning):
-    """The one warning of jaxbody, with its `code`. To turn warnings into errors: `warnings.simplefilter("error", JaxbodyWarning)`.
+    """The one warning of jaxbody, with its `code`. To turn warnings into errors:
+    `warnings.simplefilter("error", JaxbodyWarning)`.
 
     >>> JaxbodyWarning("TINY_MASS", "mass of 'bolt' is tiny").code
     'TINY_MASS'
@@ -71,7 +100,10 @@ def warn(code: str, message: str) -> None:
 def warn_of(warning: Warning) -> None:
     """Issue a warning at the innermost line outside of the packages in SKIPPED."""
     frame, level = sys._getframe(1), 2
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in SKIPPED:
+    while (
+        frame.f_back is not None
+        and frame.f_globals.get("__name__", "").partition(".")[0] in SKIPPED
+    ):
         frame, level = frame.f_back, level + 1
     clear()
     warnings.warn(warning, stacklevel=level)
@@ -79,7 +111,8 @@ def warn_of(warning: Warning) -> None:
 
 @dataclass
 class Problems:
-    """Collects problems, so that one error holds all of them: `with Problems() as problems:` raises it at its end."""
+    """Collects problems, so that one error holds all of them: `with Problems() as problems:` raises
+    it at its end."""
 
     collected: list[Problem] = field(default_factory=list)
 
@@ -90,7 +123,16 @@ class Problems:
         if raised is None:
             self.raise_if_any()
 
-    def add(self, code: str, where: str, message: str, *, value: Any = None, limit: str = "", hint: str = "") -> None:
+    def add(
+        self,
+        code: str,
+        where: str,
+        message: str,
+        *,
+        value: Any = None,
+        limit: str = "",
+        hint: str = "",
+    ) -> None:
         self.collected.append(Problem(code, where, message, value, limit, hint))
 
     def gather(self, function: Callable[[], Any]) -> Any:
@@ -113,7 +155,15 @@ def import_extra(module: str, where: str) -> Any:
     except ImportError as error:
         package = module.partition(".")[0]
         hint = f"Install it: pip install 'jaxbody[{EXTRAS.get(package, package)}]'."
-        raise JaxbodyError(Problem("MISSING_EXTRA", where, f"needs the optional package {package}: {error}", package, hint=hint)) from None
+        raise JaxbodyError(
+            Problem(
+                "MISSING_EXTRA",
+                where,
+                f"needs the optional package {package}: {error}",
+                package,
+                hint=hint,
+            )
+        ) from None
 
 
 class Status(enum.IntEnum):
@@ -173,5 +223,11 @@ def codes() -> str:
 def unknown(name: str, where: str, known: tuple[str, ...]) -> Problem:
     """The problem of an unknown name, with the nearest known one."""
     near = difflib.get_close_matches(str(name), known := tuple(map(str, known)), 1)
-    hint = (f"Did you mean '{near[0]}'? " if near else "") + "Known: " + ", ".join(known[:12]) + (", ..." if len(known) > 12 else "") + "."
+    hint = (
+        (f"Did you mean '{near[0]}'? " if near else "")
+        + "Known: "
+        + ", ".join(known[:12])
+        + (", ..." if len(known) > 12 else "")
+        + "."
+    )
     return Problem("UNKNOWN_NAME", where, f"'{name}' is unknown.", name, hint=hint)

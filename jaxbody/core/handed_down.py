@@ -1,5 +1,6 @@
-"""Functions that the lower packages call and upper ones define, by the names under which `jaxbody/__init__` hands them down: what draws a
-result, what assembles closed loops. They are imported at their first use."""
+"""Functions that the lower packages call and upper ones define, by the names under which
+`jaxbody/__init__` hands them down: what draws a result, what assembles closed loops. They are
+imported at their first use."""
 
 from __future__ import annotations
 

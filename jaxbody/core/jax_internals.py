@@ -1,19 +1,28 @@
-"""Internal functions of JAX that jaxbody uses, with an alternative where a version lacks them; `lanes` knows operations by name.
+"""Internal functions of JAX that jaxbody uses, with an alternative where a version lacks them;
+`lanes` knows operations by name.
 
-    trace_state_clean             whether a driver is called by itself; without it options are left out
-    backends_are_initialized      whether options of XLA come too late; without it they have no effect
-    ClosedJaxpr, Literal          programs and constants in them, which `lanes` rewrites; without `lanes` all batches are those of jax.vmap
-    Primitive, primitive_jvps, primitive_transposes, primitive_batchers, register_lowering, lower_fun, core_call_lowering
-                                  operations with rules of their own; custom_jvp and custom_vmap are the way back, traced more often
+    trace_state_clean             whether a driver is called by itself; without it options are
+                                  left out
+    backends_are_initialized      whether options of XLA come too late; without it they have
+                                  no effect
+    ClosedJaxpr, Literal          programs and constants in them, which `lanes` rewrites; without
+                                  `lanes` all batches are those of jax.vmap
+    Primitive, primitive_jvps, primitive_transposes, primitive_batchers, register_lowering,
+    lower_fun, core_call_lowering
+                                  operations with rules of their own; custom_jvp and custom_vmap
+                                  are the way back, traced more often
     Zero, instantiate_zeros       tangents that are known to be zero, in such rules
     dce_jaxpr, dce_rules          removes what results do not need; without them more is computed
 
 Changes of JAX that matter here:
 0.10  most names of jax.core move to `jax.extend.core`; the last version for Python 3.11
-0.11  `jax.experimental.hijax`: "high" operations with their own rules, which are replaced by others before a program is compiled
-0.12  jnp.searchsorted is one, and so is jnp.interp: `without_high_operations`. `ClosedJaxpr` is `Jaxpr`. XLA always uses fusion emitters
-Expected: JAX's documents recommend high operations for custom rules; custom_jvp and custom_vjp exist in that form but are not used yet.
-Programs will then have `call_hi_primitive` where `lanes` knows `custom_jvp_call`, and `without_high_operations` would drop their rules.
+0.11  `jax.experimental.hijax`: "high" operations with their own rules, which are replaced by others
+      before a program is compiled
+0.12  jnp.searchsorted is one, and so is jnp.interp: `without_high_operations`. `ClosedJaxpr` is
+      `Jaxpr`. XLA always uses fusion emitters
+Expected: JAX's documents recommend high operations for custom rules; custom_jvp and custom_vjp
+exist in that form but are not used yet. Programs will then have `call_hi_primitive` where `lanes`
+knows `custom_jvp_call`, and `without_high_operations` would drop their rules.
 """
 
 from __future__ import annotations
@@ -36,7 +45,8 @@ __all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "instantiate_zeros"]  # u
 
 
 def outermost() -> bool:
-    """Whether nothing is being traced. False where JAX cannot tell: callers are then slower, but correct."""
+    """Whether nothing is being traced. False where JAX cannot tell: callers are then slower,
+    but correct."""
     try:
         from jax._src import core
 
@@ -46,7 +56,8 @@ def outermost() -> bool:
 
 
 def started() -> bool:
-    """Whether JAX has looked for devices. False where JAX cannot tell: options that are set too late then have no effect."""
+    """Whether JAX has looked for devices. False where JAX cannot tell: options that are set too
+    late then have no effect."""
     try:
         from jax._src import xla_bridge
 
@@ -74,19 +85,24 @@ def jaxpr_as_fun(jaxpr: ClosedJaxpr) -> Callable[..., list[Any]]:
     return functools.partial(eval_jaxpr, jaxpr.jaxpr, jaxpr.consts)
 
 
-REST_HAS_DERIVATIVES = jax.__version_info__ >= (0, 8)  # what 0.7 leaves of functions with rules of their own has none
+# what 0.7 leaves of functions with rules of their own has none
+REST_HAS_DERIVATIVES = jax.__version_info__ >= (0, 8)
 
 
 def only_what_is_needed(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     """The program without operations that its results do not need, where JAX can remove them."""
     if not hasattr(partial_eval, "dce_jaxpr"):
         return jaxpr
-    return ClosedJaxpr(partial_eval.dce_jaxpr(jaxpr.jaxpr, [True] * len(jaxpr.out_avals), instantiate=True)[0], jaxpr.consts)
+    return ClosedJaxpr(
+        partial_eval.dce_jaxpr(jaxpr.jaxpr, [True] * len(jaxpr.out_avals), instantiate=True)[0],
+        jaxpr.consts,
+    )
 
 
 def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
-    """The same program in operations with batching and lowering rules. Since version 0.12 a program may have "high" operations, such as
-    searchsorted, which JAX replaces by others just before it compiles."""
+    """The same program in operations with batching and lowering rules. Since version 0.12 a
+    program may have "high" operations, such as searchsorted, which JAX replaces by others just
+    before it compiles."""
     if not getattr(jaxpr, "is_high", False):
         return jaxpr
     return jax.jit(jaxpr_as_fun(jaxpr)).trace(*jaxpr.in_avals).lojax.jaxpr  # pyright: ignore
@@ -115,14 +131,17 @@ def new_operation(
     jvp: Callable[..., Any] | None = None,
     transpose: Callable[..., Any] | None = None,
 ) -> Primitive:
-    """A new operation of JAX that computes a function of (*arrays, **parameters), one array or several, with its rules. Types and lowering
-    are those of `compute` unless `typed` and `lowered` are given, or what computes the same `inside` of a program; with a transpose but no
-    jvp the operation is linear, and of one array."""
+    """A new operation of JAX that computes a function of (*arrays, **parameters), one array or
+    several, with its rules. Types and lowering are those of `compute` unless `typed` and `lowered`
+    are given, or what computes the same `inside` of a program; with a transpose but no jvp the
+    operation is linear, and of one array."""
     primitive = Primitive(name)
     primitive.multiple_results = several
     primitive.def_impl(compute)
     primitive.def_abstract_eval(typed or functools.partial(_type_of, compute))
-    mlir.register_lowering(primitive, lowered or mlir.lower_fun(inside or compute, multiple_results=several))
+    mlir.register_lowering(
+        primitive, lowered or mlir.lower_fun(inside or compute, multiple_results=several)
+    )
     if batch is not None:
         batching.primitive_batchers[primitive] = batch
     if jvp is None and transpose is not None:
@@ -133,8 +152,11 @@ def new_operation(
     return primitive
 
 
-def _rules_of_linear(primitive: Primitive, transpose: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """The derivative of a linear operation of one array, and its transpose where nothing may come back."""
+def _rules_of_linear(
+    primitive: Primitive, transpose: Callable[..., Any]
+) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """The derivative of a linear operation of one array, and its transpose where nothing may
+    come back."""
 
     def jvp(primals, tangents, **parameters):
         return primitive.bind(*primals, **parameters), primitive.bind(*tangents, **parameters)
@@ -145,9 +167,13 @@ def _rules_of_linear(primitive: Primitive, transpose: Callable[..., Any]) -> tup
     return jvp, transposed
 
 
-def same_numbers(name: str, typed: Callable[..., Any] = lambda x, **_: x, **rules: Any) -> Primitive:
+def same_numbers(
+    name: str, typed: Callable[..., Any] = lambda x, **_: x, **rules: Any
+) -> Primitive:
     """An operation that returns its argument."""
-    return new_operation(name, lambda x, **_: x, typed=typed, lowered=lambda context, x, **_: [x], **rules)
+    return new_operation(
+        name, lambda x, **_: x, typed=typed, lowered=lambda context, x, **_: [x], **rules
+    )
 
 
 def call_of(name: str, **rules: Any) -> Primitive:
@@ -157,7 +183,9 @@ def call_of(name: str, **rules: Any) -> Primitive:
         lambda *args, jaxpr, **_: jaxpr_as_fun(jaxpr)(*args),
         typed=lambda *args, jaxpr, **_: jaxpr.out_avals,
         several=True,
-        lowered=lambda context, *args, jaxpr, **_: mlir.core_call_lowering(context, *args, name=name, call_jaxpr=jaxpr),
+        lowered=lambda context, *args, jaxpr, **_: mlir.core_call_lowering(
+            context, *args, name=name, call_jaxpr=jaxpr
+        ),
         **rules,
     )
 
@@ -167,16 +195,23 @@ def call_of(name: str, **rules: Any) -> Primitive:
         eqn = given[-1]
         part, needed = partial_eval.dce_jaxpr((whole := eqn.params["jaxpr"]).jaxpr, used)
         variables = {"invars": chosen(eqn.invars, needed), "outvars": chosen(eqn.outvars, used)}
-        return needed, eqn.replace(**variables, params=eqn.params | {"jaxpr": ClosedJaxpr(part, whole.consts)})
+        return needed, eqn.replace(
+            **variables, params=eqn.params | {"jaxpr": ClosedJaxpr(part, whole.consts)}
+        )
 
     getattr(partial_eval, "dce_rules", {})[primitive] = only_needed
     primitive.is_high = lambda *_, jaxpr, **__: getattr(jaxpr, "is_high", False)  # pyright: ignore
-    primitive.to_lojax = lambda *args, jaxpr, **params: primitive.bind(*args, jaxpr=without_high_operations(jaxpr), **params)
+    primitive.to_lojax = lambda *args, jaxpr, **params: primitive.bind(
+        *args, jaxpr=without_high_operations(jaxpr), **params
+    )
     return primitive
 
 
 def _type_of(compute: Callable[..., Any], *avals: Any, **parameters: Any) -> ShapedArray:
-    out = jax.eval_shape(functools.partial(compute, **parameters), *(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals))
+    out = jax.eval_shape(
+        functools.partial(compute, **parameters),
+        *(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals),
+    )
     return shaped(out.shape, out.dtype)
 
 
@@ -185,22 +220,35 @@ def shaped(shape: tuple[int, ...], dtype: Any) -> ShapedArray:
     mesh = jax.sharding.get_abstract_mesh()
     if mesh.empty:
         return ShapedArray(shape, dtype)
-    return ShapedArray(shape, dtype, sharding=jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*(None for _ in shape))))
+    return ShapedArray(
+        shape,
+        dtype,
+        sharding=jax.sharding.NamedSharding(
+            mesh, jax.sharding.PartitionSpec(*(None for _ in shape))
+        ),
+    )
 
 
-# Within `jax.shard_map` the type of an array says over which axes of the mesh its values vary, and a loop must not start with a constant,
-# which does not vary, and continue with values that do. Functions that are independent of devices are therefore traced without these types.
+# Within `jax.shard_map` the type of an array says over which axes of the mesh its values vary, and
+# a loop must not start with a constant, which does not vary, and continue with values that do.
+# Functions that are independent of devices are therefore traced without these types.
 
 
 def without_manual_axes(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, extended to trees of arrays; inside it, no array varies over the axes of a mesh."""
+    """The function, extended to trees of arrays; inside it, no array varies over the axes of
+    a mesh."""
 
     @functools.wraps(function)
     def call(*args):
-        axes = frozenset().union(*(_varying(jax.typeof(x)) for x in jax.tree.leaves(args) if isinstance(x, jax.Array)))
+        axes = frozenset().union(
+            *(_varying(jax.typeof(x)) for x in jax.tree.leaves(args) if isinstance(x, jax.Array))
+        )
         if not axes:
             return function(*args)
-        return _each_array(lambda x: _shown_p.bind(x, axes=axes), function(*_each_array(lambda x: _hidden(x, axes), args)))
+        return _each_array(
+            lambda x: _shown_p.bind(x, axes=axes),
+            function(*_each_array(lambda x: _hidden(x, axes), args)),
+        )
 
     return call
 
@@ -210,26 +258,38 @@ def _each_array(function: Callable[[Array], Array], tree: Any) -> Any:
 
 
 def _hidden(x: Array, axes: frozenset) -> Array:
-    """x without varying axes, after it is made to vary over all of them: derivatives with respect to constants are then correct sums over
-    devices."""
+    """x without varying axes, after it is made to vary over all of them: derivatives with respect
+    to constants are then correct sums over devices."""
     missing = tuple(axes - _varying(jax.typeof(x)))
     if missing:
-        x = jax.lax.pcast(x, missing, to="varying") if hasattr(jax.lax, "pcast") else jax.lax.pvary(x, missing)  # pyright: ignore
+        x = (
+            jax.lax.pcast(x, missing, to="varying")
+            if hasattr(jax.lax, "pcast")
+            else jax.lax.pvary(x, missing)  # pyright: ignore
+        )
     return _hidden_p.bind(x, axes=axes)
 
 
 def _varying(aval: Any) -> frozenset:
-    return aval.manual_axis_type.varying if hasattr(aval, "manual_axis_type") else getattr(aval, "vma", frozenset())
+    return (
+        aval.manual_axis_type.varying
+        if hasattr(aval, "manual_axis_type")
+        else getattr(aval, "vma", frozenset())
+    )
 
 
 def _with_varying(aval: Any, axes: frozenset) -> Any:
     if hasattr(aval, "manual_axis_type"):
         sharding = aval.sharding.update(mesh=jax.sharding.get_abstract_mesh())
-        return aval.update(sharding=sharding, manual_axis_type=aval.manual_axis_type.update(varying=axes))
+        return aval.update(
+            sharding=sharding, manual_axis_type=aval.manual_axis_type.update(varying=axes)
+        )
     return aval.update(vma=axes)
 
 
-def _type_only(name: str, varying: Callable[[frozenset], frozenset], back: Callable[[], Primitive]) -> Primitive:
+def _type_only(
+    name: str, varying: Callable[[frozenset], frozenset], back: Callable[[], Primitive]
+) -> Primitive:
     """An operation that changes the type of an array but not its numbers."""
     primitive = same_numbers(
         name,

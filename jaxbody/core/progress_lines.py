@@ -1,6 +1,8 @@
-"""Progress lines: a computation that takes longer than five seconds reports its progress on a terminal or in a notebook.
+"""Progress lines: a computation that takes longer than five seconds reports its progress on a
+terminal or in a notebook.
 
-A thread writes the last reports of the outermost computation and of those within it, and clears the line at the end.
+A thread writes the last reports of the outermost computation and of those within it, and clears the
+line at the end.
 """
 
 from __future__ import annotations
@@ -109,7 +111,8 @@ def screen() -> TextIO | None:
 
 @contextmanager
 def working(name: str, progress: bool | None = None) -> Iterator[Line]:
-    """A progress line for the duration of a `with` block, shown after five seconds where progress is None.
+    """A progress line for the duration of a `with` block, shown after five seconds where progress
+    is None.
 
     False turns it off; so does True, because reports are then printed on lines of their own."""
     lines = _local.__dict__.setdefault("lines", [])

@@ -17,7 +17,8 @@ AnyResult = TypeVar("AnyResult", bound="Result")
 
 
 class Result(tables.Printed, eqx.Module):
-    """`.status` (one code per sample), `.ok`, `.report()`, `.raise_if_failed()`, and printing as tables."""
+    """`.status` (one code per sample), `.ok`, `.report()`, `.raise_if_failed()`, and printing
+    as tables."""
 
     status: eqx.AbstractVar[Any]
 
@@ -27,16 +28,19 @@ class Result(tables.Printed, eqx.Module):
         return as_numpy(self.status) == Status.OK
 
     def explain(self) -> str:
-        """Details of the failure of a single sample; "" if there are none. A trajectory or an equilibrium computes them when asked."""
+        """Details of the failure of a single sample; "" if there are none. A trajectory or an
+        equilibrium computes them when asked."""
         return ""
 
     def report(self) -> str:
-        """The status with its message and details; for a batch, the number of samples of each status; "traced" inside jit or vmap."""
+        """The status with its message and details; for a batch, the number of samples of each
+        status; "traced" inside jit or vmap."""
         return self.message(type(self).explain)
 
     @property
     def failure(self) -> str:
-        """The report of a result that failed, for a note below its table; "" if it is ok or traced."""
+        """The report of a result that failed, for a note below its table; "" if it is ok
+        or traced."""
         return self.report() if is_concrete(self.status) and np.any(self.status) else ""
 
     def message(self, details: Callable[[Any], str]) -> str:
@@ -52,14 +56,20 @@ class Result(tables.Printed, eqx.Module):
             more = details(plain) if is_concrete(plain) else ""
             return f"{Status(int(codes)).name}: {message}" + (f"; {more}" if more else "")
         values, counts = np.unique(codes, return_counts=True)
-        return ", ".join(f"{count} {Status(int(value)).name}" for value, count in zip(values, counts, strict=True))
+        return ", ".join(
+            f"{count} {Status(int(value)).name}"
+            for value, count in zip(values, counts, strict=True)
+        )
 
     def raise_if_failed(self) -> None:
-        """Raise a JaxbodyError unless every sample is ok; a batch lists the indices that are not. Error inside jit or vmap: TRACED."""
+        """Raise a JaxbodyError unless every sample is ok; a batch lists the indices that are not.
+        Error inside jit or vmap: TRACED."""
         where = type(self).__name__.lower()
         if not is_concrete(self.status):
             hint = "Call raise_if_failed() on what the compiled or batched function returns."
-            raise JaxbodyError(Problem("TRACED", where, "has no status yet inside jit or vmap", hint=hint))
+            raise JaxbodyError(
+                Problem("TRACED", where, "has no status yet inside jit or vmap", hint=hint)
+            )
         codes = np.asarray(self.status)
         if not codes.any():
             return
@@ -71,20 +81,25 @@ class Result(tables.Printed, eqx.Module):
 
 
 def without_derivatives(tree: Any) -> Any:
-    """The tree with values in place of the tracers of jax.grad, jax.jvp and jax.vjp; tracers of jit and vmap remain."""
+    """The tree with values in place of the tracers of jax.grad, jax.jvp and jax.vjp; tracers of jit
+    and vmap remain."""
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, Tracer) else x, tree)
 
 
-def finished(result: AnyResult, found: Callable[[Any], Any], parts: Callable[[AnyResult], Any]) -> AnyResult:
-    """The result, after a warning if it failed. Where it is traced, these parts are NaN unless found, by the status, with NaN as their
-    derivatives: no warning is seen there."""
+def finished(
+    result: AnyResult, found: Callable[[Any], Any], parts: Callable[[AnyResult], Any]
+) -> AnyResult:
+    """The result, after a warning if it failed. Where it is traced, these parts are NaN unless
+    found, by the status, with NaN as their derivatives: no warning is seen there."""
     warn_if_failed(result)
     if is_concrete(result):
         return result
     numbers = {id(x) for x in jax.tree.leaves(parts(result))}
     leaves, tree = jax.tree.flatten(result)
     chosen = [i for i, x in enumerate(leaves) if id(x) in numbers]
-    for i, x in zip(chosen, _nan_unless_found(found, result.status, [leaves[i] for i in chosen]), strict=True):
+    for i, x in zip(
+        chosen, _nan_unless_found(found, result.status, [leaves[i] for i in chosen]), strict=True
+    ):
         leaves[i] = x
     return jax.tree.unflatten(tree, leaves)
 
@@ -92,11 +107,17 @@ def finished(result: AnyResult, found: Callable[[Any], Any], parts: Callable[[An
 @partial(jax.jit, static_argnums=0)
 def _nan_unless_found(found: Callable[[Any], Any], status: Any, numbers: list[Any]) -> list[Any]:
     valid = found(status)
-    return [rows_or_nan(valid.reshape(valid.shape + (1,) * (x.ndim - valid.ndim)), x) for x in numbers]
+    return [
+        rows_or_nan(valid.reshape(valid.shape + (1,) * (x.ndim - valid.ndim)), x) for x in numbers
+    ]
 
 
 def warn_if_failed(result: AnyResult) -> AnyResult:
-    """The result itself, which a public function returns, after a warning if it failed and its status is not traced."""
+    """The result itself, which a public function returns, after a warning if it failed and its
+    status is not traced."""
     if is_concrete(result.status) and (codes := np.asarray(result.status)).any():
-        warn(Status(int(codes.flat[np.flatnonzero(codes)[0]])).name, f"{type(result).__name__}: {result.report()}")
+        warn(
+            Status(int(codes.flat[np.flatnonzero(codes)[0]])).name,
+            f"{type(result).__name__}: {result.report()}",
+        )
     return result

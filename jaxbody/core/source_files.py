@@ -1,4 +1,5 @@
-"""Files of a user: existence, kind, size and encoding before they are read, and the error of a file that cannot be written."""
+"""Files of a user: existence, kind, size and encoding before they are read, and the error of a file
+that cannot be written."""
 
 from __future__ import annotations
 
@@ -13,59 +14,121 @@ from jaxbody.core.errors import JaxbodyError, Problem
 OF_RECORDS = 5.0  # bytes of memory for each byte of a file of numbers
 
 
-def check_file(path: Path, largest: float = math.inf, memory: float = OF_RECORDS, option: str = "") -> None:
-    """Check that a path is a regular file, not empty, of at most `largest` bytes, and readable. A pipe or a device is refused before it is
-    opened, because it might block or never end. `memory`: bytes of memory for each byte of the file; `option`: that of the command which
-    sets the limit. Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
+def check_file(
+    path: Path, largest: float = math.inf, memory: float = OF_RECORDS, option: str = ""
+) -> None:
+    """Check that a path is a regular file, not empty, of at most `largest` bytes, and readable. A
+    pipe or a device is refused before it is opened, because it might block or never end. `memory`:
+    bytes of memory for each byte of the file; `option`: that of the command which sets the limit.
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
     try:
         status = path.stat()
         if stat.S_ISREG(status.st_mode):
             path.open("rb").close()
     except (OSError, ValueError) as error:
         message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise JaxbodyError(Problem("NO_FILE", str(path)[-200:], message, path, hint="Give the path of a file.")) from None
+        raise JaxbodyError(
+            Problem("NO_FILE", str(path)[-200:], message, path, hint="Give the path of a file.")
+        ) from None
     if stat.S_ISDIR(status.st_mode):
-        raise JaxbodyError(Problem("IS_DIRECTORY", str(path), "is a directory", path, "a file", "Give the path of one file in it."))
+        raise JaxbodyError(
+            Problem(
+                "IS_DIRECTORY",
+                str(path),
+                "is a directory",
+                path,
+                "a file",
+                "Give the path of one file in it.",
+            )
+        )
     if not stat.S_ISREG(status.st_mode):
         raise JaxbodyError(
-            Problem("NOT_A_FILE", str(path), "is a pipe, a socket or a device", path, "a regular file", "Write its output to a file first.")
+            Problem(
+                "NOT_A_FILE",
+                str(path),
+                "is a pipe, a socket or a device",
+                path,
+                "a regular file",
+                "Write its output to a file first.",
+            )
         )
     if status.st_size == 0:
-        raise JaxbodyError(Problem("EMPTY_FILE", path.name, "has no bytes", 0, "> 0", "Was it copied before it was fully written?"))
+        raise JaxbodyError(
+            Problem(
+                "EMPTY_FILE",
+                path.name,
+                "has no bytes",
+                0,
+                "> 0",
+                "Was it copied before it was fully written?",
+            )
+        )
     check_size(path.name, status.st_size, largest, memory=memory, option=option)
 
 
-def check_size(name: str, size: float, largest: float, what: str = "bytes", memory: float = OF_RECORDS, option: str = "") -> None:
-    """Check that a file, or its numbers at 8 bytes each, take at most `largest` bytes. Error: TOO_LARGE."""
+def check_size(
+    name: str,
+    size: float,
+    largest: float,
+    what: str = "bytes",
+    memory: float = OF_RECORDS,
+    option: str = "",
+) -> None:
+    """Check that a file, or its numbers at 8 bytes each, take at most `largest` bytes.
+    Error: TOO_LARGE."""
     if size > largest:
         setting = f"largest={1.1 * size:.2g}" + (f" ({option} {1.1 * size:.2g})" if option else "")
-        hint = f"Set {setting} if about {memory * size / 1e9:.2g} GB of memory are free, or split the file."
-        raise JaxbodyError(Problem("TOO_LARGE", name, f"has {size:.4g} {what}", size, f"{largest:.4g} bytes", hint))
+        hint = (
+            f"Set {setting} if about {memory * size / 1e9:.2g} GB of memory are "
+            "free, or split the file."
+        )
+        raise JaxbodyError(
+            Problem("TOO_LARGE", name, f"has {size:.4g} {what}", size, f"{largest:.4g} bytes", hint)
+        )
 
 
 def decoded(data: bytes, name: str, encoding: str) -> str:
-    """Text of bytes, without a byte order mark of UTF-8. Errors: ENCODING, with byte and offset; WRONG_FORMAT."""
+    """Text of bytes, without a byte order mark of UTF-8. Errors: ENCODING, with byte and
+    offset; WRONG_FORMAT."""
     hint = 'Give encoding="latin-1", or the encoding in which it was written.'
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") and encoding == "utf-8":
-        raise JaxbodyError(Problem("ENCODING", name, "is UTF-16", data[:2], encoding, 'Give encoding="utf-16".'))
+        raise JaxbodyError(
+            Problem("ENCODING", name, "is UTF-16", data[:2], encoding, 'Give encoding="utf-16".')
+        )
     try:
         text = data.decode("utf-8-sig" if encoding == "utf-8" else encoding)
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         message = f"has byte 0x{data[error.start]:02x} at offset {error.start} (line {line})"
-        raise JaxbodyError(Problem("ENCODING", name, message + f", which is not {encoding}", error.start, encoding, hint)) from None
+        raise JaxbodyError(
+            Problem(
+                "ENCODING",
+                name,
+                message + f", which is not {encoding}",
+                error.start,
+                encoding,
+                hint,
+            )
+        ) from None
     except (LookupError, UnicodeError):
-        raise JaxbodyError(Problem("ENCODING", name, f"cannot be read as {encoding!r}", encoding, "an encoding", hint)) from None
+        raise JaxbodyError(
+            Problem(
+                "ENCODING", name, f"cannot be read as {encoding!r}", encoding, "an encoding", hint
+            )
+        ) from None
     if "\0" in text:
-        message, hint = f"has a zero byte at offset {text.index(chr(0))}", "Is it a text file? If so, give its encoding, else its format."
+        message, hint = (
+            f"has a zero byte at offset {text.index(chr(0))}",
+            "Is it a text file? If so, give its encoding, else its format.",
+        )
         raise JaxbodyError(Problem("WRONG_FORMAT", name, message, limit="text", hint=hint))
     return text
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """The path of a new file, which takes the place of this one at the end of the block, so that each reader sees a whole one; of a block
-    that fails or is interrupted nothing is left."""
+    """The path of a new file, which takes the place of this one at the end of the block, so that
+    each reader sees a whole one; of a block that fails or is interrupted nothing is left."""
     new = path.with_name(f"{path.name}.new")
     try:
         yield new
@@ -82,4 +145,6 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         message = f"cannot be written: {error.strerror}"
-        raise JaxbodyError(Problem("NOT_SAVED", str(path), message, path, hint="Choose another path.")) from None
+        raise JaxbodyError(
+            Problem("NOT_SAVED", str(path), message, path, hint="Choose another path.")
+        ) from None

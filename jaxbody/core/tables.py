@@ -1,4 +1,5 @@
-"""How results are shown: as small tables with units, in a terminal and in a notebook, and by `plot` as a picture."""
+"""How results are shown: as small tables with units, in a terminal and in a notebook, and by `plot`
+as a picture."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ ROUND_OFF = 1e-8  # shares below are not printed
 
 @dataclass
 class PrintedTable:
-    """A title, the headings of the columns, and rows of names and numbers; `note` is printed below."""
+    """A title, the headings of the columns, and rows of names and numbers; `note` is
+    printed below."""
 
     title: str
     columns: tuple[str, ...]
@@ -31,7 +33,8 @@ class PrintedTable:
 
 
 class PlotMethod:
-    """`plot(*, ax=None, ...)` of a class: the function that draws it, with the object as first argument."""
+    """`plot(*, ax=None, ...)` of a class: the function that draws it, with the object as
+    first argument."""
 
     def __get__(self, result: Any, kind: type) -> Callable[..., Any]:
         draw = handed_down("picture_of")(kind).draw
@@ -39,7 +42,8 @@ class PlotMethod:
 
 
 class Printed(ABC):
-    """An object that prints as tables. They are made of its arrays in NumPy, so that printing runs no program of JAX."""
+    """An object that prints as tables. They are made of its arrays in NumPy, so that printing runs
+    no program of JAX."""
 
     plot = PlotMethod()
 
@@ -58,10 +62,13 @@ class Printed(ABC):
 
 
 def summarized(title: str, ndim: int, **heads: str) -> Callable:
-    """A decorator of `_tables` for results that may be batches. If the first of these attributes does not have `ndim` axes, or is traced,
-    the result prints as one table of the attributes, each with its heading."""
+    """A decorator of `_tables` for results that may be batches. If the first of these attributes
+    does not have `ndim` axes, or is traced, the result prints as one table of the attributes, each
+    with its heading."""
 
-    def of_method(single: Callable[[Any], list[PrintedTable]]) -> Callable[[Any], list[PrintedTable]]:
+    def of_method(
+        single: Callable[[Any], list[PrintedTable]],
+    ) -> Callable[[Any], list[PrintedTable]]:
         @wraps(single)
         def shown(self) -> list[PrintedTable]:
             rows = [(head, getattr(self, name)) for name, head in heads.items()]
@@ -75,18 +82,26 @@ def summarized(title: str, ndim: int, **heads: str) -> Callable:
 
 def in_numpy(tree: Any) -> Any:
     """The tree with JAX arrays converted to NumPy arrays; tracers stay."""
-    return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) and not isinstance(x, Tracer) else x, tree)
+    return jax.tree.map(
+        lambda x: np.asarray(x) if isinstance(x, jax.Array) and not isinstance(x, Tracer) else x,
+        tree,
+    )
 
 
 def of_matrix(title: str, matrix: Any, names: tuple[str, ...]) -> PrintedTable:
     """A square matrix with the names of its rows; dots for a large matrix or a batch."""
     few, matrix = matrix.ndim == 2 and len(names) <= 12, without_dust(matrix)
     heads = map(str, range(len(names))) if few else [""]
-    return PrintedTable(title, ("", *heads), [(name, *(matrix[i] if few else ["..."])) for i, name in enumerate(names)])
+    return PrintedTable(
+        title,
+        ("", *heads),
+        [(name, *(matrix[i] if few else ["..."])) for i, name in enumerate(names)],
+    )
 
 
 def number(value: Any) -> str:
-    """A number to six digits, a short vector, or the shape of a larger array; "traced" inside jit or vmap."""
+    """A number to six digits, a short vector, or the shape of a larger array; "traced" inside jit
+    or vmap."""
     if value is None or isinstance(value, str):
         return value or ""
     if isinstance(value, Tracer):
@@ -105,7 +120,11 @@ def percent(share: Any) -> str:
     >>> percent(0.0123), percent(2.1), percent(2e-14)
     ('1.2 %', '210 %', '')
     """
-    return f"{float(f'{100 * share:.2g}'):g} %" if np.isfinite(share) and abs(share) >= ROUND_OFF else ""
+    return (
+        f"{float(f'{100 * share:.2g}'):g} %"
+        if np.isfinite(share) and abs(share) >= ROUND_OFF
+        else ""
+    )
 
 
 def counted(count: int, what: str) -> str:
@@ -114,30 +133,47 @@ def counted(count: int, what: str) -> str:
 
 
 def without_dust(values: Any, unit: Any = None) -> Any:
-    """The numbers with rounding errors set to zero: those below 1e-12 of a unit, or of the largest number."""
+    """The numbers with rounding errors set to zero: those below 1e-12 of a unit, or of the
+    largest number."""
     if isinstance(values, Tracer):
         return values
     array = np.asarray(values)
-    return np.where(np.abs(array) <= 1e-12 * (np.abs(array).max(initial=0.0) if unit is None else unit), 0.0, array)
+    return np.where(
+        np.abs(array) <= 1e-12 * (np.abs(array).max(initial=0.0) if unit is None else unit),
+        0.0,
+        array,
+    )
 
 
 def text(*shown: PrintedTable) -> str:
     """Aligned columns; a blank line before every title but the first."""
-    return "\n".join(("\n" if i and table.title else "") + "\n".join(_lines(table)) for i, table in enumerate(shown))
+    return "\n".join(
+        ("\n" if i and table.title else "") + "\n".join(_lines(table))
+        for i, table in enumerate(shown)
+    )
 
 
 def _lines(table: PrintedTable) -> list[str]:
     cells = [table.columns, *([number(cell) for cell in row] for row in table.rows[:MOST_ROWS])]
     widths = [max(len(row[i]) for row in cells) for i in range(len(table.columns))]
     aligned = [
-        [cell.rjust(width) if i else cell.ljust(width) for i, (cell, width) in enumerate(zip(row, widths, strict=True))] for row in cells
+        [
+            cell.rjust(width) if i else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        for row in cells
     ]
-    lines = ["  " + "  ".join(row).rstrip() for row in aligned] + (["  " + _rest(table)] if len(table.rows) > MOST_ROWS else [])
+    lines = ["  " + "  ".join(row).rstrip() for row in aligned] + (
+        ["  " + _rest(table)] if len(table.rows) > MOST_ROWS else []
+    )
     return [line for line in (table.title, *lines, table.note) if line]
 
 
 def _rest(table: PrintedTable) -> str:
-    return f"... {len(table.rows) - MOST_ROWS} more of {len(table.rows)} rows; the result's attributes have all of them"
+    return (
+        f"... {len(table.rows) - MOST_ROWS} more of {len(table.rows)} rows; the result's "
+        "attributes have all of them"
+    )
 
 
 def html(*shown: PrintedTable) -> str:
@@ -145,7 +181,13 @@ def html(*shown: PrintedTable) -> str:
     blocks = []
     for table in shown:
         head = "".join(f"<th>{escape(c)}</th>" for c in table.columns)
-        body = "".join("<tr>" + "".join(f"<td>{escape(number(cell))}</td>" for cell in row) + "</tr>" for row in table.rows[:MOST_ROWS])
+        body = "".join(
+            "<tr>" + "".join(f"<td>{escape(number(cell))}</td>" for cell in row) + "</tr>"
+            for row in table.rows[:MOST_ROWS]
+        )
         more = f"<p>{_rest(table)}</p>" if len(table.rows) > MOST_ROWS else ""
-        blocks.append(f"<p><b>{escape(table.title)}</b></p><table><tr>{head}</tr>{body}</table>{more}<p>{escape(table.note)}</p>")
+        blocks.append(
+            f"<p><b>{escape(table.title)}</b></p><table><tr>{head}</tr>{body}</table>{more}<p>"
+            f"{escape(table.note)}</p>"
+        )
     return "".join(blocks)

@@ -2,8 +2,9 @@
 
     value [SI] = factor * value [unit];   dimension = exponents of (m, kg, s, rad, A)
 
-Angles have a dimension of their own, so that degrees given for meters are detected. Products are "N m", "N.m", "N-m" or "N*m"; powers are
-"m/s^2", "m/s2", "m s-2" or "m/s**2". A slash divides by the next unit only, or by a product in parentheses.
+Angles have a dimension of their own, so that degrees given for meters are detected. Products are "N
+m", "N.m", "N-m" or "N*m"; powers are "m/s^2", "m/s2", "m s-2" or "m/s**2". A slash divides by the
+next unit only, or by a product in parentheses.
 """
 
 from __future__ import annotations
@@ -59,32 +60,100 @@ PREFIXED = {  # with their usual prefixes
     "J": (1.0, MOMENT, "mk"),
 }
 PLAIN = {
-    "kg": (1.0, MASS), "t": (1e3, MASS), "lb": (POUND / GRAVITY, MASS), "slug": (POUND / 0.3048, MASS),
-    "in": (0.0254, LENGTH), "mil": (2.54e-5, LENGTH), "ft": (0.3048, LENGTH), "yd": (0.9144, LENGTH), "mi": (1609.344, LENGTH),
-    "min": (60.0, TIME), "h": (3600.0, TIME), "mph": (1609.344 / 3600, SPEED), "kph": (1 / 3.6, SPEED), "ips": (0.0254, SPEED),
-    "deg": (TURN / 360, ANGLE), "rev": (TURN, ANGLE), "rpm": (TURN / 60, ANGULAR_RATE), "dps": (TURN / 360, ANGULAR_RATE),
-    "g": (GRAVITY, ACCELERATION), "Gal": (0.01, ACCELERATION),
-    "Nm": (1.0, MOMENT), "Nmm": (1e-3, MOMENT), "kNm": (1e3, MOMENT), "Ns": (1.0, (1, 1, -1, 0, 0)),
-    "daN": (10.0, FORCE), "kgf": (GRAVITY, FORCE), "kp": (GRAVITY, FORCE), "lbf": (POUND, FORCE), "kip": (1e3 * POUND, FORCE),
-    "bar": (1e5, PRESSURE), "psi": (POUND / 0.0254**2, PRESSURE), "ksi": (1e3 * POUND / 0.0254**2, PRESSURE),
-    "%": (0.01, NONE), "1": (1.0, NONE), "-": (1.0, NONE),
-}  # fmt: skip
+    "kg": (1.0, MASS),
+    "t": (1e3, MASS),
+    "lb": (POUND / GRAVITY, MASS),
+    "slug": (POUND / 0.3048, MASS),
+    "in": (0.0254, LENGTH),
+    "mil": (2.54e-5, LENGTH),
+    "ft": (0.3048, LENGTH),
+    "yd": (0.9144, LENGTH),
+    "mi": (1609.344, LENGTH),
+    "min": (60.0, TIME),
+    "h": (3600.0, TIME),
+    "mph": (1609.344 / 3600, SPEED),
+    "kph": (1 / 3.6, SPEED),
+    "ips": (0.0254, SPEED),
+    "deg": (TURN / 360, ANGLE),
+    "rev": (TURN, ANGLE),
+    "rpm": (TURN / 60, ANGULAR_RATE),
+    "dps": (TURN / 360, ANGULAR_RATE),
+    "g": (GRAVITY, ACCELERATION),
+    "Gal": (0.01, ACCELERATION),
+    "Nm": (1.0, MOMENT),
+    "Nmm": (1e-3, MOMENT),
+    "kNm": (1e3, MOMENT),
+    "Ns": (1.0, (1, 1, -1, 0, 0)),
+    "daN": (10.0, FORCE),
+    "kgf": (GRAVITY, FORCE),
+    "kp": (GRAVITY, FORCE),
+    "lbf": (POUND, FORCE),
+    "kip": (1e3 * POUND, FORCE),
+    "bar": (1e5, PRESSURE),
+    "psi": (POUND / 0.0254**2, PRESSURE),
+    "ksi": (1e3 * POUND / 0.0254**2, PRESSURE),
+    "%": (0.01, NONE),
+    "1": (1.0, NONE),
+    "-": (1.0, NONE),
+}
 ALSO = {
-    "volt": "V", "volts": "V", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "degree": "deg", "degrees": "deg", "°": "deg",
-    "radian": "rad", "radians": "rad", "meter": "m", "meters": "m", "metre": "m", "metres": "m", "newton": "N", "newtons": "N",
-    "g0": "g", "gn": "g", "lbs": "lb", "lbm": "lb", "thou": "mil", "mils": "mil", "rpm": "rpm", "dps": "dps",
-    "inch": "in", "inches": "in", "hertz": "Hz", "percent": "%",
-}  # fmt: skip
+    "volt": "V",
+    "volts": "V",
+    "sec": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "degree": "deg",
+    "degrees": "deg",
+    "°": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "meter": "m",
+    "meters": "m",
+    "metre": "m",
+    "metres": "m",
+    "newton": "N",
+    "newtons": "N",
+    "g0": "g",
+    "gn": "g",
+    "lbs": "lb",
+    "lbm": "lb",
+    "thou": "mil",
+    "mils": "mil",
+    "rpm": "rpm",
+    "dps": "dps",
+    "inch": "in",
+    "inches": "in",
+    "hertz": "Hz",
+    "percent": "%",
+}
 KNOWN = {**PLAIN}
 for _name, (_factor, _dimension, _prefixes) in PREFIXED.items():
     KNOWN[_name] = (_factor, _dimension)
     KNOWN |= {prefix + _name: (PREFIXES[prefix] * _factor, _dimension) for prefix in _prefixes}
 WORDS = {
-    LENGTH: "m", SPEED: "m/s", ACCELERATION: "m/s2", ANGLE: "rad", ANGULAR_RATE: "rad/s", (0, 0, -2, 1, 0): "rad/s2", TIME: "s", MASS: "kg",
-    RATE: "1/s", FORCE: "N", MOMENT: "N m", (0, 1, -2, 0, 0): "N/m", (0, 1, -1, 0, 0): "N s/m", (2, 1, -2, -1, 0): "N m/rad",
-    (0, -1, 2, 0, 0): "m/N", (0, -1, 1, 0, 0): "m/(N s)", (0, -1, 0, 0, 0): "1/kg",
-    VOLTAGE: "V", CURRENT: "A", PRESSURE: "Pa", NONE: "1",
-}  # fmt: skip
+    LENGTH: "m",
+    SPEED: "m/s",
+    ACCELERATION: "m/s2",
+    ANGLE: "rad",
+    ANGULAR_RATE: "rad/s",
+    (0, 0, -2, 1, 0): "rad/s2",
+    TIME: "s",
+    MASS: "kg",
+    RATE: "1/s",
+    FORCE: "N",
+    MOMENT: "N m",
+    (0, 1, -2, 0, 0): "N/m",
+    (0, 1, -1, 0, 0): "N s/m",
+    (2, 1, -2, -1, 0): "N m/rad",
+    (0, -1, 2, 0, 0): "m/N",
+    (0, -1, 1, 0, 0): "m/(N s)",
+    (0, -1, 0, 0, 0): "1/kg",
+    VOLTAGE: "V",
+    CURRENT: "A",
+    PRESSURE: "Pa",
+    NONE: "1",
+}
 TWOFOLD = {
     "mg": "g for gravity, kg for mass",
     "gal": "Gal",
@@ -92,7 +161,20 @@ TWOFOLD = {
     "Sec": "s",
     "G": "g",
 }
-SUPERSCRIPTS = str.maketrans({"²": "2", "³": "3", "⁴": "4", "⁻": "-", "¹": "1", "µ": "u", "μ": "u", "·": "*", "⋅": "*", "º": "°"})
+SUPERSCRIPTS = str.maketrans(
+    {
+        "²": "2",
+        "³": "3",
+        "⁴": "4",
+        "⁻": "-",
+        "¹": "1",
+        "µ": "u",
+        "μ": "u",
+        "·": "*",
+        "⋅": "*",
+        "º": "°",
+    }
+)
 TOKEN = re.compile(
     r"\s*(?:(?P<power>\*\*|\^)|(?P<sign>[*/.()]|-(?=[A-Za-z°]))|(?P<number>[+-]?\d+)|(?P<word>[A-Za-z°%]+\d?(?=$|[^\d])|[A-Za-z°%]+))"
 )
@@ -126,14 +208,24 @@ def si_words(dimension: Dimension) -> str:
 
 
 def parse(text: str, where: str) -> Unit:
-    """The unit with this name; messages begin with `where`. Errors: UNKNOWN_UNIT, with the nearest names; NO_UNIT for an empty name.
+    """The unit with this name; messages begin with `where`. Errors: UNKNOWN_UNIT, with the nearest
+    names; NO_UNIT for an empty name.
 
     >>> parse("mm", "stroke").factor
     0.001
     """
     written = str(text).strip()
     if not written:
-        raise JaxbodyError(Problem("NO_UNIT", where, "has an empty unit", text, 'such as "m/s2"', 'Write "1" for a number without a unit.'))
+        raise JaxbodyError(
+            Problem(
+                "NO_UNIT",
+                where,
+                "has an empty unit",
+                text,
+                'such as "m/s2"',
+                'Write "1" for a number without a unit.',
+            )
+        )
     if written in PLAIN:
         return Unit(written, *PLAIN[written])
     rest = [*_tokens(written.translate(SUPERSCRIPTS), written, where), ("end", "")]
@@ -167,8 +259,11 @@ def _tokens(text: str, written: str, where: str) -> list[tuple[str, str]]:
     return tokens
 
 
-def _product(rest: list[tuple[str, str]], written: str, where: str, depth: int = 0) -> tuple[float, Dimension]:
-    """The product of the units up to the end or a closing parenthesis; they are removed from `rest`."""
+def _product(
+    rest: list[tuple[str, str]], written: str, where: str, depth: int = 0
+) -> tuple[float, Dimension]:
+    """The product of the units up to the end or a closing parenthesis; they are removed
+    from `rest`."""
     factor, dimension, sign, divided = 1.0, NONE, 1, False
     while True:
         f, d = _power(rest, written, where, depth)
@@ -181,14 +276,23 @@ def _product(rest: list[tuple[str, str]], written: str, where: str, depth: int =
         if divided and sign == 1:
             hint = "A product after a slash may belong above or below it: use parentheses."
             raise JaxbodyError(
-                Problem("UNKNOWN_UNIT", where, f"unit '{written}' can be read in two ways", written, "N/(m s) or N s/m", hint)
+                Problem(
+                    "UNKNOWN_UNIT",
+                    where,
+                    f"unit '{written}' can be read in two ways",
+                    written,
+                    "N/(m s) or N s/m",
+                    hint,
+                )
             )
         divided = divided or sign == -1
         if kind == "sign" and token in "*/.-":
             rest.pop(0)
 
 
-def _power(rest: list[tuple[str, str]], written: str, where: str, depth: int) -> tuple[float, Dimension]:
+def _power(
+    rest: list[tuple[str, str]], written: str, where: str, depth: int
+) -> tuple[float, Dimension]:
     """One unit, or a product in parentheses, with its power."""
     kind, token = rest.pop(0)
     power = 1
@@ -199,7 +303,11 @@ def _power(rest: list[tuple[str, str]], written: str, where: str, depth: int) ->
     elif (kind, token) == ("number", "1"):
         factor, dimension = 1.0, NONE
     elif kind == "word":
-        name, digit = (token[:-1], int(token[-1])) if token[-1].isdigit() and token not in ALSO else (token, 1)
+        name, digit = (
+            (token[:-1], int(token[-1]))
+            if token[-1].isdigit() and token not in ALSO
+            else (token, 1)
+        )
         power = digit
         name = name if name in KNOWN else ALSO.get(name.lower(), name)
         if name not in KNOWN:
@@ -228,4 +336,13 @@ def _unknown(name: str, written: str, where: str) -> JaxbodyError:
         else "Convert the numbers first."
     )
     message = f"unit '{written:.60}' is unknown" + (f": '{name}'" if name != written else "")
-    return JaxbodyError(Problem("UNKNOWN_UNIT", where, message, written, "m mm in deg rad s g N kN lbf V ... and products of them", hint))
+    return JaxbodyError(
+        Problem(
+            "UNKNOWN_UNIT",
+            where,
+            message,
+            written,
+            "m mm in deg rad s g N kN lbf V ... and products of them",
+            hint,
+        )
+    )

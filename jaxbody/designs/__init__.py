@@ -1,1 +1,2 @@
-"""Design optimization, Pareto fronts, sweeps, tolerances, sensitivities, and objectives for them."""
+"""Design optimization, Pareto fronts, sweeps, tolerances, sensitivities, and objectives
+for them."""

@@ -1,8 +1,10 @@
-"""Pareto fronts: designs in which no objective can be improved without degrading another, computed by constrained minimization.
+"""Pareto fronts: designs in which no objective can be improved without degrading another, computed
+by constrained minimization.
 
     minimize f_1(x),   f_2(x) <= b_2, ...   and all limits,   for bounds b along the front
 
-Each point starts from the previous one; the multiplier of b is the slope of the front and determines the next b.
+Each point starts from the previous one; the multiplier of b is the slope of the front and
+determines the next b.
 """
 
 from __future__ import annotations
@@ -32,9 +34,9 @@ SAME, NOTABLE = 1e-6, 1e-3  # differences relative to the range of an objective
 
 
 class Front(Labeled, Result):
-    """`objectives` {name: (n,)} along the front, `values` {path: (n, ...)} and all `quantities` {name: (n, ...)} of its designs, `slopes`
-    (n, k - 1), the derivatives of the first objective with respect to the others, `status` of each point, and `designs`, the results of
-    `tune`.
+    """`objectives` {name: (n,)} along the front, `values` {path: (n, ...)} and all `quantities`
+    {name: (n, ...)} of its designs, `slopes` (n, k - 1), the derivatives of the first objective
+    with respect to the others, `status` of each point, and `designs`, the results of `tune`.
 
     >>> import inspect
     >>> inspect.signature(pareto).return_annotation  # pareto returns one
@@ -51,14 +53,22 @@ class Front(Labeled, Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset over `point`: every quantity, parameter and slope."""
-        slopes = {f"slope over {name}": slope for name, slope in zip(list(self.objectives)[1:], self.slopes.T, strict=True)}
-        variables = variables_over("point", {**self.values, **self.quantities, "status": self.status, **slopes})
+        slopes = {
+            f"slope over {name}": slope
+            for name, slope in zip(list(self.objectives)[1:], self.slopes.T, strict=True)
+        }
+        variables = variables_over(
+            "point", {**self.values, **self.quantities, "status": self.status, **slopes}
+        )
         return dataset(variables, {"point": np.arange(1, 1 + len(self.status))}, "front")
 
     def _tables(self) -> list[tables.PrintedTable]:
         names = tuple(self.objectives)
         columns = (*self.objectives.values(), *self.slopes.T)
-        rows = [(str(i + 1), *("" if np.isnan(x) else x for x in numbers)) for i, numbers in enumerate(zip(*columns, strict=True))]
+        rows = [
+            (str(i + 1), *("" if np.isnan(x) else x for x in numbers))
+            for i, numbers in enumerate(zip(*columns, strict=True))
+        ]
         heads = ("point", *names, *(f"d {names[0]}/d {name}" for name in names[1:]))
         return [tables.PrintedTable("Front of " + " and ".join(names), heads, rows, self.report())]
 
@@ -80,21 +90,29 @@ def pareto(
         model, evaluate, free, limits: as in `tune`.
         minimize: names of two or three objectives.
         points: number of designs on the front.
-        workers: as in `tune`, for the ends of the front if they have several `starts`. Points between them start one from another, and are
-            computed in this process.
+        workers: as in `tune`, for the ends of the front if they have several `starts`. Points
+            between them start one from another, and are computed in this process.
         options: the other options of `tune`.
 
-    For two objectives, the front runs from the design with the least second objective to that with the least first one, about equally
-    spaced relative to their ranges. For three objectives, it consists of such fronts of the first and third for several bounds on the
-    second, about `points` designs in all, without dominated or repeated designs. Warns with the worst status of all designs. Errors:
-    BAD_FRONT, those of `tune`.
+    For two objectives, the front runs from the design with the least second objective to that with
+    the least first one, about equally spaced relative to their ranges. For three objectives, it
+    consists of such fronts of the first and third for several bounds on the second, about `points`
+    designs in all, without dominated or repeated designs. Warns with the worst status of all
+    designs. Errors: BAD_FRONT, those of `tune`.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):
     ...     c = model["suspension"].damping / 1500.0
     ...     return {"shake": c + 1 / c, "travel": 1 / c}
     >>> bounds = {"*.damping": (500.0, 5000.0)}
-    >>> front = pareto(car, trade, minimize=["shake", "travel"], free=["suspension.damping"], bounds=bounds, points=4)
+    >>> front = pareto(
+    ...     car,
+    ...     trade,
+    ...     minimize=["shake", "travel"],
+    ...     free=["suspension.damping"],
+    ...     bounds=bounds,
+    ...     points=4,
+    ... )
     >>> [round(float(x), 3) for x in front.objectives["travel"][[0, -1]]]
     [0.3, 1.0]
     """
@@ -102,7 +120,13 @@ def pareto(
     with Problems() as problems:
         if len(set(names)) != len(names) or len(names) not in (2, 3):
             message = f"has the objectives {', '.join(map(str, names))}"
-            problems.add("BAD_FRONT", "pareto.minimize", message, value=names, limit="two or three different names")
+            problems.add(
+                "BAD_FRONT",
+                "pareto.minimize",
+                message,
+                value=names,
+                limit="two or three different names",
+            )
         points = whole_number(points, "pareto.points", problems, least=3, code="BAD_FRONT")
 
     counts = itertools.count(1)
@@ -120,7 +144,11 @@ def pareto(
 
     with working("pareto", options.get("progress")) as line:
         ends = [least(model, name, {}) for name in names]
-        designs = _along(names, ends, least, points) if len(names) == 2 else _over(names, ends, least, points)
+        designs = (
+            _along(names, ends, least, points)
+            if len(names) == 2
+            else _over(names, ends, least, points)
+        )
     return warn_if_failed(_front(names, designs))
 
 
@@ -129,15 +157,18 @@ def _value(design: Tuning, name: str) -> float:
 
 
 def _slack(x: float) -> float:
-    """A bound slightly above a value, so that the design with this value is feasible in spite of tolerances."""
+    """A bound slightly above a value, so that the design with this value is feasible in spite
+    of tolerances."""
     return x + MET * abs(x)
 
 
 def _along(names: list[str], ends: list[Tuning], least: Any, points: int) -> list[Tuning]:
-    """The front of two objectives from the end with the least second one, by tangent steps of equal length."""
+    """The front of two objectives from the end with the least second one, by tangent steps of
+    equal length."""
     one, other = names
     low, high = _value(ends[1], other), _value(ends[0], other)
-    first = least(ends[1].model, one, {other: _slack(low)})  # the best of the designs with the least second objective
+    # the best of the designs with the least second objective
+    first = least(ends[1].model, one, {other: _slack(low)})
     first = first if first.ok else ends[1]  # there may be only one such design
     width = high - low
     height = _value(first, one) - _value(ends[0], one)
@@ -145,16 +176,21 @@ def _along(names: list[str], ends: list[Tuning], least: Any, points: int) -> lis
         return [ends[0]]  # no conflict: one design is best in both
     designs, bound = [first], low
     for remaining in range(points - 1, 1, -1):
-        length = np.hypot((high - bound) / width, (_value(designs[-1], one) - _value(ends[0], one)) / height)
+        length = np.hypot(
+            (high - bound) / width, (_value(designs[-1], one) - _value(ends[0], one)) / height
+        )
         slope = designs[-1].multipliers.get(other, 0.0) * width / height
         step = length / remaining / np.hypot(1.0, slope)
-        bound = bound + width * min(max(step, 0.2 / points / points), (high - bound) / width / remaining * 2)
+        bound = bound + width * min(
+            max(step, 0.2 / points / points), (high - bound) / width / remaining * 2
+        )
         designs.append(least(designs[-1].model, one, {other: bound}))
     return [*designs, ends[0]]
 
 
 def _over(names: list[str], ends: list[Tuning], least: Any, points: int) -> list[Tuning]:
-    """Fronts of the first and third objective for several bounds on the second, without dominated designs."""
+    """Fronts of the first and third objective for several bounds on the second, without
+    dominated designs."""
     one, second, third = names
     count = max(3, round(points**0.5))
     at = [_value(end, second) for end in ends]
@@ -169,18 +205,40 @@ def _over(names: list[str], ends: list[Tuning], least: Any, points: int) -> list
     designs = [design for design in designs if design.ok]
     values = np.array([[_value(design, name) for name in names] for design in designs])
     size = np.ptp(values, axis=0)
-    gain = (values[:, None] - values[None]) / np.where(size > 0, size, 1.0)  # of the second design of each pair over the first
+    # of the second design of each pair over the first
+    gain = (values[:, None] - values[None]) / np.where(size > 0, size, 1.0)
     dominated = np.all(gain >= -SAME, -1) & np.any(gain > NOTABLE, -1)
     repeated = np.any(np.triu(np.all(np.abs(gain) < NOTABLE, -1), 1), 0)
-    return [design for design, worse, duplicate in zip(designs, np.any(dominated, 1), repeated, strict=True) if not worse and not duplicate]
+    return [
+        design
+        for design, worse, duplicate in zip(designs, np.any(dominated, 1), repeated, strict=True)
+        if not worse and not duplicate
+    ]
 
 
 def _front(names: list[str], designs: list[Tuning]) -> Front:
     objectives = {name: np.array([_value(design, name) for design in designs]) for name in names}
     slopes = np.array(
-        [[design.multipliers.get(name, 0.0) if design.minimize == names[0] else np.nan for name in names[1:]] for design in designs]
+        [
+            [
+                design.multipliers.get(name, 0.0) if design.minimize == names[0] else np.nan
+                for name in names[1:]
+            ]
+            for design in designs
+        ]
     )
-    values: dict[str, Array] = {path: jnp.stack([design.values[path] for design in designs]) for path in designs[0].values}
-    quantities: Quantities = {name: np.stack([design.after[name] for design in designs]) for name in designs[0].after}
+    values: dict[str, Array] = {
+        path: jnp.stack([design.values[path] for design in designs]) for path in designs[0].values
+    }
+    quantities: Quantities = {
+        name: np.stack([design.after[name] for design in designs]) for name in designs[0].after
+    }
     status = np.array([int(design.status) for design in designs])
-    return Front(objectives=objectives, values=values, quantities=quantities, slopes=slopes, status=status, designs=tuple(designs))
+    return Front(
+        objectives=objectives,
+        values=values,
+        quantities=quantities,
+        slopes=slopes,
+        status=status,
+        designs=tuple(designs),
+    )

@@ -1,4 +1,5 @@
-"""Constrained minimization by IPOPT's interior-point method through CasADi, an optional dependency of 280 MB."""
+"""Constrained minimization by IPOPT's interior-point method through CasADi, an optional dependency
+of 280 MB."""
 
 from __future__ import annotations
 
@@ -7,13 +8,20 @@ from typing import Any
 
 import numpy as np
 
-At = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray, np.ndarray]]  # u -> f, its gradient, c, its Jacobian
+# u -> f, its gradient, c, its Jacobian
+At = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray, np.ndarray]]
 
 
 def minimize_by_ipopt(
-    at: At, u: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], limits: tuple[np.ndarray, np.ndarray], iterations: int, tolerance: float
+    at: At,
+    u: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    limits: tuple[np.ndarray, np.ndarray],
+    iterations: int,
+    tolerance: float,
 ) -> int:
-    """Minimize f(u) within bounds on u and limits on c(u), with second derivatives by limited-memory updates.
+    """Minimize f(u) within bounds on u and limits on c(u), with second derivatives by
+    limited-memory updates.
 
     Args:
         at: u -> f, its gradient, c and its Jacobian; it also keeps the best point.
@@ -23,7 +31,8 @@ def minimize_by_ipopt(
         iterations: at most.
         tolerance: IPOPT's convergence tolerance.
 
-    Returns the number of iterations. Source: A. Waechter, L. Biegler, Mathematical Programming 106 (2006) 25."""
+    Returns the number of iterations. Source: A. Waechter, L. Biegler, Mathematical Programming
+    106 (2006) 25."""
     import casadi  # pyright: ignore
 
     n, m = len(u), len(limits[0])
@@ -84,7 +93,11 @@ def minimize_by_ipopt(
     values, x = Values(), casadi.MX.sym("u", n)
     f, c = values(x)
     quiet = {"print_time": False, "error_on_fail": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
-    options = {"ipopt.max_iter": iterations, "ipopt.tol": tolerance, "ipopt.hessian_approximation": "limited-memory"}
+    options = {
+        "ipopt.max_iter": iterations,
+        "ipopt.tol": tolerance,
+        "ipopt.hessian_approximation": "limited-memory",
+    }
     solver = casadi.nlpsol("solver", "ipopt", {"x": x, "f": f, "g": c}, quiet | options)
     solver(x0=u, lbx=bounds[0], ubx=bounds[1], lbg=limits[0], ubg=limits[1])
     return int(solver.stats()["iter_count"])

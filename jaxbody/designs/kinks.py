@@ -1,6 +1,8 @@
-"""Kinks: quantities whose derivatives jump, and the elements that cause them because they rest at a kink of their law.
+"""Kinks: quantities whose derivatives jump, and the elements that cause them because they rest at a
+kink of their law.
 
-jump = [g(h) - g(-h)] - [g(2 h) - g(h)] - [g(-h) - g(-2 h)],    g a derivative: of the order of h^3 where it is smooth
+jump = [g(h) - g(-h)] - [g(2 h) - g(h)] - [g(-h) - g(-2 h)],
+g a derivative: of the order of h^3 where it is smooth
 """
 
 from __future__ import annotations
@@ -25,10 +27,14 @@ SUDDEN = 0.1  # smallest ratio of a jump to the derivative
 
 def discontinuous(g: np.ndarray) -> np.ndarray:
     """Whether a derivative jumps between the four points along the first axis."""
-    return np.isfinite(g).all(0) & (np.abs((g[2] - g[1]) - (g[3] - g[2]) - (g[1] - g[0])) > SUDDEN * np.abs(g).max(0))
+    return np.isfinite(g).all(0) & (
+        np.abs((g[2] - g[1]) - (g[3] - g[2]) - (g[1] - g[0])) > SUDDEN * np.abs(g).max(0)
+    )
 
 
-def jumping(slopes_at: Callable[[np.ndarray], np.ndarray], u: np.ndarray, along: np.ndarray) -> np.ndarray:
+def jumping(
+    slopes_at: Callable[[np.ndarray], np.ndarray], u: np.ndarray, along: np.ndarray
+) -> np.ndarray:
     """Which rows of slopes_at (b, n) -> (b, m, n) jump near u along a direction."""
     size = np.linalg.norm(along)
     if not size:
@@ -37,7 +43,8 @@ def jumping(slopes_at: Callable[[np.ndarray], np.ndarray], u: np.ndarray, along:
 
 
 def at_kinks(model: Model) -> list[str]:
-    """The elements whose stiffness V''(e), or its derivative, jumps at the equilibrium, such as a stop that just touches."""
+    """The elements whose stiffness V''(e), or its derivative, jumps at the equilibrium, such as a
+    stop that just touches."""
     status, slopes = _near_rest(model)
     if int(status) not in (Status.OK, Status.UNSTABLE, Status.SINGULAR_K):
         return []
@@ -59,4 +66,6 @@ def _near_rest(model: Model):
         return tuple(jax.vmap(f)(e + steps) for f in (second, jax.grad(second)))
 
     pairs = zip(model.elements, eq.deformations, strict=True)
-    return eq.status, tuple(jax.vmap(slopes)(table.rows, e) if jnp.ndim(e) == 1 else () for table, e in pairs)
+    return eq.status, tuple(
+        jax.vmap(slopes)(table.rows, e) if jnp.ndim(e) == 1 else () for table, e in pairs
+    )

@@ -1,6 +1,8 @@
-"""Objectives and constraints for `tune`, smooth even where modes cross or another value becomes the maximum.
+"""Objectives and constraints for `tune`, smooth even where modes cross or another value becomes
+the maximum.
 
-Each takes results of the library and returns one number, differentiable with respect to all parameters.
+Each takes results of the library and returns one number, differentiable with respect to
+all parameters.
 """
 
 from __future__ import annotations
@@ -59,7 +61,8 @@ def smooth_max(x: Any, width: Any) -> Float[Array, ""]:
 
 
 def smooth_min(x: Any, width: Any) -> Float[Array, ""]:
-    """A smooth minimum, -smooth_max(-x): below the smallest number by at most width log(n). Errors: BAD_WIDTH, NOT_A_NUMBER, NO_DATA.
+    """A smooth minimum, -smooth_max(-x): below the smallest number by at most width log(n). Errors:
+    BAD_WIDTH, NOT_A_NUMBER, NO_DATA.
 
     >>> round(float(smooth_min([1.0, 2.0, 3.0], 0.1)), 4)
     1.0
@@ -75,9 +78,11 @@ def _smooth_extreme(x: Float[Array, "*n"], width: Float[Array, ""], sign: int) -
 def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
     """A smooth maximum of absolute values, for example of a force in an earthquake.
 
-        (sum of |x|^power)^(1/power),   above the largest by at most the factor n^(1/power), n the number of values near it
+        (sum of |x|^power)^(1/power),
+        above the largest by at most the factor n^(1/power), n the number of values near it
 
-    NaN if one of them is not finite. Errors: NOT_A_NUMBER, NO_DATA, BAD_NUMBER if the power is below 1.
+    NaN if one of them is not finite. Errors: NOT_A_NUMBER, NO_DATA, BAD_NUMBER if the power
+    is below 1.
 
     >>> round(float(peak([-3.0, 1.0, 2.0])), 6)
     3.0
@@ -93,13 +98,16 @@ def _peak(x: Inexact[Array, "*n"], power: float) -> Float[Array, ""]:
     largest = jax.lax.stop_gradient(jnp.max(x, initial=0.0))
     largest = jnp.where(largest > 0, largest, 1.0)  # a factor that cancels and avoids overflow
     total = jnp.sum((x / largest) ** power)
-    return jnp.where(total > 0, largest * jnp.where(total > 0, total, 1.0) ** (1 / power), total)  # 0 or NaN
+    # 0 or NaN
+    return jnp.where(total > 0, largest * jnp.where(total > 0, total, 1.0) ** (1 / power), total)
 
 
 def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
-    """The largest share of kinetic energy in one body and direction for each mode [%]; 100 for an uncoupled mode.
+    """The largest share of kinetic energy in one body and direction for each mode [%]; 100 for an
+    uncoupled mode.
 
-    Its derivatives jump where another share becomes the largest: minimize `coupling_of_modes` instead.
+    Its derivatives jump where another share becomes the largest: minimize
+    `coupling_of_modes` instead.
 
     >>> model = jb.presets.engine_on_mounts()
     >>> [round(float(x), 2) for x in dominant_shares(linearize(model, model.reference))]
@@ -114,14 +122,17 @@ def _dominant_shares(lin: Linearization) -> Float[Array, "n"]:
 
 
 def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
-    """Coupling of modes: zero if each mode moves one body in one direction only. Minimize it to decouple modes.
+    """Coupling of modes: zero if each mode moves one body in one direction only. Minimize it to
+    decouple modes.
 
-        sum over modes j of sum over i != k of |e_ij| |e_kj|,   e_ij = v_i (M v)_i/(v' M v), shares of kinetic energy as in `mode_energies`
+        sum over modes j of sum over i != k of |e_ij| |e_kj|,
+        e_ij = v_i (M v)_i/(v' M v), shares of kinetic energy as in `mode_energies`
 
-    It is 0 if each mode has one share only, and 5/6 per mode for six equal shares. Products of inertia can make shares negative, so the sum
-    uses absolute values, smoothed as sqrt(e^2 + 1e-12). Modes with equal frequencies are aligned with the directions, so that equal
-    frequencies alone cause no coupling. Source: kinetic energy decoupling, T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000)
-    85.
+    It is 0 if each mode has one share only, and 5/6 per mode for six equal shares. Products of
+    inertia can make shares negative, so the sum uses absolute values, smoothed as
+    sqrt(e^2 + 1e-12). Modes with equal frequencies are aligned with the directions, so that equal
+    frequencies alone cause no coupling. Source: kinetic energy decoupling, T. Jeong, R. Singh,
+    Journal of Sound and Vibration 234 (2000) 85.
 
     >>> model = jb.presets.isolated_table(at=(0.45, 0.3, 0.0))  # in the plane of its center of mass
     >>> round(float(coupling_of_modes(linearize(model, model.reference))), 4)
@@ -138,26 +149,32 @@ def _coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
 
 
 def torque_roll_coupling(lin: Linearization, body: str, torque: Any) -> Float[Array, ""]:
-    """How far a rotation about the torque roll axis is from being a mode; zero if it is one. The square is smooth at zero.
+    """How far a rotation about the torque roll axis is from being a mode; zero if it is one. The
+    square is smooth at zero.
 
-        |K r - w^2 M r|^2/(w^2 |M r|)^2 in the norm of M^-1,   r the rotation about the torque roll axis, w^2 = r' K r/(r' M r)
+        |K r - w^2 M r|^2/(w^2 |M r|)^2 in the norm of M^-1,
+        r the rotation about the torque roll axis, w^2 = r' K r/(r' M r)
 
     Errors and source: `torque_roll_axis`.
 
     >>> model = jb.presets.engine_on_mounts()
-    >>> round(float(torque_roll_coupling(linearize(model, model.reference), "engine", [1, 0, 0])), 4)
+    >>> round(
+    ...     float(torque_roll_coupling(linearize(model, model.reference), "engine", [1, 0, 0])), 4
+    ... )
     0.1387
     """
     return torque_roll_axis(lin, body, torque).coupling ** 2
 
 
 def band_intrusion(frequencies: Any, band: tuple[float, float]) -> Float[Array, ""]:
-    """A penalty on frequencies [Hz] in a band to be avoided, such as the firing frequency of an idling engine.
+    """A penalty on frequencies [Hz] in a band to be avoided, such as the firing frequency of an
+    idling engine.
 
         sum of max(0, 1 - ((f - m)/h)^2)^2,   m the middle of the band, h half its width
 
-    It is 0 if all frequencies are outside and 1 for one in the middle; as a sum over all, it is smooth where frequencies cross. To keep
-    frequencies inside a band, limit them: limits={"frequency": (6, 18)}. Errors: BAD_BAND, NOT_A_NUMBER.
+    It is 0 if all frequencies are outside and 1 for one in the middle; as a sum over all, it is
+    smooth where frequencies cross. To keep frequencies inside a band, limit them:
+    limits={"frequency": (6, 18)}. Errors: BAD_BAND, NOT_A_NUMBER.
 
     >>> [round(float(band_intrusion([f, 40.0], (20.0, 30.0))), 4) for f in (25.0, 29.0, 31.0)]
     [1.0, 0.1296, 0.0]
@@ -165,7 +182,16 @@ def band_intrusion(frequencies: Any, band: tuple[float, float]) -> Float[Array, 
     f = _numbers(frequencies, "band_intrusion.frequencies")
     low, high = band
     if not low < high:
-        raise JaxbodyError(Problem("BAD_BAND", "band_intrusion.band", f"is {band}", band, "lower < upper", "Give (lower, upper) [Hz]."))
+        raise JaxbodyError(
+            Problem(
+                "BAD_BAND",
+                "band_intrusion.band",
+                f"is {band}",
+                band,
+                "lower < upper",
+                "Give (lower, upper) [Hz].",
+            )
+        )
     return _band_intrusion(f, float_array([low, high], "band_intrusion.band"))
 
 
@@ -176,22 +202,30 @@ def _band_intrusion(f: Float[Array, "*n"], band: Float[Array, "2"]) -> Float[Arr
 
 
 def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Array, ""]:
-    """The root mean square of a frequency response over the logarithm of frequency, in units of output per input.
+    """The root mean square of a frequency response over the logarithm of frequency, in units of
+    output per input.
 
         sqrt(int |H|^2 d ln f/int d ln f)
 
-    For the largest magnitude instead take peak(response[output, name]). Errors: UNKNOWN_NAME, BAD_FREQUENCY if a frequency is 0 Hz.
+    For the largest magnitude instead take peak(response[output, name]). Errors: UNKNOWN_NAME,
+    BAD_FREQUENCY if a frequency is 0 Hz.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
-    >>> response = frequency_response(linearize(model, model.reference), jnp.geomspace(5, 50, 100), inputs, outputs)
+    >>> response = frequency_response(
+    ...     linearize(model, model.reference), jnp.geomspace(5, 50, 100), inputs, outputs
+    ... )
     >>> round(float(transmitted(response, "body", "road")), 3)
     0.106
     """
     known = concrete(response.frequencies)
     if known is not None and not known.all():
         hint = "The average is over log(f): omit 0 Hz."
-        raise JaxbodyError(Problem("BAD_FREQUENCY", "transmitted.response", "has a frequency of 0 Hz", 0.0, "> 0", hint))
+        raise JaxbodyError(
+            Problem(
+                "BAD_FREQUENCY", "transmitted.response", "has a frequency of 0 Hz", 0.0, "> 0", hint
+            )
+        )
     return _transmitted(response, output, name)
 
 
@@ -202,16 +236,24 @@ def _transmitted(response: FrequencyResponse, output: str, name: str) -> Float[A
 
 
 def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
-    """The vibration total value [m/s2] of accelerations in a random response; a small value means good comfort.
+    """The vibration total value [m/s2] of accelerations in a random response; a small value means
+    good comfort.
 
         sqrt(sum of a_w^2),   a_w^2 = int |W|^2 S_a df
 
-    weights: {output: "Wk" for z or "Wd" for x and y}. Errors: those of `weighted`. Source: ISO 2631-1:1997, 6.5.
+    weights: {output: "Wk" for z or "Wd" for x and y}. Errors: those of `weighted`. Source: ISO
+    2631-1:1997, 6.5.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> outputs = {"body": Acceleration("body", axis="z")}
     >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
-    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")}, outputs, road)
+    >>> ride = random_response(
+    ...     linearize(model, model.reference),
+    ...     Band(0.1, 100.0),
+    ...     {"road": BaseMotion("road", "z")},
+    ...     outputs,
+    ...     road,
+    ... )
     >>> round(float(comfort(ride, {"body": "Wk"})), 2)
     1.19
     """
@@ -224,7 +266,8 @@ def _comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
 
 
 def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, ""]:
-    """The rms variation of tyre forces relative to their static loads; a small value means good road holding.
+    """The rms variation of tyre forces relative to their static loads; a small value means good
+    road holding.
 
         sqrt(mean of (rms of F/load)^2);   a tyre may lift off if three times this value reaches 1
 
@@ -233,15 +276,28 @@ def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, "
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
     >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"tyre": LoadCell("tyre")}
-    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), inputs, outputs, road)
+    >>> ride = random_response(
+    ...     linearize(model, model.reference), Band(0.1, 100.0), inputs, outputs, road
+    ... )
     >>> round(float(road_holding(ride, {"tyre": 450 * 9.81})), 2)
     0.23
     """
     for name in forces:
         unit = ride.units[ride.outputs.index(name)] if name in ride.outputs else "N"
         if unit != "N":
-            raise JaxbodyError(Problem("BAD_UNIT", f"road_holding[{name!r}]", f"is in {unit}", unit, "N", "Use the LoadCell of a tyre."))
-    return _road_holding(ride, {name: float_array(load, f"road_holding[{name!r}]") for name, load in forces.items()})
+            raise JaxbodyError(
+                Problem(
+                    "BAD_UNIT",
+                    f"road_holding[{name!r}]",
+                    f"is in {unit}",
+                    unit,
+                    "N",
+                    "Use the LoadCell of a tyre.",
+                )
+            )
+    return _road_holding(
+        ride, {name: float_array(load, f"road_holding[{name!r}]") for name, load in forces.items()}
+    )
 
 
 @program
@@ -253,12 +309,15 @@ def _road_holding(ride: RandomResponse, forces: dict[str, Array]) -> Float[Array
 def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Array, ""]:
     """The stroke [m] of an element, |static| + 3 rms, which is exceeded only 0.3 % of the time.
 
-    output: the deformation of the element in a random response; static: its static deformation [m]. Error: UNKNOWN_NAME.
+    output: the deformation of the element in a random response; static: its static deformation [m].
+    Error: UNKNOWN_NAME.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
     >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"travel": Elongation("suspension")}
-    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), inputs, outputs, road)
+    >>> ride = random_response(
+    ...     linearize(model, model.reference), Band(0.1, 100.0), inputs, outputs, road
+    ... )
     >>> round(float(stroke(ride, "travel")), 3)
     0.037
     """
@@ -275,7 +334,11 @@ def _root(square: Float[Array, ""]) -> Float[Array, ""]:
 
 
 def _numbers(x: Any, where: str, *, allow_complex: bool = False) -> Inexact[Array, "*n"]:
-    numbers = (x if isinstance(x, jax.Array) else np.asarray(x)) if allow_complex and np.iscomplexobj(x) else float_array(x, where)
+    numbers = (
+        (x if isinstance(x, jax.Array) else np.asarray(x))
+        if allow_complex and np.iscomplexobj(x)
+        else float_array(x, where)
+    )
     if not np.size(numbers):
         raise JaxbodyError(Problem("NO_DATA", where, "is empty", x, "one number or more"))
     return numbers
@@ -284,6 +347,13 @@ def _numbers(x: Any, where: str, *, allow_complex: bool = False) -> Inexact[Arra
 def _width(width: Any, where: str) -> Any:
     if is_concrete(width) and not width > 0:
         raise JaxbodyError(
-            Problem("BAD_WIDTH", where, f"is {width}", width, "> 0", "Give the largest negligible difference, in the unit of x.")
+            Problem(
+                "BAD_WIDTH",
+                where,
+                f"is {width}",
+                width,
+                "> 0",
+                "Give the largest negligible difference, in the unit of x.",
+            )
         )
     return float_array(width, where)

@@ -1,8 +1,10 @@
-"""Searches from many starts in lockstep: each is SciPy's optimizer with exact derivatives, and their evaluations form one batch.
+"""Searches from many starts in lockstep: each is SciPy's optimizer with exact derivatives, and
+their evaluations form one batch.
 
     minimize f(u),   low <= u <= high,   c_min <= c(u) <= c_max
 
-Searches are threads that run one at a time until each waits for an evaluation; then all evaluations are computed in one batch.
+Searches are threads that run one at a time until each waits for an evaluation; then all evaluations
+are computed in one batch.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from jaxbody.workers.chunk_programs import ChunkProgram
 
 ACTIVE = 1e-5  # a limit or bound is active within this scaled distance
 MET = 1e-8  # negligible scaled violation
-CONVERGED = 1e-4  # largest remaining gradient of the scaled objective, per unit of u, at convergence
+# largest remaining gradient of the scaled objective, per unit of u, at convergence
+CONVERGED = 1e-4
 OFFSET = 1e-6  # distance in u at which derivatives are taken where they do not exist
 PENALTY = 1e3  # scaled objective of a trial that is not finite
 MOST_RESTARTS = 4
@@ -32,7 +35,8 @@ DesignVector = Float[np.ndarray, "n"]
 
 @dataclass(frozen=True)
 class Rows:
-    """The row of the objective among the values, and the rows of the limited quantities with their limits."""
+    """The row of the objective among the values, and the rows of the limited quantities with
+    their limits."""
 
     objective: int
     limited: np.ndarray
@@ -51,13 +55,15 @@ class Rows:
 
 
 def one_thread() -> threadpool_limits:
-    """A context in which BLAS has one thread, because several would only wait for each other with these small matrices."""
+    """A context in which BLAS has one thread, because several would only wait for each other with
+    these small matrices."""
     import scipy.optimize  # noqa: F401  # libraries loaded later would not be limited
 
     return threadpool_limits(1, "blas")
 
 
-ENDS = ("u", "values", "slopes", "finite", "size", "iterations")  # of a search, what the next steps need
+# of a search, what the next steps need
+ENDS = ("u", "values", "slopes", "finite", "size", "iterations")
 
 
 class Stopped(Exception):
@@ -66,9 +72,11 @@ class Stopped(Exception):
 
 @dataclass
 class Search:
-    """One start between bounds, the best `u` reached from it with its `values` and `slopes`, and the `history` of objective and violation.
+    """One start between bounds, the best `u` reached from it with its `values` and `slopes`, and
+    the `history` of objective and violation.
 
-    Its problem is scaled: the objective by its `size` at the start, limited quantities by the sizes of their limits."""
+    Its problem is scaled: the objective by its `size` at the start, limited quantities by the sizes
+    of their limits."""
 
     start: DesignVector
     low: DesignVector
@@ -130,15 +138,22 @@ class Search:
         values, slopes = self.ask(u)
         if self._finite(values) and not self._finite(slopes):
             step = OFFSET * np.cos(1.0 + np.arange(len(u)))
-            slopes = self.ask(np.clip(np.where(u + step > self.high, u - step, u + step), self.low, self.high))[1]
+            slopes = self.ask(
+                np.clip(np.where(u + step > self.high, u - step, u + step), self.low, self.high)
+            )[1]
         return values, slopes
 
     def at(self, u: DesignVector) -> tuple[float, DesignVector, np.ndarray, np.ndarray]:
-        """f, its gradient, the limited c and their Jacobian, scaled. A trial that is not finite gets the last finite values plus a
-        penalty."""
+        """f, its gradient, the limited c and their Jacobian, scaled. A trial that is not finite
+        gets the last finite values plus a penalty."""
         key = u.tobytes()
         if self.last[0] != key:
-            inside, penalty, f, c = np.clip(u, self.low, self.high), 0.0, self.rows.objective, self.rows.limited
+            inside, penalty, f, c = (
+                np.clip(u, self.low, self.high),
+                0.0,
+                self.rows.objective,
+                self.rows.limited,
+            )
             values, slopes = self._evaluated(inside)
             if self._finite(values, slopes):
                 self.last_finite = values, slopes
@@ -146,23 +161,35 @@ class Search:
             else:
                 values, slopes = self.last_finite
                 penalty = PENALTY * (1 + abs(values[f]) / self.size)
-            scaled = float(values[f] / self.size + penalty), slopes[f] / self.size, values[c] / self.scale, slopes[c] / self.scale[:, None]
+            scaled = (
+                float(values[f] / self.size + penalty),
+                slopes[f] / self.size,
+                values[c] / self.scale,
+                slopes[c] / self.scale[:, None],
+            )
             self.last = key, scaled
         return self.last[1]
 
     def _keep_better(self, u: DesignVector, values: np.ndarray, slopes: np.ndarray) -> None:
-        """Add to the history, and keep u if it is better than the best so far: smaller violation or, if both are feasible, lower
-        objective."""
-        f, violation, before = self.rows.objective, float(self.rows.violation(values, self.scale)), self.violation
+        """Add to the history, and keep u if it is better than the best so far: smaller violation
+        or, if both are feasible, lower objective."""
+        f, violation, before = (
+            self.rows.objective,
+            float(self.rows.violation(values, self.scale)),
+            self.violation,
+        )
         self.history.append((float(values[f]), violation))
         if values[f] < self.values[f] if max(before, violation) <= MET else violation < before:
             self.keep(u, values, slopes)
 
 
 def run_in_lockstep(
-    evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], searches: list[Search], run: Callable[[Search], None]
+    evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    searches: list[Search],
+    run: Callable[[Search], None],
 ) -> None:
-    """Call `run(search)` for each search; their requests go to `evaluate` (b, n) -> values (b, m), Jacobians (b, m, n) as one batch."""
+    """Call `run(search)` for each search; their requests go to `evaluate` (b, n) -> values (b, m),
+    Jacobians (b, m, n) as one batch."""
 
     def act(search: Search) -> None:
         search.go.acquire()
@@ -213,7 +240,8 @@ def scales(rows: Rows, values: np.ndarray) -> np.ndarray:
 
 
 def run(search: Search, method: str, iterations: int, tolerance: float) -> None:
-    """The method, restarted while it improves; if limits are violated, the violation is minimized first."""
+    """The method, restarted while it improves; if limits are violated, the violation is
+    minimized first."""
     search.begin()
     free = (search.low < search.high).any()  # otherwise all parameters come from catalogues
     for attempt in range(MOST_RESTARTS if search.finite and free else 0):
@@ -224,7 +252,10 @@ def run(search: Search, method: str, iterations: int, tolerance: float) -> None:
         if search.violation > MET:
             if not _restored(search, iterations - search.iterations):
                 return
-        elif attempt and before - search.values[search.rows.objective] <= 10 * tolerance * search.size:
+        elif (
+            attempt
+            and before - search.values[search.rows.objective] <= 10 * tolerance * search.size
+        ):
             return
 
 
@@ -233,7 +264,9 @@ def _minimize(search: Search, method: str, iterations: int, tolerance: float) ->
 
     lower, upper = search.limits
     if method == "ipopt":
-        return minimize_by_ipopt(search.at, search.u, (search.low, search.high), (lower, upper), iterations, tolerance)
+        return minimize_by_ipopt(
+            search.at, search.u, (search.low, search.high), (lower, upper), iterations, tolerance
+        )
     bounds = scipy.optimize.Bounds(search.low, search.high, keep_feasible=True)  # pyright: ignore
     common: dict[str, Any] = dict(jac=lambda u: search.at(u)[1], bounds=bounds)
     limits: Any = ()
@@ -247,9 +280,17 @@ def _minimize(search: Search, method: str, iterations: int, tolerance: float) ->
         ends = np.concatenate([lower[below], -upper[above]])
         limits = []
         if len(ends):
-            limits.append(dict(type="ineq", fun=lambda u: inequality(2)(u) - ends, jac=inequality(3)))
+            limits.append(
+                dict(type="ineq", fun=lambda u: inequality(2)(u) - ends, jac=inequality(3))
+            )
         if same.any():
-            limits.append(dict(type="eq", fun=lambda u: search.at(u)[2][same] - lower[same], jac=lambda u: search.at(u)[3][same]))
+            limits.append(
+                dict(
+                    type="eq",
+                    fun=lambda u: search.at(u)[2][same] - lower[same],
+                    jac=lambda u: search.at(u)[3][same],
+                )
+            )
         options = dict(maxiter=iterations, ftol=tolerance)
     else:
         if len(lower):
@@ -260,11 +301,21 @@ def _minimize(search: Search, method: str, iterations: int, tolerance: float) ->
                 jac=lambda u: search.at(u)[3],  # pyright: ignore[reportArgumentType]  SciPy takes functions, too
                 hess=scipy.optimize.BFGS(),
             )
-        inside = np.isfinite(np.r_[lower[lower != upper], upper[lower != upper], search.low, search.high]).any()
-        gtol = 1e-14 if inside else tolerance**0.8  # a larger gtol would end the search at a large barrier parameter
+        inside = np.isfinite(
+            np.r_[lower[lower != upper], upper[lower != upper], search.low, search.high]
+        ).any()
+        # a larger gtol would end the search at a large barrier parameter
+        gtol = 1e-14 if inside else tolerance**0.8
         options = dict(maxiter=iterations, gtol=gtol, xtol=tolerance, barrier_tol=tolerance**0.8)
         common["hess"] = scipy.optimize.BFGS()
-    solution = scipy.optimize.minimize(lambda u: search.at(u)[0], search.u, constraints=limits, method=method, options=options, **common)
+    solution = scipy.optimize.minimize(
+        lambda u: search.at(u)[0],
+        search.u,
+        constraints=limits,
+        method=method,
+        options=options,
+        **common,
+    )
     return int(solution.nit)
 
 
@@ -283,14 +334,17 @@ def _restored(search: Search, iterations: int) -> bool:
 
     bounds = list(zip(search.low, search.high, strict=True))
     options = dict(maxiter=iterations, ftol=1e-16, gtol=1e-10)
-    solution = scipy.optimize.minimize(squares, search.u, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
+    solution = scipy.optimize.minimize(
+        squares, search.u, jac=True, bounds=bounds, method="L-BFGS-B", options=options
+    )
     search.iterations += int(solution.nit)
     return search.violation <= MET
 
 
 @dataclass(frozen=True)
 class Multipliers:
-    """Lagrange multipliers d objective/d limit, in their units, and the remaining scaled gradient."""
+    """Lagrange multipliers d objective/d limit, in their units, and the remaining
+    scaled gradient."""
 
     limits: np.ndarray
     bounds: DesignVector
@@ -298,15 +352,30 @@ class Multipliers:
 
 
 def multipliers(search: Search) -> Multipliers:
-    """grad f = sum of lambda grad c over the active limits and bounds, lambda with the sign of their side, by least squares."""
+    """grad f = sum of lambda grad c over the active limits and bounds, lambda with the sign of
+    their side, by least squares."""
     import scipy.optimize
 
-    rows, values, slopes, u, low, high = search.rows, search.values, search.slopes, search.u, search.low, search.high
+    rows, values, slopes, u, low, high = (
+        search.rows,
+        search.values,
+        search.slopes,
+        search.u,
+        search.low,
+        search.high,
+    )
     scale, size = scales(rows, values), max(abs(values[rows.objective]), search.size)
-    c, A, g = values[rows.limited] / scale, slopes[rows.limited] / scale[:, None], slopes[rows.objective] / size
+    c, A, g = (
+        values[rows.limited] / scale,
+        slopes[rows.limited] / scale[:, None],
+        slopes[rows.objective] / size,
+    )
     at_lower, at_upper = c - rows.lower / scale <= ACTIVE, rows.upper / scale - c <= ACTIVE
     n = len(u)
-    sides = [(A[at_lower], np.flatnonzero(at_lower), 1.0, 0), (-A[at_upper], np.flatnonzero(at_upper), -1.0, 0)]
+    sides = [
+        (A[at_lower], np.flatnonzero(at_lower), 1.0, 0),
+        (-A[at_upper], np.flatnonzero(at_upper), -1.0, 0),
+    ]
     for nearest, sign in ((u - low <= ACTIVE, 1.0), (high - u <= ACTIVE, -1.0)):
         sides.append((sign * np.eye(n)[nearest], np.flatnonzero(nearest), sign, 1))
     normals = np.concatenate([side[0] for side in sides])
@@ -321,9 +390,16 @@ def multipliers(search: Search) -> Multipliers:
 
 
 def searched(
-    program: ChunkProgram, shared: Sequence[Any], rows: Sequence[np.ndarray], of: Rows, method: str, iterations: int, tolerance: float
+    program: ChunkProgram,
+    shared: Sequence[Any],
+    rows: Sequence[np.ndarray],
+    of: Rows,
+    method: str,
+    iterations: int,
+    tolerance: float,
 ) -> dict[str, np.ndarray]:
-    """In a worker: the ends of searches from rows (start, low, high), with values and slopes by a program."""
+    """In a worker: the ends of searches from rows (start, low, high), with values and slopes by
+    a program."""
     count = 0
 
     def evaluate(U):
@@ -334,7 +410,9 @@ def searched(
 
     searches = [Search(u, low, high, of) for u, low, high in zip(*rows, strict=True)]
     with one_thread():
-        run_in_lockstep(evaluate, searches, lambda search: run(search, method, iterations, tolerance))
+        run_in_lockstep(
+            evaluate, searches, lambda search: run(search, method, iterations, tolerance)
+        )
     history = np.full((len(searches), max(len(search.history) for search in searches), 2), np.nan)
     for search, line in zip(searches, history, strict=True):
         line[: len(search.history)] = np.reshape(search.history, (-1, 2))

@@ -1,4 +1,5 @@
-"""Sweeps: quantities of many models on a grid of parameters or at samples, as labeled arrays, computed in chunks by one program.
+"""Sweeps: quantities of many models on a grid of parameters or at samples, as labeled arrays,
+computed in chunks by one program.
 
 The points of a sweep are never all in memory: `rows(first, last)` makes those of a chunk.
 """
@@ -23,7 +24,15 @@ from jaxbody.designs.programs import Evaluate, evaluated
 from jaxbody.models.leaf_paths import replace
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
-from jaxbody.workers.batches import ChunkedBatch, batch_of, checked_chunks, computed_here, gathered, store_of, stored
+from jaxbody.workers.batches import (
+    ChunkedBatch,
+    batch_of,
+    checked_chunks,
+    computed_here,
+    gathered,
+    store_of,
+    stored,
+)
 from jaxbody.workers.chunk_stores import STATUS, hash_of
 from jaxbody.workers.executors import Crew, crew_of
 
@@ -51,31 +60,42 @@ def sweep(
 
     Args:
         model: the model.
-        evaluate: model -> {name: number or array} by JAX functions, or one number, then called "objective". It is compiled once.
-        over: {path or pattern: values}, a grid of all combinations with one axis each; or, with `samples`, {path or pattern: (low,
-            high)}. All matches of a pattern get the same value.
+        evaluate: model -> {name: number or array} by JAX functions, or one number, then called
+            "objective". It is compiled once.
+        over: {path or pattern: values}, a grid of all combinations with one axis each; or, with
+            `samples`, {path or pattern: (low, high)}. All matches of a pattern get the same value.
         samples: number of points between low and high; None computes the grid.
-        sampler: how scipy.stats.qmc spreads the samples: "sobol" (best with a power of two) or "latin" (hypercube).
+        sampler: how scipy.stats.qmc spreads the samples: "sobol" (best with a power of two) or
+            "latin" (hypercube).
         key: scrambles the samples; None takes jax.random.key(0).
-        chunk: number of models evaluated at a time, and with `workers` or `out` sent and stored at a time; None takes up to 1024 that fit
-            in 1 GiB, and sends as many as take about two seconds.
-        workers: None computes in this process, on all of its devices; a number starts so many processes of one thread each (needs
-            jaxbody[cluster]); or an executor of processes, such as Dask's `client.get_executor(pure=False)`. The numbers are the same.
-        out: path of a Zarr store (needs jaxbody[cluster]), to which each chunk is written when it is done. The same call continues an
-            interrupted one. The result is then read from the store as it is used, over `design`, of which the last path varies fastest.
-        chunks: numbers of the chunks that this call computes, such as range(i, n, k) for job i of k, with `chunk` and `out`; None: all.
-        progress: None shows progress after five seconds on a terminal or in a notebook, False is silent, True prints to stderr at once.
+        chunk: number of models evaluated at a time, and with `workers` or `out` sent and stored
+            at a time; None takes up to 1024 that fit in 1 GiB, and sends as many as take about
+            two seconds.
+        workers: None computes in this process, on all of its devices; a number starts so many
+            processes of one thread each (needs jaxbody[cluster]); or an executor of processes, such
+            as Dask's `client.get_executor(pure=False)`. The numbers are the same.
+        out: path of a Zarr store (needs jaxbody[cluster]), to which each chunk is written when it
+            is done. The same call continues an interrupted one. The result is then read from the
+            store as it is used, over `design`, of which the last path varies fastest.
+        chunks: numbers of the chunks that this call computes, such as range(i, n, k) for job i of
+            k, with `chunk` and `out`; None: all.
+        progress: None shows progress after five seconds on a terminal or in a notebook, False is
+            silent, True prints to stderr at once.
 
-    What a worker that ends was computing is computed again. A chunk that fails three times has NaN and status LOST: with `workers` or `out`
-    there is a variable `status`, INTERRUPTED where nothing is computed yet. Ctrl-C returns what is done.
+    What a worker that ends was computing is computed again. A chunk that fails three times has NaN
+    and status LOST: with `workers` or `out` there is a variable `status`, INTERRUPTED where nothing
+    is computed yet. Ctrl-C returns what is done.
 
-    Errors: those of `replace`, NON_FINITE, WRONG_KIND for a key, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, MISSING_EXTRA,
-    BAD_WORKERS, NOT_SENT, OTHER_WORKER, OTHER_STORE, NOT_SAVED, BAD_NAME. Warns LOST and INTERRUPTED.
+    Errors: those of `replace`, NON_FINITE, WRONG_KIND for a key, EMPTY_SWEEP, BAD_RANGE,
+    BAD_SAMPLER, BAD_CHUNK, MISSING_EXTRA, BAD_WORKERS, NOT_SENT, OTHER_WORKER, OTHER_STORE,
+    NOT_SAVED, BAD_NAME. Warns LOST and INTERRUPTED.
 
     >>> car = jb.presets.quarter_car()
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
-    >>> quantities = sweep(car, sag, {"suspension.stiffness": [2e4, 4e4], "body.mass": [300.0, 350.0, 400.0]})
+    >>> quantities = sweep(
+    ...     car, sag, {"suspension.stiffness": [2e4, 4e4], "body.mass": [300.0, 350.0, 400.0]}
+    ... )
     >>> round(float(quantities["sag"].sel({"suspension.stiffness": 4e4, "body.mass": 400.0})), 4)
     0.0981
     """
@@ -83,35 +103,69 @@ def sweep(
     with Problems() as problems:
         given = checked_dict(over, "sweep.over", "path: [values]", problems)
         samples = None if samples is None else whole_number(samples, "sweep.samples", problems)
-        chunk = None if chunk is None else whole_number(chunk, "sweep.chunk", problems, code="BAD_CHUNK")
+        chunk = (
+            None
+            if chunk is None
+            else whole_number(chunk, "sweep.chunk", problems, code="BAD_CHUNK")
+        )
         check_key(key, "sweep.key", problems)
-        columns = {path: problems.gather(lambda path=path: float_array(given[path], f"sweep['{path}']")) for path in given}
+        columns = {
+            path: problems.gather(lambda path=path: float_array(given[path], f"sweep['{path}']"))
+            for path in given
+        }
         columns = {path: values for path, values in columns.items() if values is not None}
-        empty = not columns or any(values.ndim < 1 or not len(values) for values in columns.values())
+        empty = not columns or any(
+            values.ndim < 1 or not len(values) for values in columns.values()
+        )
         if empty and not problems.collected:
             problems.add(
-                "EMPTY_SWEEP", "sweep.over", "has no values", value=over, limit="values for each path", hint="Give {path: [values]}."
+                "EMPTY_SWEEP",
+                "sweep.over",
+                "has no values",
+                value=over,
+                limit="values for each path",
+                hint="Give {path: [values]}.",
             )
         for path, values in columns.items():
             if not np.isfinite(values).all():
-                problems.add("NON_FINITE", f"sweep['{path}']", f"is {values[~np.isfinite(values)][0]}", value=values, limit="finite")
+                problems.add(
+                    "NON_FINITE",
+                    f"sweep['{path}']",
+                    f"is {values[~np.isfinite(values)][0]}",
+                    value=values,
+                    limit="finite",
+                )
         if sampler not in SAMPLERS:
-            problems.add("BAD_SAMPLER", "sweep.sampler", f"is {sampler!r}", value=sampler, limit=" ".join(SAMPLERS))
+            problems.add(
+                "BAD_SAMPLER",
+                "sweep.sampler",
+                f"is {sampler!r}",
+                value=sampler,
+                limit=" ".join(SAMPLERS),
+            )
         chunks = checked_chunks("sweep", workers, out, chunks, problems, fixed=chunk is not None)
     key = jax.random.key(0) if key is None else key
-    rows, count = _grid(columns) if samples is None else (_samples(columns, samples, sampler, key), samples)
+    rows, count = (
+        _grid(columns) if samples is None else (_samples(columns, samples, sampler, key), samples)
+    )
     try:
         _check(model, columns)
     except JaxbodyError:
         if samples is None:
             raise
-        _check(model, _extremes(columns, rows, count))  # of a range that begins at zero, samples may be valid although its end is not
+        # of a range that begins at zero, samples may be valid although its end is not
+        _check(model, _extremes(columns, rows, count))
     with working("sweep", progress) as line:
 
         def report(done: int, workers: int) -> None:
             line(f"{done} of {count} models" + (f", {workers} workers" if workers > 1 else ""))
             if progress:
-                print(f"\rsweep {done} of {count}", end="\n" if done == count else "", file=sys.stderr, flush=True)
+                print(
+                    f"\rsweep {done} of {count}",
+                    end="\n" if done == count else "",
+                    file=sys.stderr,
+                    flush=True,
+                )
 
         if workers is None and out is None and jax.local_device_count() == 1:
             quantities = _evaluated(model, evaluate, list(columns), rows, count, chunk, report)
@@ -120,8 +174,18 @@ def sweep(
                 batch = _batch(model, evaluate, list(columns), rows, count, chunk, crew)
                 if out is not None:
                     import_extra("xarray", "sweep.out")
-                    plan = {"over": hash_of(*columns, *columns.values(), samples, sampler, np.asarray(jax.random.key_data(key)))}
-                    store = store_of(batch, out, plan, list(columns), "design", any_size=chunk is None)
+                    plan = {
+                        "over": hash_of(
+                            *columns,
+                            *columns.values(),
+                            samples,
+                            sampler,
+                            np.asarray(jax.random.key_data(key)),
+                        )
+                    }
+                    store = store_of(
+                        batch, out, plan, list(columns), "design", any_size=chunk is None
+                    )
                     stored(batch, store, chunks, crew, "sweep", report)
                     return store.opened("sweep")
                 quantities, status = gathered(batch, crew, "sweep", report)
@@ -132,7 +196,8 @@ def sweep(
 
 
 def _check(model: Model, columns: dict[str, np.ndarray]) -> None:
-    """Errors of `replace`: if the smallest and the largest values are valid, so are those between."""
+    """Errors of `replace`: if the smallest and the largest values are valid, so are
+    those between."""
     for which in (np.argmin, np.argmax):
         replace(model, {path: _end(values, which) for path, values in columns.items()})
 
@@ -151,7 +216,9 @@ def _grid(columns: dict[str, np.ndarray]) -> tuple[PointsOf, int]:
 
     def rows(first: int, last: int) -> list[np.ndarray]:
         index = np.unravel_index(np.arange(first, last), shape)
-        return [values[i].astype(_dtype()) for values, i in zip(columns.values(), index, strict=True)]
+        return [
+            values[i].astype(_dtype()) for values, i in zip(columns.values(), index, strict=True)
+        ]
 
     return rows, math.prod(shape)
 
@@ -164,7 +231,12 @@ def _samples(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> Po
         for path, values in ranges.items():
             if len(values) != 2 or not (values[0] < values[1]).all():
                 problems.add(
-                    "BAD_RANGE", f"sweep['{path}']", f"is {values.tolist()}", value=values, limit="(low, high)", hint="Samples lie between."
+                    "BAD_RANGE",
+                    f"sweep['{path}']",
+                    f"is {values.tolist()}",
+                    value=values,
+                    limit="(low, high)",
+                    hint="Samples lie between.",
                 )
     sizes = [int(np.prod(values.shape[1:])) for values in ranges.values()]
     seed = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
@@ -203,11 +275,20 @@ def _extremes(columns: dict[str, Any], rows: PointsOf, count: int) -> dict[str, 
     for first in range(0, count, MANY):
         values = rows(first, min(first + MANY, count))
         found += [[_end(x, which) for x in values] for which in (np.argmin, np.argmax)]
-    return {path: np.array(values) for path, values in zip(columns, zip(*found, strict=True), strict=True)}
+    return {
+        path: np.array(values)
+        for path, values in zip(columns, zip(*found, strict=True), strict=True)
+    }
 
 
 def _evaluated(
-    model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, count: int, chunk: int | None, report: Callable[[int, int], None]
+    model: Model,
+    evaluate: Evaluate,
+    paths: list[str],
+    rows: PointsOf,
+    count: int,
+    chunk: int | None,
+    report: Callable[[int, int], None],
 ) -> dict[str, np.ndarray]:
     """The quantities at all points, computed chunk by chunk in this process."""
     parts, done = [], 0
@@ -218,19 +299,54 @@ def _evaluated(
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _batch(model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, count: int, chunk: int | None, crew: Crew) -> ChunkedBatch:
+def _batch(
+    model: Model,
+    evaluate: Evaluate,
+    paths: list[str],
+    rows: PointsOf,
+    count: int,
+    chunk: int | None,
+    crew: Crew,
+) -> ChunkedBatch:
     """The sweep as a batch for workers."""
-    batch = batch_of(**_points(model, evaluate, paths, rows, count, chunk), where="sweep.evaluate", crew=crew)
+    batch = batch_of(
+        **_points(model, evaluate, paths, rows, count, chunk), where="sweep.evaluate", crew=crew
+    )
     if STATUS in batch.program.results:
         hint = "Rename it: status says which models were computed."
-        raise JaxbodyError(Problem("BAD_NAME", "sweep.evaluate", f"returns a quantity {STATUS!r}", STATUS, "another name", hint))
+        raise JaxbodyError(
+            Problem(
+                "BAD_NAME",
+                "sweep.evaluate",
+                f"returns a quantity {STATUS!r}",
+                STATUS,
+                "another name",
+                hint,
+            )
+        )
     return batch
 
 
-def _points(model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, count: int, chunk: int | None) -> dict[str, Any]:
+def _points(
+    model: Model,
+    evaluate: Evaluate,
+    paths: list[str],
+    rows: PointsOf,
+    count: int,
+    chunk: int | None,
+) -> dict[str, Any]:
     """The batch of the points of a sweep."""
-    sizes = dict(count=count, width=chunk or LARGEST_CHUNK, memory=MEMORY if chunk is None else None)
-    return dict(function=_function(evaluate, paths), tree=model, rows=rows, owner=evaluate, place=("sweep", *paths), **sizes)
+    sizes = dict(
+        count=count, width=chunk or LARGEST_CHUNK, memory=MEMORY if chunk is None else None
+    )
+    return dict(
+        function=_function(evaluate, paths),
+        tree=model,
+        rows=rows,
+        owner=evaluate,
+        place=("sweep", *paths),
+        **sizes,
+    )
 
 
 def _function(evaluate: Evaluate, paths: list[str]) -> Callable[..., Any]:
@@ -248,16 +364,27 @@ def _function(evaluate: Evaluate, paths: list[str]) -> Callable[..., Any]:
 def sweep_dataset(columns: dict[str, Any], quantities: dict[str, Any], *, on_grid: bool) -> Any:
     """The dataset of a sweep: each quantity over the axes of the grid, or over `sample`."""
     axes = tuple(columns) if on_grid else ("sample",)
-    lengths = tuple(len(values) for values in columns.values()) if on_grid else (len(next(iter(columns.values()))),)
+    lengths = (
+        tuple(len(values) for values in columns.values())
+        if on_grid
+        else (len(next(iter(columns.values()))),)
+    )
     variables = {}
     for name, values in quantities.items():
         own = values.shape[1:]
-        variables[name] = ((*axes, *(f"{name}_{i}" for i in range(len(own)))), values.reshape(*lengths, *own), "")
+        variables[name] = (
+            (*axes, *(f"{name}_{i}" for i in range(len(own)))),
+            values.reshape(*lengths, *own),
+            "",
+        )
     coordinates = {}
     for path, values in columns.items():
         over = path if on_grid else "sample"
         flat = np.ndim(values) == 1
         coordinates[path] = (over, values) if flat else (over, np.arange(len(values)))
         if not flat:
-            coordinates[f"{path} values"] = ((over, *(f"{path}_{i}" for i in range(np.ndim(values) - 1))), values)
+            coordinates[f"{path} values"] = (
+                (over, *(f"{path}_{i}" for i in range(np.ndim(values) - 1))),
+                values,
+            )
     return dataset(variables, coordinates, "sweep")

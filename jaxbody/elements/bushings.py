@@ -1,4 +1,5 @@
-"""Bushings: the relative pose of two frames, six numbers, with stiffness and damping for three of them or as 6 x 6 matrices."""
+"""Bushings: the relative pose of two frames, six numbers, with stiffness and damping for three of
+them or as 6 x 6 matrices."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ from jaxbody.geometry.vectors import rotate, rotate_back
 
 
 class FramePair(Element):
-    """The base class of elements whose deformation is the relative pose of a frame at each end, six numbers.
+    """The base class of elements whose deformation is the relative pose of a frame at each end,
+    six numbers.
 
     >>> issubclass(jb.Bushing, FramePair) and issubclass(jb.Mount, FramePair)
     True
@@ -29,7 +31,10 @@ class FramePair(Element):
     jump = (
         "HALF_TURN",
         "is turned by 180 degrees",
-        "the deformation of a bushing jumps at half a turn: for larger rotations use a joint (jb.Hinge, jb.Ball), or springs",
+        (
+            "the deformation of a bushing jumps at half a turn: for larger rotations use a joint "
+            "(jb.Hinge, jb.Ball), or springs"
+        ),
     )
 
     def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
@@ -54,40 +59,75 @@ class FramePair(Element):
 class Bushing(FramePair):
     """A linear bushing between a frame at a on one body and a frame at b on another.
 
-        V = 1/2 e' K e,   R = 1/2 e_dot' C e_dot,   e = log(X_A^-1 X_B) = (translation, rotation vector), axes of the frame at a
+        V = 1/2 e' K e,   R = 1/2 e_dot' C e_dot,
+        e = log(X_A^-1 X_B) = (translation, rotation vector), axes of the frame at a
 
-    The bushing is relaxed where the two frames coincide. e is the logarithm of SE(3): exchanging the ends changes only its sign.
+    The bushing is relaxed where the two frames coincide. e is the logarithm of SE(3): exchanging
+    the ends changes only its sign.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
-        stiffness: K, a symmetric positive semidefinite 6 x 6 matrix, or three numbers along the bushing's axes [N/m], with no rotational
-            stiffness
+        stiffness: K, a symmetric positive semidefinite 6 x 6 matrix, or three numbers along the
+            bushing's axes [N/m], with no rotational stiffness
         damping: C likewise [N s/m]; None: no damping
         orientation: orientation of the frame at a in its body
-        orientation_b: orientation of the frame at b in its body; None: that with which the two frames coincide as the model is drawn
+        orientation_b: orientation of the frame at b in its body; None: that with which the two
+            frames coincide as the model is drawn
         allow_negative: warn of negative coefficients instead of refusing them
 
-    Errors: NOT_SYMMETRIC, NEGATIVE_STIFFNESS, NEGATIVE_DAMPING, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION.
+    Errors: NOT_SYMMETRIC, NEGATIVE_STIFFNESS, NEGATIVE_DAMPING, SELF_SPRING, BAD_SHAPE,
+    NON_FINITE, BAD_QUATERNION.
 
-    >>> mount = Bushing(("engine", [0.4, 0, 0]), ("base", [0.4, 0, 0]), stiffness=[9e4, 2e5, 5e5], damping=[900.0, 2000.0, 200.0])
+    >>> mount = Bushing(
+    ...     ("engine", [0.4, 0, 0]),
+    ...     ("base", [0.4, 0, 0]),
+    ...     stiffness=[9e4, 2e5, 5e5],
+    ...     damping=[900.0, 2000.0, 200.0],
+    ... )
     >>> mount.stiffness.shape
     (3,)
     """
 
-    stiffness: Float[Array, "*k"] = field("N/m, N; N, N m/rad", "definite unless allow_negative", code="NEGATIVE_STIFFNESS", hint=MEANT)
-    damping: Float[Array, "*k"] = field("N s/m, N s; N s, N m s/rad", "definite unless allow_negative", code="NEGATIVE_DAMPING", hint=MEANT)
+    stiffness: Float[Array, "*k"] = field(
+        "N/m, N; N, N m/rad",
+        "definite unless allow_negative",
+        code="NEGATIVE_STIFFNESS",
+        hint=MEANT,
+    )
+    damping: Float[Array, "*k"] = field(
+        "N s/m, N s; N s, N m s/rad",
+        "definite unless allow_negative",
+        code="NEGATIVE_DAMPING",
+        hint=MEANT,
+    )
     orientation: Float[Array, "4"] = field("", "rotation")
     orientation_b: Float[Array, "4"] | None = field("", "rotation")
     allow_negative: bool = eqx.field(default=False, static=True)
 
-    def __init__(self, a, b, *, stiffness, damping=None, orientation=IDENTITY, orientation_b=None, allow_negative: bool = False):
+    def __init__(
+        self,
+        a,
+        b,
+        *,
+        stiffness,
+        damping=None,
+        orientation=IDENTITY,
+        orientation_b=None,
+        allow_negative: bool = False,
+    ):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), "Bushing", problems)
             self.stiffness = _coefficients(stiffness, "Bushing.stiffness", problems)
-            self.damping = _coefficients(np.zeros(self.stiffness.shape) if damping is None else damping, "Bushing.damping", problems)
+            self.damping = _coefficients(
+                np.zeros(self.stiffness.shape) if damping is None else damping,
+                "Bushing.damping",
+                problems,
+            )
             check_signs(self, allow_negative, problems)
             self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
-            self.orientation_b = second_orientation(orientation_b, "Bushing.orientation_b", problems)
+            self.orientation_b = second_orientation(
+                orientation_b, "Bushing.orientation_b", problems
+            )
 
     def energy(self, e):
         return 0.5 * jnp.sum(e * _times(self.stiffness, e))
@@ -109,5 +149,11 @@ def _times(coefficients: Float[Array, "*k"], e: Float[Array, "6"]) -> Float[Arra
 
 
 def _coefficients(value: Any, where: str, problems: Problems) -> Any:
-    array = checked(value, ((3,), (6, 6)), where, problems, "Give three translational coefficients or a 6 x 6 matrix.")
+    array = checked(
+        value,
+        ((3,), (6, 6)),
+        where,
+        problems,
+        "Give three translational coefficients or a 6 x 6 matrix.",
+    )
     return np.zeros(3) if array is None else array

@@ -1,11 +1,13 @@
 """Unilateral contacts: the tyre on its road, and a stop between two points.
 
-With the penetration delta = -e, the elastic force P and a damper that builds up over the engagement w,
+With the penetration delta = -e, the elastic force P and a damper that builds up over the
+engagement w,
 
-    P = k r(delta),  V = int P d delta,   damping: max(c_e delta_dot, -P),  c_e = c delta/w, at least 0, at most c
+    P = k r(delta),  V = int P d delta,   damping: max(c_e delta_dot, -P),
+    c_e = c delta/w, at least 0, at most c
 
-where r(delta) is 0 for delta < 0, delta^2/(2 w) up to w and then delta - w/2. The total force P + max(c_e delta_dot, -P) never pulls and
-has no jumps.
+where r(delta) is 0 for delta < 0, delta^2/(2 w) up to w and then delta - w/2. The total force
+P + max(c_e delta_dot, -P) never pulls and has no jumps.
 """
 
 from __future__ import annotations
@@ -30,13 +32,16 @@ class Touching(Element):
 
     stiffness: Float[Array, ""] = field("N/m", "nonnegative")
     damping: Float[Array, ""] = field("N s/m", "nonnegative")
-    engagement: Float[Array, ""] = field("m", "positive", hint="A hundredth of the travel has little effect.")
+    engagement: Float[Array, ""] = field(
+        "m", "positive", hint="A hundredth of the travel has little effect."
+    )
 
     def energy(self, e):
         return self.stiffness * ramp_energy(-e, self.engagement)
 
     def dissipation(self, e, e_dot):
-        """R = 1/2 c_e e_dot^2 - 1/2 q^2/c_e, q the part of the damper's pull that would exceed P."""
+        """R = 1/2 c_e e_dot^2 - 1/2 q^2/c_e, q the part of the damper's pull that would
+        exceed P."""
         c, q = self._damper(e, e_dot)
         return 0.5 * c * e_dot**2 - 0.5 * jnp.where(c > 0, q**2 / jnp.where(c > 0, c, 1.0), 0.0)
 
@@ -58,11 +63,14 @@ class Touching(Element):
 
 
 class Tyre(Touching):
-    """The vertical force of a tyre: it pushes the hub a up from the road b while the hub is lower than the radius; the tyre may lift off.
+    """The vertical force of a tyre: it pushes the hub a up from the road b while the hub is lower
+    than the radius; the tyre may lift off.
 
-        e = n . (A - B) - radius,   n the road's normal, `axis` in the road's frame; the penetration is -e
+        e = n . (A - B) - radius,   n the road's normal, `axis` in the road's frame; the penetration
+                                    is -e
 
-    The road is a support that follows the profile under the wheel (jb.Road, which averages it over the footprint), or the world.
+    The road is a support that follows the profile under the wheel (jb.Road, which averages it over
+    the footprint), or the world.
 
     Args:
         hub: name of the wheel, or (name, point)
@@ -75,7 +83,9 @@ class Tyre(Touching):
 
     Errors: NEGATIVE, NOT_POSITIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE.
 
-    >>> tyre = Tyre(("wheel", [0, 0, 0]), ("road", [0, 0, 0]), stiffness=2e5, damping=50.0, radius=0.31)
+    >>> tyre = Tyre(
+    ...     ("wheel", [0, 0, 0]), ("road", [0, 0, 0]), stiffness=2e5, damping=50.0, radius=0.31
+    ... )
     >>> tyre.between
     ('wheel', 'road')
     """
@@ -83,10 +93,19 @@ class Tyre(Touching):
     radius: Float[Array, ""] = field("m", "nonnegative")
     axis: Float[Array, "3"] = field("", "direction")
 
-    def __init__(self, hub, road, *, stiffness, damping=0.0, radius, engagement=1e-3, axis=(0, 0, 1)):
+    def __init__(
+        self, hub, road, *, stiffness, damping=0.0, radius, engagement=1e-3, axis=(0, 0, 1)
+    ):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((hub, road), "Tyre", problems, points=False)
-            take(self, problems, stiffness=stiffness, damping=damping, engagement=engagement, radius=radius)
+            take(
+                self,
+                problems,
+                stiffness=stiffness,
+                damping=damping,
+                engagement=engagement,
+                radius=radius,
+            )
             self.axis = direction(axis, "Tyre.axis", problems)
 
     def deformation(self, hub, road):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
@@ -94,7 +113,8 @@ class Tyre(Touching):
 
 
 class Contact(Touching, LineElement):
-    """A stop between two points, or two balls: it pushes them apart while they are nearer than a distance, e = |AB| - distance.
+    """A stop between two points, or two balls: it pushes them apart while they are nearer than a
+    distance, e = |AB| - distance.
 
     Args:
         a, b: (name, point in its frame [m])
@@ -105,23 +125,37 @@ class Contact(Touching, LineElement):
 
     Errors: NEGATIVE, NOT_POSITIVE, SELF_SPRING, ZERO_LENGTH, BAD_SHAPE, NON_FINITE.
 
-    >>> stop = Contact(("arm", [0.5, 0, 0]), ("base", [0.5, 0, -0.3]), distance=0.05, stiffness=1e6, damping=100.0)
+    >>> stop = Contact(
+    ...     ("arm", [0.5, 0, 0]),
+    ...     ("base", [0.5, 0, -0.3]),
+    ...     distance=0.05,
+    ...     stiffness=1e6,
+    ...     damping=100.0,
+    ... )
     >>> float(stop.energy(jnp.array(0.01)))
     0.0
     """
 
-    free_length: Float[Array, ""] = field("m", "positive", hint="Give the distance of the points at which they touch.")
+    free_length: Float[Array, ""] = field(
+        "m", "positive", hint="Give the distance of the points at which they touch."
+    )
 
     def __init__(self, a, b, *, distance, stiffness, damping=0.0, engagement=1e-3):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), "Contact", problems)
             take(self, problems, stiffness=stiffness, damping=damping, engagement=engagement)
             length = scalar(distance, "Contact.distance", problems)
-            self.free_length = in_domain(length, kind_of(self, "free_length"), "Contact.distance", problems)
+            self.free_length = in_domain(
+                length, kind_of(self, "free_length"), "Contact.distance", problems
+            )
 
     def split(self, L):
         d = self.free_length - L
-        return jnp.zeros_like(L), -self.stiffness * ramp(d, self.engagement), self.stiffness * ramp_slope(d, self.engagement)
+        return (
+            jnp.zeros_like(L),
+            -self.stiffness * ramp(d, self.engagement),
+            self.stiffness * ramp_slope(d, self.engagement),
+        )
 
     def damper_tension(self, e, e_dot):
         return self.damping_force(e, e_dot)

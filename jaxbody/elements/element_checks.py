@@ -1,4 +1,5 @@
-"""Checks of users' elements and laws when a model is built: the types of their fields and of the results of their functions."""
+"""Checks of users' elements and laws when a model is built: the types of their fields and of the
+results of their functions."""
 
 from __future__ import annotations
 
@@ -17,23 +18,31 @@ from jaxbody.laws.memories import memories
 
 
 def check_leaves(problems: Problems, where: str, thing: Any) -> None:
-    """Check that an element, or a function of the user's, holds only numbers, functions and static fields."""
+    """Check that an element, or a function of the user's, holds only numbers, functions and
+    static fields."""
     for keys, leaf in jax.tree_util.tree_leaves_with_path(thing):
         if not isinstance(leaf, np.ndarray | jax.Array):
             try:
                 float_array(leaf, where + jax.tree_util.keystr(keys))
             except JaxbodyError as error:
-                hint = "Declare what is not a number as a static field: mode: str = equinox.field(static=True)."
+                hint = (
+                    "Declare what is not a number as a static field: mode: str = "
+                    "equinox.field(static=True)."
+                )
                 problems.collected += [replace(problem, hint=hint) for problem in error.problems]
 
 
 def check_laws(problems: Problems, elements: dict[str, Element]) -> None:
-    """Check that JAX can trace users' laws and that they return one number, and of laws with memory one rate for each state; each structure
-    is traced once."""
+    """Check that JAX can trace users' laws and that they return one number, and of laws with memory
+    one rate for each state; each structure is traced once."""
     checked = set()
     for name, element in elements.items():
         for field, law in vars(element).items():
-            if isinstance(law, Law) and any(map(is_own, parts(law))) and (structure := jax.tree.structure(law)) not in checked:
+            if (
+                isinstance(law, Law)
+                and any(map(is_own, parts(law)))
+                and (structure := jax.tree.structure(law)) not in checked
+            ):
                 checked.add(structure)
                 where = f"elements[{name!r}].{field}"
                 for part in memories(law):
@@ -43,18 +52,45 @@ def check_laws(problems: Problems, elements: dict[str, Element]) -> None:
 
 
 def _check_memory(law: Any, where: str, problems: Problems) -> None:
-    """Check the functions of a user's law with memory, and that a hysteretic state stays at rest. Error: RELAXES."""
+    """Check the functions of a user's law with memory, and that a hysteretic state stays at rest.
+    Error: RELAXES."""
     zero = np.zeros(len(law.states))
-    check_returned(lambda law, x: law.restoring_force(x, x, zero + x), law, (), f"{where}.restoring_force", problems)
-    check_returned(lambda law, x: law.rate(x, x, zero + x), law, zero.shape, f"{where}.rate", problems)
-    check_returned(lambda law, x: law.energy(x, law.configuration(zero + x)), law, (), f"{where}.energy", problems)
+    check_returned(
+        lambda law, x: law.restoring_force(x, x, zero + x),
+        law,
+        (),
+        f"{where}.restoring_force",
+        problems,
+    )
+    check_returned(
+        lambda law, x: law.rate(x, x, zero + x), law, zero.shape, f"{where}.rate", problems
+    )
+    check_returned(
+        lambda law, x: law.energy(x, law.configuration(zero + x)),
+        law,
+        (),
+        f"{where}.energy",
+        problems,
+    )
     if law.inertial:
-        check_returned(lambda law, x: law.kinetic(zero + x), law, (), f"{where}.kinetic_energy", problems)
+        check_returned(
+            lambda law, x: law.kinetic(zero + x), law, (), f"{where}.kinetic_energy", problems
+        )
     if law.has_rows or problems.collected or any(concrete(x) is None for x in jax.tree.leaves(law)):
         return
-    rates = np.stack([np.asarray(law.rate(np.float64(e), np.zeros(()), np.asarray(zero + z))) for e, z in ((0.0, 1e-3), (1e-3, -1.0))])
+    rates = np.stack(
+        [
+            np.asarray(law.rate(np.float64(e), np.zeros(()), np.asarray(zero + z)))
+            for e, z in ((0.0, 1e-3), (1e-3, -1.0))
+        ]
+    )
     if not (rates == 0).all():
         hint = "Derive it from jb.laws.Viscoelastic, whose coordinates relax."
         problems.add(
-            "RELAXES", where, f"has the rate {rates[np.nonzero(rates)][0]:.3g} at rest", value=rates, limit="0 at e' = 0", hint=hint
+            "RELAXES",
+            where,
+            f"has the rate {rates[np.nonzero(rates)][0]:.3g} at rest",
+            value=rates,
+            limit="0 at e' = 0",
+            hint=hint,
         )

@@ -1,6 +1,8 @@
-"""The base class of elements: deformation e(A, B) between two or more frames, V(e), R(e, e_dot) and, of some, T(e, e_dot).
+"""The base class of elements: deformation e(A, B) between two or more frames, V(e), R(e, e_dot)
+and, of some, T(e, e_dot).
 
-Forces and stiffness are derivatives of these. Points and orientations at an end are in the frame of the body or support of that end.
+Forces and stiffness are derivatives of these. Points and orientations at an end are in the frame of
+the body or support of that end.
 """
 
 from __future__ import annotations
@@ -23,16 +25,20 @@ from jaxbody.geometry.vectors import cross, dot, product, rotate
 from jaxbody.numerics.xla_workarounds import inverse_root, kept
 
 MEANT = "If this is intended, give allow_negative=True."
-ALLOWED = {"NEGATIVE_STIFFNESS": "an equilibrium may be unstable", "NEGATIVE_DAMPING": "the system may gain energy"}
+ALLOWED = {
+    "NEGATIVE_STIFFNESS": "an equilibrium may be unstable",
+    "NEGATIVE_DAMPING": "the system may gain energy",
+}
 
 
 class Element(Described, eqx.Module):
-    """The base class of elements between two or more frames, named in `between`; `a` and `b` are the points where it is attached.
+    """The base class of elements between two or more frames, named in `between`; `a` and `b` are
+    the points where it is attached.
 
-    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness are their derivatives. One with inertia
-    states `kinetic_energy` too. `jb.field` gives
-    the unit and the domain of its numbers, which `replace`, `fit` and `tune` respect. Two equal charges, one of which floats above the
-    other where strength / e^2 = m g:
+    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness
+    are their derivatives. One with inertia states `kinetic_energy` too. `jb.field` gives the unit
+    and the domain of its numbers, which `replace`, `fit` and `tune` respect. Two equal charges, one
+    of which floats above the other where strength / e^2 = m g:
 
     >>> class Charges(Element):
     ...     strength: jax.Array = jb.field("N m2", "positive")
@@ -43,15 +49,22 @@ class Element(Described, eqx.Module):
     ...     def dissipation(self, e, e_dot):
     ...         return jnp.zeros_like(e)
     >>> ball = Body(mass=0.2, inertia=[1, 1, 1], position=[0, 0, 0.6])
-    >>> model = Model(bodies={"ball": ball}, joints={"ball": Guide("world", axis=[0, 0, 1])},
-    ...               elements={"pair": Charges(("ball", "world"), jnp.zeros(3), jnp.zeros(3), jnp.array(0.5))}, gravity=[0, 0, -10])
+    >>> model = Model(
+    ...     bodies={"ball": ball},
+    ...     joints={"ball": Guide("world", axis=[0, 0, 1])},
+    ...     elements={
+    ...         "pair": Charges(("ball", "world"), jnp.zeros(3), jnp.zeros(3), jnp.array(0.5))
+    ...     },
+    ...     gravity=[0, 0, -10],
+    ... )
     >>> round(float(equilibrium(model).elongations["pair"]), 9)
     0.5
     """
 
     between: tuple[str, ...] = eqx.field(static=True)
     size: ClassVar[int] = 1  # number of components of the deformation
-    jump: ClassVar[tuple[str, str, str] | None] = None  # where its force jumps: code, description of the place, remedy
+    # where its force jumps: code, description of the place, remedy
+    jump: ClassVar[tuple[str, str, str] | None] = None
     a: Float[Array, "3"] = field("m")
     b: Float[Array, "3"] = field("m")
 
@@ -61,7 +74,8 @@ class Element(Described, eqx.Module):
         return self.a, self.b
 
     def as_drawn(self, *orientations: Float[Array, "4"]) -> Element:
-        """The element with what follows from the drawing, where its frames have these orientations (unit quaternions)."""
+        """The element with what follows from the drawing, where its frames have these orientations
+        (unit quaternions)."""
         return self
 
     @abstractmethod
@@ -77,7 +91,8 @@ class Element(Described, eqx.Module):
         """R(e, e_dot) [W], half the dissipated power where damping is linear."""
 
     def kinetic_energy(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, ""]:
-        """T(e, e_dot) [J], quadratic in e_dot, of an element with inertia: only one that states it has any."""
+        """T(e, e_dot) [J], quadratic in e_dot, of an element with inertia: only one that states it
+        has any."""
         return jnp.zeros(())
 
     @classmethod
@@ -90,7 +105,8 @@ class Element(Described, eqx.Module):
         return jnp.array(False)
 
     def away_from_jump(self, *poses: Pose) -> Float[Array, "*n"]:
-        """A vector that is zero where the force jumps (see `jump`) and has a length of about 1 far from there."""
+        """A vector that is zero where the force jumps (see `jump`) and has a length of about 1 far
+        from there."""
         return jnp.ones(1)
 
     def potential(self, *poses: Pose) -> Float[Array, ""]:
@@ -99,7 +115,9 @@ class Element(Described, eqx.Module):
 
     def rates(self, *frames: Frame) -> tuple[Float[Array, "*m"], Float[Array, "*m"]]:
         """e and e_dot, the derivative of e along the motion of the frames."""
-        return jax.jvp(self.deformation, tuple(f.pose() for f in frames), tuple(f.rates() for f in frames))
+        return jax.jvp(
+            self.deformation, tuple(f.pose() for f in frames), tuple(f.rates() for f in frames)
+        )
 
     def damping_force(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, "*m"]:
         """dR/de_dot."""
@@ -114,8 +132,11 @@ class Element(Described, eqx.Module):
         """dT/de_dot."""
         return jax.grad(self.kinetic_energy, argnums=1)(e, e_dot)
 
-    def inertial_force(self, frames: tuple[Frame, ...], changes: tuple[Frame, ...]) -> Float[Array, "*m"]:
-        """d/dt dT/de_dot - dT/de, which adds to `force`; `changes` are the derivatives of the frames in time."""
+    def inertial_force(
+        self, frames: tuple[Frame, ...], changes: tuple[Frame, ...]
+    ) -> Float[Array, "*m"]:
+        """d/dt dT/de_dot - dT/de, which adds to `force`; `changes` are the derivatives of the
+        frames in time."""
         _, rate = jax.jvp(lambda *frames: self.momentum(*self.rates(*frames)), frames, changes)
         return rate - jax.grad(self.kinetic_energy)(*self.rates(*frames))
 
@@ -142,42 +163,66 @@ class Element(Described, eqx.Module):
 
     def _without_states(self) -> JaxbodyError:
         hint = "Use an element of jaxbody, such as SpringDamper, or a law without memory."
-        return JaxbodyError(Problem("MEMORY", type(self).__name__, "has a law with memory and does not state its rates", self, hint=hint))
+        return JaxbodyError(
+            Problem(
+                "MEMORY",
+                type(self).__name__,
+                "has a law with memory and does not state its rates",
+                self,
+                hint=hint,
+            )
+        )
 
     def wrenches(self, *frames: Frame) -> tuple[Wrench, ...]:
-        """The wrench on each frame: minus the derivatives of V and R with respect to its displacement and velocity."""
+        """The wrench on each frame: minus the derivatives of V and R with respect to its
+        displacement and velocity."""
         return self._pulled_back(self.force(*frames), frames)
 
-    def inertial_wrenches(self, frames: tuple[Frame, ...], changes: tuple[Frame, ...]) -> tuple[Wrench, ...]:
+    def inertial_wrenches(
+        self, frames: tuple[Frame, ...], changes: tuple[Frame, ...]
+    ) -> tuple[Wrench, ...]:
         """The wrench of its inertia on each frame."""
         return self._pulled_back(self.inertial_force(frames, changes), frames)
 
-    def _pulled_back(self, force: Float[Array, "*m"], frames: tuple[Frame, ...]) -> tuple[Wrench, ...]:
+    def _pulled_back(
+        self, force: Float[Array, "*m"], frames: tuple[Frame, ...]
+    ) -> tuple[Wrench, ...]:
         _, pull_back = jax.vjp(self.deformation, *(f.pose() for f in frames))
-        return tuple(_wrench(cotangent, f.R) for cotangent, f in zip(pull_back(-force), frames, strict=True))
+        return tuple(
+            _wrench(cotangent, f.R) for cotangent, f in zip(pull_back(-force), frames, strict=True)
+        )
 
 
 def _wrench(cotangent: Pose, R: Float[Array, "3 3"]) -> Wrench:
-    """Force and moment of a cotangent of a pose: the moment is the sum of the cross products of the columns of R with their cotangents."""
+    """Force and moment of a cotangent of a pose: the moment is the sum of the cross products of the
+    columns of R with their cotangents."""
     return cotangent.p, cross(R.T, cotangent.R.T).sum(0)
 
 
 class LineElement(Element):
-    """The base class of elements along the line from the point a of one body to the point b of another: e = |AB| - l0.
+    """The base class of elements along the line from the point a of one body to the point b of
+    another: e = |AB| - l0.
 
-    The tension is split, T(L) = k0 L + rest, so that the force k0 d + rest d/L has the right derivatives at d = 0 where the rest vanishes
-    there.
+    The tension is split, T(L) = k0 L + rest, so that the force k0 d + rest d/L has the right
+    derivatives at d = 0 where the rest vanishes there.
     """
 
-    free_length: Float[Array, ""] = field("m", "nonnegative", code="NEGATIVE_LENGTH", hint="Give 0 or more.")
+    free_length: Float[Array, ""] = field(
+        "m", "nonnegative", code="NEGATIVE_LENGTH", hint="Give 0 or more."
+    )
     jump = (
         "SPRING_COLLAPSED",
         "has shrunk to a point",
-        "its direction jumps there: offset its ends so that they pass each other, keep them apart by a stop, or use a Bushing",
+        (
+            "its direction jumps there: offset its ends so that they pass each other, keep them "
+            "apart by a stop, or use a Bushing"
+        ),
     )
 
     @abstractmethod
-    def split(self, L: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+    def split(
+        self, L: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
         """k0, the rest of the tension and its derivative in L."""
 
     @abstractmethod
@@ -185,7 +230,8 @@ class LineElement(Element):
         """dR/de_dot."""
 
     def has_no_direction(self) -> bool:
-        """True when it exerts no force at zero length, and so needs no direction there (for numbers that are not traced)."""
+        """True when it exerts no force at zero length, and so needs no direction there (for numbers
+        that are not traced)."""
         return False
 
     def length(self, A: Pose, B: Pose) -> Float[Array, ""]:
@@ -197,10 +243,15 @@ class LineElement(Element):
         return self.length(A, B) - self.free_length
 
     def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        """AB over the free length; 1 where the force at zero length is zero, because no force jumps then."""
+        """AB over the free length; 1 where the force at zero length is zero, because no force
+        jumps then."""
         _, rest, _ = self.split(jnp.zeros_like(self.free_length))
         jumps = (self.free_length > 0) & (rest != 0)
-        return jnp.where(jumps, (B.point(self.b) - A.point(self.a)) / jnp.where(jumps, self.free_length, 1.0), 1.0)
+        return jnp.where(
+            jumps,
+            (B.point(self.b) - A.point(self.a)) / jnp.where(jumps, self.free_length, 1.0),
+            1.0,
+        )
 
     def damping_force(self, e, e_dot):
         return self.damper_tension(e, e_dot)
@@ -209,7 +260,8 @@ class LineElement(Element):
         d = B.point(self.b) - A.point(self.a)
         L, _ = length_and_direction(d)
         k0, _, _ = self.split(L)
-        without_norm = 0.5 * k0 * dot(d, d) + (self.energy(L - self.free_length) - 0.5 * k0 * L**2)  # exact at d = 0 where l0 = 0
+        # exact at d = 0 where l0 = 0
+        without_norm = 0.5 * k0 * dot(d, d) + (self.energy(L - self.free_length) - 0.5 * k0 * L**2)
         return jnp.where(self.free_length == 0, without_norm, self.energy(L - self.free_length))
 
     def wrenches(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
@@ -231,16 +283,25 @@ def length_and_direction(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[
 
 
 def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
-    """For an element with `orientation` and `orientation_b`: the rotations from the axes of its first end to the world, and of its second
-    end to the first. Before a model says how it is drawn, axes that are not given are those of the first end."""
+    """For an element with `orientation` and `orientation_b`: the rotations from the axes of its
+    first end to the world, and of its second end to the first. Before a model says how it is drawn,
+    axes that are not given are those of the first end."""
     second = element.orientation if element.orientation_b is None else element.orientation_b
-    R_A, R_B = product(A.R, rotations.matrix(element.orientation)), product(B.R, rotations.matrix(second))
+    R_A, R_B = (
+        product(A.R, rotations.matrix(element.orientation)),
+        product(B.R, rotations.matrix(second)),
+    )
     return R_A, product(jnp.swapaxes(R_A, -1, -2), R_B)
 
 
 def check_signs(element: Any, allow_negative: bool, problems: Problems) -> None:
-    """Check that stiffness and damping are in their domains; negative values are a problem or, where allowed, a warning."""
-    names = [each.name for each in fields(element) if each.metadata.get("kind", Kind()).domain.endswith("unless allow_negative")]
+    """Check that stiffness and damping are in their domains; negative values are a problem or,
+    where allowed, a warning."""
+    names = [
+        each.name
+        for each in fields(element)
+        if each.metadata.get("kind", Kind()).domain.endswith("unless allow_negative")
+    ]
     found = Problems()
     for name in names:
         number, where = getattr(element, name), f"{type(element).__name__}.{name}"
@@ -250,6 +311,9 @@ def check_signs(element: Any, allow_negative: bool, problems: Problems) -> None:
         setattr(element, name, in_domain(number, kind_of(element, name), where, Problems()))
     for problem in found.collected:
         if allow_negative and problem.code in ALLOWED:
-            warn(problem.code, f"{problem.where} {problem.message}, which is allowed: {ALLOWED[problem.code]}")
+            warn(
+                problem.code,
+                f"{problem.where} {problem.message}, which is allowed: {ALLOWED[problem.code]}",
+            )
         else:
             problems.collected.append(problem)

@@ -1,4 +1,5 @@
-"""The inerter: a force proportional to the relative acceleration of two points, an element with kinetic energy."""
+"""The inerter: a force proportional to the relative acceleration of two points, an element with
+kinetic energy."""
 
 from __future__ import annotations
 
@@ -12,25 +13,35 @@ from jaxbody.geometry.places import ends
 
 
 class Inerter(Element):
-    """An inerter between the point a of one body and the point b of another: a flywheel on a rack or a ball screw, or fluid in a tube.
+    """An inerter between the point a of one body and the point b of another: a flywheel on a rack
+    or a ball screw, or fluid in a tube.
 
         T = 1/2 b (d|AB|/dt)^2,   force = b d2|AB|/dt2, positive where it pulls the points together
 
-    It has no mass of its own, exerts no force at rest and stands beside springs and dampers. It adds to T, M, M~ and M_bb. In a model with
-    one the mass matrix depends on the configuration, so that free bodies too are integrated as bodies on joints.
+    It has no mass of its own, exerts no force at rest and stands beside springs and dampers. It
+    adds to T, M, M~ and M_bb. In a model with one the mass matrix depends on the configuration, so
+    that free bodies too are integrated as bodies on joints.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m]), apart from each other
         inertance: b [kg]
 
     Errors: NEGATIVE, SELF_SPRING, ZERO_LENGTH in the reference pose, BAD_SHAPE, NON_FINITE.
-    Source: M. C. Smith, Synthesis of mechanical networks: the inerter, IEEE Transactions on Automatic Control 47 (2002) 1648.
+    Source: M. C. Smith, Synthesis of mechanical networks: the inerter, IEEE Transactions on
+    Automatic Control 47 (2002) 1648.
 
-    A mass of 2 kg on a spring of 50 N/m beside an inerter of 6 kg has the natural frequency sqrt(k/(m + b)) = 2.5 rad/s:
+    A mass of 2 kg on a spring of 50 N/m beside an inerter of 6 kg has the natural frequency
+    sqrt(k/(m + b)) = 2.5 rad/s:
 
     >>> places = ("mass", [0, 0, 0]), ("world", [0, 1, 0])
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
-    ...               elements={"s": Spring(*places, stiffness=50.0, free_length=1.0), "i": Inerter(*places, inertance=6.0)})
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     elements={
+    ...         "s": Spring(*places, stiffness=50.0, free_length=1.0),
+    ...         "i": Inerter(*places, inertance=6.0),
+    ...     },
+    ... )
     >>> round(float(2 * jnp.pi * modes(linearize(model, equilibrium(model))).frequency[0]), 9)
     2.5
     """

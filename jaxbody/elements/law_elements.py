@@ -1,4 +1,5 @@
-"""Elements whose one deformation has a law `spring`, which may have memory, and whose rate has a law `damper`."""
+"""Elements whose one deformation has a law `spring`, which may have memory, and whose rate has a
+law `damper`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Energies and dissipations of the user's own, functions of the frames that they read by name: V(frames) and R(frames)."""
+"""Energies and dissipations of the user's own, functions of the frames that they read by name:
+V(frames) and R(frames)."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ NOWHERE: DrawnAt = np.zeros(3), np.array(IDENTITY)
 
 
 class OfFrames(Element):
-    """The base class of both: an element whose deformation is the poses of the frames that `function` reads, 12 numbers each."""
+    """The base class of both: an element whose deformation is the poses of the frames that
+    `function` reads, 12 numbers each."""
 
     function: Any = field()
     reads: tuple[str, ...] = field(static=True)
@@ -76,7 +78,8 @@ class OwnEnergy(OfFrames):
 
 
 class OwnDissipation(OfFrames):
-    """R(frames) of `Model(dissipations={...})`: frames have p, R, v, w, point(x) and velocity(x)."""
+    """R(frames) of `Model(dissipations={...})`: frames have p, R, v, w, point(x)
+    and velocity(x)."""
 
     @staticmethod
     def seen(frame: Frame) -> Any:
@@ -111,18 +114,42 @@ class _Reading(Mapping):
         return len(self.drawn)
 
 
-def own_functions(problems: Problems, group: str, kind: type[OfFrames], given: dict[str, Any], drawn: dict[str, DrawnAt]) -> dict[str, Any]:
-    """The elements of the user's functions by name, each of which is traced once to see which frames it reads.
+def own_functions(
+    problems: Problems,
+    group: str,
+    kind: type[OfFrames],
+    given: dict[str, Any],
+    drawn: dict[str, DrawnAt],
+) -> dict[str, Any]:
+    """The elements of the user's functions by name, each of which is traced once to see which
+    frames it reads.
 
-    Errors: WRONG_KIND, NOT_A_NUMBER, NOT_TRACEABLE, FUNCTION_FAILED, BAD_SHAPE, UNKNOWN_BODY, NON_FINITE."""
-    made = {name: _own(problems, f"{group}[{name!r}]", kind, function, drawn) for name, function in given.items()}
+    Errors: WRONG_KIND, NOT_A_NUMBER, NOT_TRACEABLE, FUNCTION_FAILED, BAD_SHAPE,
+    UNKNOWN_BODY, NON_FINITE."""
+    made = {
+        name: _own(problems, f"{group}[{name!r}]", kind, function, drawn)
+        for name, function in given.items()
+    }
     return {name: each for name, each in made.items() if each is not None}
 
 
-def _own(problems: Problems, where: str, kind: type[OfFrames], function: Any, drawn: dict[str, DrawnAt]) -> OfFrames | None:
+def _own(
+    problems: Problems, where: str, kind: type[OfFrames], function: Any, drawn: dict[str, DrawnAt]
+) -> OfFrames | None:
     if isinstance(function, type) or not callable(function):
-        hint = f"Write {function.__name__}(...)." if isinstance(function, type) else "Give an equinox.Module with __call__(frames)."
-        problems.add("WRONG_KIND", where, f"is {kind_of(function)}", value=function, limit="a function of frames", hint=hint)
+        hint = (
+            f"Write {function.__name__}(...)."
+            if isinstance(function, type)
+            else "Give an equinox.Module with __call__(frames)."
+        )
+        problems.add(
+            "WRONG_KIND",
+            where,
+            f"is {kind_of(function)}",
+            value=function,
+            limit="a function of frames",
+            hint=hint,
+        )
         return None
     found, reading, function = Problems(), _Reading(kind, drawn), functions_as_nodes(function)
     check_leaves(found, where, function)
@@ -130,13 +157,29 @@ def _own(problems: Problems, where: str, kind: type[OfFrames], function: Any, dr
         function = jax.tree.map(float_array, function)
         for keys, x in jax.tree_util.tree_leaves_with_path(function):
             in_domain(x, kind_along(function, keys), where + jax.tree_util.keystr(keys), found)
-        check_returned(lambda function, _: function(reading), function, (), where, found, "poses by name")
+        check_returned(
+            lambda function, _: function(reading), function, (), where, found, "poses by name"
+        )
     names = tuple(reading.read)
     for problem in (unknown(name, where, tuple(drawn)) for name in names if name not in drawn):
         limit = "a body, a support or world"
-        found.add("UNKNOWN_BODY", where, f"frame {problem.message}", value=problem.value, limit=limit, hint=problem.hint)
+        found.add(
+            "UNKNOWN_BODY",
+            where,
+            f"frame {problem.message}",
+            value=problem.value,
+            limit=limit,
+            hint=problem.hint,
+        )
     if not found.collected and not set(names) - {WORLD}:
-        found.add("FUNCTION_FAILED", where, "reads no frame", value=names, limit="a frame or more", hint='Read frames["name"].')
+        found.add(
+            "FUNCTION_FAILED",
+            where,
+            "reads no frame",
+            value=names,
+            limit="a frame or more",
+            hint='Read frames["name"].',
+        )
     problems.collected += found.collected
     if found.collected:
         return None
@@ -144,7 +187,10 @@ def _own(problems: Problems, where: str, kind: type[OfFrames], function: Any, dr
     places = tuple(drawn[name] for name in element.between)
     if is_concrete((element, places)) and not _is_finite(element, places):
         message = "has a value or slopes that are not finite in the reference pose"
-        hint = "Draw the bodies where they are, and keep what is under a root or a fraction line away from zero."
+        hint = (
+            "Draw the bodies where they are, and keep what is under a root or a fraction "
+            "line away from zero."
+        )
         problems.add("NON_FINITE", where, message, value=names, limit="finite numbers", hint=hint)
     return element
 
@@ -157,5 +203,7 @@ def _pose(place: DrawnAt) -> Pose:
 def _is_finite(element: OfFrames, places: tuple[DrawnAt, ...]) -> Bool[Array, ""]:
     """Whether its value and its slopes are finite at rest in these places."""
     e = element.deformation(*map(_pose, places))
-    found = jax.value_and_grad(lambda e, e_dot: element.energy(e) + element.dissipation(e, e_dot), (0, 1))(e, jnp.zeros_like(e))
+    found = jax.value_and_grad(
+        lambda e, e_dot: element.energy(e) + element.dissipation(e, e_dot), (0, 1)
+    )(e, jnp.zeros_like(e))
     return jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves(found)]).all()

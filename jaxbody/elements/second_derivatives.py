@@ -1,4 +1,5 @@
-"""Second derivatives of the energies of elements with respect to the displacements of their frames: closed forms, and jax.jacfwd."""
+"""Second derivatives of the energies of elements with respect to the displacements of their frames:
+closed forms, and jax.jacfwd."""
 
 from __future__ import annotations
 
@@ -20,12 +21,19 @@ from jaxbody.numerics.xla_workarounds import inverse_root
 DeformationSlopes = tuple[Float[Array, "*rows 6"], ...]  # of each frame of an element
 # Positions and signs in a block: of h, of Q, and of the components of x and y
 SKEW = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)  # [e_x], [e_y], [e_z]
-UPPER_LEFT, LOWER_RIGHT = np.kron(np.diag([1.0, 0.0]), np.eye(3)), np.kron(np.diag([0.0, 1.0]), np.ones((3, 3)))
-LOWER_LEFT, UPPER_RIGHT = np.kron([[0.0, 0.0], [1.0, 0.0]], SKEW), np.kron([[0.0, 1.0], [0.0, 0.0]], -SKEW)
+UPPER_LEFT, LOWER_RIGHT = (
+    np.kron(np.diag([1.0, 0.0]), np.eye(3)),
+    np.kron(np.diag([0.0, 1.0]), np.ones((3, 3))),
+)
+LOWER_LEFT, UPPER_RIGHT = (
+    np.kron([[0.0, 0.0], [1.0, 0.0]], SKEW),
+    np.kron([[0.0, 1.0], [0.0, 0.0]], -SKEW),
+)
 
 
 class Block(NamedTuple):
-    """A block of a Hessian in the displacements of two frames, P + [[h I, -[y]], [[x], Q]], whose parts are summed separately."""
+    """A block of a Hessian in the displacements of two frames, P + [[h I, -[y]], [[x], Q]], whose
+    parts are summed separately."""
 
     P: Float[Array, "*n 6 6"] | None = None
     h: Float[Array, "*n"] | None = None
@@ -42,16 +50,27 @@ class Block(NamedTuple):
         return Block(P, self.h, self.y, self.x, Q)
 
     def whole(self) -> Float[Array, "*n 6 6"] | float:
-        """The 6 x 6 matrix, as a sum of products with ones and zeros: joined parts would be copied one number after another
-        (numerics/xla_workarounds.py)."""
+        """The 6 x 6 matrix, as a sum of products with ones and zeros: joined parts would be copied
+        one number after another (numerics/xla_workarounds.py)."""
         parts = [] if self.P is None else [self.P]
         if self.h is not None:
             parts.append(self.h[..., None, None] * to_rank(UPPER_LEFT, self.h.ndim + 2))
         for vector, places in ((self.x, LOWER_LEFT), (self.y, UPPER_RIGHT)):
-            parts += [] if vector is None else [vector[..., k, None, None] * to_rank(places[k], vector.ndim + 1) for k in range(3)]
+            parts += (
+                []
+                if vector is None
+                else [
+                    vector[..., k, None, None] * to_rank(places[k], vector.ndim + 1)
+                    for k in range(3)
+                ]
+            )
         if self.Q is not None:
-            everywhere = jnp.broadcast_to(self.Q[..., None, :, None, :], (*self.Q.shape[:-2], 2, 3, 2, 3))
-            parts.append(everywhere.reshape(*self.Q.shape[:-2], 6, 6) * to_rank(LOWER_RIGHT, self.Q.ndim))
+            everywhere = jnp.broadcast_to(
+                self.Q[..., None, :, None, :], (*self.Q.shape[:-2], 2, 3, 2, 3)
+            )
+            parts.append(
+                everywhere.reshape(*self.Q.shape[:-2], 6, 6) * to_rank(LOWER_RIGHT, self.Q.ndim)
+            )
         return sum(parts, 0.0)
 
 
@@ -65,16 +84,23 @@ def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, P
     return tuple(jnp.split(G, len(frames))), _blocks(H)
 
 
-def potential_derivatives(element: Element, *frames: Frame) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
-    """Gradient and Hessian of V; the Hessian is the symmetric part of the derivative of the wrenches, because rotations only add a skew
-    part."""
+def potential_derivatives(
+    element: Element, *frames: Frame
+) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
+    """Gradient and Hessian of V; the Hessian is the symmetric part of the derivative of the
+    wrenches, because rotations only add a skew part."""
     n = 6 * len(frames)
 
     def moved(frame, x):
-        return Frame(frame.p + x[:3], frame.R + product(skew(x[3:]), frame.R), jnp.zeros(3), jnp.zeros(3))
+        return Frame(
+            frame.p + x[:3], frame.R + product(skew(x[3:]), frame.R), jnp.zeros(3), jnp.zeros(3)
+        )
 
     def slopes(x):
-        at = (moved(frame, part) for frame, part in zip(frames, jnp.split(x, len(frames)), strict=True))
+        at = (
+            moved(frame, part)
+            for frame, part in zip(frames, jnp.split(x, len(frames)), strict=True)
+        )
         G = -jnp.concatenate([part for wrench in element.wrenches(*at) for part in wrench])
         return G, G
 
@@ -84,7 +110,8 @@ def potential_derivatives(element: Element, *frames: Frame) -> tuple[Float[Array
 
 @second_order.register
 def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlocks]:
-    """With V'' = h I + c d d' for the vector d between the points, h the tension over the length."""
+    """With V'' = h I + c d d' for the vector d between the points, h the tension over
+    the length."""
     a, b = rotate(A.R, line.a), rotate(B.R, line.b)
     d = (B.p - A.p) + (b - a)
     square = dot(d, d)
@@ -107,11 +134,13 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlo
 
 @second_order.register
 def _(bushing: FramePair, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlocks]:
-    """V depends on the relative pose, in the axes of the bushing on A: position t of the end on B and orientation R = exp([theta]), which
-    change as t -> t + tau, R -> exp([psi]) R. In world axes, to second order in the displacements of the frames, with b the arm of B and P
-    the vector from A's origin to B's end,
+    """V depends on the relative pose, in the axes of the bushing on A: position t of the end on B
+    and orientation R = exp([theta]), which change as t -> t + tau, R -> exp([psi]) R. In world
+    axes, to second order in the displacements of the frames, with b the arm of B and P the vector
+    from A's origin to B's end,
 
-        tau = d_b - d_a + phi_b x b - phi_a x P - phi_a x (d_b - d_a + phi_b x b) + phi_a x (phi_a x P)/2 + phi_b x (phi_b x b)/2
+        tau = d_b - d_a + phi_b x b - phi_a x P - phi_a x (d_b - d_a + phi_b x b)
+              + phi_a x (phi_a x P)/2 + phi_b x (phi_b x b)/2
         psi = phi_b - phi_a - phi_a x phi_b/2
     """
     R_A, R = turned(bushing, A.pose(), B.pose())
@@ -126,7 +155,9 @@ def _(bushing: FramePair, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBl
     slopes = tuple(jnp.concatenate([f, m]) @ Z for Z in (Z_a, Z_b))
     return slopes, {
         (0, 0): Block(Z_a.T @ H @ Z_a + _square(O, skew(f), -skew(f), turning(P, f))),
-        (0, 1): Block(Z_a.T @ H @ Z_b + _square(O, O, skew(f), -product(skew(f), skew(b)) + skew(m) / 2)),
+        (0, 1): Block(
+            Z_a.T @ H @ Z_b + _square(O, O, skew(f), -product(skew(f), skew(b)) + skew(m) / 2)
+        ),
         (1, 1): Block(Z_b.T @ H @ Z_b + _square(O, O, O, turning(b, f))),
     }
 
@@ -134,11 +165,12 @@ def _(bushing: FramePair, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBl
 def _in_relative_motion(
     bushing: FramePair, theta: Float[Array, "3"], t: Float[Array, "3"]
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
-    """Gradient and Hessian of V in (tau, psi), for e = (J t, theta), J = 1 - [theta]/2 + c [theta]^2, c a function of x = |theta|^2.
+    """Gradient and Hessian of V in (tau, psi), for e = (J t, theta), J = 1 - [theta]/2 + c
+    [theta]^2, c a function of x = |theta|^2.
 
     With eta = J psi the changes are d theta = eta, d2 theta = N(psi) eta, du = J tau + N(t) eta,
-    d2u = 2 N(tau) eta + N(t) d2 theta + D2J(t)[eta, eta], where N(y) eta is the derivative of J y along eta; P(g) is the matrix of
-    eta . P(g) y = g . N(y) eta, S that of f . D2J(t)[eta, eta]."""
+    d2u = 2 N(tau) eta + N(t) d2 theta + D2J(t)[eta, eta], where N(y) eta is the derivative of J y
+    along eta; P(g) is the matrix of eta . P(g) y = g . N(y) eta, S that of f . D2J(t)[eta, eta]."""
     c, c1, c2 = _with_derivatives(rotations.cotc, dot(theta, theta))
     T = skew(theta)
     J = np.eye(3, dtype=t.dtype) - T / 2 + c * product(T, T)
@@ -150,10 +182,18 @@ def _in_relative_motion(
         return y[:, None] * x[None]
 
     def N(y):
-        return skew(y) / 2 + 2 * c1 * along(squared(y), theta) - c * (skew(cross(theta, y)) + product(T, skew(y)))
+        return (
+            skew(y) / 2
+            + 2 * c1 * along(squared(y), theta)
+            - c * (skew(cross(theta, y)) + product(T, skew(y)))
+        )
 
     def P(g):
-        return skew(g) / 2 + 2 * c1 * along(theta, squared(g)) - c * (product(skew(g), T) + skew(cross(g, theta)))
+        return (
+            skew(g) / 2
+            + 2 * c1 * along(theta, squared(g))
+            - c * (product(skew(g), T) + skew(cross(g, theta)))
+        )
 
     u = rotate(J, t)
     e = jnp.concatenate([u, theta])
@@ -175,8 +215,9 @@ def _in_relative_motion(
 
 
 def _states_held(force, e: Array) -> Any:
-    """force(e). In its derivatives by parameters the states of laws with hysteresis stay; they follow only where e is displaced, as
-    `laws.memories.Apart` has it wherever a force is differentiated directly."""
+    """force(e). In its derivatives by parameters the states of laws with hysteresis stay; they
+    follow only where e is displaced, as `laws.memories.Apart` has it wherever a force is
+    differentiated directly."""
     return jax.jvp(force, (e,), (jnp.ones_like(e),))[0]
 
 
@@ -193,7 +234,9 @@ def _with_derivatives(function, x: Array) -> tuple[Array, Array, Array]:
 def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     """The Hessian of force . exp([phi]) arm: (f a' + a f')/2 - (f . a) I."""
     outer = force[..., :, None] * arm[..., None, :]
-    return (outer + jnp.swapaxes(outer, -1, -2)) / 2 - dot(force, arm)[..., None, None] * to_rank(np.eye(3, dtype=arm.dtype), outer.ndim)
+    return (outer + jnp.swapaxes(outer, -1, -2)) / 2 - dot(force, arm)[..., None, None] * to_rank(
+        np.eye(3, dtype=arm.dtype), outer.ndim
+    )
 
 
 @singledispatch
@@ -203,12 +246,16 @@ def dissipation_hessian(element: Element, *frames: Frame) -> PairBlocks:
 
 
 def damping_matrix(element: Element, *frames: Frame) -> Float[Array, "n n"]:
-    """Hessian of R in the velocities of the frames: J' R'' J, with J the derivative of e_dot in these velocities."""
+    """Hessian of R in the velocities of the frames: J' R'' J, with J the derivative of e_dot in
+    these velocities."""
     e, e_dot = element.rates(*frames)
     n = 6 * len(frames)
 
     def rates(x):
-        at = (Frame(f.p, f.R, part[:3], part[3:]) for f, part in zip(frames, jnp.split(x, len(frames)), strict=True))
+        at = (
+            Frame(f.p, f.R, part[:3], part[3:])
+            for f, part in zip(frames, jnp.split(x, len(frames)), strict=True)
+        )
         return element.rates(*at)[1]
 
     J = jax.vmap(rates, out_axes=-1)(np.eye(n, dtype=frames[0].p.dtype)).reshape(-1, n)
@@ -218,7 +265,8 @@ def damping_matrix(element: Element, *frames: Frame) -> Float[Array, "n n"]:
 
 @dissipation_hessian.register
 def _(line: LineElement, A: Frame, B: Frame) -> PairBlocks:
-    """c g g', c the slope of the damper's tension, g = (u, arm x u) along the unit vector u from a to b."""
+    """c g g', c the slope of the damper's tension, g = (u, arm x u) along the unit vector u from a
+    to b."""
     a, b = rotate(A.R, line.a), rotate(B.R, line.b)
     L, u = length_and_direction((B.p - A.p) + (b - a))
     e_dot = dot(u, (B.v - A.v) + (cross(B.w, b) - cross(A.w, a)))
@@ -233,7 +281,11 @@ def _(line: LineElement, A: Frame, B: Frame) -> PairBlocks:
 
 def _blocks(H: Float[Array, "m m"]) -> PairBlocks:
     n = len(H) // 6
-    return {(i, j): Block(H[6 * i : 6 * i + 6, 6 * j : 6 * j + 6]) for i in range(n) for j in range(i, n)}
+    return {
+        (i, j): Block(H[6 * i : 6 * i + 6, 6 * j : 6 * j + 6])
+        for i in range(n)
+        for j in range(i, n)
+    }
 
 
 def _square(a: Array, b: Array, c: Array, d: Array) -> Array:

@@ -24,23 +24,28 @@ class LawElement(LawForces):
 
 
 class Torsion(LawElement):
-    """A torsion spring and damper between two bodies, for example at a hinge: the rotation of B relative to A about an axis n of A,
+    """A torsion spring and damper between two bodies, for example at a hinge: the rotation of B
+    relative to A about an axis n of A,
 
-        e = 2 atan2(n . w, 1 + tr R) - e0,   R = R_A' R_B,   w = (R32 - R23, R13 - R31, R21 - R12),   |e + e0| < pi
+        e = 2 atan2(n . w, 1 + tr R) - e0,   R = R_A' R_B,   w = (R32 - R23, R13 - R31, R21 - R12),
+        |e + e0| < pi
 
-    which for a general rotation is the part about n (the twist). At half a turn e jumps by 2 pi, and `simulate` warns HALF_TURN. At a ball
-    joint use a Bushing for all three axes.
+    which for a general rotation is the part about n (the twist). At half a turn e jumps by 2 pi,
+    and `simulate` warns HALF_TURN. At a ball joint use a Bushing for all three axes.
 
     Args:
         a, b: names, or (name, point) with the point where plots show the element
         axis: n; x, y, z or a direction, in the axes of A
-        spring: a law [rad -> N m], with or without memory, a stiffness [N m/rad] or a function; None: no spring
+        spring: a law [rad -> N m], with or without memory, a stiffness [N m/rad] or a
+            function; None: no spring
         damper: a law without memory [rad/s -> N m], a damping [N m s/rad] or a function
-        free_angle: e0 [rad]; it is zero if the spring is relaxed where the axes of the two frames coincide
+        free_angle: e0 [rad]; it is zero if the spring is relaxed where the axes of the two
+            frames coincide
         orientation: orientation of these axes in A
         orientation_b: orientation of these axes in B
 
-    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, MEMORY, those of the laws.
+    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, MEMORY, those
+    of the laws.
     Warns UNIT for a free angle of more than a turn.
 
     >>> spring = Torsion("arm", "base", axis=[0, 0, 1], spring=30.0, damper=0.5)
@@ -51,7 +56,10 @@ class Torsion(LawElement):
     jump = (
         "HALF_TURN",
         "is turned by 180 degrees",
-        "the angle of a torsion spring jumps at half a turn: turn `orientation` to the middle of its motion, or put two in series",
+        (
+            "the angle of a torsion spring jumps at half a turn: turn `orientation` to the middle "
+            "of its motion, or put two in series"
+        ),
     )
     spring: laws.Law | None = field(words={"force": "N m", "argument": "rad"})
     damper: laws.Law | None = field(words={"force": "N m", "argument": "rad/s"})
@@ -60,7 +68,18 @@ class Torsion(LawElement):
     orientation: Float[Array, "4"] = field("", "rotation")
     orientation_b: Float[Array, "4"] = field("", "rotation")
 
-    def __init__(self, a, b, *, axis, spring=None, damper=None, free_angle=0.0, orientation=IDENTITY, orientation_b=IDENTITY):
+    def __init__(
+        self,
+        a,
+        b,
+        *,
+        axis,
+        spring=None,
+        damper=None,
+        free_angle=0.0,
+        orientation=IDENTITY,
+        orientation_b=IDENTITY,
+    ):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), "Torsion", problems, points=False)
             self.axis = direction(axis, "Torsion.axis", problems)
@@ -86,7 +105,8 @@ class Torsion(LawElement):
 
 
 class AntiRollBar(LawElement):
-    """An anti-roll bar: it resists a difference in travel of two wheels relative to the body that carries the bar,
+    """An anti-roll bar: it resists a difference in travel of two wheels relative to the body that
+    carries the bar,
 
         e = n . (P_left - P_right),   n = R_body `axis`
 
@@ -94,13 +114,15 @@ class AntiRollBar(LawElement):
         left, right: (name of the wheel, point of its drop link)
         body: name of the body that carries the bar, or (name, point)
         axis: upwards; x, y, z or a direction, in body axes
-        spring: a law, with or without memory, or the stiffness at the wheels [N/m]: torsional stiffness of the bar over the square of its
-            lever arm
+        spring: a law, with or without memory, or the stiffness at the wheels [N/m]: torsional
+            stiffness of the bar over the square of its lever arm
         damper: a law without memory, as a function of the rate, or a damping [N s/m]
 
     Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, MEMORY, those of the laws.
 
-    >>> bar = AntiRollBar(("left wheel", [0, -0.1, 0]), ("right wheel", [0, 0.1, 0]), "car", spring=1.2e4)
+    >>> bar = AntiRollBar(
+    ...     ("left wheel", [0, -0.1, 0]), ("right wheel", [0, 0.1, 0]), "car", spring=1.2e4
+    ... )
     >>> bar.between
     ('left wheel', 'right wheel', 'car')
     """
@@ -112,7 +134,9 @@ class AntiRollBar(LawElement):
 
     def __init__(self, left, right, body, *, axis=(0, 0, 1), spring=None, damper=None):
         with Problems() as problems:
-            self.between, (self.a, self.b, self.c) = ends((left, right, body), "AntiRollBar", problems, points=False)
+            self.between, (self.a, self.b, self.c) = ends(
+                (left, right, body), "AntiRollBar", problems, points=False
+            )
             self.axis = direction(axis, "AntiRollBar.axis", problems)
             self.spring = laws.as_law(spring, "AntiRollBar.spring", problems)
             self.damper = memories.as_damper(damper, "AntiRollBar.damper", problems)

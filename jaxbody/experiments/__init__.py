@@ -1,1 +1,2 @@
-"""Measurements, and the predictions of a model for them; checks of records and models before a fit."""
+"""Measurements, and the predictions of a model for them; checks of records and models before
+a fit."""

@@ -6,7 +6,8 @@ import numpy as np
 
 
 def centered(y: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A record and its prediction from their means, zero for missing samples, and which samples are there."""
+    """A record and its prediction from their means, zero for missing samples, and which samples
+    are there."""
     valid = np.isfinite(y) & np.isfinite(p)
     return *(np.where(valid, x - np.mean(x, where=valid), 0.0) for x in (y, p)), valid  # pyright: ignore[reportReturnType]
 
@@ -18,12 +19,15 @@ def correlation(y: np.ndarray, p: np.ndarray) -> float:
 
 
 def best_shift(y: np.ndarray, p: np.ndarray) -> tuple[int, float]:
-    """By how many samples a record is later than its prediction for the largest correlation, up to half the record, and this."""
+    """By how many samples a record is later than its prediction for the largest correlation, up to
+    half the record, and this."""
     from scipy.signal import correlate, correlation_lags
 
     lags = correlation_lags(len(y), len(p))
     near = np.abs(lags) <= len(y) // 2
-    overlap, size = (correlate(a, b, method="fft")[near] for a, b in ((y, p), (y**2, np.ones(len(p)))))
+    overlap, size = (
+        correlate(a, b, method="fft")[near] for a, b in ((y, p), (y**2, np.ones(len(p))))
+    )
     other = correlate(np.ones(len(y)), p**2, method="fft")[near]
     r = overlap / np.sqrt(np.maximum(size * other, np.finfo(float).tiny))
     best = int(np.argmax(np.abs(r)))

@@ -1,4 +1,5 @@
-"""Measured dynamic stiffness of an element for fits: magnitude and loss angle by frequency, as a mount's data sheet gives them."""
+"""Measured dynamic stiffness of an element for fits: magnitude and loss angle by frequency, as a
+mount's data sheet gives them."""
 
 from __future__ import annotations
 
@@ -19,11 +20,12 @@ class StiffnessChannel(Channel):
     """Magnitude or loss angle of a dynamic stiffness."""
 
     shape = ()
-    unit: str = eqx.field(static=True, default="N/m")  # pyright: ignore[reportIncompatibleVariableOverride]
+    unit: str = eqx.field(static=True, default=("N/m"))  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class MeasuredStiffness(Measurement):
-    """The measured dynamic stiffness of one element, by itself: the model has no part in it but this element.
+    """The measured dynamic stiffness of one element, by itself: the model has no part in it but
+    this element.
 
     Args:
         element: name of the element
@@ -33,11 +35,18 @@ class MeasuredStiffness(Measurement):
         amplitude: of the deformation [m, rad], as in `dynamic_stiffness`; by default small
         preload: static force [N, N m]
         direction: of a Mount: x, y, z, rx, ry or rz
-        noise: {"magnitude": standard deviation, "loss_angle": ...}, each one number or one for each frequency; by default estimated
+        noise: {"magnitude": standard deviation, "loss_angle": ...}, each one number or one for each
+            frequency; by default estimated
 
-    Errors, all at once: NO_DATA, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE, ALL_NAN, BAD_NOISE, UNKNOWN_NAME.
+    Errors, all at once: NO_DATA, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE, ALL_NAN,
+    BAD_NOISE, UNKNOWN_NAME.
 
-    >>> sheet = MeasuredStiffness("mount", [5.0, 10.0], magnitude=[3.0e4, 4.6e4], loss_angle=jnp.deg2rad(jnp.array([34.0, 36.0])))
+    >>> sheet = MeasuredStiffness(
+    ...     "mount",
+    ...     [5.0, 10.0],
+    ...     magnitude=[3.0e4, 4.6e4],
+    ...     loss_angle=jnp.deg2rad(jnp.array([34.0, 36.0])),
+    ... )
     >>> list(sheet.channels)
     ['magnitude', 'loss_angle']
     """
@@ -51,19 +60,42 @@ class MeasuredStiffness(Measurement):
     noise: dict[str, Float[Array, "..."]] | None
 
     def __init__(
-        self, element: str, frequencies, *, magnitude=None, loss_angle=None, amplitude=None, preload=0.0, direction=None, noise=None
+        self,
+        element: str,
+        frequencies,
+        *,
+        magnitude=None,
+        loss_angle=None,
+        amplitude=None,
+        preload=0.0,
+        direction=None,
+        noise=None,
     ):
         with Problems() as problems:
-            checked = problems.gather(lambda: check_frequencies(frequencies, "MeasuredStiffness.frequencies"))
+            checked = problems.gather(
+                lambda: check_frequencies(frequencies, "MeasuredStiffness.frequencies")
+            )
             shape = np.shape(frequencies if checked is None else checked)
             given = {"magnitude": magnitude, "loss_angle": loss_angle}
-            arrays = {name: float_array(x, f"MeasuredStiffness.{name}") for name, x in given.items() if x is not None}
+            arrays = {
+                name: float_array(x, f"MeasuredStiffness.{name}")
+                for name, x in given.items()
+                if x is not None
+            }
             if not arrays:
-                problems.add("NO_DATA", "MeasuredStiffness", "has no data", limit="magnitude= or loss_angle=")
+                problems.add(
+                    "NO_DATA", "MeasuredStiffness", "has no data", limit="magnitude= or loss_angle="
+                )
             for name, array in arrays.items():
-                check_rows(array, shape, f"MeasuredStiffness.{name}", "frequencies", str(shape), problems)
+                check_rows(
+                    array, shape, f"MeasuredStiffness.{name}", "frequencies", str(shape), problems
+                )
             levels = noise_of(noise or {}, arrays, "MeasuredStiffness.noise", problems)
-            size = None if amplitude is None else scalar(amplitude, "MeasuredStiffness.amplitude", problems)
+            size = (
+                None
+                if amplitude is None
+                else scalar(amplitude, "MeasuredStiffness.amplitude", problems)
+            )
             force = scalar(preload, "MeasuredStiffness.preload", problems)
         self.element, self.direction = str(element), direction
         self.frequencies = checked  # pyright: ignore[reportAttributeAccessIssue]
@@ -86,7 +118,13 @@ class MeasuredStiffness(Measurement):
 
     def _predicted(self, model) -> Any:
         element = model[self.element]
-        return dynamic_stiffness(element, self.frequencies, preload=self.preload, amplitude=self.amplitude, direction=self.direction)
+        return dynamic_stiffness(
+            element,
+            self.frequencies,
+            preload=self.preload,
+            amplitude=self.amplitude,
+            direction=self.direction,
+        )
 
     def readings(self, model, integration, lin):
         predicted = self._predicted(model)

@@ -1,4 +1,5 @@
-"""The interface of measurements to fits: records in time, frequency responses and modes are all residuals by channel."""
+"""The interface of measurements to fits: records in time, frequency responses and modes are all
+residuals by channel."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -14,8 +15,9 @@ from jaxbody.sensors.channels import Channel
 
 
 class Measurement(eqx.Module):
-    """Base class of measurements: `measured` numbers by channel, `noise`, their standard deviations if stated, and `readings`, the
-    predictions of a model for them; `linear`: from small motions about its equilibrium, which all measurements of a model share."""
+    """Base class of measurements: `measured` numbers by channel, `noise`, their standard deviations
+    if stated, and `readings`, the predictions of a model for them; `linear`: from small motions
+    about its equilibrium, which all measurements of a model share."""
 
     linear: ClassVar[bool] = False
     plot = PlotMethod()
@@ -28,7 +30,8 @@ class Measurement(eqx.Module):
 
     @abstractmethod
     def readings(self, model: Any, integration: Any, lin: Any) -> dict[str, Array]:
-        """{channel: array like `measured`}, NaN where the model has no prediction. `lin`: its linearization if `linear`."""
+        """{channel: array like `measured`}, NaN where the model has no prediction. `lin`: its
+        linearization if `linear`."""
 
     def residual(self, name: str, reading: Array) -> Array:
         """Reading minus measured value of a channel, zero for missing samples."""
@@ -47,11 +50,12 @@ class Measurement(eqx.Module):
         return self
 
     def scale_of(self, path: str, unit: str) -> Any:
-        """The scale s in x0 + s u of a number of this measurement in a fit; None for its own size."""
+        """The scale s in x0 + s u of a number of this measurement in a fit; None for its
+        own size."""
 
     def moved_rows(self, path: str, channel: str) -> Array | None:
-        """(rows, parts) of booleans: which rows of a channel depend on each part of a leaf of this measurement, at most two consecutive
-        parts for a row. None: all rows depend on all parts."""
+        """(rows, parts) of booleans: which rows of a channel depend on each part of a leaf of this
+        measurement, at most two consecutive parts for a row. None: all rows depend on all parts."""
 
     def check(self, model: Any, where: str) -> None:
         """Raise errors if the measurement does not match the model."""
@@ -73,30 +77,64 @@ class Measurement(eqx.Module):
         return ~self.channels[name].missing(as_numpy(self.measured[name]))
 
 
-def check_rows(array: Any, shape: tuple[int, ...], where: str, rows: str, limit: str, problems: Problems) -> None:
-    """Check measured numbers, one for each of some rows, with NaN for rows to leave out; errors go to `problems`."""
+def check_rows(
+    array: Any, shape: tuple[int, ...], where: str, rows: str, limit: str, problems: Problems
+) -> None:
+    """Check measured numbers, one for each of some rows, with NaN for rows to leave out; errors go
+    to `problems`."""
     known = concrete(array)
     if np.shape(array) != shape:
-        problems.add("BAD_SHAPE", where, f"has shape {np.shape(array)}", value=np.shape(array), limit=limit)
+        problems.add(
+            "BAD_SHAPE", where, f"has shape {np.shape(array)}", value=np.shape(array), limit=limit
+        )
     elif known is not None and np.isinf(known).any():
-        problems.add("NON_FINITE", where, "has infinite values", limit=f"finite, or NaN for {rows} to leave out")
+        problems.add(
+            "NON_FINITE",
+            where,
+            "has infinite values",
+            limit=f"finite, or NaN for {rows} to leave out",
+        )
     elif known is not None and np.isnan(known).all():
         problems.add("ALL_NAN", where, "has only NaN", hint="Leave it out.")
 
 
-def noise_of(given: dict[Any, Any], measured: dict[Any, Any], where: str, problems: Problems) -> dict[Any, Any]:
-    """Standard deviations of measured quantities, each one number or one for each measured number; errors go to `problems`."""
+def noise_of(
+    given: dict[Any, Any], measured: dict[Any, Any], where: str, problems: Problems
+) -> dict[Any, Any]:
+    """Standard deviations of measured quantities, each one number or one for each measured number;
+    errors go to `problems`."""
     levels = {}
     for name, level in given.items():
-        place, deviation = f"{where}[{name!r}]", level if concrete(level) is None else np.asarray(level, float)
+        place, deviation = (
+            f"{where}[{name!r}]",
+            level if concrete(level) is None else np.asarray(level, float),
+        )
         shapes = ((), np.shape(measured[name]) if name in measured else ())
         if name not in measured:
-            problems.add("UNKNOWN_NAME", place, "is not measured", value=name, limit=", ".join(map(str, measured)))
+            problems.add(
+                "UNKNOWN_NAME",
+                place,
+                "is not measured",
+                value=name,
+                limit=", ".join(map(str, measured)),
+            )
         elif np.shape(deviation) not in shapes:
             limit = " or ".join(map(str, dict.fromkeys(shapes)))
-            problems.add("BAD_SHAPE", place, f"has shape {np.shape(deviation)}", value=deviation, limit=limit)
-        elif isinstance(deviation, np.ndarray) and not (np.isfinite(deviation) & (deviation > 0)).all():
-            problems.add("BAD_NOISE", place, "is not positive", value=deviation, limit="> 0", hint="Leave out noise= to estimate it.")
+            problems.add(
+                "BAD_SHAPE", place, f"has shape {np.shape(deviation)}", value=deviation, limit=limit
+            )
+        elif (
+            isinstance(deviation, np.ndarray)
+            and not (np.isfinite(deviation) & (deviation > 0)).all()
+        ):
+            problems.add(
+                "BAD_NOISE",
+                place,
+                "is not positive",
+                value=deviation,
+                limit="> 0",
+                hint="Leave out noise= to estimate it.",
+            )
         else:
             levels[name] = device_array(deviation)
     return levels

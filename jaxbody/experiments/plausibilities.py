@@ -1,5 +1,5 @@
-"""Plausibility checks: the size of numbers that a wrong unit changes by orders of magnitude, such as millimeters for meters, and geometry
-that is drawn apart or does not stay as it is drawn."""
+"""Plausibility checks: the size of numbers that a wrong unit changes by orders of magnitude, such
+as millimeters for meters, and geometry that is drawn apart or does not stay as it is drawn."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ from jaxbody.vibrations.linearizations import Linearization, linearize
 GYRATION = (0.02, 5.0)  # relative to the distance of the farthest attachment point
 FREQUENCIES = (0.01, 1e5)  # Hz
 SAG = (1e-9, 1.0)  # relative to the size of the model
-SOFT = (1e-9, 5.0)  # the same of the first mode of a model without gravity, which may move across it
+# the same of the first mode of a model without gravity, which may move across it
+SOFT = (1e-9, 5.0)
 DENSITY = (0.01, 1e5)  # kg/m3
 EARTH = (9.7, 9.9)  # m/s2
 STEPS = (1e-6, 0.5)  # relative to the period of the first mode
@@ -39,7 +40,8 @@ ZERO = 1e-9  # eigenvalue relative to the largest that counts as zero
 
 
 class Plausibility(Result):
-    """Result of `plausibility`: `numbers` {quantity: (value, unit, usual range)} and `words` on those outside of their range."""
+    """Result of `plausibility`: `numbers` {quantity: (value, unit, usual range)} and `words` on
+    those outside of their range."""
 
     status: Int[Array, ""]
     numbers: dict[str, tuple[float, str, str]] = eqx.field(static=True)
@@ -47,28 +49,45 @@ class Plausibility(Result):
 
     def _tables(self) -> list[tables.PrintedTable]:
         rows = [(quantity, *number) for quantity, number in self.numbers.items()]
-        return [tables.PrintedTable("Plausibility", ("", "value", "", "usual"), rows, "\n".join(self.words) or "no remarks")]
+        return [
+            tables.PrintedTable(
+                "Plausibility",
+                ("", "value", "", "usual"),
+                rows,
+                "\n".join(self.words) or "no remarks",
+            )
+        ]
 
 
-def plausibility(model: Model | Suspension, experiments: dict[str, Any] | None = None) -> Plausibility:
-    """Quantities of a model or a suspension that a wrong unit changes by orders of magnitude, compared with their usual ranges at the
-    reference pose or, with closures, at the nearest configuration that fulfils them.
+def plausibility(
+    model: Model | Suspension, experiments: dict[str, Any] | None = None
+) -> Plausibility:
+    """Quantities of a model or a suspension that a wrong unit changes by orders of magnitude,
+    compared with their usual ranges at the reference pose or, with closures, at the nearest
+    configuration that fulfils them.
 
-    These are the radius of gyration of each body that can rotate, relative to its farthest attachment point (detects kg mm2, or an inertia
-    about another point); the mass of all bodies over the cube of the size of the model (mm, g, t); the first natural frequency f and the
-    sag under gravity (N/mm, mm), of a model without gravity that which it would have along its first mode, g/(2 pi f)^2 with 9.81 m/s2;
-    gravity itself; and the sampling step of `experiments` relative to the first natural period (ms).
+    These are the radius of gyration of each body that can rotate, relative to its farthest
+    attachment point (detects kg mm2, or an inertia about another point); the mass of all bodies
+    over the cube of the size of the model (mm, g, t); the first natural frequency f and the sag
+    under gravity (N/mm, mm), of a model without gravity that which it would have along its first
+    mode, g/(2 pi f)^2 with 9.81 m/s2; gravity itself; and the sampling step of `experiments`
+    relative to the first natural period (ms).
 
-    Named are also mounts whose two frames are drawn more than a twentieth of the size apart, or turned by more than 5 degrees; torsions
-    whose axis is not the same at both ends; and an equilibrium 0.3 of the size or 30 degrees from the drawn pose, as of a pendulum that is
+    Named are also mounts whose two frames are drawn more than a twentieth of the size apart, or
+    turned by more than 5 degrees; torsions whose axis is not the same at both ends; and an
+    equilibrium 0.3 of the size or 30 degrees from the drawn pose, as of a pendulum that is
     drawn sideways.
 
-    Warns GYRATION, DENSITY, FREQUENCY, SAG, GRAVITY (neither zero nor 9.7 to 9.9 m/s2), TIME_UNIT, DRAWN_APART, FAR_FROM_DRAWN, FLOAT32.
-    Errors: X64_CHANGED.
+    Warns GYRATION, DENSITY, FREQUENCY, SAG, GRAVITY (neither zero nor 9.7 to 9.9 m/s2), TIME_UNIT,
+    DRAWN_APART, FAR_FROM_DRAWN, FLOAT32. Errors: X64_CHANGED.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=800.0, free_length=1.0)
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
-    ...               elements={"s": spring}, gravity=[0, -9.81, 0])
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     elements={"s": spring},
+    ...     gravity=[0, -9.81, 0],
+    ... )
     >>> plausibility(model).words
     ()
     """
@@ -77,17 +96,39 @@ def plausibility(model: Model | Suspension, experiments: dict[str, Any] | None =
     numbers: dict[str, tuple[float, str, str]] = {}
     words: list[tuple[str, str]] = []
 
-    def note(code: str, quantity: str, value: float, unit: str, usual: tuple[float, float], remark: str) -> None:
+    def note(
+        code: str, quantity: str, value: float, unit: str, usual: tuple[float, float], remark: str
+    ) -> None:
         numbers[quantity] = (value, unit, f"{usual[0]:g} to {usual[1]:g}")
         if not usual[0] <= value <= usual[1]:
-            words.append((code, f"{quantity} is {value:.4g} {unit}".rstrip() + f", not {usual[0]:g} to {usual[1]:g}: {remark}"))
+            words.append(
+                (
+                    code,
+                    f"{quantity} is {value:.4g} {unit}".rstrip()
+                    + f", not {usual[0]:g} to {usual[1]:g}: {remark}",
+                )
+            )
 
     for name, ratio in _gyration_ratios(model).items():
         remark = "is the inertia in kg m2, about the center of mass, and are the points in meters?"
-        note("GYRATION", f"radius of gyration of '{name}' over its extent", ratio, "", GYRATION, remark)
+        note(
+            "GYRATION",
+            f"radius of gyration of '{name}' over its extent",
+            ratio,
+            "",
+            GYRATION,
+            remark,
+        )
     size = float(size_of(model))
     density = float(np.sum(model.bodies.rows.mass)) / size**3
-    note("DENSITY", "mass over the cube of the size of the model", density, "kg/m3", DENSITY, "are masses in kg and points in meters?")
+    note(
+        "DENSITY",
+        "mass over the cube of the size of the model",
+        density,
+        "kg/m3",
+        DENSITY,
+        "are masses in kg and points in meters?",
+    )
     first, sag = (float(x) for x in _scales(_at_reference(model)))
     if np.isfinite(first):
         remark = "are stiffnesses in N/m and masses in kg?"
@@ -100,36 +141,60 @@ def plausibility(model: Model | Suspension, experiments: dict[str, Any] | None =
         note("SAG", "sag under gravity over the size of the model", sag, "", SAG, remark)
     if not g and first > 0:
         soft = GRAVITY / (2 * np.pi * first) ** 2 / size
-        note("SAG", "sag along the first mode, were there gravity, over the size of the model", soft, "", SOFT, remark)
+        note(
+            "SAG",
+            "sag along the first mode, were there gravity, over the size of the model",
+            soft,
+            "",
+            SOFT,
+            remark,
+        )
     for name, run in (experiments or {}).items():
         if np.isfinite(first) and len(np.atleast_1d(getattr(run, "times", ()))) > 1:
             ratio = first * float(np.median(np.diff(run.times)))
-            note("TIME_UNIT", f"step of '{name}' over the first period", ratio, "", STEPS, "are its times in seconds?")
+            note(
+                "TIME_UNIT",
+                f"step of '{name}' over the first period",
+                ratio,
+                "",
+                STEPS,
+                "are its times in seconds?",
+            )
     words += [("DRAWN_APART", said) for said in drawn_apart(model)]
     if model.layout.nv and not unattached(model):
-        words += [("FAR_FROM_DRAWN", said) for said in equilibrium_of(model, None, MOST_STEPS, None).far]
+        words += [
+            ("FAR_FROM_DRAWN", said) for said in equilibrium_of(model, None, MOST_STEPS, None).far
+        ]
     for code, message in words:
         warn(code, message)
     return Plausibility(jnp.asarray(Status.OK), numbers, tuple(message for _, message in words))
 
 
 def _gyration_ratios(model: Model) -> dict[str, float]:
-    """sqrt(largest moment/mass) over the distance from center of mass to farthest attachment point, of bodies that can rotate."""
+    """sqrt(largest moment/mass) over the distance from center of mass to farthest attachment point,
+    of bodies that can rotate."""
     ratios = {}
     for name in model.layout.bodies:
         body = model[name]
         reach = [0.0]
         for table in model.attached:
             for i, link in enumerate(table.links):
-                points = [np.asarray(end[i]) for end, on in zip(table.rows.points, link, strict=True) if on == name]
+                points = [
+                    np.asarray(end[i])
+                    for end, on in zip(table.rows.points, link, strict=True)
+                    if on == name
+                ]
                 reach += [float(np.linalg.norm(point - body.com)) for point in points]
         if model.layout.turns[model.layout.v_slices[name]].any() and max(reach) > 0:
-            ratios[name] = float(np.sqrt(np.linalg.eigvalsh(body.inertia)[-1] / body.mass) / max(reach))
+            ratios[name] = float(
+                np.sqrt(np.linalg.eigvalsh(body.inertia)[-1] / body.mass) / max(reach)
+            )
     return ratios
 
 
 def first_frequency(model: Model) -> float:
-    """The first natural frequency [Hz] at the reference pose that is not zero; NaN without stiffness."""
+    """The first natural frequency [Hz] at the reference pose that is not zero; NaN
+    without stiffness."""
     return float(_scales(_at_reference(model))[0])
 
 
@@ -139,8 +204,9 @@ def _at_reference(model: Model) -> Linearization:
 
 @program
 def _scales(lin: Linearization) -> tuple[Array, Array]:
-    """The first nonzero natural frequency [Hz], from |eigenvalues|, and the largest static displacement under gravity of modes with
-    stiffness, relative to the size of the model; NaN without stiffness."""
+    """The first nonzero natural frequency [Hz], from |eigenvalues|, and the largest static
+    displacement under gravity of modes with stiffness, relative to the size of the model; NaN
+    without stiffness."""
     model, state, (M, K) = lin.model, lin.state, lin.quasistatic
     moves = lin.expanded(jnp.eye(len(M), dtype=M.dtype))
     weightless = eqx.tree_at(lambda m: m.gravity, model, jnp.zeros_like(model.gravity))
@@ -151,11 +217,17 @@ def _scales(lin: Linearization) -> tuple[Array, Array]:
 
     force = -jax.grad(weight)(jnp.zeros(M.shape[0]))
     L = jnp.linalg.cholesky(M)
-    reduced = jax.scipy.linalg.solve_triangular(L, jax.scipy.linalg.solve_triangular(L, K, lower=True).T, lower=True)
+    reduced = jax.scipy.linalg.solve_triangular(
+        L, jax.scipy.linalg.solve_triangular(L, K, lower=True).T, lower=True
+    )
     squares, vectors = jnp.linalg.eigh((reduced + reduced.T) / 2)
     stiff = jnp.abs(squares) > ZERO * jnp.max(jnp.abs(squares))
     first = jnp.sqrt(jnp.min(jnp.where(stiff, jnp.abs(squares), jnp.inf))) / (2 * jnp.pi)
     modal = vectors.T @ jax.scipy.linalg.solve_triangular(L, force, lower=True)
-    moved = jax.scipy.linalg.solve_triangular(L.T, vectors @ jnp.where(stiff, modal / jnp.where(stiff, squares, 1.0), 0.0), lower=False)
+    moved = jax.scipy.linalg.solve_triangular(
+        L.T, vectors @ jnp.where(stiff, modal / jnp.where(stiff, squares, 1.0), 0.0), lower=False
+    )
     lengths = jnp.where(model.layout.turns, 0.0, jnp.abs(moves @ moved))
-    return jnp.where(jnp.any(stiff), first, jnp.nan), jnp.where(jnp.any(stiff), jnp.max(lengths) / size_of(model), jnp.nan)
+    return jnp.where(jnp.any(stiff), first, jnp.nan), jnp.where(
+        jnp.any(stiff), jnp.max(lengths) / size_of(model), jnp.nan
+    )

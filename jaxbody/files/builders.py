@@ -1,4 +1,5 @@
-"""Builders: the checked values of a document become objects by the constructors, whose problems get the lines of the document."""
+"""Builders: the checked values of a document become objects by the constructors, whose problems get
+the lines of the document."""
 
 from __future__ import annotations
 
@@ -20,7 +21,16 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.elements.elements import Element
 from jaxbody.files.coordinate_units import by_name, owner, words_of_coupling
 from jaxbody.files.documents import Document, EntryPath, shown
-from jaxbody.files.kinds import CLOSURES, PLAIN, SECTIONS, TYPES, Argument, arguments_of, class_of, object_schema
+from jaxbody.files.kinds import (
+    CLOSURES,
+    PLAIN,
+    SECTIONS,
+    TYPES,
+    Argument,
+    arguments_of,
+    class_of,
+    object_schema,
+)
 from jaxbody.files.quantities import in_SI
 from jaxbody.files.schemas import Check
 from jaxbody.geometry.closures import Closure, Coupling
@@ -41,16 +51,21 @@ from jaxbody.sensors.sensors import Sensor
 
 IN_PLACE = ("file", "part")  # entries of a record that are no arguments of read_record
 MORE_THAN_A_TURN = r".* rad, more than a turn; if it is in degrees"
-PLACE = re.compile(r"(bodies|supports|joints|elements|closures|energies|dissipations)\['(.*?)'\]|(gravity)")
+PLACE = re.compile(
+    r"(bodies|supports|joints|elements|closures|energies|dissipations)\['(.*?)'\]|(gravity)"
+)
 
 
 class Builder:
     """Makes the objects of a document by their constructors."""
 
-    def __init__(self, document: Document, values: dict[str, Any], folder: Path, allow: Sequence[str]):
+    def __init__(
+        self, document: Document, values: dict[str, Any], folder: Path, allow: Sequence[str]
+    ):
         self.document, self.values, self.folder, self.allow = document, values, folder, allow
         self.problems = Problems()
-        self.check = Check(document, self.problems)  # of what is known only when a class of the user's is imported
+        # of what is known only when a class of the user's is imported
+        self.check = Check(document, self.problems)
         self.with_own_joints: set[str] = set()  # bodies
         self.records: dict[str, Record | None] = {}  # each is read once, when something needs it
         self.files: list[Path] = []  # that are read
@@ -59,7 +74,10 @@ class Builder:
         parts: dict[str, Any] = {}
         for name in SECTIONS:
             tables = self.values.get(name, {})
-            parts[name] = {key: self.thing(value, class_of(name, value.get("type")), (name, key), {}) for key, value in tables.items()}
+            parts[name] = {
+                key: self.thing(value, class_of(name, value.get("type")), (name, key), {})
+                for key, value in tables.items()
+            }
             if name == "joints":
                 self.know_coordinates(parts[name])
         self.problems.raise_if_any()
@@ -96,16 +114,26 @@ class Builder:
         if kind is Table and set(values) != {"type", "x", "forces"}:
             return self.table(values, path)
         given = {
-            argument.name: self.value(values[argument.name], argument, (*path, argument.name), words | dict(argument.words))
+            argument.name: self.value(
+                values[argument.name],
+                argument,
+                (*path, argument.name),
+                words | dict(argument.words),
+            )
             for argument in arguments_of(kind)
             if argument.name in values
         }
-        return None if any(x is None for x in given.values()) else self.gather(path, kind.__name__, lambda: _made(kind, given))
+        return (
+            None
+            if any(x is None for x in given.values())
+            else self.gather(path, kind.__name__, lambda: _made(kind, given))
+        )
 
     def value(self, value: Any, argument: Argument, path: EntryPath, words: dict[str, str]) -> Any:
         if argument.role == "law":
             law = self.law(value, path, words)
-            return Linear(law) if argument.name == "function" and isinstance(law, float) else law  # a number would be its ratio
+            # a number would be its ratio
+            return Linear(law) if argument.name == "function" and isinstance(law, float) else law
         if argument.role == "signal":
             return self.signal(value, path, words)
         if argument.role == "pulse":
@@ -116,7 +144,9 @@ class Builder:
             return self.problems.gather(lambda: Euler(value["sequence"], value["angles"]))
         return tuple(value) if argument.role == "words" else value
 
-    def checked(self, values: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> Any:
+    def checked(
+        self, values: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]
+    ) -> Any:
         """Values that the check of the document left as they are, in SI; None with a problem."""
         before = len(self.problems.collected)
         values = self.check.value(values, node, path, words)
@@ -125,7 +155,11 @@ class Builder:
     def law(self, value: Any, path: EntryPath, words: dict[str, str]) -> Any:
         if isinstance(value, list):
             terms = [self.law(x, (*path, i), words) for i, x in enumerate(value)]
-            return None if any(term is None for term in terms) else self.problems.gather(lambda: Sum(*terms))
+            return (
+                None
+                if any(term is None for term in terms)
+                else self.problems.gather(lambda: Sum(*terms))
+            )
         return self.thing(value, None, path, words) if isinstance(value, dict) else value
 
     def signal(self, value: Any, path: EntryPath, words: dict[str, str]) -> Any:
@@ -134,72 +168,128 @@ class Builder:
             return self.thing(value, None, path, words) if isinstance(value, dict) else value
         unit = units.parse(words["value"], "signal").dimension
         kind = {"kind": value["kind"]} if "kind" in value else {}
-        return self.of_record(value, path, lambda record, x: Samples(record.times, self.rows(record, x, "channel", unit), **kind))
+        return self.of_record(
+            value,
+            path,
+            lambda record, x: Samples(record.times, self.rows(record, x, "channel", unit), **kind),
+        )
 
     def motion(self, value: Any, path: EntryPath) -> Any:
         """A motion by its constructor, or of channels of a record."""
         made = {"Sampled": self.sampled, "base_motion": self.base_motion}.get(value["type"])
-        return self.thing(value, None, path, {}) if made is None else self.of_record(value, path, made)
+        return (
+            self.thing(value, None, path, {}) if made is None else self.of_record(value, path, made)
+        )
 
     def of_record(self, value: dict[str, Any], path: EntryPath, make: Any) -> Any:
         """What `make` makes of a record and these values."""
         record = self.record(value["record"])
-        return None if record is None else self.gather(path, value["type"], lambda: make(record, value))
+        return (
+            None
+            if record is None
+            else self.gather(path, value["type"], lambda: make(record, value))
+        )
 
     def record(self, name: str) -> Record | None:
         if name not in self.records:
             path: EntryPath = ("records", name)
-            self.records[name] = self.gather(path, "", lambda: self._read(self.values["records"][name], path))
+            self.records[name] = self.gather(
+                path, "", lambda: self._read(self.values["records"][name], path)
+            )
         return self.records[name]
 
     def _read(self, values: dict[str, Any], path: EntryPath) -> Record | None:
         file = self.beside(values["file"], (*path, "file"))
         columns = {name: _column(spec) for name, spec in values["channels"].items()}
-        options = {name: value for name, value in values.items() if name not in (*IN_PLACE, "channels", "time")}
+        options = {
+            name: value
+            for name, value in values.items()
+            if name not in (*IN_PLACE, "channels", "time")
+        }
         time = {"time": _column(values["time"])} if "time" in values else {}
         try:
-            record = None if file is None else read_record(file, channels=columns, **time, **options)
+            record = (
+                None if file is None else read_record(file, channels=columns, **time, **options)
+            )
         except JaxbodyError as error:
-            self.problems.collected += [self._of_column(problem, values, path) for problem in error.problems]
+            self.problems.collected += [
+                self._of_column(problem, values, path) for problem in error.problems
+            ]
             return None
         return record if record is None or "part" not in values else record.part(*values["part"])
 
     def _of_column(self, problem: Problem, values: dict[str, Any], path: EntryPath) -> Problem:
-        """A problem of reading a record, at its line; where a unit is missing, at that of the column, with what to write there."""
+        """A problem of reading a record, at its line; where a unit is missing, at that of the
+        column, with what to write there."""
         names: dict[str, EntryPath] = {".times": ("time",)}
         names |= {f"['{name}']": ("channels", name) for name in values["channels"]}
-        entry = next((entry for end, entry in names.items() if problem.code == "NO_UNIT" and problem.where.endswith(end)), None)
+        entry = next(
+            (
+                entry
+                for end, entry in names.items()
+                if problem.code == "NO_UNIT" and problem.where.endswith(end)
+            ),
+            None,
+        )
         if entry is None:
             return self.placed(problem, path, "")
         spec = values["time"] if entry == ("time",) else values["channels"][entry[-1]]
-        column, example = (spec["columns"] if isinstance(spec, dict) else spec), "ms" if entry == ("time",) else "m/s2"
-        written = f'{shown(entry)} = {{columns = {json.dumps(column, ensure_ascii=False)}, unit = "{example}"}}'
+        column, example = (
+            (spec["columns"] if isinstance(spec, dict) else spec),
+            "ms" if entry == ("time",) else "m/s2",
+        )
+        written = (
+            f"{shown(entry)} = {{columns = {json.dumps(column, ensure_ascii=False)}, "
+            f'unit = "{example}"}}'
+        )
         without = "" if entry == ("time",) else ', or unit = "1" for numbers without one'
         hint = f"Write {written} with its unit{without}."
         return dataclasses.replace(problem, where=self.document.where((*path, *entry)), hint=hint)
 
     def sampled(self, record: Record, value: dict[str, Any]) -> Motion:
         dimensions = {"translation": units.LENGTH, "rotation": units.ANGLE}
-        rows = {name: self.rows(record, value, name, of) for name, of in dimensions.items() if name in value}
+        rows = {
+            name: self.rows(record, value, name, of)
+            for name, of in dimensions.items()
+            if name in value
+        }
         return Sampled(record.times, **rows)
 
     def base_motion(self, record: Record, value: dict[str, Any]) -> Motion:
-        options = {name: x for name, x in value.items() if name not in ("type", "record", "acceleration", "axis")}
+        options = {
+            name: x
+            for name, x in value.items()
+            if name not in ("type", "record", "acceleration", "axis")
+        }
         axis = {"axis": _direction(value)} if "axis" in value else {}
         return base_motion(record, value["acceleration"], **axis, **options).motion
 
-    def rows(self, record: Record, value: dict[str, Any], name: str, dimension: units.Dimension) -> np.ndarray:
-        """A channel of three columns, or of one along the `axis`. Errors: UNKNOWN_CHANNEL, WRONG_DIMENSION, BAD_SHAPE."""
+    def rows(
+        self, record: Record, value: dict[str, Any], name: str, dimension: units.Dimension
+    ) -> np.ndarray:
+        """A channel of three columns, or of one along the `axis`. Errors: UNKNOWN_CHANNEL,
+        WRONG_DIMENSION, BAD_SHAPE."""
         x, unit = record[value[name]], record.units[value[name]]
         si, quaternion = units.si_words(dimension), dimension == units.ANGLE and x.shape[1:] == (4,)
         if unit not in (("", "1") if quaternion else (si,)):
             message = f"is the channel '{value[name]}', which is in {unit}"
-            raise JaxbodyError(Problem("WRONG_DIMENSION", f".{name}", message, unit, si, "Name another channel."))
+            raise JaxbodyError(
+                Problem("WRONG_DIMENSION", f".{name}", message, unit, si, "Name another channel.")
+            )
         if "axis" in value and x.ndim == 1:
             return x[:, None] * _direction(value)
         if x.ndim == 1:
             hint = 'Name the direction of its one column: axis = "z".'
-            raise JaxbodyError(Problem("BAD_SHAPE", f".{name}", f"is the channel '{value[name]}' of one column", x.shape, "three", hint))
+            raise JaxbodyError(
+                Problem(
+                    "BAD_SHAPE",
+                    f".{name}",
+                    f"is the channel '{value[name]}' of one column",
+                    x.shape,
+                    "three",
+                    hint,
+                )
+            )
         return x
 
     def table(self, values: dict[str, Any], path: EntryPath) -> Any:
@@ -207,7 +297,13 @@ class Builder:
         name = values.get("file")
         if name is None or {"x", "forces"} & set(values):
             hint = 'Give x = [...] and forces = [...], or file = "curve.csv".'
-            self.problems.add("MISSING_ENTRY", self.document.where(path), "needs either points or a file", limit="one of them", hint=hint)
+            self.problems.add(
+                "MISSING_ENTRY",
+                self.document.where(path),
+                "needs either points or a file",
+                limit="one of them",
+                hint=hint,
+            )
             return None
         file = self.beside(name, (*path, "file"))
         return None if file is None else self.gather((*path, "file"), "", lambda: Table.read(file))
@@ -218,7 +314,14 @@ class Builder:
             self.files.append(self.folder / name)
             return self.files[-1]
         where, hint = self.document.where(path), "Put it beside the model file."
-        self.problems.add("OUTSIDE_FOLDER", where, f"names '{name}'", value=name, limit="a file in the folder of this one", hint=hint)
+        self.problems.add(
+            "OUTSIDE_FOLDER",
+            where,
+            f"names '{name}'",
+            value=name,
+            limit="a file in the folder of this one",
+            hint=hint,
+        )
         return None
 
     def quantity(self, value: Any, unit: str, path: EntryPath) -> Any:
@@ -226,24 +329,36 @@ class Builder:
         return in_SI(value, unit, {}, self.check.system, self.document.where(path), self.problems)
 
     def gather(self, path: EntryPath, kind: str, make: Callable[[], Any]) -> Any:
-        """What `make` returns; None with its problems, at their lines, where it fails. It does not warn of large angles, whose unit the
-        document states."""
+        """What `make` returns; None with its problems, at their lines, where it fails. It does not
+        warn of large angles, whose unit the document states."""
         try:
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", message=MORE_THAN_A_TURN)
                 return make()
         except JaxbodyError as error:
-            self.problems.collected += [self.placed(problem, path, kind) for problem in error.problems]
+            self.problems.collected += [
+                self.placed(problem, path, kind) for problem in error.problems
+            ]
             return None
 
     def own(self, name: str, path: EntryPath) -> type | None:
         """A class of the user's from a module that is allowed."""
         kind = self.own_object(name, path)
-        if kind is None or (inspect.isclass(kind) and issubclass(kind, Element | Joint | Closure | Law | Load | Sensor | Signal)):
+        if kind is None or (
+            inspect.isclass(kind)
+            and issubclass(kind, Element | Joint | Closure | Law | Load | Sensor | Signal)
+        ):
             return kind
-        if path[0] in ("energies", "dissipations") and inspect.isclass(kind) and issubclass(kind, eqx.Module):
+        if (
+            path[0] in ("energies", "dissipations")
+            and inspect.isclass(kind)
+            and issubclass(kind, eqx.Module)
+        ):
             return kind
-        message = f"names '{name}', which is no element, joint, closure, law, load, motion, sensor or equinox.Module of energies"
+        message = (
+            f"names '{name}', which is no element, joint, closure, law, load, motion, sensor or "
+            "equinox.Module of energies"
+        )
         self.problems.add("UNKNOWN_NAME", self.document.where((*path, "type")), message, value=name)
         return None
 
@@ -253,15 +368,32 @@ class Builder:
         where = self.document.where((*path, "type"))
         if module not in self.allow:
             hint = f"If you trust it, give allow=['{module}']."
-            self.problems.add("NOT_ALLOWED", where, f"names the module '{module}'", value=name, limit=str(list(self.allow)), hint=hint)
+            self.problems.add(
+                "NOT_ALLOWED",
+                where,
+                f"names the module '{module}'",
+                value=name,
+                limit=str(list(self.allow)),
+                hint=hint,
+            )
             return None
         try:
             found = getattr(importlib.import_module(module), attribute, None)
         except ImportError as error:
-            self.problems.add("UNKNOWN_NAME", where, f"names the module '{module}', which cannot be imported: {error}", value=name)
+            self.problems.add(
+                "UNKNOWN_NAME",
+                where,
+                f"names the module '{module}', which cannot be imported: {error}",
+                value=name,
+            )
             return None
         if found is None:
-            self.problems.add("UNKNOWN_NAME", where, f"names '{name}', and the module has no '{attribute}'", value=name)
+            self.problems.add(
+                "UNKNOWN_NAME",
+                where,
+                f"names '{name}', and the module has no '{attribute}'",
+                value=name,
+            )
         return found
 
     def placed(self, problem: Problem, path: EntryPath, kind: str) -> Problem:
@@ -283,7 +415,8 @@ class Builder:
 
 
 def in_words_of_files(text: str) -> str:
-    """A text about arguments of Python, as they are written in a file: `irregular = true` for `irregular=True`, `rate` for `rate=`."""
+    """A text about arguments of Python, as they are written in a file: `irregular = true` for
+    `irregular=True`, `rate` for `rate=`."""
     text = re.sub(r"\b(\w+)=\((\"\w+\"), (\"[^\"]+\")\)", r"\1 = {columns = \2, unit = \3}", text)
     text = re.sub(r"\b(\w+)=(True|False)\b", lambda found: f"{found[1]} = {found[2].lower()}", text)
     text = re.sub(r"\b(\w+)=(?=[\"\d\[{-])", r"\1 = ", text)
@@ -291,11 +424,17 @@ def in_words_of_files(text: str) -> str:
 
 
 def _made(kind: type, given: dict[str, Any]) -> Any:
-    """An object by its constructor. The constructor of a user's class may check nothing: numbers become arrays, and are checked."""
+    """An object by its constructor. The constructor of a user's class may check nothing: numbers
+    become arrays, and are checked."""
     if kind in (*TYPES.values(), *CLOSURES, *PLAIN.values()):
         return kind(**given)
     numbers = {each.name for each in arguments_of(kind) if each.role == "number"}
-    made = kind(**{name: np.asarray(value, float) if name in numbers else value for name, value in given.items()})
+    made = kind(
+        **{
+            name: np.asarray(value, float) if name in numbers else value
+            for name, value in given.items()
+        }
+    )
     with Problems() as problems:
         for name in numbers & set(given):
             in_domain(getattr(made, name), kind_of(made, name), f"{kind.__name__}.{name}", problems)

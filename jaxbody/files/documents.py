@@ -1,7 +1,9 @@
-"""Documents: the text of a TOML or JSON file as dicts, lists, words and numbers, with the line of each entry.
+"""Documents: the text of a TOML or JSON file as dicts, lists, words and numbers, with the line of
+each entry.
 
-The parsers of Python say what the text means. A scan of headings, keys and items finds their lines, names that are stated twice, and
-nesting that is too deep, before the text is parsed. Nothing in a file is executed.
+The parsers of Python say what the text means. A scan of headings, keys and items finds their lines,
+names that are stated twice, and nesting that is too deep, before the text is parsed. Nothing in a
+file is executed.
 """
 
 from __future__ import annotations
@@ -20,10 +22,12 @@ from jaxbody.core.source_files import check_file, decoded
 EntryPath = tuple[str | int, ...]  # of an entry: ("elements", "AB", "a", 1)
 DEEPEST = 20
 LARGEST = 2e7  # bytes
-MEMORY = 60.0  # bytes of memory for each byte of a document: 55 were measured for a model of 10 000 springs
+# bytes of memory for each byte of a document: 55 were measured for a model of 10 000 springs
+MEMORY = 60.0
 TOKEN = re.compile(
     r'(?P<string>"""(?:[^\\]|\\.)*?"""|\'\'\'.*?\'\'\'|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\')'
-    r"|(?P<skip>#[^\n]*|[ \t\r]+)|(?P<newline>\n)|(?P<sign>[\[\]{}=:,.])|(?P<bare>[^\s\[\]{}=:,.\"'#]+|.)",
+    r"|(?P<skip>#[^\n]*|[ "
+    r"\t\r]+)|(?P<newline>\n)|(?P<sign>[\[\]{}=:,.])|(?P<bare>[^\s\[\]{}=:,.\"'#]+|.)",
     re.DOTALL,
 )
 
@@ -46,7 +50,8 @@ class Document:
     replaced: dict[EntryPath, str] = field(default_factory=dict)  # with the text that replaced it
 
     def where(self, path: EntryPath) -> str:
-        """ "engine.toml:41 elements.AB.stiffness"; the line is that of the nearest entry around it that has one."""
+        """ "engine.toml:41 elements.AB.stiffness"; the line is that of the nearest entry around it
+        that has one."""
         for n in range(len(path), 0, -1):
             if path[:n] in self.replaced:
                 return f"{self.name} with {self.replaced[path[:n]]}"
@@ -59,19 +64,35 @@ def shown(path: EntryPath) -> str:
     """A path as text: elements.AB.a[1]."""
     text = ""
     for part in path:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if re.fullmatch(r"[\w-]+", part) else f".{part!r}"
+        text += (
+            f"[{part}]"
+            if isinstance(part, int)
+            else f".{part}"
+            if re.fullmatch(r"[\w-]+", part)
+            else f".{part!r}"
+        )
     return text.removeprefix(".")
 
 
 def read_document(path: Path, largest: float = LARGEST) -> Document:
     """The document in a .toml or .json file, in UTF-8.
 
-    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, ENCODING, WRONG_FORMAT, UNKNOWN_FORMAT, SYNTAX, DUPLICATE_NAME."""
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, ENCODING, WRONG_FORMAT,
+    UNKNOWN_FORMAT, SYNTAX, DUPLICATE_NAME."""
     check_file(path, largest, MEMORY, "--largest")
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("toml", "json"):
         hint = "A model file is TOML or JSON."
-        raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the extension '{path.suffix}'", path.suffix, ".toml .json", hint))
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_FORMAT",
+                path.name,
+                f"has the extension '{path.suffix}'",
+                path.suffix,
+                ".toml .json",
+                hint,
+            )
+        )
     return parse_document(decoded(path.read_bytes(), path.name, "utf-8"), path.name, kind)
 
 
@@ -87,7 +108,15 @@ def parse_document(text: str, name: str, kind: str = "toml") -> Document:
     except (ValueError, RecursionError) as error:
         raise JaxbodyError(_syntax(error, text, document)) from None
     if not isinstance(document.values, dict):
-        raise JaxbodyError(Problem("SYNTAX", name, "has no names at its top", limit="an object with names", hint="Begin with {."))
+        raise JaxbodyError(
+            Problem(
+                "SYNTAX",
+                name,
+                "has no names at its top",
+                limit="an object with names",
+                hint="Begin with {.",
+            )
+        )
     return document
 
 
@@ -97,17 +126,28 @@ def _syntax(error: Exception, text: str, document: Document) -> Problem:
     found = re.search(r"\(?(?:at )?line (\d+),? column (\d+)", str(error))
     line = int(found[1]) if found else text.rstrip().count("\n") + 1
     at = f", column {found[2]}" if found else ""
-    hint = 'Words and units need quotation marks: stiffness = "21 N/mm".' if message.startswith("Invalid value") else ""
-    return Problem("SYNTAX", f"{document.name}:{line}", f"{message[:1].lower()}{message[1:].partition(';')[0]}{at}", hint=hint)
+    hint = (
+        'Words and units need quotation marks: stiffness = "21 N/mm".'
+        if message.startswith("Invalid value")
+        else ""
+    )
+    return Problem(
+        "SYNTAX",
+        f"{document.name}:{line}",
+        f"{message[:1].lower()}{message[1:].partition(';')[0]}{at}",
+        hint=hint,
+    )
 
 
 class Scan:
-    """One pass over the text of a document, which notes lines and names that occur twice. It follows any text to its end; whether that is
-    well formed is left to the parser."""
+    """One pass over the text of a document, which notes lines and names that occur twice. It
+    follows any text to its end; whether that is well formed is left to the parser."""
 
     def __init__(self, text: str, document: Document, problems: Problems, kind: str):
         self.document, self.problems = document, problems
-        self.rest: Iterator[Token] = _tokens(text, ("skip", "newline") if kind == "json" else ("skip",))
+        self.rest: Iterator[Token] = _tokens(
+            text, ("skip", "newline") if kind == "json" else ("skip",)
+        )
         self.token = next(self.rest)
         self.headings: set[EntryPath] = set()
         self.counts: dict[EntryPath, int] = {}  # of the tables of each array of tables
@@ -168,7 +208,13 @@ class Scan:
         if twice and path:
             first, hint = self.document.lines[path], "Rename one, or delete it."
             message = f"is stated twice, first in line {first}"
-            self.problems.add("DUPLICATE_NAME", f"{self.document.name}:{line} {shown(path)}", message, value=path[-1], hint=hint)
+            self.problems.add(
+                "DUPLICATE_NAME",
+                f"{self.document.name}:{line} {shown(path)}",
+                message,
+                value=path[-1],
+                hint=hint,
+            )
         self.document.lines[path] = line
 
     def names(self, ends: tuple[str, ...]) -> list[str]:
@@ -183,7 +229,8 @@ class Scan:
         return names
 
     def value(self, path: EntryPath, depth: int = 0) -> None:
-        """An array, a table in braces, or anything else up to the next comma, bracket or end of the line."""
+        """An array, a table in braces, or anything else up to the next comma, bracket or end of
+        the line."""
         if depth > DEEPEST:
             self.too_deep(self.token.line)
         if self.takes("{"):
@@ -206,13 +253,23 @@ class Scan:
                 self.skip_lines()
                 i += 1
         else:
-            while self.token.kind not in ("newline", "end") and not (self.token.kind == "sign" and self.token.text in ",]}"):
+            while self.token.kind not in ("newline", "end") and not (
+                self.token.kind == "sign" and self.token.text in ",]}"
+            ):
                 self.next()
 
     def too_deep(self, line: int) -> None:
         hint = "A model file needs a few levels only."
         where = f"{self.document.name}:{line}"
-        raise JaxbodyError(Problem("TOO_LARGE", where, f"is nested more than {DEEPEST} levels deep", limit=f"{DEEPEST} levels", hint=hint))
+        raise JaxbodyError(
+            Problem(
+                "TOO_LARGE",
+                where,
+                f"is nested more than {DEEPEST} levels deep",
+                limit=f"{DEEPEST} levels",
+                hint=hint,
+            )
+        )
 
 
 def _tokens(text: str, skipped: tuple[str, ...]) -> Iterator[Token]:

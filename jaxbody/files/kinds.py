@@ -1,4 +1,5 @@
-"""Kinds of objects in model files: the arguments of each class and their schema, from its constructor, its fields and its docstring."""
+"""Kinds of objects in model files: the arguments of each class and their schema, from its
+constructor, its fields and its docstring."""
 
 from __future__ import annotations
 
@@ -29,43 +30,118 @@ from jaxbody.joints.combined_joints import Cylindrical, Planar, Universal
 from jaxbody.joints.composite_joints import Composite
 from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
 from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
-from jaxbody.laws import damper_laws, hydraulic_mounts, hysteresis_laws, laws, measured_curves, rubber_laws, spring_laws
+from jaxbody.laws import (
+    damper_laws,
+    hydraulic_mounts,
+    hysteresis_laws,
+    laws,
+    measured_curves,
+    rubber_laws,
+    spring_laws,
+)
 from jaxbody.models.bodies import Body, Support
 from jaxbody.models.joints import Fixed, Free
 from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
 from jaxbody.sensors.sensors import Sensor
 
-JOINTS = (Free, Fixed, Guide, Hinge, Ball, Universal, Cylindrical, Planar, Composite, Translation, HeavePitch, HeavePitchRoll)
+JOINTS = (
+    Free,
+    Fixed,
+    Guide,
+    Hinge,
+    Ball,
+    Universal,
+    Cylindrical,
+    Planar,
+    Composite,
+    Translation,
+    HeavePitch,
+    HeavePitchRoll,
+)
 ELEMENTS = (Spring, SpringDamper, Bushing, Mount, Torsion, AntiRollBar, Contact, Tyre, Inerter)
-CLOSURES = (closures.Ball, closures.Hinge, closures.Guide, closures.Inline, closures.Weld, closures.Rod, closures.Coupling)
+CLOSURES = (
+    closures.Ball,
+    closures.Hinge,
+    closures.Guide,
+    closures.Inline,
+    closures.Weld,
+    closures.Rod,
+    closures.Coupling,
+)
 LAWS = (
-    laws.Linear, laws.TwoSided, spring_laws.Polynomial, spring_laws.Stop, spring_laws.TensionOnly, spring_laws.AirSpring,
-    damper_laws.Digressive, damper_laws.Friction, measured_curves.Table, rubber_laws.Maxwell, hysteresis_laws.BoucWen,
-    hysteresis_laws.Dahl, hysteresis_laws.LuGre, hydraulic_mounts.Hydraulic,
-)  # fmt: skip
+    laws.Linear,
+    laws.TwoSided,
+    spring_laws.Polynomial,
+    spring_laws.Stop,
+    spring_laws.TensionOnly,
+    spring_laws.AirSpring,
+    damper_laws.Digressive,
+    damper_laws.Friction,
+    measured_curves.Table,
+    rubber_laws.Maxwell,
+    hysteresis_laws.BoucWen,
+    hysteresis_laws.Dahl,
+    hysteresis_laws.LuGre,
+    hydraulic_mounts.Hydraulic,
+)
 MOTIONS = (AtRest, Harmonic, Road, PulseMotion)
 PULSES = (HalfSine, Sawtooth, Trapezoid, Triangle)
 LOADS = (Force, Unbalance, EngineTorque)
 INPUTS = (BaseMotion, PointForce)  # of measured responses
 SENSORS = (
-    kinematic_sensors.Position, kinematic_sensors.Velocity, kinematic_sensors.Acceleration, kinematic_sensors.Rotation,
-    kinematic_sensors.AngularVelocity, kinematic_sensors.AngularAcceleration, instruments.Accelerometer, instruments.Gyro, instruments.Tilt,
-    instruments.Elongation, instruments.LoadCell, instruments.ForcePlate, instruments.Reaction, instruments.JointAngle,
-    gauges.Displacement, gauges.StringPotentiometer, gauges.LaserVibrometer, gauges.LaserDistance, attitudes.BodyPose,
+    kinematic_sensors.Position,
+    kinematic_sensors.Velocity,
+    kinematic_sensors.Acceleration,
+    kinematic_sensors.Rotation,
+    kinematic_sensors.AngularVelocity,
+    kinematic_sensors.AngularAcceleration,
+    instruments.Accelerometer,
+    instruments.Gyro,
+    instruments.Tilt,
+    instruments.Elongation,
+    instruments.LoadCell,
+    instruments.ForcePlate,
+    instruments.Reaction,
+    instruments.JointAngle,
+    gauges.Displacement,
+    gauges.StringPotentiometer,
+    gauges.LaserVibrometer,
+    gauges.LaserDistance,
+    attitudes.BodyPose,
     attitudes.Orientation,
-)  # fmt: skip
-TYPES = {kind.__name__: kind for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *PULSES, *LOADS, *INPUTS, *SENSORS, Sine)}
+)
+TYPES = {
+    kind.__name__: kind
+    for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *PULSES, *LOADS, *INPUTS, *SENSORS, Sine)
+}
 CLOSURE_TYPES = {kind.__name__: kind for kind in CLOSURES}  # some are called as joints are
-FROM_RECORDS = {"Sampled": Sampled, "base_motion": base_motion, "Samples": Samples}  # what is made of channels of a record
+# what is made of channels of a record
+FROM_RECORDS = {"Sampled": Sampled, "base_motion": base_motion, "Samples": Samples}
 FIELDS: dict[tuple[type, str], str] = {  # of arguments that are not named as the field is
     (Contact, "distance"): "free_length",
     (PointForce, "direction"): "axis",
 }
-COUPLED = {"of": "coordinate", "by": "coordinate", "function": "law"}  # roles of the arguments of a coupling
+# roles of the arguments of a coupling
+COUPLED = {"of": "coordinate", "by": "coordinate", "function": "law"}
 FORMULAS = {"powers": "force/argument^n"}
-LIMITS = {"nonnegative": {"minimum": 0}, "positive": {"exclusiveMinimum": 0}, "fraction": {"minimum": 0, "maximum": 1}}
-PLAIN_TYPES = {"word": "string", "words": "array", "whole": "integer", "flag": "boolean", "own": ["number", "array", "string"]}
-DIRECTION = {"oneOf": [{"type": ["array", "string"], "unit": "", "pattern": "[0-9]"}, {"type": "string", "enum": ["x", "y", "z"]}]}
+LIMITS = {
+    "nonnegative": {"minimum": 0},
+    "positive": {"exclusiveMinimum": 0},
+    "fraction": {"minimum": 0, "maximum": 1},
+}
+PLAIN_TYPES = {
+    "word": "string",
+    "words": "array",
+    "whole": "integer",
+    "flag": "boolean",
+    "own": ["number", "array", "string"],
+}
+DIRECTION = {
+    "oneOf": [
+        {"type": ["array", "string"], "unit": "", "pattern": "[0-9]"},
+        {"type": "string", "enum": ["x", "y", "z"]},
+    ]
+}
 OF_INPUT = {"oneOf": [{"type": "string", "enum": list(DIRECTIONS)}, {"type": "array", "unit": ""}]}
 PAIR = {"minItems": 2, "maxItems": 2}
 PLAIN = {"bodies": Body, "supports": Support}  # sections whose objects are all of one class
@@ -75,7 +151,9 @@ SECTIONS = {
     "joints": "Joints by the name of the body that each carries. A body without a joint is free.",
     "elements": "Springs, dampers and contacts by name.",
     "closures": "Joints and rods that close loops, and couplings of coordinates, by name.",
-    "energies": "Potential energies of your own by name: functions of frames, classes of an allowed module.",
+    "energies": (
+        "Potential energies of your own by name: functions of frames, classes of an allowed module."
+    ),
     "dissipations": "Dissipations of your own by name, likewise.",
 }
 
@@ -84,8 +162,9 @@ SECTIONS = {
 class Argument:
     """An argument of a class in a file, and the field of the object that holds it.
 
-    `role`: number, own (a number in the unit of its owner), end (a name and a point), law, signal, pulse, direction, of_input (a direction,
-    or a turn about one), frame, element, coordinate (their names), word, words, whole or flag."""
+    `role`: number, own (a number in the unit of its owner), end (a name and a point), law, signal,
+    pulse, direction, of_input (a direction, or a turn about one), frame, element, coordinate (their
+    names), word, words, whole or flag."""
 
     name: str
     role: str
@@ -108,7 +187,9 @@ def class_of(section: str, type_name: Any = None) -> type | None:
 
 def definition_of(section: str, type_name: Any = None) -> str:
     """The name of the schema of an object in a section."""
-    return {"bodies": "body", "supports": "support", "closures": f"closure {type_name}"}.get(section, str(type_name))
+    return {"bodies": "body", "supports": "support", "closures": f"closure {type_name}"}.get(
+        section, str(type_name)
+    )
 
 
 @functools.cache
@@ -124,7 +205,18 @@ def arguments_of(kind: type) -> tuple[Argument, ...]:
         role = _role(kind, own, str(known[own].type), stated) if own in known else "end"
         words = tuple(stated.get("words", {}).items())
         types = _types(str(known[own].type)) if own in known else ()
-        found.append(Argument(name, role, own, parameter.default, stated.get("kind", Kind()), words, types, texts.get(name, "")))
+        found.append(
+            Argument(
+                name,
+                role,
+                own,
+                parameter.default,
+                stated.get("kind", Kind()),
+                words,
+                types,
+                texts.get(name, ""),
+            )
+        )
     return tuple(found)
 
 
@@ -135,7 +227,12 @@ def _parameters(kind: type) -> dict[str, inspect.Parameter]:
         if parameter.kind is not inspect.Parameter.VAR_KEYWORD:
             found[name] = parameter
         elif issubclass(kind, Sensor):
-            found |= {stage: parameter.replace(name=stage, kind=inspect.Parameter.KEYWORD_ONLY, default=None) for stage in kind.stages}
+            found |= {
+                stage: parameter.replace(
+                    name=stage, kind=inspect.Parameter.KEYWORD_ONLY, default=None
+                )
+                for stage in kind.stages
+            }
     return found
 
 
@@ -153,7 +250,14 @@ def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
         if word in annotation:
             return role
     if metadata.get("static"):
-        return next((role for word, role in (("bool", "flag"), ("tuple", "words"), ("int", "whole")) if word in annotation), "word")
+        return next(
+            (
+                role
+                for word, role in (("bool", "flag"), ("tuple", "words"), ("int", "whole"))
+                if word in annotation
+            ),
+            "word",
+        )
     stated = metadata.get("kind", Kind())
     if stated.domain == "direction" and "Array, '3'" in annotation:
         return "direction"
@@ -169,8 +273,14 @@ def _types(annotation: str) -> tuple[str, ...]:
 
 def texts_of(kind: Any) -> dict[str, str]:
     """What the docstring says of each argument."""
-    texts: dict[str, str] = {} if kind is Sensor or not (isinstance(kind, type) and issubclass(kind, Sensor)) else texts_of(Sensor)
-    for names, text in re.findall(r"^ {4}([\w, ]+): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.M):
+    texts: dict[str, str] = (
+        {}
+        if kind is Sensor or not (isinstance(kind, type) and issubclass(kind, Sensor))
+        else texts_of(Sensor)
+    )
+    for names, text in re.findall(
+        r"^ {4}([\w, ]+): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.M
+    ):
         texts |= {name.strip(): re.sub(r"\s+", " ", text) for name in names.split(",")}
     return texts
 
@@ -182,20 +292,32 @@ def object_schema(kind: type, type_name: str = "") -> dict[str, Any]:
     properties |= {argument.name: argument_schema(argument) for argument in arguments}
     required = [argument.name for argument in arguments if argument.required]
     if kind is measured_curves.Table:
-        properties["file"] = {"type": "string", "description": "A text file of two columns with units, in the folder of the model file."}
+        properties["file"] = {
+            "type": "string",
+            "description": (
+                "A text file of two columns with units, in the folder of the model file."
+            ),
+        }
         required = []
     about = (inspect.getdoc(kind) or "").partition("\n\n")[0]
-    return table_schema(about, [*(["type"] if type_name else []), *required], properties) | _coordinates(kind)
+    return table_schema(
+        about, [*(["type"] if type_name else []), *required], properties
+    ) | _coordinates(kind)
 
 
 def _coordinates(kind: type) -> dict[str, Any]:
-    """What the schema of a joint says of its coordinates: their units, "" for those of a quaternion, or the entry that states its steps;
-    and that of a coupling, that units in it depend on these."""
+    """What the schema of a joint says of its coordinates: their units, "" for those of a
+    quaternion, or the entry that states its steps; and that of a coupling, that units in it depend
+    on these."""
     if kind is closures.Coupling:
         return {"couples": True}
     if kind not in JOINTS:
         return {}
-    return {"coordinates": "steps" if kind is Composite else list(kind.block(cast(Any, kind), "").q_units)}
+    return {
+        "coordinates": "steps"
+        if kind is Composite
+        else list(kind.block(cast(Any, kind), "").q_units)
+    }
 
 
 def argument_schema(argument: Argument) -> dict[str, Any]:
@@ -204,7 +326,11 @@ def argument_schema(argument: Argument) -> dict[str, Any]:
     if argument.role == "end":
         return {"$ref": "#/$defs/end", **about}
     if argument.role in ("law", "signal", "pulse"):
-        return {"$ref": f"#/$defs/{argument.role}", **about, **({"words": dict(argument.words)} if argument.words else {})}
+        return {
+            "$ref": f"#/$defs/{argument.role}",
+            **about,
+            **({"words": dict(argument.words)} if argument.words else {}),
+        }
     if argument.role in ("frame", "element", "coordinate"):
         return named(argument.role) | about
     if argument.role in ("direction", "of_input"):
@@ -223,19 +349,28 @@ def argument_schema(argument: Argument) -> dict[str, Any]:
 
 
 def named(what: str) -> dict[str, Any]:
-    """The schema of a name: of a frame (a body, a support or the world), an element, a coordinate, a record, a sensor."""
+    """The schema of a name: of a frame (a body, a support or the world), an element, a coordinate,
+    a record, a sensor."""
     return {"type": "string", "name_of": what}
 
 
 def table_schema(about: str, required: Sequence[str], properties: dict[str, Any]) -> dict[str, Any]:
     """The schema of a table."""
     head = {"type": "object", "description": re.sub(r"\s+", " ", about)}
-    return head | {"required": list(required), "additionalProperties": False, "properties": properties}
+    return head | {
+        "required": list(required),
+        "additionalProperties": False,
+        "properties": properties,
+    }
 
 
 def by_name(what: str, about: str) -> dict[str, Any]:
     """The schema of a table of objects of one definition by name."""
-    return {"type": "object", "description": about, "additionalProperties": {"$ref": f"#/$defs/{what}"}}
+    return {
+        "type": "object",
+        "description": about,
+        "additionalProperties": {"$ref": f"#/$defs/{what}"},
+    }
 
 
 def one_of(*names: str) -> dict[str, Any]:

@@ -1,4 +1,5 @@
-"""Models in TOML and JSON files: `read_model` builds one by the constructors, `write_model` writes every number to the bit."""
+"""Models in TOML and JSON files: `read_model` builds one by the constructors, `write_model` writes
+every number to the bit."""
 
 from __future__ import annotations
 
@@ -19,17 +20,20 @@ from jaxbody.models.models import Model
 def read_model(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST) -> Model:
     """The model in a TOML or JSON file.
 
-    Numbers are texts with a unit, "21 N/mm"; where the file states `units`, numbers without one are in that system. The words are those of
-    the constructors. Problems are reported all at once, each with its line. Nothing in the file is executed.
+    Numbers are texts with a unit, "21 N/mm"; where the file states `units`, numbers without one are
+    in that system. The words are those of the constructors. Problems are reported all at once, each
+    with its line. Nothing in the file is executed.
 
     Args:
         path: path of the file, .toml or .json
-        allow: names of your modules whose elements, joints, closures and laws the file may use: type = "mine.laws:Cubic"
+        allow: names of your modules whose elements, joints, closures and laws the file may use:
+            type = "mine.laws:Cubic"
         largest: largest size of the file [bytes]
 
-    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, ENCODING, UNKNOWN_FORMAT, SYNTAX, DUPLICATE_NAME, FILE_VERSION,
-    UNKNOWN_NAME, MISSING_ENTRY, WRONG_KIND, NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER, NOT_ALLOWED, OUTSIDE_FOLDER, and those
-    of the constructors.
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, ENCODING,
+    UNKNOWN_FORMAT, SYNTAX, DUPLICATE_NAME, FILE_VERSION, UNKNOWN_NAME, MISSING_ENTRY,
+    WRONG_KIND, NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER, NOT_ALLOWED,
+    OUTSIDE_FOLDER, and those of the constructors.
 
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp(), "pendulum.toml")
@@ -40,7 +44,7 @@ def read_model(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST
     ... ''')
     >>> read_model(path)
     Traceback (most recent call last):
-    jaxbody.core.errors.JaxbodyError: pendulum.toml:3 bodies.bob.mass: is '200 g0', in m/s2 (allowed: a unit such as kg). ...
+    jaxbody.core.errors.JaxbodyError: pendulum.toml:3 bodies.bob.mass: is '200 g0', in m/s2 ...
     >>> _ = path.write_text(path.read_text().replace("200 g0", "0.2 kg"))
     >>> float(read_model(path)["bob"].com[1])
     -0.5
@@ -51,14 +55,17 @@ def read_model(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST
 
 
 def write_model(model: Model, path: Any, *, allow: Sequence[str] = ()) -> None:
-    """Write a model to a TOML or JSON file, from which `read_model` reads the same numbers, to the bit.
+    """Write a model to a TOML or JSON file, from which `read_model` reads the same numbers, to
+    the bit.
 
     Args:
         model: the model; the file replaces one of the same name
         path: path of the file, .toml or .json
-        allow: names of your modules whose elements, joints, closures and laws may be written by name
+        allow: names of your modules whose elements, joints, closures and laws may be written
+            by name
 
-    Errors: UNKNOWN_FORMAT, OWN_CODE, NOT_ALLOWED, BAD_SHAPE for a batch of models, TRACED, NOT_SAVED.
+    Errors: UNKNOWN_FORMAT, OWN_CODE, NOT_ALLOWED, BAD_SHAPE for a batch of models,
+    TRACED, NOT_SAVED.
 
     >>> import pathlib, tempfile
     >>> car, path = jb.presets.quarter_car(), pathlib.Path(tempfile.mkdtemp(), "car.toml")
@@ -69,7 +76,19 @@ def write_model(model: Model, path: Any, *, allow: Sequence[str] = ()) -> None:
     path = Path(path)
     values = values_of(model, allow)
     if path.suffix not in (".toml", ".json"):
-        raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the extension '{path.suffix}'", path.suffix, ".toml .json"))
-    text = toml_of(values) if path.suffix == ".toml" else json.dumps(values, indent=1, ensure_ascii=False) + "\n"
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_FORMAT",
+                path.name,
+                f"has the extension '{path.suffix}'",
+                path.suffix,
+                ".toml .json",
+            )
+        )
+    text = (
+        toml_of(values)
+        if path.suffix == ".toml"
+        else json.dumps(values, indent=1, ensure_ascii=False) + "\n"
+    )
     with writing(path):
         path.write_text(text, encoding="utf-8")

@@ -1,11 +1,13 @@
 """Quantities in model files: numbers with a stated unit, to SI.
 
-    "21 N/mm"   "-2100, 700, 0 mm"   ["10 mm", "2 cm"]   and, where the file states a unit system, 21e3
+    "21 N/mm"   "-2100, 700, 0 mm"   ["10 mm", "2 cm"]
+    and, where the file states a unit system, 21e3
 
-Numbers without a unit belong to the unit system of the file; without one they are an error, unless they are zero or the quantity has no
-unit. A system may state mass and force, such as "kg" and "N" beside "mm": then stiffnesses are in N/mm, inertias in kg mm2. Where it
-states one of them, the other follows; if that is not kg or N (mm, N, s: tonnes), numbers in it are an error, as they are rarely meant so.
-Where it is the mass, so are accelerations, such as gravity.
+Numbers without a unit belong to the unit system of the file; without one they are an error, unless
+they are zero or the quantity has no unit. A system may state mass and force, such as "kg" and "N"
+beside "mm": then stiffnesses are in N/mm, inertias in kg mm2. Where it states one of them, the
+other follows; if that is not kg or N (mm, N, s: tonnes), numbers in it are an error, as they are
+rarely meant so. Where it is the mass, so are accelerations, such as gravity.
 """
 
 from __future__ import annotations
@@ -20,14 +22,23 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 
 LONGEST = 10_000  # characters of one quantity
 NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)"
-NUMBERS = re.compile(rf"[(\[]?\s*({NUMBER})((?:\s*[,;]\s*|\s+)(?:{NUMBER})(?=[\s,;)\]]|$))*\s*[)\]]?")
-BASE = {"length": units.LENGTH, "time": units.TIME, "angle": units.ANGLE, "mass": units.MASS, "force": units.FORCE}
+NUMBERS = re.compile(
+    rf"[(\[]?\s*({NUMBER})((?:\s*[,;]\s*|\s+)(?:{NUMBER})(?=[\s,;)\]]|$))*\s*[)\]]?"
+)
+BASE = {
+    "length": units.LENGTH,
+    "time": units.TIME,
+    "angle": units.ANGLE,
+    "mass": units.MASS,
+    "force": units.FORCE,
+}
 SI = {"length": "m", "time": "s", "angle": "rad", "mass": "kg"}
 
 
 @dataclass(frozen=True)
 class UnitSystem:
-    """The factors to SI of the base units of a file; `derived`: "mass" or "force", where it follows from the others and is not kg or N."""
+    """The factors to SI of the base units of a file; `derived`: "mass" or "force", where it follows
+    from the others and is not kg or N."""
 
     length: float
     mass: float
@@ -43,37 +54,74 @@ class UnitSystem:
         return self.length**m * mass**kg * self.time**s * self.angle**rad
 
     def states(self, unit: str) -> bool:
-        """Whether it states what a number without a unit is in, where this is the SI unit of the quantity."""
+        """Whether it states what a number without a unit is in, where this is the SI unit of
+        the quantity."""
         dimension = units.parse(unit, "unit").dimension
-        of = "mass" if "kg" in unit or dimension == units.ACCELERATION else "force" if dimension[1] else ""
+        of = (
+            "mass"
+            if "kg" in unit or dimension == units.ACCELERATION
+            else "force"
+            if dimension[1]
+            else ""
+        )
         return not of or of != self.derived
 
 
 def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | None:
-    """The system that a file states: "SI", or units of length, time, angle, and of mass, force or both; None without one. Errors: BAD_UNIT,
-    UNKNOWN_UNIT."""
-    hint = 'Write units = "SI", or units = {length = "mm", mass = "kg", force = "N", time = "s", angle = "deg"}.'
+    """The system that a file states: "SI", or units of length, time, angle, and of mass, force or
+    both; None without one. Errors: BAD_UNIT, UNKNOWN_UNIT."""
+    hint = (
+        'Write units = "SI", or units = {length = "mm", mass = "kg", force = "N", time = '
+        '"s", angle = "deg"}.'
+    )
     if stated is None:
         return None
     stated = SI if stated == "SI" else stated
     given = set(stated) if isinstance(stated, dict) else set()
-    missing = {"length", "time", "angle"} - given if given & {"mass", "force"} else {"length", "time", "angle", "mass or force"} - given
+    missing = (
+        {"length", "time", "angle"} - given
+        if given & {"mass", "force"}
+        else {"length", "time", "angle", "mass or force"} - given
+    )
     if missing or given - set(BASE):
         others = sorted(given - set(BASE))
-        said = [f"has no {' and no '.join(sorted(missing))}"] * bool(missing) + [f"has {', '.join(others)}"] * bool(others)
+        said = [f"has no {' and no '.join(sorted(missing))}"] * bool(missing) + [
+            f"has {', '.join(others)}"
+        ] * bool(others)
         said = said if isinstance(stated, dict) else [f"is {stated!r:.60}"]
-        problems.add("BAD_UNIT", where, " and ".join(said), value=stated, limit="length, time, angle, and mass, force or both", hint=hint)
+        problems.add(
+            "BAD_UNIT",
+            where,
+            " and ".join(said),
+            value=stated,
+            limit="length, time, angle, and mass, force or both",
+            hint=hint,
+        )
         return None
     factors = {}
     for name, text in stated.items():
         unit = problems.gather(lambda text=text, name=name: units.parse(text, f"{where}.{name}"))
         if unit is not None and unit.dimension != BASE[name]:
-            problems.add("BAD_UNIT", f"{where}.{name}", f"is '{text}'", value=text, limit=f"a unit of {name}", hint=hint)
+            problems.add(
+                "BAD_UNIT",
+                f"{where}.{name}",
+                f"is '{text}'",
+                value=text,
+                limit=f"a unit of {name}",
+                hint=hint,
+            )
         factors[name] = unit.factor if unit else 1.0
     length, time = factors["length"], factors["time"]
     mass = factors["mass"] if "mass" in factors else factors["force"] * time**2 / length
     force = factors["force"] if "force" in factors else mass * length / time**2
-    derived = next((name for name, of in (("mass", mass), ("force", force)) if name not in factors and abs(of - 1) > 1e-9), "")
+    derived = next(
+        (
+            name
+            for name, of in (("mass", mass), ("force", force))
+            if name not in factors and abs(of - 1) > 1e-9
+        ),
+        "",
+    )
     return UnitSystem(length, mass, force, time, factors["angle"], derived)
 
 
@@ -83,22 +131,31 @@ def dimension(unit: str, words: dict[str, str]) -> units.Dimension:
 
 
 def _spelled(unit: str, words: dict[str, str]) -> str:
-    """A unit without words: "force/argument" with {"force": "N", "argument": "m"} is N/m; "1", none, where the owner does not say what they
-    are."""
+    """A unit without words: "force/argument" with {"force": "N", "argument": "m"} is N/m; "1",
+    none, where the owner does not say what they are."""
     for word, meaning in words.items():
         unit = re.sub(rf"\b{word}\b", f"({meaning})", unit)
     return "1" if not unit or re.search(r"\b(force|argument)\b", unit) else unit
 
 
-def in_SI(value: Any, unit: str, words: dict[str, str], system: UnitSystem | None, where: str, problems: Problems) -> Any:
+def in_SI(
+    value: Any,
+    unit: str,
+    words: dict[str, str],
+    system: UnitSystem | None,
+    where: str,
+    problems: Problems,
+) -> Any:
     """A number, or nested lists of them, in SI.
 
     Args:
         value: number, text, or list of these
-        unit: of all numbers, or of parts of a row and rows of a matrix ("N/m, N; N, N m/rad"); "^n" stands for the powers 1, 2, ...
+        unit: of all numbers, or of parts of a row and rows of a matrix ("N/m, N; N, N m/rad"); "^n"
+            stands for the powers 1, 2, ...
         words: what the words of the unit stand for
 
-    Errors: NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER. Warns UNIT for more than a turn in rad."""
+    Errors: NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER. Warns UNIT for more than a turn
+    in rad."""
     blocks = [[part.strip() for part in row.split(",")] for row in unit.split(";")]
     rows = value if isinstance(value, list) else []
     if len(blocks) > 1 and not any(isinstance(row, list) for row in rows):
@@ -133,7 +190,13 @@ def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
         return _of_text(value, expected, index)
     if isinstance(value, bool) or not isinstance(value, int | float):
         message = f"is {value!r:.60}, which is not a number"
-        expected.problems.add("NOT_A_NUMBER", expected.where, message, value=value, limit="a number, or a text with its unit")
+        expected.problems.add(
+            "NOT_A_NUMBER",
+            expected.where,
+            message,
+            value=value,
+            limit="a number, or a text with its unit",
+        )
         return 0.0
     unit, dimension, value = expected.unit(index), expected.dimension(index), _float(value)
     if dimension == units.NONE or value == 0 or not math.isfinite(value):
@@ -142,26 +205,45 @@ def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
         si = units.si_words(dimension)
         hint = f'Write "{value:g} {si}", or units = "SI" at the top of the file.'
         expected.problems.add(
-            "NO_UNIT", expected.where, f"is {value:g} without a unit", value=value, limit=f"a unit such as {si}", hint=hint
+            "NO_UNIT",
+            expected.where,
+            f"is {value:g} without a unit",
+            value=value,
+            limit=f"a unit such as {si}",
+            hint=hint,
         )
         return 0.0
     meant = times(value, expected.system.factor(unit))
     if not expected.system.states(unit):
         si, of = units.si_words(dimension), expected.system.derived
-        message = f"is {value:g} without a unit, which would be {meant:.6g} {si} by the units of the file"
-        also = "" if dimension == units.ACCELERATION else f', or add {of} = "{"kg" if of == "mass" else "N"}" to the units of the file'
+        message = (
+            f"is {value:g} without a unit, which would be {meant:.6g} {si} by the units of the file"
+        )
+        also = (
+            ""
+            if dimension == units.ACCELERATION
+            else f', or add {of} = "{"kg" if of == "mass" else "N"}" to the units of the file'
+        )
         hint = f'Write "{value:g} {si}"{also}.'
-        expected.problems.add("NO_UNIT", expected.where, message, value=value, limit=f"a unit such as {si}", hint=hint)
+        expected.problems.add(
+            "NO_UNIT", expected.where, message, value=value, limit=f"a unit such as {si}", hint=hint
+        )
         return 0.0
     _warn_of_degrees([value], dimension, expected.system.angle, expected.where)
     return meant
 
 
-def _warn_of_degrees(numbers: list[float], dimension: units.Dimension, factor: float, where: str) -> None:
+def _warn_of_degrees(
+    numbers: list[float], dimension: units.Dimension, factor: float, where: str
+) -> None:
     """Warn UNIT for an angle in rad of more than one turn. Degrees that are stated are meant."""
     largest = max(map(abs, numbers))
     if dimension == units.ANGLE and factor == 1.0 and largest > units.TURN:
-        warn("UNIT", f'{where}: is {largest:g} rad, more than a turn; if it is in degrees, write "{largest:g} deg"')
+        warn(
+            "UNIT",
+            f"{where}: is {largest:g} rad, more than a turn; if it is in degrees, "
+            f'write "{largest:g} deg"',
+        )
 
 
 def _float(value: float) -> float:
@@ -175,14 +257,18 @@ def _float(value: float) -> float:
 def times(value: float, factor: float) -> float:
     """value * factor; 700 mm are 700/1000 m, as 700 * 0.001 is rounded twice."""
     divisor = 1 / factor
-    return value if factor == 1 else value / divisor if divisor == round(divisor) else value * factor
+    return (
+        value if factor == 1 else value / divisor if divisor == round(divisor) else value * factor
+    )
 
 
 def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...]) -> Any:
     match = NUMBERS.match(text.strip()) if len(text) <= LONGEST else None
     if match is None:
         limit = 'a number with its unit, such as "21 N/mm"'
-        expected.problems.add("NOT_A_NUMBER", expected.where, f"is {text!r:.60}", value=text, limit=limit)
+        expected.problems.add(
+            "NOT_A_NUMBER", expected.where, f"is {text!r:.60}", value=text, limit=limit
+        )
         return 0.0
     numbers = [float(number) for number in re.findall(NUMBER, match.group())]
     written = text.strip()[match.end() :].strip()
@@ -194,7 +280,9 @@ def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...])
         expected.problems.collected += error.problems
         return 0.0
     wanted = (
-        [expected.dimension((*index, (i, len(numbers)))) for i in range(len(numbers))] if len(numbers) > 1 else [expected.dimension(index)]
+        [expected.dimension((*index, (i, len(numbers)))) for i in range(len(numbers))]
+        if len(numbers) > 1
+        else [expected.dimension(index)]
     )
     for dimension in wanted:
         if dimension != unit.dimension:
@@ -208,6 +296,9 @@ def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...])
 def _mismatch(text: str, unit: units.Unit, dimension: units.Dimension, where: str) -> Problem:
     si = units.si_words(dimension)
     hint = f"Give it in {si}." if dimension != units.NONE else "It has no unit."
-    if [a - b for a, b in zip(dimension, unit.dimension, strict=True)] == [1, 0, -2, 0, 0]:  # an acceleration
+    # an acceleration
+    if [a - b for a, b in zip(dimension, unit.dimension, strict=True)] == [1, 0, -2, 0, 0]:
         hint += " Pounds and kilograms of force are lbf and kgf."
-    return Problem("WRONG_DIMENSION", where, f"is '{text}', in {unit.si}", text, f"a unit such as {si}", hint)
+    return Problem(
+        "WRONG_DIMENSION", where, f"is '{text}', in {unit.si}", text, f"a unit such as {si}", hint
+    )

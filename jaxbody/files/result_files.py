@@ -1,4 +1,5 @@
-"""Results in files: fits, motions, linear systems, designs and models in one archive of arrays and text, every number to the bit."""
+"""Results in files: fits, motions, linear systems, designs and models in one archive of arrays and
+text, every number to the bit."""
 
 from __future__ import annotations
 
@@ -21,16 +22,19 @@ from jaxbody.core.source_files import check_file, check_size, replacing, writing
 
 FORMAT = 1
 CONTENTS = "results.json"
-EPOCH = (1980, 1, 1, 0, 0, 0)  # of the members, so that equal results are equal files but for the time in their text
+# of the members, so that equal results are equal files but for the time in their text
+EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def write_results(results: Any, path: Any, *, allow: Sequence[str] = ()) -> None:
     """Write results to a file, from which `read_results` reads them again.
 
-    The file is a zip archive: `results.json` says what the results are, by names of classes and fields, and each array is a .npy file.
+    The file is a zip archive: `results.json` says what the results are, by names of classes and
+    fields, and each array is a .npy file.
 
     Args:
-        results: a result of jaxbody, such as a fit, a trajectory or a design, or a dict of them by name; models and records too
+        results: a result of jaxbody, such as a fit, a trajectory or a design, or a dict of them by
+            name; models and records too
         path: path of the file, .zip; it replaces one of the same name once it is written
         allow: names of your modules whose elements, laws, sensors and motions the results may hold
 
@@ -44,18 +48,40 @@ def write_results(results: Any, path: Any, *, allow: Sequence[str] = ()) -> None
     """
     path = Path(path)
     if path.suffix != ".zip":
-        raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the extension '{path.suffix}'", path.suffix, ".zip"))
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_FORMAT",
+                path.name,
+                f"has the extension '{path.suffix}'",
+                path.suffix,
+                ".zip",
+            )
+        )
     if not is_concrete(results):
         hint = "Write what the compiled or batched function returns."
-        raise JaxbodyError(Problem("TRACED", "write_results", "cannot be called inside jit, vmap or grad", hint=hint))
+        raise JaxbodyError(
+            Problem(
+                "TRACED", "write_results", "cannot be called inside jit, vmap or grad", hint=hint
+            )
+        )
     arrays: list[Any] = []
     try:
         text = text_of(results, arrays, allow)
     except Unnamed as error:
         hint = "Name its module in allow=[...]; a function has no text: write a class with fields."
-        raise JaxbodyError(Problem("OWN_CODE", "write_results", f"holds {error} of your own Python", hint=hint)) from None
-    about = {"format": FORMAT, "jaxbody": version("jaxbody"), "written": datetime.now(UTC).isoformat(timespec="seconds")}
-    with writing(path), replacing(path) as new, zipfile.ZipFile(new, "w", zipfile.ZIP_DEFLATED) as archive:
+        raise JaxbodyError(
+            Problem("OWN_CODE", "write_results", f"holds {error} of your own Python", hint=hint)
+        ) from None
+    about = {
+        "format": FORMAT,
+        "jaxbody": version("jaxbody"),
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    with (
+        writing(path),
+        replacing(path) as new,
+        zipfile.ZipFile(new, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
         _add(archive, CONTENTS, json.dumps(about | {"results": json.loads(text)}).encode())
         for i, array in enumerate(arrays):
             data = io.BytesIO()
@@ -75,8 +101,8 @@ def read_results(path: Any, *, allow: Sequence[str] = (), largest: float = 1e9) 
         allow: names of your modules whose classes the file may name
         largest: largest size of the file and of what it holds [bytes]
 
-    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, WRONG_FORMAT, FILE_VERSION, NOT_ALLOWED, FLOAT32 for results in
-    double precision where JAX has it switched off.
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, WRONG_FORMAT, FILE_VERSION,
+    NOT_ALLOWED, FLOAT32 for results in double precision where JAX has it switched off.
 
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp(), "car.zip")
@@ -88,10 +114,18 @@ def read_results(path: Any, *, allow: Sequence[str] = (), largest: float = 1e9) 
     check_file(path, largest)
     try:
         with zipfile.ZipFile(path) as archive:
-            check_size(path.name, sum(member.file_size for member in archive.infolist()), largest, "bytes in all")
+            check_size(
+                path.name,
+                sum(member.file_size for member in archive.infolist()),
+                largest,
+                "bytes in all",
+            )
             contents = json.loads(archive.read(CONTENTS))
             _check_version(contents, path.name)
-            names = sorted((name for name in archive.namelist() if name.endswith(".npy")), key=lambda name: int(name[:-4]))
+            names = sorted(
+                (name for name in archive.namelist() if name.endswith(".npy")),
+                key=lambda name: int(name[:-4]),
+            )
             arrays = [_array(archive.read(name)) for name in names]
     except JaxbodyError:
         raise
@@ -99,30 +133,55 @@ def read_results(path: Any, *, allow: Sequence[str] = (), largest: float = 1e9) 
         hint = "Was it copied whole? Write it again with write_results."
         message = f"is no archive of results: {str(error).partition(chr(10))[0]:.100}"
         raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, hint=hint)) from None
-    if not jax.config.read("jax_enable_x64") and any(array.dtype in (np.float64, np.complex128) for array in arrays):
+    if not jax.config.read("jax_enable_x64") and any(
+        array.dtype in (np.float64, np.complex128) for array in arrays
+    ):
         hint = 'jax.config.update("jax_enable_x64", True) before anything else.'
-        raise JaxbodyError(Problem("FLOAT32", path.name, "holds numbers in double precision", "float64", "float32 as JAX is set", hint))
+        raise JaxbodyError(
+            Problem(
+                "FLOAT32",
+                path.name,
+                "holds numbers in double precision",
+                "float64",
+                "float32 as JAX is set",
+                hint,
+            )
+        )
     try:
         return value_of(json.dumps(contents["results"]), arrays, allow)
     except ValueError as error:
-        hint = "Read it with the jaxbody that wrote it" + f", {contents.get('jaxbody')}, or allow=[...] the module that it names."
-        raise JaxbodyError(Problem("NOT_ALLOWED", path.name, f"cannot be read: {error!s:.200}", hint=hint)) from None
+        hint = (
+            "Read it with the jaxbody that wrote it"
+            + f", {contents.get('jaxbody')}, or allow=[...] the module that it names."
+        )
+        raise JaxbodyError(
+            Problem("NOT_ALLOWED", path.name, f"cannot be read: {error!s:.200}", hint=hint)
+        ) from None
 
 
 def _check_version(contents: Any, name: str) -> None:
     stated = contents.get("format") if isinstance(contents, dict) else None
     if stated != FORMAT or "results" not in contents:
-        hint = f"This jaxbody, {version('jaxbody')}, reads format {FORMAT}: install the one that wrote it."
-        raise JaxbodyError(Problem("FILE_VERSION", name, f"is of format {stated!r:.20}", stated, str(FORMAT), hint))
+        hint = (
+            f"This jaxbody, {version('jaxbody')}, reads format {FORMAT}: install "
+            "the one that wrote it."
+        )
+        raise JaxbodyError(
+            Problem("FILE_VERSION", name, f"is of format {stated!r:.20}", stated, str(FORMAT), hint)
+        )
 
 
 def _array(data: bytes) -> np.ndarray:
-    """The array in the bytes of a .npy file, whose header is compared with their number before memory is taken."""
+    """The array in the bytes of a .npy file, whose header is compared with their number before
+    memory is taken."""
     file = io.BytesIO(data)
     if np.lib.format.read_magic(file) != (1, 0):
         raise ValueError("an array of another version")
     shape, _, dtype = np.lib.format.read_array_header_1_0(file)
-    if dtype.kind not in "biufc" or int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data) - file.tell():
+    if (
+        dtype.kind not in "biufc"
+        or int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data) - file.tell()
+    ):
         raise ValueError("an array whose size is not that of its data")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)

@@ -1,8 +1,10 @@
-"""The check of a document against the schema of model files: known names, required entries, numbers in SI. It needs no JAX.
+"""The check of a document against the schema of model files: known names, required entries, numbers
+in SI. It needs no JAX.
 
-The schema is JSON schema, which editors use as well, with the words `unit` (of the numbers of an entry), `words` (what the words of
-units stand for below it), `name_of` (what a name is that of), `coordinates` (of a joint, their units) and `couples` (whether the words of
-units depend on the coordinates that it names).
+The schema is JSON schema, which editors use as well, with the words `unit` (of the numbers of an
+entry), `words` (what the words of units stand for below it), `name_of` (what a name is that of),
+`coordinates` (of a joint, their units) and `couples` (whether the words of units depend on the
+coordinates that it names).
 """
 
 from __future__ import annotations
@@ -14,13 +16,25 @@ from pathlib import Path
 from typing import Any
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
-from jaxbody.files.coordinate_units import coordinate_units, owner, with_own_joints, words_of_coupling
+from jaxbody.files.coordinate_units import (
+    coordinate_units,
+    owner,
+    with_own_joints,
+    words_of_coupling,
+)
 from jaxbody.files.documents import Document, EntryPath
 from jaxbody.files.quantities import in_SI, unit_system
 
 VERSION = 1
 SCHEMA_FILE = Path(__file__).with_name("schema.json")
-TYPES = {"string": str, "boolean": bool, "number": (int, float), "integer": int, "array": list, "object": dict}
+TYPES = {
+    "string": str,
+    "boolean": bool,
+    "number": (int, float),
+    "integer": int,
+    "array": list,
+    "object": dict,
+}
 ANYTHING = {"type": list(TYPES)}
 CALLED = {
     "string": "a text",
@@ -39,9 +53,11 @@ def schema() -> dict[str, Any]:
 
 
 def checked_values(document: Document) -> dict[str, Any]:
-    """The values of a document, with all numbers in SI. All problems are in one error, each with its line.
+    """The values of a document, with all numbers in SI. All problems are in one error, each with
+    its line.
 
-    Errors: FILE_VERSION, UNKNOWN_NAME, UNKNOWN_BODY, MISSING_ENTRY, WRONG_KIND, those of quantities."""
+    Errors: FILE_VERSION, UNKNOWN_NAME, UNKNOWN_BODY, MISSING_ENTRY, WRONG_KIND, those
+    of quantities."""
     _check_version(document)
     with Problems() as problems:
         check = Check(document, problems)
@@ -58,7 +74,9 @@ def _check_version(document: Document) -> None:
             else f"Write jaxbody = {VERSION} in its first line."
         )
         said = "does not state its version" if version is None else f"is version {version!r:.20}"
-        raise JaxbodyError(Problem("FILE_VERSION", document.where(("jaxbody",)), said, version, str(VERSION), hint))
+        raise JaxbodyError(
+            Problem("FILE_VERSION", document.where(("jaxbody",)), said, version, str(VERSION), hint)
+        )
 
 
 class Check:
@@ -66,17 +84,23 @@ class Check:
 
     def __init__(self, document: Document, problems: Problems):
         self.document, self.problems = document, problems
-        self.system = unit_system(document.values.get("units"), document.where(("units",)), problems)
+        self.system = unit_system(
+            document.values.get("units"), document.where(("units",)), problems
+        )
         frames = (*self.names("bodies"), *self.names("supports"), "world")
         self.coordinates = coordinate_units(document.values, schema()["$defs"])
         self.own_joints = with_own_joints(document.values)
-        self.known = {"frame": frames} | {name.removesuffix("s"): self.names(name) for name in ("elements", "records", "sensors")}
+        self.known = {"frame": frames} | {
+            name.removesuffix("s"): self.names(name) for name in ("elements", "records", "sensors")
+        }
 
     def names(self, section: str) -> tuple[str, ...]:
         table = self.document.values.get(section)
         return tuple(table) if isinstance(table, dict) else ()
 
-    def value(self, value: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> Any:
+    def value(
+        self, value: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]
+    ) -> Any:
         """A value with its numbers in SI; as it is where there is a problem."""
         words = words | node.get("words", {})
         node = resolved(node)
@@ -89,27 +113,47 @@ class Check:
             self.wrong_kind(value, node, path)
             return value
         if isinstance(value, dict):
-            return self.coupling(value, node, path) if "couples" in node else self.table(value, node, path, words)
+            return (
+                self.coupling(value, node, path)
+                if "couples" in node
+                else self.table(value, node, path, words)
+            )
         if isinstance(value, list):
             self.count(value, node, path)
-            return [self.value(x, of, (*path, i), words) for i, (x, of) in enumerate(zip(value, _items(node, len(value)), strict=True))]
+            return [
+                self.value(x, of, (*path, i), words)
+                for i, (x, of) in enumerate(zip(value, _items(node, len(value)), strict=True))
+            ]
         kind = node.get("name_of")
         if kind == "coordinate" and owner(value) in self.own_joints:
             return value
-        known = tuple(self.coordinates) if kind == "coordinate" else self.known[kind] if kind else ()
+        known = (
+            tuple(self.coordinates) if kind == "coordinate" else self.known[kind] if kind else ()
+        )
         if kind and value not in known:
-            problem, what = unknown(value, self.document.where(path), known), "body or support" if kind == "frame" else kind
+            problem, what = (
+                unknown(value, self.document.where(path), known),
+                "body or support" if kind == "frame" else kind,
+            )
             code = "UNKNOWN_BODY" if kind == "frame" else problem.code
-            self.problems.add(code, problem.where, f"{what} {problem.message}", value=value, hint=problem.hint)
+            self.problems.add(
+                code, problem.where, f"{what} {problem.message}", value=value, hint=problem.hint
+            )
         if value not in node.get("enum", [value]):
-            self.problems.collected.append(unknown(value, self.document.where(path), tuple(node["enum"])))
+            self.problems.collected.append(
+                unknown(value, self.document.where(path), tuple(node["enum"]))
+            )
         return value
 
-    def quantity(self, value: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> Any:
+    def quantity(
+        self, value: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]
+    ) -> Any:
         if not isinstance(value, list | str | int | float):
             self.wrong_kind(value, node, path)
             return value
-        numbers = in_SI(value, node["unit"], words, self.system, self.document.where(path), self.problems)
+        numbers = in_SI(
+            value, node["unit"], words, self.system, self.document.where(path), self.problems
+        )
         self.count(numbers, node, path)
         return numbers
 
@@ -117,56 +161,108 @@ class Check:
         """Check the number of items, where the schema states it."""
         expected, found = node.get("minItems"), len(value) if isinstance(value, list) else 1
         if expected is not None and found != expected:
-            self.problems.add("BAD_SHAPE", self.document.where(path), f"has {found} of {expected} items", value=value, limit=str(expected))
+            self.problems.add(
+                "BAD_SHAPE",
+                self.document.where(path),
+                f"has {found} of {expected} items",
+                value=value,
+                limit=str(expected),
+            )
 
-    def table(self, value: dict[str, Any], node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> dict[str, Any]:
+    def table(
+        self, value: dict[str, Any], node: dict[str, Any], path: EntryPath, words: dict[str, str]
+    ) -> dict[str, Any]:
         known, others = node.get("properties", {}), node.get("additionalProperties", False)
         for name in node.get("required", []):
             if name not in value:
                 text = resolved(known[name]).get("description", "")
-                message, hint = f"has no '{name}'", f"Give {name} = ...{': ' + text if text else ''}"
-                self.problems.add("MISSING_ENTRY", self.document.where(path), message, value=name, hint=hint)
+                message, hint = (
+                    f"has no '{name}'",
+                    f"Give {name} = ...{': ' + text if text else ''}",
+                )
+                self.problems.add(
+                    "MISSING_ENTRY", self.document.where(path), message, value=name, hint=hint
+                )
         values = {}
         for name, entry in value.items():
             if name in known:
-                values[name] = self.value(entry, known[name], (*path, name), words) if name != "type" else entry
+                values[name] = (
+                    self.value(entry, known[name], (*path, name), words)
+                    if name != "type"
+                    else entry
+                )
             elif others:
                 values[name] = self.value(entry, others, (*path, name), words)
             else:
-                self.problems.collected.append(unknown(name, self.document.where((*path, name)), tuple(known)))
+                self.problems.collected.append(
+                    unknown(name, self.document.where((*path, name)), tuple(known))
+                )
         return values
 
-    def coupling(self, value: dict[str, Any], node: dict[str, Any], path: EntryPath) -> dict[str, Any]:
-        """A coupling, whose units are those of its coordinates; where these are not known, only its names are checked."""
+    def coupling(
+        self, value: dict[str, Any], node: dict[str, Any], path: EntryPath
+    ) -> dict[str, Any]:
+        """A coupling, whose units are those of its coordinates; where these are not known, only its
+        names are checked."""
         words = words_of_coupling(value, self.coordinates)
         if words is None:
-            node = node | {"properties": {name: of if "name_of" in of else ANYTHING for name, of in node["properties"].items()}}
+            node = node | {
+                "properties": {
+                    name: of if "name_of" in of else ANYTHING
+                    for name, of in node["properties"].items()
+                }
+            }
         return self.table(value, node, path, words or {})
 
-    def alternative(self, value: Any, node: dict[str, Any], path: EntryPath) -> dict[str, Any] | None:
-        """The one of several schemas that a value is meant for; None with a problem, and for a class of the user's, which is checked when
-        it is imported."""
+    def alternative(
+        self, value: Any, node: dict[str, Any], path: EntryPath
+    ) -> dict[str, Any] | None:
+        """The one of several schemas that a value is meant for; None with a problem, and for a
+        class of the user's, which is checked when it is imported."""
         options = [resolved(option) for option in node["oneOf"]]
         fitting = [option for option in options if accepts(option, value)]
-        types = {option["properties"]["type"]["const"]: option for option in fitting if "type" in option.get("properties", {})}
+        types = {
+            option["properties"]["type"]["const"]: option
+            for option in fitting
+            if "type" in option.get("properties", {})
+        }
         if isinstance(value, dict) and types:
-            name = value.get("type", next((name for name, option in types.items() if "type" not in option["required"]), None))
+            name = value.get(
+                "type",
+                next(
+                    (name for name, option in types.items() if "type" not in option["required"]),
+                    None,
+                ),
+            )
             if isinstance(name, str) and ":" in name:
                 return None
             if name is None:
                 hint = f"Known: {', '.join(types)}."
-                self.problems.add("MISSING_ENTRY", self.document.where(path), "has no 'type'", value=value, limit="type", hint=hint)
+                self.problems.add(
+                    "MISSING_ENTRY",
+                    self.document.where(path),
+                    "has no 'type'",
+                    value=value,
+                    limit="type",
+                    hint=hint,
+                )
             elif str(name) not in types:
-                self.problems.collected.append(unknown(str(name), self.document.where((*path, "type")), tuple(types)))
+                self.problems.collected.append(
+                    unknown(str(name), self.document.where((*path, "type")), tuple(types))
+                )
             return types.get(str(name))
         if not fitting:
-            self.wrong_kind(value, {"type": [kind for option in options for kind in _types(option)]}, path)
+            self.wrong_kind(
+                value, {"type": [kind for option in options for kind in _types(option)]}, path
+            )
             return None
         return fitting[0]
 
     def wrong_kind(self, value: Any, node: dict[str, Any], path: EntryPath) -> None:
         limit = " or ".join(dict.fromkeys(CALLED[kind] for kind in _types(node)))
-        self.problems.add("WRONG_KIND", self.document.where(path), f"is {value!r:.60}", value=value, limit=limit)
+        self.problems.add(
+            "WRONG_KIND", self.document.where(path), f"is {value!r:.60}", value=value, limit=limit
+        )
 
 
 def resolved(node: dict[str, Any]) -> dict[str, Any]:
@@ -191,6 +287,7 @@ def _types(node: dict[str, Any]) -> list[str]:
 
 
 def _items(node: dict[str, Any], n: int) -> list[dict[str, Any]]:
-    """The schemas of n items; those beyond the ones that are stated may be anything, and are refused where the object is made."""
+    """The schemas of n items; those beyond the ones that are stated may be anything, and are
+    refused where the object is made."""
     first = node.get("prefixItems", [])
     return [*first, *[node.get("items", ANYTHING)] * n][:n]

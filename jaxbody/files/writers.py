@@ -17,7 +17,16 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import si_words
 from jaxbody.elements.bushings import FramePair
 from jaxbody.files.coordinate_units import coordinate_units, words_of_coupling
-from jaxbody.files.kinds import CLOSURES, ELEMENTS, PLAIN, SECTIONS, TYPES, Argument, arguments_of, definition_of
+from jaxbody.files.kinds import (
+    CLOSURES,
+    ELEMENTS,
+    PLAIN,
+    SECTIONS,
+    TYPES,
+    Argument,
+    arguments_of,
+    definition_of,
+)
 from jaxbody.files.quantities import dimension
 from jaxbody.files.schemas import VERSION, schema
 from jaxbody.geometry.closures import Equation
@@ -37,32 +46,60 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
     """The values of a document that states a model, in SI."""
     if not is_concrete(model):
         raise JaxbodyError(
-            Problem("TRACED", "write_model", "cannot be called inside jit, vmap or grad", hint="Write the result of the program.")
+            Problem(
+                "TRACED",
+                "write_model",
+                "cannot be called inside jit, vmap or grad",
+                hint="Write the result of the program.",
+            )
         )
     refuse_batch(model, "write_model")
     parts, writer = model.parts(), Writer(allow)
-    joints = {name: joint for name, joint in parts["joints"].items() if not (type(joint) is Free and joint.parent == "world")}
-    parts |= {"joints": joints, "elements": {name: _as_given(model, name) for name in model.element_names}}
+    joints = {
+        name: joint
+        for name, joint in parts["joints"].items()
+        if not (type(joint) is Free and joint.parent == "world")
+    }
+    parts |= {
+        "joints": joints,
+        "elements": {name: _as_given(model, name) for name in model.element_names},
+    }
     sections = {name: parts[name] for name in SECTIONS}
-    values = {name: {key: writer.table(thing, f"{name}.{key}") for key, thing in things.items()} for name, things in sections.items()}
+    values = {
+        name: {key: writer.table(thing, f"{name}.{key}") for key, thing in things.items()}
+        for name, things in sections.items()
+    }
     writer.problems.raise_if_any()
     first = {"jaxbody": VERSION, "units": "SI", "gravity": numbers_of(model.gravity)}
     return first | {name: tables for name, tables in values.items() if tables}
 
 
 def _as_given(model: Model, name: str) -> Any:
-    """An element, without the orientation of its second frame where this follows from the drawing, to the bit."""
+    """An element, without the orientation of its second frame where this follows from the drawing,
+    to the bit."""
     element = model[name]
     if not issubclass(type(element), FramePair):
         return element
-    plain = eqx.tree_at(lambda m: (m.orientation, m.orientation_b), element, (np.asarray(numbers_of(element.orientation)), None))
-    turns = (np.asarray(numbers_of(model[end].orientation) if end != WORLD else IDENTITY) for end in element.between)
+    plain = eqx.tree_at(
+        lambda m: (m.orientation, m.orientation_b),
+        element,
+        (np.asarray(numbers_of(element.orientation)), None),
+    )
+    turns = (
+        np.asarray(numbers_of(model[end].orientation) if end != WORLD else IDENTITY)
+        for end in element.between
+    )
     followed = plain.as_drawn(*turns).orientation_b
-    return eqx.tree_at(lambda m: m.orientation_b, element, None) if _same(element.orientation_b, followed) else element
+    return (
+        eqx.tree_at(lambda m: m.orientation_b, element, None)
+        if _same(element.orientation_b, followed)
+        else element
+    )
 
 
 class Writer:
-    """States objects as tables of their arguments; those that are as the constructor has them by itself are left out."""
+    """States objects as tables of their arguments; those that are as the constructor has them by
+    itself are left out."""
 
     def __init__(self, allow: Sequence[str]):
         self.allow, self.problems = allow, Problems()
@@ -71,18 +108,38 @@ class Writer:
         kind = type(thing)
         if kind in (*TYPES.values(), *CLOSURES):
             return kind.__name__
-        if isinstance(thing, Function | Equation | jax.tree_util.Partial) or "<locals>" in kind.__qualname__:
+        if (
+            isinstance(thing, Function | Equation | jax.tree_util.Partial)
+            or "<locals>" in kind.__qualname__
+        ):
             what = "function" if kind is jax.tree_util.Partial else kind.__name__
-            hint = f"{NOT_IN_FILES} Write a class in a module of yours, and name the module in allow=[...]."
-            self.problems.add("OWN_CODE", where, f"is a {what} of your own Python", value=thing, hint=hint)
+            hint = (
+                f"{NOT_IN_FILES} Write a class in a module of yours, and name the "
+                "module in allow=[...]."
+            )
+            self.problems.add(
+                "OWN_CODE", where, f"is a {what} of your own Python", value=thing, hint=hint
+            )
         elif kind.__module__ not in self.allow:
             hint = f"Give allow=['{kind.__module__}'] here and to read_model."
-            self.problems.add("NOT_ALLOWED", where, f"is a {kind.__name__} from {kind.__module__}", value=thing, hint=hint)
+            self.problems.add(
+                "NOT_ALLOWED",
+                where,
+                f"is a {kind.__name__} from {kind.__module__}",
+                value=thing,
+                hint=hint,
+            )
         return f"{kind.__module__}:{kind.__qualname__}"
 
     def table(self, thing: Any, where: str) -> dict[str, Any]:
-        values: dict[str, Any] = {} if type(thing) in PLAIN.values() else {"type": self.type_of(thing, where)}
-        ends = iter(zip(thing.between, thing.points, strict=True) if type(thing) in (*ELEMENTS, *CLOSURES) else ())
+        values: dict[str, Any] = (
+            {} if type(thing) in PLAIN.values() else {"type": self.type_of(thing, where)}
+        )
+        ends = iter(
+            zip(thing.between, thing.points, strict=True)
+            if type(thing) in (*ELEMENTS, *CLOSURES)
+            else ()
+        )
         for argument in arguments_of(type(thing)) if dataclasses.is_dataclass(thing) else ():
             if argument.role == "end":
                 name, point = next(ends)
@@ -135,8 +192,8 @@ def _same(value: Any, default: Any) -> bool:
 
 
 def toml_of(values: dict[str, Any], units: bool = False) -> str:
-    """The text of a document: a table for each body and element, a line for each support and joint. `units`: with the unit of the numbers
-    in each line."""
+    """The text of a document: a table for each body and element, a line for each support and joint.
+    `units`: with the unit of the numbers in each line."""
     document, coordinates = tomlkit.document(), coordinate_units(values, schema()["$defs"])
     for name, value in values.items():
         if name not in SECTIONS:
@@ -147,11 +204,16 @@ def toml_of(values: dict[str, Any], units: bool = False) -> str:
             if name in SHORT:
                 section.add(tomlkit.key(key), _item(entries))
                 continue
-            definition = schema()["$defs"].get(definition_of(name, entries.get("type")), {"properties": {}})
+            definition = schema()["$defs"].get(
+                definition_of(name, entries.get("type")), {"properties": {}}
+            )
             nodes, words = definition["properties"], words_of_coupling(entries, coordinates) or {}
             table = tomlkit.table()
             for entry, content in entries.items():
-                table.add(entry, _with_unit(content, nodes.get(entry, {}), words) if units else _item(content))
+                table.add(
+                    entry,
+                    _with_unit(content, nodes.get(entry, {}), words) if units else _item(content),
+                )
             section.add(tomlkit.key(key), table)
         document.add(name, section)
     return tomlkit.dumps(document)
@@ -167,7 +229,11 @@ def _with_unit(value: Any, node: dict[str, Any], words: dict[str, str] | None = 
     elif ";" in unit and isinstance(value[0], list):
         return item.comment(f"in blocks {unit}")
     unit = unit.partition(",")[0]
-    return item.comment(si_words(dimension(unit, (words or {}) | node.get("words", {})))) if unit else item
+    return (
+        item.comment(si_words(dimension(unit, (words or {}) | node.get("words", {}))))
+        if unit
+        else item
+    )
 
 
 def _item(value: Any) -> Any:

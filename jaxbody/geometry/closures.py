@@ -1,12 +1,15 @@
-"""Closures: joints and rods that close loops, as conditions c(X_A, X_B) = 0 on the poses of two frames, and couplings of two coordinates.
+"""Closures: joints and rods that close loops, as conditions c(X_A, X_B) = 0 on the poses of two
+frames, and couplings of two coordinates.
 
-The joints of a model form a tree; a closure joins two of its frames once more. With the points a and b, each in its own frame, and the
-rotation R of B on A from the reference pose, both in the axes of A:
+The joints of a model form a tree; a closure joins two of its frames once more. With the points a
+and b, each in its own frame, and the rotation R of B on A from the reference pose, both in the axes
+of A:
 
     d = R_A' (x_b - x_a)
     R = R_A' R_B R_0',   R_0 = R_A' R_B in the reference pose
 
-so that in the reference pose as it is drawn R = 1, and the points need not meet: `assemble` moves them together.
+so that in the reference pose as it is drawn R = 1, and the points need not meet: `assemble` moves
+them together.
 """
 
 from abc import abstractmethod
@@ -34,10 +37,11 @@ def __dir__():
 
 
 class Closure(eqx.Module):
-    """The base class of closures between two frames, named in `between`, at the points `a` and `b` in their axes.
+    """The base class of closures between two frames, named in `between`, at the points `a` and `b`
+    in their axes.
 
-    A closure of your own states `rows`, a description of each condition, and `gap`, the values of the conditions, in meters. A wheel that
-    rolls on a rail of height 0.1 m:
+    A closure of your own states `rows`, a description of each condition, and `gap`, the values of
+    the conditions, in meters. A wheel that rolls on a rail of height 0.1 m:
 
     >>> class OnRail(jb.closures.Closure):
     ...     rows = ("height",)
@@ -59,8 +63,8 @@ class Closure(eqx.Module):
 
     @abstractmethod
     def gap(self, A: Pose, B: Pose, rest: Pose) -> Float[Array, "rows"]:
-        """c, zero where the loop is closed: lengths [m], or sines of angles where a description begins with "turn"; `rest` is the pose of
-        B on A in the reference poses."""
+        """c, zero where the loop is closed: lengths [m], or sines of angles where a description
+        begins with "turn"; `rest` is the pose of B on A in the reference poses."""
 
     def offset(self, A: Pose, B: Pose) -> Float[Array, "3"]:
         """d, from a to b in the axes of A."""
@@ -102,7 +106,8 @@ class Ball(Closure):
 
 
 class Hinge(AlongAxis):
-    """The points a and b coincide, and B turns on A about n alone: d = 0 and t . R n = 0 for the two directions t across n.
+    """The points a and b coincide, and B turns on A about n alone: d = 0 and t . R n = 0 for the
+    two directions t across n.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
@@ -125,7 +130,8 @@ class Hinge(AlongAxis):
 
 
 class Guide(AlongAxis):
-    """B slides on A along n and does not turn: t . d = 0 for the two directions t across n, and R = 1.
+    """B slides on A along n and does not turn: t . d = 0 for the two directions t across n,
+    and R = 1.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
@@ -147,7 +153,8 @@ class Guide(AlongAxis):
 
 
 class Inline(AlongAxis):
-    """The point b of B slides along the line through a of A, as the top of a strut does: t . d = 0 for the two directions t across n.
+    """The point b of B slides along the line through a of A, as the top of a strut does: t . d = 0
+    for the two directions t across n.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
@@ -197,7 +204,8 @@ class Rod(Closure):
         a, b: (name of a body, a support or `world`, point in its frame [m])
         length: L [m]; None: the distance of the points in the reference pose
 
-    Errors: NOT_POSITIVE, BAD_END, SELF_SPRING, BAD_SHAPE, NON_FINITE; of the model ZERO_LENGTH where that distance is zero.
+    Errors: NOT_POSITIVE, BAD_END, SELF_SPRING, BAD_SHAPE, NON_FINITE; of the model ZERO_LENGTH
+    where that distance is zero.
 
     >>> jb.closures.Rod(("rack", [0, 0.2, 0]), ("upright", [0.15, 0, 0])).rows
     ('length',)
@@ -211,7 +219,12 @@ class Rod(Closure):
             self.between, (self.a, self.b) = ends((a, b), "Rod", problems)
             self.length = None
             if length is not None:
-                self.length = in_domain(scalar(length, "Rod.length", problems), kind_of(self, "length"), "Rod.length", problems)
+                self.length = in_domain(
+                    scalar(length, "Rod.length", problems),
+                    kind_of(self, "length"),
+                    "Rod.length",
+                    problems,
+                )
 
     def gap(self, A, B, rest):
         d = self.offset(A, B)
@@ -221,17 +234,22 @@ class Rod(Closure):
 
 
 class Equation(Closure):
-    """A condition of your own: function(A, B) = 0, with the poses of two frames (p, R and `point`), in meters.
+    """A condition of your own: function(A, B) = 0, with the poses of two frames (p, R and `point`),
+    in meters.
 
     Args:
         function: from two poses to a number or a row of numbers
         between: the names of the two frames
 
-    Errors: BAD_END, SELF_SPRING; of the model NON_FINITE where the condition has no finite slopes in the reference pose, as |x| at 0.
+    Errors: BAD_END, SELF_SPRING; of the model NON_FINITE where the condition has no finite slopes
+    in the reference pose, as |x| at 0.
 
     A point at a distance of 2 m from another:
 
-    >>> sphere = jb.closures.Equation(lambda A, B: jnp.linalg.norm(B.p - A.point(jnp.array([1.0, 0, 0]))) - 2.0, ("world", "ball"))
+    >>> sphere = jb.closures.Equation(
+    ...     lambda A, B: jnp.linalg.norm(B.p - A.point(jnp.array([1.0, 0, 0]))) - 2.0,
+    ...     ("world", "ball"),
+    ... )
     >>> sphere.rows
     ('equation 1',)
     """
@@ -252,21 +270,25 @@ class Equation(Closure):
 
 
 class Coupling(Closure):
-    """A coordinate of a joint as a function of another, as of a rack and its pinion, or of two gears: x - f(y) = 0.
+    """A coordinate of a joint as a function of another, as of a rack and its pinion, or of two
+    gears: x - f(y) = 0.
 
-    Coordinates count from the reference pose, turns of any number included. They are named as in `suspension_curves`: "rack.q" for the one
-    of a joint, "nut.q.0", "nut.q.1" for those of a joint with several (not the numbers of a quaternion). The forces act along the
-    coordinates, between a body and what carries it, as those of a drive in the joint: they are part of the reaction of the joint.
+    Coordinates count from the reference pose, turns of any number included. They are named as in
+    `suspension_curves`: "rack.q" for the one of a joint, "nut.q.0", "nut.q.1" for those of a joint
+    with several (not the numbers of a quaternion). The forces act along the coordinates, between a
+    body and what carries it, as those of a drive in the joint: they are part of the reaction of
+    the joint.
 
     Args:
         of: x, such as "rack.q"
         by: y, such as "pinion.q"
-        ratio: f(y) = ratio y [unit of x by that of y]: for a rack the radius of its pinion, for two outer gears minus the ratio of their
-            teeth, for a screw its pitch/(2 pi)
-        function: f instead, a JAX function, or a law whose force is then x, such as the measured curve `jb.laws.Table(y, x)`
+        ratio: f(y) = ratio y [unit of x by that of y]: for a rack the radius of its pinion, for two
+            outer gears minus the ratio of their teeth, for a screw its pitch/(2 pi)
+        function: f instead, a JAX function, or a law whose force is then x, such as the measured
+            curve `jb.laws.Table(y, x)`
 
-    Errors: WRONG_KIND unless one of ratio and function is given, UNKNOWN_NAME where the model has no such coordinate, BAD_SHAPE,
-    NON_FINITE.
+    Errors: WRONG_KIND unless one of ratio and function is given, UNKNOWN_NAME where the model has
+    no such coordinate, BAD_SHAPE, NON_FINITE.
 
     >>> jb.closures.Coupling("rack.q", "pinion.q", ratio=0.008).between
     ('rack', 'pinion')
@@ -287,7 +309,13 @@ class Coupling(Closure):
             self.function = function
             if (ratio is None) == (function is None):
                 hint = "Give ratio=... for f(y) = ratio y, or function=... for another f."
-                problems.add("WRONG_KIND", "Coupling", "needs a ratio or a function", limit="one of them", hint=hint)
+                problems.add(
+                    "WRONG_KIND",
+                    "Coupling",
+                    "needs a ratio or a function",
+                    limit="one of them",
+                    hint=hint,
+                )
 
     def counted_in(self, unit: str) -> "Coupling":
         """The coupling with x in this unit."""
@@ -306,7 +334,10 @@ class Coupling(Closure):
 def as_slide(x: Float[Array, "n"]) -> Pose:
     """Coordinates as the poses that couplings read, with p = (x, 0, 0)."""
     zero = jnp.zeros_like(x)
-    return Pose(jnp.stack([x, zero, zero], -1), jnp.broadcast_to(jnp.asarray(np.eye(3, dtype=x.dtype)), (*x.shape, 3, 3)))
+    return Pose(
+        jnp.stack([x, zero, zero], -1),
+        jnp.broadcast_to(jnp.asarray(np.eye(3, dtype=x.dtype)), (*x.shape, 3, 3)),
+    )
 
 
 def _turn(A: Pose, B: Pose, rest: Pose) -> Float[Array, "3 3"]:
@@ -315,7 +346,8 @@ def _turn(A: Pose, B: Pose, rest: Pose) -> Float[Array, "3 3"]:
 
 
 def _across(n: Float[Array, "3"], d: Float[Array, "3"]) -> Float[Array, "2"]:
-    """The components of d along two directions across n: t_1, across the axis that is farthest from n, and n x t_1."""
+    """The components of d along two directions across n: t_1, across the axis that is farthest from
+    n, and n x t_1."""
     farthest = jnp.asarray(np.eye(3, dtype=n.dtype))[jnp.argmin(jnp.abs(n))]
     t = cross(n, farthest)
     t = t / jnp.sqrt(dot(t, t))

@@ -1,4 +1,5 @@
-"""How laws, elements, bodies and others that consist of numbers print: the class, and each field with its numbers and unit."""
+"""How laws, elements, bodies and others that consist of numbers print: the class, and each field
+with its numbers and unit."""
 
 from __future__ import annotations
 
@@ -13,33 +14,46 @@ from jaxbody.core.jax_internals import Tracer
 from jaxbody.geometry.fields import kind_of, units_of, words_for
 
 MOST_NUMBERS = 7  # of a row that are printed; of a longer one, its range
-LONGEST = 80  # text of another object, such as a network, that is printed; of a longer one, how many numbers it has
+# text of another object, such as a network, that is printed; of a longer one, how many numbers
+# it has
+LONGEST = 80
 MATRICES = ("definite", "symmetric", "inertia")
 
 
 class Described:
-    """An object that prints with the numbers and units of its fields: Stop(gap=0.06 m, stiffness=200000 N/m, engagement=0.01 m).
+    """An object that prints with the numbers and units of its fields: Stop(gap=0.06 m,
+    stiffness=200000 N/m, engagement=0.01 m).
 
-    A unit is left out where it depends on an owner that is not known: a linear law may be that of a spring or of a damper."""
+    A unit is left out where it depends on an owner that is not known: a linear law may be that of a
+    spring or of a damper."""
 
     def __repr__(self) -> str:
         return self._described({})
 
     def _described(self, words: dict[str, str]) -> str:
         """The text, with the words of units from the object that holds this one."""
-        of_class = fields(self)  # pyright: ignore[reportArgumentType]  # of a dataclass derived from this
+        # of a dataclass derived from this
+        of_class = fields(self)  # pyright: ignore[reportArgumentType]
         values = {each.name: (getattr(self, each.name, None), each.default) for each in of_class}
         shown = {
-            name: text_of(self, name, words) for name, (value, default) in values.items() if value is not None and value is not default
+            name: text_of(self, name, words)
+            for name, (value, default) in values.items()
+            if value is not None and value is not default
         }
         alone = len(values) == 1
-        return f"{type(self).__name__}({', '.join(text if alone else f'{name}={text}' for name, text in shown.items())})"
+        return (
+            f"{type(self).__name__}("
+            f"{', '.join(text if alone else f'{name}={text}' for name, text in shown.items())})"
+        )
 
 
 def text_of(owner: Any, name: str, words: dict[str, str] | None = None) -> str:
     """A field of an object: numbers with their unit, or a law or signal in its own words.
 
-    >>> text_of(SpringDamper(("mass", [0, 0, 0]), ("world", [0, 0, 1]), spring=20e3, free_length=0.9), "spring")
+    >>> text_of(
+    ...     SpringDamper(("mass", [0, 0, 0]), ("world", [0, 0, 1]), spring=20e3, free_length=0.9),
+    ...     "spring",
+    ... )
     'Linear(20000 N/m)'
     """
     value, words = getattr(owner, name), words or {}
@@ -55,7 +69,11 @@ def text_of(owner: Any, name: str, words: dict[str, str] | None = None) -> str:
         return f"{type(value).__name__}({tables.counted(count, 'number')})"
     kind, array = kind_of(owner, name, words), np.asarray(value)
     units = units_of(kind, array.shape)
-    if kind.domain in MATRICES and array.ndim == 2 and not np.any(array - np.diag(np.diagonal(array))):
+    if (
+        kind.domain in MATRICES
+        and array.ndim == 2
+        and not np.any(array - np.diag(np.diagonal(array)))
+    ):
         return f"diag{_row(np.diagonal(array), np.reshape(units, array.shape).diagonal().tolist())}"
     if array.ndim > 1:
         return tables.number(array)
@@ -65,6 +83,13 @@ def text_of(owner: Any, name: str, words: dict[str, str] | None = None) -> str:
 def _row(numbers: np.ndarray, units: list[str]) -> str:
     """[1 2 3] m, [1 N/m, 2 N/m2], or [200 numbers from 0 to 1] m."""
     if len(set(units)) > 1:
-        return f"[{', '.join(f'{tables.number(x)} {unit}' for x, unit in zip(numbers, units, strict=True))}]"
-    ends = f"{numbers.size} numbers from {tables.number(numbers.min(initial=np.inf))} to {tables.number(numbers.max(initial=-np.inf))}"
-    return f"[{tables.number(numbers) if numbers.size <= MOST_NUMBERS else ends}] {units[0] if units else ''}".rstrip()
+        values = [f"{tables.number(x)} {unit}" for x, unit in zip(numbers, units, strict=True)]
+        return f"[{', '.join(values)}]"
+    ends = (
+        f"{numbers.size} numbers from {tables.number(numbers.min(initial=np.inf))} to "
+        f"{tables.number(numbers.max(initial=-np.inf))}"
+    )
+    return (
+        f"[{tables.number(numbers) if numbers.size <= MOST_NUMBERS else ends}] "
+        f"{units[0] if units else ''}"
+    ).rstrip()

@@ -1,4 +1,5 @@
-"""Fields whose unit and domain are stated once, in the class; a unit may be a formula of words whose units the owner defines."""
+"""Fields whose unit and domain are stated once, in the class; a unit may be a formula of words
+whose units the owner defines."""
 
 from __future__ import annotations
 
@@ -16,8 +17,22 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import KNOWN
 
 ROWS = ("increasing", "rising")
-DOMAINS = ("any", "nonnegative", "positive", "fraction", "definite", "direction", "rotation", "inertia", *ROWS, "configuration", "speeds")
-LIMITS = {  # in words, and the default code of the error; "symmetric" is "definite" without a condition on signs
+DOMAINS = (
+    "any",
+    "nonnegative",
+    "positive",
+    "fraction",
+    "definite",
+    "direction",
+    "rotation",
+    "inertia",
+    *ROWS,
+    "configuration",
+    "speeds",
+)
+# in words, and the default code of the error; "symmetric" is "definite" without a condition
+# on signs
+LIMITS = {
     "nonnegative": (">= 0", "NEGATIVE"),
     "positive": ("> 0", "NOT_POSITIVE"),
     "fraction": ("0 to 1", "NOT_A_FRACTION"),
@@ -30,9 +45,11 @@ LIMITS = {  # in words, and the default code of the error; "symmetric" is "defin
 
 @dataclass(frozen=True)
 class Kind:
-    """The kind of the numbers of a field: `unit`, `domain`, and `code` and `hint` of the error for numbers outside the domain.
+    """The kind of the numbers of a field: `unit`, `domain`, and `code` and `hint` of the error for
+    numbers outside the domain.
 
-    The unit is "" where there is none; commas separate the units of parts of the last axis, semicolons those of the axis before it."""
+    The unit is "" where there is none; commas separate the units of parts of the last axis,
+    semicolons those of the axis before it."""
 
     unit: str = ""
     domain: str = "any"
@@ -40,22 +57,36 @@ class Kind:
     hint: str = ""
 
 
-def field(unit: str = "", domain: str = "any", *, code: str = "", hint: str = "", words: dict[str, str] | None = None, **options) -> Any:
-    """A field of an element, law, joint, load, motion or sensor, with the unit and domain of its numbers.
+def field(
+    unit: str = "",
+    domain: str = "any",
+    *,
+    code: str = "",
+    hint: str = "",
+    words: dict[str, str] | None = None,
+    **options,
+) -> Any:
+    """A field of an element, law, joint, load, motion or sensor, with the unit and domain of
+    its numbers.
 
-    These determine the values that `replace` refuses, the variable that `fit` and `tune` use for the number, its possible bounds, and its
-    unit in tables. A field without them has no unit and may have any value.
+    These determine the values that `replace` refuses, the variable that `fit` and `tune` use for
+    the number, its possible bounds, and its unit in tables. A field without them has no unit and
+    may have any value.
 
     Args:
-        unit: such as "N/m", or a formula in words of the object that holds the owner: "force/argument" of a law is N s/m in a damper and
-            N m/rad in a spring about an angle
-        domain: any, nonnegative, positive (for both a fit uses the logarithm, which keeps the sign), fraction (from 0 to 1), definite (a
-            symmetric matrix without negative eigenvalues, or a row of such numbers), direction (a unit vector), rotation (a unit
-            quaternion) or inertia; for a row of numbers, increasing or rising (not falling; a fit uses the logarithms of its steps); for a
-            state, configuration or speeds (the coordinates of the joints, and their rates);
-            "nonnegative unless allow_negative" is any where the owner's `allow_negative` is true
-        code, hint: code and hint of the error for a number outside its domain; default code: NEGATIVE, NOT_POSITIVE or NOT_A_FRACTION
-        words: for a field that holds laws or signals, the words of their formulas: {"force": "N m", "argument": "rad"}
+        unit: such as "N/m", or a formula in words of the object that holds the owner:
+            "force/argument" of a law is N s/m in a damper and N m/rad in a spring about an angle
+        domain: any, nonnegative, positive (for both a fit uses the logarithm, which keeps the
+            sign), fraction (from 0 to 1), definite (a symmetric matrix without negative
+            eigenvalues, or a row of such numbers), direction (a unit vector), rotation (a unit
+            quaternion) or inertia; for a row of numbers, increasing or rising (not falling; a fit
+            uses the logarithms of its steps); for a state, configuration or speeds (the coordinates
+            of the joints, and their rates); "nonnegative unless allow_negative" is any where the
+            owner's `allow_negative` is true
+        code, hint: code and hint of the error for a number outside its domain; default code:
+            NEGATIVE, NOT_POSITIVE or NOT_A_FRACTION
+        words: for a field that holds laws or signals, the words of their formulas: {"force": "N m",
+            "argument": "rad"}
         options: options of equinox.field: default, converter, static
 
     Error: UNKNOWN_DOMAIN.
@@ -64,15 +95,26 @@ def field(unit: str = "", domain: str = "any", *, code: str = "", hint: str = ""
     ...     coefficient: jax.Array = field("force/argument^3", "nonnegative")
     ...     def force(self, x):
     ...         return self.coefficient * x**3
-    >>> model = Model(bodies={"mass": Body(mass=1.0)}, joints={"mass": Guide("world", axis=[0, 0, 1])}, elements={
-    ...     "spring": SpringDamper(("mass", [0, 0, 0]), ("world", [0, 0, 1]), spring=Cubic(jnp.array(8.0)))})
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0)},
+    ...     joints={"mass": Guide("world", axis=[0, 0, 1])},
+    ...     elements={
+    ...         "spring": SpringDamper(
+    ...             ("mass", [0, 0, 0]), ("world", [0, 0, 1]), spring=Cubic(jnp.array(8.0))
+    ...         )
+    ...     },
+    ... )
     >>> replace(model, {"spring.spring.coefficient": -8.0})
     Traceback (most recent call last):
-    jaxbody.core.errors.JaxbodyError: replace['spring.spring.coefficient']: is -8 N/m3 (allowed: >= 0). [NEGATIVE]
+    jaxbody.core.errors.JaxbodyError: replace['spring.spring.coefficient']: is -8 N/m3 (allowed: ...
     """
     if domain.partition(" unless ")[0] not in DOMAINS:
-        raise JaxbodyError(Problem("UNKNOWN_DOMAIN", "field.domain", f"is {domain!r}", domain, ", ".join(DOMAINS)))
-    return eqx.field(metadata={"kind": Kind(unit, domain, code, hint), "words": words or {}}, **options)
+        raise JaxbodyError(
+            Problem("UNKNOWN_DOMAIN", "field.domain", f"is {domain!r}", domain, ", ".join(DOMAINS))
+        )
+    return eqx.field(
+        metadata={"kind": Kind(unit, domain, code, hint), "words": words or {}}, **options
+    )
 
 
 def kind_of(owner: Any, name: str, words: dict[str, str] | None = None) -> Kind:
@@ -85,12 +127,17 @@ def kind_of(owner: Any, name: str, words: dict[str, str] | None = None) -> Kind:
 
 
 def words_for(owner: Any, name: str, words: dict[str, str]) -> dict[str, str]:
-    """The words of units for the object in an owner's field: those that the owner has, and those of the field."""
-    return {**words, **{word: resolved(text, owner, words) for word, text in _stated(owner, name)[1].items()}}
+    """The words of units for the object in an owner's field: those that the owner has, and those of
+    the field."""
+    return {
+        **words,
+        **{word: resolved(text, owner, words) for word, text in _stated(owner, name)[1].items()},
+    }
 
 
 def kind_along(root: Any, keys: tuple[Any, ...]) -> Kind:
-    """The kind of the numbers at a path of JAX keys from a root, with the words from all objects on the path."""
+    """The kind of the numbers at a path of JAX keys from a root, with the words from all objects on
+    the path."""
     return _along(root, keys)[0]
 
 
@@ -120,19 +167,27 @@ def _stated(owner: Any, name: str) -> tuple[Kind, dict[str, str]]:
 
 
 def resolved(unit: str, owner: Any, words: dict[str, str]) -> str:
-    """A unit with its words replaced: by those given, by those of the owner's class (`words`), or by an attribute of the owner that is a
-    unit; "" if a word is missing."""
+    """A unit with its words replaced: by those given, by those of the owner's class (`words`), or
+    by an attribute of the owner that is a unit; "" if a word is missing."""
     own = getattr(owner, unit, unit) if unit.isidentifier() else unit
     text, words = own if isinstance(own, str) else unit, {**getattr(owner, "words", {}), **words}
-    return "; ".join(", ".join(_reduced(part, words) for part in row.split(",")) for row in text.split(";"))
+    return "; ".join(
+        ", ".join(_reduced(part, words) for part in row.split(",")) for row in text.split(";")
+    )
 
 
 def _reduced(unit: str, words: dict[str, str]) -> str:
-    """A product of units with each unit once: "N/m" for "force/argument" with force in N and argument in m."""
+    """A product of units with each unit once: "N/m" for "force/argument" with force in N and
+    argument in m."""
     powers = _powers(unit, words)
     if any(name not in KNOWN for name in powers):
         return ""
-    above, below = (" ".join(f"{name}{abs(n) if abs(n) > 1 else ''}" for name, n in powers.items() if n * sign > 0) for sign in (1, -1))
+    above, below = (
+        " ".join(
+            f"{name}{abs(n) if abs(n) > 1 else ''}" for name, n in powers.items() if n * sign > 0
+        )
+        for sign in (1, -1)
+    )
     return f"{above or 1}/{below}" if below else above
 
 
@@ -148,8 +203,8 @@ def _powers(unit: str, words: dict[str, str]) -> dict[str, int]:
 def units_of(kind: Kind, shape: tuple[int, ...]) -> list[str]:
     """The unit of each number of an array.
 
-    If the units are those of a matrix, a row has the first of them. The units are "" if the shape cannot be divided into one part per
-    unit."""
+    If the units are those of a matrix, a row has the first of them. The units are "" if the shape
+    cannot be divided into one part per unit."""
     blocks = np.array([[unit.strip() for unit in row.split(",")] for row in kind.unit.split(";")])
     blocks = blocks[:1, :1] if len(blocks) > 1 and len(shape) < 2 else blocks
     last, before = (1, 1, *shape)[-1], (1, 1, *shape)[-2]
@@ -160,7 +215,8 @@ def units_of(kind: Kind, shape: tuple[int, ...]) -> list[str]:
 
 
 def take(owner: Any, problems: Problems | None = None, **values) -> None:
-    """Set fields of an object in its constructor, and check their domains. Errors are added to `problems`, or raised if it is None."""
+    """Set fields of an object in its constructor, and check their domains. Errors are added to
+    `problems`, or raised if it is None."""
     found = Problems() if problems is None else problems
     for name, value in values.items():
         where = f"{type(owner).__name__}.{name}"
@@ -173,9 +229,11 @@ def take(owner: Any, problems: Problems | None = None, **values) -> None:
 
 
 def in_domain(value: Any, kind: Kind, where: str, problems: Problems) -> Any:
-    """The value, whose signs and symmetry are checked; where it is traced, with NaN in place of numbers outside of the domain.
+    """The value, whose signs and symmetry are checked; where it is traced, with NaN in place of
+    numbers outside of the domain.
 
-    Errors: that of the field, or NEGATIVE, NOT_POSITIVE, NOT_A_FRACTION; NOT_SYMMETRIC for a matrix."""
+    Errors: that of the field, or NEGATIVE, NOT_POSITIVE, NOT_A_FRACTION; NOT_SYMMETRIC for
+    a matrix."""
     known = concrete(value)
     if known is None:
         return nan_outside(value, kind.domain, value.ndim)
@@ -187,8 +245,9 @@ def in_domain(value: Any, kind: Kind, where: str, problems: Problems) -> Any:
 
 
 def nan_outside(value: jax.Array, domain: str, rank: int, scale: Any = 0.0) -> jax.Array:
-    """Traced numbers, of which the last `rank` axes are one value, with NaN where they are not in the domain: what is computed from them
-    is then NaN and has a status, as there can be no error. An inertia is compared with its trace and `scale` [kg m2]."""
+    """Traced numbers, of which the last `rank` axes are one value, with NaN where they are not in
+    the domain: what is computed from them is then NaN and has a status, as there can be no error.
+    An inertia is compared with its trace and `scale` [kg m2]."""
     limited = (domain in LIMITS and (domain != "symmetric" or rank == 2)) or domain == "inertia"
     return nan_unless(_inside(value, domain, rank, scale), value) if limited else value
 
@@ -208,8 +267,14 @@ def _inside(x: jax.Array, domain: str, rank: int, scale: Any) -> Any:
     if domain in ("definite", "symmetric") and rank == 2:
         x = jax.lax.stop_gradient(x)
         largest = jnp.abs(x).max((-2, -1), keepdims=True)
-        symmetric = (jnp.abs(x - jnp.swapaxes(x, -1, -2)) <= small * largest).all((-2, -1), keepdims=True)
-        return symmetric if domain == "symmetric" else symmetric & (jnp.linalg.eigvalsh(x)[..., :1, None] >= -1e-3 * small * largest)
+        symmetric = (jnp.abs(x - jnp.swapaxes(x, -1, -2)) <= small * largest).all(
+            (-2, -1), keepdims=True
+        )
+        return (
+            symmetric
+            if domain == "symmetric"
+            else symmetric & (jnp.linalg.eigvalsh(x)[..., :1, None] >= -1e-3 * small * largest)
+        )
     if domain == "fraction":
         return (x >= 0) & (x <= 1)
     return x > 0 if domain == "positive" else x >= 0
@@ -218,20 +283,46 @@ def _inside(x: jax.Array, domain: str, rank: int, scale: Any) -> Any:
 def _check_signs(known: np.ndarray, kind: Kind, where: str, problems: Problems) -> None:
     limit, code = LIMITS[kind.domain]
     x, dx = (known[..., 1:], np.diff(known)) if kind.domain in ROWS else (known, known)
-    bad = {"nonnegative": x < 0, "positive": x <= 0, "fraction": (x < 0) | (x > 1), "increasing": dx <= 0, "rising": dx < 0}[kind.domain]
+    bad = {
+        "nonnegative": x < 0,
+        "positive": x <= 0,
+        "fraction": (x < 0) | (x > 1),
+        "increasing": dx <= 0,
+        "rising": dx < 0,
+    }[kind.domain]
     if bad.any():
         worst = float(x[bad].min())
-        problems.add(kind.code or code, where, f"is {worst:g} {kind.unit}".rstrip(), value=worst, limit=limit, hint=kind.hint)
+        problems.add(
+            kind.code or code,
+            where,
+            f"is {worst:g} {kind.unit}".rstrip(),
+            value=worst,
+            limit=limit,
+            hint=kind.hint,
+        )
 
 
 def _check_definite(known: np.ndarray, kind: Kind, where: str, problems: Problems) -> None:
     largest, difference = np.abs(known).max(), known - known.T
     if known.ndim == 2 and np.abs(difference).max() > 1e-9 * largest:
         message = f"is not symmetric: largest |K - K'| = {np.abs(difference).max():.3g}"
-        hint = "Such a matrix has no potential energy; give (K + K')/2 if you mean its symmetric part."
-        problems.add("NOT_SYMMETRIC", where, message, value=difference, limit=f"{1e-9 * largest:.3g}", hint=hint)
+        hint = (
+            "Such a matrix has no potential energy; give (K + K')/2 if you mean its symmetric part."
+        )
+        problems.add(
+            "NOT_SYMMETRIC",
+            where,
+            message,
+            value=difference,
+            limit=f"{1e-9 * largest:.3g}",
+            hint=hint,
+        )
         return
     values = known if known.ndim == 1 else np.linalg.eigvalsh(known)
     if kind.domain == "definite" and values.min() < -1e-12 * np.abs(values).max():
-        message = f"has {'coefficients' if known.ndim == 1 else 'eigenvalues'} " + ", ".join(f"{v:.6g}" for v in values)
-        problems.add(kind.code or "NEGATIVE", where, message, value=values, limit=">= 0", hint=kind.hint)
+        message = f"has {'coefficients' if known.ndim == 1 else 'eigenvalues'} " + ", ".join(
+            f"{v:.6g}" for v in values
+        )
+        problems.add(
+            kind.code or "NEGATIVE", where, message, value=values, limit=">= 0", hint=kind.hint
+        )

@@ -1,4 +1,5 @@
-"""Frames: poses, their velocities, the coordinates (chart) of small displacements, and the frames of a model at one instant."""
+"""Frames: poses, their velocities, the coordinates (chart) of small displacements, and the frames
+of a model at one instant."""
 
 from __future__ import annotations
 
@@ -11,11 +12,13 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
 from jaxbody.geometry.vectors import cross, product, rotate, rotate_back
 
-Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about the frame's origin, in world axes
+# force and moment about the frame's origin, in world axes
+Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]
 
 
 class Pose(eqx.Module):
-    """Position p of a frame's origin and orientation R, frame to world; leading axes are rows of a table."""
+    """Position p of a frame's origin and orientation R, frame to world; leading axes are rows of
+    a table."""
 
     p: Float[Array, "*n 3"]
     R: Float[Array, "*n 3 3"]
@@ -36,7 +39,8 @@ class Pose(eqx.Module):
         return Frame(self.p, self.R, jnp.zeros_like(self.p), jnp.zeros_like(self.p))
 
     def displaced(self, xi: Float[Array, "*n 6"]) -> Pose:
-        """The chart of a free frame: xi = (displacement of the origin, rotation vector), in world axes; R -> exp([theta]) R."""
+        """The chart of a free frame: xi = (displacement of the origin, rotation vector), in world
+        axes; R -> exp([theta]) R."""
         return Pose(self.p + xi[..., :3], product(rotations.exp(xi[..., 3:]), self.R))
 
     @property
@@ -59,7 +63,9 @@ class Frame(Pose):
 
     def rates(self) -> Pose:
         """The time derivative of the pose: (v, [w] R)."""
-        return Pose(self.v, cross(self.w[..., None, :], jnp.swapaxes(self.R, -1, -2)).swapaxes(-1, -2))
+        return Pose(
+            self.v, cross(self.w[..., None, :], jnp.swapaxes(self.R, -1, -2)).swapaxes(-1, -2)
+        )
 
     def pose(self) -> Pose:
         return Pose(self.p, self.R)
@@ -70,10 +76,11 @@ class Frame(Pose):
 
 
 class Instant(Frame):
-    """The frames of a model, or one of them, at time t [s], with the state of the model: what loads and sensors read. If instruments need
-    them, also the accelerations a of the origins, the angular accelerations alpha, and the force F and moment M about the origin, in world
-    axes: for world and supports those that bodies and elements exert on them, for a body those that it and all bodies that it carries exert
-    on its joint."""
+    """The frames of a model, or one of them, at time t [s], with the state of the model: what loads
+    and sensors read. If instruments need them, also the accelerations a of the origins, the angular
+    accelerations alpha, and the force F and moment M about the origin, in world axes: for world and
+    supports those that bodies and elements exert on them, for a body those that it and all bodies
+    that it carries exert on its joint."""
 
     t: Float[Array, ""]
     state: Any = None
@@ -84,8 +91,12 @@ class Instant(Frame):
 
     def frame(self, row: int) -> Instant:
         """One frame at this instant."""
-        a, alpha, F, M = (None if x is None else x[row] for x in (self.a, self.alpha, self.F, self.M))
-        return Instant(self.p[row], self.R[row], self.v[row], self.w[row], self.t, self.state, a, alpha, F, M)
+        a, alpha, F, M = (
+            None if x is None else x[row] for x in (self.a, self.alpha, self.F, self.M)
+        )
+        return Instant(
+            self.p[row], self.R[row], self.v[row], self.w[row], self.t, self.state, a, alpha, F, M
+        )
 
     def changes(self) -> Frame:
         """The derivative of the frames in time: (v, [w] R, a, alpha)."""
@@ -104,4 +115,6 @@ def stack(frames: list[Frame]) -> Frame:
     """One table with the rows of several."""
     if len(frames) == 1:
         return frames[0]
-    return Frame(*(jnp.concatenate([getattr(f, name) for f in frames]) for name in ("p", "R", "v", "w")))
+    return Frame(
+        *(jnp.concatenate([getattr(f, name) for f in frames]) for name in ("p", "R", "v", "w"))
+    )

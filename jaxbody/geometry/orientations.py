@@ -1,4 +1,5 @@
-"""Orientations as users give them: unit quaternions, rotation matrices, Euler angles with their sequence."""
+"""Orientations as users give them: unit quaternions, rotation matrices, Euler angles with
+their sequence."""
 
 from __future__ import annotations
 
@@ -10,7 +11,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, as_numpy, checked, concrete, module_of, nan_unless, of_unit_length
+from jaxbody.core.arrays import (
+    Array,
+    Float,
+    as_numpy,
+    checked,
+    concrete,
+    module_of,
+    nan_unless,
+    of_unit_length,
+)
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
 
@@ -19,11 +29,13 @@ AXES = "xyz"
 
 
 class Euler(eqx.Module):
-    """An orientation by Euler angles: R = R_1 R_2 R_3 about axes that turn with the frame, R_3 R_2 R_1 about fixed axes.
+    """An orientation by Euler angles: R = R_1 R_2 R_3 about axes that turn with the frame, R_3 R_2
+    R_1 about fixed axes.
 
-    `sequence`: the axis of each turn, one to three letters; capitals ("ZYX": yaw, then pitch, then roll) for axes that turn with the
-    frame (intrinsic), small letters ("xyz") for the fixed axes of the parent (extrinsic). `angles` [rad], one for each letter.
-    Errors: BAD_SEQUENCE, BAD_SHAPE, NON_FINITE, DEGREES.
+    `sequence`: the axis of each turn, one to three letters; capitals ("ZYX": yaw, then pitch, then
+    roll) for axes that turn with the frame (intrinsic), small letters ("xyz") for the fixed axes of
+    the parent (extrinsic). `angles` [rad], one for each letter. Errors: BAD_SEQUENCE, BAD_SHAPE,
+    NON_FINITE, DEGREES.
 
     >>> [round(float(x), 6) for x in np.asarray(Euler("ZYX", [np.pi / 2, 0, 0]))]
     [0.707107, 0.0, 0.0, 0.707107]
@@ -34,27 +46,63 @@ class Euler(eqx.Module):
 
     def __init__(self, sequence: str, angles):
         with Problems() as problems:
-            one_case = isinstance(sequence, str) and 1 <= len(sequence) <= 3 and (sequence.islower() or sequence.isupper())
-            if not one_case or set(sequence.lower()) - set(AXES) or any(a == b for a, b in pairwise(sequence)):
+            one_case = (
+                isinstance(sequence, str)
+                and 1 <= len(sequence) <= 3
+                and (sequence.islower() or sequence.isupper())
+            )
+            if (
+                not one_case
+                or set(sequence.lower()) - set(AXES)
+                or any(a == b for a, b in pairwise(sequence))
+            ):
                 hint = (
-                    'Capitals: axes that turn with the frame ("ZYX": yaw, pitch, roll); small letters: fixed axes; no axis twice in a row.'
+                    'Capitals: axes that turn with the frame ("ZYX": yaw, pitch, roll); small '
+                    "letters: fixed axes; no axis twice in a row."
                 )
                 problems.add(
-                    "BAD_SEQUENCE", "Euler.sequence", f"is {sequence!r}", value=sequence, limit="one to three of XYZ, or of xyz", hint=hint
+                    "BAD_SEQUENCE",
+                    "Euler.sequence",
+                    f"is {sequence!r}",
+                    value=sequence,
+                    limit="one to three of XYZ, or of xyz",
+                    hint=hint,
                 )
                 problems.raise_if_any()
             self.sequence = sequence
-            self.angles = checked(angles, ((len(sequence),),), "Euler.angles", problems, "One angle [rad] for each letter of the sequence.")
+            self.angles = checked(
+                angles,
+                ((len(sequence),),),
+                "Euler.angles",
+                problems,
+                "One angle [rad] for each letter of the sequence.",
+            )
             known = None if self.angles is None else concrete(self.angles)
             if known is not None and (np.abs(known) > 2 * np.pi).any():
                 hint = "Are these degrees? np.deg2rad converts them."
-                problems.add("DEGREES", "Euler.angles", f"is {known.tolist()} rad", value=known, limit="2 pi", hint=hint)
+                problems.add(
+                    "DEGREES",
+                    "Euler.angles",
+                    f"is {known.tolist()} rad",
+                    value=known,
+                    limit="2 pi",
+                    hint=hint,
+                )
 
     def _quaternion(self, xp):
         q = None
         for letter, angle in zip(self.sequence.lower(), self.angles, strict=True):
-            turn = [xp.cos(angle / 2), *(xp.sin(angle / 2) * float(letter == axis) for axis in AXES)]
-            q = turn if q is None else _product(q, turn) if self.sequence.isupper() else _product(turn, q)
+            turn = [
+                xp.cos(angle / 2),
+                *(xp.sin(angle / 2) * float(letter == axis) for axis in AXES),
+            ]
+            q = (
+                turn
+                if q is None
+                else _product(q, turn)
+                if self.sequence.isupper()
+                else _product(turn, q)
+            )
         return xp.stack(q)
 
     def __array__(self, dtype=None, copy=None):
@@ -67,19 +115,30 @@ class Euler(eqx.Module):
 def _product(p: list[Any], q: list[Any]) -> list[Any]:
     """The quaternion product p q: the rotation q followed by p."""
     (a, b, c, d), (w, x, y, z) = p, q
-    return [a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y, a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w]
+    return [
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    ]
 
 
 def product(p: Any, q: Any) -> Any:
-    """The product of two quaternions: the rotation q followed by p; in NumPy unless one is traced."""
+    """The product of two quaternions: the rotation q followed by p; in NumPy unless one
+    is traced."""
     p, q = as_numpy(p), as_numpy(q)
     return module_of(p, q).stack(_product(list(p), list(q)))
 
 
 def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
-    """The unit quaternion of a quaternion (length 1 within 1e-3), a rotation matrix (orthogonal within 1e-12) or Euler angles."""
+    """The unit quaternion of a quaternion (length 1 within 1e-3), a rotation matrix (orthogonal
+    within 1e-12) or Euler angles."""
     array = checked(
-        value, ((4,), (3, 3)), where, problems, "Give a quaternion w, x, y, z, a rotation matrix or jb.Euler(sequence, angles)."
+        value,
+        ((4,), (3, 3)),
+        where,
+        problems,
+        "Give a quaternion w, x, y, z, a rotation matrix or jb.Euler(sequence, angles).",
     )
     if array is None:
         return np.array(IDENTITY)
@@ -89,8 +148,19 @@ def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
     if known.shape == (4,):
         length = np.linalg.norm(known)
         if abs(length - 1) > 1e-3:
-            hint = "All four numbers are zero." if length == 0 else "Divide it by its length; the order is w, x, y, z."
-            problems.add("BAD_QUATERNION", where, f"has length {length:.6g}", value=known, limit="1 within 1e-3", hint=hint)
+            hint = (
+                "All four numbers are zero."
+                if length == 0
+                else "Divide it by its length; the order is w, x, y, z."
+            )
+            problems.add(
+                "BAD_QUATERNION",
+                where,
+                f"has length {length:.6g}",
+                value=known,
+                limit="1 within 1e-3",
+                hint=hint,
+            )
             return np.array(IDENTITY)
         return of_unit_length(known)
     error, det = np.linalg.norm(known.T @ known - np.eye(3)), np.linalg.det(known)
@@ -101,7 +171,9 @@ def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
             f"is not a rotation: |R'R - I| = {error:.2g}, det R = {det:.6g}",
             value=known,
             limit="|R'R - I| <= 1e-12, det R = 1",
-            hint="Make its axes right-handed." if det < 0 else "If it is rounded, orthonormalize it: U V' of its SVD U S V'.",
+            hint="Make its axes right-handed."
+            if det < 0
+            else "If it is rounded, orthonormalize it: U V' of its SVD U S V'.",
         )
         return np.array(IDENTITY)
     return _quaternion(known)
@@ -115,16 +187,23 @@ def _nan_unless_rotation(R: jax.Array) -> jax.Array:
 
 
 def _quaternion(R: np.ndarray) -> np.ndarray:
-    """The unit quaternion of a rotation matrix, as the dominant eigenvector of 4 q q' - I; in NumPy, so that nothing is compiled."""
+    """The unit quaternion of a rotation matrix, as the dominant eigenvector of 4 q q' - I; in
+    NumPy, so that nothing is compiled."""
     x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     S = R + R.T
-    K = np.block([[np.array([[np.trace(R)]]), np.array([[x, y, z]])], [np.array([[x], [y], [z]]), S - np.trace(R) * np.eye(3)]])
+    K = np.block(
+        [
+            [np.array([[np.trace(R)]]), np.array([[x, y, z]])],
+            [np.array([[x], [y], [z]]), S - np.trace(R) * np.eye(3)],
+        ]
+    )
     q = np.linalg.eigh(K)[1][:, -1]
     return q if q[0] >= 0 else -q
 
 
 def matrix(q: Any) -> Any:
-    """Rotation matrix of a unit quaternion; in NumPy unless it is traced, so that nothing is compiled."""
+    """Rotation matrix of a unit quaternion; in NumPy unless it is traced, so that nothing
+    is compiled."""
     q = known if (known := concrete(q)) is not None else q
     if not isinstance(q, np.ndarray):
         return rotations.matrix(q)

@@ -1,8 +1,10 @@
-"""SO(3): exponential, logarithm and unit quaternions, with exact derivatives up to the fourth at zero rotation.
+"""SO(3): exponential, logarithm and unit quaternions, with exact derivatives up to the fourth at
+zero rotation.
 
-A rotation vector is phi, theta = |phi|; a quaternion is (w, x, y, z). Near theta = 0 every coefficient is a power series in
-theta^2, because `where(theta < tiny, 1, sin(theta) / theta)` has wrong second derivatives for rotations of 1e-11 to 1e-8.
-All are jitted for the reason given in geometry/vectors.py.
+A rotation vector is phi, theta = |phi|; a quaternion is (w, x, y, z). Near theta = 0 every
+coefficient is a power series in theta^2, because `where(theta < tiny, 1, sin(theta) / theta)`
+has wrong second derivatives for rotations of 1e-11 to 1e-8. All are jitted for the reason given
+in geometry/vectors.py.
 """
 
 from __future__ import annotations
@@ -48,21 +50,30 @@ def _coefficients(x: Array) -> tuple[Array, Array]:
     near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
     t = jnp.sqrt(far)
     sin, cos = sincos(t)
-    a, b = jnp.where(small, polynomial(SINC, near), sin / t), jnp.where(small, polynomial(COSC, near), (1 - cos) / far)
+    a, b = (
+        jnp.where(small, polynomial(SINC, near), sin / t),
+        jnp.where(small, polynomial(COSC, near), (1 - cos) / far),
+    )
     return kept(a), kept(b)
 
 
 @jax.jit
 def exp(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """Rotation matrix of a rotation vector, exp([phi]) = I + sin(t)/t [phi] + (1 - cos(t))/t^2 [phi]^2."""
+    """Rotation matrix of a rotation vector,
+    exp([phi]) = I + sin(t)/t [phi] + (1 - cos(t))/t^2 [phi]^2."""
     a, b = _coefficients(dot(phi, phi))
     P = skew(phi)
-    return to_rank(np.eye(3, dtype=P.dtype), P.ndim) + a[..., None, None] * P + b[..., None, None] * product(P, P)
+    return (
+        to_rank(np.eye(3, dtype=P.dtype), P.ndim)
+        + a[..., None, None] * P
+        + b[..., None, None] * product(P, P)
+    )
 
 
 @jax.jit
 def about(n: Float[Array, "*n 3"], angle: Float[Array, "*n"]) -> Float[Array, "*n 3 3"]:
-    """Rotation matrix of a turn about a unit vector, I + sin(angle) [n] + (1 - cos(angle)) [n]^2."""
+    """Rotation matrix of a turn about a unit vector,
+    I + sin(angle) [n] + (1 - cos(angle)) [n]^2."""
     N = skew(n)
     return (
         to_rank(np.eye(3, dtype=N.dtype), N.ndim)
@@ -82,7 +93,11 @@ def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     third = [(-1) ** n / factorial(2 * n + 3) for n in range(TERMS)]  # (t - sin(t))/t^3
     c = kept(jnp.where(small, polynomial(third, near), (t - sincos(t)[0]) / (far * t)))
     P = skew(phi)
-    return to_rank(np.eye(3, dtype=P.dtype), P.ndim) + b[..., None, None] * P + c[..., None, None] * product(P, P)
+    return (
+        to_rank(np.eye(3, dtype=P.dtype), P.ndim)
+        + b[..., None, None] * P
+        + c[..., None, None] * product(P, P)
+    )
 
 
 @jax.jit
@@ -99,7 +114,8 @@ def exp_quaternion(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
 
 @jax.jit
 def log_quaternion(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
-    """Rotation vector with |phi| <= pi of a unit quaternion: 4 atan(y)/y (x, y, z)/(1 + w), y = tan(t/4)."""
+    """Rotation vector with |phi| <= pi of a unit quaternion:
+    4 atan(y)/y (x, y, z)/(1 + w), y = tan(t/4)."""
     q = jnp.where(q[..., :1] < 0, -q, q)
     y = q[..., 1:] / (1 + q[..., :1])
     x = dot(y, y)
@@ -118,15 +134,25 @@ def log(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
 
 @jax.jit
 def log_below_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
-    """`log` for turns of less than pi, three times as fast. Its error grows as 1/(pi - |phi|); at half a turn it is NaN."""
+    """`log` for turns of less than pi, three times as fast. Its error grows as 1/(pi - |phi|); at
+    half a turn it is NaN."""
     return log_quaternion(normalize(away_from_half_turn(R)))
 
 
 @jax.jit
 def away_from_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
-    """(1 + tr R, skew part of R), which equals 4 w (w, x, y, z) for the unit quaternion; it is zero at half a turn."""
+    """(1 + tr R, skew part of R), which equals 4 w (w, x, y, z) for the unit quaternion; it is zero
+    at half a turn."""
     trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
-    return jnp.stack([1 + trace, R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    return jnp.stack(
+        [
+            1 + trace,
+            R[..., 2, 1] - R[..., 1, 2],
+            R[..., 0, 2] - R[..., 2, 0],
+            R[..., 1, 0] - R[..., 0, 1],
+        ],
+        -1,
+    )
 
 
 @jax.jit
@@ -139,8 +165,11 @@ def cotc(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 @jax.jit
-def inverse_left_jacobian(phi: Float[Array, "*n 3"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """J^-1 a for the J of `left_jacobian`: a - phi x a/2 + (1 - (t/2) cot(t/2))/t^2 phi x (phi x a)."""
+def inverse_left_jacobian(
+    phi: Float[Array, "*n 3"], a: Float[Array, "*n 3"]
+) -> Float[Array, "*n 3"]:
+    """J^-1 a for the J of `left_jacobian`:
+    a - phi x a/2 + (1 - (t/2) cot(t/2))/t^2 phi x (phi x a)."""
     turned = cross(phi, a)
     return a - turned / 2 + cotc(dot(phi, phi))[..., None] * cross(phi, turned)
 
@@ -149,7 +178,9 @@ def inverse_left_jacobian(phi: Float[Array, "*n 3"], a: Float[Array, "*n 3"]) ->
 def multiply(p: Float[Array, "*#n 4"], q: Float[Array, "*#n 4"]) -> Float[Array, "*#n 4"]:
     """Quaternion product p q: the rotation q followed by p."""
     pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
-    return jnp.concatenate([pw * qw - jnp.sum(pv * qv, -1, keepdims=True), pw * qv + qw * pv + cross(pv, qv)], -1)
+    return jnp.concatenate(
+        [pw * qw - jnp.sum(pv * qv, -1, keepdims=True), pw * qv + qw * pv + cross(pv, qv)], -1
+    )
 
 
 @jax.jit
@@ -164,14 +195,29 @@ def matrix(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3 3"]:
     w, x, y, z = (q[..., i] for i in range(4))
     s = 2.0 / jnp.sum(q * q, -1)
     x2, y2, z2 = s * x, s * y, s * z
-    xx, yy, zz, xy, xz, yz, wx, wy, wz = x2 * x, y2 * y, z2 * z, x2 * y, x2 * z, y2 * z, x2 * w, y2 * w, z2 * w
-    rows = (1 - (yy + zz), xy - wz, xz + wy), (xy + wz, 1 - (xx + zz), yz - wx), (xz - wy, yz + wx, 1 - (xx + yy))
+    xx, yy, zz, xy, xz, yz, wx, wy, wz = (
+        x2 * x,
+        y2 * y,
+        z2 * z,
+        x2 * y,
+        x2 * z,
+        y2 * z,
+        x2 * w,
+        y2 * w,
+        z2 * w,
+    )
+    rows = (
+        (1 - (yy + zz), xy - wz, xz + wy),
+        (xy + wz, 1 - (xx + zz), yz - wx),
+        (xz - wy, yz + wx, 1 - (xx + yy)),
+    )
     return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
 
 
 @jax.jit
 def from_matrix(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
-    """Unit quaternion of a rotation matrix, from its largest component (Shepperd, J. Guidance and Control 1 (1978) 223)."""
+    """Unit quaternion of a rotation matrix, from its largest component (Shepperd, J. Guidance and
+    Control 1 (1978) 223)."""
     a, b, c = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
     four_squares = jnp.stack([1 + a + b + c, 1 + a - b - c, 1 - a + b - c, 1 - a - b + c], -1)
     largest = jnp.argmax(four_squares, -1)[..., None] == to_rank(np.arange(4), four_squares.ndim)
@@ -180,7 +226,8 @@ def from_matrix(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
     p, q, r = R[..., 0, 1] + R[..., 1, 0], R[..., 0, 2] + R[..., 2, 0], R[..., 1, 2] + R[..., 2, 1]
     w2, x2, y2, z2 = (four_squares[..., i] for i in range(4))
     rows = [[w2, x, y, z], [x, x2, p, q], [y, p, y2, r], [z, q, r, z2]]
-    table = jnp.stack([jnp.stack(row, -1) for row in rows], -2)  # four times the outer product of q with itself
+    # four times the outer product of q with itself
+    table = jnp.stack([jnp.stack(row, -1) for row in rows], -2)
     return jnp.sum(jnp.where(largest[..., :, None], table, 0.0), -2) / (2 * root[..., None])
 
 
@@ -191,6 +238,8 @@ def quaternion_rate(q: Float[Array, "*n 4"], omega: Float[Array, "*n 3"]) -> Flo
 
 
 @jax.jit
-def quaternion_rate_body(q: Float[Array, "*n 4"], omega: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
+def quaternion_rate_body(
+    q: Float[Array, "*n 4"], omega: Float[Array, "*n 3"]
+) -> Float[Array, "*n 4"]:
     """dq/dt = 1/2 q (0, omega) for an angular velocity in body axes."""
     return multiply(q, jnp.concatenate([jnp.zeros_like(omega[..., :1]), 0.5 * omega], -1))

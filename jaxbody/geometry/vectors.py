@@ -1,6 +1,8 @@
-"""Products of 3-vectors and 3 x 3 matrices as sums, which are faster than matrix products (numerics/xla_workarounds.py).
+"""Products of 3-vectors and 3 x 3 matrices as sums, which are faster than matrix products
+(numerics/xla_workarounds.py).
 
-They are jitted, so that JAX traces and differentiates each of them once for all uses with arrays of the same shapes."""
+They are jitted, so that JAX traces and differentiates each of them once for all uses with arrays of
+the same shapes."""
 
 from __future__ import annotations
 
@@ -54,7 +56,8 @@ def product(A: Float[Array, "*#n 3 3"], B: Float[Array, "*#n 3 3"]) -> Float[Arr
 
 @jax.jit
 def axial(A: Float[Array, "3 3"]) -> Float[Array, "3"]:
-    """a of the part [a] of a matrix that is skew: of a rotation its axis times the sine of its angle."""
+    """a of the part [a] of a matrix that is skew: of a rotation its axis times the sine of
+    its angle."""
     return jnp.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]]) / 2
 
 
@@ -63,11 +66,14 @@ def skew(a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3 3"]:
     """[a], the matrix with [a] b = a x b."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
     o = jnp.zeros_like(x)
-    return jnp.stack([jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)], -2)
+    return jnp.stack(
+        [jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)], -2
+    )
 
 
 def to_rank(a: Any, rank: int) -> Any:
-    """a with axes of length one added at the front, up to `rank` axes, for arithmetic with the rows of a table."""
+    """a with axes of length one added at the front, up to `rank` axes, for arithmetic with the rows
+    of a table."""
     return a.reshape((1,) * (rank - a.ndim) + a.shape)
 
 

@@ -1,11 +1,13 @@
-"""Confidence intervals of estimates: Student's t in the coordinate u of a parameter, mapped to its values so that these stay physically
-possible.
+"""Confidence intervals of estimates: Student's t in the coordinate u of a parameter, mapped to its
+values so that these stay physically possible.
 
-    value(u - t s) to value(u + t s),    s the standard error of u, t the quantile for the degrees of freedom of s
+    value(u - t s) to value(u + t s),    s the standard error of u, t the quantile for the degrees
+                                         of freedom of s
 
-At a bound the interval has one side and follows from the likelihood. It ends at the distance d of u from the bound over which the cost
-increases as much as over t standard errors at an optimum: 2 g d + h d^2 = t^2 h s^2, with g and h the slope and the curvature of the cost
-at the bound when the other parameters are adjusted.
+At a bound the interval has one side and follows from the likelihood. It ends at the distance d of u
+from the bound over which the cost increases as much as over t standard errors at an optimum: 2 g
+d + h d^2 = t^2 h s^2, with g and h the slope and the curvature of the cost at the bound when the
+other parameters are adjusted.
 """
 
 from __future__ import annotations
@@ -30,22 +32,35 @@ def interval_of_u(u: np.ndarray, uncertainty: Uncertainty, level: float) -> Inte
     low, high = u - half_width, u + half_width
     for i, (slope, curvature, error, freedom) in uncertainty.at_bounds.items():
         t = float(quantile(level, freedom, sides=1))
-        distance = t**2 * error**2 * curvature / (abs(slope) + np.sqrt(slope**2 + (t * error * curvature) ** 2))
+        distance = (
+            t**2
+            * error**2
+            * curvature
+            / (abs(slope) + np.sqrt(slope**2 + (t * error * curvature) ** 2))
+        )
         low[i], high[i] = (u[i], u[i] + distance) if slope > 0 else (u[i] - distance, u[i])
     return low, high
 
 
-def intervals_of(space: Space, u: np.ndarray, values: dict[str, Any], uncertainty: Uncertainty, level: float) -> dict[str, Interval]:
-    """{path: (lower, upper)}, arrays like the leaf; for the elements of a matrix or a direction from their standard errors."""
+def intervals_of(
+    space: Space, u: np.ndarray, values: dict[str, Any], uncertainty: Uncertainty, level: float
+) -> dict[str, Interval]:
+    """{path: (lower, upper)}, arrays like the leaf; for the elements of a matrix or a direction
+    from their standard errors."""
     low, high = interval_of_u(u, uncertainty, level)
     intervals = {}
     for (parameter, own), G in zip(space.parts, uncertainty.slopes, strict=True):
         if isinstance(parameter.form, Elementwise):
             with np.errstate(over="ignore"):
-                intervals[parameter.path] = tuple(np.asarray(parameter.form.value(end[own])) for end in (low, high))
+                intervals[parameter.path] = tuple(
+                    np.asarray(parameter.form.value(end[own])) for end in (low, high)
+                )
         else:
             error, freedom = uncertainty.spread(G.reshape(-1, len(u)))
-            value, half_width = np.asarray(values[parameter.path]), (quantile(level, freedom) * error).reshape(G.shape[:-1])
+            value, half_width = (
+                np.asarray(values[parameter.path]),
+                (quantile(level, freedom) * error).reshape(G.shape[:-1]),
+            )
             intervals[parameter.path] = (value - half_width, value + half_width)
     return intervals
 
@@ -56,18 +71,27 @@ def freedoms_of(space: Space, uncertainty: Uncertainty) -> dict[str, np.ndarray]
     for (parameter, own), G in zip(space.parts, uncertainty.slopes, strict=True):
         _, freedom = uncertainty.spread(G.reshape(-1, G.shape[-1]))
         if isinstance(parameter.form, Elementwise):
-            freedom = np.array([uncertainty.at_bounds[i][3] if i in uncertainty.at_bounds else x for i, x in enumerate(freedom, own.start)])
+            freedom = np.array(
+                [
+                    uncertainty.at_bounds[i][3] if i in uncertainty.at_bounds else x
+                    for i, x in enumerate(freedom, own.start)
+                ]
+            )
         freedoms[parameter.path] = freedom.reshape(G.shape[:-1])
     return freedoms
 
 
 def widening(freedom: Any, level: float) -> str:
-    """A note that few degrees of freedom widen the intervals, and by how much; empty if there are many."""
+    """A note that few degrees of freedom widen the intervals, and by how much; empty if there
+    are many."""
     least = np.min(freedom, initial=np.inf)
     if not least < FEW:
         return ""
-    times, degrees = quantile(level, least) / quantile(level, np.inf), "degree" if f"{least:.3g}" == "1" else "degrees"
+    times, degrees = (
+        quantile(level, least) / quantile(level, np.inf),
+        "degree" if f"{least:.3g}" == "1" else "degrees",
+    )
     return (
-        f"intervals use Student's t with {least:.3g} {degrees} of freedom, which makes them {times:.2g} times wider, "
-        "because the noise is estimated from few independent samples"
+        f"intervals use Student's t with {least:.3g} {degrees} of freedom, which makes them "
+        f"{times:.2g} times wider, because the noise is estimated from few independent samples"
     )

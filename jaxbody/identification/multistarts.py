@@ -29,15 +29,20 @@ from jaxbody.workers.batches import batch_of, checked_chunks, computed_here, gat
 from jaxbody.workers.chunk_stores import hash_of
 from jaxbody.workers.executors import crew_of
 
-SAME = 1e-3  # largest distance in u, and of costs relative to 1 + cost, of results that count as one optimum
-CLOSE = 2.0  # largest difference of costs (negative log-likelihoods) at which another optimum explains the data about as well
+# largest distance in u, and of costs relative to 1 + cost, of results that count as one optimum
+SAME = 1e-3
+# largest difference of costs (negative log-likelihoods) at which another optimum explains the data
+# about as well
+CLOSE = 2.0
 BATCH = 16  # starts in one program
 
 
 class Multistart(Result):
-    """The distinct optima, by increasing `cost` (n,), with `estimates` {path: (n, ...)} and `hits`: the number of starts that reached each.
+    """The distinct optima, by increasing `cost` (n,), with `estimates` {path: (n, ...)} and `hits`:
+    the number of starts that reached each.
 
-    `best`: the fit with the lowest cost; `starts`: the number of all starts; `failures`: the number of those that did not converge.
+    `best`: the fit with the lowest cost; `starts`: the number of all starts; `failures`: the number
+    of those that did not converge.
 
     >>> import inspect
     >>> inspect.signature(multistart).return_annotation  # the result of multistart
@@ -56,7 +61,9 @@ class Multistart(Result):
         return self.best.explain()
 
     def _tables(self) -> list[tables.PrintedTable]:
-        paths = {path: np.asarray(x).reshape(len(self.cost), -1) for path, x in self.estimates.items()}
+        paths = {
+            path: np.asarray(x).reshape(len(self.cost), -1) for path, x in self.estimates.items()
+        }
         scalars = [path for path, x in paths.items() if x.shape[1] == 1]
         rows = [
             (str(i + 1), cost, str(count), *(float(paths[path][i, 0]) for path in scalars))
@@ -84,35 +91,48 @@ def multistart(
 ) -> Multistart:
     """Fits from several initial guesses, to find the global optimum and any others.
 
-    First `fit` from the values of the model, then the Levenberg-Marquardt method from `starts` Sobol points, with the noise estimated by
-    the first fit; last, `fit` again from the best result, if it is another optimum. Only the first and last fits enforce the bounds.
+    First `fit` from the values of the model, then the Levenberg-Marquardt method from `starts`
+    Sobol points, with the noise estimated by the first fit; last, `fit` again from the best result,
+    if it is another optimum. Only the first and last fits enforce the bounds.
 
     Args:
         model, experiments, free: as in `fit`.
         starts: number of additional initial guesses.
-        spread: half the range of the initial guesses around the values of the model, in the coordinates u of the fit, for parameters
-            without finite bounds; for positive parameters 0.5 is a factor of 1.65 in both directions.
+        spread: half the range of the initial guesses around the values of the model, in the
+            coordinates u of the fit, for parameters without finite bounds; for positive parameters
+            0.5 is a factor of 1.65 in both directions.
         seed: random seed of the Sobol points.
         bounds: as in `fit`; where they are finite, the initial guesses lie between them.
         max_evaluations: largest number of steps from each initial guess.
-        workers: None, a number of processes, or an executor, as in `sweep`; the numbers are the same.
-        out: path of a Zarr store to which the ends of each 16 starts are written when they are done, as in `sweep`: the same call continues
-            an interrupted one.
-        chunks: numbers of the 16 starts that this call computes, such as range(i, n, k) for job i of k; None: all.
+        workers: None, a number of processes, or an executor, as in `sweep`; the numbers are
+            the same.
+        out: path of a Zarr store to which the ends of each 16 starts are written when they are
+            done, as in `sweep`: the same call continues an interrupted one.
+        chunks: numbers of the 16 starts that this call computes, such as range(i, n, k) for job i
+            of k; None: all.
         progress: as in `fit`.
         options: other options of `fit`.
 
-    The starts are computed in batches of 16. Ctrl-C between batches returns the optima so far. Starts whose batch is LOST count as not
-    converged.
+    The starts are computed in batches of 16. Ctrl-C between batches returns the optima so far.
+    Starts whose batch is LOST count as not converged.
 
-    Errors: those of `fit`, BAD_NUMBER, BAD_CHUNK, BAD_WORKERS, NOT_SENT, OTHER_WORKER, OTHER_STORE, NOT_SAVED. Warns SEVERAL_OPTIMA if
-    another optimum has a log-likelihood within 2 of the best, LOST and INTERRUPTED.
+    Errors: those of `fit`, BAD_NUMBER, BAD_CHUNK, BAD_WORKERS, NOT_SENT, OTHER_WORKER, OTHER_STORE,
+    NOT_SAVED. Warns SEVERAL_OPTIMA if another optimum has a log-likelihood within 2 of the best,
+    LOST and INTERRUPTED.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
-    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
-    ...               joints={"mass": Guide("world", axis=[1, 0, 0])})
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     elements={"spring": spring},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ... )
     >>> times = jnp.linspace(0, 1, 6)
-    >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times)}, noise=0.01)
+    >>> track = Experiment(
+    ...     times,
+    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     measured={"x": jnp.cos(2 * jnp.pi * times)},
+    ...     noise=0.01,
+    ... )
     >>> several = multistart(model, {"track": track}, free=["spring.stiffness"], starts=4)
     >>> several.estimates["spring.stiffness"].round(4).tolist()
     [39.4784]
@@ -123,7 +143,8 @@ def multistart(
         positive_number(spread, "multistart.spread", problems)
         chunks = checked_chunks("multistart", workers, out, chunks, problems, fixed=True)
     with working("multistart", progress) as line:
-        with warnings.catch_warnings(record=True) as caught:  # about an optimum that may not be the best
+        # about an optimum that may not be the best
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             first = fit(model, experiments, free=free, bounds=bounds, progress=progress, **options)
         task = first.task
@@ -132,7 +153,9 @@ def multistart(
         if workers is None and out is None:
             searched = _searched(task, points, max_evaluations)
         else:
-            searched = [_searched_by_workers(task, points, max_evaluations, workers, out, chunks, line)]
+            searched = [
+                _searched_by_workers(task, points, max_evaluations, workers, out, chunks, line)
+            ]
         with contextlib.suppress(KeyboardInterrupt):
             for u, status, cost in searched:
                 done += int((status != Status.INTERRUPTED).sum())
@@ -150,15 +173,35 @@ def multistart(
                 warn_of(each.message)  # pyright: ignore
         else:
             start = dataclasses.replace(first, u=device_array(ends[lowest]))
-            best = fit(model, experiments, free=free, bounds=bounds, progress=progress, resume=start, **options)
+            best = fit(
+                model,
+                experiments,
+                free=free,
+                bounds=bounds,
+                progress=progress,
+                resume=start,
+                **options,
+            )
     cost = np.array([costs[group[0]] for group in groups])
     if len(cost) > 1 and cost[1] - cost[0] < CLOSE:
-        warn("SEVERAL_OPTIMA", f"another optimum explains the data about as well: costs {cost[0]:.6g} and {cost[1]:.6g}")
-    values = jax.vmap(task.space.values)(device_array(np.array([ends[group[0]] for group in groups])))
+        warn(
+            "SEVERAL_OPTIMA",
+            "another optimum explains the data about as well: costs "
+            f"{cost[0]:.6g} and {cost[1]:.6g}",
+        )
+    values = jax.vmap(task.space.values)(
+        device_array(np.array([ends[group[0]] for group in groups]))
+    )
     estimates = {path: values[path] for path in first.paths}
     hits = np.array(list(map(len, groups)))
     return Multistart(
-        best=best, cost=cost, hits=hits, estimates=estimates, starts=starts + 1, failures=starts + 1 - len(ends), status=best.status
+        best=best,
+        cost=cost,
+        hits=hits,
+        estimates=estimates,
+        starts=starts + 1,
+        failures=starts + 1 - len(ends),
+        status=best.status,
     )
 
 
@@ -171,12 +214,27 @@ def _searched(task: Task, points: np.ndarray, max_steps: int) -> Iterator[Ends]:
         yield part["u"], part["end"], part["cost"]
 
 
-def _searched_by_workers(task: Task, points: np.ndarray, max_steps: int, workers: Any, out: Any, chunks: Any, line: Line) -> Ends:
+def _searched_by_workers(
+    task: Task, points: np.ndarray, max_steps: int, workers: Any, out: Any, chunks: Any, line: Line
+) -> Ends:
     """The ends of all searches; those that were not made have the status LOST or INTERRUPTED."""
     with crew_of(workers, "multistart.workers") as crew:
         batch = batch_of(**_search(task, points, max_steps), where="multistart", crew=crew)
-        store = None if out is None else store_of(batch, out, {"starts from": hash_of(points)}, ["start"], "start", any_size=False)
-        results, status = gathered(batch, crew, "multistart", lambda done, _: line(f"starts {done} of {len(points)}"), store, chunks)
+        store = (
+            None
+            if out is None
+            else store_of(
+                batch, out, {"starts from": hash_of(points)}, ["start"], "start", any_size=False
+            )
+        )
+        results, status = gathered(
+            batch,
+            crew,
+            "multistart",
+            lambda done, _: line(f"starts {done} of {len(points)}"),
+            store,
+            chunks,
+        )
     return results["u"], np.where(status == Status.OK, results["end"], status), results["cost"]
 
 
@@ -185,7 +243,9 @@ def _search(task: Task, points: np.ndarray, max_steps: int) -> dict[str, Any]:
 
     def search(task, points):
         def one(start):
-            u, status, _ = solve(task, start, optimistix.LevenbergMarquardt(rtol=1e-9, atol=1e-9), max_steps)
+            u, status, _ = solve(
+                task, start, optimistix.LevenbergMarquardt(rtol=1e-9, atol=1e-9), max_steps
+            )
             r = task.residual(u)
             return {"u": u, "end": status, "cost": 0.5 * r @ r}
 
@@ -193,7 +253,15 @@ def _search(task: Task, points: np.ndarray, max_steps: int) -> dict[str, Any]:
 
     points = points.astype(np.asarray(device_array(points)).dtype)
     rows = lambda i, j: [points[i:j]]  # noqa: E731
-    return dict(function=search, tree=task, rows=rows, count=len(points), width=BATCH, owner=_search, place=max_steps)
+    return dict(
+        function=search,
+        tree=task,
+        rows=rows,
+        count=len(points),
+        width=BATCH,
+        owner=_search,
+        place=max_steps,
+    )
 
 
 def _grouped(ends: np.ndarray, costs: np.ndarray) -> list[list[int]]:

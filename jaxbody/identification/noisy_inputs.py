@@ -1,11 +1,13 @@
-"""Records of imposed motions and loads whose noise acts on the model: the readings that were measured do not follow their fast part.
+"""Records of imposed motions and loads whose noise acts on the model: the readings that were
+measured do not follow their fast part.
 
     h = prediction - prediction with smoothed records,    b = h'r/h'h
 
-r are the residuals, predicted minus measured, of both r and h the second differences in time. What was really imposed is in the measured
-readings too, and the fit leaves nothing like h in r: b = 0. Noise of the record is in the prediction alone: b = 1, a little more because
-smoothing leaves a part of it. It acts as a force that the model does not have, and least squares makes its effect small: estimates are
-biased, in long records by many standard errors.
+r are the residuals, predicted minus measured, of both r and h the second differences in time. What
+was really imposed is in the measured readings too, and the fit leaves nothing like h in r: b = 0.
+Noise of the record is in the prediction alone: b = 1, a little more because smoothing leaves a part
+of it. It acts as a force that the model does not have, and least squares makes its effect small:
+estimates are biased, in long records by many standard errors.
 """
 
 from __future__ import annotations
@@ -23,24 +25,41 @@ from jaxbody.inputs.motions import Sampled
 from jaxbody.inputs.samples import curvatures, integrals
 from jaxbody.inputs.signals import Samples
 
-ORDER = 6  # of the differences that a smoothed record lacks: sin^6(w h/2) of a wave, all at the highest frequency, 0.02 at a third of it
-LEAST, MOST = 0.5, 3.0  # b of noise; that of what a model lacks is any number, as sixth differences of a slow motion are small
+# of the differences that a smoothed record lacks: sin^6(w h/2) of a wave, all at the highest
+# frequency, 0.02 at a third of it
+ORDER = 6
+# b of noise; that of what a model lacks is any number, as sixth differences of a slow motion
+# are small
+LEAST, MOST = 0.5, 3.0
 UNLIKELY = 1e-3  # probability that the residuals of any run without such noise are as like h
 
 
 def noisy_inputs(task: Task, u: Float[Array, "n"], runs: ReadingsAndResiduals) -> list[str]:
-    """A sentence if there are such records in experiments of a fit that ended at u with these `runs`."""
+    """A sentence if there are such records in experiments of a fit that ended at u with
+    these `runs`."""
     from scipy.special import ndtri
 
-    experiments = {name: run for name, run in task.experiments.items() if isinstance(run, Experiment)}
-    driven = [name for name, run in experiments.items() if any(map(_is_record, jax.tree.leaves(_inputs(run), is_leaf=_is_record)))]
+    experiments = {
+        name: run for name, run in task.experiments.items() if isinstance(run, Experiment)
+    }
+    driven = [
+        name
+        for name, run in experiments.items()
+        if any(map(_is_record, jax.tree.leaves(_inputs(run), is_leaf=_is_record)))
+    ]
     if not driven:
         return []
-    smoothed = {name: _smoothed(experiments[name]) if name in driven else run for name, run in task.experiments.items()}
+    smoothed = {
+        name: _smoothed(experiments[name]) if name in driven else run
+        for name, run in task.experiments.items()
+    }
     other = residual_and_jacobian(eqx.tree_at(lambda t: t.space.runs, task, smoothed), u)[2]
     limit, noisy = -ndtri(UNLIKELY / len(driven)), []
     for name in driven:
-        r, smooth = (np.concatenate([np.ravel(np.diff(x, 2, axis=0)) for x in residuals[name][1].values()]) for residuals in (runs, other))
+        r, smooth = (
+            np.concatenate([np.ravel(np.diff(x, 2, axis=0)) for x in residuals[name][1].values()])
+            for residuals in (runs, other)
+        )
         h = r - smooth
         size = float(h @ h)
         b = float(h @ r) / size if size > 0 else 0.0
@@ -49,8 +68,11 @@ def noisy_inputs(task: Task, u: Float[Array, "n"], runs: ReadingsAndResiduals) -
     if not noisy:
         return []
     return [
-        f"the readings of {', '.join(noisy)} do not follow the fast part of the motion or load that is imposed there: it is noise of that "
-        "record, which moves the model alone; filter the record (forward and backward, as scipy.signal.sosfiltfilt does)"
+        (
+            f"the readings of {', '.join(noisy)} do not follow the fast part of the motion or load "
+            "that is imposed there: it is noise of that record, which moves the model alone; "
+            "filter the record (forward and backward, as scipy.signal.sosfiltfilt does)"
+        )
     ]
 
 
@@ -63,7 +85,9 @@ def _inputs(experiment: Experiment) -> Any:
 
 
 def _smoothed(experiment: Experiment) -> Experiment:
-    smooth = jax.tree.map(lambda x: _smooth(x) if _is_record(x) else x, _inputs(experiment), is_leaf=_is_record)
+    smooth = jax.tree.map(
+        lambda x: _smooth(x) if _is_record(x) else x, _inputs(experiment), is_leaf=_is_record
+    )
     return eqx.tree_at(_inputs, experiment, smooth)
 
 
@@ -73,7 +97,11 @@ def _smooth(record: Any) -> Any:
         t, x, m = (np.asarray(part) for part in (record.times, record.values, record.curvatures))
         y, h = _slow(m), t[1] - t[0]
         speed = (x[1] - x[0]) / h - h * (2 * m[0] + m[1]) / 6
-        return eqx.tree_at(lambda s: (s.values, s.curvatures), record, (device_array(integrals(t, y, x[0], speed)[1]), device_array(y)))
+        return eqx.tree_at(
+            lambda s: (s.values, s.curvatures),
+            record,
+            (device_array(integrals(t, y, x[0], speed)[1]), device_array(y)),
+        )
     y = device_array(_slow(np.asarray(record.values)))
     if record.curvatures is None:
         return eqx.tree_at(lambda s: s.values, record, y)

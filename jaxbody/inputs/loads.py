@@ -1,6 +1,8 @@
-"""Loads: external forces and moments on bodies as functions of time. They belong to a run, like the motions of supports.
+"""Loads: external forces and moments on bodies as functions of time. They belong to a run, like the
+motions of supports.
 
-A load F, M at a point P of a body enters the equations of motion by its virtual power F . v*_P + M . w*.
+A load F, M at a point P of a body enters the equations of motion by its virtual
+power F . v*_P + M . w*.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ class Load(Described, eqx.Module):
 
     @abstractmethod
     def at_point(self, now: Instant) -> Wrench:
-        """Force [N] and moment [N m] at the point, in world axes, with the body's frame `now`: p, R, v, w, and the time t."""
+        """Force [N] and moment [N m] at the point, in world axes, with the body's frame `now`: p,
+        R, v, w, and the time t."""
 
     def __init_subclass__(cls, **kwargs: Any):
         super().__init_subclass__(**kwargs)
@@ -57,7 +60,8 @@ class Load(Described, eqx.Module):
         return tuple(part for part in vars(self).values() if isinstance(part, Signal))
 
     def dead_force(self, t: Float[Array, ""]) -> Float[Array, "3"]:
-        """The force [N] at the point, in world axes, of a load that does not depend on the motion of its body; NaN for other loads."""
+        """The force [N] at the point, in world axes, of a load that does not depend on the motion
+        of its body; NaN for other loads."""
         return jnp.full(3, jnp.nan, t.dtype)
 
     def wrench(self, now: Instant) -> Wrench:
@@ -83,7 +87,8 @@ class _Later(Load):
 
 
 class Force(Load):
-    """A force and a moment at a point of a body, constant or varying with time, in the axes of the world (dead) or of the body (following).
+    """A force and a moment at a point of a body, constant or varying with time, in the axes of the
+    world (dead) or of the body (following).
 
     Args:
         on: the body, or (body, point)
@@ -105,8 +110,18 @@ class Force(Load):
     def __init__(self, on, *, force=(0, 0, 0), moment=(0, 0, 0), axes: str = "world"):
         with Problems() as problems:
             self.on, self.point = _place(on, "Force", problems)
-            self.force, self.moment = (as_signal(x, f"Force.{name}", problems, (3,)) for name, x in (("force", force), ("moment", moment)))
-            check_one_of(axes, ("world", "body"), "BAD_AXES", "Force.axes", problems, "Name the axes in which it is given.")
+            self.force, self.moment = (
+                as_signal(x, f"Force.{name}", problems, (3,))
+                for name, x in (("force", force), ("moment", moment))
+            )
+            check_one_of(
+                axes,
+                ("world", "body"),
+                "BAD_AXES",
+                "Force.axes",
+                problems,
+                "Name the axes in which it is given.",
+            )
             self.axes = axes
 
     def dead_force(self, t):
@@ -118,17 +133,23 @@ class Force(Load):
         return (F, M) if self.axes == "world" else (rotate(now.R, F), rotate(now.R, M))
 
     def after(self, t0):
-        return eqx.tree_at(lambda load: (load.force, load.moment), self, (self.force.after(t0), self.moment.after(t0)))
+        return eqx.tree_at(
+            lambda load: (load.force, load.moment),
+            self,
+            (self.force.after(t0), self.moment.after(t0)),
+        )
 
 
 class Unbalance(Load):
-    """A rotating unbalance u = m e on a shaft of the body, with the angle phi =  2 pi (f t + r t^2/2) + p:
+    """A rotating unbalance u = m e on a shaft of the body, with the angle
+    phi = 2 pi (f t + r t^2/2) + p:
 
         F = u (phi'^2 (n1 cos phi + n2 sin phi) + phi'' (n1 sin phi - n2 cos phi))
 
-    n1 and n2 are perpendicular to the shaft and make a right-handed frame with `axis`: n1 is the projection of the body's x axis (of y
-    where the shaft is along x). The rotor's mass is part of the body's. The effect of the body's motion on the unbalance is neglected,
-    because u is small compared with the body's mass times its size.
+    n1 and n2 are perpendicular to the shaft and make a right-handed frame with `axis`: n1 is the
+    projection of the body's x axis (of y where the shaft is along x). The rotor's mass is part of
+    the body's. The effect of the body's motion on the unbalance is neglected, because u is small
+    compared with the body's mass times its size.
 
     Args:
         on: the body, or (body, point of the shaft)
@@ -158,7 +179,9 @@ class Unbalance(Load):
             self.axis = direction(axis, "Unbalance.axis", problems)
             known = concrete(self.axis)
             self.across = 1 if known is not None and abs(known[0]) > 0.9 else 0
-            take(self, problems, unbalance=unbalance, frequency=frequency, run_up=run_up, phase=phase)
+            take(
+                self, problems, unbalance=unbalance, frequency=frequency, run_up=run_up, phase=phase
+            )
         warn_of_degrees(self.phase, "Unbalance.phase")
 
     def at_point(self, now):
@@ -175,11 +198,16 @@ class Unbalance(Load):
 
     def after(self, t0):
         angle = self.phase + turned(self.frequency + 0.5 * self.run_up * t0, t0)
-        return eqx.tree_at(lambda load: (load.frequency, load.phase), self, (self.frequency + self.run_up * t0, angle))
+        return eqx.tree_at(
+            lambda load: (load.frequency, load.phase),
+            self,
+            (self.frequency + self.run_up * t0, angle),
+        )
 
 
 class EngineTorque(Load):
-    """The reaction torque of a running engine on its block, as a sum over orders (multiples) of the crank's speed,
+    """The reaction torque of a running engine on its block, as a sum over orders (multiples) of the
+    crank's speed,
 
         M = -n (T_0 + sum T_i cos(2 pi o_i f t + p_i))
 
@@ -196,7 +224,14 @@ class EngineTorque(Load):
 
     Errors: ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
-    >>> torque = EngineTorque("engine", axis=[1, 0, 0], frequency=13.0, mean=20.0, orders=[2, 4], amplitudes=[60.0, 15.0])
+    >>> torque = EngineTorque(
+    ...     "engine",
+    ...     axis=[1, 0, 0],
+    ...     frequency=13.0,
+    ...     mean=20.0,
+    ...     orders=[2, 4],
+    ...     amplitudes=[60.0, 15.0],
+    ... )
     >>> torque.phases.tolist()
     [0.0, 0.0]
     """
@@ -214,19 +249,29 @@ class EngineTorque(Load):
             self.axis = direction(axis, "EngineTorque.axis", problems)
             take(self, problems, frequency=frequency, mean=mean)
             n = np.size(orders)
-            rows = {"orders": orders, "amplitudes": amplitudes, "phases": np.zeros(n) if phases is None else phases}
+            rows = {
+                "orders": orders,
+                "amplitudes": amplitudes,
+                "phases": np.zeros(n) if phases is None else phases,
+            }
             for name, value in rows.items():
-                row = checked(value, ((n,),), f"EngineTorque.{name}", problems, "One number for each order.")
+                row = checked(
+                    value, ((n,),), f"EngineTorque.{name}", problems, "One number for each order."
+                )
                 setattr(self, name, np.zeros(n) if row is None else row)
         warn_of_degrees(self.phases, "EngineTorque.phases")
 
     def at_point(self, now):
-        waves = self.amplitudes * jnp.cos(2 * jnp.pi * self.orders * self.frequency * now.t + self.phases)
+        waves = self.amplitudes * jnp.cos(
+            2 * jnp.pi * self.orders * self.frequency * now.t + self.phases
+        )
         M = -(self.mean + jnp.sum(waves)) * rotate(now.R, self.axis)
         return jnp.zeros_like(M), M
 
     def after(self, t0):
-        return eqx.tree_at(lambda load: load.phases, self, self.phases + turned(self.orders * self.frequency, t0))
+        return eqx.tree_at(
+            lambda load: load.phases, self, self.phases + turned(self.orders * self.frequency, t0)
+        )
 
 
 def _place(on: Any, kind: str, problems: Problems):
@@ -235,7 +280,9 @@ def _place(on: Any, kind: str, problems: Problems):
     return name, point
 
 
-def loads_of(loads: dict[str, Load] | None, bodies: tuple[str, ...], where: str = "loads") -> tuple[Load, ...]:
+def loads_of(
+    loads: dict[str, Load] | None, bodies: tuple[str, ...], where: str = "loads"
+) -> tuple[Load, ...]:
     """The loads of a run, each on a body of the model."""
     with Problems() as problems:
         given = loads_by_name(loads, where, problems)
@@ -243,7 +290,12 @@ def loads_of(loads: dict[str, Load] | None, bodies: tuple[str, ...], where: str 
             if load.on not in bodies:
                 message = f"is on '{load.on}', which is not a body"
                 problems.add(
-                    "UNKNOWN_BODY", f"{where}[{name!r}]", message, value=load.on, limit=" ".join(bodies), hint="A load acts on a body."
+                    "UNKNOWN_BODY",
+                    f"{where}[{name!r}]",
+                    message,
+                    value=load.on,
+                    limit=" ".join(bodies),
+                    hint="A load acts on a body.",
                 )
     return tuple(jax.tree.map(device_array, load) for load in given.values())
 

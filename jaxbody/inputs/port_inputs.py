@@ -1,4 +1,5 @@
-"""Inputs of small motions: the motion of a support along or about one axis, a force or moment on a body."""
+"""Inputs of small motions: the motion of a support along or about one axis, a force or moment on
+a body."""
 
 from __future__ import annotations
 
@@ -18,9 +19,11 @@ UNITS = (("m", "m/s", "m/s2"), ("rad", "rad/s", "rad/s2"))
 
 
 class BaseMotion(eqx.Module):
-    """An input: the motion of a support along or about a world axis through its origin, `direction` x, y, z, rx, ry or rz.
+    """An input: the motion of a support along or about a world axis through its origin, `direction`
+    x, y, z, rx, ry or rz.
 
-    `kind` of the input: displacement [m, rad], velocity or acceleration. Errors: BAD_DIRECTION, BAD_KIND.
+    `kind` of the input: displacement [m, rad], velocity or acceleration. Errors:
+    BAD_DIRECTION, BAD_KIND.
 
     >>> BaseMotion("base", "z", kind="acceleration").unit
     'm/s2'
@@ -46,7 +49,8 @@ class BaseMotion(eqx.Module):
 
 
 class PointForce(eqx.Module):
-    """An input: a force [N] at a point of a body along x, y, z or a vector, in world axes; or a moment [N m] about them: rx, ry, rz.
+    """An input: a force [N] at a point of a body along x, y, z or a vector, in world axes; or a
+    moment [N m] about them: rx, ry, rz.
 
     `point` is in the axes of the body. Errors: BAD_DIRECTION, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
@@ -63,7 +67,9 @@ class PointForce(eqx.Module):
         with Problems() as problems:
             self.on, self.point = on, vector(point, "PointForce.point", problems)
             self.turns = isinstance(direction, str) and direction in DIRECTIONS[3:]
-            self.axis = unit_direction(direction[-1:] if self.turns else direction, "PointForce.direction", problems)
+            self.axis = unit_direction(
+                direction[-1:] if self.turns else direction, "PointForce.direction", problems
+            )
 
     @property
     def unit(self) -> str:

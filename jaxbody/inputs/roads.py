@@ -1,4 +1,5 @@
-"""Roads: the imposed motions of the supports under the wheels of a vehicle that drives along a profile of heights."""
+"""Roads: the imposed motions of the supports under the wheels of a vehicle that drives along a
+profile of heights."""
 
 from __future__ import annotations
 
@@ -19,30 +20,36 @@ FEWEST = 16  # pieces of a profile in the window
 
 
 class Road(Motion):
-    """The road under a wheel of a moving vehicle: Xi = (0, 0, z_f(s), 0, 0, 0) at the distance s = position + speed t, with
+    """The road under a wheel of a moving vehicle: Xi = (0, 0, z_f(s), 0, 0, 0) at the distance
+    s = position + speed t, with
 
         z_f(s) = 1/L int_{s - L/2}^{s + L/2} z ds,
 
-    the average over the contact patch of the tyre, which envelops short bumps (Sayers uses L = 0.25 m), or z if L = 0.
+    the average over the contact patch of the tyre, which envelops short bumps (Sayers uses
+    L = 0.25 m), or z if L = 0.
 
     The axes of the model travel with the vehicle, with z up.
 
     Args:
         distances: along the road [m], increasing
-        heights: z [m] at the distances, linear between them, constant before the first and after the last
+        heights: z [m] at the distances, linear between them, constant before the first and after
+            the last
         speed: speed of the vehicle [m/s]
-        position: distance of the wheel ahead of the vehicle's origin [m], negative behind it, as for a rear wheel
+        position: distance of the wheel ahead of the vehicle's origin [m], negative behind it, as
+            for a rear wheel
         footprint: L, length of the contact patch [m]; 0: a point
 
-    All numbers may be free in a fit. z_f is NaN if the footprint is later changed to more than twice its length and then covers more than
-    16 pieces of the profile.
+    All numbers may be free in a fit. z_f is NaN if the footprint is later changed to more than
+    twice its length and then covers more than 16 pieces of the profile.
 
-    The profile has a kink at every point, at which adaptive steps end: for a rough road use constant steps, no longer than the time
-    between points. Springs and dampers follow the profile exactly; a joint on the support would miss the jumps of velocity
-    at kinks.
+    The profile has a kink at every point, at which adaptive steps end: for a rough road use
+    constant steps, no longer than the time between points. Springs and dampers follow the profile
+    exactly; a joint on the support would miss the jumps of velocity at kinks.
 
-    Errors: NOT_INCREASING distances, BAD_FOOTPRINT below zero, BAD_SHAPE, NON_FINITE, COMPLEX, NOT_A_NUMBER.
-    Source: M. W. Sayers, On the calculation of international roughness index from longitudinal road profile, TRR 1501, 1995.
+    Errors: NOT_INCREASING distances, BAD_FOOTPRINT below zero, BAD_SHAPE, NON_FINITE,
+    COMPLEX, NOT_A_NUMBER.
+    Source: M. W. Sayers, On the calculation of international roughness index from longitudinal road
+    profile, TRR 1501, 1995.
 
     >>> front = Road([0.0, 10.0, 20.0], [0.0, 0.0, 0.5], speed=10.0, position=1.5)
     >>> front(jnp.array(1.05)).tolist()
@@ -54,7 +61,10 @@ class Road(Motion):
     speed: Float[Array, ""] = field("m/s")
     position: Float[Array, ""] = field("m")
     footprint: Float[Array, ""] = field(
-        "m", "nonnegative", code="BAD_FOOTPRINT", hint="Give the length of the contact patch, or 0 for none."
+        "m",
+        "nonnegative",
+        code="BAD_FOOTPRINT",
+        hint="Give the length of the contact patch, or 0 for none.",
     )
     window: int = field(static=True)
 
@@ -67,7 +77,9 @@ class Road(Motion):
                 for name, value in dict(speed=speed, position=position, footprint=footprint).items()
             }
             _check_increasing(s, problems)
-            numbers["footprint"] = in_domain(numbers["footprint"], kind_of(self, "footprint"), "Road.footprint", problems)
+            numbers["footprint"] = in_domain(
+                numbers["footprint"], kind_of(self, "footprint"), "Road.footprint", problems
+            )
         self.distances, self.heights = device_array(s), device_array(z)
         for name, number in numbers.items():
             setattr(self, name, device_array(number))
@@ -89,8 +101,17 @@ class Road(Motion):
         [0.0, 0.1]
         """
         with Problems() as problems:
-            start, length = shaped(at, (), "Road.kerb at", problems), shaped(ramp, (), "Road.kerb ramp", problems)
-        return cls([start, start + length], [0.0, height], speed=speed, position=position, footprint=footprint)
+            start, length = (
+                shaped(at, (), "Road.kerb at", problems),
+                shaped(ramp, (), "Road.kerb ramp", problems),
+            )
+        return cls(
+            [start, start + length],
+            [0.0, height],
+            speed=speed,
+            position=position,
+            footprint=footprint,
+        )
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         z = self.felt(self.position + self.speed * t)
@@ -106,8 +127,9 @@ class Road(Motion):
         return eqx.tree_at(lambda road: road.position, self, self.position + self.speed * t0)
 
     def felt(self, s: Float[Array, ""]) -> Float[Array, ""]:
-        """z_f at the distance s [m] of the middle of the patch: the sum over the pieces of the profile in the patch of length times height
-        at the middle. Lengths are counted from s, because differences of antiderivatives lose all digits far along a long road."""
+        """z_f at the distance s [m] of the middle of the patch: the sum over the pieces of the
+        profile in the patch of length times height at the middle. Lengths are counted from s,
+        because differences of antiderivatives lose all digits far along a long road."""
         last, half = len(self.distances) - 1, self.footprint / 2
         rear = jax.lax.stop_gradient(s - half)
         behind = jnp.searchsorted(self.distances, rear, side="right", method="scan_unrolled") - 1
@@ -125,8 +147,9 @@ class Road(Motion):
 
 
 def _window(distances, footprint) -> int:
-    """The number of pieces in the window: those under a patch of twice the length, rounded up to a power of two so that few programs are
-    compiled; all pieces where distances or footprint are being traced."""
+    """The number of pieces in the window: those under a patch of twice the length, rounded up to a
+    power of two so that few programs are compiled; all pieces where distances or footprint are
+    being traced."""
     s, length = concrete(distances), concrete(footprint)
     last = len(distances) - 1
     if s is None or length is None:

@@ -1,5 +1,5 @@
-"""Functions through samples in time: checked rows, straight lines and cubic splines between them, integrals of broken lines, and where
-records have kinks or begin to act."""
+"""Functions through samples in time: checked rows, straight lines and cubic splines between them,
+integrals of broken lines, and where records have kinks or begin to act."""
 
 from __future__ import annotations
 
@@ -12,14 +12,21 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, concrete, float_array, module_of
 from jaxbody.core.errors import Problems
 
-STRAIGHT = 1e-9  # changes of slope, and curvatures, relative to the largest of the record, below which it is straight
+# changes of slope, and curvatures, relative to the largest of the record, below which it
+# is straight
+STRAIGHT = 1e-9
 FEW_SAMPLES = 4  # the shortest half of a record
-FINE = 1e-6  # of the range of a record: where the third derivative of a cubic spline moves it by less, it is smooth
+# of the range of a record: where the third derivative of a cubic spline moves it by less, it
+# is smooth
+FINE = 1e-6
 UNEVEN = 16  # a parabola through zero differs by 9 from one half to the other
 
 
-def checked_rows(value: Any, n: int | None, widths: tuple[int | str | None, ...], where: str, problems: Problems) -> Any:
-    """Finite numbers, one row for each of n times, or for any number of times if n is None; None if they are not, with a problem added.
+def checked_rows(
+    value: Any, n: int | None, widths: tuple[int | str | None, ...], where: str, problems: Problems
+) -> Any:
+    """Finite numbers, one row for each of n times, or for any number of times if n is None; None if
+    they are not, with a problem added.
 
     `widths` of a row: a number, "k" for any number, None for a single number that is no row."""
     array = problems.gather(lambda: float_array(value, where))
@@ -27,30 +34,53 @@ def checked_rows(value: Any, n: int | None, widths: tuple[int | str | None, ...]
         return None
     width = {1: {None}, 2: {"k", array.shape[-1]}}.get(array.ndim, set()) if array.ndim else set()
     if not width & set(widths) or n not in (None, array.shape[0]):
-        limit = " or ".join(f"({n or 'n'},)" if width is None else f"({n or 'n'}, {width})" for width in widths)
-        hint = "The array looks transposed." if array.ndim == 2 and array.shape[0] in widths else "One row per time."
-        problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=limit, hint=hint)
+        limit = " or ".join(
+            f"({n or 'n'},)" if width is None else f"({n or 'n'}, {width})" for width in widths
+        )
+        hint = (
+            "The array looks transposed."
+            if array.ndim == 2 and array.shape[0] in widths
+            else "One row per time."
+        )
+        problems.add(
+            "BAD_SHAPE",
+            where,
+            f"has shape {array.shape}",
+            value=array.shape,
+            limit=limit,
+            hint=hint,
+        )
         return None
     known = concrete(array)
     if known is not None and not np.isfinite(known).all():
         row = int(np.argwhere(~np.isfinite(known))[0][0])
         hint = "Cut the record or fill the gap first."
-        problems.add("NON_FINITE", where, f"is {known[row].tolist()} at row {row}", value=known[row], limit="finite", hint=hint)
+        problems.add(
+            "NON_FINITE",
+            where,
+            f"is {known[row].tolist()} at row {row}",
+            value=known[row],
+            limit="finite",
+            hint=hint,
+        )
         return None
     return array
 
 
 def interpolated(samples: Any, t: Float[Array, ""]) -> Array:
-    """The straight line a y_i + b y_{i+1} between `samples.values` y, plus h^2/6 ((a^3 - a) m_i + (b^3 - b) m_{i+1}) where they have
-    `curvatures` m."""
+    """The straight line a y_i + b y_{i+1} between `samples.values` y, plus h^2/6 ((a^3 - a)
+    m_i + (b^3 - b) m_{i+1}) where they have `curvatures` m."""
     i, h, a, b = cell(samples.times, samples.uniform, t)
     y, m = samples.values, samples.curvatures
     line = a * y[i] + b * y[i + 1]
     return line if m is None else line + h**2 / 6 * ((a**3 - a) * m[i] + (b**3 - b) * m[i + 1])
 
 
-def integrals(t: Float[Array, "n"], a: Float[Array, "n k"], x0: Any = 0.0, v0: Any = 0.0) -> tuple[Any, Any]:
-    """The integral v of a function that is linear between samples a, and the integral x of v, from their values at the first time."""
+def integrals(
+    t: Float[Array, "n"], a: Float[Array, "n k"], x0: Any = 0.0, v0: Any = 0.0
+) -> tuple[Any, Any]:
+    """The integral v of a function that is linear between samples a, and the integral x of v, from
+    their values at the first time."""
     xp = module_of(a)
     h = xp.diff(t)[:, None]
 
@@ -62,12 +92,16 @@ def integrals(t: Float[Array, "n"], a: Float[Array, "n k"], x0: Any = 0.0, v0: A
 
 
 def cell(times: Float[Array, "n"], uniform: bool, t: Float[Array, ""]):
-    """The index i of the sample before t, the distance to the next one, and the weights a, b of both."""
+    """The index i of the sample before t, the distance to the next one, and the weights a, b
+    of both."""
     n = times.shape[0]
     if uniform:
         i = jnp.floor((t - times[0]) / (times[-1] - times[0]) * (n - 1)).astype(int)
     else:
-        i = jnp.searchsorted(times, jax.lax.stop_gradient(t), side="right", method="scan_unrolled") - 1
+        i = (
+            jnp.searchsorted(times, jax.lax.stop_gradient(t), side="right", method="scan_unrolled")
+            - 1
+        )
     i = jnp.clip(i, 0, n - 2)
     h = times[i + 1] - times[i]
     return i, h, (times[i + 1] - t) / h, (t - times[i]) / h
@@ -84,38 +118,50 @@ def is_uniform(times) -> bool:
 
 
 def kinks_between_lines(t: Float[Array, "n"], y: Float[Array, "n *k"]) -> Float[Array, "n"]:
-    """The samples at which straight lines through samples have a kink; inf in place of the others."""
+    """The samples at which straight lines through samples have a kink; inf in place of
+    the others."""
     y = y.reshape(len(y), -1)
     change = jnp.abs(jnp.diff(jnp.diff(y, axis=0) / jnp.diff(t)[:, None], axis=0))
     ends = jnp.ones(1, bool)
-    bends = jnp.concatenate([ends, jnp.any(change > STRAIGHT * jnp.max(change, 0, keepdims=True, initial=0), 1), ends])
+    bends = jnp.concatenate(
+        [ends, jnp.any(change > STRAIGHT * jnp.max(change, 0, keepdims=True, initial=0), 1), ends]
+    )
     return jnp.where(bends, t, jnp.inf)
 
 
-def kinks_between_cubics(t: Float[Array, "n"], y: Float[Array, "n *k"], curvature: Float[Array, "n *k"]) -> Float[Array, "_"]:
-    """The samples at which the third derivative of a cubic spline jumps, and those at which a smooth record becomes far more or far less
-    active; inf in place of others. A method of high order takes up to ten steps to get over such a jump, half of them in vain.
+def kinks_between_cubics(
+    t: Float[Array, "n"], y: Float[Array, "n *k"], curvature: Float[Array, "n *k"]
+) -> Float[Array, "_"]:
+    """The samples at which the third derivative of a cubic spline jumps, and those at which a
+    smooth record becomes far more or far less active; inf in place of others. A method of high
+    order takes up to ten steps to get over such a jump, half of them in vain.
 
         h^3/6 |jump of d3y/dt3| > FINE (max y - min y)
     """
     y, m = (x.reshape(len(t), -1) for x in (y, curvature))
-    jump, h = jnp.diff(jnp.diff(m, axis=0) / jnp.diff(t)[:, None], axis=0), (t[2:] - t[:-2])[:, None] / 2
+    jump, h = (
+        jnp.diff(jnp.diff(m, axis=0) / jnp.diff(t)[:, None], axis=0),
+        (t[2:] - t[:-2])[:, None] / 2,
+    )
     rough = jnp.any(h**3 / 6 * jnp.abs(jump) > FINE * jnp.ptp(y, 0, keepdims=True), 1)
     return jnp.concatenate([jnp.where(rough, t[1:-1], jnp.inf), changes_of_activity(t, curvature)])
 
 
 def changes_of_activity(t: Float[Array, "n"], curvature: Float[Array, "n *k"]) -> Float[Array, "_"]:
-    """The samples at which a smooth record becomes far more or far less active; inf in place of others. A step that ends there cannot
-    reach over a shock after quiet.
+    """The samples at which a smooth record becomes far more or far less active; inf in place of
+    others. A step that ends there cannot reach over a shock after quiet.
 
-    The record is halved, each half again, and so on down to a few samples: a middle counts where the largest curvatures of its two sides
-    differ by more than UNEVEN. So the parts between become shorter towards a shock, like it."""
+    The record is halved, each half again, and so on down to a few samples: a middle counts where
+    the largest curvatures of its two sides differ by more than UNEVEN. So the parts between become
+    shorter towards a shock, like it."""
     size = jnp.abs(curvature.reshape(len(t), -1))
     size = size + STRAIGHT * jnp.max(size, 0, keepdims=True)
     found, width = [], FEW_SAMPLES
     while width < len(t):
         halves = -(-len(t) // (2 * width))
-        padded = jnp.concatenate([size, jnp.broadcast_to(size[-1:], (2 * width * halves - len(t), size.shape[1]))])
+        padded = jnp.concatenate(
+            [size, jnp.broadcast_to(size[-1:], (2 * width * halves - len(t), size.shape[1]))]
+        )
         left, right = jnp.moveaxis(jnp.max(padded.reshape(halves, 2, width, -1), 2), 1, 0)
         middle = np.minimum(width * (2 * np.arange(halves) + 1), len(t) - 1)
         uneven = jnp.any((left > UNEVEN * right) | (right > UNEVEN * left), 1)
@@ -126,14 +172,23 @@ def changes_of_activity(t: Float[Array, "n"], curvature: Float[Array, "n *k"]) -
 
 @jax.jit
 def curvatures(t: Float[Array, "n"], y: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
-    """Second derivatives at the knots: h_{i-1} m_{i-1} + 2 (h_{i-1} + h_i) m_i + h_i m_{i+1} = 6 (d_i - d_{i-1}), d the slopes of the
-    chords; at the ends 2 h m_0 + h m_1 = 6 (d_0 - s_0), s the slope of the cubic through four samples."""
+    """Second derivatives at the knots: h_{i-1} m_{i-1} + 2 (h_{i-1} + h_i) m_i + h_i m_{i+1} = 6
+    (d_i - d_{i-1}), d the slopes of the chords; at the ends 2 h m_0 + h m_1 = 6 (d_0 - s_0), s the
+    slope of the cubic through four samples."""
     h, shape, y = jnp.diff(t), y.shape, y.reshape(len(y), -1)
     d = jnp.diff(y, axis=0) / h[:, None]
     zero = jnp.zeros(1, t.dtype)
     diagonal = 2 * (jnp.concatenate([zero, h]) + jnp.concatenate([h, zero]))
-    right = 6 * jnp.concatenate([d[:1] - _end_slope(t[:4], y[:4]), jnp.diff(d, axis=0), _end_slope(t[::-1][:4], y[::-1][:4]) - d[-1:]])
-    return jax.lax.linalg.tridiagonal_solve(jnp.concatenate([zero, h]), diagonal, jnp.concatenate([h, zero]), right).reshape(shape)
+    right = 6 * jnp.concatenate(
+        [
+            d[:1] - _end_slope(t[:4], y[:4]),
+            jnp.diff(d, axis=0),
+            _end_slope(t[::-1][:4], y[::-1][:4]) - d[-1:],
+        ]
+    )
+    return jax.lax.linalg.tridiagonal_solve(
+        jnp.concatenate([zero, h]), diagonal, jnp.concatenate([h, zero]), right
+    ).reshape(shape)
 
 
 def _end_slope(t: Float[Array, "4"], y: Float[Array, "4 k"]) -> Float[Array, "1 k"]:

@@ -1,4 +1,5 @@
-"""Signals: numbers or vectors as functions of time, with sums and delays; of a load, an instrument or, six of them, a motion."""
+"""Signals: numbers or vectors as functions of time, with sums and delays; of a load, an instrument
+or, six of them, a motion."""
 
 from __future__ import annotations
 
@@ -14,11 +15,27 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import check_one_of, check_returned, kind_of, plain, warn_of_degrees
-from jaxbody.core.arrays import Array, Float, check_times, device_array, functions_as_nodes, is_concrete, shaped
+from jaxbody.core.arrays import (
+    Array,
+    Float,
+    check_times,
+    device_array,
+    functions_as_nodes,
+    is_concrete,
+    shaped,
+)
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field
-from jaxbody.inputs.samples import cell, checked_rows, curvatures, interpolated, is_uniform, kinks_between_cubics, kinks_between_lines
+from jaxbody.inputs.samples import (
+    cell,
+    checked_rows,
+    curvatures,
+    interpolated,
+    is_uniform,
+    kinks_between_cubics,
+    kinks_between_lines,
+)
 
 __all__ = [
     "Constant",
@@ -38,7 +55,8 @@ KINDS = ("hold", "linear", "cubic")
 
 
 class Signal(Described, eqx.Module):
-    """A number or a vector as a function of time. Signals can be added to each other and to functions of time.
+    """A number or a vector as a function of time. Signals can be added to each other and to
+    functions of time.
 
     >>> Sine(amplitude=[0, 0, 5.0], frequency=2.0, phase=0.0)(jnp.array(0.25)).tolist()[2]
     -5.0
@@ -55,8 +73,8 @@ class Signal(Described, eqx.Module):
             cls.after = Signal.after  # that of a base class holds for the base class's formula
 
     def after(self, t0: Float[Array, ""]) -> Signal:
-        """signal(t0 + t), as integration needs it: t0 + t is rounded, by 2e-7 s at 1.6e9 s, so signals with times of their own subtract t0
-        from these."""
+        """signal(t0 + t), as integration needs it: t0 + t is rounded, by 2e-7 s at 1.6e9 s, so
+        signals with times of their own subtract t0 from these."""
         return Delayed(self, -t0)
 
     def covers(self) -> tuple[Any, Any]:
@@ -64,18 +82,23 @@ class Signal(Described, eqx.Module):
         return -np.inf, np.inf
 
     def kinks(self) -> Array | None:
-        """Times [s] at which it is not smooth, or begins or ceases to act, where integration steps end; None if there are none. Of times
-        inf nothing is known."""
+        """Times [s] at which it is not smooth, or begins or ceases to act, where integration steps
+        end; None if there are none. Of times inf nothing is known."""
 
     def __add__(self, other: Signal | Callable[[Array], Array]) -> SignalSum:
         return SignalSum((self, function_of_time(other)))
 
     def __radd__(self, other: Any) -> Signal:
-        return self if isinstance(other, int) and other == 0 else SignalSum((function_of_time(other), self))  # sum() starts from 0
+        return (
+            self
+            if isinstance(other, int) and other == 0
+            else SignalSum((function_of_time(other), self))
+        )  # sum() starts from 0
 
 
 class SignalSum(Signal):
-    """The sum of its terms, which are numbers or vectors of one size; of motions: translations and rotation vectors add."""
+    """The sum of its terms, which are numbers or vectors of one size; of motions: translations and
+    rotation vectors add."""
 
     terms: tuple[Signal, ...] = field()
 
@@ -98,8 +121,8 @@ class SignalSum(Signal):
 
 
 class Delayed(Signal):
-    """signal(t - delay): the same signal `delay` [s] later, such as the motion of a rear wheel that follows the front wheel on the same
-    road.
+    """signal(t - delay): the same signal `delay` [s] later, such as the motion of a rear wheel that
+    follows the front wheel on the same road.
 
     >>> motion = Delayed(Harmonic(frequency=2.0, translation=[0.01, 0, 0]), 0.25)
     >>> motion(jnp.array(0.25)).tolist()[0]
@@ -158,7 +181,9 @@ class Sine(Signal):
 
     def __init__(self, *, amplitude, frequency, phase=0.0):
         with Problems() as problems:
-            self.amplitude = device_array(shaped(amplitude, np.shape(amplitude)[:1], "Sine.amplitude", problems))
+            self.amplitude = device_array(
+                shaped(amplitude, np.shape(amplitude)[:1], "Sine.amplitude", problems)
+            )
             for name, value in (("frequency", frequency), ("phase", phase)):
                 setattr(self, name, device_array(shaped(value, (), f"Sine.{name}", problems)))
         warn_of_degrees(self.phase, "Sine.phase")
@@ -171,13 +196,16 @@ class Sine(Signal):
 
 
 class Samples(Signal):
-    """A signal through samples at increasing times [s], such as a record. `kind`, the interpolation between them:
+    """A signal through samples at increasing times [s], such as a record. `kind`, the interpolation
+    between them:
 
     "hold"    each value holds until the next sample (a digital source)
     "linear"  straight lines
-    "cubic"   a C2 cubic spline, as in Sampled motions: best for a smooth signal that is sampled fast enough
+    "cubic"   a C2 cubic spline, as in Sampled motions: best for a smooth signal that is sampled
+              fast enough
 
-    `values` (n,) or (n, k). Times outside the samples are an error. Errors: times as in `simulate`, BAD_SHAPE, NON_FINITE, BAD_KIND.
+    `values` (n,) or (n, k). Times outside the samples are an error. Errors: times as in `simulate`,
+    BAD_SHAPE, NON_FINITE, BAD_KIND.
 
     >>> float(Samples([0.0, 1.0, 2.0, 3.0], [0.0, 2.0, 4.0, 6.0], kind="linear")(jnp.array(0.25)))
     0.5
@@ -192,8 +220,16 @@ class Samples(Signal):
     def __init__(self, times, values, *, kind: str = "cubic"):
         with Problems() as problems:
             check_one_of(kind, KINDS, "BAD_KIND", "Samples.kind", problems)
-            known = check_times(times, problems, "Samples.times", minimum=4 if kind == "cubic" else 2)
-            y = checked_rows(values, None if known is None else len(known), (None, "k"), "Samples.values", problems)
+            known = check_times(
+                times, problems, "Samples.times", minimum=4 if kind == "cubic" else 2
+            )
+            y = checked_rows(
+                values,
+                None if known is None else len(known),
+                (None, "k"),
+                "Samples.values",
+                problems,
+            )
         self.times, self.values = device_array(known), device_array(y)
         self.kind, self.uniform = kind, is_uniform(known)
         self.curvatures = curvatures(self.times, self.values) if kind == "cubic" else None
@@ -220,7 +256,8 @@ class Samples(Signal):
 
 
 class Function(Signal):
-    """Any JAX function of time. Each new function object is compiled again; a Signal with array leaves avoids that.
+    """Any JAX function of time. Each new function object is compiled again; a Signal with array
+    leaves avoids that.
 
     >>> Function(lambda t: 3.0 * t)(0.5)
     1.5
@@ -251,26 +288,46 @@ def function_of_time(
 ) -> Signal:
     """The Signal for a signal or for a Python function of time. Error: WRONG_KIND."""
     if not callable(value) or isinstance(value, type):
-        raise JaxbodyError(Problem("WRONG_KIND", where, f"is {kind_of(value)}", value, wanted, hint))
+        raise JaxbodyError(
+            Problem("WRONG_KIND", where, f"is {kind_of(value)}", value, wanted, hint)
+        )
     return value if isinstance(value, Signal) else Function(value)
 
 
 def as_signal(value: Any, where: str, problems: Problems, size: tuple[int, ...]) -> Signal:
-    """The Signal for a signal, for a Python function of time, or for constant numbers of this size."""
-    signal = function_of_time(value, where) if callable(value) else Constant(shaped(value, size, where, problems))
+    """The Signal for a signal, for a Python function of time, or for constant numbers of
+    this size."""
+    signal = (
+        function_of_time(value, where)
+        if callable(value)
+        else Constant(shaped(value, size, where, problems))
+    )
     check_signal(signal, where, problems, size, lists=True)
     return signal
 
 
-def check_signal(signal: Signal, where: str, problems: Problems, size: tuple[int, ...], lists: bool = False) -> None:
-    """Check that JAX can trace a signal and that it returns an array of this size, or a list if `lists`; each structure is traced once."""
+def check_signal(
+    signal: Signal, where: str, problems: Problems, size: tuple[int, ...], lists: bool = False
+) -> None:
+    """Check that JAX can trace a signal and that it returns an array of this size, or a list if
+    `lists`; each structure is traced once."""
     leaves, structure = jax.tree.flatten(functions_as_nodes(signal))
     kinds = tuple(jax.ShapeDtypeStruct(np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-    problems.collected += [replace(problem, where=where) for problem in _faults(structure, kinds, size, lists)]
+    problems.collected += [
+        replace(problem, where=where) for problem in _faults(structure, kinds, size, lists)
+    ]
 
 
 @functools.lru_cache(maxsize=64)
-def _faults(structure: Any, kinds: tuple[Any, ...], size: tuple[int, ...], lists: bool) -> list[Problem]:
+def _faults(
+    structure: Any, kinds: tuple[Any, ...], size: tuple[int, ...], lists: bool
+) -> list[Problem]:
     problems = Problems()
-    check_returned(lambda signal, t: jnp.asarray(signal(t)) if lists else signal(t), structure.unflatten(kinds), size, "signal", problems)
+    check_returned(
+        lambda signal, t: jnp.asarray(signal(t)) if lists else signal(t),
+        structure.unflatten(kinds),
+        size,
+        "signal",
+        problems,
+    )
     return problems.collected

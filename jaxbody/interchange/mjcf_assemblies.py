@@ -1,4 +1,5 @@
-"""What is made of an MJCF file, by either reader: frames with their joints and masses, springs of joints and tendons, as a model."""
+"""What is made of an MJCF file, by either reader: frames with their joints and masses, springs of
+joints and tendons, as a model."""
 
 from __future__ import annotations
 
@@ -33,8 +34,9 @@ LARGE_TURNS = "damping of ball joints at large turns, where it is that of the ro
 
 @dataclass(frozen=True, eq=False)
 class JointOfBody:
-    """A joint as the file states it: its kind (slide, hinge, ball or free), and in the axes of its body its point and axis; `relaxed`: the
-    displacement or angle from the pose in the file at which its spring exerts no force."""
+    """A joint as the file states it: its kind (slide, hinge, ball or free), and in the axes of its
+    body its point and axis; `relaxed`: the displacement or angle from the pose in the file at which
+    its spring exerts no force."""
 
     name: str
     where: str
@@ -58,7 +60,16 @@ def joint_of(joints: list[JointOfBody], parent: str, on_parent: Place) -> Joint:
     first = joints[0]
     if len(joints) == 1 and first.kind == "free":
         if parent != WORLD:
-            raise JaxbodyError(Problem("WRONG_KIND", first.where, f"is free on '{parent}'", parent, WORLD, "A free body has no parent."))
+            raise JaxbodyError(
+                Problem(
+                    "WRONG_KIND",
+                    first.where,
+                    f"is free on '{parent}'",
+                    parent,
+                    WORLD,
+                    "A free body has no parent.",
+                )
+            )
         return Free()
     at = [on_parent.point(joint.at) for joint in joints]
     if len(joints) == 1 and first.kind == "ball":
@@ -69,18 +80,24 @@ def joint_of(joints: list[JointOfBody], parent: str, on_parent: Place) -> Joint:
             if joint.kind not in STEPS:
                 message = f"is a {joint.kind} joint, one of several of its body"
                 hint = "Put a body with a small mass between them."
-                raise JaxbodyError(Problem("WRONG_KIND", joint.where, message, joint.kind, ", ".join(STEPS), hint))
-        return Composite(parent, [STEPS[joint.kind] for joint in joints], directions=axes, points=at)
+                raise JaxbodyError(
+                    Problem("WRONG_KIND", joint.where, message, joint.kind, ", ".join(STEPS), hint)
+                )
+        return Composite(
+            parent, [STEPS[joint.kind] for joint in joints], directions=axes, points=at
+        )
     if first.kind == "slide":
         return Guide(parent, axis=axes[0])
     return Hinge(parent, axis=axes[0], at=at[0] if first.at.any() else None)
 
 
-def spring_of(joint: JointOfBody, joints: list[JointOfBody], body: str, parent: str, on_parent: Place) -> Element | str:
+def spring_of(
+    joint: JointOfBody, joints: list[JointOfBody], body: str, parent: str, on_parent: Place
+) -> Element | str:
     """The spring and damper of one of a body's joints, or why there is none.
 
-    A turn is read from the poses if it is the body's only one, a slide if the body does not turn: from the displacement d on the parent,
-    q_i = n*_i . d, where n*_i . n_j is 1 for i = j, else 0.
+    A turn is read from the poses if it is the body's only one, a slide if the body does not turn:
+    from the displacement d on the parent, q_i = n*_i . d, where n*_i . n_j is 1 for i = j, else 0.
     """
     at = (parent, on_parent.point(joint.at)), (body, joint.at)
     turns = [other for other in joints if other.kind != "slide"]
@@ -91,20 +108,26 @@ def spring_of(joint: JointOfBody, joints: list[JointOfBody], body: str, parent: 
         return Bushing(*at, stiffness=k, damping=c, orientation=on_parent.q)
     if joint.kind == "hinge":
         laws = {"spring": joint.stiffness or None, "damper": joint.damping or None}
-        return Torsion(*at, axis=joint.axis, free_angle=joint.relaxed, orientation=on_parent.q, **laws) if len(turns) == 1 else SEVERAL
+        return (
+            Torsion(*at, axis=joint.axis, free_angle=joint.relaxed, orientation=on_parent.q, **laws)
+            if len(turns) == 1
+            else SEVERAL
+        )
     if turns:
         return SEVERAL
     along = np.linalg.pinv(np.stack([other.axis for other in joints]))[:, joints.index(joint)]
     q = from_z_to(along)
     k, c = (np.array([0, 0, x * (along @ along)]) for x in (joint.stiffness, joint.damping))
     relaxed = parent, on_parent.point(joint.at + joint.relaxed * joint.axis)
-    return Bushing(relaxed, at[1], stiffness=k, damping=c, orientation=product(on_parent.q, q), orientation_b=q)
+    return Bushing(
+        relaxed, at[1], stiffness=k, damping=c, orientation=product(on_parent.q, q), orientation_b=q
+    )
 
 
 @dataclass
 class Carried:
-    """A frame of the model: what carries it, where it is there and in the world, its joints, and parts that make up its mass. One that
-    does not move is a support."""
+    """A frame of the model: what carries it, where it is there and in the world, its joints, and
+    parts that make up its mass. One that does not move is a support."""
 
     where: str
     parent: str
@@ -133,7 +156,10 @@ class FramesOfFile(ABC):
         try:
             return make()
         except JaxbodyError as error:
-            self.problems.collected += [Problem(x.code, f"{where} {x.where}", x.message, x.value, x.limit, x.hint) for x in error.problems]
+            self.problems.collected += [
+                Problem(x.code, f"{where} {x.where}", x.message, x.value, x.limit, x.hint)
+                for x in error.problems
+            ]
             return None
 
     def leave_out_sections(self) -> None:
@@ -151,9 +177,17 @@ class FramesOfFile(ABC):
                         if flag.attributes.get(name) == "disable":
                             self.leave_out(f"flag that disables {name}", flag.where)
 
-    def carry(self, where: str, name: str, owner: str, place: Place, joints: list[JointOfBody], own: Body | None) -> tuple[str, Place]:
-        """Add a body of the file at a place on its owner; returns the frame of the model that it becomes or is a part of, and its place
-        there."""
+    def carry(
+        self,
+        where: str,
+        name: str,
+        owner: str,
+        place: Place,
+        joints: list[JointOfBody],
+        own: Body | None,
+    ) -> tuple[str, Place]:
+        """Add a body of the file at a place on its owner; returns the frame of the model that it
+        becomes or is a part of, and its place there."""
         carrier = self.carried.get(owner)
         if joints or carrier is None or not carrier.moves or (own and carrier.parts):
             whole = carrier.place @ place if carrier else place
@@ -162,12 +196,15 @@ class FramesOfFile(ABC):
             self.carried[name] = carrier = Carried(where, owner, place, whole, moves, joints)
             owner, place = name, ORIGIN
         if own:
-            moved = self.gather(where, lambda: Body.of_parts([own], position=place.p, orientation=place.q))
+            moved = self.gather(
+                where, lambda: Body.of_parts([own], position=place.p, orientation=place.q)
+            )
             carrier.parts += [moved] if moved else []
         return owner, place
 
     def name_of(self, name: str, default: str, taken: Any, where: str) -> str:
-        """A name that a model accepts; one of the file's that it does not accept is in the list of what was left out."""
+        """A name that a model accepts; one of the file's that it does not accept is in the list of
+        what was left out."""
         allowed = "".join("_" if letter in ".*?[]" else letter for letter in name or default)
         while allowed in taken or allowed == WORLD:
             allowed += "_" if name else " 2"
@@ -178,12 +215,28 @@ class FramesOfFile(ABC):
     def parts(self, scale: float, gravity: np.ndarray) -> dict[str, Any]:
         """The arguments of the model, with all masses times `scale`."""
         moving = {name: each for name, each in self.carried.items() if each.moves}
-        bodies = {name: self.gather(each.where, lambda each=each: _body(each, scale)) for name, each in moving.items()}
-        joints = {name: self.gather(each.where, lambda each=each: _joint(each)) for name, each in moving.items()}
-        supports = {name: Support(each.place.p, each.place.q) for name, each in self.carried.items() if not each.moves}
+        bodies = {
+            name: self.gather(each.where, lambda each=each: _body(each, scale))
+            for name, each in moving.items()
+        }
+        joints = {
+            name: self.gather(each.where, lambda each=each: _joint(each))
+            for name, each in moving.items()
+        }
+        supports = {
+            name: Support(each.place.p, each.place.q)
+            for name, each in self.carried.items()
+            if not each.moves
+        }
         self.springs(moving)
         self.tendons()
-        return {"bodies": bodies, "supports": supports, "joints": joints, "elements": self.elements, "gravity": gravity}
+        return {
+            "bodies": bodies,
+            "supports": supports,
+            "joints": joints,
+            "elements": self.elements,
+            "gravity": gravity,
+        }
 
     @abstractmethod
     def tendons(self) -> None:
@@ -194,22 +247,35 @@ class FramesOfFile(ABC):
         for body, each in moving.items():
             for joint in each.joints:
                 if joint.stiffness or joint.damping:
-                    spring = self.gather(joint.where, lambda: spring_of(joint, each.joints, body, each.parent, each.on_parent))  # noqa: B023
+                    spring = self.gather(
+                        joint.where,
+                        lambda: spring_of(joint, each.joints, body, each.parent, each.on_parent),  # noqa: B023
+                    )
                     taken = joint.name in self.carried
-                    self.add(spring, f"{joint.name} spring" if taken else joint.name, f"{body} spring", joint.where)
+                    self.add(
+                        spring,
+                        f"{joint.name} spring" if taken else joint.name,
+                        f"{body} spring",
+                        joint.where,
+                    )
                 if joint.kind == "ball" and joint.damping:
                     self.leave_out(LARGE_TURNS, joint.where)
 
     def add(self, spring: Element | str | None, name: str, default: str, where: str) -> None:
         """An element of the model, or why there is none."""
         if isinstance(spring, Element):
-            self.elements[self.name_of(name, default, {**self.carried, **self.elements}, where)] = spring
+            self.elements[self.name_of(name, default, {**self.carried, **self.elements}, where)] = (
+                spring
+            )
         elif spring:
             self.leave_out(spring, where)
 
 
-def tendon(ends: list[tuple[str, np.ndarray]], k: float, c: float, low: float, high: float) -> Element | str:
-    """The spring of a tendon between two places on frames, without force from the one length to the other; or why there is none."""
+def tendon(
+    ends: list[tuple[str, np.ndarray]], k: float, c: float, low: float, high: float
+) -> Element | str:
+    """The spring of a tendon between two places on frames, without force from the one length to the
+    other; or why there is none."""
     if not (k or c):
         return "tendons without stiffness and damping"
     if low == high:
@@ -223,9 +289,17 @@ def _body(each: Carried, scale: float) -> Body:
     """A body of the model from its parts."""
     if not each.parts:
         hint = "Give it a geom or an inertial element."
-        raise JaxbodyError(Problem("BAD_MASS", "body", "has joints and no mass", limit="> 0", hint=hint))
+        raise JaxbodyError(
+            Problem("BAD_MASS", "body", "has joints and no mass", limit="> 0", hint=hint)
+        )
     whole = Body.of_parts(each.parts)
-    return Body(scale * whole.mass, scale * whole.inertia, com=whole.com, position=each.place.p, orientation=each.place.q)
+    return Body(
+        scale * whole.mass,
+        scale * whole.inertia,
+        com=whole.com,
+        position=each.place.p,
+        orientation=each.place.q,
+    )
 
 
 def _joint(each: Carried) -> Joint:

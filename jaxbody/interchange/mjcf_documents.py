@@ -1,4 +1,5 @@
-"""MJCF documents: the elements of an XML file with their lines, included files in place, attributes with the defaults of their class."""
+"""MJCF documents: the elements of an XML file with their lines, included files in place, attributes
+with the defaults of their class."""
 
 from __future__ import annotations
 
@@ -37,7 +38,8 @@ class Node:
 
 @dataclass
 class MjcfDocument:
-    """A file with those it includes: the tag of its root, its sections, and the attributes that each class gives to elements of a tag."""
+    """A file with those it includes: the tag of its root, its sections, and the attributes that
+    each class gives to elements of a tag."""
 
     root: str
     sections: list[Node]
@@ -50,13 +52,22 @@ class MjcfDocument:
 
     def settings(self, section: str) -> dict[str, str]:
         """The attributes of all sections of this tag; a later one counts."""
-        return {name: value for node in self.all(section) for name, value in node.attributes.items()}
+        return {
+            name: value for node in self.all(section) for name, value in node.attributes.items()
+        }
 
     def attributes(self, node: Node, kind: str) -> Attributes:
-        """The attributes of an element, with those of its class, or of the class `kind` of all elements around it."""
+        """The attributes of an element, with those of its class, or of the class `kind` of all
+        elements around it."""
         name = node.attributes.get("class", kind)
         if name not in self.classes:
-            self.problems.add("UNKNOWN_NAME", node.where, f"the class '{name}' is not known", value=name, limit=", ".join(self.classes))
+            self.problems.add(
+                "UNKNOWN_NAME",
+                node.where,
+                f"the class '{name}' is not known",
+                value=name,
+                limit=", ".join(self.classes),
+            )
         own = self.classes.get(name, {}).get(ALIASES.get(node.tag, node.tag), {})
         return Attributes(own | node.attributes, f"{node.where} {node.tag}", self.problems)
 
@@ -79,21 +90,36 @@ class Attributes:
         return self.values.get(name, str(default)).lower() == "true"
 
     def row(self, name: str, default: Any = (), sizes: tuple[int, ...] = ()) -> np.ndarray:
-        """Numbers separated by blanks. Errors: NOT_A_NUMBER, NON_FINITE, BAD_SHAPE if their count is none of `sizes`."""
+        """Numbers separated by blanks. Errors: NOT_A_NUMBER, NON_FINITE, BAD_SHAPE if their count
+        is none of `sizes`."""
         if name not in self.values:
             return np.array(default, float)
         text = self.values[name]
         try:
             numbers = np.array([float(word) for word in text.split()])
         except ValueError:
-            self.problems.add("NOT_A_NUMBER", f"{self.where} {name}", f"is '{text:.60}'", value=text, limit="numbers with blanks between")
+            self.problems.add(
+                "NOT_A_NUMBER",
+                f"{self.where} {name}",
+                f"is '{text:.60}'",
+                value=text,
+                limit="numbers with blanks between",
+            )
             return np.array(default, float)
         if sizes and len(numbers) not in sizes:
             limit = " or ".join(map(str, sizes))
-            self.problems.add("BAD_SHAPE", f"{self.where} {name}", f"has {len(numbers)} numbers", value=text, limit=limit)
+            self.problems.add(
+                "BAD_SHAPE",
+                f"{self.where} {name}",
+                f"has {len(numbers)} numbers",
+                value=text,
+                limit=limit,
+            )
             return np.array(default, float)
         if not np.isfinite(numbers).all():
-            self.problems.add("NON_FINITE", f"{self.where} {name}", f"is '{text:.60}'", value=text, limit="finite")
+            self.problems.add(
+                "NON_FINITE", f"{self.where} {name}", f"is '{text:.60}'", value=text, limit="finite"
+            )
             return np.array(default, float)
         return numbers
 
@@ -107,7 +133,8 @@ class Attributes:
 def read_document(path: Path, largest: float) -> MjcfDocument:
     """The document in a file.
 
-    Errors: those of files, SYNTAX, ENCODING, WRONG_KIND for a document type, WRONG_FORMAT, TOO_LARGE, OUTSIDE_FOLDER, LOOP."""
+    Errors: those of files, SYNTAX, ENCODING, WRONG_KIND for a document type, WRONG_FORMAT,
+    TOO_LARGE, OUTSIDE_FOLDER, LOOP."""
     with Problems() as problems:
         root = _content(path, path.parent, largest, set())
         sections = root.children
@@ -124,7 +151,16 @@ def _content(path: Path, folder: Path, largest: float, read: set[Path]) -> Node:
     root = _parsed(path, largest)
     if root.tag not in ROOTS and not read:
         message = f"has the root element '{root.tag:.60}'"
-        raise JaxbodyError(Problem("WRONG_FORMAT", root.where, message, root.tag, ", ".join(ROOTS), "Is it another XML file?"))
+        raise JaxbodyError(
+            Problem(
+                "WRONG_FORMAT",
+                root.where,
+                message,
+                root.tag,
+                ", ".join(ROOTS),
+                "Is it another XML file?",
+            )
+        )
     read.add(path)
     _include(root, folder, largest, read)
     return root
@@ -140,15 +176,20 @@ def _include(node: Node, folder: Path, largest: float, read: set[Path]) -> None:
         name = child.attributes.get("file", "")
         if not name or Path(name).is_absolute() or ".." in Path(name).parts:
             message, limit = f"includes '{name}'", "a file in the folder of this one"
-            raise JaxbodyError(Problem("OUTSIDE_FOLDER", child.where, message, name, limit, "Copy it there."))
+            raise JaxbodyError(
+                Problem("OUTSIDE_FOLDER", child.where, message, name, limit, "Copy it there.")
+            )
         if folder / name in read:
-            raise JaxbodyError(Problem("LOOP", child.where, f"includes '{name}' once more", name, "each file once"))
+            raise JaxbodyError(
+                Problem("LOOP", child.where, f"includes '{name}' once more", name, "each file once")
+            )
         children += _content(folder / name, folder, largest, read).children
     node.children = children
 
 
 def _parsed(path: Path, largest: float) -> Node:
-    """The root element of a file; entities and document types are refused before anything is expanded."""
+    """The root element of a file; entities and document types are refused before anything
+    is expanded."""
     check_file(path, largest)
     parser, root = expat.ParserCreate(), Node("", {}, path.name)
     around = [root]
@@ -156,13 +197,29 @@ def _parsed(path: Path, largest: float) -> Node:
     def start(tag: str, attributes: dict[str, str]) -> None:
         node = Node(tag, attributes, f"{path.name}:{parser.CurrentLineNumber}")
         if len(around) > DEEPEST:
-            raise JaxbodyError(Problem("TOO_LARGE", node.where, "is nested too deep", limit=f"{DEEPEST} levels", hint="Is it a model?"))
+            raise JaxbodyError(
+                Problem(
+                    "TOO_LARGE",
+                    node.where,
+                    "is nested too deep",
+                    limit=f"{DEEPEST} levels",
+                    hint="Is it a model?",
+                )
+            )
         around[-1].children.append(node)
         around.append(node)
 
     def refuse(*_: Any) -> None:
         where = f"{path.name}:{parser.CurrentLineNumber}"
-        raise JaxbodyError(Problem("WRONG_KIND", where, "declares a document type", limit="elements and attributes", hint=NO_DTD))
+        raise JaxbodyError(
+            Problem(
+                "WRONG_KIND",
+                where,
+                "declares a document type",
+                limit="elements and attributes",
+                hint=NO_DTD,
+            )
+        )
 
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda _: around.pop()
@@ -171,15 +228,26 @@ def _parsed(path: Path, largest: float) -> Node:
         parser.Parse(path.read_bytes(), True)
     except expat.ExpatError as error:
         message = re.sub(r": line \d+, column (\d+)", r", column \1", str(error))
-        raise JaxbodyError(Problem("SYNTAX", f"{path.name}:{error.lineno}", message, hint="Is it the XML of a model?")) from None
+        raise JaxbodyError(
+            Problem(
+                "SYNTAX", f"{path.name}:{error.lineno}", message, hint="Is it the XML of a model?"
+            )
+        ) from None
     except JaxbodyError:
         raise
     except (LookupError, ValueError) as error:  # the encoding that the file states
-        raise JaxbodyError(Problem("ENCODING", path.name, str(error), hint="Save it as UTF-8.")) from None
+        raise JaxbodyError(
+            Problem("ENCODING", path.name, str(error), hint="Save it as UTF-8.")
+        ) from None
     return root.children[0]
 
 
-def _collect(node: Node, name: str, inherited: dict[str, dict[str, str]], classes: dict[str, dict[str, dict[str, str]]]) -> None:
+def _collect(
+    node: Node,
+    name: str,
+    inherited: dict[str, dict[str, str]],
+    classes: dict[str, dict[str, dict[str, str]]],
+) -> None:
     """The attributes that a class states, on top of those of the class around it."""
     mine = {tag: dict(values) for tag, values in (classes.get(name) or inherited).items()}
     for child in node.children:

@@ -1,23 +1,61 @@
-"""MuJoCo's compiler in a process of its own, `python mujoco_process.py model.xml arrays.npz`: what crashes it ends that process alone."""
+"""MuJoCo's compiler in a process of its own, `python mujoco_process.py model.xml arrays.npz`: what
+crashes it ends that process alone."""
 
 import contextlib
 import sys
 from typing import Any
 
 ARRAYS = (
-    "body_parentid", "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat", "body_jntnum", "body_jntadr",
-    "body_gravcomp", "jnt_type", "jnt_pos", "jnt_axis", "jnt_qposadr", "jnt_dofadr", "jnt_stiffness", "jnt_stiffnesspoly", "jnt_limited",
-    "dof_damping", "dof_dampingpoly", "dof_armature", "dof_frictionloss", "qpos0", "qpos_spring", "geom_contype", "geom_conaffinity",
-    "geom_fluid", "site_bodyid", "site_pos", "tendon_adr", "tendon_num", "tendon_stiffness", "tendon_stiffnesspoly", "tendon_damping",
-    "tendon_dampingpoly", "tendon_limited", "tendon_frictionloss", "tendon_armature", "tendon_lengthspring", "wrap_type", "wrap_objid",
-)  # fmt: skip
+    "body_parentid",
+    "body_pos",
+    "body_quat",
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "body_jntnum",
+    "body_jntadr",
+    "body_gravcomp",
+    "jnt_type",
+    "jnt_pos",
+    "jnt_axis",
+    "jnt_qposadr",
+    "jnt_dofadr",
+    "jnt_stiffness",
+    "jnt_stiffnesspoly",
+    "jnt_limited",
+    "dof_damping",
+    "dof_dampingpoly",
+    "dof_armature",
+    "dof_frictionloss",
+    "qpos0",
+    "qpos_spring",
+    "geom_contype",
+    "geom_conaffinity",
+    "geom_fluid",
+    "site_bodyid",
+    "site_pos",
+    "tendon_adr",
+    "tendon_num",
+    "tendon_stiffness",
+    "tendon_stiffnesspoly",
+    "tendon_damping",
+    "tendon_dampingpoly",
+    "tendon_limited",
+    "tendon_frictionloss",
+    "tendon_armature",
+    "tendon_lengthspring",
+    "wrap_type",
+    "wrap_objid",
+)
 NAMED = {"body": "nbody", "joint": "njnt", "tendon": "ntendon"}
 COUNTED = ("ncam", "nlight", "nflex")
 MEMORY = 8 << 30  # bytes: a short file may state a model of any size
 
 
 def main(source: str, target: str) -> None:
-    """Compile a file, and save the arrays of the model that say how it moves; exit with MuJoCo's message if it refuses."""
+    """Compile a file, and save the arrays of the model that say how it moves; exit with MuJoCo's
+    message if it refuses."""
     import mujoco as module
     import numpy as np
 
@@ -31,10 +69,14 @@ def main(source: str, target: str) -> None:
         m = mujoco.MjModel.from_xml_path(source)
     except (ValueError, MemoryError) as error:
         sys.exit(str(error))
-    arrays: dict[str, Any] = {name: np.asarray(getattr(m, name)) for name in ARRAYS if hasattr(m, name)}
+    arrays: dict[str, Any] = {
+        name: np.asarray(getattr(m, name)) for name in ARRAYS if hasattr(m, name)
+    }
     for kind, count in NAMED.items():
         of = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-        arrays[f"{kind}_names"] = np.array([mujoco.mj_id2name(m, of, i) or "" for i in range(getattr(m, count))], dtype=str)
+        arrays[f"{kind}_names"] = np.array(
+            [mujoco.mj_id2name(m, of, i) or "" for i in range(getattr(m, count))], dtype=str
+        )
     weightless = m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
     arrays |= {"gravity": np.zeros(3) if weightless else np.asarray(m.opt.gravity)}
     arrays |= {name: np.array(getattr(m, name)) for name in COUNTED}

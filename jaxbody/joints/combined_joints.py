@@ -1,4 +1,5 @@
-"""Joints of two or three slides and turns with a name of their own: universal joints, cylindrical joints, planes."""
+"""Joints of two or three slides and turns with a name of their own: universal joints, cylindrical
+joints, planes."""
 
 from abc import abstractmethod
 from typing import Any
@@ -20,7 +21,8 @@ PARALLEL = 1e-6  # sine of the angle between two directions that count as one
 
 
 class Combined(Joint):
-    """The base class of these joints: q = displacements [m] and angles [rad] from the reference pose, v = q'."""
+    """The base class of these joints: q = displacements [m] and angles [rad] from the reference
+    pose, v = q'."""
 
     in_series = True
 
@@ -32,22 +34,33 @@ class Combined(Joint):
     def crossed(self, first: Any, second: Any, problems: Problems) -> tuple[Any, Any]:
         """Two unit vectors that are not parallel. Error: BAD_DIRECTION."""
         kind = type(self).__name__
-        first, second = direction(first, f"{kind}.first", problems), direction(second, f"{kind}.second", problems)
+        first, second = (
+            direction(first, f"{kind}.first", problems),
+            direction(second, f"{kind}.second", problems),
+        )
         if is_concrete((first, second)) and np.linalg.norm(np.cross(first, second)) <= PARALLEL:
             hint = "Give two directions that cross, such as x and y."
-            problems.add("BAD_DIRECTION", f"{kind}.second", "is parallel to the first", value=second, limit="across the first", hint=hint)
+            problems.add(
+                "BAD_DIRECTION",
+                f"{kind}.second",
+                "is parallel to the first",
+                value=second,
+                limit="across the first",
+                hint=hint,
+            )
         return first, second
 
 
 class Universal(Combined):
-    """A universal joint: two crossed hinges through one point. q = the angles [rad] about `first`, which stays with the parent, and about
-    `second`, which the first turn carries along,
+    """A universal joint: two crossed hinges through one point. q = the angles [rad] about `first`,
+    which stays with the parent, and about `second`, which the first turn carries along,
 
         R = R_first(q_1) R_second(q_2) R_rest
 
     Args:
         parent: `world`, a support or a body
-        first, second: the two axes in the reference pose, x, y, z or a direction, parent's frame; they need not be perpendicular
+        first, second: the two axes in the reference pose, x, y, z or a direction, parent's frame;
+            they need not be perpendicular
         at: the point in which they cross, parent's frame [m]; None: the body's reference point O
 
     Errors: BAD_DIRECTION, also for axes that are parallel, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
@@ -74,16 +87,25 @@ class Universal(Combined):
         return jnp.stack([self.first, self.second])
 
     def pose(self, q, parent, rest):
-        return parent @ turned_about(self.at, product(rotations.about(self.first, q[0]), rotations.about(self.second, q[1])), rest)
+        return parent @ turned_about(
+            self.at,
+            product(rotations.about(self.first, q[0]), rotations.about(self.second, q[1])),
+            rest,
+        )
 
     def axes(self, q, parent, body):
-        n = jnp.stack([rotate(parent.R, self.first), rotate(parent.R, rotate(rotations.about(self.first, q[0]), self.second))])
+        n = jnp.stack(
+            [
+                rotate(parent.R, self.first),
+                rotate(parent.R, rotate(rotations.about(self.first, q[0]), self.second)),
+            ]
+        )
         return arms(n, self.at, parent, body), n
 
 
 class Cylindrical(Combined):
-    """Sliding along a line and turning about it, independently, as a shaft in a plain bearing: q = the displacement [m] and the angle [rad]
-    from the reference pose.
+    """Sliding along a line and turning about it, independently, as a shaft in a plain bearing:
+    q = the displacement [m] and the angle [rad] from the reference pose.
 
     Args:
         parent: `world`, a support or a body
@@ -118,16 +140,20 @@ class Cylindrical(Combined):
 
     def axes(self, q, parent, body):
         n = rotate(parent.R, self.axis)
-        return jnp.stack([n, arms(n[None], self.at, parent, body)[0]]), jnp.stack([jnp.zeros_like(n), n])
+        return jnp.stack([n, arms(n[None], self.at, parent, body)[0]]), jnp.stack(
+            [jnp.zeros_like(n), n]
+        )
 
 
 class Planar(Combined):
-    """Moving in a plane, as on a table: q = the displacements [m] of the body's reference point O along `first` and `second` from the
-    reference pose, and the angle [rad] about the normal first x second through O.
+    """Moving in a plane, as on a table: q = the displacements [m] of the body's reference point O
+    along `first` and `second` from the reference pose, and the angle [rad] about the normal first x
+    second through O.
 
     Args:
         parent: `world`, a support or a body
-        first, second: two directions of the plane, x, y, z or a direction, parent's frame; they need not be perpendicular
+        first, second: two directions of the plane, x, y, z or a direction, parent's frame; they
+            need not be perpendicular
 
     Errors: BAD_DIRECTION, also for directions that are parallel, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
@@ -138,7 +164,11 @@ class Planar(Combined):
     first: Float[Array, "3"] = field("", "direction")
     second: Float[Array, "3"] = field("", "direction")
     nq, nv = 3, 3
-    motions = ("move along its first direction", "move along its second direction", "turn about its normal")
+    motions = (
+        "move along its first direction",
+        "move along its second direction",
+        "turn about its normal",
+    )
     turns = (False, False, True)
 
     def __init__(self, parent: str, *, first, second):
@@ -153,7 +183,9 @@ class Planar(Combined):
 
     def pose(self, q, parent, rest):
         first, second, normal = self.directions
-        return parent @ Pose(rest.p + q[0] * first + q[1] * second, product(rotations.about(normal, q[2]), rest.R))
+        return parent @ Pose(
+            rest.p + q[0] * first + q[1] * second, product(rotations.about(normal, q[2]), rest.R)
+        )
 
     def axes(self, q, parent, body):
         n, turns = rotate(parent.R[None], self.directions), np.array(self.turns)[:, None]

@@ -19,21 +19,27 @@ STEPS = ("move", "turn")
 
 
 class Composite(Joint):
-    """Several motions without mass between them: q = displacements [m] and angles [rad] from the reference pose, v = q'. Each motion moves
-    the lines of those after it,
+    """Several motions without mass between them: q = displacements [m] and angles [rad] from the
+    reference pose, v = q'. Each motion moves the lines of those after it,
 
         X = X_parent M_1(q_1) ... M_n(q_n) X_rest
 
     Args:
         parent: `world`, a support or a body
         steps: "move" or "turn" for each motion
-        directions: a row for each motion: the direction along which it moves, or about which it turns, in the parent's frame, in the
-            reference pose
-        points: a row for each motion: a point of the line about which it turns, likewise [m]; without effect for one that moves
+        directions: a row for each motion: the direction along which it moves, or about which it
+            turns, in the parent's frame, in the reference pose
+        points: a row for each motion: a point of the line about which it turns, likewise [m];
+            without effect for one that moves
 
     Errors: UNKNOWN_NAME, BAD_SHAPE, ZERO_AXIS, NON_FINITE. A puck on a table:
 
-    >>> plane = Composite("table", ["move", "move", "turn"], directions=[[1, 0, 0], [0, 1, 0], [0, 0, 1]], points=[[0, 0, 0.1]] * 3)
+    >>> plane = Composite(
+    ...     "table",
+    ...     ["move", "move", "turn"],
+    ...     directions=[[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    ...     points=[[0, 0, 0.1]] * 3,
+    ... )
     >>> plane.motions
     ('move 1', 'move 2', 'turn 3')
     """
@@ -48,11 +54,24 @@ class Composite(Joint):
             self.parent = parent
             self.steps = tuple(map(plain, steps))
             if not self.steps:
-                problems.add("BAD_SHAPE", "Composite.steps", "is empty", limit="one or more", hint="Use Fixed for no motion.")
+                problems.add(
+                    "BAD_SHAPE",
+                    "Composite.steps",
+                    "is empty",
+                    limit="one or more",
+                    hint="Use Fixed for no motion.",
+                )
             for step in self.steps:
                 if step not in STEPS:
                     hint = "A slide moves, a hinge turns."
-                    problems.add("UNKNOWN_NAME", "Composite.steps", f"has {step!r:.60}", value=step, limit="move, turn", hint=hint)
+                    problems.add(
+                        "UNKNOWN_NAME",
+                        "Composite.steps",
+                        f"has {step!r:.60}",
+                        value=step,
+                        limit="move, turn",
+                        hint=hint,
+                    )
             rows = (len(self.steps), 3)
             hint = "Give a row of three numbers for each step."
             self.points = checked(points, (rows,), "Composite.points", problems, hint)
@@ -92,7 +111,9 @@ class Composite(Joint):
 
     def axes(self, q, parent, body):
         moves, turns = [], []
-        for n, at, turn, moved in zip(self.directions, self.points, self.turns, self._after_each(q), strict=False):
+        for n, at, turn, moved in zip(
+            self.directions, self.points, self.turns, self._after_each(q), strict=False
+        ):
             n = rotate(parent.R, rotate(moved.R, n))
             moves.append(cross(n, body.p - parent.point(moved.point(at))) if turn else n)
             turns.append(n if turn else jnp.zeros_like(n))

@@ -14,8 +14,8 @@ from jaxbody.models.layouts import TURNS
 
 
 class Guide(Joint):
-    """Sliding along a straight line: q is the displacement [m] from the reference pose along `axis` (x, y, z or a
-    direction, parent's frame).
+    """Sliding along a straight line: q is the displacement [m] from the reference pose along `axis`
+    (x, y, z or a direction, parent's frame).
 
     >>> Guide("base", axis="z").axis.tolist()
     [0.0, 0.0, 1.0]
@@ -40,10 +40,14 @@ class Guide(Joint):
 
 
 class Hinge(Joint):
-    """Turning about a line: q is the angle [rad] from the reference pose about `axis` (x, y, z or a direction) through the point
-    `at`, both in the parent's frame; without `at`, through the body's reference point O.
+    """Turning about a line: q is the angle [rad] from the reference pose about `axis` (x, y, z or a
+    direction) through the point `at`, both in the parent's frame; without `at`, through the body's
+    reference point O.
 
-    >>> model = Model(bodies={"arm": Body(mass=1.0, inertia=[1, 1, 1], com=[1, 0, 0])}, joints={"arm": Hinge("world", axis=[0, 0, 1])})
+    >>> model = Model(
+    ...     bodies={"arm": Body(mass=1.0, inertia=[1, 1, 1], com=[1, 0, 0])},
+    ...     joints={"arm": Hinge("world", axis=[0, 0, 1])},
+    ... )
     >>> model.reference.q.tolist()
     [0.0]
     """
@@ -70,9 +74,12 @@ class Hinge(Joint):
 
 class Ball(Joint):
     """Turning about the point `at` (parent's frame; without it, the body's reference point O).
-    q = unit quaternion of the turn from the reference pose, v = angular velocity, in the parent's axes.
+    q = unit quaternion of the turn from the reference pose, v = angular velocity, in the
+    parent's axes.
 
-    >>> Model(bodies={"top": Body(mass=1.0, inertia=[1, 1, 1])}, joints={"top": Ball("world")}).reference.q.tolist()
+    >>> Model(
+    ...     bodies={"top": Body(mass=1.0, inertia=[1, 1, 1])}, joints={"top": Ball("world")}
+    ... ).reference.q.tolist()
     [1.0, 0.0, 0.0, 0.0]
     """
 

@@ -1,4 +1,5 @@
-"""From coordinates to frames: where every frame of a model is and how it moves, as one table with rows world, supports, bodies."""
+"""From coordinates to frames: where every frame of a model is and how it moves, as one table with
+rows world, supports, bodies."""
 
 from __future__ import annotations
 
@@ -30,22 +31,35 @@ class Chart(eqx.Module):
     model: Model
 
     def _each(self, function, *vectors: tuple[Array, dict[str, slice]]):
-        """(names, function(joint, row, ...)) of each table of joints; `vectors` are q or v with their slices."""
+        """(names, function(joint, row, ...)) of each table of joints; `vectors` are q or v with
+        their slices."""
         for table in self.model.joints:
-            yield table, jax.vmap(function)(table.rows, *(self.model.layout.rows_of(table.names, *vector) for vector in vectors))
+            yield (
+                table,
+                jax.vmap(function)(
+                    table.rows,
+                    *(self.model.layout.rows_of(table.names, *vector) for vector in vectors),
+                ),
+            )
 
     def _joined(self, function, *vectors: tuple[Array, dict[str, slice]]) -> Array:
-        return self.model.layout.joined([(table.names, row) for table, row in self._each(function, *vectors)])
+        return self.model.layout.joined(
+            [(table.names, row) for table, row in self._each(function, *vectors)]
+        )
 
     def retract(self, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
         """q (+) Delta, joint by joint."""
         layout = self.model.layout
-        return self._joined(lambda joint, q, d: joint.retract(q, d), (q, layout.q_slices), (delta, layout.v_slices))
+        return self._joined(
+            lambda joint, q, d: joint.retract(q, d), (q, layout.q_slices), (delta, layout.v_slices)
+        )
 
     def rate(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nq"]:
         """dq/dt for the speeds v."""
         layout = self.model.layout
-        return self._joined(lambda joint, q, v: joint.rate(q, v), (q, layout.q_slices), (v, layout.v_slices))
+        return self._joined(
+            lambda joint, q, v: joint.rate(q, v), (q, layout.q_slices), (v, layout.v_slices)
+        )
 
     def rate_transposed(self, q: Float[Array, "nq"], p: Float[Array, "nq"]) -> Float[Array, "nv"]:
         """B' p, where dq/dt = B v."""
@@ -54,7 +68,8 @@ class Chart(eqx.Module):
 
 
 class Coordinates(Chart):
-    """A chart with the reference poses of supports and bodies, and `rest`, the reference poses of bodies relative to their parents."""
+    """A chart with the reference poses of supports and bodies, and `rest`, the reference poses of
+    bodies relative to their parents."""
 
     supports: Pose
     bodies: Pose
@@ -73,7 +88,9 @@ class Coordinates(Chart):
     def supports_at(self, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
         """Frames of the supports displaced by Xi from their reference poses, with the rate Xi'."""
         pose = self.supports.displaced(xi)
-        return Frame(pose.p, pose.R, xi_dot[:, :3], rotate(rotations.left_jacobian(xi[:, 3:]), xi_dot[:, 3:]))
+        return Frame(
+            pose.p, pose.R, xi_dot[:, :3], rotate(rotations.left_jacobian(xi[:, 3:]), xi_dot[:, 3:])
+        )
 
     def supports_moving(self, motions: Motions, t: Float[Array, ""]) -> Frame:
         """Frames of the supports at time t."""
@@ -82,8 +99,11 @@ class Coordinates(Chart):
         return self.supports_at(*imposed(motions, t))
 
     def at_rest(self, q: Float[Array, "nq"], v: Float[Array, "nv"] | None = None) -> Frame:
-        """The table of frames with supports at rest in their reference poses, and bodies at rest or with speeds v."""
-        return self.frames(q, jnp.zeros(self.model.layout.nv, q.dtype) if v is None else v, self.supports.at_rest())
+        """The table of frames with supports at rest in their reference poses, and bodies at rest or
+        with speeds v."""
+        return self.frames(
+            q, jnp.zeros(self.model.layout.nv, q.dtype) if v is None else v, self.supports.at_rest()
+        )
 
     def frames(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame) -> Frame:
         """The table of frames: world, supports, bodies."""
@@ -91,11 +111,13 @@ class Coordinates(Chart):
 
     @jax.jit
     def frames_and_axes(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame):
-        """The table of frames, and for each speed the velocity (nv, 3) and angular velocity (nv, 3) of its own body per unit
-        of it, in world axes."""
+        """The table of frames, and for each speed the velocity (nv, 3) and angular velocity (nv, 3)
+        of its own body per unit of it, in world axes."""
         layout, known = self.model.layout, with_world(supports)
         order, linear, angular = list(layout.frames[: layout.first_body]), [], []
-        for table, (q_rows, v_rows) in self._each(lambda joint, q, v: (q, v), (q, layout.q_slices), (v, layout.v_slices)):
+        for table, (q_rows, v_rows) in self._each(
+            lambda joint, q, v: (q, v), (q, layout.q_slices), (v, layout.v_slices)
+        ):
             parent = _rows(known, [order.index(name) for name in table.links])
             bodies = np.array([layout.bodies.index(name) for name in table.names])
             rest = Pose(take(self.rest.p, bodies), take(self.rest.R, bodies))
@@ -104,22 +126,34 @@ class Coordinates(Chart):
             order += table.names
             linear.append((table.names, axes[0]))
             angular.append((table.names, axes[1]))
-        return _rows(known, [order.index(name) for name in layout.frames]), (layout.joined(linear), layout.joined(angular))
+        return _rows(known, [order.index(name) for name in layout.frames]), (
+            layout.joined(linear),
+            layout.joined(angular),
+        )
 
 
-def imposed(motions: Motions, t: Float[Array, ""]) -> tuple[Float[Array, "ns 6"], Float[Array, "ns 6"]]:
+def imposed(
+    motions: Motions, t: Float[Array, ""]
+) -> tuple[Float[Array, "ns 6"], Float[Array, "ns 6"]]:
     """Xi and Xi' at time t."""
-    return jax.jvp(lambda t: jnp.stack([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),))
+    return jax.jvp(
+        lambda t: jnp.stack([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),)
+    )
 
 
 def displacements(model: Model, given: Any, where: str, problems: Problems) -> Float[Array, "ns 6"]:
-    """Xi of the supports, or its rate, from {support: six numbers}, 0 for those left out, or from a row for each support. Errors:
-    UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
+    """Xi of the supports, or its rate, from {support: six numbers}, 0 for those left out, or from a
+    row for each support. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
     names = model.layout.supports
     if not isinstance(given, dict):
         return shaped(given, (len(names), 6), where, problems)
     problems.collected += [unknown(name, where, names) for name in given if name not in names]
-    return stack_rows([shaped(given.get(name, np.zeros(6)), (6,), f"{where}[{name!r}]", problems) for name in names])
+    return stack_rows(
+        [
+            shaped(given.get(name, np.zeros(6)), (6,), f"{where}[{name!r}]", problems)
+            for name in names
+        ]
+    )
 
 
 def with_world(*frames: Frame) -> Frame:
@@ -128,9 +162,12 @@ def with_world(*frames: Frame) -> Frame:
     return stack([Frame(zero, np.eye(3, dtype=zero.dtype)[None], zero, zero), *frames])
 
 
-def jacobian(layout: Layout, frames: Frame, linear: Float[Array, "n 3"], angular: Float[Array, "n 3"]):
-    """(frames, n, 3) velocity of each moving frame's origin, and its angular velocity, per unit of each speed, from the velocities of the
-    frame that the speed moves first: of the bodies alone or, with six columns for each support, of bodies and supports."""
+def jacobian(
+    layout: Layout, frames: Frame, linear: Float[Array, "n 3"], angular: Float[Array, "n 3"]
+):
+    """(frames, n, 3) velocity of each moving frame's origin, and its angular velocity, per unit of
+    each speed, from the velocities of the frame that the speed moves first: of the bodies alone or,
+    with six columns for each support, of bodies and supports."""
     rows, movers = layout.moving(base=len(linear) > layout.nv), layout.movers[: len(linear)]
     mask = jnp.asarray(layout.carries[np.ix_(movers, rows)].T, frames.p.dtype)[..., None]
     arms = take(frames.p, rows)[:, None] - take(frames.p, movers)[None]
@@ -142,7 +179,8 @@ def _rows(frames: Frame, rows: list[int]) -> Frame:
 
 
 def _joint_frame(joint, q, v, parent: Frame, rest: Pose):
-    """One body's frame from its parent's: w = w_P + sum v_i n_i, v_O = v_P + w_P x (O - O_P) + sum v_i l_i."""
+    """One body's frame from its parent's: w = w_P + sum v_i n_i, v_O = v_P + w_P x (O - O_P) + sum
+    v_i l_i."""
     pose = joint.pose(q, parent.pose(), rest)
     linear, angular = joint.axes(q, parent.pose(), pose)
     w = parent.w + jnp.sum(v[:, None] * angular, 0)
@@ -153,10 +191,14 @@ def _joint_frame(joint, q, v, parent: Frame, rest: Pose):
 def frames_at_time(model: Model, motions: Motions, t, state: State) -> Instant:
     """The table of frames at a time and state."""
     coordinates = Coordinates(model)
-    return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t)).at_time(t, state)
+    return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t)).at_time(
+        t, state
+    )
 
 
-def frames_displaced(model: Model, state: State, delta: Float[Array, "nv"], xi: Float[Array, "*ns 6"] | None = None) -> Frame:
+def frames_displaced(
+    model: Model, state: State, delta: Float[Array, "nv"], xi: Float[Array, "*ns 6"] | None = None
+) -> Frame:
     """The table of frames at q (+) Delta, at rest, with the supports displaced by Xi."""
     coordinates = Coordinates(model)
     zero = jnp.zeros((len(model.layout.supports), 6), delta.dtype)
@@ -165,8 +207,8 @@ def frames_displaced(model: Model, state: State, delta: Float[Array, "nv"], xi: 
 
 
 def retract(model: Model, q, delta) -> Float[Array, "nq"]:
-    """q (+) Delta: the coordinates after small displacements Delta, one for each speed; of a free body its displacement [m] and
-    rotation vector [rad], in world axes.
+    """q (+) Delta: the coordinates after small displacements Delta, one for each speed; of a free
+    body its displacement [m] and rotation vector [rad], in world axes.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
     >>> retract(model, model.reference.q, [0.1, 0, 0, 0, 0, 0]).tolist()

@@ -1,4 +1,5 @@
-"""Motions in series along and about the axes of the parent and the body's reference point: points that move, cars that heave and pitch."""
+"""Motions in series along and about the axes of the parent and the body's reference point: points
+that move, cars that heave and pitch."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,13 +13,14 @@ from jaxbody.models.layouts import MOVES, TURNS
 
 
 class Series(Joint):
-    """Several motions in series, without mass between them: translations along the parent's axes, then rotations about the body's
-    reference point O,
+    """Several motions in series, without mass between them: translations along the parent's axes,
+    then rotations about the body's reference point O,
 
         O = O_rest + sum q_i e_i,    R = R_1(q_j) R_2(q_k) ... R_rest,
 
-    each about an axis that the earlier rotations have turned. q: displacements [m] and angles [rad] from the reference pose, v = q'.
-    A subclass states `steps`: the axis of each motion, 0, 1, 2 for x, y, z.
+    each about an axis that the earlier rotations have turned. q: displacements [m] and angles [rad]
+    from the reference pose, v = q'. A subclass states `steps`: the axis of each motion, 0, 1, 2 for
+    x, y, z.
     """
 
     steps: eqx.AbstractClassVar[tuple[int, ...]]
@@ -49,7 +51,8 @@ class Series(Joint):
 
 
 class Translation(Series):
-    """Moving without turning: q is the displacement [m] of the body along the parent's x, y and z from the reference pose.
+    """Moving without turning: q is the displacement [m] of the body along the parent's x, y and z
+    from the reference pose.
 
     >>> Translation("base").motions
     ('move along x', 'move along y', 'move along z')
@@ -60,8 +63,9 @@ class Translation(Series):
 
 
 class HeavePitch(Series):
-    """A half car: q = (heave [m] along the parent's z, pitch [rad] about its y) from the reference pose, with the rotation about the body's
-    reference point O. With x forward and z up, a positive pitch lowers the front.
+    """A half car: q = (heave [m] along the parent's z, pitch [rad] about its y) from the reference
+    pose, with the rotation about the body's reference point O. With x forward and z up, a positive
+    pitch lowers the front.
 
     >>> HeavePitch("world").motions
     ('move along z', 'turn about y')
@@ -72,9 +76,10 @@ class HeavePitch(Series):
 
 
 class HeavePitchRoll(Series):
-    """A full car: q = (heave [m] along the parent's z, pitch [rad] about its y, roll [rad] about the x axis turned by the pitch) from the
-    reference pose, with the rotations about the body's reference point O. With x forward, y to the left and z up (ISO 8855), a positive
-    pitch lowers the front and a positive roll the right.
+    """A full car: q = (heave [m] along the parent's z, pitch [rad] about its y, roll [rad] about
+    the x axis turned by the pitch) from the reference pose, with the rotations about the body's
+    reference point O. With x forward, y to the left and z up (ISO 8855), a positive pitch lowers
+    the front and a positive roll the right.
 
     >>> HeavePitchRoll("world").motions
     ('move along z', 'turn about y', 'turn about x')

@@ -1,4 +1,5 @@
-"""Force laws F(x) of one number, of springs and dampers, with and without memory; public as jaxbody.laws."""
+"""Force laws F(x) of one number, of springs and dampers, with and without memory; public
+as jaxbody.laws."""
 
 from jaxbody.compilation.late_imports import late_names
 

@@ -1,4 +1,5 @@
-"""Force laws F(x) of one number, of springs and dampers, with and without memory; public as jaxbody.laws."""
+"""Force laws F(x) of one number, of springs and dampers, with and without memory; public
+as jaxbody.laws."""
 
 from jaxbody.laws.damper_laws import Digressive as Digressive
 from jaxbody.laws.damper_laws import Friction as Friction

@@ -36,11 +36,14 @@ class Digressive(Law):
         return self.fast * x + (self.slow - self.fast) * x / jnp.sqrt(1 + (x / self.knee) ** 2)
 
     def potential(self, x):
-        return 0.5 * self.fast * x**2 + (self.slow - self.fast) * x**2 / (1 + jnp.sqrt(1 + (x / self.knee) ** 2))
+        return 0.5 * self.fast * x**2 + (self.slow - self.fast) * x**2 / (
+            1 + jnp.sqrt(1 + (x / self.knee) ** 2)
+        )
 
 
 class Friction(Law):
-    """Dry friction, regularized: F = F0 x/sqrt(x^2 + v0^2), 71 % of F0 at the velocity v0, 99.5 % at 10 v0. It creeps instead of sticking.
+    """Dry friction, regularized: F = F0 x/sqrt(x^2 + v0^2), 71 % of F0 at the velocity v0,
+    99.5 % at 10 v0. It creeps instead of sticking.
 
     `level` F0 [N], `velocity` v0 [m/s]. Errors: NEGATIVE, NOT_POSITIVE for the velocity.
 
@@ -50,7 +53,9 @@ class Friction(Law):
 
     words: ClassVar[dict[str, str]] = {"force": "N", "argument": "m/s"}
     level: Number = field("force", "nonnegative")
-    velocity: Number = field("argument", "positive", hint="Give the velocity at which it slides with 71 % of the force.")
+    velocity: Number = field(
+        "argument", "positive", hint="Give the velocity at which it slides with 71 % of the force."
+    )
 
     def __init__(self, *, level, velocity):
         take(self, level=level, velocity=velocity)

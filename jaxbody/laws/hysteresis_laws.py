@@ -1,4 +1,5 @@
-"""Laws of hysteresis and of dry friction with presliding: their states move only while the deformation does."""
+"""Laws of hysteresis and of dry friction with presliding: their states move only while the
+deformation does."""
 
 from __future__ import annotations
 
@@ -16,8 +17,9 @@ class BoucWen(Hysteretic):
 
         z' = alpha e' - beta (gamma |e'| |z|^(n-1) z + delta e' |z|^n)
 
-    Its slope at z = 0 is alpha; for gamma + delta > 0 it grows to z = (alpha/(beta (gamma + delta)))^(1/n). Of its work z^2/(2 alpha) is
-    stored, the rest, gamma's and delta's, is counted as lost; it is never negative where gamma >= |delta|.
+    Its slope at z = 0 is alpha; for gamma + delta > 0 it grows to z = (alpha/(beta
+    (gamma + delta)))^(1/n). Of its work z^2/(2 alpha) is stored, the rest, gamma's and delta's, is
+    counted as lost; it is never negative where gamma >= |delta|.
 
     Args:
         alpha: stiffness at z = 0 [N/m]
@@ -26,8 +28,9 @@ class BoucWen(Hysteretic):
         delta: share that acts while loading and helps while unloading; negative for hardening
         n: exponent, which makes the knee sharper; 1 or more
 
-    Errors: NOT_POSITIVE for alpha and n, NEGATIVE for beta. Sources: Y.-K. Wen, J. Eng. Mech. 102 (1976) 249; the form of J.-P. Noel and
-    M. Schoukens, Hysteretic benchmark with a dynamic nonlinearity (2016).
+    Errors: NOT_POSITIVE for alpha and n, NEGATIVE for beta. Sources: Y.-K. Wen, J. Eng. Mech. 102
+    (1976) 249; the form of J.-P. Noel and M. Schoukens, Hysteretic benchmark with a dynamic
+    nonlinearity (2016).
 
     >>> law = BoucWen(alpha=5e4, beta=1e3, gamma=0.8, delta=-1.1)
     >>> float(law.rate(jnp.array(0.0), jnp.array(0.1), jnp.zeros(1))[0])
@@ -46,7 +49,10 @@ class BoucWen(Hysteretic):
 
     def rate(self, e, e_dot, z):
         size = _power(jnp.abs(z), self.n - 1)
-        return self.alpha * e_dot - self.beta * (self.gamma * jnp.abs(e_dot) * z + self.delta * e_dot * jnp.abs(z)) * size
+        return (
+            self.alpha * e_dot
+            - self.beta * (self.gamma * jnp.abs(e_dot) * z + self.delta * e_dot * jnp.abs(z)) * size
+        )
 
     def restoring_force(self, e, e_dot, z):
         return z[0]
@@ -62,7 +68,8 @@ def _power(x, n):
 
 
 class Dahl(Hysteretic):
-    """Dahl's friction: a force z that follows the deformation elastically, with slope sigma, and flattens to the friction Fc,
+    """Dahl's friction: a force z that follows the deformation elastically, with slope sigma, and
+    flattens to the friction Fc,
 
         z' = sigma e' |1 - s|^i sign(1 - s),   s = z sign(e')/Fc
 
@@ -73,7 +80,8 @@ class Dahl(Hysteretic):
         level: Fc, the friction at which it slides [N]
         exponent: i; 1 for most materials
 
-    Error: NOT_POSITIVE. Source: P. R. Dahl, A solid friction model, The Aerospace Corporation TOR-158(3107-18) (1968).
+    Error: NOT_POSITIVE. Source: P. R. Dahl, A solid friction model, The Aerospace Corporation
+    TOR-158(3107-18) (1968).
 
     >>> law = Dahl(stiffness=1e6, level=100.0)
     >>> float(law.rate(jnp.array(0.0), jnp.array(1e-3), jnp.array([50.0]))[0])
@@ -100,9 +108,11 @@ class Dahl(Hysteretic):
 
 
 class LuGre(Hysteretic):
-    """Friction of bristles with the mean deflection z, which stick, slide, and drag less the faster they slide (Stribeck),
+    """Friction of bristles with the mean deflection z, which stick, slide, and drag less the faster
+    they slide (Stribeck),
 
-        F = sigma0 z + sigma1 z' + sigma2 e',   z' = e' - sigma0 |e'| z/g(e'),   g = Fc + (Fs - Fc) exp(-(e'/vs)^2)
+        F = sigma0 z + sigma1 z' + sigma2 e',   z' = e' - sigma0 |e'| z/g(e'),
+        g = Fc + (Fs - Fc) exp(-(e'/vs)^2)
 
     Of its work sigma0 z^2/2 is stored, the rest lost.
 
@@ -114,10 +124,12 @@ class LuGre(Hysteretic):
         static_level: Fs, the friction before sliding [N]; None: Fc
         velocity: vs, about which the friction falls from Fs to Fc [m/s]
 
-    Errors: NOT_POSITIVE, NEGATIVE. Source: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, IEEE Trans. Automatic Control 40
-    (1995) 419.
+    Errors: NOT_POSITIVE, NEGATIVE. Source: C. Canudas de Wit, H. Olsson, K. J. Astrom,
+    P. Lischinsky, IEEE Trans. Automatic Control 40 (1995) 419.
 
-    >>> law = LuGre(stiffness=1e5, damping=300.0, viscosity=0.4, level=1.0, static_level=1.5, velocity=1e-3)
+    >>> law = LuGre(
+    ...     stiffness=1e5, damping=300.0, viscosity=0.4, level=1.0, static_level=1.5, velocity=1e-3
+    ... )
     >>> round(float(law.restoring_force(jnp.array(0.0), jnp.array(1.0), jnp.array([1e-5]))), 9)
     1.4
     """
@@ -131,16 +143,30 @@ class LuGre(Hysteretic):
     static_level: Number = field("force", "positive")
     velocity: Number = field("argument/s", "positive")
 
-    def __init__(self, *, stiffness, damping=0.0, viscosity=0.0, level, static_level=None, velocity=1e-3):
+    def __init__(
+        self, *, stiffness, damping=0.0, viscosity=0.0, level, static_level=None, velocity=1e-3
+    ):
         static_level = level if static_level is None else static_level
-        take(self, stiffness=stiffness, damping=damping, viscosity=viscosity, level=level, static_level=static_level, velocity=velocity)
+        take(
+            self,
+            stiffness=stiffness,
+            damping=damping,
+            viscosity=viscosity,
+            level=level,
+            static_level=static_level,
+            velocity=velocity,
+        )
 
     def rate(self, e, e_dot, z):
         g = self.level + (self.static_level - self.level) * jnp.exp(-((e_dot / self.velocity) ** 2))
         return e_dot - self.stiffness * jnp.abs(e_dot) * z / g
 
     def restoring_force(self, e, e_dot, z):
-        return self.stiffness * z[0] + self.damping * self.rate(e, e_dot, z)[0] + self.viscosity * e_dot
+        return (
+            self.stiffness * z[0]
+            + self.damping * self.rate(e, e_dot, z)[0]
+            + self.viscosity * e_dot
+        )
 
     def energy(self, e, z):
         return 0.5 * self.stiffness * z[0] ** 2

@@ -1,10 +1,12 @@
-"""Force laws F(x) of one variable: elongation of a spring [m], U its energy, or rate of a damper [m/s], U its dissipation potential.
+"""Force laws F(x) of one variable: elongation of a spring [m], U its energy, or rate of a damper
+[m/s], U its dissipation potential.
 
     F(x) = dU/dx,   U(0) = 0
 
-A law states one of the two; the other is its derivative, or its integral by Gauss-Legendre quadrature. Tension is positive: in
-compression x < 0 and F < 0. All coefficients are arrays and can be free in a fit. Laws can be added. Torsion elements use the same laws
-in rad and N m. Laws with memory: `memory_laws`.
+A law states one of the two; the other is its derivative, or its integral by Gauss-Legendre
+quadrature. Tension is positive: in compression x < 0 and F < 0. All coefficients are arrays and can
+be free in a fit. Laws can be added. Torsion elements use the same laws in rad and N m. Laws with
+memory: `memory_laws`.
 """
 
 from __future__ import annotations
@@ -43,7 +45,15 @@ class Law(Described, eqx.Module):
         kind = type(self)
         if kind.force is Law.force and kind.potential is Law.potential:
             hint = "Give one of them: def force(self, x): ..."
-            raise JaxbodyError(Problem("NO_FORCE", kind.__name__, "states neither force nor potential", limit="one of them", hint=hint))
+            raise JaxbodyError(
+                Problem(
+                    "NO_FORCE",
+                    kind.__name__,
+                    "states neither force nor potential",
+                    limit="one of them",
+                    hint=hint,
+                )
+            )
 
     def potential(self, x: Number) -> Number:
         """U(x), the integral of the force from 0."""
@@ -66,7 +76,8 @@ class Law(Described, eqx.Module):
 
 
 def as_law(value: Any, where: str, problems: Problems) -> Law | None:
-    """The Law for a law, for the coefficient of a linear law, or for a Python function x -> F; None for None."""
+    """The Law for a law, for the coefficient of a linear law, or for a Python function x -> F; None
+    for None."""
     if value is None or isinstance(value, Law):
         return value
     if callable(value):
@@ -75,7 +86,9 @@ def as_law(value: Any, where: str, problems: Problems) -> Law | None:
     if number is None:
         return None
     law = _made(Linear, coefficient=number)
-    return _made(Linear, coefficient=in_domain(number, kind_of(law, "coefficient"), where, problems))
+    return _made(
+        Linear, coefficient=in_domain(number, kind_of(law, "coefficient"), where, problems)
+    )
 
 
 class Linear(Law):
@@ -85,7 +98,9 @@ class Linear(Law):
     20.0
     """
 
-    coefficient: Number = field("force/argument", "nonnegative", hint="If this is intended, use Polynomial([...]).")
+    coefficient: Number = field(
+        "force/argument", "nonnegative", hint="If this is intended, use Polynomial([...])."
+    )
 
     def __init__(self, coefficient):
         take(self, coefficient=coefficient)
@@ -98,8 +113,8 @@ class Linear(Law):
 
 
 class Function(Law):
-    """Any JAX function x -> F. Each new function object is compiled again; a Law with array leaves avoids that. The energy is a quadrature
-    with twenty nodes, exact to rounding where F is smooth.
+    """Any JAX function x -> F. Each new function object is compiled again; a Law with array leaves
+    avoids that. The energy is a quadrature with twenty nodes, exact to rounding where F is smooth.
 
     >>> round(float(Function(lambda x: jnp.sinh(x)).potential(jnp.array(1.0))), 12)
     0.543080634815
@@ -114,7 +129,11 @@ class Function(Law):
 class Sum(Law):
     """The sum of several laws, such as a spring and its bump stop.
 
-    >>> float((Linear(100.0) + jb.laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.01)).force(jnp.array(-0.2)))
+    >>> float(
+    ...     (Linear(100.0) + jb.laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.01)).force(
+    ...         jnp.array(-0.2)
+    ...     )
+    ... )
     -115.0
     """
 
@@ -123,7 +142,9 @@ class Sum(Law):
     def __init__(self, *terms):
         with Problems() as problems:
             laws = [law_of(term, f"Sum.terms[{i}]", problems) for i, term in enumerate(terms)]
-        self.terms = tuple(part for law in laws for part in (law.terms if isinstance(law, Sum) else (law,)))
+        self.terms = tuple(
+            part for law in laws for part in (law.terms if isinstance(law, Sum) else (law,))
+        )
 
     def force(self, x):
         return sum((law.force(x) for law in self.terms[1:]), self.terms[0].force(x))
@@ -140,7 +161,8 @@ class Sum(Law):
 
 @jax.custom_jvp
 def _integral(law: Law, x: Number) -> Number:
-    """U(x) = x/2 sum w_i F(x (1 + t_i)/2), whose derivative in x is F(x) itself and not that of the quadrature."""
+    """U(x) = x/2 sum w_i F(x (1 + t_i)/2), whose derivative in x is F(x) itself and not that of
+    the quadrature."""
     return _quadrature(law, x)
 
 
@@ -178,8 +200,11 @@ def beyond(law: Law | None, x: Number) -> Bool[Array, ""]:
 
 
 def parts(law: Law) -> list[Any]:
-    """The elementary laws that make up a law, with sums and two-sided laws split into their parts."""
-    return jax.tree.leaves(law, is_leaf=lambda part: isinstance(part, Law) and not isinstance(part, Sum | TwoSided))
+    """The elementary laws that make up a law, with sums and two-sided laws split into
+    their parts."""
+    return jax.tree.leaves(
+        law, is_leaf=lambda part: isinstance(part, Law) and not isinstance(part, Sum | TwoSided)
+    )
 
 
 # Checks
@@ -194,10 +219,13 @@ def _made(kind: type, **fields) -> Any:
 
 
 def law_of(value: Any, where: str, problems: Problems) -> Law:
-    """The Law for a law, a number or a function; anything else, also None, is an error. Error: WRONG_KIND."""
+    """The Law for a law, a number or a function; anything else, also None, is an error.
+    Error: WRONG_KIND."""
     law = as_law(value, where, problems)
     if law is None and not problems.collected:
-        problems.add("WRONG_KIND", where, "is None", limit="a law or a number", hint="Give 0 for no force.")
+        problems.add(
+            "WRONG_KIND", where, "is None", limit="a law or a number", hint="Give 0 for no force."
+        )
     return _made(Linear, coefficient=np.zeros(())) if law is None else law
 
 
@@ -211,10 +239,15 @@ def row_of_numbers(value: Any, where: str, problems: Problems, least: int) -> An
 class TwoSided(Law):
     """Two laws: F = bump(x) for x < 0, rebound(x) for x > 0; the slope at 0 is the mean of both.
 
-    `bump` (spring or damper in compression) and `rebound` (in extension): laws or numbers. Two numbers make a bilinear damper.
+    `bump` (spring or damper in compression) and `rebound` (in extension): laws or numbers. Two
+    numbers make a bilinear damper.
 
     >>> damper = TwoSided(bump=800.0, rebound=2400.0)
-    >>> float(damper.force(jnp.array(-0.5))), float(damper.force(jnp.array(0.5))), float(damper.slope(jnp.array(0.0)))
+    >>> (
+    ...     float(damper.force(jnp.array(-0.5))),
+    ...     float(damper.force(jnp.array(0.5))),
+    ...     float(damper.slope(jnp.array(0.0))),
+    ... )
     (-400.0, 1200.0, 1600.0)
     """
 
@@ -223,11 +256,21 @@ class TwoSided(Law):
 
     def __init__(self, *, bump, rebound):
         with Problems() as problems:
-            self.bump, self.rebound = (law_of(law, f"TwoSided.{name}", problems) for name, law in (("bump", bump), ("rebound", rebound)))
-            for part in (part for law in (self.bump, self.rebound) for part in parts(law) if part.has_memory):
+            self.bump, self.rebound = (
+                law_of(law, f"TwoSided.{name}", problems)
+                for name, law in (("bump", bump), ("rebound", rebound))
+            )
+            for part in (
+                part for law in (self.bump, self.rebound) for part in parts(law) if part.has_memory
+            ):
                 hint = "Add it to the two-sided law: TwoSided(...) + Maxwell(...)."
                 problems.add(
-                    "MEMORY", "TwoSided", f"has memory ({type(part).__name__})", value=part, limit="laws without memory", hint=hint
+                    "MEMORY",
+                    "TwoSided",
+                    f"has memory ({type(part).__name__})",
+                    value=part,
+                    limit="laws without memory",
+                    hint=hint,
                 )
 
     def potential(self, x):
@@ -240,6 +283,9 @@ class TwoSided(Law):
         return jnp.where(x < 0, self.bump.beyond(x), self.rebound.beyond(x))
 
     def _each(self, x, value):
-        below, above = value(self.bump, jnp.where(x <= 0, x, 0.0)), value(self.rebound, jnp.where(x >= 0, x, 0.0))
+        below, above = (
+            value(self.bump, jnp.where(x <= 0, x, 0.0)),
+            value(self.rebound, jnp.where(x >= 0, x, 0.0)),
+        )
         side = jnp.sign(x)  # 0 at 0, so that derivatives there are the means of both sides
         return (1 - side) / 2 * below + (1 + side) / 2 * above

@@ -1,4 +1,5 @@
-"""Laws with memory in known states z, which elements evaluate as any other: moving, about a rest, or at rest; and their sums by element."""
+"""Laws with memory in known states z, which elements evaluate as any other: moving, about a rest,
+or at rest; and their sums by element."""
 
 from __future__ import annotations
 
@@ -53,7 +54,9 @@ class Held(InState):
     def dissipation(self, x, x_dot):
         if not self.law.has_rows:
             return jnp.zeros_like(x)
-        return self.law.dissipation(x_dot, self.law.rates(self.z) if self.law.inertial else self.rate(x, x_dot))
+        return self.law.dissipation(
+            x_dot, self.law.rates(self.z) if self.law.inertial else self.rate(x, x_dot)
+        )
 
     def rate(self, x: Number, x_dot: Number) -> States:
         """z'."""
@@ -71,8 +74,9 @@ class Held(InState):
 
 
 class Apart(InState):
-    """A law with memory about a state of rest, for small motions: its coordinates are coordinates of the system; those without mass have
-    the rate z_dot. Hysteretic states follow the deformation by their tangent."""
+    """A law with memory about a state of rest, for small motions: its coordinates are coordinates
+    of the system; those without mass have the rate z_dot. Hysteretic states follow the deformation
+    by their tangent."""
 
     z_dot: Any = field()
 
@@ -82,13 +86,25 @@ class Apart(InState):
         return self.law.rates(self.z) if self.law.inertial else self.z_dot
 
     def potential(self, x):
-        return super().potential(x) if self.law.has_rows else _tangent_potential(functions_as_nodes(self.law), x, self.z)
+        return (
+            super().potential(x)
+            if self.law.has_rows
+            else _tangent_potential(functions_as_nodes(self.law), x, self.z)
+        )
 
     def force(self, x):
-        return super().force(x) if self.law.has_rows else _tangent_force(functions_as_nodes(self.law), x, self.z)
+        return (
+            super().force(x)
+            if self.law.has_rows
+            else _tangent_force(functions_as_nodes(self.law), x, self.z)
+        )
 
     def viscous(self, x, x_dot):
-        return self.law.viscous_force(x_dot, self.rates) if self.law.has_rows else _rate_part(self.law, x, x_dot, self.z)
+        return (
+            self.law.viscous_force(x_dot, self.rates)
+            if self.law.has_rows
+            else _rate_part(self.law, x, x_dot, self.z)
+        )
 
     def dissipation(self, x, x_dot):
         if self.law.has_rows:
@@ -111,7 +127,8 @@ class Apart(InState):
 
 
 class Relaxed(Law):
-    """A law with memory at rest: coordinates are where the deformation has pulled them; hysteretic states stay at z."""
+    """A law with memory at rest: coordinates are where the deformation has pulled them; hysteretic
+    states stay at z."""
 
     law: Any = field()  # a Memory
     z: Any = field()  # States, or in a tree of axes their axis
@@ -121,7 +138,9 @@ class Relaxed(Law):
         return self.law.at_rest(x) if self.law.has_rows else self.z
 
     def potential(self, x):
-        return self.law.energy(x, self.law.relaxed(x)) if self.law.has_rows else super().potential(x)
+        return (
+            self.law.energy(x, self.law.relaxed(x)) if self.law.has_rows else super().potential(x)
+        )
 
     def force(self, x):
         return self.law.static_force(x, self.law.relaxed(x) if self.law.has_rows else self.z)
@@ -134,7 +153,9 @@ class Relaxed(Law):
         if not self.law.has_rows:
             return self.law.restoring_force(x, x_dot, self.z) - self.force(x)
         follows = self.law.configuration(self.law.sensitivity(x))
-        return jax.grad(lambda rate: self.law.dissipation(rate, follows * rate))(jnp.asarray(x_dot, follows.dtype))
+        return jax.grad(lambda rate: self.law.dissipation(rate, follows * rate))(
+            jnp.asarray(x_dot, follows.dtype)
+        )
 
 
 @jax.custom_jvp
@@ -160,7 +181,9 @@ def _tangent_force(law: Hysteretic, x: Number, z: States) -> Number:
 def _tangent_force_jvp(primals, tangents):
     (law, x, z), (law_dot, x_dot, z_dot) = primals, tangents
     follows = per_speed(law, x, z) * x_dot
-    changed = jax.jvp(lambda law, x, z: law.static_force(x, z), primals, (law_dot, x_dot, z_dot + follows))
+    changed = jax.jvp(
+        lambda law, x, z: law.static_force(x, z), primals, (law_dot, x_dot, z_dot + follows)
+    )
     return changed
 
 
@@ -203,7 +226,8 @@ def _parts(spring: Law | None) -> list[Any]:
 
 
 def rate_force(spring: Law | None, damper: Law | None, x: Number, x_dot: Number) -> Number:
-    """The force that depends on the rate: that of the damper, and of a spring with memory its part."""
+    """The force that depends on the rate: that of the damper, and of a spring with memory
+    its part."""
     return sum((part.viscous(x, x_dot) for part in _parts(spring)), force(damper, x_dot))
 
 
@@ -218,7 +242,8 @@ def lost_power(spring: Law | None, damper: Law | None, x: Number, x_dot: Number)
 
 
 def tangent(spring: Law | None, energy: Callable[[Number], Number], x: Number) -> Number:
-    """dF/de at rest: the second derivative of the energy, or of a spring with memory in a known state that of its force."""
+    """dF/de at rest: the second derivative of the energy, or of a spring with memory in a known
+    state that of its force."""
     if not _parts(spring):
         return jax.hessian(energy)(x)
     return jax.jvp(lambda x: force(spring, x), (x,), (jnp.ones_like(x),))[1]
@@ -246,7 +271,11 @@ def has_rows(spring: Law | None) -> bool:
 
 def inner(spring: Law | None, x: Number, x_dot: Number) -> tuple[Array, ...]:
     """V_ye, V_yy, R_ye, R_yy and T_yy of all coordinates of a spring with memory, apart."""
-    each = [part.inner(x, x_dot) for part in _parts(spring) if isinstance(part, Apart) and part.law.has_rows]
+    each = [
+        part.inner(x, x_dot)
+        for part in _parts(spring)
+        if isinstance(part, Apart) and part.law.has_rows
+    ]
     V_ye, R_ye = (jnp.concatenate([one[i] for one in each]) for i in (0, 2))
     from jax.scipy.linalg import block_diag  # for the few models with inner coordinates
 
@@ -265,4 +294,11 @@ def as_damper(value: Any, where: str, problems: Problems) -> Law | None:
 def check_without_memory(law: Law | None, where: str, problems: Problems, hint: str) -> None:
     """Refuse laws with memory. Error: MEMORY."""
     for part in memories(law):
-        problems.add("MEMORY", where, f"has memory ({type(part).__name__})", value=part, limit="laws without memory", hint=hint)
+        problems.add(
+            "MEMORY",
+            where,
+            f"has memory ({type(part).__name__})",
+            value=part,
+            limit="laws without memory",
+            hint=hint,
+        )

@@ -1,7 +1,10 @@
-"""Laws with memory: their force depends on states z of their own, which the elements own that have these laws.
+"""Laws with memory: their force depends on states z of their own, which the elements own that have
+these laws.
 
-massless coordinates y    V(e, y), R(e', y'):           F = dV/de + dR/de',   dV/dy + dR/dy' = 0, solved for y'
-coordinates with mass y   V(e, y), R(e', y'), T(y'):    the same F,           d/dt dT/dy' + dV/dy + dR/dy' = 0,   z = (y, y')
+massless coordinates y    V(e, y), R(e', y'):           F = dV/de + dR/de',
+                          dV/dy + dR/dy' = 0, solved for y'
+coordinates with mass y   V(e, y), R(e', y'), T(y'):    the same F,
+                          d/dt dT/dy' + dV/dy + dR/dy' = 0,   z = (y, y')
 states of first order     F(e, e', z),                  z' = f(e, e', z), zero at rest whatever z
 """
 
@@ -23,9 +26,10 @@ CONVERGED = 1e-13  # its last step, relative to the coordinates
 
 
 class Memory(Law):
-    """The base class of all three kinds: `states` describes each state, `state_units` are their units, "argument" and "force" being those
-    of the element's deformation and force; `has_rows`, whether they are coordinates, with rows in M, C and K; `inertial`, whether these
-    have mass, and half of the states are their rates."""
+    """The base class of all three kinds: `states` describes each state, `state_units` are their
+    units, "argument" and "force" being those of the element's deformation and force; `has_rows`,
+    whether they are coordinates, with rows in M, C and K; `inertial`, whether these have mass, and
+    half of the states are their rates."""
 
     states: ClassVar[tuple[str, ...]]
     state_units: ClassVar[tuple[str, ...]]
@@ -35,7 +39,8 @@ class Memory(Law):
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """What each state is: "massless", a coordinate without mass; "inertial", one with mass; "rate" of such; or "hysteretic"."""
+        """What each state is: "massless", a coordinate without mass; "inertial", one with mass;
+        "rate" of such; or "hysteretic"."""
         return ("massless" if self.has_rows else "hysteretic",) * len(self.states)
 
     def configuration(self, z: States) -> States:
@@ -70,14 +75,27 @@ class Memory(Law):
 
 
 def without_states(law: Memory) -> JaxbodyError:
-    """The error of an evaluation of a law without its states. Whatever does not yet know states ends here instead of leaving them out."""
+    """The error of an evaluation of a law without its states. Whatever does not yet know states
+    ends here instead of leaving them out."""
     message = "has memory, and this function does not take elements with states yet"
-    hint = "Replace it by a law without memory, such as jb.laws.Linear of its stiffness at the frequency of interest."
-    return JaxbodyError(Problem("MEMORY", f"the law {type(law).__name__}", message, limit="laws without memory", hint=hint))
+    hint = (
+        "Replace it by a law without memory, such as jb.laws.Linear of its stiffness at the "
+        "frequency of interest."
+    )
+    return JaxbodyError(
+        Problem(
+            "MEMORY",
+            f"the law {type(law).__name__}",
+            message,
+            limit="laws without memory",
+            hint=hint,
+        )
+    )
 
 
 class InnerCoordinates(Memory):
-    """The base class of laws whose states are coordinates y, relative to the element: V(e, y), R(e', y') and, with mass, T(y')."""
+    """The base class of laws whose states are coordinates y, relative to the element: V(e, y),
+    R(e', y') and, with mass, T(y')."""
 
     has_rows: ClassVar[bool] = True
 
@@ -93,7 +111,8 @@ class InnerCoordinates(Memory):
         return jax.grad(self.dissipation)(jnp.asarray(e_dot, y_dot.dtype), y_dot)
 
     def relaxed(self, e: Number) -> States:
-        """y at rest, dV/dy = 0, by Newton's method; the last two steps carry its derivatives, which are exact to the third."""
+        """y at rest, dV/dy = 0, by Newton's method; the last two steps carry its derivatives, which
+        are exact to the third."""
 
         def step(law, e, y):
             return y - _solved(jax.hessian(law.energy, 1)(e, y), jax.grad(law.energy, 1)(e, y))
@@ -106,7 +125,9 @@ class InnerCoordinates(Memory):
             return new, jnp.max(jnp.abs(new - y)) <= CONVERGED * jnp.max(jnp.abs(new)), n + 1
 
         start = self.configuration(jnp.zeros(len(self.states), jnp.result_type(e))) + fixed
-        y, converged, _ = jax.lax.while_loop(lambda carry: ~carry[1] & (carry[2] < ITERATIONS), iterate, (start, jnp.array(False), 0))
+        y, converged, _ = jax.lax.while_loop(
+            lambda carry: ~carry[1] & (carry[2] < ITERATIONS), iterate, (start, jnp.array(False), 0)
+        )
         for _ in range(2):
             y = step(self, e, y)
         return nan_unless(converged, y)
@@ -121,12 +142,14 @@ class InnerCoordinates(Memory):
 
 
 class Viscoelastic(InnerCoordinates):
-    """The base class of laws with massless coordinates y: springs and dampers in series, branch by branch.
+    """The base class of laws with massless coordinates y: springs and dampers in series, branch
+    by branch.
 
         F = dV/de + dR/de',    dV/dy + dR/dy' = 0, so that    y' = -R_yy^-1 (dV/dy + R_ye e')
 
-    A law of your own states `states`, `energy` V(e, y) and `dissipation` R(e', y'), quadratic in (e', y') and definite in y'. In a
-    linearization each y has a row, with M = 0. A spring k with a branch of a cubic spring and a dashpot:
+    A law of your own states `states`, `energy` V(e, y) and `dissipation` R(e', y'), quadratic in
+    (e', y') and definite in y'. In a linearization each y has a row, with M = 0. A spring k with a
+    branch of a cubic spring and a dashpot:
 
     >>> class Branch(Viscoelastic):
     ...     cubic: jax.Array = jb.field("N/m3", "positive")
@@ -150,18 +173,22 @@ class Viscoelastic(InnerCoordinates):
 
     def rate(self, e, e_dot, z):
         zero = jnp.zeros_like(z)
-        slope = jax.grad(self.energy, 1)(e, z) + jax.grad(self.dissipation, 1)(jnp.asarray(e_dot, z.dtype), zero)
+        slope = jax.grad(self.energy, 1)(e, z) + jax.grad(self.dissipation, 1)(
+            jnp.asarray(e_dot, z.dtype), zero
+        )
         return -_solved(jax.hessian(self.dissipation, 1)(jnp.zeros((), z.dtype), zero), slope)
 
 
 class Inertial(InnerCoordinates):
-    """The base class of laws with coordinates y that have mass, such as the fluid column of a hydraulic mount.
+    """The base class of laws with coordinates y that have mass, such as the fluid column of a
+    hydraulic mount.
 
         F = dV/de + dR/de',    T_yy y'' + dV/dy + dR/dy' = 0,    z = (y, y')
 
-    A law of your own states `states` and `state_units`, first of the coordinates and then of their rates, `energy` V(e, y), `dissipation`
-    R(e', y') and `kinetic_energy` T(y'), quadratic and definite. In a linearization each y has a row in M, C and K. A mass on a spring,
-    carried by the deformation:
+    A law of your own states `states` and `state_units`, first of the coordinates and then of
+    their rates, `energy` V(e, y), `dissipation` R(e', y') and `kinetic_energy` T(y'), quadratic
+    and definite. In a linearization each y has a row in M, C and K. A mass on a spring, carried
+    by the deformation:
 
     >>> class Absorber(Inertial):
     ...     stiffness: jax.Array = jb.field("force/argument", "positive")
@@ -204,24 +231,31 @@ class Inertial(InnerCoordinates):
         return self.kinetic_energy(self.rates(z))
 
     def restoring_force(self, e, e_dot, z):
-        return self.static_force(e, self.configuration(z)) + self.viscous_force(e_dot, self.rates(z))
+        return self.static_force(e, self.configuration(z)) + self.viscous_force(
+            e_dot, self.rates(z)
+        )
 
     def rate(self, e, e_dot, z):
         y, y_dot = self.configuration(z), self.rates(z)
-        force = jax.grad(self.energy, 1)(e, y) + jax.grad(self.dissipation, 1)(jnp.asarray(e_dot, z.dtype), y_dot)
-        return jnp.concatenate([y_dot, -_solved(jax.hessian(self.kinetic_energy)(jnp.zeros_like(y)), force)])
+        force = jax.grad(self.energy, 1)(e, y) + jax.grad(self.dissipation, 1)(
+            jnp.asarray(e_dot, z.dtype), y_dot
+        )
+        return jnp.concatenate(
+            [y_dot, -_solved(jax.hessian(self.kinetic_energy)(jnp.zeros_like(y)), force)]
+        )
 
 
 class Hysteretic(Memory):
-    """The base class of laws with states of first order whose rate is zero at rest whatever the state: hysteresis, dry friction with
-    presliding.
+    """The base class of laws with states of first order whose rate is zero at rest whatever the
+    state: hysteresis, dry friction with presliding.
 
         F(e, e', z),    z' = f(e, e', z),    f(e, 0, z) = 0
 
-    A law of your own states `states`, `state_units`, `rate` and `restoring_force`; `energy`, the part of the work of F that is stored, is
-    zero unless it is given. At rest every z stays, so an equilibrium keeps the z of its start, zero without one. A linearization has its
-    tangent at rest in K, dF/de + dF/dz df/de', and no row for z: to first order it is a spring, and its losses, which grow with the square
-    of the amplitude or less, are in simulations only.
+    A law of your own states `states`, `state_units`, `rate` and `restoring_force`; `energy`, the
+    part of the work of F that is stored, is zero unless it is given. At rest every z stays, so an
+    equilibrium keeps the z of its start, zero without one. A linearization has its tangent at rest
+    in K, dF/de + dF/dz df/de', and no row for z: to first order it is a spring, and its losses,
+    which grow with the square of the amplitude or less, are in simulations only.
 
     >>> class Elastoplastic(Hysteretic):
     ...     stiffness: jax.Array = jb.field("force/argument", "positive")

@@ -1,4 +1,5 @@
-"""Laws of rubber: branches of a spring and a dashpot in series, any number of them beside a spring."""
+"""Laws of rubber: branches of a spring and a dashpot in series, any number of them beside
+a spring."""
 
 from __future__ import annotations
 
@@ -12,10 +13,11 @@ from jaxbody.laws.memory_laws import Viscoelastic
 class Maxwell(Viscoelastic):
     """A spring k and a dashpot c = k tau in series, y the displacement of the dashpot:
 
-        F = k (e - y),   y' = (e - y)/tau,   V = k (e - y)^2/2,   R = k tau y'^2/2,   stiffness k i w tau/(1 + i w tau)
+        F = k (e - y),   y' = (e - y)/tau,   V = k (e - y)^2/2,   R = k tau y'^2/2,
+        stiffness k i w tau/(1 + i w tau)
 
-    Beside a spring it is the standard linear solid; several of them are a Prony series. tau -> 0 at constant c is a damper c, tau ->
-    infinity at constant k a spring k.
+    Beside a spring it is the standard linear solid; several of them are a Prony series. tau -> 0 at
+    constant c is a damper c, tau -> infinity at constant k a spring k.
 
     Args:
         stiffness: k of the branch, which it adds at high frequencies [N/m]
@@ -28,8 +30,14 @@ class Maxwell(Viscoelastic):
     60.0
     """
 
-    stiffness: Number = field("force/argument", "positive", hint="A branch without stiffness has no force: leave it out.")
-    relaxation_time: Number = field("s", "positive", hint="For a damper c use damper=c, or a short time with the stiffness c/time.")
+    stiffness: Number = field(
+        "force/argument", "positive", hint="A branch without stiffness has no force: leave it out."
+    )
+    relaxation_time: Number = field(
+        "s",
+        "positive",
+        hint="For a damper c use damper=c, or a short time with the stiffness c/time.",
+    )
 
     def __init__(self, *, stiffness, relaxation_time):
         take(self, stiffness=stiffness, relaxation_time=relaxation_time)

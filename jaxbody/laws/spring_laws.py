@@ -16,7 +16,8 @@ ATMOSPHERE = 101325.0  # Pa
 
 
 class Polynomial(Law):
-    """F = c1 x + c2 x^2 + c3 x^3 + ...,  U = c1 x^2/2 + c2 x^3/3 + ... `coefficients` c1, c2, ... [N/m], [N/m2] ... Hardening where c3 > 0.
+    """F = c1 x + c2 x^2 + c3 x^3 + ..., U = c1 x^2/2 + c2 x^3/3 + ... `coefficients` c1, c2, ...
+    [N/m], [N/m2] ... Hardening where c3 > 0.
 
     >>> float(Polynomial([100.0, 0.0, 5.0]).force(jnp.array(2.0)))
     240.0
@@ -26,12 +27,16 @@ class Polynomial(Law):
 
     def __init__(self, coefficients):
         with Problems() as problems:
-            self.coefficients = row_of_numbers(coefficients, "Polynomial.coefficients", problems, least=1)
+            self.coefficients = row_of_numbers(
+                coefficients, "Polynomial.coefficients", problems, least=1
+            )
 
     @property
     def powers(self) -> str:
         """The unit of each coefficient."""
-        return ", ".join(f"force/argument^{i + 1}" for i in range((1, *self.coefficients.shape)[-1]))
+        return ", ".join(
+            f"force/argument^{i + 1}" for i in range((1, *self.coefficients.shape)[-1])
+        )
 
     def _sum(self, x, divisors):
         c = self.coefficients / np.asarray(divisors, self.coefficients.dtype)
@@ -48,7 +53,8 @@ class Polynomial(Law):
 
 
 class Stop(Law):
-    """A stop behind a gap: with the penetration d = -x - gap (an `extension` stop: d = x - gap) and the engagement w,
+    """A stop behind a gap: with the penetration d = -x - gap (an `extension` stop: d = x - gap) and
+    the engagement w,
 
         |F| = 0 for d < 0,   k d^2/(2 w) for 0 < d < w,   k (d - w/2) for d > w
 
@@ -67,9 +73,15 @@ class Stop(Law):
     """
 
     words: ClassVar[dict[str, str]] = {"force": "N", "argument": "m"}
-    gap: Number = field("argument", "nonnegative", hint="For a stop that is compressed at x = 0, change the free length.")
+    gap: Number = field(
+        "argument",
+        "nonnegative",
+        hint="For a stop that is compressed at x = 0, change the free length.",
+    )
     stiffness: Number = field("force/argument", "nonnegative")
-    engagement: Number = field("argument", "positive", hint="A hundredth of the travel has little effect.")
+    engagement: Number = field(
+        "argument", "positive", hint="A hundredth of the travel has little effect."
+    )
     extension: bool = field(static=True)
 
     def __init__(self, *, gap, stiffness, engagement=1e-3, extension: bool = False):
@@ -104,9 +116,13 @@ def ramp_slope(d: Number, w: Number) -> Number:
 
 
 class TensionOnly(Law):
-    """A rope: F = k x for x > 0, zero for x < 0; its slope at 0 is k/2. `stiffness` k [N/m]. Error: NEGATIVE.
+    """A rope: F = k x for x > 0, zero for x < 0; its slope at 0 is k/2. `stiffness` k [N/m].
+    Error: NEGATIVE.
 
-    >>> float(TensionOnly(100.0).force(jnp.array(-0.1))), float(TensionOnly(100.0).force(jnp.array(0.1)))
+    >>> (
+    ...     float(TensionOnly(100.0).force(jnp.array(-0.1))),
+    ...     float(TensionOnly(100.0).force(jnp.array(0.1))),
+    ... )
     (0.0, 10.0)
     """
 
@@ -126,8 +142,8 @@ class TensionOnly(Law):
 class AirSpring(Law):
     """An air spring with a polytropic gas: F = A (p_a - p0 (1 + x/h)^-n).
 
-    The stiffness at x = 0 is n p0 A/h. The force is NaN for x <= -h, which results report. `AirSpring.carrying(load, ...)` is one that
-    carries a load at x = 0.
+    The stiffness at x = 0 is n p0 A/h. The force is NaN for x <= -h, which results report.
+    `AirSpring.carrying(load, ...)` is one that carries a load at x = 0.
 
     Args:
         pressure: absolute, p0 at x = 0 [Pa]
@@ -163,15 +179,26 @@ class AirSpring(Law):
             exponent: polytropic exponent, 1 for isothermal, 1.4 for adiabatic
             ambient: pressure p_a [Pa]
         """
-        return cls(pressure=ambient + load / area, area=area, height=height, exponent=exponent, ambient=ambient)
+        return cls(
+            pressure=ambient + load / area,
+            area=area,
+            height=height,
+            exponent=exponent,
+            ambient=ambient,
+        )
 
     def force(self, x):
-        return self.area * (self.ambient - self.pressure * jnp.exp(-self.exponent * jnp.log1p(x / self.height)))
+        return self.area * (
+            self.ambient - self.pressure * jnp.exp(-self.exponent * jnp.log1p(x / self.height))
+        )
 
     def potential(self, x):
         """A (p_a x - p0 h (1 - (1 + x/h)^(1-n))/(n - 1)), the logarithm at n = 1."""
         y = jnp.log1p(x / self.height)
-        return self.area * (self.ambient * x - self.pressure * self.height * y * _expm1_over((1 - self.exponent) * y))
+        return self.area * (
+            self.ambient * x
+            - self.pressure * self.height * y * _expm1_over((1 - self.exponent) * y)
+        )
 
 
 def _expm1_over(z):

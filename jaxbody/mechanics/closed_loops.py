@@ -1,12 +1,14 @@
 """Equations of motion of closed loops, and the choice of the equations that suit a model.
 
-    c(q(t), Xi(t)) = 0   closures, and with them   c' = J v + c_t = 0,   c'' = J v' + (c'' at v' = 0) = 0
+    c(q(t), Xi(t)) = 0   closures, and with them   c' = J v + c_t = 0,
+    c'' = J v' + (c'' at v' = 0) = 0
     [M J'; J 0] [v'; lambda] = [Q; -(c'' at v' = 0)]
 
-with the multipliers lambda: closures push with -J' lambda. c' and c'' are derivatives of c along the motion, of supports too.
+with the multipliers lambda: closures push with -J' lambda. c' and c'' are derivatives of c along
+the motion, of supports too.
 
-An integration keeps c'' at zero, and so c and c' only up to its errors. The projection P(t, y) brings a state back to c = c' = 0 by Newton
-steps in the metric of M,
+An integration keeps c'' at zero, and so c and c' only up to its errors. The projection P(t, y)
+brings a state back to c = c' = 0 by Newton steps in the metric of M,
 
     [M J'; J 0] [Delta; mu] = [0; -c],   q <- q (+) Delta,   and the same for v with c'
 
@@ -44,8 +46,9 @@ STEPS = 3  # of the projection: each takes the gap times the error of a step
 
 
 class Closing(NamedTuple):
-    """How far a state is from the closures: the largest `gap` c, of the size of the model, and the largest `rate` c', of the largest speed
-    of a coordinate, zero at rest; and the largest c that is `left` where the search ended, of the size."""
+    """How far a state is from the closures: the largest `gap` c, of the size of the model, and the
+    largest `rate` c', of the largest speed of a coordinate, zero at rest; and the largest c that is
+    `left` where the search ended, of the size."""
 
     gap: Float[Array, ""]
     rate: Float[Array, ""]
@@ -62,7 +65,9 @@ class ClosedLoops(JointedBodies):
         Dynamics.__init__(self, model, motions, loads)
         self.rests, self.size = drawn(self.coordinates), jax.lax.stop_gradient(size_of(model))
 
-    def driven_on_closures(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> tuple[Float[Array, "ny"], SaddlePoint]:
+    def driven_on_closures(
+        self, t: Float[Array, ""], y: Float[Array, "ny"]
+    ) -> tuple[Float[Array, "ny"], SaddlePoint]:
         """dy/dt, and the equations of which it is the solution."""
         q, v, z = self.model.layout.split(y)
         here: Any = self.holding(z)
@@ -74,43 +79,71 @@ class ClosedLoops(JointedBodies):
         return self.solved(t, q, v)[:3]
 
     def solved(self, t, q, v):
-        """v', the instant with the accelerations at v' = 0, the velocities per unit of each speed, and [M J'; J 0]."""
+        """v', the instant with the accelerations at v' = 0, the velocities per unit of each speed,
+        and [M J'; J 0]."""
         now, axes = self._bias(t, q, v)
         J = jacobian(self.model.layout, now, *axes)
         saddle = self._saddle(now, q, J)
-        return saddle.solve(generalized(*J, *self._net(now)), -self._changes(now))[0], now, J, saddle
+        return (
+            saddle.solve(generalized(*J, *self._net(now)), -self._changes(now))[0],
+            now,
+            J,
+            saddle,
+        )
 
-    def multipliers(self, t: Float[Array, ""], state: State) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
+    def multipliers(
+        self, t: Float[Array, ""], state: State
+    ) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
         """lambda, the least of those that are possible, and where it is unique."""
         return self._balancing(self.accelerated(t, state))
 
-    def _balancing(self, now: Instant, extra: tuple[Array, Array] | None = None) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
-        """lambda of given accelerations, by J' lambda = Q - M v', and where it is unique. `extra`: forces and moments besides the loads."""
+    def _balancing(
+        self, now: Instant, extra: tuple[Array, Array] | None = None
+    ) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
+        """lambda of given accelerations, by J' lambda = Q - M v', and where it is unique. `extra`:
+        forces and moments besides the loads."""
         layout = self.model.layout
-        frames, axes = self.coordinates.frames_and_axes(now.state.q, now.state.v, _plain(now)[1 : layout.first_body])
+        frames, axes = self.coordinates.frames_and_axes(
+            now.state.q, now.state.v, _plain(now)[1 : layout.first_body]
+        )
         J = jacobian(layout, frames, *axes)
-        F, M = self._net(now) if extra is None else (x + y for x, y in zip(self._net(now), extra, strict=True))
+        F, M = (
+            self._net(now)
+            if extra is None
+            else (x + y for x, y in zip(self._net(now), extra, strict=True))
+        )
         scale = scale_of(self.model, self.size)
         slopes = self._slopes(frames, now.state.q, J) * scale[None]
         free = FreeMotions(slopes, jnp.linalg.pinv(slopes, rtol=RANK))
         return free.multipliers(-scale * generalized(*J, F, M)), free.unique
 
     def with_reactions(self, now: Instant, extra: tuple[Array, Array] | None = None) -> Instant:
-        """F and M as in a tree, where closures push as well, with the forces that balance the accelerations."""
+        """F and M as in a tree, where closures push as well, with the forces that balance
+        the accelerations."""
         first = self.model.layout.first_body
         F, M = jnp.split(self._wrenches(now, self._balancing(now, extra)[0]), 2, -1)
         of_bodies = F[first:], M[first:]
         if extra is not None:
             of_bodies = of_bodies[0] + extra[0], of_bodies[1] + extra[1]
         now, fixed = super().with_reactions(now, of_bodies), (np.arange(len(F)) < first)[:, None]
-        on_fixed = (jnp.asarray(of_joints) + jnp.where(fixed, x, 0.0) for of_joints, x in ((now.F, F), (now.M, M)))
+        on_fixed = (
+            jnp.asarray(of_joints) + jnp.where(fixed, x, 0.0)
+            for of_joints, x in ((now.F, F), (now.M, M))
+        )
         return replace(now, **dict(zip("FM", on_fixed, strict=True)))
 
     def _wrenches(self, now: Instant, multipliers: Float[Array, "n"]) -> Float[Array, "nf 6"]:
-        """Force and moment about its origin that closures exert on each frame. Couplings exert none: their forces act along coordinates, in
-        the joints."""
+        """Force and moment about its origin that closures exert on each frame. Couplings exert
+        none: their forces act along coordinates, in the joints."""
         frame, tables = self.model.layout.frame, self.model.closures
-        ends = np.array([[frame(end) for end in link] for table in tables for link in table.links for _ in table.rows.rows])
+        ends = np.array(
+            [
+                [frame(end) for end in link]
+                for table in tables
+                for link in table.links
+                for _ in table.rows.rows
+            ]
+        )
 
         def acting(closure, rest, ends):
             slopes = _slopes(closure, rest, *ends)
@@ -126,39 +159,59 @@ class ClosedLoops(JointedBodies):
 
     def _saddle(self, frames: Frame, q: Float[Array, "nq"], J: tuple[Array, Array]) -> SaddlePoint:
         """[M J'; J 0] from the velocities of the bodies per unit of each speed."""
-        return saddle_point(self.inertia(frames, *J)[0], self._slopes(frames, q, J), rank(self.model))
+        return saddle_point(
+            self.inertia(frames, *J)[0], self._slopes(frames, q, J), rank(self.model)
+        )
 
-    def _slopes(self, frames: Frame, q: Float[Array, "nq"], J: tuple[Array, Array]) -> Float[Array, "n nv"]:
+    def _slopes(
+        self, frames: Frame, q: Float[Array, "nq"], J: tuple[Array, Array]
+    ) -> Float[Array, "n nv"]:
         """dc/dDelta."""
         twists, zero = jnp.concatenate(J, -1), jnp.zeros(self.model.layout.nv, q.dtype)
         speeds = np.array([j for _, j in self.model.layout.coordinate_places.values()], int)
-        along = jnp.zeros((len(speeds), len(zero), 6), q.dtype).at[np.arange(len(speeds)), speeds, 0].set(1.0)
+        along = (
+            jnp.zeros((len(speeds), len(zero), 6), q.dtype)
+            .at[np.arange(len(speeds)), speeds, 0]
+            .set(1.0)
+        )
         still = jnp.zeros((self.model.layout.first_body, *twists.shape[1:]), twists.dtype)
 
         def slopes(closure, rest, ends, moving):
-            return jnp.sum(_slopes(closure, rest, *ends)[:, :, None] * jnp.concatenate(moving, -1).T[None], 1)
+            return jnp.sum(
+                _slopes(closure, rest, *ends)[:, :, None] * jnp.concatenate(moving, -1).T[None], 1
+            )
 
         of_frames = _plain(frames), jnp.concatenate([still, twists])
-        return jnp.concatenate(each_closure(self.model, self.rests, slopes, of_frames, (self._slides(q, zero), along)))
+        return jnp.concatenate(
+            each_closure(self.model, self.rests, slopes, of_frames, (self._slides(q, zero), along))
+        )
 
     def slopes(self, t: Float[Array, ""], state: State) -> Float[Array, "n nv"]:
         """dc/dDelta by increments in meters."""
         supports = self.coordinates.supports_moving(self.motions, t)
         frames, axes = self.coordinates.frames_and_axes(state.q, state.v, supports)
-        return self._slopes(frames, state.q, jacobian(self.model.layout, frames, *axes)) * scale_of(self.model, self.size)[None]
+        return (
+            self._slopes(frames, state.q, jacobian(self.model.layout, frames, *axes))
+            * scale_of(self.model, self.size)[None]
+        )
 
     def smallest(self, t: Float[Array, ""], state: State) -> Float[Array, ""]:
-        """The smallest singular value of dc/dDelta that should not be zero, relative to the largest."""
+        """The smallest singular value of dc/dDelta that should not be zero, relative to
+        the largest."""
         values = jnp.linalg.svdvals(jax.lax.stop_gradient(self.slopes(t, state)))
         return values[rank(self.model) - 1] / jnp.maximum(values[0], 1e-300)
 
-    def _rates(self, frames: Frame, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "n"]:
+    def _rates(
+        self, frames: Frame, q: Float[Array, "nq"], v: Float[Array, "nv"]
+    ) -> Float[Array, "n"]:
         """c'."""
 
         def rate(closure, rest, ends):
             return _rate(closure, rest, *ends)
 
-        return jnp.concatenate(each_closure(self.model, self.rests, rate, (_plain(frames),), (self._slides(q, v),)))
+        return jnp.concatenate(
+            each_closure(self.model, self.rests, rate, (_plain(frames),), (self._slides(q, v),))
+        )
 
     def _changes(self, now: Instant) -> Float[Array, "n"]:
         """c'' for the accelerations of the frames at v' = 0."""
@@ -166,18 +219,31 @@ class ClosedLoops(JointedBodies):
         def change(closure, rest, ends, changes):
             return jax.jvp(lambda A, B: _rate(closure, rest, A, B), ends, changes)[1]
 
-        coordinates, zero = self._slides(now.state.q, now.state.v), jnp.zeros((len(self.model.layout.coordinate_places), 3), now.p.dtype)
+        coordinates, zero = (
+            self._slides(now.state.q, now.state.v),
+            jnp.zeros((len(self.model.layout.coordinate_places), 3), now.p.dtype),
+        )
         rates = coordinates.rates()
         steady = Frame(rates.p, rates.R, zero, zero)
-        return jnp.concatenate(each_closure(self.model, self.rests, change, (_plain(now), now.changes()), (coordinates, steady)))
+        return jnp.concatenate(
+            each_closure(
+                self.model, self.rests, change, (_plain(now), now.changes()), (coordinates, steady)
+            )
+        )
 
     def projected(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
         """P(t, y)."""
         q, v, _ = self.model.layout.split(y)
-        frames, axes = self.coordinates.frames_and_axes(q, v, self.coordinates.supports_moving(self.motions, t))
-        return self.closer(t, y, self._saddle(frames, q, jacobian(self.model.layout, frames, *axes)))
+        frames, axes = self.coordinates.frames_and_axes(
+            q, v, self.coordinates.supports_moving(self.motions, t)
+        )
+        return self.closer(
+            t, y, self._saddle(frames, q, jacobian(self.model.layout, frames, *axes))
+        )
 
-    def closer(self, t: Float[Array, ""], y: Float[Array, "ny"], saddle: SaddlePoint) -> Float[Array, "ny"]:
+    def closer(
+        self, t: Float[Array, ""], y: Float[Array, "ny"], saddle: SaddlePoint
+    ) -> Float[Array, "ny"]:
         """P(t, y) with the equations [M J'; J 0] of y; NaN where the steps do not come close."""
         q, v, z = self.model.layout.split(y)
         supports, still = self.coordinates.supports_moving(self.motions, t), jnp.zeros_like(v)
@@ -187,7 +253,10 @@ class ClosedLoops(JointedBodies):
             frames = self.coordinates.frames(q, v, supports)
             c = gaps_from(self.model, self.rests, frames, q)
             rates = self._rates(frames, q, v)
-            q, v = self.coordinates.retract(q, saddle.solve(still, -c)[0]), v + saddle.solve(still, -rates)[0]
+            q, v = (
+                self.coordinates.retract(q, saddle.solve(still, -c)[0]),
+                v + saddle.solve(still, -rates)[0],
+            )
             return (q, v), jnp.max(jnp.abs(c))
 
         (q, v), gap = jax.lax.scan(step, (q, v), length=STEPS)
@@ -197,16 +266,27 @@ class ClosedLoops(JointedBodies):
     def closed(self, t: Float[Array, ""], state: State) -> tuple[State, Closing]:
         """The state on the closures next to another, and how far that is from them."""
         supports = self.coordinates.supports_moving(self.motions, t)
-        before = gaps_from(self.model, self.rests, self.coordinates.frames(state.q, state.v, supports), state.q)
+        before = gaps_from(
+            self.model, self.rests, self.coordinates.frames(state.q, state.v, supports), state.q
+        )
         q = closed_on(self.coordinates, self.rests, supports, state.q)
         frames = self.coordinates.frames(q, state.v, supports)
         y = self.pack(State(q, state.v, state.z))
         closed, rates = self.unpack(self.projected(t, y)), self._rates(frames, q, state.v)
         left = jnp.max(jnp.abs(gaps_from(self.model, self.rests, frames, q))) / self.size
-        given, fastest = (jnp.max(jnp.abs(v) * jnp.where(self.model.layout.turns, self.size, 1.0)) for v in (state.v, closed.v))
-        rate = jnp.where(given > 0, jnp.max(jnp.abs(rates)) / jnp.maximum(jnp.maximum(given, fastest), 1e-300), 0.0)
+        given, fastest = (
+            jnp.max(jnp.abs(v) * jnp.where(self.model.layout.turns, self.size, 1.0))
+            for v in (state.v, closed.v)
+        )
+        rate = jnp.where(
+            given > 0,
+            jnp.max(jnp.abs(rates)) / jnp.maximum(jnp.maximum(given, fastest), 1e-300),
+            0.0,
+        )
         far = Closing(jnp.max(jnp.abs(before)) / self.size, rate, left)
-        reached = jax.tree.map(lambda new, old: jnp.where(left <= CLOSED, new, old), closed, State(q, state.v, state.z))
+        reached = jax.tree.map(
+            lambda new, old: jnp.where(left <= CLOSED, new, old), closed, State(q, state.v, state.z)
+        )
         return reached, jax.lax.stop_gradient(far)
 
 
@@ -216,14 +296,18 @@ def _plain(frames: Frame) -> Frame:
 
 def _rate(closure: Closure, rest: Pose, A: Frame, B: Frame) -> Float[Array, "rows"]:
     """c' of one closure."""
-    return jax.jvp(lambda a, b: closure.gap(a, b, rest), (A.pose(), B.pose()), (A.rates(), B.rates()))[1]
+    return jax.jvp(
+        lambda a, b: closure.gap(a, b, rest), (A.pose(), B.pose()), (A.rates(), B.rates())
+    )[1]
 
 
 def _slopes(closure: Closure, rest: Pose, A: Frame, B: Frame) -> Float[Array, "rows 12"]:
     """c' per unit of the velocities and angular velocities of A and B."""
 
     def rate(x):
-        return _rate(closure, rest, Frame(A.p, A.R, x[0, 0], x[0, 1]), Frame(B.p, B.R, x[1, 0], x[1, 1]))
+        return _rate(
+            closure, rest, Frame(A.p, A.R, x[0, 0], x[0, 1]), Frame(B.p, B.R, x[1, 0], x[1, 1])
+        )
 
     return jax.vmap(rate)(jnp.eye(12, dtype=A.p.dtype).reshape(12, 2, 2, 3)).T
 
@@ -248,6 +332,10 @@ def state_slopes(model: Model, state: State) -> Float[Array, "ny ny"]:
     return jax.jacfwd(lambda y: dynamics.rate(zero, y))(dynamics.pack(state))
 
 
-def acceleration(model: Model, state: State, t: Any = 0.0, motions: Motions = (), loads: tuple[Load, ...] = ()) -> Float[Array, "nv"]:
+def acceleration(
+    model: Model, state: State, t: Any = 0.0, motions: Motions = (), loads: tuple[Load, ...] = ()
+) -> Float[Array, "nv"]:
     """dv/dt from the equations of motion, in the speeds of the state."""
-    return dynamics_of(holding(model, state.z), motions, loads).acceleration(jnp.asarray(t, state.q.dtype), state.q, state.v)
+    return dynamics_of(holding(model, state.z), motions, loads).acceleration(
+        jnp.asarray(t, state.q.dtype), state.q, state.v
+    )

@@ -1,12 +1,15 @@
-"""The conditions c(q) = 0 of all closures of a model, and the configurations that fulfil them together with other conditions.
+"""The conditions c(q) = 0 of all closures of a model, and the configurations that fulfil them
+together with other conditions.
 
 A configuration is found by Gauss-Newton steps
 
     q <- q (+) -F_q^+ F(q)
 
-with the least squares inverse F_q^+, so that conditions that repeat others, such as those out of the plane of a planar linkage, do no harm.
-These are differentiated step by step, because where freedoms are left the result depends on the whole movement. A few more steps with the
-last inverse, held fixed, are differentiated as they are: each makes the derivatives of one more order exact, in forward and reverse mode.
+with the least squares inverse F_q^+, so that conditions that repeat others, such as those out of
+the plane of a planar linkage, do no harm. These are differentiated step by step, because where
+freedoms are left the result depends on the whole movement. A few more steps with the last inverse,
+held fixed, are differentiated as they are: each makes the derivatives of one more order exact, in
+forward and reverse mode.
 """
 
 from __future__ import annotations
@@ -31,7 +34,8 @@ from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.precisions import in_float64
 
-Conditions = Callable[[Model, Any, Float[Array, "nq"]], Float[Array, "n"]]  # F of the model, of other numbers and of q
+# F of the model, of other numbers and of q
+Conditions = Callable[[Model, Any, Float[Array, "nq"]], Float[Array, "n"]]
 CLOSING = 12  # steps of an initial state
 STEPS = 30  # of the search; ten are enough from a rough drawing
 ORDERS = 4  # of derivatives that are exact
@@ -48,25 +52,35 @@ def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Arra
 
 def closed(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     """The nearest q in which all closures are fulfilled, as far as it is reached."""
-    return _searched(lambda _, coordinates, q: gaps_at(coordinates, q), None, coordinates.model, coordinates, q)
+    return _searched(
+        lambda _, coordinates, q: gaps_at(coordinates, q), None, coordinates.model, coordinates, q
+    )
 
 
 def closed_on(
-    coordinates: Coordinates, rests: list[Pose], supports: Frame, q: Float[Array, "nq"], held: np.ndarray | None = None
+    coordinates: Coordinates,
+    rests: list[Pose],
+    supports: Frame,
+    q: Float[Array, "nq"],
+    held: np.ndarray | None = None,
 ) -> Float[Array, "nq"]:
-    """The nearest q in which all closures are fulfilled on moved supports, as a function of q and of the model: steps with all their
-    derivatives; `held` is True for the coordinates that must not move."""
+    """The nearest q in which all closures are fulfilled on moved supports, as a function of q and
+    of the model: steps with all their derivatives; `held` is True for the coordinates that must
+    not move."""
 
     def conditions(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
-        return gaps_from(model, rests, coordinates.frames(q, jnp.zeros(model.layout.nv, q.dtype), supports), q)
+        return gaps_from(
+            model, rests, coordinates.frames(q, jnp.zeros(model.layout.nv, q.dtype), supports), q
+        )
 
     step = partial(_stepped, conditions, held, coordinates.model, None)
     return jax.lax.scan(lambda q, _: (step(q), None), q, length=CLOSING)[0]
 
 
 def assembled_reference(model: Model) -> State:
-    """The state of rest next to the drawn one in which all closures are fulfilled, with derivatives by every point and length; memory is
-    relaxed in it. Where it is not reached it is NaN while traced; else it warns NOT_CLOSED."""
+    """The state of rest next to the drawn one in which all closures are fulfilled, with derivatives
+    by every point and length; memory is relaxed in it. Where it is not reached it is NaN while
+    traced; else it warns NOT_CLOSED."""
     state, reached = _assembled(model)
     if not is_concrete(state):
         return jax.tree.map(lambda x: nan_unless(reached, x), state)
@@ -89,21 +103,47 @@ def how_open(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, ""
     return _largest(gaps_at(coordinates, q)) / size_of(coordinates.model)
 
 
-def solve(conditions: Conditions, model: Model, values: Any, start: Float[Array, "nq"], held: np.ndarray | None = None):
-    """(q, largest |F| over the size of the model) where F(model, values, q) = 0, from a start, with the least movement where that leaves
-    freedom; `held` is True for the coordinates that must not move."""
+def solve(
+    conditions: Conditions,
+    model: Model,
+    values: Any,
+    start: Float[Array, "nq"],
+    held: np.ndarray | None = None,
+):
+    """(q, largest |F| over the size of the model) where F(model, values, q) = 0, from a start,
+    with the least movement where that leaves freedom; `held` is True for the coordinates that must
+    not move."""
     q = near(conditions, model, values, _searched(conditions, held, model, values, start), held)
     return q, _largest(conditions(model, values, q)) / size_of(model)
 
 
-def near(conditions: Conditions, model: Model, values: Any, q: Float[Array, "nq"], held: np.ndarray | None = None) -> Float[Array, "nq"]:
-    """The q with F = 0 next to one that has it for these values, as a function of it, the model and the values."""
-    inverse = jax.lax.stop_gradient(_inverse(conditions, held, *jax.lax.stop_gradient((model, values, q))))
+def near(
+    conditions: Conditions,
+    model: Model,
+    values: Any,
+    q: Float[Array, "nq"],
+    held: np.ndarray | None = None,
+) -> Float[Array, "nq"]:
+    """The q with F = 0 next to one that has it for these values, as a function of it, the model and
+    the values."""
+    inverse = jax.lax.stop_gradient(
+        _inverse(conditions, held, *jax.lax.stop_gradient((model, values, q)))
+    )
     chart = Chart(model)
-    return jax.lax.scan(lambda q, _: (chart.retract(q, -inverse @ conditions(model, values, q)), None), q, length=ORDERS)[0]
+    return jax.lax.scan(
+        lambda q, _: (chart.retract(q, -inverse @ conditions(model, values, q)), None),
+        q,
+        length=ORDERS,
+    )[0]
 
 
-def _inverse(conditions: Conditions, held: np.ndarray | None, model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "nv n"]:
+def _inverse(
+    conditions: Conditions,
+    held: np.ndarray | None,
+    model: Model,
+    values: Any,
+    q: Float[Array, "nq"],
+) -> Float[Array, "nv n"]:
     """F_q^+, with the least movement in meters."""
     scale = scale_of(model, size_of(model)) * (1.0 if held is None else np.where(held, 0.0, 1.0))
     _, slopes = values_and_slopes(Chart(model), lambda q: conditions(model, values, q), q)
@@ -111,7 +151,13 @@ def _inverse(conditions: Conditions, held: np.ndarray | None, model: Model, valu
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _searched(conditions: Conditions, held: np.ndarray | None, model: Model, values: Any, start: Float[Array, "nq"]) -> Float[Array, "nq"]:
+def _searched(
+    conditions: Conditions,
+    held: np.ndarray | None,
+    model: Model,
+    values: Any,
+    start: Float[Array, "nq"],
+) -> Float[Array, "nq"]:
     """Steps until F is as small as rounding allows, or no more are left."""
 
     def going_on(carry: tuple[Array, Array]) -> Bool[Array, ""]:
@@ -139,16 +185,28 @@ def _searched_jvp(conditions: Conditions, held: np.ndarray | None, primals: Any,
     return jax.jvp(steps, primals, tangents)
 
 
-def _unprecise(conditions: Conditions, model: Model, values: Any, q: Float[Array, "nq"]) -> Bool[Array, ""]:
+def _unprecise(
+    conditions: Conditions, model: Model, values: Any, q: Float[Array, "nq"]
+) -> Bool[Array, ""]:
     return _largest(conditions(model, values, q)) > PRECISE * size_of(model)
 
 
-def _stepped(conditions: Conditions, held: np.ndarray | None, model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
+def _stepped(
+    conditions: Conditions,
+    held: np.ndarray | None,
+    model: Model,
+    values: Any,
+    q: Float[Array, "nq"],
+) -> Float[Array, "nq"]:
     """q after a Gauss-Newton step, shortened where an increment is larger than LARGEST_STEP."""
     size = size_of(model)
     delta = -_inverse(conditions, held, model, values, q) @ conditions(model, values, q)
     largest = _largest(delta / scale_of(model, size)) / size
-    return Chart(model).retract(q, delta * jnp.where(largest > LARGEST_STEP, LARGEST_STEP / jnp.maximum(largest, LARGEST_STEP), 1.0))
+    return Chart(model).retract(
+        q,
+        delta
+        * jnp.where(largest > LARGEST_STEP, LARGEST_STEP / jnp.maximum(largest, LARGEST_STEP), 1.0),
+    )
 
 
 def values_and_slopes(chart: Chart, conditions: Callable[[Array], Array], q: Float[Array, "nq"]):

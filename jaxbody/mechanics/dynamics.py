@@ -1,12 +1,17 @@
-"""Structured equations of motion: those of Newton and Euler for each body, projected onto the motions that the joints allow.
+"""Structured equations of motion: those of Newton and Euler for each body, projected onto the
+motions that the joints allow.
 
-    about O, in world axes:  m (a_O + alpha x c + w x (w x c)) = F,   J alpha + w x J w + m c x a_O = M        (16)-(19) of the paper
-    speeds:               sum J_b' (inertia J_b v' + bias - wrench) = 0, J_b the velocity of body b per unit of each speed
+    about O, in world axes:  m (a_O + alpha x c + w x (w x c)) = F,
+                             J alpha + w x J w + m c x a_O = M        (16)-(19) of the paper
+    speeds:               sum J_b' (inertia J_b v' + bias - wrench) = 0,
+                          J_b the velocity of body b per unit of each speed
 
-The inertia of elements adds J_e' T_e'' J_e to the mass matrix, and its force at v' = 0 to the wrenches.
+The inertia of elements adds J_e' T_e'' J_e to the mass matrix, and its force at v' = 0 to
+the wrenches.
 
-Tests compare them with the Lagrange equations of L = T - V with R. Where every body is free on the world the mass matrix is constant in
-body axes and is inverted once, unless elements have inertia: `closed_loops.dynamics_of` chooses between the forms, and no one else asks.
+Tests compare them with the Lagrange equations of L = T - V with R. Where every body is free on the
+world the mass matrix is constant in body axes and is inverted once, unless elements have inertia:
+`closed_loops.dynamics_of` chooses between the forms, and no one else asks.
 """
 
 from __future__ import annotations
@@ -27,7 +32,13 @@ from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
 from jaxbody.inputs.loads import Load
-from jaxbody.joints.element_tables import each_element, inertial_tables, state_rates, state_scales, wrenches
+from jaxbody.joints.element_tables import (
+    each_element,
+    inertial_tables,
+    state_rates,
+    state_scales,
+    wrenches,
+)
 from jaxbody.joints.kinematics import Coordinates, Motions, jacobian, with_world
 from jaxbody.lagrange import kinetic
 from jaxbody.mechanics.element_inertias import element_inertia, inertial_wrenches
@@ -43,7 +54,8 @@ SAMPLES = 128  # of motions and loads, at most, that tell how far a model withou
 
 
 class Dynamics(eqx.Module):
-    """A model under imposed motions and loads as a first-order system y' = f(t, y), with its constants computed once."""
+    """A model under imposed motions and loads as a first-order system y' = f(t, y), with its
+    constants computed once."""
 
     coordinates: Coordinates
     motions: Motions
@@ -70,7 +82,11 @@ class Dynamics(eqx.Module):
 
     def holding(self, z: Float[Array, "nz"]) -> Dynamics:
         """The equations of motion with these states of the elements."""
-        return eqx.tree_at(lambda dynamics: dynamics.coordinates.model, self, holding(self.model, z)) if self.model.layout.nz else self
+        return (
+            eqx.tree_at(lambda dynamics: dynamics.coordinates.model, self, holding(self.model, z))
+            if self.model.layout.nz
+            else self
+        )
 
     @abstractmethod
     def driven(self, u: Any, y: Float[Array, "ny"]) -> Float[Array, "ny"]:
@@ -81,32 +97,54 @@ class Dynamics(eqx.Module):
         return self.driven(self.drive(t), y)
 
     def scales(self, times: Float[Array, "nt"], start: State) -> Float[Array, "ny"]:
-        """The scale of each component of y: the size of the model or, without extent, how far it moves; 1 for angles; for velocities these
-        times a fast frequency."""
+        """The scale of each component of y: the size of the model or, without extent, how far it
+        moves; 1 for angles; for velocities these times a fast frequency."""
         model, layout, span = self.model, self.model.layout, times[-1] - times[0]
         square = self._stiffness_sum() / jnp.sum(model.bodies.rows.mass)
         size = size_of(model, self._reach(times, start, jnp.sqrt(square) + 1 / span))
         rate = jnp.sqrt(square + jnp.linalg.norm(model.gravity) / size) + 1 / span
-        y = self._packed(jnp.where(layout.angular, 1.0, size), rate * jnp.where(layout.turns, 1.0, size))
+        y = self._packed(
+            jnp.where(layout.angular, 1.0, size), rate * jnp.where(layout.turns, 1.0, size)
+        )
         if not layout.nz:
             return y
         z = jnp.asarray(state_scales(model, self._reference_frames(), size))
-        return jnp.concatenate([y, z.at[layout.inner_rates].set(rate * z[layout.inertial]) if len(layout.inertial) else z])
+        return jnp.concatenate(
+            [
+                y,
+                z.at[layout.inner_rates].set(rate * z[layout.inertial])
+                if len(layout.inertial)
+                else z,
+            ]
+        )
 
     def _reach(self, times: Float[Array, "nt"], start: State, rate: Array) -> Array:
-        """An estimate of how far [m] the bodies move: |q0| + |v0|/rate + (g + |F|/m)/rate^2 + the range of the supports; 1 if that is 0."""
+        """An estimate of how far [m] the bodies move: |q0| + |v0|/rate + (g + |F|/m)/rate^2 + the
+        range of the supports; 1 if that is 0."""
         layout, coordinates = self.model.layout, self.coordinates
 
-        frames = coordinates.frames(start.q, start.v, coordinates.supports_moving(self.motions, times[0]))
+        frames = coordinates.frames(
+            start.q, start.v, coordinates.supports_moving(self.motions, times[0])
+        )
 
         def acting(t):
             now = frames.at_time(t, start)
-            forces = [jnp.linalg.norm(load.wrench(now.frame(layout.frame(load.on)))[0]) for load in self.loads]
-            return jnp.stack([jnp.zeros(3), *(motion(t)[:3] for motion in self.motions)]), sum(forces, jnp.zeros(()))
+            forces = [
+                jnp.linalg.norm(load.wrench(now.frame(layout.frame(load.on)))[0])
+                for load in self.loads
+            ]
+            return jnp.stack([jnp.zeros(3), *(motion(t)[:3] for motion in self.motions)]), sum(
+                forces, jnp.zeros(())
+            )
 
         places, forces = jax.vmap(acting)(times[:: len(times) // SAMPLES + 1])
-        moved, speed = jnp.where(layout.angular, 0.0, start.q - coordinates.reference.q), jnp.where(layout.turns, 0.0, start.v)
-        pull = jnp.linalg.norm(self.model.gravity) + jnp.max(forces) / jnp.sum(self.model.bodies.rows.mass)
+        moved, speed = (
+            jnp.where(layout.angular, 0.0, start.q - coordinates.reference.q),
+            jnp.where(layout.turns, 0.0, start.v),
+        )
+        pull = jnp.linalg.norm(self.model.gravity) + jnp.max(forces) / jnp.sum(
+            self.model.bodies.rows.mass
+        )
         reach = (
             jnp.max(jnp.abs(moved), initial=0.0)
             + jnp.max(jnp.abs(speed), initial=0.0) / rate
@@ -123,7 +161,8 @@ class Dynamics(eqx.Module):
         return with_world(self.coordinates.supports.at_rest(), self.coordinates.bodies.at_rest())
 
     def _stiffness_sum(self) -> Float[Array, ""]:
-        """The sum over the elements of the largest second derivative of V(e) in the reference pose."""
+        """The sum over the elements of the largest second derivative of V(e) in the
+        reference pose."""
 
         def stiffest(element, *frames):
             e = element.deformation(*(f.pose() for f in frames))
@@ -135,23 +174,31 @@ class Dynamics(eqx.Module):
         return sum((jnp.sum(k) for k in largest), jnp.zeros((), self.model.gravity.dtype))
 
     @abstractmethod
-    def acceleration(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nv"]:
+    def acceleration(
+        self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]
+    ) -> Float[Array, "nv"]:
         """dv/dt, in the speeds of the state."""
 
     @abstractmethod
-    def speeds(self, q: Float[Array, "nq"], momenta: Float[Array, "nv"], supports: Frame) -> tuple[Array, Frame, Array, Callable]:
-        """The speeds v whose generalized momenta dT/dv these are, the frames, B' dT/dq (q' = B v), and the generalized forces as a
-        function of forces and moments about O on the bodies."""
+    def speeds(
+        self, q: Float[Array, "nq"], momenta: Float[Array, "nv"], supports: Frame
+    ) -> tuple[Array, Frame, Array, Callable]:
+        """The speeds v whose generalized momenta dT/dv these are, the frames, B' dT/dq (q' = B v),
+        and the generalized forces as a function of forces and moments about O on the bodies."""
 
     @abstractmethod
     def accelerated(self, t: Float[Array, ""], state: State) -> Instant:
         """The frames with the accelerations of their origins and their angular accelerations."""
 
     def _net(self, now: Instant):
-        """Applied minus inertial force and moment on each body about its origin, for the accelerations of the frames."""
+        """Applied minus inertial force and moment on each body about its origin, for the
+        accelerations of the frames."""
         first = self.model.layout.first_body
         bodies, moving = self.model.bodies.rows, now[first:]
-        a, alpha, F, M = (jnp.asarray(x)[first:] for x in (now.a, now.alpha, *_acting(self.model, now, self.loads)))
+        a, alpha, F, M = (
+            jnp.asarray(x)[first:]
+            for x in (now.a, now.alpha, *_acting(self.model, now, self.loads))
+        )
         c, m = rotate(moving.R, bodies.com), bodies.mass[:, None]
         force = m * (a + cross(alpha, c) + cross(moving.w, cross(moving.w, c)))
 
@@ -161,26 +208,34 @@ class Dynamics(eqx.Module):
         return F - force, M - (J(alpha) + cross(moving.w, J(moving.w)) + cross(c, force))
 
     def instant(self, t: Float[Array, ""], state: State, *, reactions: bool) -> Instant:
-        """Frames with accelerations and, with `reactions`, the forces and moments that joints, supports and world carry."""
+        """Frames with accelerations and, with `reactions`, the forces and moments that joints,
+        supports and world carry."""
         now = self.accelerated(t, state)
         return self.with_reactions(now) if reactions else now
 
     def with_reactions(self, now: Instant, extra: tuple[Array, Array] | None = None) -> Instant:
-        """An instant with accelerations, and F and M: applied loads minus the rates of momentum, summed over the bodies that a frame
-        carries by joints. `extra`: force and moment on each body about its origin, in addition to the loads."""
+        """An instant with accelerations, and F and M: applied loads minus the rates of momentum,
+        summed over the bodies that a frame carries by joints. `extra`: force and moment on each
+        body about its origin, in addition to the loads."""
         first = self.model.layout.first_body
         F, M = self._net(now)
         if extra is not None:
             F, M = F + extra[0], M + extra[1]
         outboard = jnp.asarray(self.model.layout.carries[:, first:], F.dtype)[..., None]
         moment = M[None] + cross(now.p[first:][None] - now.p[:, None], F[None])
-        direct = (jnp.concatenate([x[:first], jnp.zeros_like(F)]) for x in _acting(self.model, now))  # elements on world and supports
-        F, M = (x + jnp.sum(outboard * of_bodies, 1) for x, of_bodies in zip(direct, (F[None], moment), strict=True))
+        # elements on world and supports
+        direct = (jnp.concatenate([x[:first], jnp.zeros_like(F)]) for x in _acting(self.model, now))
+        F, M = (
+            x + jnp.sum(outboard * of_bodies, 1)
+            for x, of_bodies in zip(direct, (F[None], moment), strict=True)
+        )
         return replace(now, F=F, M=M)
 
     def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
-        """Force and moment about its origin that the bodies and elements exert on each support, in world axes."""
-        now, first = self.instant(t, State(q, v), reactions=True), self.model.layout.first_body  # in a model with memory, holding its z
+        """Force and moment about its origin that the bodies and elements exert on each support, in
+        world axes."""
+        # in a model with memory, holding its z
+        now, first = self.instant(t, State(q, v), reactions=True), self.model.layout.first_body
         assert now.F is not None and now.M is not None
         return now.F[1:first], now.M[1:first]
 
@@ -198,16 +253,21 @@ class JointedBodies(Dynamics):
         q, v, z = self.model.layout.split(y)
         here: Any = self.holding(z)
         v_dot, now, _ = here._solve(u, q, v)
-        return self.model.layout.pack(State(self.coordinates.rate(q, v), v_dot, state_rates(here.model, now) if len(z) else z))
+        return self.model.layout.pack(
+            State(self.coordinates.rate(q, v), v_dot, state_rates(here.model, now) if len(z) else z)
+        )
 
     def _packed(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "*n"]:
         return self.model.layout.pack(State(q, v))
 
-    def acceleration(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nv"]:
+    def acceleration(
+        self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]
+    ) -> Float[Array, "nv"]:
         return self._solve(t, q, v)[0]
 
     def _solve(self, t, q, v):
-        """v', the instant with the accelerations at v' = 0, and the velocities per unit of each speed."""
+        """v', the instant with the accelerations at v' = 0, and the velocities per unit of
+        each speed."""
         now, axes = self._bias(t, q, v)
         J = jacobian(self.model.layout, now, *axes)
         return solve_spd(self.inertia(now, *J)[0], generalized(*J, *self._net(now))), now, J
@@ -221,8 +281,13 @@ class JointedBodies(Dynamics):
         J_C = product(product(R, bodies.inertia), jnp.swapaxes(R, -1, -2))
         lin_C = lin + cross(ang, rotate(R, bodies.com)[:, None])
         turning = jnp.sum(J_C[:, None] * ang[:, :, None, :], -1)
-        mass = jnp.sum(m[..., None] * lin_C[:, :, None] * lin_C[:, None] + ang[:, :, None] * turning[:, None], (0, 3))
-        momenta = jnp.sum(m * lin_C * moving.velocity(bodies.com)[:, None] + turning * moving.w[:, None], (0, 2))
+        mass = jnp.sum(
+            m[..., None] * lin_C[:, :, None] * lin_C[:, None] + ang[:, :, None] * turning[:, None],
+            (0, 3),
+        )
+        momenta = jnp.sum(
+            m * lin_C * moving.velocity(bodies.com)[:, None] + turning * moving.w[:, None], (0, 2)
+        )
         if not inertial_tables(self.model):
             return mass, momenta
         twists = jnp.concatenate([lin, ang], -1)
@@ -231,16 +296,23 @@ class JointedBodies(Dynamics):
         return mass + parts[0], momenta + parts[1]
 
     def _bias(self, t, q, v):
-        """The instant at v' = 0, when accelerations are the derivatives of the velocities along the motion, and the axes."""
+        """The instant at v' = 0, when accelerations are the derivatives of the velocities along the
+        motion, and the axes."""
 
         def moving(t, q):
-            frames, axes = self.coordinates.frames_and_axes(q, v, self.coordinates.supports_moving(self.motions, t))
+            frames, axes = self.coordinates.frames_and_axes(
+                q, v, self.coordinates.supports_moving(self.motions, t)
+            )
             return (frames.v, frames.w), (frames, axes)
 
-        (_, (a, alpha), (frames, axes)) = jax.jvp(moving, (t, q), (jnp.ones_like(t), self.coordinates.rate(q, v)), has_aux=True)
+        (_, (a, alpha), (frames, axes)) = jax.jvp(
+            moving, (t, q), (jnp.ones_like(t), self.coordinates.rate(q, v)), has_aux=True
+        )
         return replace(frames.at_time(t, State(q, v)), a=a, alpha=alpha), axes
 
-    def speeds(self, q: Float[Array, "nq"], momenta: Float[Array, "nv"], supports: Frame) -> tuple[Array, Frame, Array, Callable]:
+    def speeds(
+        self, q: Float[Array, "nq"], momenta: Float[Array, "nv"], supports: Frame
+    ) -> tuple[Array, Frame, Array, Callable]:
         coordinates = self.coordinates
         frames, axes = coordinates.frames_and_axes(q, jnp.zeros_like(momenta), supports)
         J = jacobian(self.model.layout, frames, *axes)
@@ -265,9 +337,11 @@ class JointedBodies(Dynamics):
 
 
 class FreeBodies(Dynamics):
-    """Bodies that are all free on the world: the equations of Newton and Euler in body axes, where the mass matrix is constant.
+    """Bodies that are all free on the world: the equations of Newton and Euler in body axes, where
+    the mass matrix is constant.
 
-    y = (positions, quaternions, velocities of O, angular velocities, z), the velocities in body axes."""
+    y = (positions, quaternions, velocities of O, angular velocities, z), the velocities in
+    body axes."""
 
     inverse_mass: Float[Array, "nb 6 6"]
 
@@ -277,11 +351,18 @@ class FreeBodies(Dynamics):
 
     def _packed(self, q, v):
         q, v = q.reshape(-1, 7), v.reshape(-1, 6)
-        return jnp.concatenate([q[:, :3].ravel(), q[:, 3:].ravel(), v[:, :3].ravel(), v[:, 3:].ravel()])
+        return jnp.concatenate(
+            [q[:, :3].ravel(), q[:, 3:].ravel(), v[:, :3].ravel(), v[:, 3:].ravel()]
+        )
 
     def _split(self, y):
         n = len(self.model.layout.bodies)
-        return y[: 3 * n].reshape(n, 3), y[3 * n : 7 * n].reshape(n, 4), y[7 * n : 10 * n].reshape(n, 3), y[10 * n : 13 * n].reshape(n, 3)
+        return (
+            y[: 3 * n].reshape(n, 3),
+            y[3 * n : 7 * n].reshape(n, 4),
+            y[7 * n : 10 * n].reshape(n, 3),
+            y[10 * n : 13 * n].reshape(n, 3),
+        )
 
     def _states(self, y):
         return y[13 * len(self.model.layout.bodies) :]
@@ -295,7 +376,13 @@ class FreeBodies(Dynamics):
         p, quaternion, v_B, w_B = self._split(y)
         quaternion = rotations.normalize(quaternion)
         R = rotations.matrix(quaternion)
-        return _state(p, quaternion, rotate(R, v_B), rotate(R, w_B), self._states(y) if self.model.layout.nz else None)
+        return _state(
+            p,
+            quaternion,
+            rotate(R, v_B),
+            rotate(R, w_B),
+            self._states(y) if self.model.layout.nz else None,
+        )
 
     def drive(self, t: Float[Array, ""]):
         """t and the frames of the supports."""
@@ -319,12 +406,20 @@ class FreeBodies(Dynamics):
         rate = jnp.sum(self.inverse_mass * jnp.concatenate([F_B, M_B], -1)[:, None, :], -1)
         of_elements = [] if z is None else [state_rates(model, now)]
         return jnp.concatenate(
-            [v.ravel(), rotations.quaternion_rate_body(quaternion, w_B).ravel(), rate[:, :3].ravel(), rate[:, 3:].ravel(), *of_elements]
+            [
+                v.ravel(),
+                rotations.quaternion_rate_body(quaternion, w_B).ravel(),
+                rate[:, :3].ravel(),
+                rate[:, 3:].ravel(),
+                *of_elements,
+            ]
         )
 
     def acceleration(self, t, q, v):
         now = self.accelerated(t, State(q, v))
-        return jnp.concatenate([jnp.asarray(now.a), jnp.asarray(now.alpha)], -1)[self.model.layout.first_body :].ravel()
+        return jnp.concatenate([jnp.asarray(now.a), jnp.asarray(now.alpha)], -1)[
+            self.model.layout.first_body :
+        ].ravel()
 
     def accelerated(self, t, state: State):
         """a = R (v_B' + w_B x v_B), alpha = R w_B'."""
@@ -347,18 +442,33 @@ class FreeBodies(Dynamics):
         q, momenta = q.reshape(-1, 7), momenta.reshape(-1, 2, 3)
         R = rotations.matrix(q[:, 3:])
         in_body = rotate_back(R[:, None], momenta).reshape(-1, 1, 6)
-        v, w = jnp.moveaxis(rotate(R[:, None], jnp.sum(self.inverse_mass * in_body, -1).reshape(-1, 2, 3)), 1, 0)
+        v, w = jnp.moveaxis(
+            rotate(R[:, None], jnp.sum(self.inverse_mass * in_body, -1).reshape(-1, 2, 3)), 1, 0
+        )
         gyroscopic = cross(v, momenta[:, 0]) + cross(w, momenta[:, 1])
 
         def of_bodies(F, M):
             return jnp.concatenate([F, M], -1).ravel()
 
-        return of_bodies(v, w), with_world(supports, Frame(q[:, :3], R, v, w)), of_bodies(jnp.zeros_like(v), -gyroscopic), of_bodies
+        return (
+            of_bodies(v, w),
+            with_world(supports, Frame(q[:, :3], R, v, w)),
+            of_bodies(jnp.zeros_like(v), -gyroscopic),
+            of_bodies,
+        )
 
 
-def _state(p: Float[Array, "nb 3"], quaternion: Float[Array, "nb 4"], v: Float[Array, "nb 3"], w: Float[Array, "nb 3"], z=None) -> State:
+def _state(
+    p: Float[Array, "nb 3"],
+    quaternion: Float[Array, "nb 4"],
+    v: Float[Array, "nb 3"],
+    w: Float[Array, "nb 3"],
+    z=None,
+) -> State:
     """The state of free bodies."""
-    return State(jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([v, w], -1).ravel(), z)
+    return State(
+        jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([v, w], -1).ravel(), z
+    )
 
 
 def generalized(lin, ang, F: Float[Array, "nb 3"], M: Float[Array, "nb 3"]) -> Float[Array, "nv"]:
@@ -367,7 +477,8 @@ def generalized(lin, ang, F: Float[Array, "nb 3"], M: Float[Array, "nb 3"]) -> F
 
 
 def _acting(model: Model, now: Instant, loads: tuple[Load, ...] = ()) -> tuple[Array, Array]:
-    """Force and moment on each frame about its origin, those of the inertia of elements included."""
+    """Force and moment on each frame about its origin, those of the inertia of
+    elements included."""
     F, M = wrenches(model, now, loads)
     if not inertial_tables(model):
         return F, M
@@ -376,16 +487,19 @@ def _acting(model: Model, now: Instant, loads: tuple[Load, ...] = ()) -> tuple[A
 
 
 def all_free(layout: Layout) -> bool:
-    """Whether every body is free on the world, so that the speeds are the velocities of the bodies and their Jacobian is 1."""
+    """Whether every body is free on the world, so that the speeds are the velocities of the bodies
+    and their Jacobian is 1."""
     return all(block.kind is Free for block in layout.joints) and set(layout.parents) == {WORLD}
 
 
 def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
-    """The inverse of [[m I, -m [c]], [m [c], J_C - m [c][c]]], the mass of each body about O (42), from the inverse of J_C, as v_C = v_O -
-    [c] w."""
+    """The inverse of [[m I, -m [c]], [m [c], J_C - m [c][c]]], the mass of each body about O (42),
+    from the inverse of J_C, as v_C = v_O - [c] w."""
     bodies = model.bodies.rows
     C = skew(bodies.com)
     G = inverse_of_three((bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2)
     CG, GC = product(C, G), product(G, C)
-    top = jnp.concatenate([np.eye(3, dtype=C.dtype)[None] / bodies.mass[:, None, None] - product(CG, C), CG], -1)
+    top = jnp.concatenate(
+        [np.eye(3, dtype=C.dtype)[None] / bodies.mass[:, None, None] - product(CG, C), CG], -1
+    )
     return jnp.concatenate([top, jnp.concatenate([-GC, G], -1)], -2)

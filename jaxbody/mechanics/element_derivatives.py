@@ -1,4 +1,5 @@
-"""Derivatives of the elements at a state, for all linearizations: of their deformations in (Delta, Xi), and of their energies in these."""
+"""Derivatives of the elements at a state, for all linearizations: of their deformations in (Delta,
+Xi), and of their energies in these."""
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ from jaxbody.models.storage import KindTable
 
 
 class ElementDerivatives(NamedTuple):
-    """Of the k deformations e of each of ne elements: J = de/d(Delta, Xi), V''(e) and R''(e, e_dot); of energies of the user's own e are
-    the displacements and rotations of their frames."""
+    """Of the k deformations e of each of ne elements: J = de/d(Delta, Xi), V''(e) and R''(e,
+    e_dot); of energies of the user's own e are the displacements and rotations of their frames."""
 
     J: Float[Array, "ne k n"]
     stiffness: Float[Array, "ne k k"]
@@ -42,15 +43,25 @@ def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
         if isinstance(element, OfFrames):
             n = 6 * len(frames)
             slopes = jnp.split(jnp.eye(n, dtype=frames[0].p.dtype), len(frames), 1)
-            return slopes, potential_derivatives(element, *frames)[1], damping_matrix(element, *frames)
+            return (
+                slopes,
+                potential_derivatives(element, *frames)[1],
+                damping_matrix(element, *frames),
+            )
         e, e_dot = element.rates(*frames)
         k = e.size
         damping = jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot)
-        return deformation_slopes(element, *frames), element.tangent(e).reshape(k, k), damping.reshape(k, k)
+        return (
+            deformation_slopes(element, *frames),
+            element.tangent(e).reshape(k, k),
+            damping.reshape(k, k),
+        )
 
     twists = frame_twists(at)
     results = []
-    for table, (slopes, *second) in zip(at.model.elements, each_element(at.model, at.frames, of), strict=True):
+    for table, (slopes, *second) in zip(
+        at.model.elements, each_element(at.model, at.frames, of), strict=True
+    ):
         results.append(ElementDerivatives(on_coordinates(at.model, table, slopes, twists), *second))
     return results
 
@@ -59,30 +70,46 @@ def deformation_slopes(element: Element, *frames: Frame) -> list[Float[Array, "k
     """de/d(displacement and rotation) of each frame of an element."""
 
     def deformation(moves):
-        return element.deformation(*(f.pose().displaced(move) for f, move in zip(frames, moves, strict=True))).reshape(-1)
+        return element.deformation(
+            *(f.pose().displaced(move) for f, move in zip(frames, moves, strict=True))
+        ).reshape(-1)
 
     return jax.jacfwd(deformation)([jnp.zeros(6, frames[0].p.dtype)] * len(frames))
 
 
-def on_coordinates(model: Model, table: KindTable, slopes: list[Float[Array, "ne k 6"]], twists: Any) -> Float[Array, "ne k n"]:
+def on_coordinates(
+    model: Model, table: KindTable, slopes: list[Float[Array, "ne k 6"]], twists: Any
+) -> Float[Array, "ne k n"]:
     """de/d(Delta, Xi) of the elements of a table from their slopes and the twists of the frames."""
     rows: Any = end_rows(model, table)
-    return sum(slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True))  # pyright: ignore[reportReturnType]
+    return sum(
+        slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True)
+    )  # pyright: ignore[reportReturnType]
 
 
 @program
 def gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
     """The Hessian of the potential energy of the weights."""
-    return jax.hessian(lambda d: gravity_energy(model, frames_displaced(model, state, d)))(jnp.zeros(model.layout.nv, state.q.dtype))
+    return jax.hessian(lambda d: gravity_energy(model, frames_displaced(model, state, d)))(
+        jnp.zeros(model.layout.nv, state.q.dtype)
+    )
 
 
 @program
 def split_stiffness(model: Model, state: State):
-    """Elastic and geometric stiffness of every element, table by table: V'' de de, and the rest of the Hessian, V' d2e."""
+    """Elastic and geometric stiffness of every element, table by table: V'' de de, and the rest of
+    the Hessian, V' d2e."""
     zero = jnp.zeros(n := model.layout.nv, state.q.dtype)
 
     def potentials(d):
-        return each_element(model, frames_displaced(model, state, d), lambda s, *F: s.potential(*(f.pose() for f in F)))
+        return each_element(
+            model,
+            frames_displaced(model, state, d),
+            lambda s, *F: s.potential(*(f.pose() for f in F)),
+        )
 
-    elastic = [x.elastic()[:, :n, :n] for x in element_derivatives(configuration_at(Coordinates(model), state.q))]
+    elastic = [
+        x.elastic()[:, :n, :n]
+        for x in element_derivatives(configuration_at(Coordinates(model), state.q))
+    ]
     return elastic, [k - e for k, e in zip(jax.hessian(potentials)(zero), elastic, strict=True)]

@@ -1,6 +1,8 @@
-"""Inertia of elements that have a kinetic energy T(e, e_dot) of their own, such as inerters: forces, and parts of the mass matrix.
+"""Inertia of elements that have a kinetic energy T(e, e_dot) of their own, such as inerters:
+forces, and parts of the mass matrix.
 
-With J = de/d(Delta, Xi),   M | -M~ | M_bb have J' T'' J,   and the force d/dt dT/de_dot - dT/de acts as tension does.
+With J = de/d(Delta, Xi),   M | -M~ | M_bb have J' T'' J,
+and the force d/dt dT/de_dot - dT/de acts as tension does.
 """
 
 from __future__ import annotations
@@ -20,8 +22,11 @@ from jaxbody.numerics.xla_workarounds import sums, take
 
 
 def accelerated(model: Model, now: Instant, table: KindTable, function) -> Any:
-    """function(element, (A, B, ...), their derivatives in time) of the elements of one table, for the accelerations of the frames."""
-    ends = [[_rows(frames, row) for row in end_rows(model, table)] for frames in (now, now.changes())]
+    """function(element, (A, B, ...), their derivatives in time) of the elements of one table, for
+    the accelerations of the frames."""
+    ends = [
+        [_rows(frames, row) for row in end_rows(model, table)] for frames in (now, now.changes())
+    ]
     return jax.vmap(function)(table.rows, *map(tuple, ends))
 
 
@@ -29,27 +34,44 @@ def _rows(frames: Frame, row) -> Frame:
     return Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w)))
 
 
-def inertial_wrenches(model: Model, now: Instant) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Force and moment about its origin that the inertia of elements exerts on each frame, in world axes."""
+def inertial_wrenches(
+    model: Model, now: Instant
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Force and moment about its origin that the inertia of elements exerts on each frame, in
+    world axes."""
     ends, forces, moments = [], [], []
     for table in inertial_tables(model):
-        for end, (F, M) in enumerate(accelerated(model, now, table, lambda element, *frames: element.inertial_wrenches(*frames))):
+        for end, (F, M) in enumerate(
+            accelerated(
+                model, now, table, lambda element, *frames: element.inertial_wrenches(*frames)
+            )
+        ):
             ends += [model.layout.frame(link[end]) for link in table.links]
             forces.append(F)
             moments.append(M)
-    acting = [[i for i, end in enumerate(ends) if end == frame] for frame in range(len(model.layout.frames))]
+    acting = [
+        [i for i, end in enumerate(ends) if end == frame]
+        for frame in range(len(model.layout.frames))
+    ]
     return sums(jnp.concatenate(forces), acting), sums(jnp.concatenate(moments), acting)
 
 
-def element_inertia(model: Model, frames: Frame, twists: Float[Array, "nf n 6"]) -> tuple[Float[Array, "n n"], Float[Array, "n"]]:
-    """The part of the elements in the mass matrix of coordinates whose unit speeds move the frames by `twists`, and in the momenta of the
-    frames' velocities."""
+def element_inertia(
+    model: Model, frames: Frame, twists: Float[Array, "nf n 6"]
+) -> tuple[Float[Array, "n n"], Float[Array, "n"]]:
+    """The part of the elements in the mass matrix of coordinates whose unit speeds move the frames
+    by `twists`, and in the momenta of the frames' velocities."""
     mass, momenta = 0.0, 0.0
     for table in inertial_tables(model):
         slopes, second, first = of_table(model, frames, table, _of_element)
         rows: Any = end_rows(model, table)
-        J = sum(slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True))
-        mass, momenta = mass + jnp.sum(jnp.swapaxes(J, 1, 2) @ second @ J, 0), momenta + jnp.sum(J * first[:, :, None], (0, 1))
+        J = sum(
+            slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True)
+        )
+        mass, momenta = (
+            mass + jnp.sum(jnp.swapaxes(J, 1, 2) @ second @ J, 0),
+            momenta + jnp.sum(J * first[:, :, None], (0, 1)),
+        )
     return mass, momenta  # pyright: ignore[reportReturnType]  of at least one table
 
 
@@ -59,7 +81,9 @@ def _of_element(element: Element, *frames: Frame):
     k = e.size
 
     def rates(velocities):
-        return element.rates(*(Frame(f.p, f.R, x[:3], x[3:]) for f, x in zip(frames, velocities, strict=True)))[1].reshape(k)
+        return element.rates(
+            *(Frame(f.p, f.R, x[:3], x[3:]) for f, x in zip(frames, velocities, strict=True))
+        )[1].reshape(k)
 
     slopes = jax.jacfwd(rates)([jnp.zeros(6, e.dtype)] * len(frames))
     second = jax.jacfwd(lambda rate: element.momentum(e, rate))(e_dot)

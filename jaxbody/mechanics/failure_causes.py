@@ -1,4 +1,5 @@
-"""Causes of failed motions and equilibria, by name: numbers that are not finite, elements turned too far, springs of zero length."""
+"""Causes of failed motions and equilibria, by name: numbers that are not finite, elements turned
+too far, springs of zero length."""
 
 from __future__ import annotations
 
@@ -20,16 +21,22 @@ from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 
-AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)  # relative to the time since the first sample, or to a second where that is longer
+# relative to the time since the first sample, or to a second where that is longer
+AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
 DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)  # relative to the size of the model
 NEAR = 1e-2  # relative to the free length; for angles the cosine of half the angle: 179 degrees
 BEND = 0.5  # relative difference allowed between the chord of two samples and the tangent at either
 
 
-def nonfinite_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], times: Array, t: Array, state: State) -> str:
-    """The motion, element, load or body that first gives a number that is not finite, at this state or just after; "" if none."""
+def nonfinite_ahead(
+    model: Model, motions: Motions, loads: tuple[Load, ...], times: Array, t: Array, state: State
+) -> str:
+    """The motion, element, load or body that first gives a number that is not finite, at this state
+    or just after; "" if none."""
     for ahead in np.maximum(np.abs(t - times[0]), 1.0) * np.array(AHEAD, state.q.dtype):
-        of_motions, of_elements, of_loads = jax.tree.map(np.asarray, _numbers(model, motions, loads, t, state, ahead))
+        of_motions, of_elements, of_loads = jax.tree.map(
+            np.asarray, _numbers(model, motions, loads, t, state, ahead)
+        )
         moment = f"at t = {time_text(t + ahead, times)} s"
         for name, good in zip(model.layout.supports, of_motions, strict=True):
             if not good:
@@ -41,24 +48,34 @@ def nonfinite_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], tim
         for load, good in zip(loads, of_loads, strict=True):
             if not good:
                 return f"a load, {type(load).__name__}, on '{load.on}' {moment}"
-    bad = [name for name in model.layout.bodies if not np.isfinite(np.asarray(state.q[model.layout.q_slices[name]])).all()]
+    bad = [
+        name
+        for name in model.layout.bodies
+        if not np.isfinite(np.asarray(state.q[model.layout.q_slices[name]])).all()
+    ]
     return f"the coordinates of body '{bad[0]}'" if bad else ""
 
 
 @program
 def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
-    """Which numbers are finite `ahead` of a state: of the motions, of the elements with their e and e_dot, of the loads."""
+    """Which numbers are finite `ahead` of a state: of the motions, of the elements with their e and
+    e_dot, of the loads."""
     model = holding(model, state.z)
     change = acceleration(model, state, t, motions, loads)
     v = state.v + ahead * jnp.where(jnp.isfinite(change), change, 0.0)
-    moved, moment = State(Coordinates(model).retract(state.q, ahead * state.v), v, state.z), t + ahead
+    moved, moment = (
+        State(Coordinates(model).retract(state.q, ahead * state.v), v, state.z),
+        t + ahead,
+    )
     now = frames_at_time(model, motions, moment, moved)
 
     def numbers(element, *frames):
         e, rate = element.rates(*frames)
         return jnp.isfinite(element.force(*frames)).all(), e, rate
 
-    wrenches = [jnp.concatenate(load.wrench(now.frame(model.layout.frame(load.on)))) for load in loads]
+    wrenches = [
+        jnp.concatenate(load.wrench(now.frame(model.layout.frame(load.on)))) for load in loads
+    ]
     return (
         [jnp.isfinite(motion(moment)).all() for motion in motions],
         _rows(model, each_element(model, now, numbers)),
@@ -66,37 +83,60 @@ def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
     )
 
 
-def changing_most(model: Model, motions: Motions, loads: tuple[Load, ...], times: Array, t: Array, state: State) -> str:
-    """The support, element or load whose force changes most just after this state, and by how much; of a support the inertia force of all
-    bodies at the change of its acceleration."""
+def changing_most(
+    model: Model, motions: Motions, loads: tuple[Load, ...], times: Array, t: Array, state: State
+) -> str:
+    """The support, element or load whose force changes most just after this state, and by how much;
+    of a support the inertia force of all bodies at the change of its acceleration."""
     ahead = AHEAD[3] * max(float(t - times[0]), 1e-3 * float(times[-1] - times[0]))
     of_motions, of_elements, of_loads = jax.tree.map(
         np.asarray, _changes(model, motions, loads, t, state, jnp.asarray(ahead, state.q.dtype))
     )
-    changes = {f"the motion of '{name}'": change for name, change in zip(model.layout.supports, of_motions, strict=True)}
+    changes = {
+        f"the motion of '{name}'": change
+        for name, change in zip(model.layout.supports, of_motions, strict=True)
+    }
     changes |= {f"the force of '{name}'": change for name, change in of_elements.items()}
-    changes |= {f"a load, {type(load).__name__}, on '{load.on}'": change for load, change in zip(loads, of_loads, strict=True)}
+    changes |= {
+        f"a load, {type(load).__name__}, on '{load.on}'": change
+        for load, change in zip(loads, of_loads, strict=True)
+    }
     most = max(changes, key=lambda name: np.nan_to_num(changes[name]), default=None)
-    return f"{most} changes most there, by {changes[most]:.3g} N in {ahead:.2g} s" if most and changes[most] > 0 else ""
+    return (
+        f"{most} changes most there, by {changes[most]:.3g} N in {ahead:.2g} s"
+        if most and changes[most] > 0
+        else ""
+    )
 
 
 @program
 def _changes(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
-    """By how much forces change from a state to `ahead` of it: of the motions, of the elements, of the loads."""
+    """By how much forces change from a state to `ahead` of it: of the motions, of the elements, of
+    the loads."""
     model = holding(model, state.z)
     moved = State(
-        Coordinates(model).retract(state.q, ahead * state.v), state.v + ahead * acceleration(model, state, t, motions, loads), state.z
+        Coordinates(model).retract(state.q, ahead * state.v),
+        state.v + ahead * acceleration(model, state, t, motions, loads),
+        state.z,
     )
 
     def forces(t, state):
         now = frames_at_time(model, motions, t, state)
         accelerations = [
-            jnp.sum(model.bodies.rows.mass) * jax.jvp(jax.jacfwd(motion), (t,), (jnp.ones_like(t),))[1][:3] for motion in motions
+            jnp.sum(model.bodies.rows.mass)
+            * jax.jvp(jax.jacfwd(motion), (t,), (jnp.ones_like(t),))[1][:3]
+            for motion in motions
         ]
         wrenches = [load.wrench(now.frame(model.layout.frame(load.on)))[0] for load in loads]
-        return accelerations, _rows(model, each_element(model, now, lambda element, *frames: element.force(*frames))), wrenches
+        return (
+            accelerations,
+            _rows(model, each_element(model, now, lambda element, *frames: element.force(*frames))),
+            wrenches,
+        )
 
-    return jax.tree.map(lambda new, old: jnp.max(jnp.abs(new - old)), forces(t + ahead, moved), forces(t, state))
+    return jax.tree.map(
+        lambda new, old: jnp.max(jnp.abs(new - old)), forces(t + ahead, moved), forces(t, state)
+    )
 
 
 def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
@@ -109,16 +149,23 @@ def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
 
 
 def singular_closure(model: Model, motions: Motions, t: Array, state: State) -> str:
-    """The condition that follows from the others at a state, though it does not elsewhere, and the smallest singular value."""
+    """The condition that follows from the others at a state, though it does not elsewhere, and the
+    smallest singular value."""
     loops = ClosedLoops(model, motions)
     left, values, _ = np.linalg.svd(np.asarray(loops.slopes(t, state)))
     independent = rank(model)
     condition = names_of_rows(model)[int(np.argmax(np.abs(left[:, independent - 1])))]
-    return f"at '{condition}': the smallest singular value is {values[independent - 1] / values[0]:.3g} of the largest"
+    return (
+        f"at '{condition}': the smallest singular value is "
+        f"{values[independent - 1] / values[0]:.3g} of the largest"
+    )
 
 
-def nonfinite_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Array, "nv"], size: float) -> list[str]:
-    """The elements whose energy, force or stiffness is not finite at q or, if all are finite there, at a point slightly downhill."""
+def nonfinite_downhill(
+    model: Model, q: Float[Array, "nq"], slope: Float[Array, "nv"], size: float
+) -> list[str]:
+    """The elements whose energy, force or stiffness is not finite at q or, if all are finite there,
+    at a point slightly downhill."""
     down = np.where(np.isfinite(slope), -np.asarray(slope), 0.0)
     down = down * size / max(np.abs(down).max(initial=0.0), np.finfo(down.dtype).tiny)
     for far in DOWNHILL:
@@ -129,7 +176,9 @@ def nonfinite_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Array, 
 
 
 @program
-def _finite(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> dict[str, Bool[Array, ""]]:
+def _finite(
+    model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]
+) -> dict[str, Bool[Array, ""]]:
     coordinates = Coordinates(model := relaxed(model))
     frames = coordinates.at_rest(coordinates.retract(q, delta))
 
@@ -141,31 +190,52 @@ def _finite(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> d
 
 
 def force_jump_at(model: Model, motions: Motions, t: Array, state: State) -> str:
-    """The elements at a jump of their force, of zero length or turned by half a turn; empty if there are none."""
+    """The elements at a jump of their force, of zero length or turned by half a turn; empty if
+    there are none."""
     sample = jax.tree.map(lambda x: np.asarray(x)[None], (t, state))
     near = [np.linalg.norm(x[0], axis=-1) < NEAR for x, _ in _away(model, motions, *sample)]
-    return "; ".join(message for _, message in _messages(model, [["" if x else None for x in rows] for rows in near]))
+    return "; ".join(
+        message
+        for _, message in _messages(model, [["" if x else None for x in rows] for rows in near])
+    )
 
 
-def force_jumps_along(model: Model, motions: Motions, times: Array, states: State) -> list[Float[np.ndarray, "_"]]:
-    """The time of the first jump of the force of each element between these samples, or NaN, for each table; empty if no force can jump."""
+def force_jumps_along(
+    model: Model, motions: Motions, times: Array, states: State
+) -> list[Float[np.ndarray, "_"]]:
+    """The time of the first jump of the force of each element between these samples, or NaN, for
+    each table; empty if no force can jump."""
     if not any(table.rows.jump for table in model.elements):
         return []
     away = jax.tree.map(np.asarray, _away(model, motions, times, states))
     return [_zero_crossings(np.asarray(times), *rows) for rows in away]
 
 
-def force_jump_messages(model: Model, times_of_jumps: list[Float[np.ndarray, "_"]], times: Array) -> list[tuple[str, str]]:
+def force_jump_messages(
+    model: Model, times_of_jumps: list[Float[np.ndarray, "_"]], times: Array
+) -> list[tuple[str, str]]:
     """Code and message of the elements whose force jumps, at the times of `force_jumps_along`."""
-    return _messages(model, [[f" at t = {time_text(t, times)} s" if np.isfinite(t) else None for t in rows] for rows in times_of_jumps])
+    return _messages(
+        model,
+        [
+            [f" at t = {time_text(t, times)} s" if np.isfinite(t) else None for t in rows]
+            for rows in times_of_jumps
+        ],
+    )
 
 
 @program
-def _away(model: Model, motions: Motions, times: Float[Array, "nt"], states: State) -> list[tuple[Array, Array]]:
+def _away(
+    model: Model, motions: Motions, times: Float[Array, "nt"], states: State
+) -> list[tuple[Array, Array]]:
     """The vector `away_from_jump` of all elements, and its rate, at these times, table by table."""
 
     def away(element, *frames):
-        return jax.jvp(element.away_from_jump, tuple(f.pose() for f in frames), tuple(f.rates() for f in frames))
+        return jax.jvp(
+            element.away_from_jump,
+            tuple(f.pose() for f in frames),
+            tuple(f.rates() for f in frames),
+        )
 
     def at(t, state):
         return each_element(holding(model, state.z), frames_at_time(model, motions, t, state), away)
@@ -174,20 +244,35 @@ def _away(model: Model, motions: Motions, times: Float[Array, "nt"], states: Sta
 
 
 def _messages(model: Model, moments: list[Any]) -> list[tuple[str, str]]:
-    """Code and message for each table with elements at a jump of their force: `moments` has the time as text for these, else None."""
+    """Code and message for each table with elements at a jump of their force: `moments` has the
+    time as text for these, else None."""
     messages = []
     for table, rows in zip(model.elements, moments, strict=False):
-        chosen = [(name, moment) for name, moment in zip(table.names, rows, strict=True) if moment is not None]
+        chosen = [
+            (name, moment)
+            for name, moment in zip(table.names, rows, strict=True)
+            if moment is not None
+        ]
         if chosen:
             code, what, remedy = table.rows.jump
-            messages.append((code, ", ".join(f"'{name}' {what}{moment}" for name, moment in chosen) + f"; {remedy}"))
+            messages.append(
+                (
+                    code,
+                    ", ".join(f"'{name}' {what}{moment}" for name, moment in chosen)
+                    + f"; {remedy}",
+                )
+            )
     return messages
 
 
-def _zero_crossings(times: np.ndarray, x: Float[np.ndarray, "nt n m"], rate: Float[np.ndarray, "nt n m"]) -> Float[np.ndarray, "n"]:
-    """The time when each of n vectors first passes zero between two samples so close that its path is nearly straight, else NaN.
+def _zero_crossings(
+    times: np.ndarray, x: Float[np.ndarray, "nt n m"], rate: Float[np.ndarray, "nt n m"]
+) -> Float[np.ndarray, "n"]:
+    """The time when each of n vectors first passes zero between two samples so close that its path
+    is nearly straight, else NaN.
 
-    On the cubic through both samples with both rates: x0 + u v0 + u^2 (3 d - 2 v0 - v1) + u^3 (v0 + v1 - 2 d), 0 <= u <= 1.
+    On the cubic through both samples with both rates: x0 + u v0 + u^2 (3 d - 2 v0 - v1) + u^3
+    (v0 + v1 - 2 d), 0 <= u <= 1.
     """
     h = np.diff(times)[:, None, None]
     x0, d, v0, v1 = x[:-1], np.diff(x, axis=0), h * rate[:-1], h * rate[1:]
@@ -199,11 +284,16 @@ def _zero_crossings(times: np.ndarray, x: Float[np.ndarray, "nt n m"], rate: Flo
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         u = -of(x0, d) / of(d, d)
         for _ in range(3):
-            position, speed = x0 + u * (v0 + u * (square + u * cube)), v0 + u * (2 * square + 3 * u * cube)
+            position, speed = (
+                x0 + u * (v0 + u * (square + u * cube)),
+                v0 + u * (2 * square + 3 * u * cube),
+            )
             u = u - of(position, speed) / of(speed, speed)
         position = x0 + u * (v0 + u * (square + u * cube))
         straight = np.maximum(of(v0 - d, v0 - d), of(v1 - d, v1 - d)) <= BEND**2 * of(d, d)
-        passes = (straight & (of(position, position) < NEAR**2) & (np.abs(u - 0.5) <= 0.5 + 1e-6))[..., 0]
+        passes = (straight & (of(position, position) < NEAR**2) & (np.abs(u - 0.5) <= 0.5 + 1e-6))[
+            ..., 0
+        ]
     first = np.argmax(passes, 0)
     t = times[first] + np.take_along_axis(u[..., 0], first[None], 0)[0] * np.diff(times)[first]
     return np.where(passes.any(0), t, np.nan)

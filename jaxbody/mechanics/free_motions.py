@@ -1,11 +1,12 @@
-"""The motions that closures leave free at a configuration, and the forces of closures, with J = dc/dDelta and r = dV/dDelta - Q:
+"""The motions that closures leave free at a configuration, and the forces of closures, with
+J = dc/dDelta and r = dV/dDelta - Q:
 
     P = 1 - J^+ J          on the null space of J
     lambda = -(J^+)' r     the multipliers, with which r + J' lambda = 0 at rest
     H = K + d2(lambda c)   second derivatives along the closures: those of V on them are P H P
 
-In scaled increments, in meters. J^+ is the least squares inverse: conditions that repeat others do no harm, and the multipliers of those
-that share a force are the least.
+In scaled increments, in meters. J^+ is the least squares inverse: conditions that repeat others do
+no harm, and the multipliers of those that share a force are the least.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from jaxbody.mechanics.constraints import CLOSED, RANK, closed, how_open, values
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import scale_of, scaled, size_of
 
-UNIQUE = 1e-6  # a multiplier that changes by less than this while the others of one share a force is unique
+# a multiplier that changes by less than this while the others of one share a force is unique
+UNIQUE = 1e-6
 
 
 class FreeMotions(NamedTuple):
@@ -48,7 +50,8 @@ class FreeMotions(NamedTuple):
         return -self.inverse.T @ r
 
     def stiffness(self, H: Float[Array, "nv nv"]) -> Float[Array, "nv nv"]:
-        """P H P, and across the free motions the largest stiffness, so that these are neither free nor unstable."""
+        """P H P, and across the free motions the largest stiffness, so that these are neither free
+        nor unstable."""
         P = self.projector
         K, unit = P.T @ H @ P, jnp.max(jnp.abs(H), initial=0.0)
         return K + jnp.where(unit > 0, unit, 1.0) * (jnp.eye(len(P), dtype=P.dtype) - P)
@@ -59,25 +62,37 @@ def scale_at(model: Model) -> Float[Array, "nv"]:
     return jax.lax.stop_gradient(scale_of(model, size_of(model)))
 
 
-def scaled_slopes(coordinates: Coordinates, q: Float[Array, "nq"], scale: Float[Array, "nv"]) -> Float[Array, "n nv"]:
+def scaled_slopes(
+    coordinates: Coordinates, q: Float[Array, "nq"], scale: Float[Array, "nv"]
+) -> Float[Array, "n nv"]:
     """J."""
     return values_and_slopes(coordinates, lambda q: gaps_at(coordinates, q), q)[1] * scale[None]
 
 
-def free_motions(coordinates: Coordinates, q: Float[Array, "nq"], scale: Float[Array, "nv"]) -> FreeMotions:
+def free_motions(
+    coordinates: Coordinates, q: Float[Array, "nq"], scale: Float[Array, "nv"]
+) -> FreeMotions:
     """The free motions at q."""
     J = scaled_slopes(coordinates, q, scale)
     return FreeMotions(J, jnp.linalg.pinv(J, rtol=RANK))
 
 
-def curvature(coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]) -> Float[Array, "nv nv"]:
+def curvature(
+    coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]
+) -> Float[Array, "nv nv"]:
     """d2(lambda c)/dDelta2."""
     zero = jnp.zeros(coordinates.model.layout.nv, q.dtype)
-    return jax.hessian(lambda delta: multipliers @ gaps_at(coordinates, coordinates.retract(q, delta)))(zero)
+    return jax.hessian(
+        lambda delta: multipliers @ gaps_at(coordinates, coordinates.retract(q, delta))
+    )(zero)
 
 
 def on_closures(
-    coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Array, "nv"], K: Float[Array, "nv nv"], scale: Float[Array, "nv"]
+    coordinates: Coordinates,
+    q: Float[Array, "nq"],
+    r: Float[Array, "nv"],
+    K: Float[Array, "nv nv"],
+    scale: Float[Array, "nv"],
 ) -> tuple[Float[Array, "nv"], Float[Array, "nv nv"]]:
     """Scaled r and K along the closures; as they are for a model without."""
     if not coordinates.model.closures:
@@ -87,7 +102,9 @@ def on_closures(
     return free.projector @ r, free.stiffness(H)
 
 
-def moved(coordinates: Coordinates, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
+def moved(
+    coordinates: Coordinates, q: Float[Array, "nq"], delta: Float[Array, "nv"]
+) -> Float[Array, "nq"]:
     """q (+) Delta, from there to the closures."""
     q = coordinates.retract(q, delta)
     return closed(coordinates, q) if coordinates.model.closures else q
@@ -98,7 +115,9 @@ def is_closed(coordinates: Coordinates, q: Float[Array, "nq"]) -> Bool[Array, ""
     return how_open(coordinates, q) <= CLOSED if coordinates.model.closures else jnp.array(True)
 
 
-def multipliers_at(coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Array, "nv"]) -> Float[Array, "n"]:
+def multipliers_at(
+    coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Array, "nv"]
+) -> Float[Array, "n"]:
     """lambda at q."""
     scale = scale_at(coordinates.model)
     return free_motions(coordinates, q, scale).multipliers(r * scale)
@@ -111,7 +130,8 @@ def implied_change(
     K: Float[Array, "nv nv"],
     change: tuple[Float[Array, "nv"], Float[Array, "n"]],
 ) -> Float[Array, "nv"]:
-    """Delta of an equilibrium on closures, of which r + J' lambda, at fixed q and lambda, and c change so:
+    """Delta of an equilibrium on closures, of which r + J' lambda, at fixed q and lambda, and c
+    change so:
 
     J Delta = -dc,   P (H Delta + dr) = 0"""
     scale = scale_at(coordinates.model)
@@ -128,15 +148,20 @@ def slopes_by_supports(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float
     zero = jnp.zeros((len(layout.supports), 6), q.dtype)
 
     def displaced(xi):
-        frames = coordinates.frames(q, jnp.zeros(layout.nv, q.dtype), coordinates.supports_at(xi, zero))
+        frames = coordinates.frames(
+            q, jnp.zeros(layout.nv, q.dtype), coordinates.supports_at(xi, zero)
+        )
         return gaps(coordinates.model, coordinates, frames, q)
 
     J = jax.jacfwd(displaced)(zero)
     return J.reshape(len(J), layout.nxi)
 
 
-def speeds_on_closures(coordinates: Coordinates, q: Float[Array, "nq"], own: Float[Array, "nf"]) -> Float[Array, "nv"]:
-    """The speeds of all coordinates with J v = 0, from those of the independent ones, as a function of q with derivatives of any order:
+def speeds_on_closures(
+    coordinates: Coordinates, q: Float[Array, "nq"], own: Float[Array, "nf"]
+) -> Float[Array, "nv"]:
+    """The speeds of all coordinates with J v = 0, from those of the independent ones, as a function
+    of q with derivatives of any order:
 
     J_d v_d = -J_i v_i,   by (J_d' J_d)^-1 J_d', as repeated conditions agree"""
     model = coordinates.model
@@ -145,18 +170,25 @@ def speeds_on_closures(coordinates: Coordinates, q: Float[Array, "nq"], own: Flo
     J = scaled_slopes(coordinates, q, scale)
     J_d, J_i = J[:, others], J[:, independent]
     v_d = -jnp.linalg.solve(J_d.T @ J_d, J_d.T @ (J_i @ (own / scale[independent])))
-    return jnp.zeros(len(scale), q.dtype).at[independent].set(own).at[others].set(scale[others] * v_d)
+    return (
+        jnp.zeros(len(scale), q.dtype).at[independent].set(own).at[others].set(scale[others] * v_d)
+    )
 
 
-def constraint_force(coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]) -> Float[Array, "nv"]:
+def constraint_force(
+    coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]
+) -> Float[Array, "nv"]:
     """J' lambda."""
     zero = jnp.zeros(coordinates.model.layout.nv, q.dtype)
-    return jax.grad(lambda delta: multipliers @ gaps_at(coordinates, coordinates.retract(q, delta)))(zero)
+    return jax.grad(
+        lambda delta: multipliers @ gaps_at(coordinates, coordinates.retract(q, delta))
+    )(zero)
 
 
 class DependentMotions(eqx.Module):
-    """N, of all coordinates per unit of the independent ones, S, per unit of the supports' Xi, the multipliers lambda, `reaction` lambda
-    dc/dXi, and `smallest`: the smallest singular value of J_d, zero where the coordinates do not determine the others."""
+    """N, of all coordinates per unit of the independent ones, S, per unit of the supports' Xi, the
+    multipliers lambda, `reaction` lambda dc/dXi, and `smallest`: the smallest singular value of
+    J_d, zero where the coordinates do not determine the others."""
 
     N: Float[Array, "nv nf"]
     S: Float[Array, "nv nxi"]
@@ -165,7 +197,8 @@ class DependentMotions(eqx.Module):
     smallest: Float[Array, ""]
 
     def of(self, H: Float[Array, "n n"], inner: int = 0) -> Float[Array, "m m"]:
-        """T' H T of a matrix of (Delta, y, Xi), or of Delta alone; y: `inner` coordinates of elements."""
+        """T' H T of a matrix of (Delta, y, Xi), or of Delta alone; y: `inner` coordinates
+        of elements."""
         nv = len(self.N)
         if len(H) == nv:
             return self.N.T @ H @ self.N
@@ -177,11 +210,16 @@ class DependentMotions(eqx.Module):
         zero = jnp.zeros((len(self.N), inner), self.N.dtype)
         top = jnp.concatenate([self.N, zero, self.S[:, :nxi]], 1)
         own = jnp.eye(inner + nxi, dtype=self.N.dtype)
-        return jnp.concatenate([top, jnp.concatenate([jnp.zeros((len(own), self.N.shape[1]), own.dtype), own], 1)])
+        return jnp.concatenate(
+            [top, jnp.concatenate([jnp.zeros((len(own), self.N.shape[1]), own.dtype), own], 1)]
+        )
 
 
 def dependent_motions(
-    coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Array, "nv"], independent: tuple[int, ...]
+    coordinates: Coordinates,
+    q: Float[Array, "nq"],
+    r: Float[Array, "nv"],
+    independent: tuple[int, ...],
 ) -> DependentMotions:
     """Those at q, where r = dV/dDelta - Q."""
     scale, nv = scale_at(coordinates.model), coordinates.model.layout.nv
@@ -191,16 +229,31 @@ def dependent_motions(
     J_d, J_i = free.J[:, others], free.J[:, own]
     inverse = jnp.linalg.pinv(J_d, rtol=RANK)
     J_Xi = slopes_by_supports(coordinates, q)
-    N = jnp.zeros((nv, len(own)), q.dtype).at[own].set(np.eye(len(own))).at[others].set(-inverse @ J_i)
+    N = (
+        jnp.zeros((nv, len(own)), q.dtype)
+        .at[own]
+        .set(np.eye(len(own)))
+        .at[others]
+        .set(-inverse @ J_i)
+    )
     S = jnp.zeros((nv, J_Xi.shape[1]), q.dtype).at[others].set(-inverse @ J_Xi)
     multipliers = -inverse.T @ (r * scale)[others]
     values = jnp.linalg.svdvals(jax.lax.stop_gradient(J_d))
-    open_ = jnp.max(jnp.abs(jax.lax.stop_gradient(free.J @ N)), initial=0.0)  # where more conditions hold than in the reference pose
+    # where more conditions hold than in the reference pose
+    open_ = jnp.max(jnp.abs(jax.lax.stop_gradient(free.J @ N)), initial=0.0)
     smallest = jnp.where(open_ > 1e-6 * values[0], 0.0, values[-1] / jnp.maximum(values[0], 1e-300))
-    return DependentMotions(scale[:, None] * N / scale[own][None], scale[:, None] * S, multipliers, multipliers @ J_Xi, smallest)
+    return DependentMotions(
+        scale[:, None] * N / scale[own][None],
+        scale[:, None] * S,
+        multipliers,
+        multipliers @ J_Xi,
+        smallest,
+    )
 
 
-def closure_stiffness(coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]) -> Float[Array, "m m"]:
+def closure_stiffness(
+    coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]
+) -> Float[Array, "m m"]:
     """The Hessian of lambda c in (Delta, Xi)."""
     model, layout = coordinates.model, coordinates.model.layout
     zero = jnp.zeros((len(layout.supports), 6), q.dtype)
@@ -208,6 +261,11 @@ def closure_stiffness(coordinates: Coordinates, q: Float[Array, "nq"], multiplie
     def work(x):
         supports = coordinates.supports_at(x[layout.nv :].reshape(zero.shape), zero)
         moved = coordinates.retract(q, x[: layout.nv])
-        return multipliers @ gaps(model, coordinates, coordinates.frames(moved, jnp.zeros(layout.nv, q.dtype), supports), moved)
+        return multipliers @ gaps(
+            model,
+            coordinates,
+            coordinates.frames(moved, jnp.zeros(layout.nv, q.dtype), supports),
+            moved,
+        )
 
     return jax.hessian(work)(jnp.zeros(layout.nv + layout.nxi, q.dtype))

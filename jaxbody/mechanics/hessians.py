@@ -1,16 +1,21 @@
-"""First and second derivatives of V, T and R in structured form, in closed form for line elements; they equal those by jax.hessian.
+"""First and second derivatives of V, T and R in structured form, in closed form for line elements;
+they equal those by jax.hessian.
 
-With delta_f = (displacement of its origin, rotation vector), in world axes, of every frame f that moves, J = d delta/d(Delta, Xi), and G
-and H the gradient and the Hessian of V in the delta of all frames:
+With delta_f = (displacement of its origin, rotation vector), in world axes, of every frame f
+that moves, J = d delta/d(Delta, Xi), and G and H the gradient and the Hessian of V in the delta
+of all frames:
 
     slope     J' G
-    K         J' H J + G d2 delta/dx dx,  where for x_i nearer to the root than x_j, n_i the axis about which x_i turns,
-              d2 delta/dx_i dx_j = (n_i x J_j, n_i x J_j / 2) for displacement and rotation; (ij + ji)/2 for the turns of one joint
+    K         J' H J + G d2 delta/dx dx,
+    where for x_i nearer to the root than x_j, n_i the axis about which x_i turns,
+              d2 delta/dx_i dx_j = (n_i x J_j, n_i x J_j / 2) for displacement and rotation;
+              (ij + ji)/2 for the turns of one joint
               that act together; of turns in series, the earlier one is nearer to the root
     M         J' (inertias) J, and those of the elements that have inertia
     C         J' (R'' of the elements) J
 
-Rows: the speeds v, then six for each support. Where every body is free on the world J is the identity.
+Rows: the speeds v, then six for each support. Where every body is free on the world J is
+the identity.
 """
 
 from __future__ import annotations
@@ -24,7 +29,13 @@ import numpy as np
 
 from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Float
-from jaxbody.elements.second_derivatives import Block, PairBlocks, dissipation_hessian, second_order, turning
+from jaxbody.elements.second_derivatives import (
+    Block,
+    PairBlocks,
+    dissipation_hessian,
+    second_order,
+    turning,
+)
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, product, rotate, skew
 from jaxbody.joints.element_tables import completed, each_element, inertial_tables, wrenches
@@ -43,8 +54,9 @@ Square = Float[Array, "n n"]
 
 
 class Configuration(eqx.Module):
-    """A model with its bodies at q and its supports at rest in their reference poses: the table of frames; for each column of (Delta, Xi),
-    or without `base` of Delta, the rotation of its own frame per unit of it; and J, the motion of each frame, None for the identity."""
+    """A model with its bodies at q and its supports at rest in their reference poses: the table of
+    frames; for each column of (Delta, Xi), or without `base` of Delta, the rotation of its own
+    frame per unit of it; and J, the motion of each frame, None for the identity."""
 
     model: Model
     q: Float[Array, "nq"]
@@ -55,7 +67,11 @@ class Configuration(eqx.Module):
 
 
 def configuration_at(
-    coordinates: Coordinates, q: Float[Array, "nq"], v: Float[Array, "nv"] | None = None, *, base: bool = True
+    coordinates: Coordinates,
+    q: Float[Array, "nq"],
+    v: Float[Array, "nv"] | None = None,
+    *,
+    base: bool = True,
 ) -> Configuration:
     """The bodies at q, at rest or at the speeds v."""
     model, layout = coordinates.model, coordinates.model.layout
@@ -63,13 +79,17 @@ def configuration_at(
     frames, (linear, angular) = coordinates.frames_and_axes(q, v, coordinates.supports.at_rest())
     if base:
         own = np.tile(np.eye(6), (len(layout.supports), 1))
-        linear, angular = jnp.concatenate([linear, own[:, :3]]), jnp.concatenate([angular, own[:, 3:]])
+        linear, angular = (
+            jnp.concatenate([linear, own[:, :3]]),
+            jnp.concatenate([angular, own[:, 3:]]),
+        )
     J = None if all_free(layout) else jnp.concatenate(jacobian(layout, frames, linear, angular), -1)
     return Configuration(model, q, frames, angular, J, base)
 
 
 def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:
-    """The displacement of the origin and the rotation of every frame per unit of each of (Delta, Xi)."""
+    """The displacement of the origin and the rotation of every frame per unit of each of
+    (Delta, Xi)."""
     bodies, n, dtype = len(at.model.layout.bodies), len(at.turns), at.q.dtype
     J = jnp.swapaxes(jnp.eye(n, dtype=dtype).reshape(-1, 6, n), 1, 2) if at.J is None else at.J
     return jnp.concatenate([jnp.zeros((1, n, 6), dtype), J[bodies:], J[:bodies]])
@@ -87,7 +107,8 @@ def stiffness(at: Configuration) -> Square:
 
 
 class DeadForces(NamedTuple):
-    """Forces of constant direction on bodies: their potential energy, its gradient and its Hessian in the rotation of each body."""
+    """Forces of constant direction on bodies: their potential energy, its gradient and its Hessian
+    in the rotation of each body."""
 
     V: Float[Array, ""]
     G: Float[Array, "nb 6"]
@@ -95,8 +116,11 @@ class DeadForces(NamedTuple):
 
 
 @jax.jit
-def expansion(at: Configuration, dead: DeadForces | None = None) -> tuple[Float[Array, ""], Vector, Square]:
-    """V, dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix; a search and the derivative of its result share one trace."""
+def expansion(
+    at: Configuration, dead: DeadForces | None = None
+) -> tuple[Float[Array, ""], Vector, Square]:
+    """V, dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix; a search and the derivative of its
+    result share one trace."""
     model, frames, J, base = at.model, at.frames, at.J, at.base
     layout = model.layout
     arms = rotate(frames.R[layout.first_body :], model.bodies.rows.com)
@@ -111,7 +135,9 @@ def expansion(at: Configuration, dead: DeadForces | None = None) -> tuple[Float[
     if J is not None:
         n = at.turns
         T = jnp.sum(cross(J[..., :3], G[:, None, :3]) + cross(J[..., 3:], G[:, None, 3:]) / 2, 0)
-        W = jnp.asarray(_precedence(layout)[: len(n), : len(n)], K.dtype) * jnp.sum(n[:, None] * T[None], -1)
+        W = jnp.asarray(_precedence(layout)[: len(n), : len(n)], K.dtype) * jnp.sum(
+            n[:, None] * T[None], -1
+        )
         K = K + W + W.T
     V = potential(model, frames)
     return V if dead is None else V + dead.V, _pulled_back(J, G), K
@@ -127,11 +153,17 @@ def mass(at: Configuration) -> Square:
     """M | -M~ | M_bb as one matrix."""
     bodies, R = at.model.bodies.rows, at.frames.R[at.model.layout.first_body :]
     m, c = bodies.mass[:, None], rotate(R, bodies.com)
-    inertia = Block(h=bodies.mass, x=m * c, y=m * c, Q=inertias(at) - m[..., None] * product(skew(c), skew(c)))
+    inertia = Block(
+        h=bodies.mass, x=m * c, y=m * c, Q=inertias(at) - m[..., None] * product(skew(c), skew(c))
+    )
     M = _projected(at.J, _hessian(at.model, inertia, [], at.base))
     if not inertial_tables(at.model):
         return M
-    twists = jnp.eye(len(M), dtype=M.dtype).reshape(-1, 6, len(M)).swapaxes(1, 2) if at.J is None else at.J
+    twists = (
+        jnp.eye(len(M), dtype=M.dtype).reshape(-1, 6, len(M)).swapaxes(1, 2)
+        if at.J is None
+        else at.J
+    )
     of_frames = jnp.zeros((len(at.model.layout.frames), *twists.shape[1:]), M.dtype)
     of_frames = of_frames.at[np.array(at.model.layout.moving(base=at.base))].set(twists)
     return M + element_inertia(at.model, at.frames, of_frames)[0]
@@ -139,30 +171,46 @@ def mass(at: Configuration) -> Square:
 
 def damping(at: Configuration) -> Square:
     """C | -C~ | C_bb as one matrix."""
-    return _projected(at.J, _hessian(at.model, Block(), each_element(at.model, at.frames, dissipation_hessian), at.base))
+    return _projected(
+        at.J,
+        _hessian(
+            at.model, Block(), each_element(at.model, at.frames, dissipation_hessian), at.base
+        ),
+    )
 
 
 @program
 def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
-    """M, C and K at a state, with the supports at rest in their reference poses and coordinates of elements held."""
-    at = configuration_at(Coordinates(apart(model, completed(model, state).z)), state.q, state.v, base=False)
+    """M, C and K at a state, with the supports at rest in their reference poses and coordinates of
+    elements held."""
+    at = configuration_at(
+        Coordinates(apart(model, completed(model, state).z)), state.q, state.v, base=False
+    )
     return mass(at), damping(at), stiffness(at)
 
 
-# From frames to coordinates. The frames that move are in the order of the columns: bodies, then, with `base`, supports
+# From frames to coordinates. The frames that move are in the order of the columns: bodies, then,
+# with `base`, supports
 
 
 def _places(layout: Layout, base: bool) -> dict[str, int | None]:
     """Name of a frame -> its index among the moving frames, None for others."""
     rows = list(layout.moving(base=base))
-    return {name: rows.index(row) if row in rows else None for row, name in enumerate(layout.frames)}
+    return {
+        name: rows.index(row) if row in rows else None for row, name in enumerate(layout.frames)
+    }
 
 
 def _precedence(layout: Layout) -> np.ndarray:
-    """(n, n): 1 where column i turns the axis of column j, 1/2 where both turn one joint together, or are one."""
+    """(n, n): 1 where column i turns the axis of column j, 1/2 where both turn one joint together,
+    or are one."""
     movers, n = layout.movers, len(layout.movers)
     turns = np.concatenate([layout.turns, np.tile([0, 0, 0, 1, 1, 1], len(layout.supports))])
-    in_series = np.array([block.kind.in_series for block in layout.joints for _ in block.motions] + [False] * layout.nxi, dtype=bool)
+    in_series = np.array(
+        [block.kind.in_series for block in layout.joints for _ in block.motions]
+        + [False] * layout.nxi,
+        dtype=bool,
+    )
     earlier = np.triu(np.ones((n, n)), 1) + np.eye(n) / 2
     of_one_joint = np.where(in_series, earlier, 0.5 * turns[:, None] * turns)
     return np.where(movers[:, None] == movers, of_one_joint, layout.carries[np.ix_(movers, movers)])
@@ -184,7 +232,10 @@ def _projected(J: Array | None, H: Float[Array, "frames 6 frames 6"]) -> Square:
 
 def _collected(parts: list[tuple[Array, list[int | None]]], n: int) -> Array:
     """The sum of the rows for each of n indices; rows whose index is None are left out."""
-    kept = [(part, [i for i, index in enumerate(indices) if index is not None]) for part, indices in parts]
+    kept = [
+        (part, [i for i, index in enumerate(indices) if index is not None])
+        for part, indices in parts
+    ]
     targets = [index for _, indices in parts for index in indices if index is not None]
     if not targets:
         return jnp.zeros((n, *parts[0][0].shape[1:]), parts[0][0].dtype)
@@ -194,7 +245,10 @@ def _collected(parts: list[tuple[Array, list[int | None]]], n: int) -> Array:
 
 
 def _gradient(
-    model: Model, bodies: Float[Array, "nb 6"], elements: list[tuple[Float[Array, "_ 6"], ...]], base: bool
+    model: Model,
+    bodies: Float[Array, "nb 6"],
+    elements: list[tuple[Float[Array, "_ 6"], ...]],
+    base: bool,
 ) -> Float[Array, "frames 6"]:
     """The gradients of bodies and elements, summed by frame."""
     places = _places(model.layout, base)
@@ -203,10 +257,14 @@ def _gradient(
         for table, parts in zip(model.elements, elements, strict=True)
         for end, part in enumerate(parts)
     ]
-    return _collected([(bodies, list(range(len(bodies)))), *ends], len(model.layout.moving(base=base)))
+    return _collected(
+        [(bodies, list(range(len(bodies)))), *ends], len(model.layout.moving(base=base))
+    )
 
 
-def _hessian(model: Model, bodies: Block, elements: list[PairBlocks], base: bool) -> Float[Array, "frames 6 frames 6"]:
+def _hessian(
+    model: Model, bodies: Block, elements: list[PairBlocks], base: bool
+) -> Float[Array, "frames 6 frames 6"]:
     """The Hessians of bodies and elements, summed by pairs of frames."""
     places, n = _places(model.layout, base), len(model.layout.moving(base=base))
 
@@ -214,7 +272,9 @@ def _hessian(model: Model, bodies: Block, elements: list[PairBlocks], base: bool
         pairs = [(places[link[one]], places[link[other]]) for link in table.links]
         return [None if i is None or j is None else i * n + j for i, j in pairs]
 
-    parts: list[tuple[Block, list[int | None]]] = [(bodies, [i * n + i for i in range(len(model.layout.bodies))])]
+    parts: list[tuple[Block, list[int | None]]] = [
+        (bodies, [i * n + i for i in range(len(model.layout.bodies))])
+    ]
     for table, blocks in zip(model.elements, elements, strict=False):
         for (one, other), block in blocks.items():
             parts.append((block, cells(table, one, other)))
@@ -223,8 +283,14 @@ def _hessian(model: Model, bodies: Block, elements: list[PairBlocks], base: bool
     blocks, indices = zip(*parts, strict=True)
 
     def summed(parts):
-        present = [(part, index) for part, index in zip(parts, indices, strict=True) if part is not None]
+        present = [
+            (part, index) for part, index in zip(parts, indices, strict=True) if part is not None
+        ]
         return _collected(present, n * n) if present else None
 
     H = Block(*map(summed, zip(*blocks, strict=True))).whole()
-    return jnp.broadcast_to(jnp.asarray(H, model.gravity.dtype), (n * n, 6, 6)).reshape(n, n, 6, 6).swapaxes(1, 2)
+    return (
+        jnp.broadcast_to(jnp.asarray(H, model.gravity.dtype), (n * n, 6, 6))
+        .reshape(n, n, 6, 6)
+        .swapaxes(1, 2)
+    )

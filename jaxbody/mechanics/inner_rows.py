@@ -1,9 +1,11 @@
-"""Rows of the coordinates y of elements in the matrices of small motions: the derivatives of V, R and T in (Delta, y, Xi).
+"""Rows of the coordinates y of elements in the matrices of small motions: the derivatives of V, R
+and T in (Delta, y, Xi).
 
-    K_yy = V_yy,   K_yx = V_ye de/dx,   C_yy = R_yy,   C_yx = R_ye de/dx,   M_yy = T_yy,   M_yx = 0,   x of (Delta, Xi)
+    K_yy = V_yy,   K_yx = V_ye de/dx,   C_yy = R_yy,   C_yx = R_ye de/dx,   M_yy = T_yy,   M_yx = 0,
+    x of (Delta, Xi)
 
-Those with mass come first, then those without, whose T_yy is 0. Slow motions take y along, K_yy y + K_yx x = 0: the matrices of these are
-T' H T with x -> (x, y) = T x.
+Those with mass come first, then those without, whose T_yy is 0. Slow motions take y along, K_yy
+y + K_yx x = 0: the matrices of these are T' H T with x -> (x, y) = T x.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ class InnerRows(NamedTuple):
 
 
 def inner_rows(at: Configuration) -> InnerRows:
-    """The rows at a configuration of a model whose coordinates of elements, or those with mass, are apart."""
+    """The rows at a configuration of a model whose coordinates of elements, or those with mass,
+    are apart."""
     twists, parts, layout = frame_twists(at), [], at.model.layout
 
     def of(element, *frames):
@@ -44,23 +47,35 @@ def inner_rows(at: Configuration) -> InnerRows:
             n, ny = V_ye.shape[:2]
             K_yx, C_yx = (jnp.reshape(H.reshape(n, ny, -1) @ J, (n * ny, -1)) for H in (V_ye, R_ye))
             parts.append(InnerRows(K_yx, _diagonal(V_yy), C_yx, _diagonal(R_yy), _diagonal(T_yy)))
-    K_yx, C_yx = (jnp.concatenate([getattr(part, name) for part in parts]) for name in ("K_yx", "C_yx"))
+    K_yx, C_yx = (
+        jnp.concatenate([getattr(part, name) for part in parts]) for name in ("K_yx", "C_yx")
+    )
     from jax.scipy.linalg import block_diag  # for the few models with inner coordinates
 
-    K_yy, C_yy, M_yy = (block_diag(*(getattr(part, name) for part in parts)) for name in ("K_yy", "C_yy", "M_yy"))
+    K_yy, C_yy, M_yy = (
+        block_diag(*(getattr(part, name) for part in parts)) for name in ("K_yy", "C_yy", "M_yy")
+    )
     if 0 < len(layout.inertial) < len(K_yy):
         order = np.searchsorted(np.sort(layout.inner_places), layout.inner_places)
-        K_yx, C_yx, K_yy, C_yy, M_yy = K_yx[order], C_yx[order], *(H[order][:, order] for H in (K_yy, C_yy, M_yy))
+        K_yx, C_yx, K_yy, C_yy, M_yy = (
+            K_yx[order],
+            C_yx[order],
+            *(H[order][:, order] for H in (K_yy, C_yy, M_yy)),
+        )
     return InnerRows(K_yx, K_yy, C_yx, C_yy, M_yy)
 
 
 def _diagonal(blocks: Float[Array, "n k k"]) -> Array:
     """The matrix with these blocks on its diagonal."""
     n, k, _ = blocks.shape
-    return jnp.swapaxes(jnp.eye(n, dtype=blocks.dtype)[:, :, None, None] * blocks[:, None], 1, 2).reshape(n * k, n * k)
+    return jnp.swapaxes(
+        jnp.eye(n, dtype=blocks.dtype)[:, :, None, None] * blocks[:, None], 1, 2
+    ).reshape(n * k, n * k)
 
 
-def inserted(H: Square, H_yx: Float[Array, "ny n"], H_yy: Float[Array, "ny ny"], nv: int) -> Float[Array, "m m"]:
+def inserted(
+    H: Square, H_yx: Float[Array, "ny n"], H_yy: Float[Array, "ny ny"], nv: int
+) -> Float[Array, "m m"]:
     """The matrix of (Delta, y, Xi) from that of (Delta, Xi)."""
     return jnp.block(
         [
@@ -85,7 +100,8 @@ def slow_matrices(M: Square, K: Square, nv: int) -> tuple[Square, Square]:
 
 
 def whole_matrices(at: Configuration) -> tuple[tuple[Float[Array, "m m"], ...], Float[Array, "n"]]:
-    """M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi); y apart in the model of the configuration."""
+    """M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi); y apart in the model of
+    the configuration."""
     nv, ny = at.model.layout.nv, len(at.model.layout.inner)
     _, slope, stiffness = expansion(at)
     whole = mass(at), damping(at), stiffness

@@ -1,1 +1,2 @@
-"""Closed loops: assembled configurations, driven positions, curves of suspensions over travel and steering."""
+"""Closed loops: assembled configurations, driven positions, curves of suspensions over travel
+and steering."""

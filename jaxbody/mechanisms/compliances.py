@@ -1,7 +1,9 @@
-"""Compliant joints: a model in which some joints and closures are bushings at the same place, so that one drawing has both kinematics.
+"""Compliant joints: a model in which some joints and closures are bushings at the same place, so
+that one drawing has both kinematics.
 
-A bushing has the stiffness of the compliance in axes of the joint: z along its axis, x across it, where it has one; else the axes of its
-parent. It is relaxed in the reference pose where that is drawn closed.
+A bushing has the stiffness of the compliance in axes of the joint: z along its axis, x across it,
+where it has one; else the axes of its parent. It is relaxed in the reference pose where that is
+drawn closed.
 """
 
 from __future__ import annotations
@@ -35,12 +37,15 @@ class Compliance:
     """The stiffness and damping of a joint, for `compliant`.
 
     Args:
-        stiffness: of a rod its stiffness [N/m]; of others that along x, y and z, one number or three [N/m], or also about these [N m/rad],
-            six numbers or a 6 x 6 matrix, as of a Bushing
+        stiffness: of a rod its stiffness [N/m]; of others that along x, y and z, one number
+            or three [N/m], or also about these [N m/rad], six numbers or a 6 x 6 matrix, as
+            of a Bushing
         damping: likewise [N s/m, N m s/rad]; None: no damping
 
     >>> radial, axial, tilting = 8e6, 4e5, 900.0
-    >>> Compliance(stiffness=[radial, radial, axial, tilting, tilting, 0.0]).damping is None  # free to turn about its axis z
+    >>> Compliance(
+    ...     stiffness=[radial, radial, axial, tilting, tilting, 0.0]
+    ... ).damping is None  # free to turn about its axis z
     True
     """
 
@@ -49,23 +54,27 @@ class Compliance:
 
 
 def compliant(model: Model, compliances: Mapping[str, Compliance]) -> Model:
-    """The model in which these joints and closures are bushings, and rods are springs, at the same place; it has the derivatives of its
-    parameters by those of the given one. With stiffer and stiffer bushings it becomes the model with ideal joints.
+    """The model in which these joints and closures are bushings, and rods are springs, at the same
+    place; it has the derivatives of its parameters by those of the given one. With stiffer and
+    stiffer bushings it becomes the model with ideal joints.
 
-    A closure keeps its name, as an element. The joint of a body becomes the element "<body> joint", and the body is free; those that it
-    carries stay on it. Directions in which the ideal joint moves are free only if the stiffness there is 0, as about z of a hinge or along
-    z of a guide. A search for equilibrium far from the drawing starts best from that of the ideal joints.
+    A closure keeps its name, as an element. The joint of a body becomes the element "<body> joint",
+    and the body is free; those that it carries stay on it. Directions in which the ideal joint
+    moves are free only if the stiffness there is 0, as about z of a hinge or along z of a guide. A
+    search for equilibrium far from the drawing starts best from that of the ideal joints.
 
     Args:
         model: the model with ideal joints
         compliances: {name of a body whose joint it is, or of a closure: compliance}
 
-    Errors: UNKNOWN_NAME, WRONG_KIND for joints and closures that are no bushing (Ball, Hinge, Guide, Cylindrical, Fixed and Weld are, and
-    Rod is a spring), and those of a Bushing.
+    Errors: UNKNOWN_NAME, WRONG_KIND for joints and closures that are no bushing (Ball, Hinge,
+    Guide, Cylindrical, Fixed and Weld are, and Rod is a spring), and those of a Bushing.
 
     >>> corner = jb.double_wishbone()
     >>> rubber = Compliance(stiffness=[8e6, 8e6, 4e5, 900.0, 900.0, 0.0])
-    >>> elastic = compliant(corner.model, {"lower arm": rubber, "upper ball": Compliance(stiffness=3e7)})
+    >>> elastic = compliant(
+    ...     corner.model, {"lower arm": rubber, "upper ball": Compliance(stiffness=3e7)}
+    ... )
     >>> elastic.element_names, elastic.closure_names
     (('spring', 'lower arm joint', 'upper ball'), ('tie rod',))
     """
@@ -75,13 +84,23 @@ def compliant(model: Model, compliances: Mapping[str, Compliance]) -> Model:
         for name, compliance in compliances.items():
             where = f"compliant['{name}']"
             if name in closing:
-                made = problems.gather(lambda name=name, c=compliance, at=where: _of_closure(model, closing.pop(name), c, at))
+                made = problems.gather(
+                    lambda name=name, c=compliance, at=where: _of_closure(
+                        model, closing.pop(name), c, at
+                    )
+                )
                 elements |= {} if made is None else {name: made}
             elif name in joints:
-                made = problems.gather(lambda name=name, c=compliance, at=where: _of_joint(model, name, joints.pop(name), c, at))
+                made = problems.gather(
+                    lambda name=name, c=compliance, at=where: _of_joint(
+                        model, name, joints.pop(name), c, at
+                    )
+                )
                 elements |= {} if made is None else {f"{name} joint": made}
             else:
-                problems.collected.append(unknown(name, where, (*model.layout.bodies, *model.closure_names)))
+                problems.collected.append(
+                    unknown(name, where, (*model.layout.bodies, *model.closure_names))
+                )
     return Model(**parts)
 
 
@@ -91,10 +110,14 @@ def _of_joint(model: Model, body: str, joint: Joint, compliance: Compliance, whe
     A, B = pose_at_reference(model, joint.parent), pose_at_reference(model, body)
     on_B = jnp.zeros(3, B.p.dtype) if joint.at is None else B.inverse().point(A.point(joint.at))
     on_A = A.inverse().point(B.p) if joint.at is None else joint.at
-    return _bushing((joint.parent, on_A), (body, on_B), A, B, getattr(joint, "axis", None), compliance)
+    return _bushing(
+        (joint.parent, on_A), (body, on_B), A, B, getattr(joint, "axis", None), compliance
+    )
 
 
-def _of_closure(model: Model, closure: closures.Closure, compliance: Compliance, where: str) -> Element:
+def _of_closure(
+    model: Model, closure: closures.Closure, compliance: Compliance, where: str
+) -> Element:
     if not isinstance(closure, CLOSURES):
         raise JaxbodyError(_no_bushing(type(closure), CLOSURES, where))
     ends = tuple(zip(closure.between, closure.points, strict=True))
@@ -104,16 +127,21 @@ def _of_closure(model: Model, closure: closures.Closure, compliance: Compliance,
     d = B.point(closure.b) - A.point(closure.a)
     length = jnp.sqrt(dot(d, d)) if closure.length is None else closure.length
     damping = 0.0 if compliance.damping is None else compliance.damping
-    return Spring(ends[0], ends[1], stiffness=compliance.stiffness, damping=damping, free_length=length)
+    return Spring(
+        ends[0], ends[1], stiffness=compliance.stiffness, damping=damping, free_length=length
+    )
 
 
 def _no_bushing(kind: type, kinds: tuple[type, ...], where: str) -> Problem:
     allowed = ", ".join(each.__name__ for each in kinds)
-    return Problem("WRONG_KIND", where, f"is a {kind.__name__}", kind, allowed, "Give it elements of your own.")
+    return Problem(
+        "WRONG_KIND", where, f"is a {kind.__name__}", kind, allowed, "Give it elements of your own."
+    )
 
 
 def _bushing(a: Any, b: Any, A: Pose, B: Pose, axis: Any, compliance: Compliance) -> Bushing:
-    """The bushing between points of two frames, whose axes at both ends coincide in the reference pose."""
+    """The bushing between points of two frames, whose axes at both ends coincide in the
+    reference pose."""
     on_A = jnp.eye(3, dtype=A.R.dtype) if axis is None else _along(jnp.asarray(axis))
     turns = rotations.from_matrix(on_A), rotations.from_matrix(B.R.T @ A.R @ on_A)
     k = _coefficients(compliance.stiffness)
@@ -130,9 +158,14 @@ def _along(n: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 def _coefficients(value: Any, shape: tuple[int, ...] = ()) -> Any:
-    """Three numbers or a 6 x 6 matrix from one, three, six or 36, as for a stiffness of this shape."""
+    """Three numbers or a 6 x 6 matrix from one, three, six or 36, as for a stiffness of
+    this shape."""
     xp: Any = np if is_concrete(value) else jnp
     value = xp.asarray(value)
     value = xp.ones(3) * value if value.shape == () else value
     value = xp.diag(value) if value.shape == (6,) else value
-    return xp.diag(xp.concatenate([value, xp.zeros(3)])) if shape == (6, 6) and value.shape == (3,) else value
+    return (
+        xp.diag(xp.concatenate([value, xp.zeros(3)]))
+        if shape == (6, 6) and value.shape == (3,)
+        else value
+    )

@@ -33,8 +33,9 @@ class Corner(Suspension):
         return (self.wheel,)
 
     def curves(self, travel: Any, steering: Any = 0.0) -> SuspensionCurves:
-        """Curves over travel, the rise of the center of the wheel [m], and steering [m, or rad of a coordinate that turns], either a number
-        or as many as the other has; see `suspension_curves`.
+        """Curves over travel, the rise of the center of the wheel [m], and steering [m,
+        or rad of a coordinate that turns], either a number or as many as the other has;
+        see `suspension_curves`.
 
         >>> toe = jb.double_wishbone().curves([-0.04, 0.0, 0.04])["toe"]  # doctest: +SKIP
         """
@@ -43,5 +44,6 @@ class Corner(Suspension):
 
     @property
     def drive(self) -> dict[str, Any]:
-        """The driven readings of its curves: "travel", the rise of the center of the wheel, and "steering"."""
+        """The driven readings of its curves: "travel", the rise of the center of the wheel,
+        and "steering"."""
         return {"travel": self.wheel, "steering": self.steering}

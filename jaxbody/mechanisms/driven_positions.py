@@ -1,4 +1,5 @@
-"""Driven positions: the configurations of a model with closures in which some readings have prescribed values.
+"""Driven positions: the configurations of a model with closures in which some readings have
+prescribed values.
 
     c(q) = 0,   r_i(q) - r_i(q_0) = x_i
 
@@ -42,18 +43,37 @@ class Drive(eqx.Module):
 
 
 def drives_of(model: Model, given: dict[str, Any], where: str) -> tuple[Drive, ...]:
-    """The drives of {name: sensor, "body.q", or a wheel for the rise of its center}. Errors: UNKNOWN_NAME, BAD_SHAPE, WRONG_KIND."""
-    given = {name: Position(by.on, by.center, axis="z") if isinstance(by, Wheel) else by for name, by in given.items()}
-    check_sensors({name: drive for name, drive in given.items() if not isinstance(drive, str)}, model, where)
+    """The drives of {name: sensor, "body.q", or a wheel for the rise of its center}. Errors:
+    UNKNOWN_NAME, BAD_SHAPE, WRONG_KIND."""
+    given = {
+        name: Position(by.on, by.center, axis="z") if isinstance(by, Wheel) else by
+        for name, by in given.items()
+    }
+    check_sensors(
+        {name: drive for name, drive in given.items() if not isinstance(drive, str)}, model, where
+    )
     found = []
     with Problems() as problems:
         for name, drive in given.items():
             place = f"{where}['{name}']"
             if isinstance(drive, str):
-                found.append(problems.gather(lambda drive=drive, name=name, place=place: _coordinate(model, name, drive, place)))
+                found.append(
+                    problems.gather(
+                        lambda drive=drive, name=name, place=place: _coordinate(
+                            model, name, drive, place
+                        )
+                    )
+                )
             elif drive.shape != ():
                 hint = 'Give it an axis: jb.Position("upright", [0, 0, 0], axis="z").'
-                problems.add("BAD_SHAPE", place, f"reads {drive.shape[0]} numbers", value=drive.shape, limit="one number", hint=hint)
+                problems.add(
+                    "BAD_SHAPE",
+                    place,
+                    f"reads {drive.shape[0]} numbers",
+                    value=drive.shape,
+                    limit="one number",
+                    hint=hint,
+                )
             else:
                 found.append(Drive(name, None, drive.unit, drive))
     return tuple(found)
@@ -63,12 +83,23 @@ def _coordinate(model: Model, name: str, path: str, where: str) -> Drive:
     places = model.layout.coordinate_places
     if path not in places:
         problem = unknown(path, where, tuple(places))
-        raise JaxbodyError(Problem(problem.code, where, problem.message, path, "a coordinate of a joint, or a sensor", problem.hint))
+        raise JaxbodyError(
+            Problem(
+                problem.code,
+                where,
+                problem.message,
+                path,
+                "a coordinate of a joint, or a sensor",
+                problem.hint,
+            )
+        )
     at, _ = places[path]
     return Drive(name, at, model.layout.q_units[at])
 
 
-def conditions(model: Model, driven: tuple[tuple[Drive, ...], Array], q: Float[Array, "nq"]) -> Float[Array, "n"]:
+def conditions(
+    model: Model, driven: tuple[tuple[Drive, ...], Array], q: Float[Array, "nq"]
+) -> Float[Array, "n"]:
     """c(q), then r_i(q) - r_i(q_0) - x_i in meters, angles times the size of the model."""
     drives, targets = driven
     coordinates = Coordinates(model)
@@ -84,9 +115,15 @@ def readings(model: Model, drives: tuple[Drive, ...], q: Float[Array, "nq"]) -> 
     return jnp.stack([drive.reading(model, q, frames) for drive in drives])
 
 
-def positions(model: Model, drives: tuple[Drive, ...], targets: Float[Array, "n nd"], start: Float[Array, "nq"]):
-    """(q, status) for each row of targets, one after the other, each from the last one reached; beyond reach NOT_CLOSED, and the q of the
-    last one reached. They have no derivatives: see `position`."""
+def positions(
+    model: Model,
+    drives: tuple[Drive, ...],
+    targets: Float[Array, "n nd"],
+    start: Float[Array, "nq"],
+):
+    """(q, status) for each row of targets, one after the other, each from the last one
+    reached; beyond reach NOT_CLOSED, and the q of the last one reached. They have no
+    derivatives: see `position`."""
 
     def following(last: Array, target: Array) -> tuple[Array, tuple[Array, Int[Array, ""]]]:
         q, far = solve(conditions, model, (drives, target), last)
@@ -97,6 +134,9 @@ def positions(model: Model, drives: tuple[Drive, ...], targets: Float[Array, "n 
     return jax.lax.scan(following, start, targets)[1]
 
 
-def position(model: Model, drives: tuple[Drive, ...], target: Float[Array, "nd"], q: Float[Array, "nq"]) -> Float[Array, "nq"]:
-    """The configuration of these readings as a function of the model and of them, next to one that has them."""
+def position(
+    model: Model, drives: tuple[Drive, ...], target: Float[Array, "nd"], q: Float[Array, "nq"]
+) -> Float[Array, "nq"]:
+    """The configuration of these readings as a function of the model and of them, next to one that
+    has them."""
     return near(conditions, model, (drives, target), q)

@@ -1,7 +1,7 @@
 """Wheels: alignment, contact point and steering axis by ISO 8855, x forward, y to the left, z up.
 
-With a the outward unit vector along the axis of the wheel, s = 1 on the left and -1 on the right (so that right wheels are mirrored), and u
-from a lower to an upper point of the steering axis:
+With a the outward unit vector along the axis of the wheel, s = 1 on the left and -1 on the right
+(so that right wheels are mirrored), and u from a lower to an upper point of the steering axis:
 
     camber  -atan2(a_z, s a_y)      positive if the top leans outward
     toe      atan2(a_x, s a_y)      positive if the front points inward
@@ -9,7 +9,8 @@ from a lower to an upper point of the steering axis:
     kingpin  atan2(-s u_y, u_z)     positive if the top leans inward
     contact  C = center - r (z - (z . a) a)/|z - (z . a) a|
 
-With K where the steering axis meets the ground plane through C, h the heading of the wheel and l its outward direction, both level:
+With K where the steering axis meets the ground plane through C, h the heading of the wheel and l
+its outward direction, both level:
 
     trail    (K - C) . h            positive if the contact is behind
     scrub radius  (C - K) . l       positive if the contact is outside
@@ -40,8 +41,8 @@ class Wheel(eqx.Module):
         center: the center of the wheel in its frame [m]
         axis: the direction of its axis, outward, likewise: y on the left, [0, -1, 0] on the right
         radius: loaded radius, from the center to the contact [m]
-        kingpin: the lower and the upper point of the steering axis, likewise [m]; None: the screw axis of steering, which the drive that
-            steers moves
+        kingpin: the lower and the upper point of the steering axis, likewise [m]; None: the screw
+            axis of steering, which the drive that steers moves
 
     Errors: NOT_POSITIVE, ZERO_AXIS, BAD_DIRECTION, BAD_SHAPE, NON_FINITE.
 
@@ -60,8 +61,15 @@ class Wheel(eqx.Module):
             self.on = on
             self.center = vector(center, "Wheel.center", problems)
             self.axis = direction(axis, "Wheel.axis", problems)
-            self.radius = in_domain(scalar(radius, "Wheel.radius", problems), kind_of(self, "radius"), "Wheel.radius", problems)
-            self.kingpin = None if kingpin is None else checked(kingpin, ((2, 3),), "Wheel.kingpin", problems)
+            self.radius = in_domain(
+                scalar(radius, "Wheel.radius", problems),
+                kind_of(self, "radius"),
+                "Wheel.radius",
+                problems,
+            )
+            self.kingpin = (
+                None if kingpin is None else checked(kingpin, ((2, 3),), "Wheel.kingpin", problems)
+            )
 
     def side(self, reference: Pose) -> Float[Array, ""]:
         """s: 1 for a wheel on the left, -1 on the right, in the reference pose."""
@@ -77,10 +85,17 @@ class Wheel(eqx.Module):
         """Angles [rad] and places [m] that need no steering axis."""
         a, center, C = rotate(pose.R, self.axis), pose.point(self.center), self.contact(pose)
         found = {"camber": -jnp.arctan2(a[2], s * a[1]), "toe": jnp.arctan2(a[0], s * a[1])}
-        return found | {f"wheel {x}": center[i] for i, x in enumerate("xyz")} | {f"contact {x}": C[i] for i, x in enumerate("xyz")}
+        return (
+            found
+            | {f"wheel {x}": center[i] for i, x in enumerate("xyz")}
+            | {f"contact {x}": C[i] for i, x in enumerate("xyz")}
+        )
 
-    def steering(self, pose: Pose, s: Float[Array, ""], point: Float[Array, "3"], u: Float[Array, "3"]) -> dict[str, Array]:
-        """Angles [rad] and lengths [m] of the steering axis through a point along u, in the world."""
+    def steering(
+        self, pose: Pose, s: Float[Array, ""], point: Float[Array, "3"], u: Float[Array, "3"]
+    ) -> dict[str, Array]:
+        """Angles [rad] and lengths [m] of the steering axis through a point along u, in
+        the world."""
         u = u * jnp.where(u[2] < 0, -1.0, 1.0) / jnp.sqrt(dot(u, u))
         a, C = rotate(pose.R, self.axis), self.contact(pose)
         K = point + u * (C[2] - point[2]) / u[2]

@@ -1,1 +1,2 @@
-"""Models: bodies, supports, joints and elements by name, stored as arrays; paths to every number."""
+"""Models: bodies, supports, joints and elements by name, stored as arrays; paths to
+every number."""

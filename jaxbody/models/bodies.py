@@ -22,29 +22,39 @@ class Body(Described, eqx.Module):
 
     Args:
         mass: [kg]
-        inertia: about the center of mass in body axes [kg m2]: three principal moments, six numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries
-            of the matrix, signs included) or the 3 x 3 matrix; default: a point mass. For motion in the xy plane [I/2, I/2, I], a flat
-            body, as the first two have no effect
+        inertia: about the center of mass in body axes [kg m2]: three principal moments, six numbers
+            (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries of the matrix, signs included) or the 3 x 3
+            matrix; default: a point mass. For motion in the xy plane [I/2, I/2, I], a flat body, as
+            the first two have no effect
         com: the center of mass in body coordinates [m]
-        position: position of the reference point O in the reference pose, where the search for equilibrium starts [m]
-        orientation: rotation from body to world in the reference pose: unit quaternion w, x, y, z, rotation matrix or `jb.Euler`
+        position: position of the reference point O in the reference pose, where the search for
+            equilibrium starts [m]
+        orientation: rotation from body to world in the reference pose: unit quaternion w, x, y, z,
+            rotation matrix or `jb.Euler`
 
     A body of several parts: `Body.of_parts`.
 
-    Errors, all at once: BAD_MASS, NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE, BAD_ROTATION, BAD_QUATERNION, BAD_SHAPE, NON_FINITE,
-    COMPLEX, NOT_A_NUMBER.
+    Errors, all at once: BAD_MASS, NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE, BAD_ROTATION,
+    BAD_QUATERNION, BAD_SHAPE, NON_FINITE, COMPLEX, NOT_A_NUMBER.
 
     >>> float(Body(mass=3.0, inertia=[0.3, 0.9, 1.2]).inertia[1, 1])
     0.9
     """
 
-    mass: Float[Array, ""] = field("kg", "positive", code="BAD_MASS", hint="Leave out parts without mass, or give them a small mass.")
+    mass: Float[Array, ""] = field(
+        "kg",
+        "positive",
+        code="BAD_MASS",
+        hint="Leave out parts without mass, or give them a small mass.",
+    )
     inertia: Float[Array, "3 3"] = field("kg m2", "inertia")
     com: Float[Array, "3"] = field("m")
     position: Float[Array, "3"] = field("m")
     orientation: Float[Array, "4"] = field("", "rotation")
 
-    def __init__(self, mass, inertia=(0, 0, 0), *, com=(0, 0, 0), position=(0, 0, 0), orientation=IDENTITY):
+    def __init__(
+        self, mass, inertia=(0, 0, 0), *, com=(0, 0, 0), position=(0, 0, 0), orientation=IDENTITY
+    ):
         with Problems() as problems:
             self.mass = _mass(self, mass, problems)
             self.com = vector(com, "Body.com", problems)
@@ -54,31 +64,49 @@ class Body(Described, eqx.Module):
 
     @classmethod
     def of_parts(cls, parts: Sequence[Body], *, position=(0, 0, 0), orientation=IDENTITY) -> Body:
-        """One rigid body made of several; `position` and `orientation` of each part are relative to the whole.
+        """One rigid body made of several; `position` and `orientation` of each part are relative to
+        the whole.
 
-            m = sum m_i,   c = sum m_i c_i/m,   I = sum R_i I_i R_i' + m_i (|d_i|^2 - d_i d_i'),   d_i = c_i - c
+            m = sum m_i,   c = sum m_i c_i/m,   I = sum R_i I_i R_i' + m_i (|d_i|^2 - d_i d_i'),
+            d_i = c_i - c
 
         `position` and `orientation` are those of the whole, as for a Body. Error: NO_PARTS.
 
-        >>> hammer = Body.of_parts([Body(mass=0.2, inertia=[0, 2e-3, 2e-3]), Body(mass=0.5, position=[0.15, 0, 0])])
+        >>> hammer = Body.of_parts(
+        ...     [Body(mass=0.2, inertia=[0, 2e-3, 2e-3]), Body(mass=0.5, position=[0.15, 0, 0])]
+        ... )
         >>> round(float(hammer.com[0]), 6), round(float(hammer.inertia[2, 2]), 6)
         (0.107143, 0.005214)
         """
         if not parts or not all(isinstance(part, Body) for part in parts):
             hint = "Give [jb.Body(...), ...], each with its position and orientation in the whole."
-            raise JaxbodyError(Problem("NO_PARTS", "Body.of_parts", f"has {parts!r:.60}", parts, "one body or more", hint))
+            raise JaxbodyError(
+                Problem(
+                    "NO_PARTS",
+                    "Body.of_parts",
+                    f"has {parts!r:.60}",
+                    parts,
+                    "one body or more",
+                    hint,
+                )
+            )
         turns = [matrix(part.orientation) for part in parts]
         places = [part.position + R @ part.com for part, R in zip(parts, turns, strict=True)]
         mass = sum(part.mass for part in parts)
         com = sum(part.mass * place for part, place in zip(parts, places, strict=True)) / mass
         inertia = 0.0
         for part, R, d in zip(parts, turns, [place - com for place in places], strict=True):
-            inertia = inertia + R @ part.inertia @ R.T + part.mass * (d @ d * np.eye(3) - d[:, None] * d[None])
+            inertia = (
+                inertia
+                + R @ part.inertia @ R.T
+                + part.mass * (d @ d * np.eye(3) - d[:, None] * d[None])
+            )
         return cls(mass, inertia, com=com, position=position, orientation=orientation)
 
 
 class Support(Described, eqx.Module):
-    """A frame whose motion is imposed, relative to its reference pose: `position` [m] and `orientation` (as for a body).
+    """A frame whose motion is imposed, relative to its reference pose: `position` [m] and
+    `orientation` (as for a body).
 
     >>> Support(position=[0, -1, 0]).position.tolist()
     [0.0, -1.0, 0.0]
@@ -95,12 +123,16 @@ class Support(Described, eqx.Module):
 
 def _mass(body: Body, value: Any, problems: Problems) -> Any:
     mass = checked(value, ((),), "Body.mass", problems)
-    return np.ones(()) if mass is None else in_domain(mass, kind_of(body, "mass"), "Body.mass", problems)
+    return (
+        np.ones(())
+        if mass is None
+        else in_domain(mass, kind_of(body, "mass"), "Body.mass", problems)
+    )
 
 
 def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
-    """The symmetric part of the 3 x 3 matrix. Its round-off is compared with the inertia about the reference point, I + m (c'c - c c'),
-    from which users often compute it."""
+    """The symmetric part of the 3 x 3 matrix. Its round-off is compared with the inertia about the
+    reference point, I + m (c'c - c c'), from which users often compute it."""
     where = "Body.inertia"
     hint = "Give three principal moments, (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or the matrix."
     array = checked(value, ((3,), (6,), (3, 3)), where, problems, hint)
@@ -111,7 +143,12 @@ def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
     if known is None:
         return nan_outside((I + I.T) / 2, "inertia", 2, 2 * mass * (com @ com))
     check_inertia(
-        known, 64 * EPS * (abs(np.trace(known)) + (2 * abs(m) * c @ c if m is not None and c is not None else 0)), where, problems
+        known,
+        64
+        * EPS
+        * (abs(np.trace(known)) + (2 * abs(m) * c @ c if m is not None and c is not None else 0)),
+        where,
+        problems,
     )
     return (I + I.T) / 2
 
@@ -151,11 +188,14 @@ def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Pro
         problems.add(
             "TRIANGLE",
             where,
-            f"has principal moments {shown} kg m2: the largest exceeds the sum of the others by {deficit:.3g}",
+            f"has principal moments {shown} kg m2: the largest exceeds the sum of the "
+            f"others by {deficit:.3g}",
             value=moments,
             limit="at most the sum of the two others",
-            hint="For motion in a plane give half of it about the axes in the plane, where it has no effect: "
-            f"{moments[2] / 2:.6g}, {moments[2] / 2:.6g}, {moments[2]:.6g}."
+            hint=(
+                "For motion in a plane give half of it about the axes in the plane, where it has "
+                f"no effect: {moments[2] / 2:.6g}, {moments[2] / 2:.6g}, {moments[2]:.6g}."
+            )
             if moments[1] <= round_off
             else f"Is it about the center of mass? {signs} Are all units the same?",
         )
@@ -176,13 +216,17 @@ def _matrix_of(array):
     return (array[:, None, None] * unit[: array.shape[0]]).sum(0)
 
 
-def warn_of_tiny(names: tuple[str, ...], sizes: np.ndarray, what: str = "mass", unit: str = "kg") -> None:
-    """Warn TINY_MASS for a mass, or an inertia, below 1e-12 of the largest: it makes the equations stiff."""
+def warn_of_tiny(
+    names: tuple[str, ...], sizes: np.ndarray, what: str = "mass", unit: str = "kg"
+) -> None:
+    """Warn TINY_MASS for a mass, or an inertia, below 1e-12 of the largest: it makes the
+    equations stiff."""
     for name, size in zip(names, sizes, strict=True):
         if 0 < size < 1e-12 * sizes.max():
             warn(
                 "TINY_MASS",
-                f"{what} of '{name}' is {size:.3g} {unit}, {size / sizes.max():.1g} of the largest: its equations will be stiff",
+                f"{what} of '{name}' is {size:.3g} {unit}, {size / sizes.max():.1g} of the "
+                "largest: its equations will be stiff",
             )
 
 
@@ -194,9 +238,16 @@ def warn_of_points(bodies: dict[str, Body]) -> None:
             continue
         moments, axes = np.linalg.eigh(known)
         massless_axes = [
-            np.round(axis + 0.0, 3).tolist() for moment, axis in zip(moments, axes.T, strict=True) if moment <= 64 * EPS * np.trace(known)
+            np.round(axis + 0.0, 3).tolist()
+            for moment, axis in zip(moments, axes.T, strict=True)
+            if moment <= 64 * EPS * np.trace(known)
         ]
         if massless_axes:
             axis = "any axis" if len(massless_axes) == 3 else f"{massless_axes[0]} of its axes"
-            remedy = "static results are valid; modes and simulations need an inertia, or a joint that prevents this rotation"
-            warn("ZERO_MOMENT", f"'{name}' is free to turn and has no inertia about {axis}: {remedy}")
+            remedy = (
+                "static results are valid; modes and simulations need an inertia, or a joint that "
+                "prevents this rotation"
+            )
+            warn(
+                "ZERO_MOMENT", f"'{name}' is free to turn and has no inertia about {axis}: {remedy}"
+            )

@@ -1,8 +1,9 @@
 """Joints: how a body can move relative to its parent, which is `world`, a support or another body.
 
-A joint states four functions: how its coordinates q change by an increment (`retract`), their rate for given speeds v (`rate`), the pose
-of the body for a pose of the parent (`pose`) and the velocity of the body per unit of each speed (`axes`). All else follows from these.
-`rest` gives the coordinates of the body's reference pose on its parent. Axes and points are in the parent's frame.
+A joint states four functions: how its coordinates q change by an increment (`retract`), their rate
+for given speeds v (`rate`), the pose of the body for a pose of the parent (`pose`) and the velocity
+of the body per unit of each speed (`axes`). All else follows from these. `rest` gives the
+coordinates of the body's reference pose on its parent. Axes and points are in the parent's frame.
 """
 
 from abc import abstractmethod
@@ -22,11 +23,13 @@ Axes = tuple[Float[Array, "nv 3"], Float[Array, "nv 3"]]
 
 
 class Joint(Described, eqx.Module):
-    """The base class of joints: nq coordinates, nv speeds; `motions` describes each speed, `turns` says which are rotations [rad/s];
-    `in_series`, whether an earlier rotation turns the axes of later ones (else the rotations of a joint act together).
+    """The base class of joints: nq coordinates, nv speeds; `motions` describes each speed, `turns`
+    says which are rotations [rad/s]; `in_series`, whether an earlier rotation turns the axes of
+    later ones (else the rotations of a joint act together).
 
-    A joint of your own states these, `pose` and `axes`, and, unless increments of q are added, also `rest`, `retract` and `rate`. A nut on
-    a screw, which falls with the acceleration g / (1 + I / (m lead^2)):
+    A joint of your own states these, `pose` and `axes`, and, unless increments of q are added, also
+    `rest`, `retract` and `rate`. A nut on a screw, which falls with the acceleration
+    g / (1 + I / (m lead^2)):
 
     >>> from jaxbody.geometry.frames import Pose
     >>> class Screw(Joint):
@@ -40,7 +43,9 @@ class Joint(Described, eqx.Module):
     ...         n = parent.R[:, 2]
     ...         return self.lead * n[None], n[None]
     >>> nut = Body(mass=0.3, inertia=[2e-5, 2e-5, 2e-5])
-    >>> model = Model(bodies={"nut": nut}, joints={"nut": Screw("world", jnp.array(0.01))}, gravity=[0, 0, -9])
+    >>> model = Model(
+    ...     bodies={"nut": nut}, joints={"nut": Screw("world", jnp.array(0.01))}, gravity=[0, 0, -9]
+    ... )
     >>> round(float(simulate(model, [0.0, 1.0]).poses["nut"].p[-1, 2]), 9)  # 9 / (1 + 2/3) / 2
     -2.7
     """
@@ -51,13 +56,22 @@ class Joint(Described, eqx.Module):
     motions: eqx.AbstractClassVar[tuple[str, ...]]
     turns: eqx.AbstractClassVar[tuple[bool, ...]]
     in_series: ClassVar[bool] = False
-    at: ClassVar[Any] = None  # the point of its parent at which it is, where that is not the body's O in the reference pose
+    # the point of its parent at which it is, where that is not the body's O in the reference pose
+    at: ClassVar[Any] = None
 
     def block(self, body: str) -> CoordinateBlock:
-        """The coordinates of the joint of a body; with one more in q than in v, the last four are a quaternion."""
+        """The coordinates of the joint of a body; with one more in q than in v, the last four are
+        a quaternion."""
         units, quaternion = tuple("rad" if turn else "m" for turn in self.turns), self.nq > self.nv
         q_units = (*units[:-3], *[""] * 4) if quaternion else units
-        return CoordinateBlock(body, type(self), self.motions, q_units, tuple(f"{unit}/s" for unit in units), quaternion)
+        return CoordinateBlock(
+            body,
+            type(self),
+            self.motions,
+            q_units,
+            tuple(f"{unit}/s" for unit in units),
+            quaternion,
+        )
 
     def rest(self, rest: Pose) -> Float[Array, "nq"]:
         """Coordinates of the reference pose."""
@@ -77,11 +91,13 @@ class Joint(Described, eqx.Module):
 
     @abstractmethod
     def axes(self, q: Float[Array, "nq"], parent: Pose, body: Pose) -> Axes:
-        """Velocity of the body's origin, and angular velocity, per unit of each speed, relative to the parent, in world axes."""
+        """Velocity of the body's origin, and angular velocity, per unit of each speed, relative to
+        the parent, in world axes."""
 
 
 class Free(Joint):
-    """Six degrees of freedom: q = (position of O, unit quaternion), v = (velocity of O, angular velocity), in the parent's axes.
+    """Six degrees of freedom: q = (position of O, unit quaternion), v = (velocity of O, angular
+    velocity), in the parent's axes.
 
     >>> Free().parent
     'world'
@@ -98,7 +114,9 @@ class Free(Joint):
         return jnp.concatenate([rest.p, rest.quaternion])
 
     def retract(self, q, delta):
-        return jnp.concatenate([q[:3] + delta[:3], rotations.multiply(rotations.exp_quaternion(delta[3:]), q[3:])])
+        return jnp.concatenate(
+            [q[:3] + delta[:3], rotations.multiply(rotations.exp_quaternion(delta[3:]), q[3:])]
+        )
 
     def rate(self, q, v):
         return jnp.concatenate([v[:3], rotations.quaternion_rate(q[3:], v[3:])])

@@ -1,4 +1,5 @@
-"""Layout of the coordinates: a row of blocks, one for each owner of coordinates, with names, slices, units and descriptions."""
+"""Layout of the coordinates: a row of blocks, one for each owner of coordinates, with names,
+slices, units and descriptions."""
 
 from __future__ import annotations
 
@@ -21,9 +22,9 @@ TURNS = ("turn about x", "turn about y", "turn about z")
 
 @dataclass(frozen=True)
 class CoordinateBlock:
-    """The coordinates of one owner, the joint of a body or an element with memory: nq numbers in q, nv in v, nz in z. A motion in m is
-    small compared with the size of the model, any other compared with 1. The value at rest is a function of the owner's parameters, and so
-    the owner's."""
+    """The coordinates of one owner, the joint of a body or an element with memory: nq numbers in q,
+    nv in v, nz in z. A motion in m is small compared with the size of the model, any other compared
+    with 1. The value at rest is a function of the owner's parameters, and so the owner's."""
 
     owner: str
     kind: type[Any]  # the owner's class
@@ -33,7 +34,9 @@ class CoordinateBlock:
     quaternion: bool = False  # whether the last four numbers of q are one
     states: tuple[str, ...] = ()  # a description of each state in z
     z_units: tuple[str, ...] = ()
-    roles: tuple[str, ...] = ()  # "massless" or "inertial", a coordinate with a row in M, C and K; "rate" of one with mass; "hysteretic"
+    # "massless" or "inertial", a coordinate with a row in M, C and K; "rate" of one with
+    # mass; "hysteretic"
+    roles: tuple[str, ...] = ()
     arguments: tuple[str, ...] = ()  # the unit of the deformation that each state follows
 
     @property
@@ -51,12 +54,15 @@ class CoordinateBlock:
 
 @dataclass(frozen=True)
 class Layout:
-    """The static part of a model: its frames and coordinates, in the order of the names given by the user."""
+    """The static part of a model: its frames and coordinates, in the order of the names given by
+    the user."""
 
     bodies: tuple[str, ...]
     supports: tuple[str, ...]
     parents: tuple[str, ...]
-    blocks: tuple[CoordinateBlock, ...]  # those of the joints, in the order of the bodies, then those of elements, in that of their tables
+    # those of the joints, in the order of the bodies, then those of elements, in that of
+    # their tables
+    blocks: tuple[CoordinateBlock, ...]
 
     @cached_property
     def _hash(self) -> int:
@@ -101,7 +107,10 @@ class Layout:
 
     def _slices(self, widths: list[int]) -> dict[str, slice]:
         ends = np.cumsum([0, *widths]).tolist()
-        return {block.owner: slice(i, j) for block, i, j in zip(self.blocks, ends[:-1], ends[1:], strict=True)}
+        return {
+            block.owner: slice(i, j)
+            for block, i, j in zip(self.blocks, ends[:-1], ends[1:], strict=True)
+        }
 
     @cached_property
     def nq(self) -> int:
@@ -125,13 +134,17 @@ class Layout:
 
     @cached_property
     def coordinate_places(self) -> dict[str, tuple[int, int]]:
-        """{"rack.q": place in q, place in v} of the coordinates that are displacements or angles; "nut.q.1" where a joint has several."""
+        """{"rack.q": place in q, place in v} of the coordinates that are displacements or angles;
+        "nut.q.1" where a joint has several."""
         places = {}
         for block in self.blocks:
             q, v = self.q_slices[block.owner].start, self.v_slices[block.owner].start
             for i, unit in enumerate(block.q_units):
                 if unit:
-                    places[f"{block.owner}.q" if block.nq == 1 else f"{block.owner}.q.{i}"] = (q + i, v + i)
+                    places[f"{block.owner}.q" if block.nq == 1 else f"{block.owner}.q.{i}"] = (
+                        q + i,
+                        v + i,
+                    )
         return places
 
     # From states to vectors and back
@@ -153,18 +166,24 @@ class Layout:
         """q with its quaternions normalized."""
         parts = [q[self.q_slices[block.owner]] for block in self.with_rows]
         normal = [
-            jnp.concatenate([part[:-4], rotations.normalize(part[-4:])]) if block.quaternion else part
+            jnp.concatenate([part[:-4], rotations.normalize(part[-4:])])
+            if block.quaternion
+            else part
             for block, part in zip(self.with_rows, parts, strict=True)
         ]
         return jnp.concatenate(normal)
 
     def rows_of(self, owners: tuple[str, ...], x: Array, slices: dict[str, slice]) -> Array:
-        """The numbers of some owners of one kind, a row for each, from a vector with these slices."""
-        rows = np.array([np.arange(slices[name].start, slices[name].stop) for name in owners], dtype=int)
+        """The numbers of some owners of one kind, a row for each, from a vector with
+        these slices."""
+        rows = np.array(
+            [np.arange(slices[name].start, slices[name].stop) for name in owners], dtype=int
+        )
         return take(x, rows.ravel()).reshape(rows.shape)
 
     def joined(self, pieces: list[tuple[tuple[str, ...], Array]]) -> Array:
-        """The rows of all owners with rows in q and v, given for some at a time, in the order of the blocks."""
+        """The rows of all owners with rows in q and v, given for some at a time, in the order of
+        the blocks."""
         order = tuple(block.owner for block in self.with_rows)
         if len(pieces) == 1 and pieces[0][0] == order:
             return pieces[0][1].reshape(-1, *pieces[0][1].shape[2:])
@@ -202,7 +221,8 @@ class Layout:
 
     @cached_property
     def angular(self) -> np.ndarray:
-        """(nq,): True for angles and for the four numbers of a quaternion, which describe three rotations."""
+        """(nq,): True for angles and for the four numbers of a quaternion, which describe
+        three rotations."""
         return np.array([unit != "m" for unit in self.q_units], dtype=bool)
 
     @cached_property
@@ -235,13 +255,16 @@ class Layout:
 
     @cached_property
     def inner_places(self) -> np.ndarray:
-        """The places in z of the coordinates of elements in the order of their rows: those with mass, then massless ones."""
+        """The places in z of the coordinates of elements in the order of their rows: those with
+        mass, then massless ones."""
         return np.concatenate([self.inertial, self.massless])
 
     @cached_property
     def follows_angles(self) -> np.ndarray:
         """(nz,): True for states that follow an angle."""
-        return np.array([unit == "rad" for block in self.blocks for unit in block.arguments], dtype=bool)
+        return np.array(
+            [unit == "rad" for block in self.blocks for unit in block.arguments], dtype=bool
+        )
 
     @cached_property
     def inner(self) -> tuple[str, ...]:
@@ -250,14 +273,16 @@ class Layout:
 
     @cached_property
     def with_mass(self) -> tuple[str, ...]:
-        """A description of each speed, and of each coordinate of elements with mass: the rows of modes."""
+        """A description of each speed, and of each coordinate of elements with mass: the rows
+        of modes."""
         return self.coordinates + self.inner[: len(self.inertial)]
 
     # The tree of the joints
 
     @cached_property
     def chains(self) -> dict[str, tuple[str, ...]]:
-        """Each frame, then the frames that carry it by joints: {"hand": ("hand", "arm", "base")}."""
+        """Each frame, then the frames that carry it by joints: {"hand": ("hand",
+        "arm", "base")}."""
         parent = dict(zip(self.bodies, self.parents, strict=True))
 
         def chain(name: str) -> tuple[str, ...]:
@@ -280,8 +305,12 @@ class Layout:
 
     @cached_property
     def movers(self) -> np.ndarray:
-        """For each speed, then for each of the six numbers of each support, the row of the first frame that it moves."""
-        return np.array([self.frame(name) for name, _ in self.motions] + [1 + i // 6 for i in range(self.nxi)], dtype=int)
+        """For each speed, then for each of the six numbers of each support, the row of the first
+        frame that it moves."""
+        return np.array(
+            [self.frame(name) for name, _ in self.motions] + [1 + i // 6 for i in range(self.nxi)],
+            dtype=int,
+        )
 
     def moving(self, *, base: bool) -> np.ndarray:
         """The rows of the frames that move: bodies, then, with `base`, supports."""

@@ -1,6 +1,8 @@
-"""Tables: objects of one kind as one struct of arrays with a static tuple of names; each object is a row.
+"""Tables: objects of one kind as one struct of arrays with a static tuple of names; each object is
+a row.
 
-(Compiling the gradient of a model of 200 springs takes 14 s with separate objects, 2 s with arrays.)
+(Compiling the gradient of a model of 200 springs takes 14 s with separate objects, 2 s
+with arrays.)
 """
 
 from __future__ import annotations
@@ -17,11 +19,13 @@ from jaxbody.core.errors import JaxbodyError, Problem
 
 
 class KindTable(eqx.Module):
-    """Rows of one kind: `rows` is one module whose leaves have a leading axis; `links` names what each row is attached to."""
+    """Rows of one kind: `rows` is one module whose leaves have a leading axis; `links` names what
+    each row is attached to."""
 
     names: tuple[str, ...] = eqx.field(static=True)
     links: tuple[Any, ...] = eqx.field(static=True)
-    ranks: tuple[int, ...] = eqx.field(static=True)  # of each leaf of one row, so that batches of models have rows too
+    # of each leaf of one row, so that batches of models have rows too
+    ranks: tuple[int, ...] = eqx.field(static=True)
     rows: Any
 
     def __len__(self) -> int:
@@ -33,24 +37,61 @@ class KindTable(eqx.Module):
         leaves, treedef = jax.tree.flatten(self.rows)
         if not all(leaf is None or hasattr(leaf, "__getitem__") for leaf in leaves):
             raise JaxbodyError(self._no_node(name))
-        if any(np.ndim(leaf) <= rank for leaf, rank in zip(leaves, self.ranks, strict=True) if leaf is not None):
-            hint = "A function of whole arrays, such as a norm, was applied to its tree; apply it to the values of jb.paths(model)."
-            raise JaxbodyError(Problem("BAD_SHAPE", f"model['{name}']", "has leaves without rows", limit="a row for each name", hint=hint))
+        if any(
+            np.ndim(leaf) <= rank
+            for leaf, rank in zip(leaves, self.ranks, strict=True)
+            if leaf is not None
+        ):
+            hint = (
+                "A function of whole arrays, such as a norm, was applied to its tree; apply it to "
+                "the values of jb.paths(model)."
+            )
+            raise JaxbodyError(
+                Problem(
+                    "BAD_SHAPE",
+                    f"model['{name}']",
+                    "has leaves without rows",
+                    limit="a row for each name",
+                    hint=hint,
+                )
+            )
         rows = [(..., i, *[slice(None)] * rank) for rank in self.ranks]
-        picked = [leaf if leaf is None else arrays.part_of(leaf, row) for leaf, row in zip(leaves, rows, strict=True)]
+        picked = [
+            leaf if leaf is None else arrays.part_of(leaf, row)
+            for leaf, row in zip(leaves, rows, strict=True)
+        ]
         return with_link(jax.tree.unflatten(treedef, picked), self.links[i])
 
     def _no_node(self, name: str) -> Problem:
-        """The problem of a row of leaves that are not arrays, which occurs when equinox.tree_at calls its function."""
-        paths = [jax.tree_util.keystr(keys, simple=True, separator=".") for keys, _ in jax.tree_util.tree_leaves_with_path(self.rows)]
-        path = next((path for path in paths if path in inspect.get_annotations(type(self.rows))), paths[-1])
-        message = "is a row of arrays and not a node of the tree, so equinox.tree_at cannot replace it"
-        hint = f'Use jb.replace(model, {{"{name}.{path}": value}}); it has {", ".join(paths[:8])}{", ..." if len(paths) > 8 else ""}.'
-        return Problem("NO_NODE", f"model['{name}']", message, name, f"whole arrays, such as model.elements[0].rows.{path}", hint)
+        """The problem of a row of leaves that are not arrays, which occurs when equinox.tree_at
+        calls its function."""
+        paths = [
+            jax.tree_util.keystr(keys, simple=True, separator=".")
+            for keys, _ in jax.tree_util.tree_leaves_with_path(self.rows)
+        ]
+        path = next(
+            (path for path in paths if path in inspect.get_annotations(type(self.rows))), paths[-1]
+        )
+        message = (
+            "is a row of arrays and not a node of the tree, so equinox.tree_at cannot replace it"
+        )
+        hint = (
+            f'Use jb.replace(model, {{"{name}.{path}": value}}); it has '
+            f"{', '.join(paths[:8])}{', ...' if len(paths) > 8 else ''}."
+        )
+        return Problem(
+            "NO_NODE",
+            f"model['{name}']",
+            message,
+            name,
+            f"whole arrays, such as model.elements[0].rows.{path}",
+            hint,
+        )
 
 
 def tabulate(things: dict[str, Any], template: Any = None) -> KindTable:
-    """One table of objects of equal structure; `template` gives the structure where there are none."""
+    """One table of objects of equal structure; `template` gives the structure where there
+    are none."""
     modules = list(things.values())
     bare = [with_link(module, None) for module in modules]
     leaves = [jax.tree.leaves(module) for module in bare]
@@ -59,16 +100,22 @@ def tabulate(things: dict[str, Any], template: Any = None) -> KindTable:
         arrays.device_array(np.zeros((0, *np.shape(leaf)))) for leaf in first
     ]  # fmt: skip
     return KindTable(
-        tuple(things), tuple(link_of(m) for m in modules), tuple(np.ndim(leaf) for leaf in first), jax.tree.unflatten(treedef, columns)
+        tuple(things),
+        tuple(link_of(m) for m in modules),
+        tuple(np.ndim(leaf) for leaf in first),
+        jax.tree.unflatten(treedef, columns),
     )
 
 
 def tabulate_by_structure(things: dict[str, Any], key=lambda name: None) -> tuple[KindTable, ...]:
-    """One table for each structure (class, static fields, shapes of leaves) and `key`, in order of first appearance."""
+    """One table for each structure (class, static fields, shapes of leaves) and `key`, in order of
+    first appearance."""
     kinds: dict[Any, dict[str, Any]] = {}
     for name, thing in things.items():
         leaves, treedef = jax.tree.flatten(with_link(thing, None))
-        kinds.setdefault((key(name), treedef, tuple(np.shape(leaf) for leaf in leaves)), {})[name] = thing
+        kinds.setdefault((key(name), treedef, tuple(np.shape(leaf) for leaf in leaves)), {})[
+            name
+        ] = thing
     return tuple(tabulate(group) for group in kinds.values())
 
 
@@ -80,6 +127,7 @@ def link_of(module: Any) -> Any:
 def with_link(module: Any, link: Any) -> Any:
     """A copy with another link, which is static, so that `eqx.tree_at` cannot replace it."""
     copy = object.__new__(type(module))
-    for name, value in vars(module).items():  # its own attributes only: those of the class would change the tree structure
+    # its own attributes only: those of the class would change the tree structure
+    for name, value in vars(module).items():
         object.__setattr__(copy, name, link if name in ("between", "parent") else value)
     return copy

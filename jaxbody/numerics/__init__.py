@@ -1,1 +1,2 @@
-"""Computing without physics: batches in lanes, eigenproblems, blocks of Runge-Kutta steps, Gauss collocation."""
+"""Computing without physics: batches in lanes, eigenproblems, blocks of Runge-Kutta steps,
+Gauss collocation."""

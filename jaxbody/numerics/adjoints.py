@@ -1,4 +1,5 @@
-"""Blocks: explicit Runge-Kutta steps of `diffrax.diffeqsolve` in fast loops, with derivatives in both modes."""
+"""Blocks: explicit Runge-Kutta steps of `diffrax.diffeqsolve` in fast loops, with derivatives in
+both modes."""
 
 from __future__ import annotations
 
@@ -25,19 +26,27 @@ POINTS = 13  # of a look between the ends of a step, besides samples
 
 
 class Driven(diffrax.ODETerm):
-    """y' = driven(u, y, args) with u = drive(t, args), the part that depends on time alone. `Blocks` compute u for all stages of a step at
-    once. Both are traced once for each shape, also where diffeqsolve looks at their shapes only; give functions of a module. `project`:
-    project(u, y, at_y, args), the state next to y that fulfils conditions which solutions fulfil, with what `driven` then returns besides
-    y'; None without such conditions."""
+    """y' = driven(u, y, args) with u = drive(t, args), the part that depends on time alone.
+    `Blocks` compute u for all stages of a step at once. Both are traced once for each shape, also
+    where diffeqsolve looks at their shapes only; give functions of a module. `project`: project(u,
+    y, at_y, args), the state next to y that fulfils conditions which solutions fulfil, with what
+    `driven` then returns besides y'; None without such conditions."""
 
     drive: Callable[[Any, Any], Any]
     driven: Callable[[Any, Any, Any], Any]
     project: Callable[[Any, Any, Any, Any], Any] | None
 
-    def __init__(self, drive: Callable[[Any, Any], Any], driven: Callable[[Any, Any, Any], Any], project: Any = None):
+    def __init__(
+        self,
+        drive: Callable[[Any, Any], Any],
+        driven: Callable[[Any, Any, Any], Any],
+        project: Any = None,
+    ):
         self.project = project
         self.drive, self.driven = (eqx.filter_jit(part, inline=True) for part in (drive, driven))  # pyright: ignore
-        self.vector_field = jax.tree_util.Partial(_whole if project is None else _rate_of_whole, self.drive, self.driven)
+        self.vector_field = jax.tree_util.Partial(
+            _whole if project is None else _rate_of_whole, self.drive, self.driven
+        )
 
     def projected(self, t, y, args):
         """The state next to y at the time t that fulfils the conditions."""
@@ -54,7 +63,8 @@ def _rate_of_whole(drive, driven, t, y, args):
 
 
 class Unstarted(diffrax.AbstractStepSizeController):
-    """A controller that leaves the first step to `Blocks`: diffeqsolve then neither evaluates the rate nor checks dt0."""
+    """A controller that leaves the first step to `Blocks`: diffeqsolve then neither evaluates the
+    rate nor checks dt0."""
 
     controller: diffrax.AbstractStepSizeController
 
@@ -69,8 +79,8 @@ class Unstarted(diffrax.AbstractStepSizeController):
 
 
 class Lasting(diffrax.AbstractAdaptiveStepSizeController):
-    """diffrax.PIDController(rtol, atol, norm) with a shortest step, which ends an integration only where it is refused: a step that
-    was short because a kink cut it may grow."""
+    """diffrax.PIDController(rtol, atol, norm) with a shortest step, which ends an integration only
+    where it is refused: a step that was short because a kink cut it may grow."""
 
     rtol: Any
     atol: Any
@@ -93,8 +103,8 @@ class Lasting(diffrax.AbstractAdaptiveStepSizeController):
 
 
 class Wrapped(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
-    """The base of solvers that change the steps of the user's; one around the other is too deep for diffrax, which gives the tolerances of
-    the controller to an implicit solver inside one."""
+    """The base of solvers that change the steps of the user's; one around the other is too deep for
+    diffrax, which gives the tolerances of the controller to an implicit solver inside one."""
 
     solver: diffrax.AbstractSolver  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -112,7 +122,8 @@ class Wrapped(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
 
     @property
     def root_finder(self):
-        """That of an implicit solver, to which diffeqsolve gives the tolerances of the controller."""
+        """That of an implicit solver, to which diffeqsolve gives the tolerances of
+        the controller."""
         return self.solver.root_finder  # pyright: ignore[reportAttributeAccessIssue]
 
     @property
@@ -136,15 +147,26 @@ class Wrapped(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
         return self.solver.func(terms, t0, y0, args)
 
     def projected_step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
-        """A step that ends at P(y1), with P of a `Driven` term that has one. Its error is what is left after the projection,
-        P(y1) - P(y1 - error), and the rate at the start of a step is evaluated again."""
+        """A step that ends at P(y1), with P of a `Driven` term that has one. Its error is what is
+        left after the projection, P(y1) - P(y1 - error), and the rate at the start of a step is
+        evaluated again."""
         if getattr(within(terms), "project", None) is None:
             return self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
-        y1, error, dense, solver_state, result = self.solver.step(terms, t0, t1, y0, args, solver_state, jnp.array(True))
+        y1, error, dense, solver_state, result = self.solver.step(
+            terms, t0, t1, y0, args, solver_state, jnp.array(True)
+        )
         if error is None:
             return within(terms).projected(t1, y1, args), None, dense, solver_state, result
-        there, other = jax.vmap(lambda y: within(terms).projected(t1, y, args))(jnp.stack([y1, y1 - error]))
-        return there, jnp.where(jnp.isfinite(there), there - other, jnp.inf), dense, solver_state, result
+        there, other = jax.vmap(lambda y: within(terms).projected(t1, y, args))(
+            jnp.stack([y1, y1 - error])
+        )
+        return (
+            there,
+            jnp.where(jnp.isfinite(there), there - other, jnp.inf),
+            dense,
+            solver_state,
+            result,
+        )
 
 
 class Projected(Wrapped):
@@ -155,10 +177,11 @@ class Projected(Wrapped):
 
 
 class Watched(Wrapped):
-    """A solver whose steps end projected, and that looks along them, as `Blocks` do: after a step with an error far below the tolerance the
-    defect of the next one's interpolation, h (f(t, y(t)) - y'(t)), is evaluated at points between its ends and at the sample times,
-    otherwise in its middle alone, where half the digits suffice. A step with a larger defect has an infinite error, and any controller
-    refuses it."""
+    """A solver whose steps end projected, and that looks along them, as `Blocks` do: after a step
+    with an error far below the tolerance the defect of the next one's interpolation, h (f(t,
+    y(t)) - y'(t)), is evaluated at points between its ends and at the sample times, otherwise in
+    its middle alone, where half the digits suffice. A step with a larger defect has an infinite
+    error, and any controller refuses it."""
 
     times: Float[Array, "nt"]
     rtol: Any
@@ -168,14 +191,23 @@ class Watched(Wrapped):
         return self.solver.init(terms, t0, t1, y0, args), jnp.zeros_like(y0[0])
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
-        y1, error, dense, inner, result = self.projected_step(terms, t0, t1, y0, args, solver_state[0], made_jump)
+        y1, error, dense, inner, result = self.projected_step(
+            terms, t0, t1, y0, args, solver_state[0], made_jump
+        )
         if error is None:
             return y1, error, dense, (inner, solver_state[1]), result
-        numbers, rest = eqx.partition((self.interpolation_cls(t0=t0, t1=t1, **dense), terms, args), eqx.is_array)
+        numbers, rest = eqx.partition(
+            (self.interpolation_cls(t0=t0, t1=t1, **dense), terms, args), eqx.is_array
+        )
         between, terms, args = eqx.combine(lax.stop_gradient(numbers), rest)
-        begin, end, times, size = lax.stop_gradient((t0, t1, self.times, jnp.maximum(jnp.abs(y0), jnp.abs(y1))))
+        begin, end, times, size = lax.stop_gradient(
+            (t0, t1, self.times, jnp.maximum(jnp.abs(y0), jnp.abs(y1)))
+        )
         tolerance = self.atol + self.rtol * size
-        quiet, first = lax.stop_gradient(solver_state[1]) < QUIET, jnp.searchsorted(times, begin, side="right").astype(int)
+        quiet, first = (
+            lax.stop_gradient(solver_state[1]) < QUIET,
+            jnp.searchsorted(times, begin, side="right").astype(int),
+        )
         allowed = tolerance * jnp.where(quiet, DEFECT, self.rtol**-0.5)
 
         def at(i):
@@ -185,8 +217,12 @@ class Watched(Wrapped):
         def look(carry):
             i, _ = carry
             t = at(i)
-            defect = (end - begin) * (terms.vf(t, between.evaluate(t), args) - between.derivative(t))
-            return jnp.where(quiet, i + 1, 2 * POINTS + len(times)), jnp.all(jnp.abs(defect) <= allowed)
+            defect = (end - begin) * (
+                terms.vf(t, between.evaluate(t), args) - between.derivative(t)
+            )
+            return jnp.where(quiet, i + 1, 2 * POINTS + len(times)), jnp.all(
+                jnp.abs(defect) <= allowed
+            )
 
         def more(carry):
             i, good = carry
@@ -195,43 +231,70 @@ class Watched(Wrapped):
         _, good = lax.while_loop(more, look, (jnp.where(quiet, 0, POINTS // 2), jnp.array(True)))
         ratio = jnp.max(jnp.abs(lax.stop_gradient(error)) / tolerance)
         changed = jnp.max(jnp.abs(lax.stop_gradient(y1 - y0)) / tolerance) > self.rtol**-0.5
-        return y1, jnp.where(good, error, jnp.inf), dense, (inner, jnp.where(changed, ratio, 0.0)), result
+        return (
+            y1,
+            jnp.where(good, error, jnp.inf),
+            dense,
+            (inner, jnp.where(changed, ratio, 0.0)),
+            result,
+        )
 
 
 class Blocks(diffrax.AbstractAdjoint):
-    """An adjoint of `diffrax.diffeqsolve` for small systems on a CPU: explicit Runge-Kutta steps in blocks of 128, in loops that
-    compile to fast code. Reverse mode, forward mode and forward over reverse work.
+    """An adjoint of `diffrax.diffeqsolve` for small systems on a CPU: explicit Runge-Kutta steps in
+    blocks of 128, in loops that compile to fast code. Reverse mode, forward mode and forward over
+    reverse work.
 
-        k_i = h f(t + c_i h, y + sum_j a_ij k_j),   y(t + h) = y + sum_i b_i k_i,   y(t + theta h) = y + sum_i p_i(theta) k_i
-        error = norm(sum_i e_i k_i / (atol + rtol |y|)),   next h = safety h error^(-1/order), within its limits
-        defect = norm((h f(t + theta h, y(t + theta h)) - sum_i p_i'(theta) k_i) / (atol + rtol |y|)), small along steps after quiet ones
+        k_i = h f(t + c_i h, y + sum_j a_ij k_j),   y(t + h) = y + sum_i b_i k_i,
+        y(t + theta h) = y + sum_i p_i(theta) k_i
+        error = norm(sum_i e_i k_i / (atol + rtol |y|)),
+        next h = safety h error^(-1/order), within its limits
+        defect = norm((h f(t + theta h, y(t + theta h)) - sum_i p_i'(theta) k_i)
+                      /(atol + rtol |y|)),
+        small along steps after quiet ones
 
-    f is the vector field of the term, a, b, c, e and p are those of the solver. A block keeps the polynomials of its steps and computes the
-    samples between them at its end. Reverse mode keeps the state at the start of each block with the lengths of its steps, and repeats the
-    block; step lengths are constants in both modes. In a batch by jax.vmap every member has its own steps.
+    f is the vector field of the term, a, b, c, e and p are those of the solver. A block keeps the
+    polynomials of its steps and computes the samples between them at its end. Reverse mode keeps
+    the state at the start of each block with the lengths of its steps, and repeats the block; step
+    lengths are constants in both modes. In a batch by jax.vmap every member has its own steps.
 
     Args:
-        times: sample times, ascending from t0 to t1, in place of `SaveAt(ts=times)`; by default those of saveat. diffrax checks these while
-            the program runs, by calls of the host, and JAX never stores a program that calls the host.
-        first: the first or the constant step, in place of dt0 for the same reason; by default dt0 or, without it, chosen.
+        times: sample times, ascending from t0 to t1, in place of `SaveAt(ts=times)`; by default
+            those of saveat. diffrax checks these while the program runs, by calls of the host, and
+            JAX never stores a program that calls the host.
+        first: the first or the constant step, in place of dt0 for the same reason; by default dt0
+            or, without it, chosen.
         forward_only: True for forward mode only, as by diffrax.ForwardMode(), at less cost.
 
-    Solvers are explicit Runge-Kutta methods of diffrax, such as Dopri8, Tsit5 or Heun; stepsize_controller is ConstantStepSize() or
-    PIDController(rtol, atol), also with a norm, safety and limits, and in ClipStepSizeController(step_ts=...); saveat may have t0, t1, ts
-    and fn. Samples after an early end are NaN. `stats["status"]` is a jb.Status and tells NONFINITE from DT_MIN.
+    Solvers are explicit Runge-Kutta methods of diffrax, such as Dopri8, Tsit5 or Heun;
+    stepsize_controller is ConstantStepSize() or PIDController(rtol, atol), also with a norm,
+    safety and limits, and in ClipStepSizeController(step_ts=...); saveat may have t0, t1, ts and
+    fn. Samples after an early end are NaN. `stats["status"]` is a jb.Status and tells NONFINITE
+    from DT_MIN.
 
-    Errors, all at once: WRONG_KIND for a solver, controller, saveat, event or progress meter that blocks do not know, and for
-    max_steps=None; TOO_LARGE for derivatives that would reserve more than 8 GB for max_steps.
+    Errors, all at once: WRONG_KIND for a solver, controller, saveat, event or progress meter that
+    blocks do not know, and for max_steps=None; TOO_LARGE for derivatives that would reserve more
+    than 8 GB for max_steps.
 
     >>> import diffrax, jax, jax.numpy as jnp
     >>> def end(k):
     ...     oscillator = diffrax.ODETerm(lambda t, y, k: jnp.stack([y[1], -k * y[0]]))
     ...     y0, steps = jnp.array([1.0, 0.0]), diffrax.PIDController(rtol=1e-10, atol=1e-12)
     ...     path = diffrax.diffeqsolve(
-    ...         oscillator, diffrax.Dopri8(), 0.0, 1.0, None, y0, k, stepsize_controller=steps, adjoint=Blocks()
+    ...         oscillator,
+    ...         diffrax.Dopri8(),
+    ...         0.0,
+    ...         1.0,
+    ...         None,
+    ...         y0,
+    ...         k,
+    ...         stepsize_controller=steps,
+    ...         adjoint=Blocks(),
     ...     )
     ...     return path.ys[-1, 0]
-    >>> print(f"{end(4.0):.6f} {jax.grad(end)(4.0):.6f} {jax.jacfwd(end)(4.0):.6f}")  # cos 2 and -sin 2 / 4
+    >>> print(
+    ...     f"{end(4.0):.6f} {jax.grad(end)(4.0):.6f} {jax.jacfwd(end)(4.0):.6f}"
+    ... )  # cos 2 and -sin 2 / 4
     -0.416147 -0.227324 -0.227324
     """
 
@@ -239,30 +302,65 @@ class Blocks(diffrax.AbstractAdjoint):
     first: Float[Array, ""] | None = None
     forward_only: bool = eqx.field(static=True, default=False)
 
-    def loop(self, *, args, terms, solver, stepsize_controller, event, saveat, t0, t1, dt0, max_steps, init_state, progress_meter, **_):
+    def loop(
+        self,
+        *,
+        args,
+        terms,
+        solver,
+        stepsize_controller,
+        event,
+        saveat,
+        t0,
+        t1,
+        dt0,
+        max_steps,
+        init_state,
+        progress_meter,
+        **_,
+    ):
         control, kinks = _steps_of(stepsize_controller)
         _check(solver, control, event, saveat, max_steps, progress_meter)
         sub = saveat.subs
-        times: Any = jnp.concatenate([x for x in (t0[None], sub.ts, t1[None]) if x is not None]) if self.times is None else self.times
+        times: Any = (
+            jnp.concatenate([x for x in (t0[None], sub.ts, t1[None]) if x is not None])
+            if self.times is None
+            else self.times
+        )
         y0, unravel = ravel_pytree(init_state.y)
         if control is not None and control.dtmin is None:
-            control = dataclasses.replace(control, dtmin=reachable(1e-13, times.dtype, 1) * (times[-1] - times[0]))
+            control = dataclasses.replace(
+                control, dtmin=reachable(1e-13, times.dtype, 1) * (times[-1] - times[0])
+            )
         project = None
         if self.times is not None and isinstance(within(terms), Driven):
-            drive, rate, project, arguments = within(terms).drive, within(terms).driven, within(terms).project, args
+            drive, rate, project, arguments = (
+                within(terms).drive,
+                within(terms).driven,
+                within(terms).project,
+                args,
+            )
         else:
             drive, rate, arguments = _time, _rate, (_field(terms, t0, y0, unravel, args), args)
         first = dt0 if self.first is None else self.first
         method = method_of(solver)
-        problem, rest = eqx.partition(InitialValueProblem(drive, rate, method, max_steps, control, first, kinks, project), eqx.is_array)
+        problem, rest = eqx.partition(
+            InitialValueProblem(drive, rate, method, max_steps, control, first, kinks, project),
+            eqx.is_array,
+        )
         problem = eqx.combine(lax.stop_gradient(problem), rest)
         if self.forward_only:
             ended = step_blocks.solve(problem, arguments, y0, times)
         else:
             ended = step_blocks.solve_both_ways((arguments, y0, times), problem=problem)
         t_end, course = times[0] + ended.tau, ended.course
-        asked = slice(1, -1) if self.times is None else slice(None)  # without those added at t0 and t1
-        saved = [(t0[None], y0[None])] * sub.t0 + [(times[asked], ended.samples[asked])] + [(t_end[None], ended.y[None])] * sub.t1
+        # without those added at t0 and t1
+        asked = slice(1, -1) if self.times is None else slice(None)
+        saved = (
+            [(t0[None], y0[None])] * sub.t0
+            + [(times[asked], ended.samples[asked])]
+            + [(t_end[None], ended.y[None])] * sub.t1
+        )
         ts, ys = (jnp.concatenate(x) for x in zip(*saved, strict=True))
         good, at_most = course.code == Status.OK.value, course.code == Status.MAX_STEPS.value
         short = RESULTS.where(at_most, RESULTS.max_steps_reached, RESULTS.dt_min_reached)  # pyright: ignore
@@ -274,21 +372,29 @@ class Blocks(diffrax.AbstractAdjoint):
             num_steps=course.accepted + course.rejected,
             num_accepted_steps=course.accepted,
             num_rejected_steps=course.rejected,
-            save_state=dataclasses.replace(init_state.save_state, ts=ts, ys=jax.vmap(lambda t, y: sub.fn(t, unravel(y), args))(ts, ys)),
+            save_state=dataclasses.replace(
+                init_state.save_state,
+                ts=ts,
+                ys=jax.vmap(lambda t, y: sub.fn(t, unravel(y), args))(ts, ys),
+            ),
         )
         return final, {"status": course.code}
 
 
 def within(terms: Any) -> Any:
-    """The term that the user gave: diffeqsolve wraps it in another, for integration backward in time."""
+    """The term that the user gave: diffeqsolve wraps it in another, for integration backward
+    in time."""
     return getattr(terms, "term", terms)
 
 
 def _field(terms, t0, y0, unravel, args) -> Callable[[Array, Array, Any], Array]:
-    """The vector field of vectors, with what it closes over as arrays of its own, which can have derivatives."""
+    """The vector field of vectors, with what it closes over as arrays of its own, which can
+    have derivatives."""
 
     def field(t, y, args):
-        return ravel_pytree(terms.vf_prod(t, unravel(y), args, terms.contr(jnp.zeros_like(t), jnp.ones_like(t))))[0]
+        return ravel_pytree(
+            terms.vf_prod(t, unravel(y), args, terms.contr(jnp.zeros_like(t), jnp.ones_like(t)))
+        )[0]
 
     return eqx.filter_closure_convert(field, t0, y0, args)
 
@@ -303,9 +409,17 @@ def _rate(t, y, arguments):
 
 
 def _steps_of(controller: Any) -> tuple[Any, Array | None]:
-    """A PIDController, None for constant steps, or any other controller; and times at which steps end."""
-    kinks, controller = None, controller.controller if isinstance(controller, Unstarted) else controller
-    if isinstance(controller, diffrax.ClipStepSizeController) and controller.jump_ts is None and controller.store_rejected_steps is None:
+    """A PIDController, None for constant steps, or any other controller; and times at which
+    steps end."""
+    kinks, controller = (
+        None,
+        controller.controller if isinstance(controller, Unstarted) else controller,
+    )
+    if (
+        isinstance(controller, diffrax.ClipStepSizeController)
+        and controller.jump_ts is None
+        and controller.store_rejected_steps is None
+    ):
         controller, kinks = controller.controller, controller.step_ts
     return None if isinstance(controller, diffrax.ConstantStepSize) else controller, kinks
 
@@ -317,17 +431,32 @@ def _check(solver, control, event, saveat, max_steps, meter) -> None:
         (control.pcoeff, control.icoeff, control.dcoeff, control.dtmax) == (0, 1, 0, None)
         and not (control.dtmin is not None and control.force_dtmin)
     )
-    steps = "diffrax.ConstantStepSize() or PIDController(rtol=..., atol=...), with default coefficients, no dtmax and no force_dtmin"
+    steps = (
+        "diffrax.ConstantStepSize() or PIDController(rtol=..., atol=...), with default "
+        "coefficients, no dtmax and no force_dtmin"
+    )
     plain = not (saveat.dense or saveat.solver_state or saveat.controller_state or saveat.made_jump)
     saved = plain and isinstance(saveat.subs, diffrax.SubSaveAt) and not saveat.subs.steps
     with Problems() as problems:
         for name, value, fits, limit in (
-            ("solver", solver, explicit, "an explicit Runge-Kutta method of diffrax with two stages or more"),
+            (
+                "solver",
+                solver,
+                explicit,
+                "an explicit Runge-Kutta method of diffrax with two stages or more",
+            ),
             ("stepsize_controller", control, control is None or integral, steps),
             ("saveat", saveat, saved, "diffrax.SaveAt of t0, t1, ts and fn alone"),
             ("event", event, event is None, "None"),
             ("max_steps", max_steps, max_steps is not None, "a number"),
-            ("progress_meter", meter, isinstance(meter, diffrax.NoProgressMeter), "diffrax.NoProgressMeter()"),
+            (
+                "progress_meter",
+                meter,
+                isinstance(meter, diffrax.NoProgressMeter),
+                "diffrax.NoProgressMeter()",
+            ),
         ):
             if not fits:
-                problems.add("WRONG_KIND", f"Blocks.{name}", f"is {kind_of(value)}", value=value, limit=limit)
+                problems.add(
+                    "WRONG_KIND", f"Blocks.{name}", f"is {kind_of(value)}", value=value, limit=limit
+                )

@@ -1,14 +1,18 @@
-"""Eigenvalues and eigenvectors with correct derivatives where eigenvalues coincide, and NaN where a derivative does not exist.
+"""Eigenvalues and eigenvectors with correct derivatives where eigenvalues coincide, and NaN where a
+derivative does not exist.
 
     K phi = w^2 M phi:   d(w_i^2) = phi_i' (dK - w_i^2 dM) phi_i
-                         dphi_j = sum_i phi_i phi_i' (dK - w_j^2 dM) phi_j/(w_j^2 - w_i^2) - phi_j phi_j' dM phi_j/2
+                         dphi_j = sum_i phi_i phi_i' (dK - w_j^2 dM) phi_j/(w_j^2 - w_i^2)
+                                  - phi_j phi_j' dM phi_j/2
     A x = s x:           ds_i = y_i' dA x_i, y' = X^-1,   dx_j = sum_i x_i y_i' dA x_j/(s_j - s_i)
 
-The sums omit i in the same cluster (coincident eigenvalues) as j. Functions of the space of a cluster only (sums of its eigenvalues,
-energies, responses) thus have correct derivatives. A single branch has one derivative to each side: the eigenvalues of
-phi_i' (dK - w^2 dM) phi_j, i and j in the cluster, in order (degenerate perturbation theory). Forward mode gives the derivative along the
-requested direction. Reverse mode is linear and cannot give it: the result is NaN unless all branches of a cluster have equal cotangents.
-Source: A. P. Seyranian, E. Lund, N. Olhoff, Structural Optimization 8 (1994) 207.
+The sums omit i in the same cluster (coincident eigenvalues) as j. Functions of the space of a
+cluster only (sums of its eigenvalues, energies, responses) thus have correct derivatives. A single
+branch has one derivative to each side: the eigenvalues of phi_i' (dK - w^2 dM) phi_j, i and j in
+the cluster, in order (degenerate perturbation theory). Forward mode gives the derivative along the
+requested direction. Reverse mode is linear and cannot give it: the result is NaN unless all
+branches of a cluster have equal cotangents. Source: A. P. Seyranian, E. Lund, N. Olhoff, Structural
+Optimization 8 (1994) 207.
 """
 
 from __future__ import annotations
@@ -26,7 +30,9 @@ from jaxbody.core.jax_internals import Zero, new_operation
 from jaxbody.numerics.lanes import in_lanes
 
 CLUSTERED = 1e-6  # relative distance of eigenvalues below which they belong to one cluster
-ALIKE = 1e-5  # relative difference of cotangents within a cluster that counts as none: that of its frequencies is up to CLUSTERED
+# relative difference of cotangents within a cluster that counts as none: that of its frequencies is
+# up to CLUSTERED
+ALIKE = 1e-5
 ZERO = 1e-12  # eigenvalues, relative to the largest, that count as zero
 WITH_EIG = ("cpu", "gpu")  # devices for which JAX has eig
 MASSLESS = 1e-13  # pivots of M, relative to its diagonal, that count as zero
@@ -54,16 +60,21 @@ def averaged(x: Float[Array, "*m n"], cluster: Int[Array, "n"]) -> Float[Array, 
 # First and second derivatives of eigenvalues
 
 
-def linear_one_way(name: str, forward: Callable[..., Any], backward: Callable[..., Any], again: Any = None) -> Callable[..., Array]:
-    """A function of a tangent and of known arrays, with its own transpose; all functions take leading axes of batches.
+def linear_one_way(
+    name: str, forward: Callable[..., Any], backward: Callable[..., Any], again: Any = None
+) -> Callable[..., Array]:
+    """A function of a tangent and of known arrays, with its own transpose; all functions take
+    leading axes of batches.
 
-    A custom rule of JAX would transpose `forward`, which here need not be linear, and cannot inspect a cotangent.
+    A custom rule of JAX would transpose `forward`, which here need not be linear, and cannot
+    inspect a cotangent.
 
     Args:
         name: name of the operation
         forward: the function of (tangent, *known)
         backward: its transpose, of (cotangent, *known)
-        again: the derivative of forward with respect to the tangent, of (tangent, *known); None: forward itself
+        again: the derivative of forward with respect to the tangent, of (tangent, *known); None:
+            forward itself
     """
 
     def jvp(primals, tangents):
@@ -73,12 +84,16 @@ def linear_one_way(name: str, forward: Callable[..., Any], backward: Callable[..
         return out, (again or primitive.bind)(tangents[0], *primals[1:])
 
     def transpose(cotangent, t, *known):
-        return (Zero(t.aval) if type(cotangent) is Zero else backward(cotangent, *known), *(None for _ in known))
+        return (
+            Zero(t.aval) if type(cotangent) is Zero else backward(cotangent, *known),
+            *(None for _ in known),
+        )
 
     def batch(args, axes):
         size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
         moved = (
-            jnp.broadcast_to(x, (size, *x.shape)) if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in zip(args, axes, strict=True)
+            jnp.broadcast_to(x, (size, *x.shape)) if axis is None else jnp.moveaxis(x, axis, 0)
+            for x, axis in zip(args, axes, strict=True)
         )
         return primitive.bind(*moved), 0
 
@@ -91,17 +106,27 @@ def _alone(cluster: Array) -> Array:
 
 
 def _one_sided(W: Array, cluster: Array) -> Array:
-    """The ascending eigenvalues of the block of W of each cluster; clusters are kept apart by a shift."""
+    """The ascending eigenvalues of the block of W of each cluster; clusters are kept apart by
+    a shift."""
     B = jnp.where(together(cluster), (W + jnp.swapaxes(W, -1, -2)) / 2, 0.0)
-    shift = 4 * jnp.max(jnp.sum(jnp.abs(B), -1), -1, initial=0.0)[..., None] * cluster.astype(W.dtype)
-    split = jnp.linalg.eigvalsh(B + shift[..., None] * jnp.broadcast_to(np.eye(W.shape[-1], dtype=W.dtype), W.shape)) - shift
+    shift = (
+        4 * jnp.max(jnp.sum(jnp.abs(B), -1), -1, initial=0.0)[..., None] * cluster.astype(W.dtype)
+    )
+    split = (
+        jnp.linalg.eigvalsh(
+            B + shift[..., None] * jnp.broadcast_to(np.eye(W.shape[-1], dtype=W.dtype), W.shape)
+        )
+        - shift
+    )
     return jnp.where(_alone(cluster), jnp.diagonal(W, axis1=-2, axis2=-1), split)
 
 
 def _if_alike(cotangent: Array, cluster: Array) -> Array:
     """A diagonal matrix of the cotangent, NaN where it differs between branches of a cluster."""
     same = together(cluster)
-    middle = jnp.sum(jnp.where(same, cotangent[..., None, :], 0.0), -1) / jnp.sum(same, -1, dtype=cotangent.dtype)
+    middle = jnp.sum(jnp.where(same, cotangent[..., None, :], 0.0), -1) / jnp.sum(
+        same, -1, dtype=cotangent.dtype
+    )
     size = jnp.max(jnp.where(same, jnp.abs(cotangent)[..., None, :], 0.0), -1, initial=0.0)
     good = jnp.abs(cotangent - middle) <= ALIKE * size
     return _diagonal(only_alone(jnp.where(good, cotangent, jnp.nan), cluster))
@@ -121,7 +146,9 @@ def _second(W: Array, cluster: Array) -> Array:
     return jnp.where(_alone(cluster) | still, jnp.diagonal(W, axis1=-2, axis2=-1), jnp.nan)
 
 
-second = linear_one_way("branch_second_slopes", _second, lambda x, cluster: _diagonal(_nan_if_shared(x, cluster)))
+second = linear_one_way(
+    "branch_second_slopes", _second, lambda x, cluster: _diagonal(_nan_if_shared(x, cluster))
+)
 second_cotangent = linear_one_way("branch_second_cotangent", _nan_if_shared, _nan_if_shared)
 slopes = linear_one_way("branch_slopes", _one_sided, _if_alike, again=second)
 
@@ -145,7 +172,8 @@ def _unless_shared(change: Array, shapes: Array, cluster: Array) -> Array:
 
 
 def _if_of_the_space(cotangent: Array, shapes: Array, cluster: Array) -> Array:
-    """The cotangent where rotating the vectors of a cluster within their space has no effect, else NaN."""
+    """The cotangent where rotating the vectors of a cluster within their space has no effect,
+    else NaN."""
     X = jnp.where(together(cluster), jnp.swapaxes(shapes, -1, -2) @ cotangent, 0.0)
     turn = jnp.max(jnp.abs(X - jnp.swapaxes(X, -1, -2)), -2, initial=0.0)
     good = turn <= ALIKE * jnp.max(jnp.abs(X), -2, initial=0.0)
@@ -156,7 +184,9 @@ shape_changes = linear_one_way("shape_changes", _unless_shared, _if_of_the_space
 
 
 @jax.custom_jvp
-def refused_in_clusters(shapes: Float[Array, "*m n"], cluster: Int[Array, "n"]) -> Float[Array, "*m n"]:
+def refused_in_clusters(
+    shapes: Float[Array, "*m n"], cluster: Int[Array, "n"]
+) -> Float[Array, "*m n"]:
     """The shapes; a single shape of a cluster has no derivative (NaN)."""
     return shapes
 
@@ -168,7 +198,9 @@ def _refused_jvp(primals, tangents):
 
 
 @jax.custom_jvp
-def natural(K: Float[Array, "n n"], M: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
+def natural(
+    K: Float[Array, "n n"], M: Float[Array, "n n"]
+) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
     """w^2, ascending, and phi (columns) of K phi = w^2 M phi, with the symmetric parts of K and M.
 
     Normalized to phi' M phi = 1, the largest component positive."""
@@ -176,7 +208,9 @@ def natural(K: Float[Array, "n n"], M: Float[Array, "n n"]) -> tuple[Float[Array
     values = in_lanes(lambda A: jnp.linalg.eigvalsh(A, symmetrize_input=False), lanes=SWEPT)(A)
     # separate from the values: in a batch LAPACK is slow, and XLA drops it where no shapes are used
     _, vectors = jnp.linalg.eigh(A, symmetrize_input=False)
-    shapes = jax.lax.linalg.triangular_solve(L, vectors, left_side=True, lower=True, transpose_a=True)
+    shapes = jax.lax.linalg.triangular_solve(
+        L, vectors, left_side=True, lower=True, transpose_a=True
+    )
     largest = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=0)[None], 0)
     return values, shapes * jnp.where(largest < 0, -1.0, 1.0)
 
@@ -213,29 +247,41 @@ def _natural_jvp(primals, tangents):
 
 # Poles: eigenvalues of an unsymmetric matrix
 
-PARALLEL = 1e-9  # smallest 1 - |x' y| of unit vectors of one cluster; below it the matrix cannot be diagonalized
+# smallest 1 - |x' y| of unit vectors of one cluster; below it the matrix cannot be diagonalized
+PARALLEL = 1e-9
 
 
 def coincide(one: Complex[Array, "n"], other: Complex[Array, "n"]) -> Bool[Array, "n n"]:
-    """Whether two poles coincide; rounding splits a double pole with a single vector by the square root of the relative rounding error."""
+    """Whether two poles coincide; rounding splits a double pole with a single vector by the square
+    root of the relative rounding error."""
     top = jnp.max(jnp.abs(one), initial=0.0)
     size = jnp.maximum(jnp.abs(one)[:, None], jnp.abs(other)[None])
-    return jnp.abs(one[:, None] - other[None]) <= CLUSTERED * size + CLUSTERED / 10 * top * (size <= CLUSTERED * top).astype(size.dtype)
+    return jnp.abs(one[:, None] - other[None]) <= CLUSTERED * size + CLUSTERED / 10 * top * (
+        size <= CLUSTERED * top
+    ).astype(size.dtype)
 
 
 def _one_sided_poles(W: Array, cluster: Array, order: Array) -> Array:
-    """The eigenvalues of the block of W of each cluster, assigned to its members in the order of imaginary parts."""
+    """The eigenvalues of the block of W of each cluster, assigned to its members in the order of
+    imaginary parts."""
 
     def one(W, cluster, order):
         same = together(cluster)
         B = jnp.where(same, W, 0.0)
-        size = jnp.max(jnp.where(same, jnp.sum(jnp.abs(B), -1), 0.0), -1, initial=0.0)  # of each block: a small one keeps its digits
+        # of each block: a small one keeps its digits
+        size = jnp.max(jnp.where(same, jnp.sum(jnp.abs(B), -1), 0.0), -1, initial=0.0)
         size = 8 * jnp.where(size > 0, size, 1.0)
-        values = jnp.linalg.eigvals(B / size[:, None].astype(W.dtype) + jnp.diag(cluster).astype(W.dtype))
+        values = jnp.linalg.eigvals(
+            B / size[:, None].astype(W.dtype) + jnp.diag(cluster).astype(W.dtype)
+        )
         label = jnp.round(values.real)
         members = jnp.lexsort((order, cluster))
-        values = (values - label.astype(values.dtype))[jnp.lexsort((values.imag, label))] * size[members].astype(values.dtype)
-        return jnp.where(_alone(cluster), jnp.diagonal(W), jnp.zeros_like(values).at[members].set(values))
+        values = (values - label.astype(values.dtype))[jnp.lexsort((values.imag, label))] * size[
+            members
+        ].astype(values.dtype)
+        return jnp.where(
+            _alone(cluster), jnp.diagonal(W), jnp.zeros_like(values).at[members].set(values)
+        )
 
     for _ in range(W.ndim - 2):
         one = jax.vmap(one)
@@ -246,7 +292,12 @@ def _second_of_poles(W: Array, cluster: Array, order: Array) -> Array:
     return second(W, cluster)
 
 
-pole_slopes = linear_one_way("pole_slopes", _one_sided_poles, lambda x, cluster, order: _if_alike(x, cluster), again=_second_of_poles)
+pole_slopes = linear_one_way(
+    "pole_slopes",
+    _one_sided_poles,
+    lambda x, cluster, order: _if_alike(x, cluster),
+    again=_second_of_poles,
+)
 
 
 def companion(M: Any, C: Any, K: Any) -> Any:
@@ -257,7 +308,8 @@ def companion(M: Any, C: Any, K: Any) -> Any:
 
 
 def first_order(M: Any, C: Any, K: Any, n: int) -> tuple[Any, Any]:
-    """A and B of x' = A x + B f, x = (Delta, Delta', y), where M (Delta, y)'' + C (Delta, y)' + K (Delta, y) = f.
+    """A and B of x' = A x + B f, x = (Delta, Delta', y), where M (Delta, y)'' + C (Delta, y)' + K
+    (Delta, y) = f.
 
     The rows of y, those after the first n, have M = 0 and a definite C_yy."""
     ny, eye = len(M) - n, np.eye(n, dtype=K.dtype)
@@ -265,19 +317,27 @@ def first_order(M: Any, C: Any, K: Any, n: int) -> tuple[Any, Any]:
     resist = jnp.linalg.inv(C[y, y]).astype(K.dtype)
     y_rate = -resist @ jnp.concatenate([K[y, d], C[y, d].astype(K.dtype), K[y, y]], 1)
     y_force = jnp.concatenate([jnp.zeros((ny, n), K.dtype), resist], 1)
-    forces = [-jnp.concatenate([K[d, d], C[d, d].astype(K.dtype), K[d, y]], 1), jnp.eye(n, n + ny, dtype=K.dtype)]
+    forces = [
+        -jnp.concatenate([K[d, d], C[d, d].astype(K.dtype), K[d, y]], 1),
+        jnp.eye(n, n + ny, dtype=K.dtype),
+    ]
     rates = [
         jnp.linalg.solve(M[d, d].astype(K.dtype), X - C[d, y].astype(K.dtype) @ own)
         for X, own in zip(forces, (y_rate, y_force), strict=True)
     ]
     top = jnp.concatenate([jnp.zeros((n, n), K.dtype), eye, jnp.zeros((n, ny), K.dtype)], 1)
-    return jnp.concatenate([top, rates[0], y_rate]), jnp.concatenate([jnp.zeros((n, n + ny), K.dtype), rates[1], y_force])
+    return jnp.concatenate([top, rates[0], y_rate]), jnp.concatenate(
+        [jnp.zeros((n, n + ny), K.dtype), rates[1], y_force]
+    )
 
 
 def eig(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Complex[Array, "n n"]]:
     """s and x (columns, unit length) of A x = s x, in the order of LAPACK. Error: DEVICE."""
     if (device := jax.default_backend()) not in WITH_EIG:
-        message, hint = f"JAX has no eig for the device {device}", 'Set jax.config.update("jax_platforms", "cpu") first.'
+        message, hint = (
+            f"JAX has no eig for the device {device}",
+            'Set jax.config.update("jax_platforms", "cpu") first.',
+        )
         raise JaxbodyError(Problem("DEVICE", "poles", message, device, ", ".join(WITH_EIG), hint))
     values, vectors = jnp.linalg.eig(A)
     return values, vectors
@@ -305,7 +365,11 @@ def _poles_jvp(primals, tangents):
     defective = jnp.any(same & (overlap > 1 - PARALLEL), axis=0)  # where derivatives are infinite
     match = coincide(left, s)
     broken = jnp.any(match & defective[None], axis=1)
-    stand_in = (jnp.cumsum(broken)[:, None] == jnp.cumsum(defective)[None]) & broken[:, None] & defective[None]
+    stand_in = (
+        (jnp.cumsum(broken)[:, None] == jnp.cumsum(defective)[None])
+        & broken[:, None]
+        & defective[None]
+    )
     G = jnp.where(match & ~defective[None] & ~broken[:, None], Y.T @ X, stand_in.astype(X.dtype))
     W = jnp.linalg.solve(G, Y.T @ (dA.astype(X.dtype) @ X))
     W = jnp.where(defective[:, None] | defective[None], 0.0, W)
@@ -323,4 +387,6 @@ def refused_if_shared(vectors: Array, cluster: Int[Array, "n"]) -> Array:
 
 @refused_if_shared.defjvp
 def _refused_if_shared_jvp(primals, tangents):
-    return refused_if_shared(*primals), jax.vmap(second_cotangent, in_axes=(0, None))(tangents[0], primals[1])
+    return refused_if_shared(*primals), jax.vmap(second_cotangent, in_axes=(0, None))(
+        tangents[0], primals[1]
+    )

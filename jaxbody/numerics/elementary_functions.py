@@ -1,10 +1,13 @@
-"""Sine and cosine by vector arithmetic: many values at once in lanes, where calls of the C library would compute one after another.
+"""Sine and cosine by vector arithmetic: many values at once in lanes, where calls of the C library
+would compute one after another.
 
-    x = n pi/2 + r, |r| <= pi/4:    sin r = r + r^3 S(r^2),    cos r = 1 - r^2/2 + r^4 C(r^2),    exchanged and signed by n mod 4
+    x = n pi/2 + r, |r| <= pi/4:    sin r = r + r^3 S(r^2),    cos r = 1 - r^2/2 + r^4 C(r^2),
+    exchanged and signed by n mod 4
 
-n pi/2 is subtracted in three parts. The first two have 33 bits, so that their products with n are exact for |x| < 1.6e6; the rounding error
-of r is kept as a correction. Beyond that the error grows as the rounding of x does. Source of the reduction: W. J. Cody, W. Waite, Software
-Manual for the Elementary Functions (1980); the polynomials are minimax (Remez), within 4e-18.
+n pi/2 is subtracted in three parts. The first two have 33 bits, so that their products with n are
+exact for |x| < 1.6e6; the rounding error of r is kept as a correction. Beyond that the error grows
+as the rounding of x does. Source of the reduction: W. J. Cody, W. Waite, Software Manual for the
+Elementary Functions (1980); the polynomials are minimax (Remez), within 4e-18.
 """
 
 from __future__ import annotations
@@ -36,7 +39,8 @@ def polynomial(coefficients: list[float], x: Array) -> Array:
 
 @jax.custom_jvp
 def sincos(x: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """sin x and cos x, within 1 ulp; NaN where x is not finite. In float32 these are XLA's own functions.
+    """sin x and cos x, within 1 ulp; NaN where x is not finite. In float32 these are XLA's
+    own functions.
 
     >>> s, c = sincos(jnp.array(1e5))
     >>> abs(float(s) - 0.035748797972016508) < 1e-17
@@ -50,7 +54,8 @@ def sincos(x: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"
         part, before = n * part, r
         r = before - part
         lost = lost + ((before - r) - part)
-    r, lost = jnp.clip(r, -0.8, 0.8), jnp.clip(lost, -1e-15, 1e-15)  # only exceeded where x is too large for the reduction
+    # only exceeded where x is too large for the reduction
+    r, lost = jnp.clip(r, -0.8, 0.8), jnp.clip(lost, -1e-15, 1e-15)
     z = r * r
     s = r + (lost * (1 - z / 2) + z * r * polynomial(S, z))
     half = z / 2

@@ -1,4 +1,5 @@
-"""Collocation at Gauss points: a symplectic integrator, whose energy error does not grow over many periods."""
+"""Collocation at Gauss points: a symplectic integrator, whose energy error does not grow over
+many periods."""
 
 from __future__ import annotations
 
@@ -12,12 +13,18 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import JaxbodyError, Problem
 
 MOST_ITERATIONS = 100
-LOOKED_BACK = 5  # changes compared four iterations apart: positions and velocities alternate, in mixed units every other change is larger
+# changes compared four iterations apart: positions and velocities alternate, in mixed units every
+# other change is larger
+LOOKED_BACK = 5
 CONTRACTED = 1e-6  # largest ratio of the last change to the first
 SQRT3, SQRT15 = 3**0.5, 15**0.5
 GAUSS = {
     1: ([[1 / 2]], [1.0], [1 / 2]),
-    2: ([[1 / 4, 1 / 4 - SQRT3 / 6], [1 / 4 + SQRT3 / 6, 1 / 4]], [1 / 2, 1 / 2], [1 / 2 - SQRT3 / 6, 1 / 2 + SQRT3 / 6]),
+    2: (
+        [[1 / 4, 1 / 4 - SQRT3 / 6], [1 / 4 + SQRT3 / 6, 1 / 4]],
+        [1 / 2, 1 / 2],
+        [1 / 2 - SQRT3 / 6, 1 / 2 + SQRT3 / 6],
+    ),
     3: (
         [
             [5 / 36, 2 / 9 - SQRT15 / 15, 5 / 36 - SQRT15 / 30],
@@ -31,25 +38,31 @@ GAUSS = {
 
 
 class Gauss(AbstractSolver):
-    """A solver for `simulate` with constant steps and a bounded energy error: without damping and excitation no trend over 1e5 periods.
+    """A solver for `simulate` with constant steps and a bounded energy error: without damping and
+    excitation no trend over 1e5 periods.
 
-        k_i = f(t + c_i h, y + h sum_j A_ij k_j),   y_new = y + h sum_i b_i k_i,   order 2 * stages; 1 stage is the implicit midpoint rule
+        k_i = f(t + c_i h, y + h sum_j A_ij k_j),   y_new = y + h sum_i b_i k_i,
+        order 2 * stages; 1 stage is the implicit midpoint rule
 
-    `simulate` gives it Hamilton's equations, y = (q, p) with quaternions and their momenta (`canonical_equations`). For these it is
-    symplectic and symmetric in time, so that the energy error stays bounded in chaotic motion too, over any number of turns. Quadratic
-    invariants are kept to rounding: the length of quaternions, the energy of linear systems, momentum and angular momentum without
-    external loads.
+    `simulate` gives it Hamilton's equations, y = (q, p) with quaternions and their momenta
+    (`canonical_equations`). For these it is symplectic and symmetric in time, so that the energy
+    error stays bounded in chaotic motion too, over any number of turns. Quadratic invariants are
+    kept to rounding: the length of quaternions, the energy of linear systems, momentum and angular
+    momentum without external loads.
 
-    Stages are iterated until their changes are round-off, which requires steps of less than 2 over the fastest rate [rad/s]; the status is
-    NOT_CONVERGED where they do not converge. For vibrations start with 3 stages and steps of a tenth of the shortest period, or of a
-    twentieth for bodies that turn over. Violent motion needs steps much shorter than the time in which the ends of a spring pass each
-    other. For stiff models use diffrax.Kvaerno5() instead. Forward and reverse derivatives are supported.
+    Stages are iterated until their changes are round-off, which requires steps of less than 2 over
+    the fastest rate [rad/s]; the status is NOT_CONVERGED where they do not converge. For vibrations
+    start with 3 stages and steps of a tenth of the shortest period, or of a twentieth for bodies
+    that turn over. Violent motion needs steps much shorter than the time in which the ends of a
+    spring pass each other. For stiff models use diffrax.Kvaerno5() instead. Forward and reverse
+    derivatives are supported.
 
     Error: BAD_VALUE unless stages is 1, 2 or 3.
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.3, IV.2.1, VI.4, IX.8.
 
     >>> solver = Gauss(stages=3)
-    >>> # simulate(model, times, solver=solver, stepsize_controller=diffrax.ConstantStepSize(), dt0=period / 10)
+    >>> # steps = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=period / 10)
+    >>> # simulate(model, times, solver=solver, **steps)
     """
 
     stages: int = eqx.field(static=True, default=2)
@@ -59,7 +72,15 @@ class Gauss(AbstractSolver):
 
     def __check_init__(self):
         if self.stages not in GAUSS:
-            raise JaxbodyError(Problem("BAD_VALUE", "Gauss.stages", f"is {self.stages!r:.60}", value=self.stages, limit="1, 2 or 3"))
+            raise JaxbodyError(
+                Problem(
+                    "BAD_VALUE",
+                    "Gauss.stages",
+                    f"is {self.stages!r:.60}",
+                    value=self.stages,
+                    limit="1, 2 or 3",
+                )
+            )
 
     def order(self, terms) -> int:
         return 2 * self.stages
@@ -94,8 +115,8 @@ def weighted(A: np.ndarray, k: Float[Array, "stages ny"]) -> Array:
 
 
 def fixed_point(function, guess: Array) -> tuple[Array, Array]:
-    """x = function(x) by iteration until changes no longer decrease, and whether they have decreased enough; derivatives by the implicit
-    function theorem."""
+    """x = function(x) by iteration until changes no longer decrease, and whether they have
+    decreased enough; derivatives by the implicit function theorem."""
 
     def change(x):
         return function(x) - x
@@ -103,14 +124,18 @@ def fixed_point(function, guess: Array) -> tuple[Array, Array]:
     def search(_, x):
         def going(carry):
             _, sizes, n = carry
-            return (n < len(sizes)) | ((sizes[0] > 0) & (sizes[0] < sizes[-1]) & (n < MOST_ITERATIONS))
+            return (n < len(sizes)) | (
+                (sizes[0] > 0) & (sizes[0] < sizes[-1]) & (n < MOST_ITERATIONS)
+            )
 
         def next_one(carry):
             x, sizes, n = carry
             new = function(x)
             return new, (jnp.max(jnp.abs(new - x)), *sizes[:-1]), n + 1
 
-        return jax.lax.while_loop(going, next_one, (x, (jnp.asarray(jnp.inf, x.dtype),) * LOOKED_BACK, 0))[0]
+        return jax.lax.while_loop(
+            going, next_one, (x, (jnp.asarray(jnp.inf, x.dtype),) * LOOKED_BACK, 0)
+        )[0]
 
     def solve_linear(linear, right):
         matrix = jax.jacfwd(linear)(jnp.zeros_like(right)).reshape(right.size, right.size)

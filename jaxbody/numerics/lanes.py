@@ -1,8 +1,11 @@
-"""Batches on the last axis. `jax.vmap` puts a batch first, so that vectors of three leave most of a processor's wide registers empty.
+"""Batches on the last axis. `jax.vmap` puts a batch first, so that vectors of three leave most of a
+processor's wide registers empty.
 
-A function that is `in_lanes` has the same results, but in a batch its operations are rewritten one by one so that arrays (3,) become
-(3, b), with at most `lanes` members at a time. Operations without a rule here are left to jax.vmap; so is the whole function on devices
-other than CPUs, and where a rule fails, as it may when JAX changes an operation. `compile_times` shows both. Custom derivatives are kept.
+A function that is `in_lanes` has the same results, but in a batch its operations are rewritten one
+by one so that arrays (3,) become (3, b), with at most `lanes` members at a time. Operations without
+a rule here are left to jax.vmap; so is the whole function on devices other than CPUs, and where a
+rule fails, as it may when JAX changes an operation. `compile_times` shows both. Custom derivatives
+are kept.
 """
 
 from __future__ import annotations
@@ -20,7 +23,14 @@ from jax import lax
 from jax.dtypes import float0
 
 from jaxbody.compilation.compilations import note_left_to_vmap
-from jaxbody.compilation.dependencies import CALLS, fixpoint, parts_of_scan, reach, reach_of, reach_of_while
+from jaxbody.compilation.dependencies import (
+    CALLS,
+    fixpoint,
+    parts_of_scan,
+    reach,
+    reach_of,
+    reach_of_while,
+)
 from jaxbody.core.arrays import Array
 from jaxbody.core.jax_internals import (
     ClosedJaxpr,  # pyright: ignore[reportPrivateImportUsage]
@@ -39,21 +49,99 @@ from jaxbody.numerics.xla_workarounds import as_kept, plain_max, sum_p
 
 LANES = 32
 ELEMENTWISE = {
-    "abs", "acos", "add", "add_any", "and", "asin", "atan", "atan2", "cbrt", "ceil",
-    "clamp", "convert_element_type", "copy", "cos", "cosh", "div",
-    "eq", "eq_to", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "le_to", "log", "log1p",
-    "logistic", "lt", "lt_to", "max",
-    "min", "mul", "ne", "neg", "nextafter", "not", "or", "pow", "rem", "round", "rsqrt", "select_n", "sign", "sin", "sinh", "sqrt",
-    "square", "sub", "tan", "tanh", "xor",
-}  # fmt: skip
+    "abs",
+    "acos",
+    "add",
+    "add_any",
+    "and",
+    "asin",
+    "atan",
+    "atan2",
+    "cbrt",
+    "ceil",
+    "clamp",
+    "convert_element_type",
+    "copy",
+    "cos",
+    "cosh",
+    "div",
+    "eq",
+    "eq_to",
+    "erf",
+    "exp",
+    "exp2",
+    "expm1",
+    "floor",
+    "ge",
+    "gt",
+    "integer_pow",
+    "is_finite",
+    "le",
+    "le_to",
+    "log",
+    "log1p",
+    "logistic",
+    "lt",
+    "lt_to",
+    "max",
+    "min",
+    "mul",
+    "ne",
+    "neg",
+    "nextafter",
+    "not",
+    "or",
+    "pow",
+    "rem",
+    "round",
+    "rsqrt",
+    "select_n",
+    "sign",
+    "sin",
+    "sinh",
+    "sqrt",
+    "square",
+    "sub",
+    "tan",
+    "tanh",
+    "xor",
+}
 SAME_AXES = {
-    "argmax", "argmin", "cummax", "cummin", "cumsum", "reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_prod", "reduce_sum",
-    "rev", "split", "squeeze", "sum_in_lanes",
-}  # fmt: skip
+    "argmax",
+    "argmin",
+    "cummax",
+    "cummin",
+    "cumsum",
+    "reduce_and",
+    "reduce_max",
+    "reduce_min",
+    "reduce_or",
+    "reduce_prod",
+    "reduce_sum",
+    "rev",
+    "split",
+    "squeeze",
+    "sum_in_lanes",
+}
 APART = {
-    "cholesky", "cond", "custom_linear_solve", "custom_vjp_call", "dot_general", "dynamic_slice", "dynamic_update_slice", "eigh", "gather",
-    "householder_product", "lu", "scatter", "scatter-add", "sort", "stop_gradient", "triangular_solve", "while",
-}  # fmt: skip  # left to jax.vmap, which is fast for them, or as they are rare
+    "cholesky",
+    "cond",
+    "custom_linear_solve",
+    "custom_vjp_call",
+    "dot_general",
+    "dynamic_slice",
+    "dynamic_update_slice",
+    "eigh",
+    "gather",
+    "householder_product",
+    "lu",
+    "scatter",
+    "scatter-add",
+    "sort",
+    "stop_gradient",
+    "triangular_solve",
+    "while",
+}  # left to jax.vmap, which is fast for them, or as they are rare
 SWITCHED_OFF = ContextVar("lanes switched off", default=False)
 
 
@@ -72,15 +160,24 @@ def switched_off() -> Iterator[None]:
 def _no_lanes() -> str:
     """The reason why lanes cannot be used; "" if they can."""
     platform = jax.default_backend()
-    return "lanes are switched off" if SWITCHED_OFF.get() else "" if platform == "cpu" else f"lanes are for a CPU, this is a {platform}"
+    return (
+        "lanes are switched off"
+        if SWITCHED_OFF.get()
+        else ""
+        if platform == "cpu"
+        else f"lanes are for a CPU, this is a {platform}"
+    )
 
 
-def in_lanes(function: Callable, *, reversible: bool = False, lanes: int = LANES, name: str = "") -> Callable[..., Any]:
+def in_lanes(
+    function: Callable, *, reversible: bool = False, lanes: int = LANES, name: str = ""
+) -> Callable[..., Any]:
     """The function, rewritten in a batch for chunks on the last axis.
 
     Args:
         function: a function from arrays to arrays
-        reversible: keep the derivatives of the function itself, for reverse mode; False: the forward derivative is in lanes too
+        reversible: keep the derivatives of the function itself, for reverse mode; False: the
+            forward derivative is in lanes too
         lanes: members of the batch in a chunk
         name: its name in `compile_times`; "": module and name of the function
     """
@@ -89,10 +186,21 @@ def in_lanes(function: Callable, *, reversible: bool = False, lanes: int = LANES
     def wrapped(*args):
         leaves, tree = jax.tree.flatten(args)
         leaves = [jnp.asarray(x) for x in leaves]
-        traced, out = jax.make_jaxpr(lambda *x: function(*tree.unflatten(x)), return_shape=True)(*leaves)
+        traced, out = jax.make_jaxpr(lambda *x: function(*tree.unflatten(x)), return_shape=True)(
+            *leaves
+        )
         traced = only_what_is_needed(traced)
-        open_jaxpr = traced.jaxpr.replace(constvars=[], invars=[*traced.jaxpr.constvars, *traced.jaxpr.invars])
-        results = _lanes_p.bind(*traced.consts, *leaves, jaxpr=ClosedJaxpr(open_jaxpr, []), reversible=reversible, lanes=lanes, name=name)
+        open_jaxpr = traced.jaxpr.replace(
+            constvars=[], invars=[*traced.jaxpr.constvars, *traced.jaxpr.invars]
+        )
+        results = _lanes_p.bind(
+            *traced.consts,
+            *leaves,
+            jaxpr=ClosedJaxpr(open_jaxpr, []),
+            reversible=reversible,
+            lanes=lanes,
+            name=name,
+        )
         return jax.tree.unflatten(jax.tree.structure(out), results)
 
     return wrapped
@@ -125,8 +233,11 @@ def _jvp(primals, tangents, *, jaxpr, reversible, lanes, name):
     return out, merged(smooth, dy, [Zero(aval.to_tangent_aval()) for aval in jaxpr.out_avals])
 
 
-def _pushed(function: Callable, moved: list[bool], smooth: list[bool]) -> Callable[[list, list], tuple[list, list]]:
-    """A function of (arguments, tangents of those that are `moved`) with (results, tangents of those that are `smooth`)."""
+def _pushed(
+    function: Callable, moved: list[bool], smooth: list[bool]
+) -> Callable[[list, list], tuple[list, list]]:
+    """A function of (arguments, tangents of those that are `moved`) with (results, tangents of
+    those that are `smooth`)."""
 
     def pushed(primals, tangents):
         def of_moved(*x):
@@ -156,7 +267,9 @@ def _batch(args, axes, *, jaxpr, reversible, lanes, name):
 def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
     """The batch in chunks, so that memory does not grow with it."""
     on = [axis is not None for axis in axes]
-    args = [jnp.moveaxis(x, axis, -1) if o else x for x, axis, o in zip(args, axes, on, strict=True)]
+    args = [
+        jnp.moveaxis(x, axis, -1) if o else x for x, axis, o in zip(args, axes, on, strict=True)
+    ]
     n = next(x.shape[-1] for x, o in zip(args, on, strict=True) if o)
     reached = reach(jaxpr, on)
     if n <= lanes:
@@ -164,9 +277,13 @@ def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
         return out, [x.ndim - 1 if o else None for x, o in zip(out, reached, strict=True)]
 
     def chunk(i, joined):
-        """One chunk; the last one is moved back to be complete: some members are then computed twice, and no array is padded."""
+        """One chunk; the last one is moved back to be complete: some members are then computed
+        twice, and no array is padded."""
         begin = jnp.minimum(i * lanes, n - lanes)
-        given = [lax.dynamic_slice_in_dim(x, begin, lanes, -1) if o else x for x, o in zip(args, on, strict=True)]
+        given = [
+            lax.dynamic_slice_in_dim(x, begin, lanes, -1) if o else x
+            for x, o in zip(args, on, strict=True)
+        ]
         out = Lanes(lanes, name).run(jaxpr, on, given)
         return [
             lax.dynamic_update_slice_in_dim(whole, part, begin, -1) if o else part
@@ -174,7 +291,10 @@ def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
         ]
 
     types: list[Any] = list(jaxpr.out_avals)
-    empty = [jnp.zeros((*a.shape, n) if o else a.shape, a.dtype) for a, o in zip(types, reached, strict=True)]
+    empty = [
+        jnp.zeros((*a.shape, n) if o else a.shape, a.dtype)
+        for a, o in zip(types, reached, strict=True)
+    ]
     joined = lax.fori_loop(0, -(-n // lanes), chunk, empty)
     return joined, [x.ndim - 1 if o else None for x, o in zip(joined, reached, strict=True)]
 
@@ -183,8 +303,11 @@ _lanes_p = call_of("in_lanes", batch=_batch, jvp=_jvp)
 
 
 @functools.lru_cache(4096)
-def _function(jaxpr: ClosedJaxpr, on: tuple[bool, ...], n: int, name: str) -> Callable[..., list[Any]]:
-    """The body of a call for n members at once, jitted: JAX keeps its trace for all calls of one jitted function."""
+def _function(
+    jaxpr: ClosedJaxpr, on: tuple[bool, ...], n: int, name: str
+) -> Callable[..., list[Any]]:
+    """The body of a call for n members at once, jitted: JAX keeps its trace for all calls of one
+    jitted function."""
     return jax.jit(lambda *x: Lanes(n, name).run(jaxpr, list(on), list(x)))
 
 
@@ -194,16 +317,21 @@ class Lanes:
     def __init__(self, n: int, name: str = "vmap_last"):
         self.n, self.name = n, name
 
-    def run(self, jaxpr: ClosedJaxpr, on: list[bool], args: list[Any], wanted: list[bool] | None = None) -> list[Any]:
+    def run(
+        self, jaxpr: ClosedJaxpr, on: list[bool], args: list[Any], wanted: list[bool] | None = None
+    ) -> list[Any]:
         """Results of a jaxpr.
 
         Args:
             jaxpr: the jaxpr to be evaluated
             on: True for arguments with a last axis of lanes
             args: its arguments
-            wanted: True for results that must have that axis; None: only those that depend on the lane have it
+            wanted: True for results that must have that axis; None: only those that depend on the
+                lane have it
         """
-        values: dict = dict(zip(jaxpr.jaxpr.constvars, jaxpr.consts, strict=True)) | dict(zip(jaxpr.jaxpr.invars, args, strict=True))
+        values: dict = dict(zip(jaxpr.jaxpr.constvars, jaxpr.consts, strict=True)) | dict(
+            zip(jaxpr.jaxpr.invars, args, strict=True)
+        )
         lanes = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
 
         def look(x):
@@ -212,19 +340,30 @@ class Lanes:
         for eqn in jaxpr.jaxpr.eqns:
             given, of_lanes = zip(*map(look, eqn.invars), strict=True) if eqn.invars else ((), ())
             reached = reach_of(eqn, list(of_lanes))
-            out = self._apply(eqn, list(of_lanes), list(given)) if any(of_lanes) else same_operation(eqn, given)
+            out = (
+                self._apply(eqn, list(of_lanes), list(given))
+                if any(of_lanes)
+                else same_operation(eqn, given)
+            )
             values |= dict(zip(eqn.outvars, out, strict=True))
             lanes |= dict(zip(eqn.outvars, reached, strict=True))
         outvars: list[Any] = jaxpr.jaxpr.outvars
         results = [look(x) for x in outvars]
         wanted = [o for _, o in results] if wanted is None else wanted
-        return [self._spread(x, o, v.aval.shape) if w else x for (x, o), v, w in zip(results, outvars, wanted, strict=True)]
+        return [
+            self._spread(x, o, v.aval.shape) if w else x
+            for (x, o), v, w in zip(results, outvars, wanted, strict=True)
+        ]
 
     def _spread(self, x, on: bool, shape) -> Array:
         """x with the given shape and lanes; a scalar, or one scalar for each lane, is repeated."""
         x = jnp.asarray(x)
         axes = tuple(range(len(shape))) if x.ndim - on == len(shape) else ()
-        return x if x.shape == (*shape, self.n) else lax.broadcast_in_dim(x, (*shape, self.n), (*axes, len(shape)) if on else axes)
+        return (
+            x
+            if x.shape == (*shape, self.n)
+            else lax.broadcast_in_dim(x, (*shape, self.n), (*axes, len(shape)) if on else axes)
+        )
 
     def _apply(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
         name, p, n = eqn.primitive.name, dict(eqn.params), self.n
@@ -232,7 +371,11 @@ class Lanes:
             return _function(p[CALLS[name]], tuple(on), n, self.name)(*x)
         if name in ELEMENTWISE:
             shape = eqn.outvars[0].aval.shape
-            return [eqn.primitive.bind(*(self._spread(a, o, shape) for a, o in zip(x, on, strict=True)), **p)]
+            return [
+                eqn.primitive.bind(
+                    *(self._spread(a, o, shape) for a, o in zip(x, on, strict=True)), **p
+                )
+            ]
         if name == "kept_in_lanes":
             return [as_kept(x[0])]
         if name == "reduce_sum" and jnp.issubdtype(x[0].dtype, jnp.floating):
@@ -242,7 +385,9 @@ class Lanes:
         if name in SAME_AXES:
             return same_operation(eqn, x)
         if name in ("concatenate", "stack"):
-            parts = [self._spread(a, o, v.aval.shape) for a, o, v in zip(x, on, eqn.invars, strict=True)]
+            parts = [
+                self._spread(a, o, v.aval.shape) for a, o, v in zip(x, on, eqn.invars, strict=True)
+            ]
             return [eqn.primitive.bind(*parts, **p)]
         if name == "broadcast_in_dim" and len(x) == 1:
             axes = (*p["broadcast_dimensions"], len(p["shape"]))
@@ -252,19 +397,34 @@ class Lanes:
         if name == "transpose":
             return [lax.transpose(x[0], (*p["permutation"], x[0].ndim - 1))]
         if name == "slice":
-            return [lax.slice(x[0], (*p["start_indices"], 0), (*p["limit_indices"], n), p["strides"] and (*p["strides"], 1))]
+            return [
+                lax.slice(
+                    x[0],
+                    (*p["start_indices"], 0),
+                    (*p["limit_indices"], n),
+                    p["strides"] and (*p["strides"], 1),
+                )
+            ]
         if name == "pad" and not on[1]:
             return [lax.pad(x[0], x[1], (*p["padding_config"], (0, 0, 0)))]
         if name == "dynamic_slice" and not any(on[1:]):
             return [lax.dynamic_slice(x[0], (*x[1:], jnp.zeros_like(x[1])), (*p["slice_sizes"], n))]
         if name == "dynamic_update_slice" and not any(on[2:]):
-            whole, part = (self._spread(a, o, v.aval.shape) for a, o, v in zip(x[:2], on, eqn.invars, strict=False))
+            whole, part = (
+                self._spread(a, o, v.aval.shape)
+                for a, o, v in zip(x[:2], on, eqn.invars, strict=False)
+            )
             return [lax.dynamic_update_slice(whole, part, (*x[2:], jnp.zeros_like(x[2])))]
         if name == "gather" and not on[1]:
             axes = p["dimension_numbers"]
             axes = axes._replace(offset_dims=(*axes.offset_dims, eqn.outvars[0].aval.ndim))
-            return [lax.gather_p.bind(*x, **p | {"dimension_numbers": axes, "slice_sizes": (*p["slice_sizes"], n)})]
-        if name == "eigh" and x[0].ndim == 3 and jnp.issubdtype(x[0].dtype, jnp.floating):  # vectors by LAPACK, where they are used
+            return [
+                lax.gather_p.bind(
+                    *x, **p | {"dimension_numbers": axes, "slice_sizes": (*p["slice_sizes"], n)}
+                )
+            ]
+        # vectors by LAPACK, where they are used
+        if name == "eigh" and x[0].ndim == 3 and jnp.issubdtype(x[0].dtype, jnp.floating):
             traced = jax.make_jaxpr(eigenvalues)(jax.ShapeDtypeStruct(x[0].shape[:-1], x[0].dtype))
             return [self._by_vmap(eqn, on, x)[0], *self.run(traced, on, x)]
         if name == "any_of_batch":
@@ -276,18 +436,26 @@ class Lanes:
         if name == "scan":
             return self._scan(eqn, on, x)
         if name not in APART:
-            note_left_to_vmap(self.name, f"no rule for {name}; only this operation is left to jax.vmap")
+            note_left_to_vmap(
+                self.name, f"no rule for {name}; only this operation is left to jax.vmap"
+            )
         return self._by_vmap(eqn, on, x)
 
     def _by_vmap(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
         axes = [-1 if o else None for o in on]
-        out = jax.vmap(lambda *x: same_operation(eqn, x), in_axes=axes, out_axes=-1, axis_size=self.n)(*x)
+        out = jax.vmap(
+            lambda *x: same_operation(eqn, x), in_axes=axes, out_axes=-1, axis_size=self.n
+        )(*x)
         return [a if r else a[..., 0] for a, r in zip(out, reach_of(eqn, on), strict=True)]
 
     def _with_own_rule(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
-        """An operation with a custom derivative, which is used, in lanes, where the batch is differentiated."""
+        """An operation with a custom derivative, which is used, in lanes, where the batch
+        is differentiated."""
         outs = [v.aval for v in eqn.outvars]
-        moved, smooth = ([jnp.issubdtype(aval.dtype, jnp.inexact) for aval in avals] for avals in ([v.aval for v in eqn.invars], outs))
+        moved, smooth = (
+            [jnp.issubdtype(aval.dtype, jnp.inexact) for aval in avals]
+            for avals in ([v.aval for v in eqn.invars], outs)
+        )
 
         @jax.custom_jvp
         def call(*x):
@@ -296,9 +464,16 @@ class Lanes:
         @call.defjvp
         def _(primals, tangents):
             axes = [-1 if o else None for o in on]
-            push = in_lanes(_pushed(lambda *x: same_operation(eqn, x), moved, smooth), reversible=True, lanes=self.n, name=self.name)
+            push = in_lanes(
+                _pushed(lambda *x: same_operation(eqn, x), moved, smooth),
+                reversible=True,
+                lanes=self.n,
+                name=self.name,
+            )
             along = axes, chosen(axes, moved)
-            out, dy = jax.vmap(push, in_axes=along, out_axes=-1, axis_size=self.n)(list(primals), chosen(tangents, moved))
+            out, dy = jax.vmap(push, in_axes=along, out_axes=-1, axis_size=self.n)(
+                list(primals), chosen(tangents, moved)
+            )
             return out, merged(smooth, dy, [np.zeros(y.shape, float0) for y in out])
 
         return call(*x)
@@ -308,7 +483,9 @@ class Lanes:
         _, carry = reach_of_while(p, on)
         start = [
             self._spread(v, o, av.shape) if c else v
-            for v, o, c, av in zip(x[b:], on[b:], carry, p["body_jaxpr"].in_avals[b - a :], strict=True)
+            for v, o, c, av in zip(
+                x[b:], on[b:], carry, p["body_jaxpr"].in_avals[b - a :], strict=True
+            )
         ]
         return lax.while_loop(
             lambda c: self.run(p["cond_jaxpr"], on[:a] + carry, [*x[:a], *c])[0],
@@ -320,7 +497,10 @@ class Lanes:
         a, b = parts_of_scan(eqn)
         p, body = eqn.params, eqn.params["jaxpr"]
         carry = fixpoint(body, on[:a], on[a:b], on[b:])
-        start = [self._spread(v, o, av.shape) if c else v for v, o, c, av in zip(x[a:b], on[a:b], carry, body.in_avals[a:b], strict=True)]
+        start = [
+            self._spread(v, o, av.shape) if c else v
+            for v, o, c, av in zip(x[a:b], on[a:b], carry, body.in_avals[a:b], strict=True)
+        ]
         inputs = on[:a] + carry + on[b:]
         wanted = carry + reach(body, inputs)[len(carry) :]
 
@@ -328,5 +508,7 @@ class Lanes:
             out = self.run(body, inputs, [*x[:a], *c, *xs], wanted)
             return out[: len(carry)], out[len(carry) :]
 
-        end, ys = lax.scan(step, start, x[b:], length=p["length"], reverse=p["reverse"], unroll=p["unroll"])
+        end, ys = lax.scan(
+            step, start, x[b:], length=p["length"], reverse=p["reverse"], unroll=p["unroll"]
+        )
         return [*end, *ys]

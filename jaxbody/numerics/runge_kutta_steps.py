@@ -1,11 +1,14 @@
-"""A step of an explicit Runge-Kutta method, its error, the polynomial between its ends, and the control of steps.
+"""A step of an explicit Runge-Kutta method, its error, the polynomial between its ends, and the
+control of steps.
 
-    k_i = h f(t + c_i h, y + sum_j a_ij k_j),   y(t + h) = y + sum_i b_i k_i,   error = sum_i e_i k_i
+    k_i = h f(t + c_i h, y + sum_j a_ij k_j),   y(t + h) = y + sum_i b_i k_i,
+    error = sum_i e_i k_i
     y(t + theta h) = y + sum_i p_i(theta) k_i,  p_i a polynomial without a constant
     defect at theta = h f(t + theta h, y(t + theta h)) - sum_i p_i'(theta) k_i
 
 The error sees what acts at the stages of a step; the defect sees what acts between them.
-The coefficients are those of a solver of diffrax; by default Dopri8 (Prince, Dormand, J. Comp. Appl. Math. 7 (1981) 67).
+The coefficients are those of a solver of diffrax; by default Dopri8 (Prince, Dormand, J. Comp.
+Appl. Math. 7 (1981) 67).
 """
 
 from __future__ import annotations
@@ -26,13 +29,19 @@ from jaxbody.numerics.lanes import vmap_last
 from jaxbody.numerics.xla_workarounds import any_of_batch
 
 DEGREE = 6  # at most, of the polynomial between the ends of a step
-TRIAL = 1e-6  # length of the trial step, relative to the whole time; it gives the first rate and the first step
-ROUNDED = 100.0  # errors by round-off, in eps of the state; smaller errors do not lengthen the next step further,
+# length of the trial step, relative to the whole time; it gives the first rate and the first step
+TRIAL = 1e-6
+# errors by round-off, in eps of the state; smaller errors do not lengthen the next step further,
+ROUNDED = 100.0
 LEAST_ERROR = 1e-3  # nor do errors below this where tolerances are near round-off
-QUIET = 0.02  # error over its tolerance; a step with less, or that changes hardly anything, tells nothing about the next one, and that
-# is looked along before it is taken
-LONGER = 1.01  # unless both are cut at kinks and equally long, as those from sample to sample of a record
-SHARP = 100.0  # a step longer than so many of the shortest that an error has asked for is looked along, too: what was met once comes again
+# error over its tolerance; a step with less, or that changes hardly anything, tells nothing about
+# the next one, and that is looked along before it is taken
+QUIET = 0.02
+# unless both are cut at kinks and equally long, as those from sample to sample of a record
+LONGER = 1.01
+# a step longer than so many of the shortest that an error has asked for is looked along, too: what
+# was met once comes again
+SHARP = 100.0
 NOT_LOOKING, EVENLY = -2, -1  # where a look is, unless at samples
 DEFECT = 1e3  # allowed, over the tolerance of the error
 ZERO = 1e-12  # coefficients of that polynomial below this are round-off
@@ -41,7 +50,8 @@ ZERO = 1e-12  # coefficients of that polynomial below this are round-off
 class Method:
     """The coefficients of a solver, as stages of which the last one starts the next step.
 
-    A: (stages - 1, stages), its last row is b; C: (stages - 1,); E: (stages,); P: (degree, stages), of theta, theta^2 ...; order."""
+    A: (stages - 1, stages), its last row is b; C: (stages - 1,); E: (stages,); P: (degree, stages),
+    of theta, theta^2 ...; order."""
 
     def __init__(self, solver: diffrax.AbstractERK):
         tableau: Any = solver.tableau
@@ -52,7 +62,8 @@ class Method:
         self.E = np.pad(tableau.b_error, (0, stages - len(tableau.b_error)))
         P = _polynomials(solver, tableau.b_sol)
         self.P = np.pad(P, ((0, 0), (0, stages - P.shape[1])))
-        self.end = next((i for i in range(stages - 2, 0, -1) if self.C[i - 1] == 1), None)  # another stage at the end of the step
+        # another stage at the end of the step
+        self.end = next((i for i in range(stages - 2, 0, -1) if self.C[i - 1] == 1), None)
         self.order: Any = solver.order(diffrax.ODETerm(lambda t, y, args: y))
 
 
@@ -63,13 +74,16 @@ def method_of(solver: diffrax.AbstractERK) -> Method:
 
 
 def _polynomials(solver: diffrax.AbstractERK, b: np.ndarray) -> np.ndarray:
-    """P of the solver's interpolation, from its table of coefficients or else from its values at some theta."""
+    """P of the solver's interpolation, from its table of coefficients or else from its values at
+    some theta."""
     interpolation: Any = solver.interpolation_cls
     if hasattr(interpolation, "eval_coeffs"):
         return np.asarray(interpolation.eval_coeffs)[:, ::-1].T
     theta = np.linspace(0.0, 1.0, DEGREE + 1)
     with jax.ensure_compile_time_eval():
-        between = interpolation(t0=0.0, t1=1.0, y0=jnp.zeros(len(b)), y1=jnp.asarray(b), k=jnp.eye(len(b)))
+        between = interpolation(
+            t0=0.0, t1=1.0, y0=jnp.zeros(len(b)), y1=jnp.asarray(b), k=jnp.eye(len(b))
+        )
         values = np.array([between.evaluate(jnp.asarray(x)) for x in theta])
     P = np.linalg.solve(np.vander(theta, increasing=True), values)[1:]
     P[np.abs(P) < ZERO] = 0.0
@@ -79,10 +93,11 @@ def _polynomials(solver: diffrax.AbstractERK, b: np.ndarray) -> np.ndarray:
 class InitialValueProblem(NamedTuple):
     """y' = rate(u, y, arguments) with u = drive(t, arguments), the part that depends on time alone.
 
-    `project`: project(u, y, at_y, arguments), the state next to y that fulfils conditions which a solution fulfils, with what `rate` then
-    returns at y besides y'; None without such conditions. `control`: a diffrax.PIDController that states tolerances, smallest step and
-    limits of step control; None for constant steps; `first`: the first or the constant step; `max_steps`: most steps; `kinks`: ascending
-    times of kinks of the rate, at which steps end."""
+    `project`: project(u, y, at_y, arguments), the state next to y that fulfils conditions which a
+    solution fulfils, with what `rate` then returns at y besides y'; None without such conditions.
+    `control`: a diffrax.PIDController that states tolerances, smallest step and limits of step
+    control; None for constant steps; `first`: the first or the constant step; `max_steps`: most
+    steps; `kinks`: ascending times of kinks of the rate, at which steps end."""
 
     drive: Callable[[Array, Any], Any]
     rate: Callable[[Any, Array, Any], Array]
@@ -101,8 +116,9 @@ def rate(problem: InitialValueProblem, arguments, t, y):
 
 
 class Step(NamedTuple):
-    """The state after a step and its rate, and the k_i; with a projection P also P(y1) - y1, and P(y1) - P(y1 - error), what is left of the
-    error after it. `seen`: h times the rates at the points of a look."""
+    """The state after a step and its rate, and the k_i; with a projection P also P(y1) - y1, and
+    P(y1) - P(y1 - error), what is left of the error after it. `seen`: h times the rates at the
+    points of a look."""
 
     y: Float[Array, "ny"]
     f: Float[Array, "ny"]
@@ -113,7 +129,8 @@ class Step(NamedTuple):
 
 
 class Look(NamedTuple):
-    """A look along a step that was made, in place of a step: the points theta and the states there."""
+    """A look along a step that was made, in place of a step: the points theta and the
+    states there."""
 
     on: Bool[Array, ""]
     theta: Float[Array, "n"]
@@ -125,18 +142,32 @@ def points_of_look(problem: InitialValueProblem) -> int:
     return len(problem.method.A) + (problem.project is not None)
 
 
-def step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array, ""] | None = None, look: Look | None = None) -> Step:
+def step(
+    problem: InitialValueProblem,
+    arguments,
+    t,
+    y,
+    f,
+    h,
+    trial: Bool[Array, ""] | None = None,
+    look: Look | None = None,
+) -> Step:
     """A step of length h, or a look along one that was made.
 
-    A trial step has only two stages, k_1 = h f(t, y) and the rate a little later; a separate function would compile the rate twice. For the
-    same reason the projection, with the rate there, is one more stage, and a look is a step whose stages are at its points."""
+    A trial step has only two stages, k_1 = h f(t, y) and the rate a little later; a separate
+    function would compile the rate twice. For the same reason the projection, with the rate there,
+    is one more stage, and a look is a step whose stages are at its points."""
     method, project = problem.method, problem.project
     carry: Any
     stages = len(method.A) + 1
 
     def place(stage, i):
         """The state of a stage, or the point of a look, which needs no derivative."""
-        return stage if look is None else stage + lax.stop_gradient(jnp.where(look.on, row_at(look.y, i - 1) - stage, 0.0))
+        return (
+            stage
+            if look is None
+            else stage + lax.stop_gradient(jnp.where(look.on, row_at(look.y, i - 1) - stage, 0.0))
+        )
 
     def stage(carry, row):
         k, _, _ = carry
@@ -154,57 +185,99 @@ def step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array,
             there, other = jax.vmap(lambda y: problem.project(u, y, at_y, arguments))(both)  # pyright: ignore[reportOptionalCall]
             return there, there - y1, there - other
 
-        last = jax.checkpoint(projected) if trial is None else projected  # which would repeat the states for each tangent of forward mode
+        # which would repeat the states for each tangent of forward mode
+        last = jax.checkpoint(projected) if trial is None else projected
         y_i, moved, error = lax.cond(i == stages, last, lambda: (y + _sum(a, k), error, error))
         y_i = place(y_i, i)
         f_i, at_y = problem.rate(u, y_i, arguments)
-        return (lax.dynamic_update_index_in_dim(k, h * f_i, i, 0), y_i, f_i, moved, error, at_y), None
+        return (
+            lax.dynamic_update_index_in_dim(k, h * f_i, i, 0),
+            y_i,
+            f_i,
+            moved,
+            error,
+            at_y,
+        ), None
 
     A, C = method.A, method.C.astype(y.dtype)
     if project is not None:
         A, C = np.concatenate([A, A[-1:]]), np.append(C, C[-1])
-    c = C if trial is None else jnp.where(trial, np.array([0.0, A[1, 1], *C[2:]]), C)  # of a trial step, which begins with f = 0
+    # of a trial step, which begins with f = 0
+    c = C if trial is None else jnp.where(trial, np.array([0.0, A[1, 1], *C[2:]]), C)
     c = c if look is None else jnp.where(look.on, look.theta, c)
     driven = vmap_last(lambda t: problem.drive(t, arguments))(t + c * h)  # for all stages at once
     k = jnp.zeros((len(A) + 1, len(y)), y.dtype).at[0].set(h * f)
-    rows = jnp.asarray(A, y.dtype), jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), driven), np.arange(1, len(A) + 1)
+    rows = (
+        jnp.asarray(A, y.dtype),
+        jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), driven),
+        np.arange(1, len(A) + 1),
+    )
     carry, one = (k, y, f), stage
     if project is not None:
         u = jax.tree.map(lambda x: x[0], rows[1])
-        at_y = jax.eval_shape(lambda u, y, arguments: problem.rate(u, y, arguments)[1], u, y, arguments)
+        at_y = jax.eval_shape(
+            lambda u, y, arguments: problem.rate(u, y, arguments)[1], u, y, arguments
+        )
         still = jnp.zeros_like(y)
-        carry, one = (*carry, still, still, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), at_y)), stage_or_projection
+        carry, one = (
+            (*carry, still, still, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), at_y)),
+            stage_or_projection,
+        )
     if trial is None:
         carry, _ = lax.scan(one, carry, rows)
     else:
-        last = jnp.where(trial, np.uint32(2), np.uint32(len(A)))  # unsigned, as each row would check whether i is negative
-        carry = lax.fori_loop(np.uint32(0), last, lambda i, carry: one(carry, jax.tree.map(lambda x: row_at(x, i), rows))[0], carry)
+        # unsigned, as each row would check whether i is negative
+        last = jnp.where(trial, np.uint32(2), np.uint32(len(A)))
+        carry = lax.fori_loop(
+            np.uint32(0),
+            last,
+            lambda i, carry: one(carry, jax.tree.map(lambda x: row_at(x, i), rows))[0],
+            carry,
+        )
     k, y, f, *projected = carry
     moved, error = projected[:2] if project is not None else (None, None)
     return Step(y, f, k[:stages], moved, error, k[1:])
 
 
 def error_ratio(problem: InitialValueProblem, y, made: Step) -> Float[Array, ""]:
-    """A step's error over its tolerance, or, if that is larger, the difference of its last two stages over half the digits: both are at its
-    end, and the last one is in the polynomial, but not in the error."""
-    method, error = problem.method, jnp.abs(_sum(problem.method.E, made.k) if made.error is None else made.error)
+    """A step's error over its tolerance, or, if that is larger, the difference of its last two
+    stages over half the digits: both are at its end, and the last one is in the polynomial, but not
+    in the error."""
+    method, error = (
+        problem.method,
+        jnp.abs(_sum(problem.method.E, made.k) if made.error is None else made.error),
+    )
     if method.end is not None:
-        error = jnp.maximum(error, jnp.sqrt(problem.control.rtol) * jnp.abs(made.k[-1] - made.k[method.end]))
+        error = jnp.maximum(
+            error, jnp.sqrt(problem.control.rtol) * jnp.abs(made.k[-1] - made.k[method.end])
+        )
     return problem.control.norm(error / _tolerance(problem, y, made.y))
 
 
 def change_ratio(problem: InitialValueProblem, y, made: Step) -> Float[Array, ""]:
     """A step's change of the state over half the digits."""
-    return problem.control.norm(jnp.sqrt(problem.control.rtol) * (made.y - y) / _tolerance(problem, y, made.y))
+    return problem.control.norm(
+        jnp.sqrt(problem.control.rtol) * (made.y - y) / _tolerance(problem, y, made.y)
+    )
 
 
-def defects(problem: InitialValueProblem, y, made: Step, look: Look, c: Float[Array, "m ny"]) -> Float[Array, "n"]:
-    """The defects seen by a look along a step from y with the polynomial c, over what is allowed; zero without a look."""
+def defects(
+    problem: InitialValueProblem, y, made: Step, look: Look, c: Float[Array, "m ny"]
+) -> Float[Array, "n"]:
+    """The defects seen by a look along a step from y with the polynomial c, over what is allowed;
+    zero without a look."""
 
     def seen():
         scale = DEFECT * _tolerance(problem, y, made.y)
-        slopes = (sum(d * c[d] * theta ** (d - 1) for d in range(1, len(c))) for theta in look.theta)
-        return jnp.stack([problem.control.norm((hf - slope) / scale) for hf, slope in zip(made.seen, slopes, strict=True)])
+        slopes = (
+            sum(d * c[d] * theta ** (d - 1) for d in range(1, len(c))) for theta in look.theta
+        )
+        return jnp.stack(
+            [
+                problem.control.norm((hf - slope) / scale)
+                for hf, slope in zip(made.seen, slopes, strict=True)
+            ]
+        )
 
     return lax.cond(any_of_batch(look.on), seen, lambda: jnp.zeros_like(look.theta))
 
@@ -220,13 +293,15 @@ def rows_of_polynomial(problem: InitialValueProblem) -> int:
 
 
 def _sum(a, k: Float[Array, "n ny"]) -> Float[Array, "ny"]:
-    """sum of a_i k_i, term by term: loops over ny are fast, a reduction over n is not (xla_workarounds)."""
+    """sum of a_i k_i, term by term: loops over ny are fast, a reduction over n is
+    not (xla_workarounds)."""
     terms = [a[i] * k[i] for i in range(len(k)) if isinstance(a, jax.Array) or a[i] != 0]
     return sum(terms[1:], terms[0])
 
 
 def polynomial(method: Method, y, made: Step) -> Float[Array, "n ny"]:
-    """c_0, c_1 ... of the state c_0 + c_1 theta + ... in the step, with theta^2 (3 - 2 theta) (P(y1) - y1) where it ends projected."""
+    """c_0, c_1 ... of the state c_0 + c_1 theta + ... in the step, with theta^2 (3 - 2 theta)
+    (P(y1) - y1) where it ends projected."""
     c = [y, *(_sum(p, made.k) for p in method.P)]
     if made.moved is not None:
         c += [jnp.zeros_like(y)] * (4 - len(c))
@@ -235,14 +310,22 @@ def polynomial(method: Method, y, made: Step) -> Float[Array, "n ny"]:
 
 
 def first_length(control: Any, order: int, y0, f0, f1, dt, end) -> Float[Array, ""]:
-    """The first step's length, from the rates at the start and dt later. Of each component of y0 at least as much counts as has equal
-    tolerances, atol/rtol: a start that is zero up to rounding says nothing about the step. Source: Hairer, Norsett, Wanner, Solving
-    Ordinary Differential Equations I, II.4."""
+    """The first step's length, from the rates at the start and dt later. Of each component of y0 at
+    least as much counts as has equal tolerances, atol/rtol: a start that is zero up to rounding
+    says nothing about the step. Source: Hairer, Norsett, Wanner, Solving Ordinary Differential
+    Equations I, II.4."""
     scale = control.atol + control.rtol * jnp.abs(y0)
-    d0, d1, d2 = (control.norm(x / scale) for x in (jnp.maximum(jnp.abs(y0), control.atol / control.rtol), f0, (f1 - f0) / dt))
+    d0, d1, d2 = (
+        control.norm(x / scale)
+        for x in (jnp.maximum(jnp.abs(y0), control.atol / control.rtol), f0, (f1 - f0) / dt)
+    )
     h0 = jnp.where(d1 < 1e-5, 1e-6, 0.01 * d0 / jnp.where(d1 > 0, d1, 1.0))
     most = jnp.maximum(d1, d2)
-    h1 = jnp.where(most <= 1e-15, jnp.maximum(1e-6, 1e-3 * h0), root(order, 0.01 / jnp.where(most > 0, most, 1.0)))
+    h1 = jnp.where(
+        most <= 1e-15,
+        jnp.maximum(1e-6, 1e-3 * h0),
+        root(order, 0.01 / jnp.where(most > 0, most, 1.0)),
+    )
     h = jnp.minimum(jnp.minimum(100 * h0, h1), end)
     return jnp.where(jnp.isfinite(h), h, TRIAL * end)
 
@@ -263,8 +346,8 @@ def row_at(x: Array, i: Array) -> Array:
 
 
 class Course(NamedTuple):
-    """The state of step control: next step length, the longest that is taken without a look, the shortest that was asked for by an error,
-    numbers of accepted and rejected steps, status."""
+    """The state of step control: next step length, the longest that is taken without a look, the
+    shortest that was asked for by an error, numbers of accepted and rejected steps, status."""
 
     h: Float[Array, ""]
     unseen: Float[Array, ""]
@@ -275,8 +358,9 @@ class Course(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """A step whose error is small, looked along before it is taken: where the next look is, EVENLY or at the user's samples from this one
-    on; up to which theta the samples were seen; length and polynomial of the step."""
+    """A step whose error is small, looked along before it is taken: where the next look is, EVENLY
+    or at the user's samples from this one on; up to which theta the samples were seen; length and
+    polynomial of the step."""
 
     at: Int[Array, ""]
     seen: Float[Array, ""]
@@ -290,51 +374,97 @@ def look_along(problem: InitialValueProblem, ahead: Ahead, tau, past: Float[Arra
     n, on = points_of_look(problem), ahead.at != NOT_LOOKING
 
     def points():
-        at_samples = jnp.minimum((past[jnp.minimum(ahead.at + np.arange(n), len(past) - 1)] - tau) / ahead.h, 1.0)
+        at_samples = jnp.minimum(
+            (past[jnp.minimum(ahead.at + np.arange(n), len(past) - 1)] - tau) / ahead.h, 1.0
+        )
         theta = jnp.where(ahead.at == EVENLY, np.arange(1, n + 1) / (n + 1), at_samples)
         return theta, jax.vmap(lambda theta: polynomial_at(ahead.c, theta))(theta)
 
-    theta, y = lax.cond(any_of_batch(on), points, lambda: (jnp.zeros(n, past.dtype), jnp.zeros((n, ahead.c.shape[1]), ahead.c.dtype)))
+    theta, y = lax.cond(
+        any_of_batch(on),
+        points,
+        lambda: (jnp.zeros(n, past.dtype), jnp.zeros((n, ahead.c.shape[1]), ahead.c.dtype)),
+    )
     return Look(on, theta, y)
 
 
-def controlled(problem: InitialValueProblem, course: Course, look: Look, ahead: Ahead, tau1, past, cut, error, change, defects):
-    """Whether a step is taken, the course after it, and where the next look along it is if it is not yet taken.
+def controlled(
+    problem: InitialValueProblem,
+    course: Course,
+    look: Look,
+    ahead: Ahead,
+    tau1,
+    past,
+    cut,
+    error,
+    change,
+    defects,
+):
+    """Whether a step is taken, the course after it, and where the next look along it is if it is
+    not yet taken.
 
-    The error decides about the length of the next step. A step after a quiet one, whose error tells nothing, or one that is
-    long beside the shortest of the run, is made again and taken if its defect was small in all looks, and otherwise becomes as long as it
-    was small."""
+    The error decides about the length of the next step. A step after a quiet one, whose error tells
+    nothing, or one that is long beside the shortest of the run, is made again and taken if its
+    defect was small in all looks, and otherwise becomes as long as it was small."""
     rules, h = problem.control, ahead.h
     good = error <= 1
     least = jnp.minimum(ROUNDED * jnp.finfo(h.dtype).eps / rules.rtol, LEAST_ERROR)
     factor = rules.safety / root(problem.method.order, jnp.maximum(error, least))
     factor = jnp.clip(factor, rules.factormin, jnp.where(good, rules.factormax, 1.0))
     longer = h * jnp.where(jnp.isfinite(error), factor, rules.factormin)
-    longer = jnp.where(good & cut, jnp.maximum(longer, course.h), longer)  # after a step that was cut at a kink
+    # after a step that was cut at a kink
+    longer = jnp.where(good & cut, jnp.maximum(longer, course.h), longer)
     asked = good & (h > course.unseen)
     quiet = (error < QUIET) | (change < 1)
     after = jnp.where(quiet, jnp.where(cut, LONGER * h, 0.0), SHARP * course.shortest)
     unseen = jnp.where(good, after, course.unseen)
     longer, unseen = jnp.where(asked, course.h, longer), jnp.where(asked, course.unseen, unseen)
-    stepped = good & ~asked, longer, unseen, jnp.where(asked, EVENLY, NOT_LOOKING), jnp.zeros_like(h), ~good, jnp.isfinite(error)
+    stepped = (
+        good & ~asked,
+        longer,
+        unseen,
+        jnp.where(asked, EVENLY, NOT_LOOKING),
+        jnp.zeros_like(h),
+        ~good,
+        jnp.isfinite(error),
+    )
 
     bad = jnp.min(jnp.where(defects <= 1, jnp.inf, look.theta))
     seen, clear = jnp.max(jnp.where(look.theta < bad, look.theta, ahead.seen)), bad > 1
     shorter = h * jnp.where(seen > 0, seen, bad / 2)
-    first = jnp.searchsorted(past, tau1 - h, side="right", method="scan_unrolled").astype(ahead.at.dtype)
+    first = jnp.searchsorted(past, tau1 - h, side="right", method="scan_unrolled").astype(
+        ahead.at.dtype
+    )
     sample = jnp.where(ahead.at == EVENLY, first, ahead.at + len(look.theta))
     done = clear & (row_at(past, jnp.minimum(sample, len(past) - 1)) >= tau1)
     at = jnp.where(clear & ~done, sample, NOT_LOOKING)
     seen = jnp.where(ahead.at == EVENLY, 0.0, seen)
     unseen = jnp.where(done, h, jnp.where(clear, course.unseen, 0.0))
-    looked = jnp.array(False), jnp.where(clear, course.h, shorter), unseen, at, seen, ~clear, jnp.array(True)
+    looked = (
+        jnp.array(False),
+        jnp.where(clear, course.h, shorter),
+        unseen,
+        at,
+        seen,
+        ~clear,
+        jnp.array(True),
+    )
 
-    good, longer, unseen, at, seen, refused, finite = (jnp.where(look.on, a, b) for a, b in zip(looked, stepped, strict=True))
+    good, longer, unseen, at, seen, refused, finite = (
+        jnp.where(look.on, a, b) for a, b in zip(looked, stepped, strict=True)
+    )
     small = jnp.where(finite, Status.DT_MIN.value, Status.NONFINITE.value)
-    accepted, rejected = (count + one.astype(count.dtype) for count, one in ((course.accepted, good), (course.rejected, refused)))
+    accepted, rejected = (
+        count + one.astype(count.dtype)
+        for count, one in ((course.accepted, good), (course.rejected, refused))
+    )
     code = jnp.where(refused & (longer < rules.dtmin), small, Status.OK.value)
     shortest = jnp.where(refused, jnp.minimum(course.shortest, longer), course.shortest)
-    return good, Course(longer, unseen, shortest, accepted, rejected, code), ahead._replace(at=at, seen=seen)
+    return (
+        good,
+        Course(longer, unseen, shortest, accepted, rejected, code),
+        ahead._replace(at=at, seen=seen),
+    )
 
 
 def polynomial_at(c: Float[Array, "m *n ny"], theta: Array) -> Float[Array, "*n ny"]:

@@ -1,4 +1,5 @@
-"""Small systems of equations, solved without LAPACK, whose calls would split a compiled program, and which rows depend."""
+"""Small systems of equations, solved without LAPACK, whose calls would split a compiled program,
+and which rows depend."""
 
 from __future__ import annotations
 
@@ -13,7 +14,9 @@ from jaxbody.numerics.xla_workarounds import kept
 
 LARGEST_UNROLLED = 30
 DEPENDENT = 1e-8  # of the longest row
-SHORTEST = 1e-8  # of the longest row, after the parts along the others are taken off: shorter ones are not solved for
+# of the longest row, after the parts along the others are taken off: shorter ones are not
+# solved for
+SHORTEST = 1e-8
 
 
 def solve_spd(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
@@ -22,8 +25,8 @@ def solve_spd(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]
 
 
 def is_definite(A: Float[Array, "n n"]) -> Bool[Array, ""]:
-    """Whether the symmetric A is positive definite: all pivots of an elimination are positive. As a loop it compiles faster than
-    `solve_if_definite`."""
+    """Whether the symmetric A is positive definite: all pivots of an elimination are positive. As a
+    loop it compiles faster than `solve_if_definite`."""
 
     def clear(k, carry):
         A, definite = carry
@@ -34,8 +37,11 @@ def is_definite(A: Float[Array, "n n"]) -> Bool[Array, ""]:
     return lax.fori_loop(0, len(A), clear, (A, jnp.array(True)))[1]
 
 
-def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Float[Array, "n"], Bool[Array, ""]]:
-    """x with A x = b, and whether the symmetric A is positive definite: all pivots of the elimination are positive."""
+def solve_if_definite(
+    A: Float[Array, "n n"], b: Float[Array, "n"]
+) -> tuple[Float[Array, "n"], Bool[Array, ""]]:
+    """x with A x = b, and whether the symmetric A is positive definite: all pivots of the
+    elimination are positive."""
     n = A.shape[-1]
     if n > LARGEST_UNROLLED:
         factor = jnp.linalg.cholesky(A)
@@ -52,7 +58,11 @@ def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Flo
 def _by_cholesky(L: Float[Array, "n n"], b: Float[Array, "n m"]) -> Float[Array, "n m"]:
     """x with L L' x = b."""
     return lax.linalg.triangular_solve(
-        L, lax.linalg.triangular_solve(L, b, left_side=True, lower=True), left_side=True, lower=True, transpose_a=True
+        L,
+        lax.linalg.triangular_solve(L, b, left_side=True, lower=True),
+        left_side=True,
+        lower=True,
+        transpose_a=True,
     )
 
 
@@ -61,11 +71,17 @@ def solve(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
     if not 0 < len(A) <= LARGEST_UNROLLED:
         return jnp.linalg.solve(A, b)
     known = lax.stop_gradient(A)
-    return lax.custom_linear_solve(lambda x: times(A, x), b, lambda _, b: _eliminated(known, b), lambda _, b: _eliminated(known.T, b))
+    return lax.custom_linear_solve(
+        lambda x: times(A, x),
+        b,
+        lambda _, b: _eliminated(known, b),
+        lambda _, b: _eliminated(known.T, b),
+    )
 
 
 def _eliminated(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
-    """x with A x = b: each column is cleared in all rows but that of its pivot, which stays where it is."""
+    """x with A x = b: each column is cleared in all rows but that of its pivot, which stays where
+    it is."""
     n = len(A)
 
     def clear(k, carry):
@@ -75,7 +91,9 @@ def _eliminated(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n
         row = lax.dynamic_index_in_dim(Ab, best, keepdims=False)
         row = row / lax.dynamic_index_in_dim(row, k, keepdims=False)
         chosen = np.arange(n) == best
-        return jnp.where(chosen[:, None], row[None], Ab - column[:, None] * row[None]), jnp.where(chosen, k, place)
+        return jnp.where(chosen[:, None], row[None], Ab - column[:, None] * row[None]), jnp.where(
+            chosen, k, place
+        )
 
     start = jnp.concatenate([A, b[:, None]], 1), jnp.full(n, n)
     Ab, place = lax.fori_loop(0, n, clear, start)
@@ -83,8 +101,9 @@ def _eliminated(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n
 
 
 def independent_rows(matrix: np.ndarray, *, enough: float = 1.0) -> list[int]:
-    """The rows of a matrix of which the others are sums, in the order of elimination: each time the last one that is not shorter than
-    `enough` of the longest, after the parts along those before are taken off."""
+    """The rows of a matrix of which the others are sums, in the order of elimination: each time the
+    last one that is not shorter than `enough` of the longest, after the parts along those before
+    are taken off."""
     rest, chosen, longest = np.array(matrix), [], 0.0
     for _ in range(min(rest.shape)):
         sizes = np.linalg.norm(rest, axis=1)
@@ -100,17 +119,21 @@ def independent_rows(matrix: np.ndarray, *, enough: float = 1.0) -> list[int]:
 
 
 class SaddlePoint(NamedTuple):
-    """[M J'; J 0] with symmetric positive definite M, ready to be solved. Rows of J that follow from others do no harm: J has `rank`
-    independent ones, found by orthonormalizing its rows in the metric of M^-1, the longest remaining first.
+    """[M J'; J 0] with symmetric positive definite M, ready to be solved. Rows of J that follow
+    from others do no harm: J has `rank` independent ones, found by orthonormalizing its rows in the
+    metric of M^-1, the longest remaining first.
 
-    `inverse`: M^-1, and `of_rows`: S with A S A = A for A = J M^-1 J', both constants; derivatives are those of the solution."""
+    `inverse`: M^-1, and `of_rows`: S with A S A = A for A = J M^-1 J', both constants; derivatives
+    are those of the solution."""
 
     M: Float[Array, "n n"]
     J: Float[Array, "m n"]
     inverse: Float[Array, "n n"]
     of_rows: Float[Array, "m m"]
 
-    def solve(self, f: Float[Array, "n"], g: Float[Array, "m"]) -> tuple[Float[Array, "n"], Float[Array, "m"]]:
+    def solve(
+        self, f: Float[Array, "n"], g: Float[Array, "m"]
+    ) -> tuple[Float[Array, "n"], Float[Array, "m"]]:
         """x and l with M x + J' l = f and J x = g."""
         n = len(f)
 
@@ -135,8 +158,11 @@ def saddle_point(M: Float[Array, "n n"], J: Float[Array, "m n"], rank: int) -> S
     return SaddlePoint(M, J, inverse, jnp.sum(combined[:, :, None] * combined[:, None], 0))
 
 
-def _orthonormal_rows(J: Float[Array, "m n"], D: Float[Array, "m n"], rank: int) -> Float[Array, "rank m"]:
-    """The combinations C of rows that are orthonormal, C J (C D)' = 1, with D = J M^-1; zero for rows that are missing."""
+def _orthonormal_rows(
+    J: Float[Array, "m n"], D: Float[Array, "m n"], rank: int
+) -> Float[Array, "rank m"]:
+    """The combinations C of rows that are orthonormal, C J (C D)' = 1, with D = J M^-1; zero for
+    rows that are missing."""
     m, n = J.shape
 
     def one(carry, _):
@@ -163,7 +189,9 @@ def inverse_spd(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
     both = jnp.concatenate([A, jnp.eye(n, dtype=A.dtype)], -1)
     for i in range(n):
         row = both[i, 1:] / both[i, 0]
-        both = jnp.where((np.arange(n) == i)[:, None], row[None], both[:, 1:] - both[:, :1] * row[None])
+        both = jnp.where(
+            (np.arange(n) == i)[:, None], row[None], both[:, 1:] - both[:, :1] * row[None]
+        )
     return both
 
 

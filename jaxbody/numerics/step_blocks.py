@@ -1,11 +1,13 @@
-"""Blocks of Runge-Kutta steps, adaptive or constant, in loops that XLA compiles to fast code, and their derivatives in both modes.
+"""Blocks of Runge-Kutta steps, adaptive or constant, in loops that XLA compiles to fast code, and
+their derivatives in both modes.
 
-A block keeps the polynomials of
-its steps, from which the samples in it are computed together at its end. Reverse mode keeps the start and the step lengths of each block,
-and repeats the block; its memory grows with the number of blocks. Both modes treat step lengths as constants. In a batch every member has
-its own steps; constant steps are the same for all, and functions of time alone are then computed once. Adaptive steps end at the kinks of
-motions and loads, because a polynomial of high degree cannot cross them. Where a problem has a projection P, steps end at P(y1), and the
-error is what is left of it after P.
+A block keeps the polynomials of its steps, from which the samples in it are computed together at
+its end. Reverse mode keeps the start and the step lengths of each block, and repeats the block; its
+memory grows with the number of blocks. Both modes treat step lengths as constants. In a batch every
+member has its own steps; constant steps are the same for all, and functions of time alone are then
+computed once. Adaptive steps end at the kinks of motions and loads, because a polynomial of high
+degree cannot cross them. Where a problem has a projection P, steps end at P(y1), and the error is
+what is left of it after P.
 """
 
 from __future__ import annotations
@@ -21,7 +23,14 @@ from jax import lax
 from jaxbody.core.arrays import Array, Bool, Float, Int
 from jaxbody.core.errors import JaxbodyError, Status
 from jaxbody.core.errors import Problem as Wrong
-from jaxbody.core.jax_internals import Zero, chosen, instantiate_zeros, merged, new_operation, shaped
+from jaxbody.core.jax_internals import (
+    Zero,
+    chosen,
+    instantiate_zeros,
+    merged,
+    new_operation,
+    shaped,
+)
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.runge_kutta_steps import (
     NOT_LOOKING,
@@ -47,12 +56,15 @@ from jaxbody.numerics.xla_workarounds import any_of_batch, carried
 BLOCK = 128  # steps, at most
 MOST_KEPT = 8e9  # bytes that a derivative may reserve
 WINDOW = 1024  # samples computed together, at most
-LANES = 40  # members of a batch in a chunk: loops over 32 or fewer are unrolled before they can become vector instructions
+# members of a batch in a chunk: loops over 32 or fewer are unrolled before they can become
+# vector instructions
+LANES = 40
 NEAR = 1e-12  # distance of kinks, relative to the whole time, below which they are one
 
 
 class Steps(NamedTuple):
-    """Steps: start after t0, length, polynomial c_0 + c_1 theta + ...; the length is zero in rows without a step."""
+    """Steps: start after t0, length, polynomial c_0 + c_1 theta + ...; the length is zero in rows
+    without a step."""
 
     start: Float[Array, "*n"]
     h: Float[Array, "*n"]
@@ -60,8 +72,8 @@ class Steps(NamedTuple):
 
 
 class Begun(NamedTuple):
-    """The start of a block: time tau after t0, state and its rate, the step before it, the window of samples, and the time up to which that
-    is filled."""
+    """The start of a block: time tau after t0, state and its rate, the step before it, the window
+    of samples, and the time up to which that is filled."""
 
     tau: Float[Array, ""]
     y: Float[Array, "ny"]
@@ -72,7 +84,8 @@ class Begun(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Samples, NaN after an early end; last time after t0, last state, and state of step control."""
+    """Samples, NaN after an early end; last time after t0, last state, and state of
+    step control."""
 
     samples: Float[Array, "nt ny"]
     tau: Float[Array, ""]
@@ -80,15 +93,19 @@ class Solution(NamedTuple):
     course: Course
 
 
-def solve(problem: InitialValueProblem, arguments: Any, y0: Float[Array, "ny"], times: Float[Array, "nt"]) -> Solution:
+def solve(
+    problem: InitialValueProblem, arguments: Any, y0: Float[Array, "ny"], times: Float[Array, "nt"]
+) -> Solution:
     """The solution from y0 at times[0]; differentiable in forward mode only, at the least cost."""
     return _march(problem, arguments, y0, times, keep=False)[0]
 
 
 @filter_custom_jvp
-def solve_both_ways(given: tuple[Any, Float[Array, "ny"], Float[Array, "nt"]], *, problem: InitialValueProblem) -> Solution:
-    """`solve` of given = (arguments, y0, times); differentiable in reverse mode, in forward mode, which solves twice, and in forward mode
-    over either."""
+def solve_both_ways(
+    given: tuple[Any, Float[Array, "ny"], Float[Array, "nt"]], *, problem: InitialValueProblem
+) -> Solution:
+    """`solve` of given = (arguments, y0, times); differentiable in reverse mode, in forward mode,
+    which solves twice, and in forward mode over either."""
     return _march(problem, *given, keep=False)[0]
 
 
@@ -106,10 +123,17 @@ def _tangents(primals, tangents, *, problem):
 
         def of_moved(moved):
             moved = iter(moved)
-            ended = solve(problem, *tree.unflatten([next(moved) if m else x for x, m in zip(leaves, moves, strict=True)]))
+            ended = solve(
+                problem,
+                *tree.unflatten(
+                    [next(moved) if m else x for x, m in zip(leaves, moves, strict=True)]
+                ),
+            )
             return ended.samples, ended.y
 
-        return jax.jvp(of_moved, ([x for x, m in zip(leaves, moves, strict=True) if m],), (changes,))[1]
+        return jax.jvp(
+            of_moved, ([x for x, m in zip(leaves, moves, strict=True) if m],), (changes,)
+        )[1]
 
     def backward(known, cotangents):
         (numbers, kept), (of_samples, of_y) = known, cotangents
@@ -117,16 +141,26 @@ def _tangents(primals, tangents, *, problem):
         slopes = _backward(kept, of_samples, of_y, given, problem)
         return [x for x, m in zip(tree.flatten_up_to(slopes), moves, strict=True) if m]
 
-    of_samples, of_y = linear_with_transpose(forward, backward, (numbers, kept), jax.tree.leaves(changes), (ended.samples, ended.y))
+    of_samples, of_y = linear_with_transpose(
+        forward, backward, (numbers, kept), jax.tree.leaves(changes), (ended.samples, ended.y)
+    )
     return ended, Solution(of_samples, None, of_y, Course(*[None] * len(Course._fields)))  # pyright: ignore
 
 
-def _backward(kept, of_samples: Float[jax.Array, "nt ny"], of_y: Float[Array, "ny"], given, problem: InitialValueProblem):
-    """Cotangents of (arguments, y0, times) by the chain rule, block by block from the last to the first."""
+def _backward(
+    kept,
+    of_samples: Float[jax.Array, "nt ny"],
+    of_y: Float[Array, "ny"],
+    given,
+    problem: InitialValueProblem,
+):
+    """Cotangents of (arguments, y0, times) by the chain rule, block by block from the last to
+    the first."""
     arguments, y0, times = given
     begun, lengths, n = kept
     varied, fixed = partition(arguments, is_inexact_array)
-    of_windows = _windows(of_samples.at[0].set(0.0), jnp.zeros((1, len(y0)), y0.dtype))  # the first sample is y0
+    # the first sample is y0
+    of_windows = _windows(of_samples.at[0].set(0.0), jnp.zeros((1, len(y0)), y0.dtype))
 
     def back(carry):
         n, to_varied, to_times, to_state = carry
@@ -147,15 +181,28 @@ def _backward(kept, of_samples: Float[jax.Array, "nt ny"], of_y: Float[Array, "n
     _, to_varied, to_times, (to_y, to_f, to_c) = lax.while_loop(
         lambda carry: carry[0] > 0,
         back,
-        (n, *nothing, (of_y, jnp.zeros_like(y0), jnp.zeros((rows_of_polynomial(problem), len(y0)), y0.dtype))),
+        (
+            n,
+            *nothing,
+            (of_y, jnp.zeros_like(y0), jnp.zeros((rows_of_polynomial(problem), len(y0)), y0.dtype)),
+        ),
     )
-    _, pull = jax.vjp(lambda varied, t, y: rate(problem, combine(varied, fixed), t, y), varied, times[0], y0)
+    _, pull = jax.vjp(
+        lambda varied, t, y: rate(problem, combine(varied, fixed), t, y), varied, times[0], y0
+    )
     a, b, c = pull(to_f)
-    return jax.tree.map(jnp.add, to_varied, a), to_y + to_c[0] + c + of_samples[0], to_times.at[0].add(b)
+    return (
+        jax.tree.map(jnp.add, to_varied, a),
+        to_y + to_c[0] + c + of_samples[0],
+        to_times.at[0].add(b),
+    )
 
 
-def _march(problem: InitialValueProblem, arguments: Any, y0, times, keep: bool) -> tuple[Solution, Any]:
-    """The solution, block after block; with `keep` also the starts and step lengths of the blocks."""
+def _march(
+    problem: InitialValueProblem, arguments: Any, y0, times, keep: bool
+) -> tuple[Solution, Any]:
+    """The solution, block after block; with `keep` also the starts and step lengths of
+    the blocks."""
     numbers, rest = partition((problem, arguments), is_array)
 
     def march(numbers, y0, times):
@@ -168,9 +215,24 @@ def _march(problem: InitialValueProblem, arguments: Any, y0, times, keep: bool) 
 def _check_memory(max_steps: int, blocks: int, each: int) -> None:
     """Check the memory of a derivative, which is reserved for max_steps. Error: TOO_LARGE."""
     if blocks * each > MOST_KEPT:
-        message = f"reserves {blocks * each / 1e9:.3g} GB for the derivative: {each} bytes for every {BLOCK} of max_steps={max_steps}"
-        hint = f"Give fewer max_steps, {int(MOST_KEPT / each) * BLOCK:.1g} at most, or adjoint=diffrax.ForwardMode(), which needs none."
-        raise JaxbodyError(Wrong("TOO_LARGE", "simulate.max_steps", message, max_steps, f"{MOST_KEPT / 1e9:g} GB", hint))
+        message = (
+            f"reserves {blocks * each / 1e9:.3g} GB for the derivative: {each} bytes for every "
+            f"{BLOCK} of max_steps={max_steps}"
+        )
+        hint = (
+            f"Give fewer max_steps, {int(MOST_KEPT / each) * BLOCK:.1g} at most, or "
+            "adjoint=diffrax.ForwardMode(), which needs none."
+        )
+        raise JaxbodyError(
+            Wrong(
+                "TOO_LARGE",
+                "simulate.max_steps",
+                message,
+                max_steps,
+                f"{MOST_KEPT / 1e9:g} GB",
+                hint,
+            )
+        )
 
 
 def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: bool):
@@ -182,19 +244,27 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
         zero,
         y0,
         jnp.zeros_like(y0),
-        Steps(zero, zero, jnp.zeros((rows_of_polynomial(problem), len(y0)), y0.dtype).at[0].set(y0)),
+        Steps(
+            zero, zero, jnp.zeros((rows_of_polynomial(problem), len(y0)), y0.dtype).at[0].set(y0)
+        ),
         none,
         zero - 1,
     )
     course = Course(TRIAL * end, zero, zero + jnp.inf, none, none, jnp.full((), Status.OK.value))
-    size = BLOCK if keep else min(max(len(times) // 8, 16), BLOCK)  # for few samples few steps are kept
-    blocks = problem.max_steps // BLOCK + len(reach) + 2 if keep else 0  # full ones, one for each window, the last ones
+    # for few samples few steps are kept
+    size = BLOCK if keep else min(max(len(times) // 8, 16), BLOCK)
+    # full ones, one for each window, the last ones
+    blocks = problem.max_steps // BLOCK + len(reach) + 2 if keep else 0
     of_block = (begun, jnp.zeros(BLOCK, y0.dtype))
-    _check_memory(problem.max_steps, blocks, sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(of_block)))
+    _check_memory(
+        problem.max_steps, blocks, sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(of_block))
+    )
     kept = jax.tree.map(lambda x: jnp.zeros((blocks, *x.shape), x.dtype), of_block)
     out = _windows(jnp.full((len(times), len(y0)), jnp.nan, y0.dtype))
     moving = (begun.y, begun.f, begun.last.c, out)
-    y, f, c, out = carried(moving, [x for x in jax.tree.leaves((arguments, times)) if is_inexact_array(x)])
+    y, f, c, out = carried(
+        moving, [x for x in jax.tree.leaves((arguments, times)) if is_inexact_array(x)]
+    )
     begun = begun._replace(y=y, f=f, last=begun.last._replace(c=c))
     ahead = Ahead(none + NOT_LOOKING, zero, zero, lax.stop_gradient(c))
 
@@ -206,7 +276,9 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
         begun, course, ahead, out, kept, n = carry
         on = running(begun, course)
         goal = jnp.where(on, row_at(reach, begun.window), -1.0)
-        tau, y, f, course, ahead, steps = _advance(problem, arguments, times, begun, course, ahead, goal, size, n == 0)
+        tau, y, f, course, ahead, steps = _advance(
+            problem, arguments, times, begun, course, ahead, goal, size, n == 0
+        )
         values, fill = _sampled(times, begun, steps, tau)
         out = _put(out, begun.window, jnp.where(fill[:, None], values, row_at(out, begun.window)))
         if keep:  # members of a batch that look while others step may need more blocks
@@ -218,24 +290,47 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
                 (begun, jnp.where(jnp.isfinite(steps.h[1:]), steps.h[1:], 0.0)),
             )
         through = on & (tau >= goal) & (begun.window < len(reach) - 1)
-        begun = Begun(tau, y, f, _last(steps), begun.window + through.astype(begun.window.dtype), jnp.where(through, -1.0, tau))
+        begun = Begun(
+            tau,
+            y,
+            f,
+            _last(steps),
+            begun.window + through.astype(begun.window.dtype),
+            jnp.where(through, -1.0, tau),
+        )
         return begun, course, ahead, out, kept, n + 1
 
     carry = (begun, course, ahead, out, kept, none)
-    begun, course, _, out, kept, n = lax.while_loop(lambda carry: any_of_batch(running(carry[0], carry[1])), block, carry)
+    begun, course, _, out, kept, n = lax.while_loop(
+        lambda carry: any_of_batch(running(carry[0], carry[1])), block, carry
+    )
     if keep:  # the trial step gave the rate at the start of the first block
-        kept = kept[0]._replace(f=kept[0].f.at[0].set(rate(problem, arguments, times[0], y0))), kept[1]
+        kept = (
+            kept[0]._replace(f=kept[0].f.at[0].set(rate(problem, arguments, times[0], y0))),
+            kept[1],
+        )
     samples = out.reshape(-1, len(y0))[: len(times)].at[0].set(y0)
     return Solution(samples, begun.tau, begun.y, course), (*kept, n)
 
 
 def _advance(
-    problem: InitialValueProblem, arguments, times, begun: Begun, course: Course, ahead: Ahead, goal, size: int, starting: Bool[Array, ""]
+    problem: InitialValueProblem,
+    arguments,
+    times,
+    begun: Begun,
+    course: Course,
+    ahead: Ahead,
+    goal,
+    size: int,
+    starting: Bool[Array, ""],
 ):
-    """Take steps until `goal`, at most one block of them; if `starting`, take a trial step first."""
+    """Take steps until `goal`, at most one block of them; if `starting`, take a trial
+    step first."""
     t0, past = times[0], lax.stop_gradient(times - times[0])
     end = past[-1]
-    rows = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), begun.last)._replace(h=jnp.full(size, jnp.inf, begun.y.dtype))
+    rows = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), begun.last)._replace(
+        h=jnp.full(size, jnp.inf, begun.y.dtype)
+    )
     steps = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, rows)
     ends = None if problem.kinks is None else jnp.append(problem.kinks - t0, jnp.inf)
 
@@ -243,7 +338,10 @@ def _advance(
         """Where a step from tau must end."""
         if ends is None:
             return end
-        return jnp.minimum(end, ends[jnp.searchsorted(ends, tau + NEAR * end, side="right", method="scan_unrolled")])
+        return jnp.minimum(
+            end,
+            ends[jnp.searchsorted(ends, tau + NEAR * end, side="right", method="scan_unrolled")],
+        )
 
     def active(tau, course):
         return (course.code == Status.OK.value) & (tau < goal)
@@ -253,7 +351,9 @@ def _advance(
         on = active(tau, course)
         to = lax.stop_gradient(stop(tau))
         left = to - tau
-        h = jnp.where(ahead.at == NOT_LOOKING, jnp.where(course.h > 0.9999 * left, left, course.h), ahead.h)
+        h = jnp.where(
+            ahead.at == NOT_LOOKING, jnp.where(course.h > 0.9999 * left, left, course.h), ahead.h
+        )
         h = lax.stop_gradient(h)
         trial = i == 0
         look = None if problem.control is None else look_along(problem, ahead, tau, past)
@@ -261,32 +361,63 @@ def _advance(
         tau1 = jnp.where(h == left, to, tau + h)
         c = polynomial(problem.method, y, new)
         if look is None:
-            good, after, next_ahead = jnp.array(True), course._replace(accepted=course.accepted + 1), ahead
+            good, after, next_ahead = (
+                jnp.array(True),
+                course._replace(accepted=course.accepted + 1),
+                ahead,
+            )
         else:
             of_step, cut = lax.stop_gradient((y, new)), (tau1 == to) & (to < end)
-            ratios = error_ratio(problem, *of_step), change_ratio(problem, *of_step), defects(problem, *of_step, look, ahead.c)
+            ratios = (
+                error_ratio(problem, *of_step),
+                change_ratio(problem, *of_step),
+                defects(problem, *of_step, look, ahead.c),
+            )
             this = ahead._replace(h=h, c=jnp.where(look.on, ahead.c, lax.stop_gradient(c)))
-            good, after, next_ahead = controlled(problem, course, look, this, tau1, past, cut, *ratios)
+            good, after, next_ahead = controlled(
+                problem, course, look, this, tau1, past, cut, *ratios
+            )
         made = on & good & ~trial
         tries = after.accepted + after.rejected
-        code = jnp.where(good & (tau1 >= end), Status.OK.value, jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, after.code))
+        code = jnp.where(
+            good & (tau1 >= end),
+            Status.OK.value,
+            jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, after.code),
+        )
         f0 = new.k[1] / h  # the rate at the start, for a trial step
         first, method = problem.first, problem.method
         if first is None:
-            first = first_length(problem.control, method.order, *lax.stop_gradient((y, f0, new.f)), method.A[1, 1] * h, end)
+            first = first_length(
+                problem.control,
+                method.order,
+                *lax.stop_gradient((y, f0, new.f)),
+                method.A[1, 1] * h,
+                end,
+            )
         begin = course._replace(h=first)
-        after = jax.tree.map(lambda new, old: jnp.where(trial, new, old), begin, after._replace(code=code))
+        after = jax.tree.map(
+            lambda new, old: jnp.where(trial, new, old), begin, after._replace(code=code)
+        )
         made_step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), c)
-        steps = jax.tree.map(lambda all, new: lax.dynamic_update_index_in_dim(all, new, i, 0), steps, made_step)
-        tau, y, f = (jnp.where(made, new, old) for new, old in ((tau1, tau), (new.y, y), (new.f, jnp.where(trial, f0, f))))
-        course, ahead = jax.tree.map(lambda new, old: jnp.where(on, new, old), (after, next_ahead), (course, ahead))
+        steps = jax.tree.map(
+            lambda all, new: lax.dynamic_update_index_in_dim(all, new, i, 0), steps, made_step
+        )
+        tau, y, f = (
+            jnp.where(made, new, old)
+            for new, old in ((tau1, tau), (new.y, y), (new.f, jnp.where(trial, f0, f)))
+        )
+        course, ahead = jax.tree.map(
+            lambda new, old: jnp.where(on, new, old), (after, next_ahead), (course, ahead)
+        )
         ahead = ahead._replace(at=jnp.where(trial, NOT_LOOKING, ahead.at))
         return tau, y, f, course, ahead, steps, i + any_of_batch(made | trial).astype(i.dtype)
 
     def more(carry):
         return any_of_batch(active(carry[0], carry[3])) & (carry[6] <= size)
 
-    return lax.while_loop(more, one, (begun.tau, begun.y, begun.f, course, ahead, steps, jnp.where(starting, 0, 1)))[:6]
+    return lax.while_loop(
+        more, one, (begun.tau, begun.y, begun.f, course, ahead, steps, jnp.where(starting, 0, 1))
+    )[:6]
 
 
 def _repeat(problem: InitialValueProblem, arguments, t0, begun: Begun, lengths: Float[Array, "n"]):
@@ -298,16 +429,25 @@ def _repeat(problem: InitialValueProblem, arguments, t0, begun: Begun, lengths: 
         return (tau + h, made.y, made.f), Steps(tau, h, polynomial(problem.method, y, made))
 
     (_, y, f), steps = lax.scan(one, (begun.tau, begun.y, begun.f), lengths)
-    return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, steps), y, f
+    return (
+        jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, steps),
+        y,
+        f,
+    )
 
 
-def _sampled(times, begun: Begun, steps: Steps, tau) -> tuple[Float[Array, "w ny"], Bool[Array, "w"]]:
-    """The samples of the window from the polynomials of the steps, and which of them lie in this block."""
+def _sampled(
+    times, begun: Begun, steps: Steps, tau
+) -> tuple[Float[Array, "w ny"], Bool[Array, "w"]]:
+    """The samples of the window from the polynomials of the steps, and which of them lie in
+    this block."""
     past = row_at(_windows(times - times[0]), begun.window)
     row = jnp.searchsorted(lax.stop_gradient(steps.start + steps.h), past)
     start, h = steps.start[row], steps.h[row]
     theta = ((past - start) / jnp.where(h > 0, h, 1.0))[:, None]
-    return polynomial_at(jnp.moveaxis(steps.c[row], 1, 0), theta), (past <= tau) & (past > begun.filled)
+    return polynomial_at(jnp.moveaxis(steps.c[row], 1, 0), theta), (past <= tau) & (
+        past > begun.filled
+    )
 
 
 def _last(steps: Steps) -> Steps:
@@ -321,7 +461,9 @@ def _windows(x: Float[Array, "nt *k"], more: Array | None = None) -> Float[jax.A
     """Rows in windows, filled with the last row or with `more`."""
     w = min(WINDOW, len(x))
     n = -(-len(x) // w)
-    x = jnp.concatenate([x, jnp.broadcast_to(x[-1:] if more is None else more, (n * w - len(x), *x.shape[1:]))])
+    x = jnp.concatenate(
+        [x, jnp.broadcast_to(x[-1:] if more is None else more, (n * w - len(x), *x.shape[1:]))]
+    )
     return x.reshape(n, w, *x.shape[1:])
 
 
@@ -329,15 +471,21 @@ def _put(x: jax.Array, i: Int[Array, ""], row: jax.Array) -> jax.Array:
     return row[None] if len(x) == 1 else lax.dynamic_update_index_in_dim(x, row, i, 0)
 
 
-# A linear function with its own transpose. `jax.linear_transpose` accepts no loop of unknown length; `jax.custom_vjp` allows no forward
-# mode; `jax.custom_derivatives.linear_call` has no derivative with respect to known arrays.
+# A linear function with its own transpose. `jax.linear_transpose` accepts no loop of unknown
+# length; `jax.custom_vjp` allows no forward mode; `jax.custom_derivatives.linear_call` has no
+# derivative with respect to known arrays.
 
 
 def linear_with_transpose(
-    forward: Callable[[Any, Any], Any], transpose: Callable[[Any, Any], Any], known: Any, moved: Any, like: Any
+    forward: Callable[[Any, Any], Any],
+    transpose: Callable[[Any, Any], Any],
+    known: Any,
+    moved: Any,
+    like: Any,
 ) -> Any:
-    """forward(known, moved), linear in the arrays `moved`, with its own transpose(known, cotangents); `like` has arrays of the shapes and
-    types of the results. Neither function may hold arrays. Only the one that is needed is traced; both can be differentiated again."""
+    """forward(known, moved), linear in the arrays `moved`, with its own transpose(known,
+    cotangents); `like` has arrays of the shapes and types of the results. Neither function may hold
+    arrays. Only the one that is needed is traced; both can be differentiated again."""
     given, tree = jax.tree.flatten((known, moved))
     n, known_tree = len(jax.tree.leaves(known)), jax.tree.structure(known)
 
@@ -345,7 +493,12 @@ def linear_with_transpose(
         return jax.tree.leaves(forward(*jax.tree.unflatten(tree, x)))
 
     def back(*x):
-        return jax.tree.leaves(transpose(jax.tree.unflatten(known_tree, x[:n]), jax.tree.unflatten(jax.tree.structure(like), x[n:])))
+        return jax.tree.leaves(
+            transpose(
+                jax.tree.unflatten(known_tree, x[:n]),
+                jax.tree.unflatten(jax.tree.structure(like), x[n:]),
+            )
+        )
 
     shapes = tuple((x.shape, x.dtype) for x in jax.tree.leaves(like))
     out = _linear_p.bind(*given, along=along, back=back, n=n, shapes=shapes)
@@ -361,7 +514,9 @@ def _linear_jvp(primals, tangents, *, along, **params):
     if any(moved[: params["n"]]):
         return jax.jvp(of_moved, chosen(primals, moved), chosen(tangents, moved))
     given = [instantiate_zeros(t) for t in tangents[params["n"] :]]
-    return _linear_p.bind(*primals, along=along, **params), _linear_p.bind(*primals[: params["n"]], *given, along=along, **params)
+    return _linear_p.bind(*primals, along=along, **params), _linear_p.bind(
+        *primals[: params["n"]], *given, along=along, **params
+    )
 
 
 def _linear_transpose(cotangents, *args, back, n, **_):
@@ -374,11 +529,16 @@ def _linear_batch(args, axes, *, along, back, n, shapes):
 
     def back_over(*x):
         out = jax.vmap(back, in_axes=(*axes[:n], *(0 for _ in shapes)), axis_size=size)(*x)
-        return [jnp.sum(c, 0) if axis is None else jnp.moveaxis(c, 0, axis) for c, axis in zip(out, axes[n:], strict=True)]
+        return [
+            jnp.sum(c, 0) if axis is None else jnp.moveaxis(c, 0, axis)
+            for c, axis in zip(out, axes[n:], strict=True)
+        ]
 
     along_over = jax.vmap(along, in_axes=tuple(axes), axis_size=size)
     shapes = tuple(((size, *shape), dtype) for shape, dtype in shapes)
-    return _linear_p.bind(*args, along=along_over, back=back_over, n=n, shapes=shapes), [0] * len(shapes)
+    return _linear_p.bind(*args, along=along_over, back=back_over, n=n, shapes=shapes), [0] * len(
+        shapes
+    )
 
 
 _linear_p = new_operation(

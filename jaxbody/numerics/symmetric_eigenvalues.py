@@ -1,10 +1,15 @@
-"""Eigenvalues of many symmetric matrices at once, for batches in lanes; LAPACK would solve one after another.
+"""Eigenvalues of many symmetric matrices at once, for batches in lanes; LAPACK would solve one
+after another.
 
-Householder's reflections   A <- H A H, H = 1 - beta v v', until A is tridiagonal with d on and sqrt(e) beside the diagonal
-QL without square roots     rotations with Wilkinson's shift sigma, from the end of d upwards, until e vanishes
-Sylvester's law of inertia  as many eigenvalues are below x as pivots q_i = d_i - x - e_{i-1}/q_{i-1} are negative
+Householder's reflections   A <- H A H, H = 1 - beta v v', until A is tridiagonal
+                            with d on and sqrt(e) beside the diagonal
+QL without square roots     rotations with Wilkinson's shift sigma, from the end of d upwards, until
+                            e vanishes
+Sylvester's law of inertia  as many eigenvalues are below x as pivots
+                            q_i = d_i - x - e_{i-1}/q_{i-1} are negative
 
-Source: B. N. Parlett, The Symmetric Eigenvalue Problem (1998), 3.3, 7.4, 7.6, 8.14 and 8.15; the second method is by Pal, Walker and Kahan.
+Source: B. N. Parlett, The Symmetric Eigenvalue Problem (1998), 3.3, 7.4, 7.6, 8.14 and 8.15; the
+second method is by Pal, Walker and Kahan.
 """
 
 from __future__ import annotations
@@ -26,7 +31,8 @@ def eigenvalues(A: Float[Array, "n n"]) -> Float[Array, "n"]:
 
 
 def number_below(A: Float[Array, "n n"], x: Float[Array, "m"]) -> Int[Array, "m"]:
-    """How many eigenvalues are less than each x; as loops without LAPACK, which would split a compiled program."""
+    """How many eigenvalues are less than each x; as loops without LAPACK, which would split a
+    compiled program."""
     size = _size(A)
     (d, e), x = _tridiagonal(A / size), x / size
     e_before = jnp.concatenate([jnp.zeros_like(e[:1]), e[:-1]])
@@ -58,11 +64,14 @@ def _tridiagonal(A: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array
         return A - v[:, None] * w[None] - w[:, None] * v[None]
 
     A = lax.fori_loop(0, len(A) - 2, reflect, A)
-    return jnp.sum(jnp.where(row[:, None] == row, A, 0.0), 1), jnp.sum(jnp.where(row[:, None] + 1 == row, A * A, 0.0), 1)
+    return jnp.sum(jnp.where(row[:, None] == row, A, 0.0), 1), jnp.sum(
+        jnp.where(row[:, None] + 1 == row, A * A, 0.0), 1
+    )
 
 
 def _diagonalized(d: Float[Array, "n"], e: Float[Array, "n"]) -> Float[Array, "n"]:
-    """d when e has vanished. All matrices of a batch are swept until the last of them has converged."""
+    """d when e has vanished. All matrices of a batch are swept until the last of them
+    has converged."""
     n = len(d)
 
     def settled(d, e):
@@ -76,7 +85,9 @@ def _diagonalized(d: Float[Array, "n"], e: Float[Array, "n"]) -> Float[Array, "n
         d, e, first, count = state
         half = (_at(d, first + 1) - _at(d, first)) / 2
         root = jnp.sqrt(half * half + _at(e, first))
-        sigma = _at(d, first) - _at(e, first) * _inverse_unless_zero(half + jnp.where(half < 0, -root, root))
+        sigma = _at(d, first) - _at(e, first) * _inverse_unless_zero(
+            half + jnp.where(half < 0, -root, root)
+        )
 
         def turn(k, state):
             d, e, c, s, gamma, p = state
@@ -87,7 +98,14 @@ def _diagonalized(d: Float[Array, "n"], e: Float[Array, "n"]) -> Float[Array, "n
             c_before, c, s = c, jnp.where(r == 0, 1.0, p * inverse), _at(e, i) * inverse
             gamma_before, gamma = gamma, c * (_at(d, i) - sigma) - s * gamma
             d = _put(d, gamma_before + _at(d, i) - gamma, i + 1)
-            return d, e, c, s, gamma, jnp.where(c == 0, c_before * _at(e, i), gamma * gamma * _inverse_unless_zero(c))
+            return (
+                d,
+                e,
+                c,
+                s,
+                gamma,
+                jnp.where(c == 0, c_before * _at(e, i), gamma * gamma * _inverse_unless_zero(c)),
+            )
 
         gamma = d[-1] - sigma
         turned = (d, e, jnp.ones_like(sigma), jnp.zeros_like(sigma), gamma, gamma * gamma)
@@ -96,7 +114,9 @@ def _diagonalized(d: Float[Array, "n"], e: Float[Array, "n"]) -> Float[Array, "n
         return (d, *settled(d, _put(e, s * p, first)), count + 1)
 
     start = (d, *settled(d, e), jnp.zeros((), int))
-    d, e, _, _ = lax.while_loop(lambda state: (state[2] < n) & (state[3] < SWEEPS * n), sweep, start)
+    d, e, _, _ = lax.while_loop(
+        lambda state: (state[2] < n) & (state[3] < SWEEPS * n), sweep, start
+    )
     return jnp.where(jnp.all(e == 0), d, jnp.nan)
 
 

@@ -1,46 +1,66 @@
-"""Workarounds for slow code of XLA on a CPU: small functions, and a list of all workarounds in the package with the gain of each.
+"""Workarounds for slow code of XLA on a CPU: small functions, and a list of all workarounds in the
+package with the gain of each.
 
-Gains are times, or where no unit is given ratios to the time of a C program, for tasks T1 (a motion), T2 (its gradient), T3 (1000
-motions) and T4 (10000 equilibria with modes) of one body on five springs or, where stated, of three bodies, with jaxlib 0.10.2 unless
-another version is stated; tests/benchmarks/README.md describes the measurements. Brackets hold the plain form: to see whether a workaround
-is still needed, replace it by the plain form, run tests/benchmarks/run.py, and keep the plain form where nothing is lost.
+Gains are times, or where no unit is given ratios to the time of a C program, for tasks T1 (a
+motion), T2 (its gradient), T3 (1000 motions) and T4 (10000 equilibria with modes) of one body on
+five springs or, where stated, of three bodies, with jaxlib 0.10.2 unless another version is stated;
+tests/benchmarks/README.md describes the measurements. Brackets hold the plain form: to see whether
+a workaround is still needed, replace it by the plain form, run tests/benchmarks/run.py, and keep
+the plain form where nothing is lost.
 
 In this file
-    kept [x]                          cheap numbers are computed again in each fusion that uses them: T3 11 to 6.6, T1 1.57 to 1.39
-    plain_sum, sum_p [reduce_sum]     large sums are library calls, which keep a loop from being compiled whole: T3 18 to 11
+    kept [x]                          cheap numbers are computed again in each fusion that uses
+                                      them: T3 11 to 6.6, T1 1.57 to 1.39
+    plain_sum, sum_p [reduce_sum]     large sums are library calls, which keep a loop from being
+                                      compiled whole: T3 18 to 11
     plain_max [reduce_max]            the same for maxima: T4 of three bodies 3.6 to 2.5
-    any_of_batch [jnp.any]            a loop that ends by member is masked, and left to jax.vmap: T4 2.1 to 1.75
-    sums [zeros.at[rows].add]         gather and scatter break a loop: T4 of three bodies 4.6 to 3.6, T1 of them 0.75 to 0.55
-    carried [the carry itself]        tracing residuals and Jacobian of a fit: operations staged 19900 to 13900
+    any_of_batch [jnp.any]            a loop that ends by member is masked, and left to jax.vmap: T4
+                                      2.1 to 1.75
+    sums [zeros.at[rows].add]         gather and scatter break a loop: T4 of three bodies 4.6 to
+                                      3.6, T1 of them 0.75 to 0.55
+    carried [the carry itself]        tracing residuals and Jacobian of a fit: operations staged
+                                      19900 to 13900
     put [x.at[rows].set(block)]       the same
-    take [x[rows]]                    the same: with two other changes, frequencies from 2853 to 2705 operations
-    inverse_root [lax.rsqrt]          not a vector instruction: with LANES = 40 T3 3.0 to 2.2, of three bodies 2.6 to 2.1
+    take [x[rows]]                    the same: with two other changes, frequencies from 2853 to
+                                      2705 operations
+    inverse_root [lax.rsqrt]          not a vector instruction: with LANES = 40 T3 3.0 to 2.2, of
+                                      three bodies 2.6 to 2.1
 geometry/vectors.py
     dot, rotate, product [@]          a matrix product in a loop is not fused: see the table below
     cross [jnp.cross]                 no gain
 numerics/elementary_functions.py
-    sincos [jnp.sin, jnp.cos]         the C library computes one number after another: T1 1.75 to 1.57, T3 28 to 18
+    sincos [jnp.sin, jnp.cos]         the C library computes one number after another: T1 1.75 to
+                                      1.57, T3 28 to 18
 numerics/small_systems.py
-    solve_if_definite [cho_solve]     calls of LAPACK keep a loop from being compiled whole: T4 167 to 119 ms, with the next
+    solve_if_definite [cho_solve]     calls of LAPACK keep a loop from being compiled whole: T4 167
+                                      to 119 ms, with the next
     is_definite [cholesky]            the same
     solve [jnp.linalg.solve]          the same
 numerics/symmetric_eigenvalues.py
     number_below [eigvalsh]           the same
-    eigenvalues [jnp.linalg.eigvalsh] LAPACK solves one matrix after another: T4 1.3 to 1.0, of three bodies 2.6 to 1.9
+    eigenvalues [jnp.linalg.eigvalsh] LAPACK solves one matrix after another: T4 1.3 to 1.0, of
+                                      three bodies 2.6 to 1.9
 numerics/lanes.py
-    in_lanes [jax.vmap]               members last, as vectors of three leave registers empty: K of 10000 designs 27 to 3.4 ms
-    LANES = 32 [64]                   fusions beyond a cost are split between threads: T3 without fast_loops 15 to 10
+    in_lanes [jax.vmap]               members last, as vectors of three leave registers empty: K of
+                                      10000 designs 27 to 3.4 ms
+    LANES = 32 [64]                   fusions beyond a cost are split between threads: T3 without
+                                      fast_loops 15 to 10
 numerics/eigenproblems.py
-    SWEPT = 128 [32]                  short loops take longer to call than to run: eigenvalues of T4 63 to 40 ms without fast_loops
+    SWEPT = 128 [32]                  short loops take longer to call than to run: eigenvalues of T4
+                                      63 to 40 ms without fast_loops
 numerics/step_blocks.py
-    LANES = 40 [32]                   loops over 32 or fewer are unrolled before they become vector instructions: see inverse_root
+    LANES = 40 [32]                   loops over 32 or fewer are unrolled before they become vector
+                                      instructions: see inverse_root
 numerics/runge_kutta_steps.py
-    _sum [jnp.tensordot]              a sum over stages is not a vector instruction: with drives of all stages at once T3 49 to 31
+    _sum [jnp.tensordot]              a sum over stages is not a vector instruction: with drives of
+                                      all stages at once T3 49 to 31
 elements/second_derivatives.py
     Block [6 x 6 matrices]            sums of parts instead of joined blocks: T4 1.6 to 1.4
-    whole [jnp.block]                 joined parts are copied one number after another: with kept solutions T4 0.75 to 0.50
+    whole [jnp.block]                 joined parts are copied one number after another: with kept
+                                      solutions T4 0.75 to 0.50
 statics/descents.py
-    2 * LANES [LANES]                 for up to six coordinates calls of fusions take longer than memory: equilibria of T4 72 to 48 ms
+    2 * LANES [LANES]                 for up to six coordinates calls of fusions take longer than
+                                      memory: equilibria of T4 72 to 48 ms
 vibrations/damped_modes.py
     _complex_modes                    LAPACK may run forever on NaN
 responses/dynamic_matrices.py
@@ -48,16 +68,20 @@ responses/dynamic_matrices.py
 inputs/motions.py
     Harmonic [a sine for each row]    one sine and cosine where frequencies are equal: T3 31 to 28
 compilation/compile_options.py
-    fast_loops                        small loops as one function: T1 3.5 to 0.9 ms, before jaxlib 0.12; wide vectors: T3 6.8 to 5.0
-    OPTIMIZED                         compiling a motion 1.3 to 0.7 s; jaxlib 0.12 has no such option
+    fast_loops                        small loops as one function: T1 3.5 to 0.9 ms, before jaxlib
+                                      0.12; wide vectors: T3 6.8 to 5.0
+    OPTIMIZED                         compiling a motion 1.3 to 0.7 s; jaxlib 0.12 has no such
+                                      option
     QUICK                             first frequencies 3.9 to 2.4 s
 workers/chunk_programs.py
-    one_at_a_time                     two programs with LAPACK in one process may wait for each other for ever, jaxlib 0.10
+    one_at_a_time                     two programs with LAPACK in one process may wait for each
+                                      other for ever, jaxlib 0.10
 workers/executors.py
     processes                         the same, for executors of threads
 
-One workaround replaced by the plain form, all others kept: processor time in ms, 640 members of T3 and 2560 of T4, jaxlib 0.10.2,
-fast_loops, 2026-11-22, on a busy machine; differences below a fifth are scatter.
+One workaround replaced by the plain form, all others kept: processor time in ms, 640 members of T3
+and 2560 of T4, jaxlib 0.10.2, fast_loops, 2026-11-22, on a busy machine; differences below a fifth
+are scatter.
 
                      T1     T3     T4                             T1     T3     T4
     nothing          0.31   4.2    6.0       @ for sums           0.67   17.8   10.6
@@ -84,28 +108,36 @@ from jaxbody.core.jax_internals import new_operation, same_numbers, shaped
 
 FEW_PARTS = 8  # most slices in place of a gather, whose derivative adds into rows
 FEW_RUNS = 64  # most slices in a sum; compiling more would cost more than running a gather
-NOTHING = 1e-80  # below, the fifth power of 1/sqrt x in higher derivatives would overflow, and inf * 0 is NaN
+# below, the fifth power of 1/sqrt x in higher derivatives would overflow, and inf * 0 is NaN
+NOTHING = 1e-80
 
 # Operations of batches in lanes
 
-# True for all members of a batch if it is for any; a loop with this as its condition needs no masks on its carried values.
-_any_p = same_numbers("any_of_batch", batch=lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None))
+# True for all members of a batch if it is for any; a loop with this as its condition needs no masks
+# on its carried values.
+_any_p = same_numbers(
+    "any_of_batch", batch=lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None)
+)
 any_of_batch: Callable[[Bool[Array, "*n"]], Bool[Array, "*n"]] = _any_p.bind
 
-# The same numbers, computed once by a batch in lanes; XLA would compute them again in each fusion, and for each element, that uses them.
+# The same numbers, computed once by a batch in lanes; XLA would compute them again in each fusion,
+# and for each element, that uses them.
 _kept_p = same_numbers(
-    "kept_in_lanes", batch=lambda args, axes: (_kept_p.bind(args[0]), axes[0]), transpose=lambda cotangent, x: [cotangent]
+    "kept_in_lanes",
+    batch=lambda args, axes: (_kept_p.bind(args[0]), axes[0]),
+    transpose=lambda cotangent, x: [cotangent],
 )
 kept: Callable[[Array], Array] = _kept_p.bind
 
 
 def as_kept(x: Array) -> Array:
-    """x / 1, because XLA does not fuse a division into several users; XLA must not know that the divisor is 1."""
+    """x / 1, because XLA does not fuse a division into several users; XLA must not know that the
+    divisor is 1."""
     return x / jnp.where(x == x, 1.0, jnp.nan)
 
 
-# Reducers that XLA does not recognize: it passes large reductions to a library, whose calls keep a loop from being compiled whole.
-# They must still be sums and maxima, as XLA merges sums of sums.
+# Reducers that XLA does not recognize: it passes large reductions to a library, whose calls keep a
+# loop from being compiled whole. They must still be sums and maxima, as XLA merges sums of sums.
 def plain_sum(x: Array, axes: tuple) -> Array:
     """The sum over axes, never by a call of a library."""
     return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
@@ -117,18 +149,26 @@ def plain_max(x: Array, axes: tuple) -> Array:
 
 
 def _spread_back(cotangent, x, axes):
-    return [lax.broadcast_in_dim(cotangent, x.aval.shape, [i for i in range(x.aval.ndim) if i not in axes])]
+    return [
+        lax.broadcast_in_dim(
+            cotangent, x.aval.shape, [i for i in range(x.aval.ndim) if i not in axes]
+        )
+    ]
 
 
 def _batched_sum(args, batched, axes):
-    return sum_p.bind(jnp.moveaxis(args[0], batched[0], -1), axes=axes), args[0].ndim - 1 - len(axes)
+    return sum_p.bind(jnp.moveaxis(args[0], batched[0], -1), axes=axes), args[0].ndim - 1 - len(
+        axes
+    )
 
 
 def _summed(x, axes):
     return shaped(tuple(n for i, n in enumerate(x.shape) if i not in axes), x.dtype)
 
 
-sum_p = new_operation("sum_in_lanes", plain_sum, typed=_summed, batch=_batched_sum, transpose=_spread_back)
+sum_p = new_operation(
+    "sum_in_lanes", plain_sum, typed=_summed, batch=_batched_sum, transpose=_spread_back
+)
 
 
 # Loops and rows
@@ -136,8 +176,9 @@ sum_p = new_operation("sum_in_lanes", plain_sum, typed=_summed, batch=_batched_s
 
 @jax.custom_jvp
 def carried(carry: Any, known: Any) -> Any:
-    """What a loop starts with, which has a derivative as soon as what the loop knows has one: JAX would find by tracing the derivative of
-    the loop's body once more, for each loop around it again, that what it carries changes."""
+    """What a loop starts with, which has a derivative as soon as what the loop knows has one: JAX
+    would find by tracing the derivative of the loop's body once more, for each loop around it
+    again, that what it carries changes."""
     return carry
 
 
@@ -147,7 +188,8 @@ def _carried_jvp(primals, tangents):
 
 
 def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]:
-    """The sum of the rows of each group: over slices where groups are a few runs of consecutive rows, else by a padded gather."""
+    """The sum of the rows of each group: over slices where groups are a few runs of consecutive
+    rows, else by a padded gather."""
     if all(len(rows) == 1 for rows in groups):
         return take(x, np.concatenate(groups))
     runs = [_runs(rows) for rows in groups]
@@ -159,12 +201,15 @@ def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]
 
 
 def take(x: Array, rows: np.ndarray, axis: int = 0) -> Array:
-    """x[rows] for constant rows; slices where they are all the same or few runs of consecutive ones, which a compiled loop can fuse."""
+    """x[rows] for constant rows; slices where they are all the same or few runs of consecutive
+    ones, which a compiled loop can fuse."""
     runs, n = _runs(rows), x.shape[axis]
     if len(runs) == 1:
         return x if len(rows) == n else _slice(x, rows, axis)
     if len(rows) and (rows == rows[0]).all():
-        return jnp.broadcast_to(_slice(x, rows[:1], axis), (*x.shape[:axis], len(rows), *x.shape[axis + 1 :]))
+        return jnp.broadcast_to(
+            _slice(x, rows[:1], axis), (*x.shape[:axis], len(rows), *x.shape[axis + 1 :])
+        )
     if 0 < len(runs) <= FEW_PARTS:
         return lax.concatenate([_slice(x, run, axis) for run in runs], axis)
     return x[(*[slice(None)] * axis, rows)]
@@ -184,7 +229,10 @@ def _runs(rows: Any) -> list[np.ndarray]:
 
 
 def _sum_of_runs(x: Float[Array, "m k"], runs: list[np.ndarray]) -> Float[Array, "1 k"]:
-    parts = [_slice(x, rows) if len(rows) == 1 else jnp.sum(_slice(x, rows), 0, keepdims=True) for rows in runs]
+    parts = [
+        _slice(x, rows) if len(rows) == 1 else jnp.sum(_slice(x, rows), 0, keepdims=True)
+        for rows in runs
+    ]
     return functools.reduce(lax.add, parts) if parts else jnp.zeros((1, x.shape[1]), x.dtype)
 
 
@@ -195,7 +243,8 @@ def _slice(x: Array, run: np.ndarray, axis: int = 0) -> Array:
 
 @jax.custom_jvp
 def inverse_root(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """1/sqrt x as sqrt(x)/x, zero with zero derivatives for x below 1e-80; XLA's own function has no vector instruction on a CPU.
+    """1/sqrt x as sqrt(x)/x, zero with zero derivatives for x below 1e-80; XLA's own function has
+    no vector instruction on a CPU.
 
     >>> float(inverse_root(jnp.array(4.0))), float(inverse_root(jnp.array(0.0)))
     (0.5, 0.0)

@@ -1,14 +1,15 @@
-"""Transforms of free parameters to numbers u that are zero at the start, unbounded and of the order of one, by domain.
+"""Transforms of free parameters to numbers u that are zero at the start, unbounded and of the order
+of one, by domain.
 
 nonnegative, positive  x = x0 exp(u)                   stiffness, damping, lengths, mass
 fraction               x = x0 e^u/(1 + x0 (e^u - 1))   between 0 and 1
-increasing, rising     steps x_i - x_(i-1) exp(u)      rows of measured tables, the first number as others
-definite               X = L(u) L(u)'                  6 x 6 stiffness and damping; L lower triangular, logarithms on its diagonal
-inertia                I = tr(S) 1 - S, S definite     inertia of positive masses (log-Cholesky of the pseudo-inertia)
+increasing, rising     steps x_i - x_(i-1) exp(u)      rows of tables, the first number as others
+definite               X = L(u) L(u)'                  6 x 6; L lower triangular, diagonal by exp
+inertia                I = tr(S) 1 - S, S definite     of positive masses (log-Cholesky of S)
 rotation               q = exp(u) q0                   orientations; coordinates of an initial state
 direction              n = (n0 + B u)/|n0 + B u|       axes of joints
-gains, biases, delays  x = x0 + s u                    s the larger of |x0| and 1, the rms of the record, or the sampling interval
-others                 x = x0 + s u                    s the largest of |x0|, or the size of the model if x0 is zero
+gains, biases, delays  x = x0 + s u                    s: |x0| or 1; rms; sampling interval
+others                 x = x0 + s u                    s the largest |x0|, or the size of the model
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ from jaxbody.models.models import Model
 
 FAR = 5.0  # in u: less than a hundredth of the start, which counts as zero if it has no effect
 ROUNDING = 1e-15  # relative to its start, of a value at a bound of zero
-LEAST = -25.0  # of the u of a step in a row: 1e-11 of its start, so that rounding does not make two numbers equal
+# of the u of a step in a row: 1e-11 of its start, so that rounding does not make two numbers equal
+LEAST = -25.0
 
 
 class Parametrization(eqx.Module):
@@ -52,11 +54,13 @@ class Parametrization(eqx.Module):
         return indices(self.start.shape)
 
     def numbers(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The number that each u determines and its derivative with respect to u; u itself and 1 if it determines none alone."""
+        """The number that each u determines and its derivative with respect to u; u itself and 1 if
+        it determines none alone."""
         return u, np.ones_like(u)
 
     def changed(self, fraction: float) -> np.ndarray:
-        """The u that changes each number by this fraction of itself, or of its scale if it may have either sign."""
+        """The u that changes each number by this fraction of itself, or of its scale if it may have
+        either sign."""
         return np.full(self.size, fraction)
 
     def unbounded(self) -> tuple[np.ndarray, np.ndarray]:
@@ -64,12 +68,14 @@ class Parametrization(eqx.Module):
         return np.full(self.size, -np.inf), np.full(self.size, np.inf)
 
     def ended(self, u: np.ndarray) -> np.ndarray:
-        """The limit of the domain that each u is near, as a word: "zero" for a value far below the start; "" for the others."""
+        """The limit of the domain that each u is near, as a word: "zero" for a value far below the
+        start; "" for the others."""
         return np.full(u.shape, "")
 
 
 class Elementwise(Parametrization):
-    """Each number is an increasing function of one u, so that bounds of the number are bounds of u."""
+    """Each number is an increasing function of one u, so that bounds of the number are bounds
+    of u."""
 
     @abstractmethod
     def inverse(self, x: Any) -> np.ndarray:
@@ -151,7 +157,12 @@ class Ordered(Parametrization):
     def _steps(self, u: Any) -> Any:
         """The first number, and the step to each other one."""
         xp = module_of(u)
-        return xp.concatenate([self.start[:1] + self.scale * u[:1], xp.diff(self.start) * xp.exp(xp.maximum(u[1:], LEAST))])
+        return xp.concatenate(
+            [
+                self.start[:1] + self.scale * u[:1],
+                xp.diff(self.start) * xp.exp(xp.maximum(u[1:], LEAST)),
+            ]
+        )
 
     def numbers(self, u):
         steps = np.asarray(self._steps(u))
@@ -181,13 +192,17 @@ class Definite(Parametrization):
         diagonal = jnp.diag(L0)
         rows, columns = np.tril_indices(n, -1)
         below = L0[rows, columns] + u[n:] * jnp.sqrt(diagonal[rows] * diagonal[columns])
-        L = jnp.zeros((n, n), u.dtype).at[rows, columns].set(below) + jnp.diag(diagonal * jnp.exp(u[:n]))
+        L = jnp.zeros((n, n), u.dtype).at[rows, columns].set(below) + jnp.diag(
+            diagonal * jnp.exp(u[:n])
+        )
         return L @ L.T
 
     def labels(self):
         n = self.start.shape[0]
         rows, columns = np.tril_indices(n, -1)
-        return [f"[{i},{i}]" for i in range(n)] + [f"[{i},{j}]" for i, j in zip(rows, columns, strict=True)]
+        return [f"[{i},{i}]" for i in range(n)] + [
+            f"[{i},{j}]" for i, j in zip(rows, columns, strict=True)
+        ]
 
     def ended(self, u):
         return np.where((2 * u < -FAR) & (np.arange(len(u)) < len(self.start)), "zero", "")
@@ -196,8 +211,9 @@ class Definite(Parametrization):
 class Inertia(Parametrization):
     """About the center of mass I = tr(S) 1 - S, with S = sum of m x x' the second moment of mass.
 
-    S is definite if and only if I is the inertia of positive masses (P. Wensing, S. Kim, J.-J. Slotine, IEEE Robotics and Automation
-    Letters 3 (2018) 60); its principal moments then satisfy the triangle inequality."""
+    S is definite if and only if I is the inertia of positive masses (P. Wensing, S. Kim, J.-J.
+    Slotine, IEEE Robotics and Automation Letters 3 (2018) 60); its principal moments then satisfy
+    the triangle inequality."""
 
     @property
     def size(self) -> int:
@@ -240,7 +256,11 @@ class Direction(Parametrization):
 
     def labels(self):
         rows = np.ndindex(self.start.shape[:-1])
-        return [f"[{', '.join(map(str, (*row, tilt)))}]" for row in rows for tilt in ("tilt 1", "tilt 2")]
+        return [
+            f"[{', '.join(map(str, (*row, tilt)))}]"
+            for row in rows
+            for tilt in ("tilt 1", "tilt 2")
+        ]
 
 
 def tilted(n: Float[Array, "3"], u: Float[Array, "2"]) -> Float[Array, "3"]:
@@ -267,11 +287,16 @@ class InitialConfiguration(Parametrization):
 
     def labels(self):
         rows = np.ndindex(self.start.shape[:-1])
-        return [f"[{', '.join(map(str, (*row, name)))}]" for row in rows for name in self.model.layout.coordinates]
+        return [
+            f"[{', '.join(map(str, (*row, name)))}]"
+            for row in rows
+            for name in self.model.layout.coordinates
+        ]
 
 
 def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametrization | Problem:
-    """The parametrization for the domain of a leaf, or the problem START_ON_BOUND if its start is at a limit of the domain."""
+    """The parametrization for the domain of a leaf, or the problem START_ON_BOUND if its start is
+    at a limit of the domain."""
     path, domain, value = leaf.path, leaf.kind.domain, concrete(start)
     if domain == "configuration":
         return InitialConfiguration(start, model)
@@ -284,10 +309,20 @@ def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametr
         return Shifted(start, jnp.where(largest > 0, largest, size))
     form, inside, problem, limit, hint = STARTS[domain]
     if value is not None and not inside(value):
-        zero = [label for label, x in zip(indices(value.shape), value.ravel(), strict=True) if form is Positive and x == 0]
+        zero = [
+            label
+            for label, x in zip(indices(value.shape), value.ravel(), strict=True)
+            if form is Positive and x == 0
+        ]
         if 0 < len(zero) < value.size:  # such as a bushing that is damped along x alone
-            hint = f"{path} is free as a whole, and its {', '.join(zero)} are zero. {hint[:-1]} there as well; or leave it fixed, and free "
-            hint += "the number of an element of its own that acts along one direction, such as the damper of a SpringDamper."
+            hint = (
+                f"{path} is free as a whole, and its {', '.join(zero)} are zero. {hint[:-1]} there "
+                "as well; or leave it fixed, and free "
+            )
+            hint += (
+                "the number of an element of its own that acts along one direction, such as the "
+                "damper of a SpringDamper."
+            )
         return Problem("START_ON_BOUND", path, f"starts at {value}, {problem}", value, limit, hint)
     return form(start)
 
@@ -299,7 +334,13 @@ def _thick(inertia: np.ndarray) -> bool:
 
 
 UNBOUNDED = {"rotation": Rotated, "direction": Direction}
-NUMBER = (Positive, lambda x: (x > 0).all(), "which has no logarithm", "> 0", "Start at a positive number of the size that you expect.")
+NUMBER = (
+    Positive,
+    lambda x: (x > 0).all(),
+    "which has no logarithm",
+    "> 0",
+    "Start at a positive number of the size that you expect.",
+)
 ROW = (
     lambda x: Ordered(x, jnp.max(jnp.abs(x))),
     lambda x: (np.diff(x) > 0).all(),
@@ -312,7 +353,13 @@ STARTS = {  # form, whether a start is inside the domain, the message if it is n
     "positive": NUMBER,
     "increasing": ROW,
     "rising": ROW,
-    "fraction": (Fraction, lambda x: ((x > 0) & (x < 1)).all(), "at a limit of its range", "between 0 and 1", "Start between 0 and 1."),
+    "fraction": (
+        Fraction,
+        lambda x: ((x > 0) & (x < 1)).all(),
+        "at a limit of its range",
+        "between 0 and 1",
+        "Start between 0 and 1.",
+    ),
     "definite": (
         Definite,
         lambda x: np.linalg.eigvalsh(x).min() > 0,

@@ -1,8 +1,16 @@
-"""Plots with matplotlib: each function draws into `ax`, or a new figure, and returns the axes; it shows no window and changes no
-settings. `result.plot()` draws a result by the function of its class, in `jaxbody.plots.pictures`."""
+"""Plots with matplotlib: each function draws into `ax`, or a new figure, and returns the axes; it
+shows no window and changes no settings. `result.plot()` draws a result by the function of its
+class, in `jaxbody.plots.pictures`."""
 
 from jaxbody.plots.design_plots import plot_front, plot_tolerances, plot_tornado, plot_tuning
-from jaxbody.plots.fit_plots import plot_autocorrelation, plot_correlations, plot_coverage, plot_history, plot_multistart, plot_profile
+from jaxbody.plots.fit_plots import (
+    plot_autocorrelation,
+    plot_correlations,
+    plot_coverage,
+    plot_history,
+    plot_multistart,
+    plot_profile,
+)
 from jaxbody.plots.measured_plots import (
     plot_bands,
     plot_diagnosis,
@@ -23,7 +31,13 @@ from jaxbody.plots.mode_plots import (
     plot_torque_roll_axis,
 )
 from jaxbody.plots.model_plots import draw_mode, draw_model
-from jaxbody.plots.motion_plots import plot_energies, plot_force_strokes, plot_forces, plot_phases, plot_trajectory
+from jaxbody.plots.motion_plots import (
+    plot_energies,
+    plot_force_strokes,
+    plot_forces,
+    plot_phases,
+    plot_trajectory,
+)
 from jaxbody.plots.response_plots import (
     plot_dynamic_stiffness,
     plot_element_stiffness,

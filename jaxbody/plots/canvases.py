@@ -1,4 +1,5 @@
-"""Axes, panels, colors and legends that all plots share. matplotlib is imported when something is drawn."""
+"""Axes, panels, colors and legends that all plots share. matplotlib is imported when something
+is drawn."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ import numpy as np
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 
-# Each four in a row differ in luminance, so that they survive gray print, and all differ in the eyes of the color-blind
+# Each four in a row differ in luminance, so that they survive gray print, and all differ in the
+# eyes of the color-blind
 COLORS = ("#1871bc", "#e0803a", "#8e0523", "#dbb72d", "#09663e", "#8470f1", "#292a6d", "#3db5ad")
 GRAY, LIGHT, INK = "#8a8f98", "#dfe4ea", "#2b2f36"
 DASHES = ("-", (0, (6, 1.5)), (0, (3, 1, 1, 1)), (0, (1, 1)))  # one for each four lines
@@ -17,7 +19,8 @@ NAME = 0.165  # in, height of a line of a legend
 DARK = 0.5  # brightness of a cell below which its number is white
 ROOM = 50  # letters of names side by side below axes of usual width
 WIDTH, HEIGHT = 0.62, 1.3  # of a letter, relative to the font size
-RINGS = (4.0, 8.0, 13.0, 20.0, 30.0, 42.0, 56.0)  # points, trial distances from an object to the edge of its label
+# points, trial distances from an object to the edge of its label
+RINGS = (4.0, 8.0, 13.0, 20.0, 30.0, 42.0, 56.0)
 ANGLES = np.deg2rad(np.arange(0, 360, 22.5))
 STEP = 2.5  # points, distance of the sample points along drawn lines
 CLEAR = 3.0  # points, clearance between a label and a line or another label
@@ -42,15 +45,21 @@ def tidy(ax: Any) -> None:
 
 
 def axes_below(ax: Any, *heights: float, share: bool = True) -> list[Any]:
-    """Split the area of `ax` and add axes below it, one below the other; `heights` are relative to the remaining height of `ax`.
+    """Split the area of `ax` and add axes below it, one below the other; `heights` are relative to
+    the remaining height of `ax`.
 
     share: whether all have the same abscissa, which is then labeled below the last one only."""
     spec, shares = ax.get_subplotspec(), (1.0, *heights)
     gap, same = (0.15, ax) if share else (0.4, None)
     if spec is None:
         box, room = ax.get_position(), sum(shares) + gap * len(heights)
-        tops = [box.y1 - box.height * (sum(shares[:i]) + gap * i) / room for i in range(len(shares))]
-        places = [(box.x0, top - box.height * s / room, box.width, box.height * s / room) for top, s in zip(tops, shares, strict=True)]
+        tops = [
+            box.y1 - box.height * (sum(shares[:i]) + gap * i) / room for i in range(len(shares))
+        ]
+        places = [
+            (box.x0, top - box.height * s / room, box.width, box.height * s / room)
+            for top, s in zip(tops, shares, strict=True)
+        ]
         ax.set_position(places[0])
         below = [ax.figure.add_axes(place, sharex=same) for place in places[1:]]
     else:
@@ -65,28 +74,44 @@ def axes_below(ax: Any, *heights: float, share: bool = True) -> list[Any]:
 
 
 def panels_of_lines(
-    ax: Any, x: Any, panels: dict[str, dict[str, Any]], xlabel: str, *, share: float = 1.0, dashed: tuple[str, ...] = ()
+    ax: Any,
+    x: Any,
+    panels: dict[str, dict[str, Any]],
+    xlabel: str,
+    *,
+    share: float = 1.0,
+    dashed: tuple[str, ...] = (),
 ) -> Any:
     """Lines over x in panels one below the other, {label with unit: {name: values}}.
 
-    Each panel after the first has this `share` of its height; `dashed` are the beginnings of the names of dashed lines."""
+    Each panel after the first has this `share` of its height; `dashed` are the beginnings of the
+    names of dashed lines."""
     every = [ax, *axes_below(ax, *[share] * (len(panels) - 1))]
     for axes, (label, lines) in zip(every, panels.items(), strict=True):
         for i, (name, values) in enumerate(lines.items()):
             thin = bool(dashed) and name.startswith(dashed)
-            axes.plot(x, values, label=name, **style(i) | ({"ls": "--", "lw": 1.0} if thin else {"lw": 1.5}))
+            axes.plot(
+                x,
+                values,
+                label=name,
+                **style(i) | ({"ls": "--", "lw": 1.0} if thin else {"lw": 1.5}),
+            )
         axes.set_ylabel(label)
         legend(axes, 0 if all(label.startswith(f"{name} [") for name in lines) else len(lines))
     every[-1].set_xlabel(xlabel)
     return ax
 
 
-def panels_of_marks(ax: Any, panels: dict[str, dict[str, Any]], names: tuple[str, ...], *, marks: str = "osD^vP*X") -> Any:
-    """Numbers of named things, a place on the abscissa for each, in panels one below the other, {label with unit: {series: values}}."""
+def panels_of_marks(
+    ax: Any, panels: dict[str, dict[str, Any]], names: tuple[str, ...], *, marks: str = "osD^vP*X"
+) -> Any:
+    """Numbers of named things, a place on the abscissa for each, in panels one below the other,
+    {label with unit: {series: values}}."""
     every = [ax, *axes_below(ax, *[1.0] * (len(panels) - 1))]
     for axes, (label, series) in zip(every, panels.items(), strict=True):
         for i, (name, values) in enumerate(series.items()):
-            aside = 0.5 * ((i + 0.5) / len(series) - 0.5)  # so that equal numbers are seen side by side
+            # so that equal numbers are seen side by side
+            aside = 0.5 * ((i + 0.5) / len(series) - 0.5)
             mark = {"marker": marks[i % len(marks)], "color": COLORS[i % len(COLORS)]}
             axes.plot(np.arange(len(names)) + aside, values, ls="none", ms=5, label=name, **mark)
         axes.axhline(0.0, color=GRAY, lw=0.8, zorder=1)
@@ -100,14 +125,24 @@ def panels_of_marks(ax: Any, panels: dict[str, dict[str, Any]], names: tuple[str
 
 
 def heat_map(
-    ax: Any, values: np.ndarray, rows: list[str], columns: list[str], limits: tuple[float, float], *, digits: int = 1, least: float = 0.0
+    ax: Any,
+    values: np.ndarray,
+    rows: list[str],
+    columns: list[str],
+    limits: tuple[float, float],
+    *,
+    digits: int = 1,
+    least: float = 0.0,
 ) -> None:
-    """Numbers in colored cells between the limits, blue to red about zero, or white to blue from zero; below `least` without number."""
+    """Numbers in colored cells between the limits, blue to red about zero, or white to blue from
+    zero; below `least` without number."""
     from matplotlib.colors import Normalize
 
     signed, scale = limits[0] < 0, Normalize(*limits, clip=True)
     ax.grid(False)
-    image = ax.imshow(np.clip(values, *limits), cmap="RdBu_r" if signed else "Blues", norm=scale, aspect="auto")
+    image = ax.imshow(
+        np.clip(values, *limits), cmap="RdBu_r" if signed else "Blues", norm=scale, aspect="auto"
+    )
     for (i, j), value in np.ndenumerate(values):
         if np.isfinite(value) and abs(value) >= least:
             r, g, b, _ = image.cmap(scale(value))
@@ -129,13 +164,14 @@ def slanted(ax: Any) -> None:
 
 
 def pale(color: str) -> str:
-    """The color, halfway to white and opaque, for points under a line: overlapping points do not get darker."""
+    """The color, halfway to white and opaque, for points under a line: overlapping points do not
+    get darker."""
     return "#" + "".join(f"{(int(color[i : i + 2], 16) + 255) // 2:02x}" for i in (1, 3, 5))
 
 
 def style(i: int) -> dict[str, Any]:
-    """Color and dash pattern of the i-th line; the first 32 all differ, and two of the same dash pattern in a row of eight in gray print,
-    too."""
+    """Color and dash pattern of the i-th line; the first 32 all differ, and two of the same dash
+    pattern in a row of eight in gray print, too."""
     return {"color": COLORS[i % len(COLORS)], "ls": DASHES[(i // 4 + i // 16) % len(DASHES)]}
 
 
@@ -143,7 +179,13 @@ def legend(ax: Any, count: int, **options: Any) -> None:
     """A legend to the right of the axes, with enough columns to stay within their height."""
     if count:
         rows = max(int(ax.get_position().height * ax.figure.get_figheight() / NAME), 4)
-        options |= {"ncols": -(-count // rows), "frameon": False, "fontsize": 8, "handlelength": 2.4, "columnspacing": 1.0}
+        options |= {
+            "ncols": -(-count // rows),
+            "frameon": False,
+            "fontsize": 8,
+            "handlelength": 2.4,
+            "columnspacing": 1.0,
+        }
         ax.legend(**options, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
 
 
@@ -156,9 +198,14 @@ def check_single(where: str, values: Any, ndim: int) -> None:
     """Refuse a batch of results and one that is traced. Errors: BAD_SHAPE, TRACED."""
     if not is_concrete(values):
         hint = "Draw what the compiled or batched function returns."
-        raise JaxbodyError(Problem("TRACED", where, "has no numbers yet inside jit or vmap", hint=hint))
+        raise JaxbodyError(
+            Problem("TRACED", where, "has no numbers yet inside jit or vmap", hint=hint)
+        )
     if np.ndim(values) != ndim:
-        message, hint = f"is a batch of {len(values)} results", "Draw one of them: jax.tree.map(lambda x: x[0], results)."
+        message, hint = (
+            f"is a batch of {len(values)} results",
+            "Draw one of them: jax.tree.map(lambda x: x[0], results).",
+        )
         raise JaxbodyError(Problem("BAD_SHAPE", where, message, limit="one result", hint=hint))
 
 
@@ -170,7 +217,8 @@ def check_known(names: tuple[str, ...], known: tuple[str, ...], where: str) -> N
 
 
 class Label(NamedTuple):
-    """A name, the position of its object and the preferred direction from there, both in data coordinates; font size [points] and color."""
+    """A name, the position of its object and the preferred direction from there, both in data
+    coordinates; font size [points] and color."""
 
     name: str
     at: np.ndarray
@@ -186,30 +234,59 @@ def annotate(ax: Any, labels: list[Label]) -> None:
     if not labels:
         return
     scale = 72 / ax.figure.dpi
-    covered = np.concatenate([_points_along(scale * ax.transData.transform(shape)) for shape in _drawn(ax)]).T
-    taken = scale * np.array([[*box.min, *box.max] for box in (text.get_window_extent() for text in ax.texts)]).reshape(-1, 4)
+    covered = np.concatenate(
+        [_points_along(scale * ax.transData.transform(shape)) for shape in _drawn(ax)]
+    ).T
+    taken = scale * np.array(
+        [[*box.min, *box.max] for box in (text.get_window_extent() for text in ax.texts)]
+    ).reshape(-1, 4)
     for label in labels:
         at = scale * ax.transData.transform(label.at)
         half = 0.5 * label.size * np.array([WIDTH * len(label.name), HEIGHT])
         offsets, reach, costs = _places(label.toward, half)
         low, high = at + offsets - half, at + offsets + half
         (left, bottom), (right, top) = low.T[..., None] - CLEAR, high.T[..., None] + CLEAR
-        costs = costs + 20 * np.sum((taken[:, 2] > left) & (taken[:, 0] < right) & (taken[:, 3] > bottom) & (taken[:, 1] < top), -1)
-        x, y = covered[:, (abs(covered - at[:, None]) < RINGS[-1] + CLEAR + 2 * half[:, None]).all(0)]  # what a label so far away may cover
+        costs = costs + 20 * np.sum(
+            (taken[:, 2] > left)
+            & (taken[:, 0] < right)
+            & (taken[:, 3] > bottom)
+            & (taken[:, 1] < top),
+            -1,
+        )
+        x, y = covered[
+            :, (abs(covered - at[:, None]) < RINGS[-1] + CLEAR + 2 * half[:, None]).all(0)
+        ]  # what a label so far away may cover
         costs = costs + np.sum((x > left) & (x < right) & (y > bottom) & (y < top), -1)
         best = int(np.argmin(costs))
         taken = np.concatenate([taken, [[*low[best], *high[best]]]])
-        leader = {"arrowstyle": "-", "lw": 0.5, "color": GRAY, "shrinkA": 0, "shrinkB": 1} if reach[best] > FAR else None
+        leader = (
+            {"arrowstyle": "-", "lw": 0.5, "color": GRAY, "shrinkA": 0, "shrinkB": 1}
+            if reach[best] > FAR
+            else None
+        )
         ax.annotate(
-            label.name, label.at, xytext=offsets[best], textcoords="offset points", fontsize=label.size, color=label.color, ha="center",
-            va="center", zorder=7, arrowprops=leader, path_effects=[withStroke(linewidth=2, foreground="white")],
-        )  # fmt: skip
+            label.name,
+            label.at,
+            xytext=offsets[best],
+            textcoords="offset points",
+            fontsize=label.size,
+            color=label.color,
+            ha="center",
+            va="center",
+            zorder=7,
+            arrowprops=leader,
+            path_effects=[withStroke(linewidth=2, foreground="white")],
+        )
 
 
 def _drawn(ax: Any) -> list[np.ndarray]:
     """All lines and outlines of the axes."""
     lines = [line.get_xydata() for line in ax.lines]
-    return lines + [shape for patch in ax.patches for shape in patch.get_path().to_polygons(patch.get_patch_transform(), closed_only=False)]
+    return lines + [
+        shape
+        for patch in ax.patches
+        for shape in patch.get_path().to_polygons(patch.get_patch_transform(), closed_only=False)
+    ]
 
 
 def _points_along(line: np.ndarray) -> np.ndarray:
@@ -220,11 +297,16 @@ def _points_along(line: np.ndarray) -> np.ndarray:
 
 
 def _places(toward: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Trial offsets of the center of a label of half size `half`, their distances [points], and their costs.
+    """Trial offsets of the center of a label of half size `half`, their distances [points], and
+    their costs.
 
     The cost grows with the distance and with the angle from the direction `toward`."""
-    reach, turn = (x.ravel() for x in np.meshgrid(RINGS, ANGLES + np.arctan2(toward[1], toward[0]), indexing="ij"))
+    reach, turn = (
+        x.ravel()
+        for x in np.meshgrid(RINGS, ANGLES + np.arctan2(toward[1], toward[0]), indexing="ij")
+    )
     direction = np.stack([np.cos(turn), np.sin(turn)], -1)
     away = 1 - direction @ toward / (np.linalg.norm(toward) or 1.0)
-    edge = np.min(half / np.maximum(np.abs(direction), 1e-9), -1)  # from the center to the edge of the label, in this direction
+    # from the center to the edge of the label, in this direction
+    edge = np.min(half / np.maximum(np.abs(direction), 1e-9), -1)
     return (reach + edge)[:, None] * direction, reach, 0.15 * reach + away

@@ -1,4 +1,5 @@
-"""Plots of models and their modes: bodies as outlines around their attachment points, springs as zigzags, supports hatched."""
+"""Plots of models and their modes: bodies as outlines around their attachment points, springs as
+zigzags, supports hatched."""
 
 from __future__ import annotations
 
@@ -24,7 +25,16 @@ from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_state
 from jaxbody.models.states import State
-from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT, Label, annotate, axes_or_new, check_known
+from jaxbody.plots.canvases import (
+    COLORS,
+    GRAY,
+    INK,
+    LIGHT,
+    Label,
+    annotate,
+    axes_or_new,
+    check_known,
+)
 from jaxbody.plots.symbols import AXES, frame_axes, ground_at, zigzag_path
 from jaxbody.vibrations.damped_modes import ComplexModes
 from jaxbody.vibrations.linearizations import Linearization
@@ -49,13 +59,20 @@ def draw_model(
     Args:
         model, state: the model and its state; None draws the reference pose.
         displaced: {support: Xi}, displacements of supports.
-        view: the axes that point right and up, such as "xy", or "oblique". With None, gravity points down, and the view is oblique unless
-            the model is flat.
+        view: the axes that point right and up, such as "xy", or "oblique". With None, gravity
+            points down, and the view is oblique unless the model is flat.
         names: whether to write the names of bodies and elements.
         ax: axes to draw into; None makes a new figure.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, -9.81, 0],
-    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9)})
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     gravity=[0, -9.81, 0],
+    ...     elements={
+    ...         "s": Spring(
+    ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9
+    ...         )
+    ...     },
+    ... )
     >>> draw_model(model).get_ylabel()
     'y [m]'
     """
@@ -65,7 +82,8 @@ def draw_model(
     check_known(tuple(displaced or ()), model.layout.supports, "draw_model.displaced")
     for name, value in (displaced or {}).items():
         xi[model.layout.supports.index(name)] = value
-    still = None if model.closures else np.zeros(model.layout.nv)  # an open drawing stays open; all others share a program with modes
+    # an open drawing stays open; all others share a program with modes
+    still = None if model.closures else np.zeros(model.layout.nv)
     scene = Scene(model, _poses_at(model, state.q, still, xi))
     look = projection(view, model, [scene])
     ax = _axes(ax, [scene], look)
@@ -77,9 +95,15 @@ def draw_model(
 
 
 def draw_mode(
-    lin: Linearization | SpinLinearization, modes: Modes | ComplexModes, number: int = 1, *, view: str | None = None, ax: Any = None
+    lin: Linearization | SpinLinearization,
+    modes: Modes | ComplexModes,
+    number: int = 1,
+    *,
+    view: str | None = None,
+    ax: Any = None,
 ) -> Any:
-    """One mode in both extreme positions over the state at rest, with its name; the amplitude is an eighth of the model's size.
+    """One mode in both extreme positions over the state at rest, with its name; the amplitude is an
+    eighth of the model's size.
 
     A complex mode is drawn at the instant at which its largest component is extreme.
 
@@ -98,27 +122,48 @@ def draw_mode(
     model, count = lin.model, modes.frequency.shape[0]
     if not 1 <= number <= count:
         raise JaxbodyError(
-            Problem("UNKNOWN_MODE", "draw_mode.number", f"is {number}; there are modes 1 to {count}", number, f"1 to {count}")
+            Problem(
+                "UNKNOWN_MODE",
+                "draw_mode.number",
+                f"is {number}; there are modes 1 to {count}",
+                number,
+                f"1 to {count}",
+            )
         )
     shape = np.real(np.asarray(modes.shapes)[: model.layout.nv, number - 1])
 
     def moved(factor: float) -> Scene:
-        return Scene(model, _poses_at(model, lin.state.q, factor * shape, np.zeros((len(model.layout.supports), 6))))
+        return Scene(
+            model,
+            _poses_at(
+                model, lin.state.q, factor * shape, np.zeros((len(model.layout.supports), 6))
+            ),
+        )
 
     rest = moved(0.0)
     size = rest.size(np.eye(3))
     trial = 1e-6 * size / np.abs(shape).max()
     points = moved(trial).points
-    largest = max(np.abs(points[name] - rest.points[name]).max() for name in model.layout.bodies) / trial
-    largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)  # where nothing is attached off O
+    largest = (
+        max(np.abs(points[name] - rest.points[name]).max() for name in model.layout.bodies) / trial
+    )
+    # where nothing is attached off O
+    largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
     extremes = [moved(sign * size * SWING / largest) for sign in (-1, 1)]
     look = projection(view, model, [rest, *extremes])
     ax = _axes(ax, [rest, *extremes], look)
     _draw(ax, rest, look, size, color=LIGHT, edge=GRAY, springs=GRAY, alpha=0.5)
     for scene, color in zip(extremes, COLORS, strict=False):
-        _draw(ax, scene, look, size, color=color, edge=color, springs=color, alpha=0.3, ground=False)
-    frequency, ratio = (float(x[number - 1]) for x in (np.asarray(modes.frequency), without_dust(modes.damping_ratio, 1.0)))
-    title = f"mode {number}: {frequency:.4g} Hz" + (f", damping ratio {ratio:.2g}" if ratio > 0 else "")
+        _draw(
+            ax, scene, look, size, color=color, edge=color, springs=color, alpha=0.3, ground=False
+        )
+    frequency, ratio = (
+        float(x[number - 1])
+        for x in (np.asarray(modes.frequency), without_dust(modes.damping_ratio, 1.0))
+    )
+    title = f"mode {number}: {frequency:.4g} Hz" + (
+        f", damping ratio {ratio:.2g}" if ratio > 0 else ""
+    )
     ax.set_title(f"{title}\n{modes.names[number - 1]}", fontsize=9)
     frame_axes(ax, look, size)
     return ax
@@ -131,7 +176,8 @@ class Scene:
     model: Model
     frames: tuple[np.ndarray, np.ndarray]  # origins and orientations
     points: dict[str, np.ndarray] = field(init=False)
-    pivots: dict[str, tuple[np.ndarray, str]] = field(init=False)  # position and parent of each body's joint
+    # position and parent of each body's joint
+    pivots: dict[str, tuple[np.ndarray, str]] = field(init=False)
     ends: dict[str, tuple[np.ndarray, np.ndarray]] = field(init=False)
     joined: dict[str, tuple[np.ndarray, np.ndarray]] = field(init=False)  # the points of closures
     centers: dict[str, np.ndarray] = field(init=False)  # of mass
@@ -147,25 +193,58 @@ class Scene:
         self.ends, links = {}, {}
         for table in self.model.attached:
             links |= dict(zip(table.names, table.links, strict=True))
-            for name, link, a, b in zip(table.names, table.links, *(np.asarray(x) for x in table.rows.points[:2]), strict=True):
+            for name, link, a, b in zip(
+                table.names,
+                table.links,
+                *(np.asarray(x) for x in table.rows.points[:2]),
+                strict=True,
+            ):
                 self.ends[name] = (in_world(link[0], a), in_world(link[1], b))
         self.joined = {}
         for table in self.model.closures:
             for name, link in zip(table.names, table.links, strict=True):
                 closure = table.row(name)
                 if not isinstance(closure, Coupling | Equation):  # which have no place
-                    self.joined[name], links[name] = (in_world(link[0], closure.a), in_world(link[1], closure.b)), link
+                    self.joined[name], links[name] = (
+                        (in_world(link[0], closure.a), in_world(link[1], closure.b)),
+                        link,
+                    )
         self.centers = {name: in_world(name, self.model[name].com) for name in layout.bodies}
-        parents = {name: parent for name, parent in zip(layout.bodies, layout.parents, strict=True) if layout.block(name).nv < 6}
+        parents = {
+            name: parent
+            for name, parent in zip(layout.bodies, layout.parents, strict=True)
+            if layout.block(name).nv < 6
+        }
         joints = {name: self.model.joint(name).at for name in parents}
-        self.pivots = {name: (pose[name][0] if at is None else in_world(parents[name], at), parents[name]) for name, at in joints.items()}
-        attached = [place for name, ends in (self.ends | self.joined).items() for place in zip(links[name][:2], ends, strict=True)]
-        attached += [*self.centers.items(), *((frame, at) for name, (at, parent) in self.pivots.items() for frame in (name, parent))]
-        self.points = {name: np.array([at for frame, at in attached if frame == name] or [pose[name][0]]) for name in layout.frames}
+        self.pivots = {
+            name: (pose[name][0] if at is None else in_world(parents[name], at), parents[name])
+            for name, at in joints.items()
+        }
+        attached = [
+            place
+            for name, ends in (self.ends | self.joined).items()
+            for place in zip(links[name][:2], ends, strict=True)
+        ]
+        attached += [
+            *self.centers.items(),
+            *(
+                (frame, at)
+                for name, (at, parent) in self.pivots.items()
+                for frame in (name, parent)
+            ),
+        ]
+        self.points = {
+            name: np.array([at for frame, at in attached if frame == name] or [pose[name][0]])
+            for name in layout.frames
+        }
 
     def all_points(self) -> np.ndarray:
         return np.concatenate(
-            [rows for name, rows in self.points.items() if name != WORLD or len(self.ends) + len(self.joined) + len(self.pivots)]
+            [
+                rows
+                for name, rows in self.points.items()
+                if name != WORLD or len(self.ends) + len(self.joined) + len(self.pivots)
+            ]
         )
 
     def size(self, look: np.ndarray) -> float:
@@ -190,38 +269,81 @@ def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarra
 
 
 def look_along(view: str) -> np.ndarray:
-    """The matrix (2, 3) of a view named by the axes that point right and up, such as "xz". Error: BAD_VIEW."""
+    """The matrix (2, 3) of a view named by the axes that point right and up, such as "xz".
+    Error: BAD_VIEW."""
     if not (len(view) == 2 and view[0] != view[1] and set(view) <= set(AXES)):
         hint = "Give 'oblique', or the axes that point right and up, such as 'xy'."
-        raise JaxbodyError(Problem("BAD_VIEW", "view", f"is {view!r}", view, "two of x, y, z", hint))
+        raise JaxbodyError(
+            Problem("BAD_VIEW", "view", f"is {view!r}", view, "two of x, y, z", hint)
+        )
     return np.eye(3)[[AXES.index(axis) for axis in view]]
 
 
 def _axes(ax: Any, scenes: list[Scene], look: np.ndarray) -> Any:
     """The given axes, or those of a new figure with the proportions of the drawing."""
-    width, height = np.ptp(np.concatenate([scene.all_points() for scene in scenes]) @ look.T, axis=0) + 1e-9
+    width, height = (
+        np.ptp(np.concatenate([scene.all_points() for scene in scenes]) @ look.T, axis=0) + 1e-9
+    )
     ratio = np.clip((height + 0.1 * width) / (width + 0.1 * height), 0.25, 2.0)
     return axes_or_new(ax, *((6.4, 1.0 + 5.2 * ratio) if ratio < 1 else (1.4 + 5.0 / ratio, 5.8)))
 
 
-def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, alpha=1.0, ground=True) -> None:
+def _draw(
+    ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, alpha=1.0, ground=True
+) -> None:
     layout = scene.model.layout
     for i, name in enumerate(layout.bodies):
-        _outline(ax, scene.points[name] @ look.T, size, color or COLORS[i % len(COLORS)], edge, alpha if color else 0.35, color is not None)
+        _outline(
+            ax,
+            scene.points[name] @ look.T,
+            size,
+            color or COLORS[i % len(COLORS)],
+            edge,
+            alpha if color else 0.35,
+            color is not None,
+        )
         if color is None:
-            ax.plot(*(scene.centers[name] @ look.T), "o", ms=6, mfc="white", mec=INK, mew=1.0, zorder=6)
+            ax.plot(
+                *(scene.centers[name] @ look.T), "o", ms=6, mfc="white", mec=INK, mew=1.0, zorder=6
+            )
     for table in scene.model.attached:
         if isinstance(table.rows, Tyre):
             _wheels(ax, scene, table, look, size, edge, alpha, ground)
             continue
-        zigzag, slim = isinstance(table.rows, LineElement), isinstance(table.rows, LineElement | Inerter)
+        zigzag, slim = (
+            isinstance(table.rows, LineElement),
+            isinstance(table.rows, LineElement | Inerter),
+        )
         for name, link in zip(table.names, table.links, strict=True):
             A, B = (end @ look.T for end in scene.ends[name])
             path = zigzag_path(A, B, 0.022 * size) if zigzag else np.array([A, B])
-            ax.plot(*path.T, color=springs, lw=1.1 if slim else 3.0, alpha=alpha, solid_joinstyle="round", zorder=4)
-            ax.plot(*np.array([A, B]).T, "." if slim else "s", color=springs, ms=4, alpha=alpha, zorder=5)
+            ax.plot(
+                *path.T,
+                color=springs,
+                lw=1.1 if slim else 3.0,
+                alpha=alpha,
+                solid_joinstyle="round",
+                zorder=4,
+            )
+            ax.plot(
+                *np.array([A, B]).T,
+                "." if slim else "s",
+                color=springs,
+                ms=4,
+                alpha=alpha,
+                zorder=5,
+            )
             if isinstance(table.rows, Inerter):
-                ax.plot(*((A + B) / 2), "o", mfc="white", mec=springs, mew=1.6, ms=9, alpha=alpha, zorder=5)  # its flywheel
+                ax.plot(
+                    *((A + B) / 2),
+                    "o",
+                    mfc="white",
+                    mec=springs,
+                    mew=1.6,
+                    ms=9,
+                    alpha=alpha,
+                    zorder=5,
+                )  # its flywheel
             for end, here, there in zip(link[:2], (A, B), (B, A), strict=True):
                 if ground and end not in layout.bodies:
                     ground_at(ax, here, here - there, 0.035 * size)
@@ -235,47 +357,92 @@ def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, al
         elif not joint.in_series:
             ax.plot(*pivot, "o", ms=6, mfc="white", mec=edge, mew=1.2, alpha=alpha, zorder=6)
             if ground and parent not in layout.bodies:
-                ground_at(ax, pivot - np.array([0, 0.02 * size]), np.array([0.0, -1.0]), 0.035 * size)
+                ground_at(
+                    ax, pivot - np.array([0, 0.02 * size]), np.array([0.0, -1.0]), 0.035 * size
+                )
 
 
 def _closures(ax, scene: Scene, look, size, edge, alpha, ground) -> None:
-    """Rods as lines between two balls, guides and lines in which a point slides as dash-dotted lines, other closures as pins."""
+    """Rods as lines between two balls, guides and lines in which a point slides as dash-dotted
+    lines, other closures as pins."""
     layout = scene.model.layout
     for name, ends in scene.joined.items():
         closure, (A, B) = scene.model[name], (end @ look.T for end in ends)
         if isinstance(closure, GuideClosure | Inline):
-            axis = scene.frames[1][layout.frame(closure.between[0])] @ np.asarray(closure.axis) @ look.T
+            axis = (
+                scene.frames[1][layout.frame(closure.between[0])]
+                @ np.asarray(closure.axis)
+                @ look.T
+            )
             reach = 0.12 * size + np.linalg.norm(B - A)
-            ax.plot(*np.array([A - reach * axis, A + reach * axis]).T, "-.", color=GRAY, lw=0.9, zorder=1, gid=f"line of {name}")
+            ax.plot(
+                *np.array([A - reach * axis, A + reach * axis]).T,
+                "-.",
+                color=GRAY,
+                lw=0.9,
+                zorder=1,
+                gid=f"line of {name}",
+            )
             ax.plot(*B, "o", ms=5, mfc=edge, mec=edge, alpha=alpha, zorder=6)
         else:
             path = np.array([A, B])
-            ax.plot(*path.T, "-", marker="o", color=edge, lw=1.8, ms=6, mfc="white", mew=1.2, alpha=alpha, zorder=5, gid=name)
+            ax.plot(
+                *path.T,
+                "-",
+                marker="o",
+                color=edge,
+                lw=1.8,
+                ms=6,
+                mfc="white",
+                mew=1.2,
+                alpha=alpha,
+                zorder=5,
+                gid=name,
+            )
         for end, here, there in zip(closure.between, (A, B), (B, A), strict=True):
             if ground and end not in layout.bodies and (here != there).any():
                 ground_at(ax, here, here - there, 0.035 * size)
 
 
 def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
-    """Tyres as circles about the hubs, with the ground below if the view shows the road's normal."""
+    """Tyres as circles about the hubs, with the ground below if the view shows the
+    road's normal."""
     from matplotlib.patches import Circle
 
-    rows = zip(table.names, table.links, np.asarray(table.rows.radius), np.asarray(table.rows.axis), strict=True)
+    rows = zip(
+        table.names,
+        table.links,
+        np.asarray(table.rows.radius),
+        np.asarray(table.rows.axis),
+        strict=True,
+    )
     for name, link, radius, axis in rows:
         hub, road = (end @ look.T for end in scene.ends[name])
         up = scene.frames[1][scene.model.layout.frame(link[1])] @ axis @ look.T
         if up.any():
-            ax.add_patch(Circle(hub, radius, fill=False, edgecolor=edge, lw=1.6, alpha=alpha, zorder=1))
+            ax.add_patch(
+                Circle(hub, radius, fill=False, edgecolor=edge, lw=1.6, alpha=alpha, zorder=1)
+            )
             if ground:
                 ground_at(ax, road, -up, 0.035 * size)
 
 
 def _names(scene: Scene, look) -> list[Label]:
     """Labels of bodies at their centers of mass and of elements at their middles."""
-    labels = [Label(name, at @ look.T, np.array([1.0, 1.0]), 9, INK) for name, at in scene.centers.items()]
+    labels = [
+        Label(name, at @ look.T, np.array([1.0, 1.0]), 9, INK) for name, at in scene.centers.items()
+    ]
     for name, ends in scene.ends.items():
         A, B = (end @ look.T for end in ends)
-        labels.append(Label(name, (A + B) / 2, np.array([abs((B - A)[1]), -(B - A)[0] * np.sign((B - A)[1] or 1.0)]), 8, GRAY))
+        labels.append(
+            Label(
+                name,
+                (A + B) / 2,
+                np.array([abs((B - A)[1]), -(B - A)[0] * np.sign((B - A)[1] or 1.0)]),
+                8,
+                GRAY,
+            )
+        )
     return labels
 
 
@@ -286,9 +453,28 @@ def _outline(ax, seen, size, fill, edge, alpha, ghost) -> None:
 
     hull = _hull(seen, 1e-9 * size)
     if len(hull) == 1:
-        ax.add_patch(Circle(hull[0], 0.035 * size, facecolor=to_rgba(fill, alpha), edgecolor=edge, lw=1.2, zorder=2))
+        ax.add_patch(
+            Circle(
+                hull[0],
+                0.035 * size,
+                facecolor=to_rgba(fill, alpha),
+                edgecolor=edge,
+                lw=1.2,
+                zorder=2,
+            )
+        )
     elif ghost:
-        ax.add_patch(Polygon(hull, closed=True, facecolor=to_rgba(fill, alpha), edgecolor=edge, lw=1.6, joinstyle="round", zorder=3))
+        ax.add_patch(
+            Polygon(
+                hull,
+                closed=True,
+                facecolor=to_rgba(fill, alpha),
+                edgecolor=edge,
+                lw=1.6,
+                joinstyle="round",
+                zorder=3,
+            )
+        )
     else:
         pale = tuple(1 - 0.35 * (1 - c) for c in to_rgba(fill)[:3])
         for color, width in ((edge, RIM), (pale, RIM - 2.2)):
@@ -296,13 +482,25 @@ def _outline(ax, seen, size, fill, edge, alpha, ghost) -> None:
             if len(hull) == 2:
                 ax.plot(*hull.T, color=color, solid_capstyle="round", **rim)
             else:
-                ax.add_patch(Polygon(hull, closed=True, facecolor=color, edgecolor=color, joinstyle="round", **rim))
+                ax.add_patch(
+                    Polygon(
+                        hull,
+                        closed=True,
+                        facecolor=color,
+                        edgecolor=color,
+                        joinstyle="round",
+                        **rim,
+                    )
+                )
 
 
 def _hull(points: np.ndarray, tolerance: float) -> np.ndarray:
-    """Convex hull in the plane, counterclockwise (A. M. Andrew, Information Processing Letters 9 (1979) 216)."""
+    """Convex hull in the plane, counterclockwise (A. M. Andrew, Information Processing Letters 9
+    (1979) 216)."""
     points = points[np.lexsort(points.T[::-1])]
-    points = points[np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > tolerance])]
+    points = points[
+        np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > tolerance])
+    ]
     if len(points) < 3:
         return points
 
@@ -324,7 +522,10 @@ def _area(a, b, c) -> float:
 @program
 def _poses(model: Model, q, delta, xi) -> Pose:
     coordinates = Coordinates(model)
-    q, v = q if delta is None else moved_by(coordinates, q, delta), jnp.zeros(model.layout.nv, q.dtype)
+    q, v = (
+        q if delta is None else moved_by(coordinates, q, delta),
+        jnp.zeros(model.layout.nv, q.dtype),
+    )
     return coordinates.frames(q, v, coordinates.supports_at(xi, jnp.zeros_like(xi))).pose()
 
 

@@ -1,4 +1,5 @@
-"""What `plot` of each result draws: one function of the plots for each class, with its caption in reports."""
+"""What `plot` of each result draws: one function of the plots for each class, with its caption
+in reports."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -81,13 +82,19 @@ PICTURES: dict[type, Picture] = {
     ElasticAxes: Picture(mode_plots.plot_elastic_axes, "Elastic axes"),
     TorqueRollAxis: Picture(mode_plots.plot_torque_roll_axis, "Torque roll axis"),
     FrequencyResponse: Picture(response_plots.plot_frequency_response, "Magnitude and phase"),
-    DynamicStiffness: Picture(response_plots.plot_element_stiffness, "Dynamic stiffness and loss angle"),
+    DynamicStiffness: Picture(
+        response_plots.plot_element_stiffness, "Dynamic stiffness and loss angle"
+    ),
     RandomResponse: Picture(response_plots.plot_psd, "Spectral densities"),
     StateSpace: Picture(response_plots.plot_state_space, "Transfer functions"),
     ShockSpectrum: Picture(shock_plots.plot_shock_spectrum, "Largest responses over frequency"),
     ResponseSpectrum: Picture(shock_plots.plot_response_spectrum, "The spectrum"),
-    MatchedRecord: Picture(shock_plots.plot_matched_record, "The record, and its spectrum beside the one to meet"),
-    SpectrumResponse: Picture(shock_plots.plot_spectrum_response, "Largest outputs, and the shares of the modes"),
+    MatchedRecord: Picture(
+        shock_plots.plot_matched_record, "The record, and its spectrum beside the one to meet"
+    ),
+    SpectrumResponse: Picture(
+        shock_plots.plot_spectrum_response, "Largest outputs, and the shares of the modes"
+    ),
     PeakFactors: Picture(shock_plots.plot_peak_factors, "Largest values to be expected"),
     FatigueDamage: Picture(shock_plots.plot_fatigue_damage, "Damage"),
     WeightedSignal: Picture(response_plots.plot_weighted_signal, "Weighted acceleration and dose"),

@@ -1,4 +1,5 @@
-"""Plots of shocks: spectra of shocks and earthquakes, responses to them, matched records, peaks and fatigue."""
+"""Plots of shocks: spectra of shocks and earthquakes, responses to them, matched records, peaks
+and fatigue."""
 
 from __future__ import annotations
 
@@ -34,7 +35,11 @@ def plot_shock_spectrum(spectrum: ShockSpectrum, *, ax: Any = None) -> Any:
     order, values = np.argsort(f), np.asarray(spectrum.values)
     for i, (zeta, row) in enumerate(zip(np.asarray(spectrum.damping), values, strict=True)):
         ax.loglog(f[order], row[order], lw=1.5, label=f"damping ratio {zeta:g}", **style(i))
-    what = {"absolute": "acceleration", "relative": "displacement", "pseudo": "pseudo-acceleration"}[spectrum.kind]
+    what = {
+        "absolute": "acceleration",
+        "relative": "displacement",
+        "pseudo": "pseudo-acceleration",
+    }[spectrum.kind]
     side = "" if spectrum.side == "maximax" else f"{spectrum.side} "
     ax.set_ylabel(with_unit(f"largest {side}{what}", spectrum.unit))
     plain_numbers(ax, values)
@@ -43,7 +48,9 @@ def plot_shock_spectrum(spectrum: ShockSpectrum, *, ax: Any = None) -> Any:
     return ax
 
 
-def plot_response_spectrum(spectrum: ResponseSpectrum, *, damping: tuple[float, ...] | None = None, ax: Any = None) -> Any:
+def plot_response_spectrum(
+    spectrum: ResponseSpectrum, *, damping: tuple[float, ...] | None = None, ax: Any = None
+) -> Any:
     """The pseudo-acceleration of a design spectrum over natural frequency on logarithmic scales.
 
     damping: damping ratios; None takes 0.05, or the one for which it is stated."""
@@ -52,7 +59,9 @@ def plot_response_spectrum(spectrum: ResponseSpectrum, *, damping: tuple[float, 
     least, most = (float(x) for x in spectrum.dampings())
     ax, f = axes_or_new(ax, 7.0, 3.6), np.geomspace(ends[0], min(ends[1], 100.0), 400)
     for i, zeta in enumerate(damping or (float(np.clip(0.05, least, most)),)):
-        ax.loglog(f, np.asarray(spectrum(f, zeta)), lw=1.5, label=f"damping ratio {zeta:g}", **style(i))
+        ax.loglog(
+            f, np.asarray(spectrum(f, zeta)), lw=1.5, label=f"damping ratio {zeta:g}", **style(i)
+        )
     ax.set_ylabel("pseudo-acceleration [m/s2]")
     plain_numbers(ax, np.concatenate([line.get_ydata() for line in ax.lines]))
     hertz(ax, f)
@@ -61,8 +70,13 @@ def plot_response_spectrum(spectrum: ResponseSpectrum, *, damping: tuple[float, 
 
 
 def plot_matched_record(quake: MatchedRecord, *, ax: Any = None) -> Any:
-    """Acceleration, velocity and displacement over time, and the spectrum that is reached with its target below."""
-    panels = {"acceleration [m/s2]": quake.acceleration, "velocity [m/s]": quake.velocity, "displacement [m]": quake.displacement}
+    """Acceleration, velocity and displacement over time, and the spectrum that is reached with its
+    target below."""
+    panels = {
+        "acceleration [m/s2]": quake.acceleration,
+        "velocity [m/s]": quake.velocity,
+        "displacement [m]": quake.displacement,
+    }
     ax = axes_or_new(ax, 7.5, 7.0)
     *others, below = axes_below(ax, 1.0, 1.0, 1.9, share=False)
     for i, (axes, (label, values)) in enumerate(zip((ax, *others), panels.items(), strict=True)):
@@ -81,25 +95,34 @@ def plot_matched_record(quake: MatchedRecord, *, ax: Any = None) -> Any:
 
 
 def plot_spectrum_response(response: SpectrumResponse, *, ax: Any = None) -> Any:
-    """The peak of each output, with the shares of the modes in it: of their squares, or of combine="absolute" of their magnitudes."""
+    """The peak of each output, with the shares of the modes in it: of their squares, or of
+    combine="absolute" of their magnitudes."""
     check_single("plot_spectrum_response.response", response.values, 1)
     shares = np.asarray(response.shares)
     shown = [j for j in range(shares.shape[1]) if np.abs(shares[:, j]).max() > LEAST_SHARE]
     ax, y = axes_or_new(ax, 7.5, 1.4 + 0.45 * len(shares)), np.arange(len(shares))
     ends = [np.zeros(len(shares)), np.zeros(len(shares))]  # of the positive and the negative shares
     for i, j in enumerate(shown):
-        name = "rest" if j == shares.shape[1] - 1 else f"mode {j + 1}, {float(response.frequency[j]):.3g} Hz"
+        name = (
+            "rest"
+            if j == shares.shape[1] - 1
+            else f"mode {j + 1}, {float(response.frequency[j]):.3g} Hz"
+        )
         row = 100 * shares[:, j]
         left = np.where(row >= 0, *ends)
         ax.barh(y, row, left=left, height=0.6, color=COLORS[i % len(COLORS)], label=name, lw=0)
         ends = [ends[0] + np.maximum(row, 0), ends[1] + np.minimum(row, 0)]
     named = [
         f"{name}\n{value:.4g} {unit}"
-        for name, value, unit in zip(response.outputs, np.asarray(response.values), response.units, strict=True)
+        for name, value, unit in zip(
+            response.outputs, np.asarray(response.values), response.units, strict=True
+        )
     ]
     ax.set_yticks(y, named, fontsize=8)
     ax.set(
-        xlabel="share in the peak [%]" if response.combine == "absolute" else "share in the square of the peak [%]",
+        xlabel="share in the peak [%]"
+        if response.combine == "absolute"
+        else "share in the square of the peak [%]",
         ylim=(len(y) - 0.5, -0.5),
     )
     ax.axvline(0.0, color=GRAY, lw=0.8)
@@ -113,9 +136,18 @@ def plot_peak_factors(peaks: PeakFactors, *, ax: Any = None) -> Any:
     ax, y = axes_or_new(ax, 7.0, 1.3 + 0.4 * len(peaks.outputs)), np.arange(len(peaks.outputs))
     spread = np.nan_to_num(np.asarray(peaks.deviation))
     ax.errorbar(np.asarray(peaks.factor), y, xerr=spread, fmt="o", ms=5, color=COLORS[0], capsize=3)
-    named = [f"{name}\n{value:.4g} {unit}" for name, value, unit in zip(peaks.outputs, np.asarray(peaks.maximum), peaks.units, strict=True)]
+    named = [
+        f"{name}\n{value:.4g} {unit}"
+        for name, value, unit in zip(
+            peaks.outputs, np.asarray(peaks.maximum), peaks.units, strict=True
+        )
+    ]
     ax.set_yticks(y, named, fontsize=8)
-    ax.set(xlabel=f"peak factor in {float(peaks.duration):g} s [-]", xlim=(0, None), ylim=(len(y) - 0.5, -0.5))
+    ax.set(
+        xlabel=f"peak factor in {float(peaks.duration):g} s [-]",
+        xlim=(0, None),
+        ylim=(len(y) - 0.5, -0.5),
+    )
     return ax
 
 
@@ -128,7 +160,12 @@ def plot_fatigue_damage(damage: FatigueDamage, *, ax: Any = None) -> Any:
     ax.set_xscale("log")
     ax.axvline(1.0, color=COLORS[2], lw=1.2)
     ax.set_yticks(
-        y, [f"{name}\n{life / 3600:.3g} h" for name, life in zip(damage.outputs, np.asarray(damage.life), strict=True)], fontsize=8
+        y,
+        [
+            f"{name}\n{life / 3600:.3g} h"
+            for name, life in zip(damage.outputs, np.asarray(damage.life), strict=True)
+        ],
+        fontsize=8,
     )
     ax.set(xlim=(min([0.1, *positive]) / 3, max([1.0, *positive]) * 3), ylim=(len(y) - 0.5, -0.5))
     ax.set_xlabel(f"damage in {float(damage.duration):g} s, {damage.method} [-]")

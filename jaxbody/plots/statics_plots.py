@@ -1,4 +1,5 @@
-"""Plots of statics: models at rest, equilibria by energy, load paths, load cases, and what a preload changes."""
+"""Plots of statics: models at rest, equilibria by energy, load paths, load cases, and what a
+preload changes."""
 
 from __future__ import annotations
 
@@ -30,10 +31,13 @@ from jaxbody.statics.equilibrium_searches import Equilibria
 from jaxbody.statics.preloads import Preload
 
 WIDTH = 60  # letters of a line of a title
-NEGLIGIBLE = 1e-9  # of the largest number of a panel: components with less in all cases are left out
+# of the largest number of a panel: components with less in all cases are left out
+NEGLIGIBLE = 1e-9
 
 
-def draw_equilibrium(eq: Equilibrium, *, view: str | None = None, names: bool = True, ax: Any = None) -> Any:
+def draw_equilibrium(
+    eq: Equilibrium, *, view: str | None = None, names: bool = True, ax: Any = None
+) -> Any:
     """The model at its equilibrium; the title says what is wrong with it, if anything.
 
     Args:
@@ -53,7 +57,9 @@ def draw_equilibrium(eq: Equilibrium, *, view: str | None = None, names: bool = 
     return ax
 
 
-def draw_assembly(assembly: Assembly, *, view: str | None = None, names: bool = True, ax: Any = None) -> Any:
+def draw_assembly(
+    assembly: Assembly, *, view: str | None = None, names: bool = True, ax: Any = None
+) -> Any:
     """The model as it is assembled; the title names a closure that stays open.
 
     Args:
@@ -70,11 +76,16 @@ def draw_assembly(assembly: Assembly, *, view: str | None = None, names: bool = 
 
 
 def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
-    """The smallest eigenvalue of K, relative to the largest without loads, over the load factor; it is zero at a limit point.
+    """The smallest eigenvalue of K, relative to the largest without loads, over the load factor; it
+    is zero at a limit point.
 
     eq: an equilibrium under loads. Error: NO_PATH if it has no load path.
 
-    >>> ax = load_path(equilibrium(jb.presets.quarter_car(), loads={"driver": Force("body", force=[0, 0, -800.0])}))
+    >>> ax = load_path(
+    ...     equilibrium(
+    ...         jb.presets.quarter_car(), loads={"driver": Force("body", force=[0, 0, -800.0])}
+    ...     )
+    ... )
     >>> ax.get_xlabel(), ax.lines[0].get_xdata()[0].item()
     ('load factor [-]', 0.0)
     """
@@ -84,7 +95,9 @@ def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
             if eq.path is None
             else ("by descent", "Its load path could not be started.")
         )
-        raise JaxbodyError(Problem("NO_PATH", "load_path.eq", f"was computed {how}", eq.path, "a load path", hint))
+        raise JaxbodyError(
+            Problem("NO_PATH", "load_path.eq", f"was computed {how}", eq.path, "a load path", hint)
+        )
     ax = axes_or_new(ax, 5.0, 3.4)
     factor, smallest = (np.asarray(x) for x in (eq.path.factor, eq.path.smallest))
     ax.plot(factor, smallest, "o-", ms=4, color=COLORS[0])
@@ -96,21 +109,47 @@ def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
 
 
 def plot_equilibria(equilibria: Equilibria, *, ax: Any = None) -> Any:
-    """The energies of equilibria [J] over their distances from the reference pose [m], numbered as in the table: filled circles are stable,
-    open ones unstable.
+    """The energies of equilibria [J] over their distances from the reference pose [m], numbered as
+    in the table: filled circles are stable, open ones unstable.
 
     >>> bob = Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
-    >>> pendulum = Model(bodies={"bob": bob}, joints={"bob": Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81])
+    >>> pendulum = Model(
+    ...     bodies={"bob": bob},
+    ...     joints={"bob": Hinge("world", axis=[0, 1, 0])},
+    ...     gravity=[0, 0, -9.81],
+    ... )
     >>> [line.get_label() for line in plot_equilibria(find_equilibria(pendulum, starts=8)).lines]
     ['stable', 'unstable']
     """
     ax = axes_or_new(ax, 5.0, 3.4)
-    energies, distances, stable = equilibria.energies, np.asarray(equilibria.distances), equilibria.stable
-    for kind, label, color, face in ((stable, "stable", COLORS[0], COLORS[0]), (~stable, "unstable", COLORS[1], "white")):
+    energies, distances, stable = (
+        equilibria.energies,
+        np.asarray(equilibria.distances),
+        equilibria.stable,
+    )
+    for kind, label, color, face in (
+        (stable, "stable", COLORS[0], COLORS[0]),
+        (~stable, "unstable", COLORS[1], "white"),
+    ):
         if kind.any():
-            ax.plot(distances[kind], energies[kind], "o", ms=6, color=color, mfc=face, mew=1.4, label=label)
-    for place in sorted({(round(d, 9), round(e, 9)) for d, e in zip(distances, energies, strict=True)}):
-        same = [str(i) for i, at in enumerate(zip(distances, energies, strict=True)) if (round(at[0], 9), round(at[1], 9)) == place]
+            ax.plot(
+                distances[kind],
+                energies[kind],
+                "o",
+                ms=6,
+                color=color,
+                mfc=face,
+                mew=1.4,
+                label=label,
+            )
+    for place in sorted(
+        {(round(d, 9), round(e, 9)) for d, e in zip(distances, energies, strict=True)}
+    ):
+        same = [
+            str(i)
+            for i, at in enumerate(zip(distances, energies, strict=True))
+            if (round(at[0], 9), round(at[1], 9)) == place
+        ]
         ax.annotate(", ".join(same), place, xytext=(7, 5), textcoords="offset points", fontsize=8)
     ax.margins(0.12)
     ax.set(xlabel="largest displacement of a body [m]", ylabel="energy [J]")
@@ -119,7 +158,8 @@ def plot_equilibria(equilibria: Equilibria, *, ax: Any = None) -> Any:
 
 
 def plot_load_cases(cases: LoadCases, *, of: str = "elements", ax: Any = None) -> Any:
-    """Strokes and forces of the elements in every load case, with turns and moments of those that have them below; one mark per case.
+    """Strokes and forces of the elements in every load case, with turns and moments of those that
+    have them below; one mark per case.
 
     Args:
         cases: the load cases.
@@ -129,30 +169,67 @@ def plot_load_cases(cases: LoadCases, *, of: str = "elements", ax: Any = None) -
     Components that are zero in all cases are left out. Error: UNKNOWN_NAME.
 
     >>> car = jb.presets.half_car(height=0.5)
-    >>> ax = load_cases(car, {"brake": LoadCase(acceleration=[-0.2, 0, 0]), "bump": LoadCase(acceleration=[0, 0, 0.2])}).plot()
+    >>> ax = load_cases(
+    ...     car,
+    ...     {
+    ...         "brake": LoadCase(acceleration=[-0.2, 0, 0]),
+    ...         "bump": LoadCase(acceleration=[0, 0, 0.2]),
+    ...     },
+    ... ).plot()
     >>> ax.get_ylabel(), [text.get_text() for text in ax.get_legend().get_texts()]
     ('stroke [m]', ['brake', 'bump'])
     """
     check_single("plot_load_cases.cases", cases.displacement_rows, 3)
     if of not in ("elements", "bodies"):
-        raise JaxbodyError(Problem("UNKNOWN_NAME", "plot_load_cases.of", f"is {of!r}", of, "elements, bodies", "Give one of these."))
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_NAME",
+                "plot_load_cases.of",
+                f"is {of!r}",
+                of,
+                "elements, bodies",
+                "Give one of these.",
+            )
+        )
     if of == "bodies":
-        panels = {"displacement [m]": components(cases.displacements), "rotation [rad]": components(cases.rotations)}
+        panels = {
+            "displacement [m]": components(cases.displacements),
+            "rotation [rad]": components(cases.rotations),
+        }
     else:
-        (strokes, turns), (forces, moments) = (forces_and_moments(cases.unloaded.model, x, "") for x in (cases.strokes, cases.forces))
+        (strokes, turns), (forces, moments) = (
+            forces_and_moments(cases.unloaded.model, x, "") for x in (cases.strokes, cases.forces)
+        )
         label = stroke_and_force(cases.unloaded.model, cases.forces)[1]
-        panels = {"stroke [m]": strokes, label: forces, "turn [rad]": turns, "moment [N m]": moments}
-    panels = {label: rows for label, rows in panels.items() if any(np.any(np.abs(x) > 0) for x in rows.values())}
-    largest = {label: max(np.nanmax(np.abs(x)) for x in rows.values()) for label, rows in panels.items()}
+        panels = {
+            "stroke [m]": strokes,
+            label: forces,
+            "turn [rad]": turns,
+            "moment [N m]": moments,
+        }
+    panels = {
+        label: rows
+        for label, rows in panels.items()
+        if any(np.any(np.abs(x) > 0) for x in rows.values())
+    }
+    largest = {
+        label: max(np.nanmax(np.abs(x)) for x in rows.values()) for label, rows in panels.items()
+    }
     every = dict.fromkeys(name for rows in panels.values() for name in rows)
     names = tuple(
         name
         for name in every
-        if any(name in rows and np.nanmax(np.abs(rows[name])) > NEGLIGIBLE * largest[label] for label, rows in panels.items())
+        if any(
+            name in rows and np.nanmax(np.abs(rows[name])) > NEGLIGIBLE * largest[label]
+            for label, rows in panels.items()
+        )
     )
     missing = np.full(len(cases.names), np.nan)
     tables = {
-        label: {case: [rows.get(name, missing)[i] for name in names] for i, case in enumerate(cases.names)}
+        label: {
+            case: [rows.get(name, missing)[i] for name in names]
+            for i, case in enumerate(cases.names)
+        }
         for label, rows in panels.items()
     }
     ax = axes_or_new(ax, max(5.0, 2.0 + 0.42 * len(names)), 1.2 + 1.7 * len(panels))
@@ -160,7 +237,10 @@ def plot_load_cases(cases: LoadCases, *, of: str = "elements", ax: Any = None) -
 
 
 def plot_suspension_curves(
-    curves: SuspensionCurves, *, of: Sequence[str] = ("camber", "toe", "roll center height", "wheel rate"), ax: Any = None
+    curves: SuspensionCurves,
+    *,
+    of: Sequence[str] = ("camber", "toe", "roll center height", "wheel rate"),
+    ax: Any = None,
 ) -> Any:
     """Curves of a suspension over its travel, a panel for each unit.
 
@@ -171,20 +251,27 @@ def plot_suspension_curves(
 
     Error: UNKNOWN_NAME.
 
-    >>> ax = jb.double_wishbone().curves(np.linspace(-0.1, 0.1, 11)).plot(of=["camber", "toe"])  # doctest: +SKIP
+    >>> ax = (
+    ...     jb.double_wishbone().curves(np.linspace(-0.1, 0.1, 11)).plot(of=["camber", "toe"])
+    ... )  # doctest: +SKIP
     """
     check_single("plot_suspension_curves.curves", curves.status, 1)
     check_known(tuple(of), tuple(curves.curves), "plot_suspension_curves.of")
     panels: dict[str, dict[str, Any]] = {}
     for name in of:
-        unit, what = {"rad": ("deg", "angle"), "m": ("mm", "place or length"), "N/m": ("N/mm", "rate"), "N": ("N", "force")}.get(
-            curves.unit(name), ("-", "ratio")
-        )
+        unit, what = {
+            "rad": ("deg", "angle"),
+            "m": ("mm", "place or length"),
+            "N/m": ("N/mm", "rate"),
+            "N": ("N", "force"),
+        }.get(curves.unit(name), ("-", "ratio"))
         panels.setdefault(f"{what} [{unit}]", {})[name] = _shown_in(unit, curves[name])
     travel = curves.drives[0]
     unit = "deg" if travel.unit == "rad" else "mm"
     ax = axes_or_new(ax, 5.0, 0.8 + 1.7 * len(panels))
-    return panels_of_lines(ax, _shown_in(unit, curves.over[travel.name]), panels, f"{travel.name} [{unit}]")
+    return panels_of_lines(
+        ax, _shown_in(unit, curves.over[travel.name]), panels, f"{travel.name} [{unit}]"
+    )
 
 
 def _shown_in(unit: str, values: Any) -> np.ndarray:
@@ -192,7 +279,8 @@ def _shown_in(unit: str, values: Any) -> np.ndarray:
 
 
 def plot_preload(preload: Preload, *, ax: Any = None) -> Any:
-    """The changes of the free lengths [m] that make a pose an equilibrium, and of the coordinates that may move; angles [rad] below.
+    """The changes of the free lengths [m] that make a pose an equilibrium, and of the coordinates
+    that may move; angles [rad] below.
 
     >>> quarter = jb.presets.quarter_car()
     >>> softer = replace(quarter, {"suspension.stiffness": 3e4})
@@ -204,11 +292,18 @@ def plot_preload(preload: Preload, *, ax: Any = None) -> Any:
     angles = {path for path in preload.paths if path.endswith("free_angle")}
     angles |= {name for name, turn in zip(layout.coordinates, layout.turns, strict=True) if turn}
     changes = {name: float(x) for name, x in (preload.changes | preload.moved).items()}
-    parts = {f"change [{unit}]": {name: x for name, x in changes.items() if (name in angles) == (unit == "rad")} for unit in ("m", "rad")}
+    parts = {
+        f"change [{unit}]": {
+            name: x for name, x in changes.items() if (name in angles) == (unit == "rad")
+        }
+        for unit in ("m", "rad")
+    }
     parts = {label: bars for label, bars in parts.items() if bars}
     ax = axes_or_new(ax, 6.0, 0.4 + sum(0.7 + 0.28 * len(bars) for bars in parts.values()))
     heights = [len(bars) / len(next(iter(parts.values()))) for bars in parts.values()][1:]
-    for axes, (label, bars) in zip([ax, *axes_below(ax, *heights, share=False)], parts.items(), strict=True):
+    for axes, (label, bars) in zip(
+        [ax, *axes_below(ax, *heights, share=False)], parts.items(), strict=True
+    ):
         axes.barh(range(len(bars)), list(bars.values()), color=COLORS[0], height=0.6)
         axes.axvline(0.0, color=GRAY, lw=0.8)
         axes.set_yticks(range(len(bars)), list(bars), fontsize=8)

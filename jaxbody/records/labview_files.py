@@ -1,4 +1,5 @@
-"""LabVIEW's text files (.lvm): a table below headings that state its separator and decimal mark, and unit and times of each channel.
+"""LabVIEW's text files (.lvm): a table below headings that state its separator and decimal mark,
+and unit and times of each channel.
 
 Source: Specification for the LabVIEW Measurement File, National Instruments.
 """
@@ -17,12 +18,15 @@ DIMENSIONS = {"": None, "Time": None, "Frequency": "Hz"}
 
 
 def read_lvm(data: bytes, name: str, encoding: str, pick: Pick) -> Contents:
-    """The requested columns of an .lvm file of one segment, each with its unit and times. Errors: ENCODING, WRONG_FORMAT, NOT_A_RECORD and
-    those of tables."""
+    """The requested columns of an .lvm file of one segment, each with its unit and times. Errors:
+    ENCODING, WRONG_FORMAT, NOT_A_RECORD and those of tables."""
     lines = list(enumerate(decoded(data, name, encoding).splitlines(), 1))
     ends = [k for k, (_, line) in enumerate(lines) if line.startswith(END)]
     if len(ends) not in (1, 2):
-        message, hint = f"has {max(len(ends) - 1, 0)} segments, each with its headings", "Write one segment a file, or cut it into files."
+        message, hint = (
+            f"has {max(len(ends) - 1, 0)} segments, each with its headings",
+            "Write one segment a file, or cut it into files.",
+        )
         raise JaxbodyError(Problem("WRONG_FORMAT", name, message, len(ends), "one", hint))
     separator = "," if any(line.startswith("Separator,") for _, line in lines[: ends[0]]) else "\t"
     rows = [(i, line.split(separator)) for i, line in lines]
@@ -30,9 +34,25 @@ def read_lvm(data: bytes, name: str, encoding: str, pick: Pick) -> Contents:
     table = [(i, cells) for i, cells in rows[ends[-1] + 1 :] if any(cell.strip() for cell in cells)]
     names = [cell.strip() for cell in table[0][1]] if table else []
     if len(table) < 2 or "X_Value" not in names:
-        raise JaxbodyError(Problem("NO_NUMBERS", name, f"has no table below '{END}'", limit="a line of names from X_Value on, and numbers"))
-    names, decimal = names[: names.index("Comment")] if "Comment" in names else names, (head.get("Decimal_Separator") or ["."])[0] or "."
-    values = numbers_of([(i, separator.join(cells[: len(names)])) for i, cells in table[1:]], name, separator, decimal, complete=True)
+        raise JaxbodyError(
+            Problem(
+                "NO_NUMBERS",
+                name,
+                f"has no table below '{END}'",
+                limit="a line of names from X_Value on, and numbers",
+            )
+        )
+    names, decimal = (
+        names[: names.index("Comment")] if "Comment" in names else names,
+        (head.get("Decimal_Separator") or ["."])[0] or ".",
+    )
+    values = numbers_of(
+        [(i, separator.join(cells[: len(names)])) for i, cells in table[1:]],
+        name,
+        separator,
+        decimal,
+        complete=True,
+    )
 
     known = distinct(names)
     columns = {}
@@ -46,7 +66,9 @@ def read_lvm(data: bytes, name: str, encoding: str, pick: Pick) -> Contents:
         if head.get("X_Columns", [""])[0] == "No":
             start, step = (stated.get(word, "").replace(decimal, ".") for word in ("X0", "Delta_X"))
             x = float(start or 0) + float(step) * np.arange(len(values)) if step else None
-        axis = stated.get("X_Unit_Label") or DIMENSIONS.get(stated.get("X_Dimension", ""), stated.get("X_Dimension"))
+        axis = stated.get("X_Unit_Label") or DIMENSIONS.get(
+            stated.get("X_Dimension", ""), stated.get("X_Dimension")
+        )
         times = None if x is None else along(x, axis, "s", f"{name}['{label}']")
         columns[asked] = Column(values[:, k], stated.get("Y_Unit_Label") or None, times)
     return Contents(columns)

@@ -1,7 +1,9 @@
-"""MATLAB files of versions 5 to 7: the tags of all elements are checked before SciPy reads the file, because SciPy's C code trusts them.
+"""MATLAB files of versions 5 to 7: the tags of all elements are checked before SciPy reads the
+file, because SciPy's C code trusts them.
 
-An element is a tag (type, bytes) and its data, padded to 8 bytes; data of up to 4 bytes are in the tag itself. A matrix holds elements:
-flags, dimensions, name, then its numbers, or for a struct the names of its fields and a matrix for each.
+An element is a tag (type, bytes) and its data, padded to 8 bytes; data of up to 4 bytes are in the
+tag itself. A matrix holds elements: flags, dimensions, name, then its numbers, or for a struct the
+names of its fields and a matrix for each.
 Source: MAT-File Format, MathWorks.
 """
 
@@ -26,9 +28,12 @@ CELL, STRUCT, OBJECT, CHARS, SPARSE, DEEPEST = 1, 2, 3, 4, 5, 20
 ELEMENT = 16  # memory of an element without its data (object, name, shape), in numbers of 8 bytes
 
 
-def read_matlab(path: Path, largest: float) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, str]]]:
-    """Numeric arrays by the names that MATLAB gives them, "run.acc", "data{2}" or "run(2).acc", counted from 1, and {name: what it is, what
-    to do} of the rest. Raises ValueError for a broken file. Error: TOO_LARGE."""
+def read_matlab(
+    path: Path, largest: float
+) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, str]]]:
+    """Numeric arrays by the names that MATLAB gives them, "run.acc", "data{2}" or "run(2).acc",
+    counted from 1, and {name: what it is, what to do} of the rest. Raises ValueError for a broken
+    file. Error: TOO_LARGE."""
     from scipy.io import loadmat
 
     check(path.read_bytes(), path.name, largest)
@@ -40,15 +45,30 @@ def read_matlab(path: Path, largest: float) -> tuple[dict[str, np.ndarray], dict
         if isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim in (1, 2):
             arrays[name] = value
             return name
-        parts, what = [], "text" if isinstance(value, str) else f"{getattr(value, 'dtype', type(value).__name__)}, shape {np.shape(value)}"
+        parts, what = (
+            [],
+            "text"
+            if isinstance(value, str)
+            else f"{getattr(value, 'dtype', type(value).__name__)}, shape {np.shape(value)}",
+        )
         if fields := getattr(value, "_fieldnames", None):
             parts, what = [(f".{field}", getattr(value, field)) for field in fields], "a struct"
         elif isinstance(value, np.ndarray) and value.dtype == object:
-            structs = value.size > 0 and all(hasattr(x, "_fieldnames") for _, x in np.ndenumerate(value))
+            structs = value.size > 0 and all(
+                hasattr(x, "_fieldnames") for _, x in np.ndenumerate(value)
+            )
             (start, end), what = ("()", "a struct array") if structs else ("{}", "a cell array")
-            parts = [(start + ",".join(str(i + 1) for i in index) + end, x) for index, x in np.ndenumerate(value)]
+            parts = [
+                (start + ",".join(str(i + 1) for i in index) + end, x)
+                for index, x in np.ndenumerate(value)
+            ]
         first = next(filter(None, [walk(name + part, x) for part, x in parts]), None)
-        others[name] = what, f"Read an array in it, such as '{first}'." if first else "Save it as an array of real numbers."
+        others[name] = (
+            what,
+            f"Read an array in it, such as '{first}'."
+            if first
+            else "Save it as an array of real numbers.",
+        )
         return first
 
     for name, value in loadmat(path, squeeze_me=True, struct_as_record=False).items():
@@ -58,7 +78,8 @@ def read_matlab(path: Path, largest: float) -> tuple[dict[str, np.ndarray], dict
 
 
 def check(data: bytes, name: str, largest: float) -> None:
-    """Raise ValueError unless all elements of the file are complete and of the right type. Error: TOO_LARGE, for all numbers together."""
+    """Raise ValueError unless all elements of the file are complete and of the right type. Error:
+    TOO_LARGE, for all numbers together."""
     if len(data) < 136 or data[126:128] not in (b"IM", b"MI"):
         raise ValueError("no header of a MATLAB file of version 5 to 7")
     order = "<" if data[126:128] == b"IM" else ">"
@@ -101,7 +122,8 @@ def _elements(data: bytes, order: str, name: str, largest: float) -> list[tuple[
 
 
 def _check_matrix(content: bytes, order: str, depth: int, name: str, largest: float) -> int:
-    """Check flags, dimensions, name and the parts of a matrix; returns the memory that they take, in numbers of 8 bytes."""
+    """Check flags, dimensions, name and the parts of a matrix; returns the memory that they take,
+    in numbers of 8 bytes."""
     if not content:
         return ELEMENT  # an empty cell
     if depth > DEEPEST:
@@ -122,12 +144,19 @@ def _check_matrix(content: bytes, order: str, depth: int, name: str, largest: fl
             fields = len(parts[2 + names][1]) // width if width > 0 else 0
         if len(inner) != count * fields or {k for k, _ in inner} - {MATRIX}:
             raise ValueError("a struct or cell lacks some of its parts")
-        return ELEMENT + sum(_check_matrix(matrix, order, depth + 1, name, largest) for _, matrix in inner)
+        return ELEMENT + sum(
+            _check_matrix(matrix, order, depth + 1, name, largest) for _, matrix in inner
+        )
     elif kind in (CHARS, *range(6, 16)):
         allowed = NUMBERS | TEXT if kind == CHARS else NUMBERS
         if len(parts) != 4 + is_complex or not set(kinds[3:]) <= set(allowed):
             raise ValueError("an array lacks its numbers")
         return ELEMENT + sum(len(part) // allowed[kind] for kind, part in parts[3:])
     else:
-        what = {16: "a function handle", 17: "a table, timetable, datetime or string"}.get(kind, "an unknown object")
-        raise ValueError(f"an array is of class {kind}, {what}: save its numbers alone, dates as seconds(t - t(1))")
+        what = {16: "a function handle", 17: "a table, timetable, datetime or string"}.get(
+            kind, "an unknown object"
+        )
+        raise ValueError(
+            f"an array is of class {kind}, {what}: save its numbers alone, dates "
+            "as seconds(t - t(1))"
+        )

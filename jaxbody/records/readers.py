@@ -1,7 +1,9 @@
-"""Readers of measurement files by format: the requested columns, with the units and times that the file states.
+"""Readers of measurement files by format: the requested columns, with the units and times that the
+file states.
 
     .csv .txt .tsv .dat .asc, also .gz     a table of text
-    .lvm                                   a table of text with LabVIEW's headings, which state units and times
+    .lvm                                   a table of text with LabVIEW's headings, which state
+                                           units and times
     .parquet .pq                           pyarrow      unit in the field's metadata or the name
     .mat                                   scipy; h5py for version 7.3
     .h5 .hdf5                              h5py         unit in the attribute `unit` or `units`
@@ -10,8 +12,9 @@
     .mf4 .mdf                              asammdf      unit and times in the file
     .at2 .vt2 .dt2                         PEER ground motions
 
-Packages are imported when they are used; if one is missing, the message names it. Nothing is unpickled, no network is used, and only the
-file itself is read. The number of values is compared with the limit before they are read, because a small file can hold many.
+Packages are imported when they are used; if one is missing, the message names it. Nothing is
+unpickled, no network is used, and only the file itself is read. The number of values is compared
+with the limit before they are read, because a small file can hold many.
 """
 
 from __future__ import annotations
@@ -30,27 +33,45 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.core.source_files import check_size
 from jaxbody.records.labview_files import MAGIC, read_lvm
 from jaxbody.records.matlab_files import read_matlab
-from jaxbody.records.sources import Asked, Pick, along, check_numbers, column, find_name, kind_of, numeric, reader_errors, stated_number
+from jaxbody.records.sources import (
+    Asked,
+    Pick,
+    along,
+    check_numbers,
+    column,
+    find_name,
+    kind_of,
+    numeric,
+    reader_errors,
+    stated_number,
+)
 from jaxbody.records.text_tables import Column, Contents, read_text, split_unit
 from jaxbody.records.universal_files import read_uff
 
 MOST_INFLATED = 1032  # zlib's largest ratio of decompressed to compressed size
-INDEX, OF_MASTERS = 4, {2: "rad", 3: "m"}  # of MDF groups that are not over time: numbers of samples; angle, distance
+# of MDF groups that are not over time: numbers of samples; angle, distance
+INDEX, OF_MASTERS = 4, {2: "rad", 3: "m"}
 DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3  # HDF5's numbers of its filters
 
 
-def read_columns(path: Any, wanted: list[Asked], *, format: str | None = None, largest: float = 1e9, **text: Any) -> Contents:
+def read_columns(
+    path: Any, wanted: list[Asked], *, format: str | None = None, largest: float = 1e9, **text: Any
+) -> Contents:
     """The requested columns of a file, under the names of the request.
 
-    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA, UNREADABLE,
-    UNKNOWN_CHANNEL, NOT_A_NUMBER, EXTERNAL_DATA and those of text tables.
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT,
+    WRONG_FORMAT, MISSING_EXTRA, UNREADABLE, UNKNOWN_CHANNEL, NOT_A_NUMBER, EXTERNAL_DATA and
+    those of text tables.
     """
     path = Path(path)
     kind = kind_of(path, format, largest)
 
     def pick(names: list[str], *more: Any) -> dict[Asked, str]:
         with Problems() as problems:
-            chosen = {name: problems.gather(partial(find_name, name, names, path.name, *more)) for name in wanted}
+            chosen = {
+                name: problems.gather(partial(find_name, name, names, path.name, *more))
+                for name in wanted
+            }
         return chosen
 
     with reader_errors(path, kind):
@@ -66,7 +87,10 @@ def _text(path: Path, pick: Pick, largest: float, **options: Any) -> Contents:
     if data.startswith(MAGIC):
         return read_lvm(data, path.name, options["encoding"], pick)
     table = read_text(data, path.name, **options)
-    return Contents({asked: table.columns[name] for asked, name in pick(list(table.columns)).items()}, table.notes)
+    return Contents(
+        {asked: table.columns[name] for asked, name in pick(list(table.columns)).items()},
+        table.notes,
+    )
 
 
 def _parquet(path: Path, pick: Pick, largest: float) -> Contents:
@@ -75,14 +99,23 @@ def _parquet(path: Path, pick: Pick, largest: float) -> Contents:
     schema = file.schema_arrow
     names = pick(list(schema.names))
     for name in names.values():
-        if re.match(r"(dictionary<values=)?(u?int|half|float|double|bool|timestamp|date)", str(schema.field(name).type)) is None:
+        if (
+            re.match(
+                r"(dictionary<values=)?(u?int|half|float|double|bool|timestamp|date)",
+                str(schema.field(name).type),
+            )
+            is None
+        ):
             raise _no_number(path, name, schema.field(name).type)
     check_numbers(path.name, len(set(names.values())) * file.metadata.num_rows, largest)
     table = file.read(columns=list(dict.fromkeys(names.values())))
     columns = {}
     for asked, name in names.items():
         meta = schema.field(name).metadata or {}
-        unit = next((meta[key].decode("utf-8", "replace") for key in (b"unit", b"units") if key in meta), split_unit(name)[1])
+        unit = next(
+            (meta[key].decode("utf-8", "replace") for key in (b"unit", b"units") if key in meta),
+            split_unit(name)[1],
+        )
         columns[asked] = column(table.column(name).to_numpy(), name, path.name, unit)
     return Contents(columns)
 
@@ -93,7 +126,12 @@ def _mat(path: Path, pick: Pick, largest: float) -> Contents:
     if b"\x89HDF" in start:
         return _hdf5(path, pick, largest, transposed=True)
     arrays, others = read_matlab(path, largest)
-    return Contents({asked: column(arrays[name], name, path.name) for asked, name in pick(list(arrays), None, others).items()})
+    return Contents(
+        {
+            asked: column(arrays[name], name, path.name)
+            for asked, name in pick(list(arrays), None, others).items()
+        }
+    )
 
 
 def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> Contents:
@@ -108,54 +146,101 @@ def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> C
         if item.dtype.kind in "biuf" and item.ndim in (1, 2):
             (elsewhere if item.external or item.is_virtual else names).append(name)
         elif h5py.check_ref_dtype(item.dtype):
-            others[name] = "a cell or struct array of MATLAB 7.3", "Save it with -v7, or its parts as arrays of their own."
+            others[name] = (
+                "a cell or struct array of MATLAB 7.3",
+                "Save it with -v7, or its parts as arrays of their own.",
+            )
         else:
             others[name] = f"{item.dtype} of shape {item.shape}", "Read another dataset."
 
     columns = {}
     with h5py.File(path, "r") as file:
         file.visititems(note)
-        file.visititems_links(lambda name, link: elsewhere.append(name) if isinstance(link, h5py.ExternalLink) else None)
+        file.visititems_links(
+            lambda name, link: (
+                elsewhere.append(name) if isinstance(link, h5py.ExternalLink) else None
+            )
+        )
         chosen = pick([*names, *elsewhere], None, others)
         for name in elsewhere:
             if name in chosen.values():
                 hint = "Read that file, or copy all data into one with h5repack."
                 raise JaxbodyError(
-                    Problem("EXTERNAL_DATA", path.name, f"has '{name}' in another file", name, "data in the file itself", hint)
+                    Problem(
+                        "EXTERNAL_DATA",
+                        path.name,
+                        f"has '{name}' in another file",
+                        name,
+                        "data in the file itself",
+                        hint,
+                    )
                 )
-        sizes = [(file[name].size, np.prod(file[name].chunks or (0,), dtype=float)) for name in set(chosen.values())]
-        check_numbers(path.name, sum(size for size, _ in sizes) + max((chunk for _, chunk in sizes), default=0.0), largest)
+        sizes = [
+            (file[name].size, np.prod(file[name].chunks or (0,), dtype=float))
+            for name in set(chosen.values())
+        ]
+        check_numbers(
+            path.name,
+            sum(size for size, _ in sizes) + max((chunk for _, chunk in sizes), default=0.0),
+            largest,
+        )
         for name in set(chosen.values()):
             _check_chunks(path.name, file[name], largest)
         for asked, name in chosen.items():
             data = file[name]
-            unit = next((data.attrs[key] for key in ("unit", "units", "Unit", "Units") if key in data.attrs), None)
+            unit = next(
+                (
+                    data.attrs[key]
+                    for key in ("unit", "units", "Unit", "Units")
+                    if key in data.attrs
+                ),
+                None,
+            )
             values = numeric(data[()], name, path.name)
             if transposed and values.ndim == 2:
                 values = values.T[:, 0] if 1 in values.shape and values.shape[0] == 1 else values.T
                 values = values[0] if values.ndim == 2 and values.shape[0] == 1 else values
-            columns[asked] = Column(values, unit.decode() if isinstance(unit, bytes) else None if unit is None else str(unit))
+            columns[asked] = Column(
+                values,
+                unit.decode() if isinstance(unit, bytes) else None if unit is None else str(unit),
+            )
     return Contents(columns)
 
 
 def _check_chunks(where: str, data: Any, largest: float) -> None:
-    """Check that no chunk that could exceed the limit inflates beyond its stated size, which HDF5 notices too late."""
+    """Check that no chunk that could exceed the limit inflates beyond its stated size, which HDF5
+    notices too late."""
     plan = data.id.get_create_plist()
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
     most = MOST_INFLATED ** filters.count(DEFLATE)
-    stated = np.prod(data.chunks or (0,), dtype=float) * data.dtype.itemsize + 4 * len(filters)  # with Fletcher checksums
+    # with Fletcher checksums
+    stated = np.prod(data.chunks or (0,), dtype=float) * data.dtype.itemsize + 4 * len(filters)
     suspects: list[Any] = []
     if data.chunks and most > 1:
-        data.id.chunk_iter(lambda chunk: suspects.append(chunk.chunk_offset) if most * chunk.size > largest else None)
+        data.id.chunk_iter(
+            lambda chunk: (
+                suspects.append(chunk.chunk_offset) if most * chunk.size > largest else None
+            )
+        )
     for at in suspects:
         skipped, packed = data.id.read_direct_chunk(at)
         for i in reversed([i for i in range(len(filters)) if not skipped >> i & 1]):
             if filters[i] == DEFLATE:
                 packed = zlib.decompressobj().decompress(packed, int(stated) + 1)
                 if len(packed) > stated:
-                    message = f"has a chunk of '{data.name}' that inflates to more than the {stated:.4g} bytes stated for it"
+                    message = (
+                        f"has a chunk of '{data.name}' that inflates to more than the "
+                        f"{stated:.4g} bytes stated for it"
+                    )
                     raise JaxbodyError(
-                        Problem("TOO_LARGE", where, message, at, f"{stated:.4g} bytes", "It is damaged, or meant to exhaust the memory.")
+                        Problem(
+                            "TOO_LARGE",
+                            where,
+                            message,
+                            at,
+                            f"{stated:.4g} bytes",
+                            "It is damaged, or meant to exhaust the memory.",
+                        )
                     )
             elif filters[i] == FLETCHER:
                 packed = packed[:-4]
@@ -166,10 +251,18 @@ def _check_chunks(where: str, data: Any, largest: float) -> None:
 def _tdms(path: Path, pick: Pick, largest: float) -> Contents:
     nptdms = import_extra("nptdms", path.name)
     with nptdms.TdmsFile.open(path) as file:
-        channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
+        channels = {
+            f"{group.name}/{channel.name}": channel
+            for group in file.groups()
+            for channel in group.channels()
+        }
         columns, chosen = {}, pick(list(channels))
         starts = [channels[name].properties.get("wf_start_time") for name in chosen.values()]
-        starts = dict(zip(chosen, starts, strict=True)) if all(isinstance(start, np.datetime64) for start in starts) else {}
+        starts = (
+            dict(zip(chosen, starts, strict=True))
+            if all(isinstance(start, np.datetime64) for start in starts)
+            else {}
+        )
         for name in set(chosen.values()):
             if channels[name].dtype.kind not in "biufM":
                 raise _no_number(path, name, channels[name].dtype)
@@ -179,8 +272,14 @@ def _tdms(path: Path, pick: Pick, largest: float) -> Contents:
             if get("wf_increment"):
                 axis = get("wf_start_offset", 0.0) + get("wf_increment") * np.arange(len(channel))
                 times = along(axis, get("wf_xunit_string"), "s", f"{path.name}['{name}']")
-                times += (starts[asked] - min(starts.values())) / np.timedelta64(1, "s") if starts else 0.0
-            columns[asked] = column(channel[:], name, path.name, get("unit_string") or get("NI_UnitDescription"), times)
+                times += (
+                    (starts[asked] - min(starts.values())) / np.timedelta64(1, "s")
+                    if starts
+                    else 0.0
+                )
+            columns[asked] = column(
+                channel[:], name, path.name, get("unit_string") or get("NI_UnitDescription"), times
+            )
     return Contents(columns)
 
 
@@ -190,12 +289,17 @@ def _mdf(path: Path, pick: Pick, largest: float) -> Contents:
         places = {}
         for name, entries in file.channels_db.items():
             entries = [place for place in entries if file.masters_db.get(place[0]) != place[1]]
-            places |= {name if len(entries) == 1 else f"{name}#{place[0]}": place for place in entries}
+            places |= {
+                name if len(entries) == 1 else f"{name}#{place[0]}": place for place in entries
+            }
         columns, wanted = {}, pick(list(places))
         groups = [file.groups[places[name][0]].channel_group for name in set(wanted.values())]
         check_numbers(path.name, sum(2 * group.cycles_nr for group in groups), largest)
         check_size(
-            path.name, max((group.samples_byte_nr * group.cycles_nr for group in groups), default=0), largest, "bytes of samples in a group"
+            path.name,
+            max((group.samples_byte_nr * group.cycles_nr for group in groups), default=0),
+            largest,
+            "bytes of samples in a group",
         )
         for asked, name in wanted.items():
             group, index = places[name]
@@ -203,15 +307,19 @@ def _mdf(path: Path, pick: Pick, largest: float) -> Contents:
             times, kind, holder = None, signal.master_metadata[1], group
             if group not in file.masters_db:
                 holder = getattr(file.groups[group].channel_group, "cg_master_index", None)
-            if holder in file.masters_db and kind != INDEX:  # else the times that asammdf states are numbers of samples
-                axis = OF_MASTERS.get(kind) or file.get_channel_unit(group=holder, index=file.masters_db[holder])
+            # else the times that asammdf states are numbers of samples
+            if holder in file.masters_db and kind != INDEX:
+                axis = OF_MASTERS.get(kind) or file.get_channel_unit(
+                    group=holder, index=file.masters_db[holder]
+                )
                 times = along(signal.timestamps, axis, "s", f"{path.name}['{name}']")
             columns[asked] = column(signal.samples, name, path.name, signal.unit, times)
     return Contents(columns)
 
 
 def _peer(path: Path, pick: Pick, largest: float) -> Contents:
-    """A heading of four lines, with the unit in the third, number of samples and time step in the fourth; then the samples, row by row."""
+    """A heading of four lines, with the unit in the third, number of samples and time step in the
+    fourth; then the samples, row by row."""
     lines = path.read_text(encoding="latin-1").splitlines()
     heading = " ".join(lines[2:4]).upper()
     unit = re.search(r"UNITS OF\s+([A-Z/0-9]+)", heading)
@@ -223,23 +331,58 @@ def _peer(path: Path, pick: Pick, largest: float) -> Contents:
     )
     if unit is None or number is None or step is None:
         message = "lacks its heading: 'UNITS OF G' in line 3, 'NPTS= 4000, DT= .005 SEC' in line 4"
-        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, heading[:60], hint='If it is another table, give format="text".'))
+        raise JaxbodyError(
+            Problem(
+                "WRONG_FORMAT",
+                path.name,
+                message,
+                heading[:60],
+                hint='If it is another table, give format="text".',
+            )
+        )
     values, count = [], int(number[1])
     for i, line in enumerate(lines[4:], 5):
         try:
             values += [float(cell) for cell in line.split()]
         except ValueError:
             raise JaxbodyError(
-                Problem("BAD_LINE", f"{path.name}:{i}", f"is {line!r:.60}", i, "numbers", "Delete anything that is not a sample.")
+                Problem(
+                    "BAD_LINE",
+                    f"{path.name}:{i}",
+                    f"is {line!r:.60}",
+                    i,
+                    "numbers",
+                    "Delete anything that is not a sample.",
+                )
             ) from None
-    column = Column(stated_number(np.array(values), count, path.name), unit[1].lower(), float(step[1]) * np.arange(count))
+    column = Column(
+        stated_number(np.array(values), count, path.name),
+        unit[1].lower(),
+        float(step[1]) * np.arange(count),
+    )
     return Contents({asked: column for asked in pick(["motion"])})
 
 
 def _no_number(path: Path, name: str, kind: Any) -> JaxbodyError:
-    return JaxbodyError(Problem("NOT_A_NUMBER", path.name, f"'{name}' holds {kind}", kind, "numbers", "Read another channel."))
+    return JaxbodyError(
+        Problem(
+            "NOT_A_NUMBER",
+            path.name,
+            f"'{name}' holds {kind}",
+            kind,
+            "numbers",
+            "Read another channel.",
+        )
+    )
 
 
 READERS: dict[str, Callable[..., Contents]] = {
-    "text": _text, "parquet": _parquet, "mat": _mat, "hdf5": _hdf5, "uff": read_uff, "tdms": _tdms, "mdf": _mdf, "peer": _peer,
-}  # fmt: skip
+    "text": _text,
+    "parquet": _parquet,
+    "mat": _mat,
+    "hdf5": _hdf5,
+    "uff": read_uff,
+    "tdms": _tdms,
+    "mdf": _mdf,
+    "peer": _peer,
+}

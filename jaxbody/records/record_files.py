@@ -31,15 +31,19 @@ def read_record(
     footer: int = 0,
     **options: Any,
 ) -> Record:
-    """The Record in a file: CSV, LVM and other text tables (also .gz), Parquet, MATLAB, HDF5, UFF58, TDMS, MDF4, PEER AT2.
+    """The Record in a file: CSV, LVM and other text tables (also .gz), Parquet, MATLAB, HDF5,
+    UFF58, TDMS, MDF4, PEER AT2.
 
     Args:
         path: path of the file
-        channels: {name: columns} or {name: (columns, unit)}, with the name or number (from 0) of a column, or a list of them; "X[2]" is
-            column 2 (from 0) of an array X; "1+Z" in a UFF file is node 1 along Z; a unique id line is a name too; cells and structs of
-            MATLAB have the names that they have there, "data{2}", "run(2).acc"
-        time: a column or (column, unit); None: the times that LVM, UFF, TDMS, MDF and AT2 files state, or those of `rate=`
-        format: text, parquet, mat, hdf5, uff, tdms, mdf or peer; None: according to the extension of the file
+        channels: {name: columns} or {name: (columns, unit)}, with the name or number (from 0) of a
+            column, or a list of them; "X[2]" is column 2 (from 0) of an array X; "1+Z" in a UFF
+            file is node 1 along Z; a unique id line is a name too; cells and structs of MATLAB have
+            the names that they have there, "data{2}", "run(2).acc"
+        time: a column or (column, unit); None: the times that LVM, UFF, TDMS, MDF and AT2 files
+            state, or those of `rate=`
+        format: text, parquet, mat, hdf5, uff, tdms, mdf or peer; None: according to the extension
+            of the file
         largest: largest size of a file, and of the numbers read from it at 8 bytes each [bytes]
         encoding: encoding of text
         separator: separator between columns of text; None: that of the first line of numbers
@@ -48,13 +52,15 @@ def read_record(
         footer: number of lines to leave out at its end
         options: those of `Record`
 
-    Units come from the file ("acc [g]" or its own fields) or from you; if both state one, they must agree. The channel of an AT2 file is
-    called "motion".
+    Units come from the file ("acc [g]" or its own fields) or from you; if both state one, they must
+    agree. The channel of an AT2 file is called "motion".
 
-    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE (a pipe, a device), EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA,
-    UNREADABLE, UNKNOWN_CHANNEL, NOT_A_NUMBER, NOT_A_RECORD (not over time), EXTERNAL_DATA (HDF5 that points to other files);
-    TRUNCATED, RAGGED_LINE for other than the stated number of points; for text, with the line, ENCODING, NO_NUMBERS, BAD_LINE,
-    DECIMAL_COMMA; UNIT_CONFLICT, DIFFERENT_TIMES and those of `Record`. Warns TIME_UNIT also for an unknown unit of the file's times.
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE (a pipe, a device), EMPTY_FILE, TOO_LARGE,
+    UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA, UNREADABLE, UNKNOWN_CHANNEL, NOT_A_NUMBER,
+    NOT_A_RECORD (not over time), EXTERNAL_DATA (HDF5 that points to other files); TRUNCATED,
+    RAGGED_LINE for other than the stated number of points; for text, with the line, ENCODING,
+    NO_NUMBERS, BAD_LINE, DECIMAL_COMMA; UNIT_CONFLICT, DIFFERENT_TIMES and those of `Record`. Warns
+    TIME_UNIT also for an unknown unit of the file's times.
 
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.csv"
@@ -65,39 +71,90 @@ def read_record(
     name = str(getattr(path, "name", path))[-100:]
     with Problems() as problems:
         if not isinstance(channels, dict):
-            message, hint = f"is {channels!r:.60}", 'Write {"acc": ("ax", "m/s2")}: your own name, then column and unit.'
-            raise JaxbodyError(Problem("WRONG_KIND", "channels", message, channels, "a dict {name: column}", hint))
-        wanted = {key: _wanted(spec, f"channels['{key}']", problems) for key, spec in channels.items()}
+            message, hint = (
+                f"is {channels!r:.60}",
+                'Write {"acc": ("ax", "m/s2")}: your own name, then column and unit.',
+            )
+            raise JaxbodyError(
+                Problem("WRONG_KIND", "channels", message, channels, "a dict {name: column}", hint)
+            )
+        wanted = {
+            key: _wanted(spec, f"channels['{key}']", problems) for key, spec in channels.items()
+        }
         clock = None if time is None else _wanted(time, "time", problems)
         if not channels:
-            problems.add("NO_DATA", "channels", "is empty", limit="at least one", hint='Give channels={"acc": ("ax", "m/s2")}.')
-    stated = {f"{name}['{key}']": unit for key, (_, unit) in wanted.items()} | ({} if clock is None else {f"{name}.times": clock[1]})
+            problems.add(
+                "NO_DATA",
+                "channels",
+                "is empty",
+                limit="at least one",
+                hint='Give channels={"acc": ("ax", "m/s2")}.',
+            )
+    stated = {f"{name}['{key}']": unit for key, (_, unit) in wanted.items()} | (
+        {} if clock is None else {f"{name}.times": clock[1]}
+    )
     for where, unit in stated.items():
-        problems.gather(lambda unit=unit, where=where: None if unit is None else units.parse(unit, where))
-    asked = [column for columns, _ in (*wanted.values(), *([clock] if clock else [])) for column in columns]
-    text = {"encoding": encoding, "separator": separator, "decimal": decimal, "skip": skip, "footer": footer}
+        problems.gather(
+            lambda unit=unit, where=where: None if unit is None else units.parse(unit, where)
+        )
+    asked = [
+        column
+        for columns, _ in (*wanted.values(), *([clock] if clock else []))
+        for column in columns
+    ]
+    text = {
+        "encoding": encoding,
+        "separator": separator,
+        "decimal": decimal,
+        "skip": skip,
+        "footer": footer,
+    }
 
     def read(names: list[Asked]) -> Any:
-        return readers.read_columns(path, list(dict.fromkeys(names)), format=format, largest=largest, **text)
+        return readers.read_columns(
+            path, list(dict.fromkeys(names)), format=format, largest=largest, **text
+        )
 
     contents = problems.gather(lambda: read(asked))
     absent = {problem.value for problem in problems.collected if problem.code == "UNKNOWN_CHANNEL"}
     others = [column for column in asked if column not in absent]
     if absent and others:  # which may have problems too
         contents = problems.gather(lambda: read(others))
-        wanted = {key: (columns, unit) for key, (columns, unit) in wanted.items() if not absent & {*columns}}
+        wanted = {
+            key: (columns, unit)
+            for key, (columns, unit) in wanted.items()
+            if not absent & {*columns}
+        }
     if contents is None:
         raise JaxbodyError(*problems.collected)
     notes, without = list(contents.notes), clock is not None and bool(absent & {*clock[0]})
-    times, time_unit = (None, "s") if without else _clock(contents.columns, clock, options.get("rate"), name, problems, notes)
+    times, time_unit = (
+        (None, "s")
+        if without
+        else _clock(contents.columns, clock, options.get("rate"), name, problems, notes)
+    )
     given = {}
     for key, (columns, unit) in wanted.items():
         parts = [_part(contents.columns[column], column) for column in columns]
-        if len({len(part) for part in parts}) > 1 or (len(parts) > 1 and any(part.ndim > 1 for part in parts)):
+        if len({len(part) for part in parts}) > 1 or (
+            len(parts) > 1 and any(part.ndim > 1 for part in parts)
+        ):
             message = f"joins columns of shapes {[part.shape for part in parts]}"
-            problems.add("BAD_SHAPE", f"{name}['{key}']", message, limit="columns of one length", hint="Read them as separate channels.")
+            problems.add(
+                "BAD_SHAPE",
+                f"{name}['{key}']",
+                message,
+                limit="columns of one length",
+                hint="Read them as separate channels.",
+            )
             continue
-        agreed = agreed_unit(unit, {contents.columns[column].unit for column in columns}, f"{name}['{key}']", problems, notes)
+        agreed = agreed_unit(
+            unit,
+            {contents.columns[column].unit for column in columns},
+            f"{name}['{key}']",
+            problems,
+            notes,
+        )
         given[key] = (parts[0] if len(parts) == 1 else np.stack(parts, 1), agreed)
     problems.raise_if_any()
     record = Record(times, given, time_unit=time_unit, name=name, **options)
@@ -109,8 +166,18 @@ def _wanted(spec: Any, where: str, problems: Problems) -> tuple[list[Asked], str
     """Columns, and their unit where it is stated."""
     columns, unit = spec if isinstance(spec, tuple) and len(spec) == 2 else (spec, None)
     names = columns if isinstance(columns, list) else [columns]
-    if not names or not all(isinstance(name, str | int) for name in names) or not isinstance(unit, str | None):
-        problems.add("WRONG_KIND", where, f"is {spec!r:.60}", value=spec, limit='"ax", ("ax", "m/s2") or (["ax", "ay"], "m/s2")')
+    if (
+        not names
+        or not all(isinstance(name, str | int) for name in names)
+        or not isinstance(unit, str | None)
+    ):
+        problems.add(
+            "WRONG_KIND",
+            where,
+            f"is {spec!r:.60}",
+            value=spec,
+            limit='"ax", ("ax", "m/s2") or (["ax", "ay"], "m/s2")',
+        )
         return [], None
     return names, unit  # pyright: ignore[reportReturnType]  checked above
 
@@ -123,7 +190,14 @@ def _part(column: Column, asked: Asked) -> np.ndarray:
     if int(index[1]) >= column.values.shape[1]:
         message = f"has {column.values.shape[1]} columns"
         raise JaxbodyError(
-            Problem("UNKNOWN_CHANNEL", str(asked), message, asked, f"[0] to [{column.values.shape[1] - 1}]", "Columns count from 0.")
+            Problem(
+                "UNKNOWN_CHANNEL",
+                str(asked),
+                message,
+                asked,
+                f"[0] to [{column.values.shape[1] - 1}]",
+                "Columns count from 0.",
+            )
         )
     return column.values[:, int(index[1])]
 
@@ -136,7 +210,8 @@ def agreed_unit(
     notes: list[str],
     hint: str = 'State it: ("column", "m/s2"), or "1" for numbers without a unit.',
 ) -> str:
-    """The unit stated by the user, by the file, or by both in agreement. A unit in the file that is unknown is noted."""
+    """The unit stated by the user, by the file, or by both in agreement. A unit in the file that is
+    unknown is noted."""
     known = in_file - {None}
     if stated is None and (len(in_file) != 1 or not known):
         what = "no unit" if not known else f"different units {sorted(map(str, in_file))}"
@@ -152,25 +227,64 @@ def agreed_unit(
             continue
         ours = units.parse(stated, where)
         if (theirs.dimension, round(theirs.factor / ours.factor, 9)) != (ours.dimension, 1.0):
-            hint = "Leave the unit out to use that of the file, or give the numbers to Record with the correct unit."
-            problems.add("UNIT_CONFLICT", where, f"is in '{word}' in the file, not in '{stated}'", value=stated, limit=str(word), hint=hint)
+            hint = (
+                "Leave the unit out to use that of the file, or give the numbers to Record "
+                "with the correct unit."
+            )
+            problems.add(
+                "UNIT_CONFLICT",
+                where,
+                f"is in '{word}' in the file, not in '{stated}'",
+                value=stated,
+                limit=str(word),
+                hint=hint,
+            )
     return stated
 
 
-def _clock(columns: dict[Any, Column], clock: Any, rate: Any, name: str, problems: Problems, notes: list[str]) -> tuple[Any, str]:
+def _clock(
+    columns: dict[Any, Column],
+    clock: Any,
+    rate: Any,
+    name: str,
+    problems: Problems,
+    notes: list[str],
+) -> tuple[Any, str]:
     """Times and their unit: from a column, from the file, or None where a rate is given."""
     if clock is not None:
         column = columns[clock[0][0]]
-        return _part(column, clock[0][0]), agreed_unit(clock[1], {column.unit}, f"{name}.times", problems, notes)
+        return _part(column, clock[0][0]), agreed_unit(
+            clock[1], {column.unit}, f"{name}.times", problems, notes
+        )
     own = {key: column.times for key, column in columns.items() if column.times is not None}
     if own and len(own) == len(columns):
         first, times = next(iter(own.items()))
         for key, other in own.items():
-            if len(other) != len(times) or (np.abs(other - times) > SAME * np.abs(times[-1:] - times[:1]) / len(times)).any():
-                parts = [f"'{k}' {len(t)} samples from {min(t, default=0):.9g} s on" for k, t in ((first, times), (key, other))]
+            if (
+                len(other) != len(times)
+                or (
+                    np.abs(other - times) > SAME * np.abs(times[-1:] - times[:1]) / len(times)
+                ).any()
+            ):
+                parts = [
+                    f"'{k}' {len(t)} samples from {min(t, default=0):.9g} s on"
+                    for k, t in ((first, times), (key, other))
+                ]
                 hint = "Read them as separate records, with one experiment for each."
-                problems.add("DIFFERENT_TIMES", name, f"has of {' and of '.join(parts)}", limit="the same times", hint=hint)
+                problems.add(
+                    "DIFFERENT_TIMES",
+                    name,
+                    f"has of {' and of '.join(parts)}",
+                    limit="the same times",
+                    hint=hint,
+                )
         return times, "s"
     if rate is None:
-        problems.add("NO_TIME", name, "states no times", limit="time= or rate=", hint='Give time=("t", "s"), or rate= [Hz].')
+        problems.add(
+            "NO_TIME",
+            name,
+            "states no times",
+            limit="time= or rate=",
+            hint='Give time=("t", "s"), or rate= [Hz].',
+        )
     return None, "s"

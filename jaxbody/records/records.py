@@ -1,4 +1,5 @@
-"""Measured records: times and channels in SI units, checked and unchanged; repairs on request only."""
+"""Measured records: times and channels in SI units, checked and unchanged; repairs on
+request only."""
 
 from __future__ import annotations
 
@@ -17,29 +18,35 @@ from jaxbody.records.samplings import Sampling, check_sampling, check_values, sa
 class Record(Labeled, tables.Printed):
     """A measured record in SI units; it prints as a table.
 
-    `times` [s] (n,); `channels` {name: (n,) or (n, k)}, NaN where a sample is missing; `units` {name: SI unit}; `stated` {name: given
-    unit}; `sampling` (step, jitter, missing); `notes` on repairs. `record["acc"]` is a channel, `record.part(0, 2)` the part from 0 to 2 s.
+    `times` [s] (n,); `channels` {name: (n,) or (n, k)}, NaN where a sample is missing; `units`
+    {name: SI unit}; `stated` {name: given unit}; `sampling` (step, jitter, missing); `notes` on
+    repairs. `record["acc"]` is a channel, `record.part(0, 2)` the part from 0 to 2 s.
 
     Args:
         times: in `time_unit`; None: from `rate`, the first sample at 0
         channels: {name: (values, unit)}
         time_unit: unit of the times
-        rate: sampling rate [Hz]; times that are given too are moved to whole steps of it, by half a step and 0.1 % of the rate at most
+        rate: sampling rate [Hz]; times that are given too are moved to whole steps of it, by half a
+            step and 0.1 % of the rate at most
         highest: the highest frequency of interest [Hz], compared with the rate; None: no comparison
         irregular: accept jitter above 5 % of a step and more than 5 % of missing samples
         drop_duplicates: leave out rows that repeat the previous one
-        fill: "linear" or "spline", to fill gaps of up to `max_gap` samples, in a channel or of whole rows; None: gaps remain
+        fill: "linear" or "spline", to fill gaps of up to `max_gap` samples, in a channel or of
+            whole rows; None: gaps remain
         max_gap: longest gap that is filled [samples]
         drop: "all_nan" to leave out channels without a sample
         name: name of the record, in messages
 
     Repairs are made on request only, and are listed in the notes.
 
-    Errors, reported together: NO_DATA, NAN_TIME, UNSORTED_TIME, DUPLICATE_TIME, RATE_MISMATCH, JITTER, GAPS, NO_TIME, NO_UNIT,
-    UNKNOWN_UNIT, WRONG_DIMENSION, BAD_SHAPE, NON_FINITE, ALL_NAN, BAD_OPTION. Warns MISSING, DEAD, SATURATED,
-    UNIT (g for m/s2, degrees for radians), TIME_UNIT, LOW_RATE.
+    Errors, reported together: NO_DATA, NAN_TIME, UNSORTED_TIME, DUPLICATE_TIME, RATE_MISMATCH,
+    JITTER, GAPS, NO_TIME, NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, BAD_SHAPE, NON_FINITE,
+    ALL_NAN, BAD_OPTION. Warns MISSING, DEAD, SATURATED, UNIT (g for m/s2, degrees for radians),
+    TIME_UNIT, LOW_RATE.
 
-    >>> Record([0, 10, 20, 30], {"acc": ([0.1, 0.2, 0.0, -0.1], "g")}, time_unit="ms")["acc"].round(3).tolist()
+    >>> Record([0, 10, 20, 30], {"acc": ([0.1, 0.2, 0.0, -0.1], "g")}, time_unit="ms")["acc"].round(
+    ...     3
+    ... ).tolist()
     [0.981, 1.961, 0.0, -0.981]
     """
 
@@ -73,14 +80,32 @@ class Record(Labeled, tables.Printed):
             t = _times(times, time_unit, rate, given, name, problems)
         for key in [key for key, (x, _) in given.items() if len(x) != len(t)]:
             message, limit = f"has {len(given[key][0])} samples", f"{len(t)}, as many as times"
-            hint = "It looks transposed: give values.T." if given[key][0].shape[-1] == len(t) else "One row per time."
-            problems.add("BAD_SHAPE", f"{name}['{key}']", message, value=given[key][0].shape, limit=limit, hint=hint)
+            hint = (
+                "It looks transposed: give values.T."
+                if given[key][0].shape[-1] == len(t)
+                else "One row per time."
+            )
+            problems.add(
+                "BAD_SHAPE",
+                f"{name}['{key}']",
+                message,
+                value=given[key][0].shape,
+                limit=limit,
+                hint=hint,
+            )
         problems.raise_if_any()
         if drop_duplicates:
             t, given = without_duplicates(t, given, name, notes)
         if rate is not None and len(t) > 1 and (np.diff(t) > 0).all():
             t = at_rate(t, rate, f"{name}.times", problems, notes)
-        sampling = check_sampling(t, problems, f"{name}.times", irregular=irregular, highest=highest, dropped=drop_duplicates)
+        sampling = check_sampling(
+            t,
+            problems,
+            f"{name}.times",
+            irregular=irregular,
+            highest=highest,
+            dropped=drop_duplicates,
+        )
         for key, (x, unit) in given.items():
             check_values(x, unit, t, problems, f"{name}['{key}']", may_lack=drop is not None)
         problems.raise_if_any()
@@ -98,7 +123,13 @@ class Record(Labeled, tables.Printed):
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.channels:
             raise JaxbodyError(
-                Problem("UNKNOWN_CHANNEL", "Record", f"has no channel '{name}'", name, hint=f"It has: {', '.join(self.channels)}.")
+                Problem(
+                    "UNKNOWN_CHANNEL",
+                    "Record",
+                    f"has no channel '{name}'",
+                    name,
+                    hint=f"It has: {', '.join(self.channels)}.",
+                )
             )
         return self.channels[name]
 
@@ -110,10 +141,17 @@ class Record(Labeled, tables.Printed):
         inside = (self.times >= start) & (self.times <= stop)
         if inside.sum() < 2:
             message, limit = (
-                f"has {inside.sum()} samples from {time_text(start, self.times)} to {time_text(stop, self.times)} s",
+                (
+                    f"has {inside.sum()} samples from {time_text(start, self.times)} to "
+                    f"{time_text(stop, self.times)} s"
+                ),
                 self._span(),
             )
-            raise JaxbodyError(Problem("NO_DATA", "Record.part", message, (start, stop), limit, "Give a longer part."))
+            raise JaxbodyError(
+                Problem(
+                    "NO_DATA", "Record.part", message, (start, stop), limit, "Give a longer part."
+                )
+            )
         new = object.__new__(Record)
         new.times, new.sampling = self.times[inside], sampling_of(self.times[inside])
         new.channels = {name: x[inside] for name, x in self.channels.items()}
@@ -122,7 +160,10 @@ class Record(Labeled, tables.Printed):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset of the channels over time."""
-        axes = {name: ("time", *(f"{name}_component",) * (x.ndim - 1)) for name, x in self.channels.items()}
+        axes = {
+            name: ("time", *(f"{name}_component",) * (x.ndim - 1))
+            for name, x in self.channels.items()
+        }
         variables = {name: (axes[name], x, self.units[name]) for name, x in self.channels.items()}
         return dataset(variables, {"time": ("time", self.times, {"units": "s"})}, "record")
 
@@ -132,61 +173,131 @@ class Record(Labeled, tables.Printed):
             for k, column in enumerate(x.reshape(len(x), -1).T):
                 label = name + (f"[{k}]" if x.ndim == 2 else "")
                 gone = int(np.isnan(column).sum())
-                rows.append((label, self.units[name], self.stated[name], len(x) - gone, gone, np.nanmin(column), np.nanmax(column)))
+                rows.append(
+                    (
+                        label,
+                        self.units[name],
+                        self.stated[name],
+                        len(x) - gone,
+                        gone,
+                        np.nanmin(column),
+                        np.nanmax(column),
+                    )
+                )
         jitter = tables.percent(s.jitter / s.step)
-        note = f"{len(self.times)} times, {self._span()}: {s.rate:.6g} Hz, {f'jitter {jitter}, ' if jitter else ''}{s.missing} missing"
+        note = (
+            f"{len(self.times)} times, {self._span()}: {s.rate:.6g} Hz, "
+            f"{f'jitter {jitter}, ' if jitter else ''}{s.missing} missing"
+        )
         heads = ("channel", "unit", "stated in", "samples", "gaps", "least", "largest")
         return [tables.PrintedTable("Record", heads, rows, "\n".join([note, *self.notes]))]
 
 
 def _check_options(rate: Any, fill: Any, max_gap: Any, drop: Any, problems: Problems) -> None:
     for option, value, good, limit in (
-        ("rate", rate, rate is None or (isinstance(rate, int | float) and 0 < rate < np.inf), "Hz, > 0"),
+        (
+            "rate",
+            rate,
+            rate is None or (isinstance(rate, int | float) and 0 < rate < np.inf),
+            "Hz, > 0",
+        ),
         ("fill", fill, fill is None or fill in FILLS, " or ".join(FILLS)),
         ("max_gap", max_gap, isinstance(max_gap, int) and max_gap > 0, "a number of samples, > 0"),
         ("drop", drop, drop in (None, "all_nan"), '"all_nan"'),
     ):
         if not good:
             problems.add(
-                "BAD_OPTION", f"Record.{option}", f"is {value!r:.40}", value=value, limit=limit, hint="Give such a value, or leave it out."
+                "BAD_OPTION",
+                f"Record.{option}",
+                f"is {value!r:.40}",
+                value=value,
+                limit=limit,
+                hint="Give such a value, or leave it out.",
             )
 
 
-def _channels(channels: Any, name: str, problems: Problems) -> dict[str, tuple[np.ndarray, units.Unit]]:
+def _channels(
+    channels: Any, name: str, problems: Problems
+) -> dict[str, tuple[np.ndarray, units.Unit]]:
     given = {}
     if not isinstance(channels, dict) or not channels:
         hint = 'Give channels={"acc": (values, "m/s2")}.'
-        problems.add("NO_DATA", f"{name}.channels", "is empty or not a dict", value=channels, limit="at least one channel", hint=hint)
+        problems.add(
+            "NO_DATA",
+            f"{name}.channels",
+            "is empty or not a dict",
+            value=channels,
+            limit="at least one channel",
+            hint=hint,
+        )
         return given
     for key, pair in channels.items():
         where = f"{name}['{key}']"
         if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], str):
-            problems.add("NO_UNIT", where, "has no unit", limit='(values, "m/s2")', hint='State it, or "1" for numbers without a unit.')
+            problems.add(
+                "NO_UNIT",
+                where,
+                "has no unit",
+                limit='(values, "m/s2")',
+                hint='State it, or "1" for numbers without a unit.',
+            )
             continue
-        read = problems.gather(lambda pair=pair, where=where: (np.asarray(float_array(pair[0], where)), units.parse(pair[1], where)))
+        read = problems.gather(
+            lambda pair=pair, where=where: (
+                np.asarray(float_array(pair[0], where)),
+                units.parse(pair[1], where),
+            )
+        )
         if read is None:
             continue
         x, unit = read
         if x.ndim not in (1, 2) or x.size == 0:
             code = "NO_DATA" if x.size == 0 else "BAD_SHAPE"
-            problems.add(code, where, f"has shape {x.shape}", value=x.shape, limit="(n,) or (n, k)", hint="One row per time.")
+            problems.add(
+                code,
+                where,
+                f"has shape {x.shape}",
+                value=x.shape,
+                limit="(n,) or (n, k)",
+                hint="One row per time.",
+            )
             continue
         given[key] = (x, unit)
     return given
 
 
-def _times(times: Any, time_unit: str, rate: Any, given: dict[str, Any], name: str, problems: Problems) -> np.ndarray:
+def _times(
+    times: Any, time_unit: str, rate: Any, given: dict[str, Any], name: str, problems: Problems
+) -> np.ndarray:
     where = f"{name}.times"
     if times is None:
         if rate is None:
-            problems.add("NO_TIME", where, "are missing", limit="times or rate=", hint="Give one of them.")
+            problems.add(
+                "NO_TIME", where, "are missing", limit="times or rate=", hint="Give one of them."
+            )
         return np.arange(len(next(iter(given.values()))[0]) if given else 0) / (rate or 1.0)
-    read = problems.gather(lambda: (np.asarray(time_array(times, where)), units.parse(time_unit, where)))
+    read = problems.gather(
+        lambda: (np.asarray(time_array(times, where)), units.parse(time_unit, where))
+    )
     if read is None:
         return np.zeros(0)
     t, unit = read
     if unit.dimension != units.TIME:
-        problems.add("WRONG_DIMENSION", where, f"is in '{time_unit}'", value=time_unit, limit="s ms us min h", hint="Give a unit of time.")
+        problems.add(
+            "WRONG_DIMENSION",
+            where,
+            f"is in '{time_unit}'",
+            value=time_unit,
+            limit="s ms us min h",
+            hint="Give a unit of time.",
+        )
     if t.ndim != 1:
-        problems.add("BAD_SHAPE", where, f"has shape {t.shape}", value=t.shape, limit="(n,)", hint="Give one time per row.")
+        problems.add(
+            "BAD_SHAPE",
+            where,
+            f"has shape {t.shape}",
+            value=t.shape,
+            limit="(n,)",
+            hint="Give one time per row.",
+        )
     return t * unit.factor

@@ -1,4 +1,5 @@
-"""Repairs of records on request, each with a note: repeated rows, uneven times, empty channels, short gaps."""
+"""Repairs of records on request, each with a note: repeated rows, uneven times, empty channels,
+short gaps."""
 
 from __future__ import annotations
 
@@ -15,9 +16,11 @@ FILLS = ("linear", "spline")
 MISMATCH = 1e-3  # largest relative difference between a stated rate and that of the times
 
 
-def without_duplicates(t: np.ndarray, given: dict[str, Any], name: str, notes: list[str]) -> tuple[np.ndarray, dict[str, Any]]:
-    """Times and channels without rows that repeat the previous one in time and values; the check reports repeated times with other
-    values."""
+def without_duplicates(
+    t: np.ndarray, given: dict[str, Any], name: str, notes: list[str]
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Times and channels without rows that repeat the previous one in time and values; the check
+    reports repeated times with other values."""
     same = np.diff(t) == 0
     for x, _ in given.values():
         rows = x.reshape(len(x), -1)
@@ -25,19 +28,31 @@ def without_duplicates(t: np.ndarray, given: dict[str, Any], name: str, notes: l
     keep = np.concatenate([[True], ~same])
     if same.any():
         first = time_text(t[1:][same][0], t, 9)
-        notes.append(f"dropped {counted(int(same.sum()), 'row')} equal to the one before, the first at {first} s")
+        notes.append(
+            f"dropped {counted(int(same.sum()), 'row')} equal to the one before, "
+            f"the first at {first} s"
+        )
     return t[keep], {key: (x[keep], unit) for key, (x, unit) in given.items()}
 
 
-def at_rate(t: np.ndarray, rate: float, where: str, problems: Problems, notes: list[str]) -> np.ndarray:
-    """Increasing times, each moved to the nearest t_0 + k/rate. Error: RATE_MISMATCH where k is not that of its row and of missing ones."""
+def at_rate(
+    t: np.ndarray, rate: float, where: str, problems: Problems, notes: list[str]
+) -> np.ndarray:
+    """Increasing times, each moved to the nearest t_0 + k/rate. Error: RATE_MISMATCH where k is not
+    that of its row and of missing ones."""
     steps = np.round((t - t[0]) * rate)
     own = sampling_of(t).rate
     wrong = np.flatnonzero(np.diff(steps) != counts_of(t))
     if abs(rate / own - 1) > MISMATCH or len(wrong):
         message, limit = f"has {own:.6g} Hz, not the stated {rate:.6g} Hz", "0.1 %"
         if abs(rate / own - 1) <= MISMATCH:
-            message, limit = f"leaves the steps of the stated {rate:.6g} Hz at {time_text(t[wrong[0] + 1], t)} s", "half a step"
+            message, limit = (
+                (
+                    f"leaves the steps of the stated {rate:.6g} Hz at "
+                    f"{time_text(t[wrong[0] + 1], t)} s"
+                ),
+                "half a step",
+            )
         hint = "Leave out rate= to use the times, or leave out the times to use the rate."
         problems.add("RATE_MISMATCH", where, message, value=own, limit=limit, hint=hint)
         return t
@@ -51,36 +66,63 @@ def without_empty(given: dict[str, Any], notes: list[str], name: str) -> dict[st
     """The channels that have samples. Error: NO_DATA where none has."""
     empty = [key for key, (x, _) in given.items() if np.isnan(x.reshape(len(x), -1)).all(0).any()]
     if len(empty) == len(given):
-        raise JaxbodyError(Problem("NO_DATA", name, "has no channel with samples", empty, "at least one", "Was an instrument connected?"))
+        raise JaxbodyError(
+            Problem(
+                "NO_DATA",
+                name,
+                "has no channel with samples",
+                empty,
+                "at least one",
+                "Was an instrument connected?",
+            )
+        )
     notes += [f"dropped channel '{key}', which has no sample" for key in empty]
     return {key: pair for key, pair in given.items() if key not in empty}
 
 
-def filled(t: np.ndarray, given: dict[str, Any], fill: str, max_gap: int, notes: list[str]) -> tuple[np.ndarray, dict[str, Any]]:
-    """Times and channels in which gaps of up to `max_gap` rows, or samples of one channel, are filled; longer gaps remain."""
+def filled(
+    t: np.ndarray, given: dict[str, Any], fill: str, max_gap: int, notes: list[str]
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Times and channels in which gaps of up to `max_gap` rows, or samples of one channel, are
+    filled; longer gaps remain."""
     from scipy.interpolate import CubicSpline
 
     counts = counts_of(t).astype(int)
     fits = (counts > 1) & (counts <= max_gap + 1)
-    added = [t[i] + (t[i + 1] - t[i]) * np.arange(1, counts[i]) / counts[i] for i in np.flatnonzero(fits)]
+    added = [
+        t[i] + (t[i + 1] - t[i]) * np.arange(1, counts[i]) / counts[i] for i in np.flatnonzero(fits)
+    ]
     places = np.repeat(np.flatnonzero(fits) + 1, counts[fits] - 1)
     new = np.insert(t, places, np.concatenate(added)) if added else t
     if added:
-        notes.append(f"inserted {counted(len(places), 'row')} that {'was' if len(places) == 1 else 'were'} missing")
+        notes.append(
+            f"inserted {counted(len(places), 'row')} that "
+            f"{'was' if len(places) == 1 else 'were'} missing"
+        )
     out = {}
     for key, (x, unit) in given.items():
         rows = np.insert(x.reshape(len(x), -1), places, np.nan, axis=0)
         for k, column in enumerate(rows.T):
             gone = np.isnan(column)
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], gone.astype(int), [0]]))).reshape(-1, 2)
-            short = [np.arange(i, j) for i, j in edges if j - i <= max_gap and i > 0 and j < len(column)]
+            edges = np.flatnonzero(np.diff(np.concatenate([[0], gone.astype(int), [0]]))).reshape(
+                -1, 2
+            )
+            short = [
+                np.arange(i, j) for i, j in edges if j - i <= max_gap and i > 0 and j < len(column)
+            ]
             if not short or (~gone).sum() < 4:
                 continue
             at = np.concatenate(short)
             between = (
-                CubicSpline(new[~gone], column[~gone]) if fill == "spline" else lambda s, c=column, g=gone: np.interp(s, new[~g], c[~g])
+                CubicSpline(new[~gone], column[~gone])
+                if fill == "spline"
+                else lambda s, c=column, g=gone: np.interp(s, new[~g], c[~g])
             )
             rows[at, k] = between(new[at])
-            notes.append(f"filled {counted(len(at), 'sample')} of '{key}'" + (f"[{k}]" if x.ndim == 2 else "") + f" by {fill}")
+            notes.append(
+                f"filled {counted(len(at), 'sample')} of '{key}'"
+                + (f"[{k}]" if x.ndim == 2 else "")
+                + f" by {fill}"
+            )
         out[key] = (rows.reshape(len(new), *x.shape[1:]), unit)
     return new, out

@@ -1,4 +1,5 @@
-"""Checks of the sampling and the samples of a record: rate, jitter, gaps, dead and saturated channels, likely wrong units."""
+"""Checks of the sampling and the samples of a record: rate, jitter, gaps, dead and saturated
+channels, likely wrong units."""
 
 from __future__ import annotations
 
@@ -12,7 +13,9 @@ from jaxbody.core.arrays import check_times, checked, concrete, float_array, tim
 from jaxbody.core.errors import Problems, warn
 
 EQUAL = 1e-6  # largest difference between equal steps, relative to them
-COARSEST = 1 / 3  # largest ratio of the last digit of times to their step: above one half, a missing time would not show
+# largest ratio of the last digit of times to their step: above one half, a missing time would
+# not show
+COARSEST = 1 / 3
 IRREGULAR = 0.05  # largest ratio of jitter to step, and of missing to all samples
 MANY_MISSING = 0.2
 AT_THE_RAILS = 0.01  # ratio of samples at the largest or smallest number to all
@@ -22,7 +25,8 @@ USUAL_RATES = (2.0, 1e7)  # Hz
 
 @dataclass(frozen=True)
 class Sampling:
-    """Mean step between neighbors [s], rms deviation of the steps from whole multiples of it [s], and number of missing samples."""
+    """Mean step between neighbors [s], rms deviation of the steps from whole multiples of it [s],
+    and number of missing samples."""
 
     step: float
     jitter: float
@@ -48,40 +52,67 @@ def sampling_of(times: np.ndarray) -> Sampling:
 
 
 def resolutions(times: np.ndarray) -> list[float]:
-    """What numbers as these can tell apart [s]: their last decimal, 0.001 where all are whole milliseconds; the distance between two
-    floating-point numbers, of 32 bits where all are such."""
+    """What numbers as these can tell apart [s]: their last decimal, 0.001 where all are whole
+    milliseconds; the distance between two floating-point numbers, of 32 bits where all are such."""
     largest = np.abs(times).max()
-    decimals = (10.0**-k for k in range(16) if np.abs(times * 10.0**k - np.round(times * 10.0**k)).max() < 1e-15 * largest * 10.0**k)
-    floats = [np.spacing(largest), *([np.spacing(np.float32(largest))] if (times == times.astype(np.float32)).all() else [])]
+    decimals = (
+        10.0**-k
+        for k in range(16)
+        if np.abs(times * 10.0**k - np.round(times * 10.0**k)).max() < 1e-15 * largest * 10.0**k
+    )
+    floats = [
+        np.spacing(largest),
+        *([np.spacing(np.float32(largest))] if (times == times.astype(np.float32)).all() else []),
+    ]
     return [float(x) for x in (*floats, next(decimals, 0.0))]
 
 
 def evenly_spaced(times: np.ndarray) -> bool:
-    """Whether increasing times have equal steps, or are those of equal steps when these are rounded to what the numbers can tell apart."""
+    """Whether increasing times have equal steps, or are those of equal steps when these are rounded
+    to what the numbers can tell apart."""
     step = (times[-1] - times[0]) / (len(times) - 1)
     far = np.abs(times - times[0] - step * np.arange(len(times))).max()
-    rounded = any(far <= digit * (1 + EQUAL) for digit in resolutions(times) if digit <= COARSEST * step)
+    rounded = any(
+        far <= digit * (1 + EQUAL) for digit in resolutions(times) if digit <= COARSEST * step
+    )
     return bool(rounded or np.ptp(np.diff(times)) <= EQUAL * step)
 
 
-def even_samples(times: Any, values: Any, where: tuple[str, str], problems: Problems) -> tuple[Any, Any]:
-    """Values, one for each of evenly spaced times, and the step between these [s]; None and 1 where they are not, with a problem added.
-    Errors: those of times, NOT_UNIFORM, BAD_SHAPE, NON_FINITE."""
+def even_samples(
+    times: Any, values: Any, where: tuple[str, str], problems: Problems
+) -> tuple[Any, Any]:
+    """Values, one for each of evenly spaced times, and the step between these [s]; None and
+    1 where they are not, with a problem added. Errors: those of times, NOT_UNIFORM,
+    BAD_SHAPE, NON_FINITE."""
     t = check_times(times, problems, where[0], minimum=2, kept=True)
     known = None if t is None else concrete(t)
     if known is not None and not evenly_spaced(known):
         steps = np.diff(known)
         message = f"has steps from {steps.min():.6g} to {steps.max():.6g} s"
-        hint = "Read the record with rate= if it was sampled evenly, with fill= if samples are missing; or interpolate it at even times, "
+        hint = (
+            "Read the record with rate= if it was sampled evenly, with fill= if samples are "
+            "missing; or interpolate it at even times, "
+        )
         hint += "scipy.interpolate.CubicSpline(times, values)(even)."
         problems.add("NOT_UNIFORM", where[0], message, value=steps, limit="equal steps", hint=hint)
     if t is None:
         return problems.gather(lambda: float_array(values, where[1])), 1.0
-    return checked(values, (t.shape,), where[1], problems, "One value for each time."), (t[-1] - t[0]) / (len(t) - 1)
+    return checked(values, (t.shape,), where[1], problems, "One value for each time."), (
+        t[-1] - t[0]
+    ) / (len(t) - 1)
 
 
-def check_sampling(times: Any, problems: Problems, where: str, *, irregular: bool, highest: float | None, dropped: bool) -> Sampling | None:
-    """Check times and their sampling. Errors: those of times, JITTER, GAPS; warns TIME_UNIT, LOW_RATE."""
+def check_sampling(
+    times: Any,
+    problems: Problems,
+    where: str,
+    *,
+    irregular: bool,
+    highest: float | None,
+    dropped: bool,
+) -> Sampling | None:
+    """Check times and their sampling. Errors: those of times, JITTER, GAPS; warns
+    TIME_UNIT, LOW_RATE."""
     known = check_times(times, problems, where, minimum=2, kept=True)
     if known is None:
         if problems.collected[-1].code == "DUPLICATE_TIME":
@@ -93,7 +124,10 @@ def check_sampling(times: Any, problems: Problems, where: str, *, irregular: boo
             problems.collected[-1] = replace(problems.collected[-1], hint=hint)
         return None
     s = sampling_of(np.asarray(known))
-    message = f"jitters by {100 * s.jitter / s.step:.2g} % of a step (rms), {s.missing} of {len(known) + s.missing} samples missing"
+    message = (
+        f"jitters by {100 * s.jitter / s.step:.2g} % of a step (rms), {s.missing} of "
+        f"{len(known) + s.missing} samples missing"
+    )
     hint = "Give rate= if it was sampled evenly, irregular=True if the times are correct."
     if not irregular and s.jitter > IRREGULAR * s.step:
         problems.add("JITTER", where, message, value=s.jitter / s.step, limit="5 %", hint=hint)
@@ -103,24 +137,55 @@ def check_sampling(times: Any, problems: Problems, where: str, *, irregular: boo
         unit = "milliseconds or microseconds" if s.rate < 1 else "milliseconds"
         unit = unit if s.rate < USUAL_RATES[0] else "seconds"
         span = f"{time_text(known[0], known)} to {time_text(known[-1], known)} s"
-        warn("TIME_UNIT", f"{where}: {len(known)} samples from {span} give {s.rate:.4g} Hz; are they in {unit}?")
+        warn(
+            "TIME_UNIT",
+            f"{where}: {len(known)} samples from {span} give {s.rate:.4g} Hz; are they in {unit}?",
+        )
     if highest is not None and s.rate < 10 * highest:
-        bad = "too few samples for a spectrum" if s.rate < 2.5 * highest else "few samples for a spline and its derivatives (10 per period)"
-        warn("LOW_RATE", f"{where}: {s.rate:.4g} Hz for frequencies up to {highest:.4g} Hz gives {bad}")
+        bad = (
+            "too few samples for a spectrum"
+            if s.rate < 2.5 * highest
+            else "few samples for a spline and its derivatives (10 per period)"
+        )
+        warn(
+            "LOW_RATE",
+            f"{where}: {s.rate:.4g} Hz for frequencies up to {highest:.4g} Hz gives {bad}",
+        )
     return s
 
 
-def check_values(values: np.ndarray, unit: units.Unit, times: np.ndarray, problems: Problems, where: str, *, may_lack: bool) -> None:
-    """Check the values (n,) or (n, k) of one channel in its own unit. Errors: NON_FINITE, ALL_NAN; warns MISSING, DEAD, SATURATED, UNIT."""
+def check_values(
+    values: np.ndarray,
+    unit: units.Unit,
+    times: np.ndarray,
+    problems: Problems,
+    where: str,
+    *,
+    may_lack: bool,
+) -> None:
+    """Check the values (n,) or (n, k) of one channel in its own unit. Errors: NON_FINITE, ALL_NAN;
+    warns MISSING, DEAD, SATURATED, UNIT."""
     if np.isinf(values).any():
         i = int(np.argwhere(np.isinf(values))[0][0])
-        problems.add("NON_FINITE", where, f"is {values[i]} at index {i}", value=i, limit="finite, or NaN where a sample is missing")
+        problems.add(
+            "NON_FINITE",
+            where,
+            f"is {values[i]} at index {i}",
+            value=i,
+            limit="finite, or NaN where a sample is missing",
+        )
         return
     rows = values.reshape(len(values), -1)
     for k, lacking in enumerate(np.isnan(rows).mean(0)):
         name = where + (f"[{k}]" if values.ndim == 2 else "")
         if lacking == 1 and not may_lack:
-            problems.add("ALL_NAN", name, "has no samples", value=k, hint='Leave it out; drop="all_nan" leaves out all such channels.')
+            problems.add(
+                "ALL_NAN",
+                name,
+                "has no samples",
+                value=k,
+                hint='Leave it out; drop="all_nan" leaves out all such channels.',
+            )
         elif MANY_MISSING < lacking < 1:
             warn("MISSING", f"{name} lacks {100 * lacking:.0f} % of its samples")
     warn_of_rails(rows, times, where, unit.text)
@@ -128,29 +193,42 @@ def check_values(values: np.ndarray, unit: units.Unit, times: np.ndarray, proble
 
 
 def warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -> None:
-    """Warn DEAD for a channel that does not change, SATURATED for one that stays at its largest or smallest number."""
+    """Warn DEAD for a channel that does not change, SATURATED for one that stays at its largest or
+    smallest number."""
     for k, x in enumerate(rows.T):
         name = where + (f"[{k}]" if rows.shape[1] > 1 else "")
         here = x[np.isfinite(x)]
         if len(here) > 2 and here.min() == here.max():
-            warn("DEAD", f"{name} is {here[0]:.6g} {unit} throughout, {time_text(times[0], times)} to {time_text(times[-1], times)} s")
+            warn(
+                "DEAD",
+                f"{name} is {here[0]:.6g} {unit} throughout, {time_text(times[0], times)} to "
+                f"{time_text(times[-1], times)} s",
+            )
         elif len(here):
             _warn_of_rails(x, unit, times, name)
 
 
 def _warn_of_rails(x: np.ndarray, unit: str, times: np.ndarray, where: str) -> None:
     for rail in (np.nanmax(x), np.nanmin(x)):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], (x == rail).astype(int), [0]]))).reshape(-1, 2)
+        edges = np.flatnonzero(
+            np.diff(np.concatenate([[0], (x == rail).astype(int), [0]]))
+        ).reshape(-1, 2)
         runs = [(i, j) for i, j in edges.tolist() if j - i >= RUN and not _turns(x, i, j)]
         if (count := sum(j - i for i, j in runs)) > AT_THE_RAILS * len(x):
-            some = [f"{time_text(times[i], times)} to {time_text(times[j - 1], times)} s" for i, j in runs[:3]]
+            some = [
+                f"{time_text(times[i], times)} to {time_text(times[j - 1], times)} s"
+                for i, j in runs[:3]
+            ]
             when = ", ".join(some) + (", ..." if len(runs) > 3 else "")
-            warn("SATURATED", f"{where} stays at {rail:.6g} {unit} for {count} of {len(x)} samples: {when}")
+            warn(
+                "SATURATED",
+                f"{where} stays at {rail:.6g} {unit} for {count} of {len(x)} samples: {when}",
+            )
 
 
 def _turns(x: np.ndarray, i: int, j: int) -> bool:
-    """Whether equal samples x[i:j] are the peak of a motion with rounded values: a parabola through two samples on either side exceeds them
-    by no more than rounding."""
+    """Whether equal samples x[i:j] are the peak of a motion with rounded values: a parabola through
+    two samples on either side exceeds them by no more than rounding."""
     beside = [k for k in (i - 2, i - 1, j, j + 1) if 0 <= k < len(x) and np.isfinite(x[k])]
     if len(beside) < 4:
         return False

@@ -1,4 +1,5 @@
-"""Measurement files: their format, names of channels, numbers of data sets, and errors of readers."""
+"""Measurement files: their format, names of channels, numbers of data sets, and errors
+of readers."""
 
 from __future__ import annotations
 
@@ -16,105 +17,201 @@ from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.source_files import check_file, check_size
 from jaxbody.records.text_tables import Column, split_unit
 
-AXES = {  # dimensions that the axis of a record or response may have, with their factors, and units that some programs write in capitals
+# dimensions that the axis of a record or response may have, with their factors, and units that some
+# programs write in capitals
+AXES = {
     "s": ({units.TIME: 1.0}, ("s", "ms", "us")),
     "Hz": ({units.RATE: 1.0, units.ANGULAR_RATE: 1 / units.TURN}, ("Hz", "kHz")),
 }
 Asked = str | int  # a name or its number
-Pick = Callable[..., dict[Asked, str]]  # from all names in the file and their aliases: {requested name: name in the file}
+# from all names in the file and their aliases: {requested name: name in the file}
+Pick = Callable[..., dict[Asked, str]]
 MAGIC = {
     b"\x89HDF": "hdf5", b"PAR1": "parquet", b"TDSm": "tdms", b"MDF ": "mdf", b"MATLAB": "mat",
     b"PK\x03\x04": "zip or xlsx", b"\x1f\x8b": "gzip",
 }  # fmt: skip
 SUFFIXES = {
-    "text": ".csv .txt .tsv .dat .asc .lvm", "parquet": ".parquet .pq", "mat": ".mat", "hdf5": ".h5 .hdf5 .hdf", "uff": ".uff .unv .uf",
-    "tdms": ".tdms", "mdf": ".mf4 .mdf", "peer": ".at2 .vt2 .dt2",
-}  # fmt: skip
+    "text": ".csv .txt .tsv .dat .asc .lvm",
+    "parquet": ".parquet .pq",
+    "mat": ".mat",
+    "hdf5": ".h5 .hdf5 .hdf",
+    "uff": ".uff .unv .uf",
+    "tdms": ".tdms",
+    "mdf": ".mf4 .mdf",
+    "peer": ".at2 .vt2 .dt2",
+}
 
 
 def kind_of(path: Path, format: str | None, largest: float) -> str:
-    """The format of an existing file, by its suffix or as stated, checked against its first bytes."""
+    """The format of an existing file, by its suffix or as stated, checked against its
+    first bytes."""
     if format is not None and format not in SUFFIXES:
-        raise JaxbodyError(Problem("UNKNOWN_FORMAT", "format", f"is {format!r}", format, " ".join(SUFFIXES), "Give one of these."))
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_FORMAT",
+                "format",
+                f"is {format!r}",
+                format,
+                " ".join(SUFFIXES),
+                "Give one of these.",
+            )
+        )
     check_file(path, largest)
     with path.open("rb") as file:
         start = file.read(8)
     suffixes = [suffix.lower() for suffix in path.suffixes]
-    suffix = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else suffixes[-1] if suffixes else ""
-    kind = format or next((kind for kind, known in SUFFIXES.items() if suffix in known.split()), None)
+    suffix = (
+        suffixes[-2]
+        if suffixes[-1:] == [".gz"] and len(suffixes) > 1
+        else suffixes[-1]
+        if suffixes
+        else ""
+    )
+    kind = format or next(
+        (kind for kind, known in SUFFIXES.items() if suffix in known.split()), None
+    )
     if kind is None:
         hint = f'If you know the format, give format="text", or another of {" ".join(SUFFIXES)}.'
-        raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the extension '{suffix}'", suffix, " ".join(SUFFIXES.values()), hint))
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_FORMAT",
+                path.name,
+                f"has the extension '{suffix}'",
+                suffix,
+                " ".join(SUFFIXES.values()),
+                hint,
+            )
+        )
     content = next((word for magic, word in MAGIC.items() if start.startswith(magic)), None)
     expected = {
-        "text": {None, "gzip"} if suffixes[-1:] == [".gz"] else {None}, "uff": {None}, "peer": {None}, "mat": {"mat", "hdf5", None},
-    }.get(kind, {kind})  # fmt: skip
+        "text": {None, "gzip"} if suffixes[-1:] == [".gz"] else {None},
+        "uff": {None},
+        "peer": {None},
+        "mat": {"mat", "hdf5", None},
+    }.get(kind, {kind})
     if content not in expected:
         message = f"is read as {kind}, but begins like {content or 'something else'}"
-        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, start, hint='Check the extension, or give format="...".'))
+        raise JaxbodyError(
+            Problem(
+                "WRONG_FORMAT",
+                path.name,
+                message,
+                start,
+                hint='Check the extension, or give format="...".',
+            )
+        )
     return kind
 
 
 def check_numbers(name: str, count: float, largest: float) -> None:
-    """Check that `count` numbers, which are to be read, take at most `largest` bytes. Error: TOO_LARGE."""
+    """Check that `count` numbers, which are to be read, take at most `largest` bytes.
+    Error: TOO_LARGE."""
     check_size(name, 8.0 * count, largest, f"bytes of numbers ({count:.4g})")
 
 
 def find_name(
-    asked: str | int, names: list[str], where: str, aliases: list[str] | None = None, others: dict[str, tuple[str, str]] | None = None
+    asked: str | int,
+    names: list[str],
+    where: str,
+    aliases: list[str] | None = None,
+    others: dict[str, tuple[str, str]] | None = None,
 ) -> str:
-    """The name of the requested channel in the file, or its alias. A name matches in full, without its unit, or without an index such as
-    [2]; a number is the index of a name, from 0. `others` are {name: what it is, what to do} of those that are no arrays of numbers.
-    Errors: UNKNOWN_CHANNEL, NOT_A_NUMBER."""
+    """The name of the requested channel in the file, or its alias. A name matches in full, without
+    its unit, or without an index such as [2]; a number is the index of a name, from 0. `others`
+    are {name: what it is, what to do} of those that are no arrays of numbers. Errors:
+    UNKNOWN_CHANNEL, NOT_A_NUMBER."""
     if isinstance(asked, int):
         if 0 <= asked < len(names):
             return names[asked]
         message = f"has no channel of number {asked}: it has {len(names)}, counted from 0"
-        raise JaxbodyError(Problem("UNKNOWN_CHANNEL", where, message, asked, f"0 to {len(names) - 1}", _shown(names)))
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_CHANNEL", where, message, asked, f"0 to {len(names) - 1}", _shown(names)
+            )
+        )
     names = [*names, *(aliases or ())]
     for name in (str(asked), re.sub(r"\[\d+\]$", "", str(asked))):
-        matches = [known for known in names if known == name] or [known for known in names if split_unit(known)[0] == split_unit(name)[0]]
+        matches = [known for known in names if known == name] or [
+            known for known in names if split_unit(known)[0] == split_unit(name)[0]
+        ]
         if len(matches) == 1:
             return matches[0]
     if others and asked in others:
         what, hint = others[str(asked)]
-        raise JaxbodyError(Problem("NOT_A_NUMBER", where, f"'{asked}' is {what}", asked, "numbers, (n,) or (n, k)", hint))
+        raise JaxbodyError(
+            Problem(
+                "NOT_A_NUMBER",
+                where,
+                f"'{asked}' is {what}",
+                asked,
+                "numbers, (n,) or (n, k)",
+                hint,
+            )
+        )
     near = difflib.get_close_matches(str(asked), names, 3, 0.5)
     hint = (f"Did you mean {' or '.join(near)}? " if near else "") + _shown(names)
-    raise JaxbodyError(Problem("UNKNOWN_CHANNEL", where, f"has no channel '{asked}'", asked, hint=hint))
+    raise JaxbodyError(
+        Problem("UNKNOWN_CHANNEL", where, f"has no channel '{asked}'", asked, hint=hint)
+    )
 
 
 def along(x: Any, unit: str | None, si: str, where: str) -> np.ndarray:
-    """Times (`si` "s") or frequencies ("Hz") in SI, from an axis in the unit that the file states for it, in SI without one. Errors:
-    NOT_A_RECORD, NOT_A_RESPONSE for an axis of something else. Warns TIME_UNIT, UNIT for an unknown unit."""
+    """Times (`si` "s") or frequencies ("Hz") in SI, from an axis in the unit that the file states
+    for it, in SI without one. Errors: NOT_A_RECORD, NOT_A_RESPONSE for an axis of something else.
+    Warns TIME_UNIT, UNIT for an unknown unit."""
     dimensions, usual = AXES[si]
     known = next((name for name in usual if name.lower() == str(unit).lower()), unit)
     if not known or not units.is_unit(known):
         if known:
             warn(
-                "TIME_UNIT" if si == "s" else "UNIT", f"{where} states '{unit:.40}' as the unit of its axis, which is unknown: read as {si}"
+                "TIME_UNIT" if si == "s" else "UNIT",
+                f"{where} states '{unit:.40}' as the unit of its axis, which is "
+                f"unknown: read as {si}",
             )
         return np.asarray(x, float)
     read = units.parse(known, where)
     if read.dimension not in dimensions:
-        of, code, other = ("time", "NOT_A_RECORD", "record") if si == "s" else ("frequency", "NOT_A_RESPONSE", "response")
-        message, hint = f"is over '{unit}', not over {of}", f"Read another channel, or export it as a {other} over {of}."
+        of, code, other = (
+            ("time", "NOT_A_RECORD", "record")
+            if si == "s"
+            else ("frequency", "NOT_A_RESPONSE", "response")
+        )
+        message, hint = (
+            f"is over '{unit}', not over {of}",
+            f"Read another channel, or export it as a {other} over {of}.",
+        )
         raise JaxbodyError(Problem(code, where, message, unit, f"{' '.join(usual)} ...", hint))
     return np.asarray(x, float) * (read.factor * dimensions[read.dimension])
 
 
 def stated_number(values: np.ndarray, stated: int, where: str) -> np.ndarray:
-    """The values whose number the heading states; zeros after them fill up a line. Errors: TRUNCATED, RAGGED_LINE."""
+    """The values whose number the heading states; zeros after them fill up a line. Errors:
+    TRUNCATED, RAGGED_LINE."""
     if 0 <= stated <= len(values) and not np.any(values[stated:]):
         return values[:stated]
     code, hint = (
-        ("TRUNCATED", "Copy or export it again.") if len(values) < stated else ("RAGGED_LINE", "Is this the heading of another record?")
+        ("TRUNCATED", "Copy or export it again.")
+        if len(values) < stated
+        else ("RAGGED_LINE", "Is this the heading of another record?")
     )
-    raise JaxbodyError(Problem(code, where, f"has {len(values)} samples", len(values), f"{stated}, as its heading says", hint))
+    raise JaxbodyError(
+        Problem(
+            code,
+            where,
+            f"has {len(values)} samples",
+            len(values),
+            f"{stated}, as its heading says",
+            hint,
+        )
+    )
 
 
 def _shown(names: list[str]) -> str:
-    return f"It has: {', '.join(names[:12]) or 'nothing that can be read'}{', ...' if len(names) > 12 else ''}."
+    return (
+        "It has: "
+        f"{', '.join(names[:12]) or 'nothing that can be read'}"
+        f"{', ...' if len(names) > 12 else ''}."
+    )
 
 
 @contextlib.contextmanager
@@ -126,16 +223,32 @@ def reader_errors(path: Path, kind: str) -> Iterator[None]:
         raise
     except MemoryError:
         raise JaxbodyError(
-            Problem("TOO_LARGE", path.name, "does not fit into memory", hint="Read fewer channels, or split the file.")
+            Problem(
+                "TOO_LARGE",
+                path.name,
+                "does not fit into memory",
+                hint="Read fewer channels, or split the file.",
+            )
         ) from None
     except Exception as error:
-        message = f"cannot be read as {kind}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"[:200]
+        message = (
+            f"cannot be read as {kind}: {type(error).__name__}: "
+            f"{str(error).splitlines()[0] if str(error) else ''}"
+        )[:200]
         raise JaxbodyError(
-            Problem("UNREADABLE", path.name, message, path, hint="Is it complete, and was it closed by the program that wrote it?")
+            Problem(
+                "UNREADABLE",
+                path.name,
+                message,
+                path,
+                hint="Is it complete, and was it closed by the program that wrote it?",
+            )
         ) from None
 
 
-def column(values: Any, name: str, where: str, unit: str | None = None, times: np.ndarray | None = None) -> Column:
+def column(
+    values: Any, name: str, where: str, unit: str | None = None, times: np.ndarray | None = None
+) -> Column:
     """A column of numbers, or of dates as seconds since the first one. Error: NOT_A_NUMBER."""
     if np.asarray(values).dtype.kind == "M":
         values, unit = (values - values[0]) / np.timedelta64(1, "s"), "s"
@@ -147,5 +260,14 @@ def numeric(values: Any, name: str, where: str) -> np.ndarray:
     array = np.asarray(values)
     if array.dtype.kind not in "biuf" or array.ndim not in (1, 2):
         message = f"'{name}' holds {array.dtype} of shape {array.shape}"
-        raise JaxbodyError(Problem("NOT_A_NUMBER", where, message, array.dtype, "numbers, (n,) or (n, k)", "Read another channel."))
+        raise JaxbodyError(
+            Problem(
+                "NOT_A_NUMBER",
+                where,
+                message,
+                array.dtype,
+                "numbers, (n,) or (n, k)",
+                "Read another channel.",
+            )
+        )
     return array.astype(np.float64)

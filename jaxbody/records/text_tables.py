@@ -1,7 +1,9 @@
-"""Tables of numbers in text files: lines of equal length below a line of names, read as they are or refused with the number of the line.
+"""Tables of numbers in text files: lines of equal length below a line of names, read as they are or
+refused with the number of the line.
 
-Names and units are taken from the lines before the numbers, "acc [g]" or a line of units below the names; skipped lines are in the notes.
-Nothing is guessed about the numbers: a decimal comma, a footer or a line of another length is an error unless it is stated.
+Names and units are taken from the lines before the numbers, "acc [g]" or a line of units below the
+names; skipped lines are in the notes. Nothing is guessed about the numbers: a decimal comma, a
+footer or a line of another length is an error unless it is stated.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from jaxbody.core.source_files import decoded
 from jaxbody.core.tables import counted
 from jaxbody.core.units import is_unit
 
-NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?|nan|NaN|NAN|NA|")  # an empty cell or NaN is a missing sample
+# an empty cell or NaN is a missing sample
+NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?|nan|NaN|NAN|NA|")
 COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 THOUSANDS = re.compile(r"[+-]?\d{1,3}([,' ]\d{3})+(\.\d*)?|[+-]?\d{1,3}(\.\d{3})+(,\d*)?")
 DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}([T ]\d{1,2}:\d\d.*)?|\d{1,2}:\d\d(:\d\d.*)?")
@@ -29,7 +32,8 @@ LONGEST_PREAMBLE = 1000
 
 @dataclass
 class Column:
-    """One channel of a file: values (n,) or (n, k), the unit that the file states, and its own times [s] where it has them."""
+    """One channel of a file: values (n,) or (n, k), the unit that the file states, and its own
+    times [s] where it has them."""
 
     values: np.ndarray
     unit: str | None = None
@@ -38,7 +42,8 @@ class Column:
 
 @dataclass
 class Contents:
-    """Columns by name, notes on how they were read, and for text the line number of the names, or else of the first numbers."""
+    """Columns by name, notes on how they were read, and for text the line number of the names, or
+    else of the first numbers."""
 
     columns: dict[Any, Column]
     notes: list[str] = field(default_factory=list)
@@ -46,7 +51,14 @@ class Contents:
 
 
 def read_text(
-    data: bytes, name: str, *, encoding="utf-8", separator: str | None = None, decimal: str = ".", skip: int = 0, footer: int = 0
+    data: bytes,
+    name: str,
+    *,
+    encoding="utf-8",
+    separator: str | None = None,
+    decimal: str = ".",
+    skip: int = 0,
+    footer: int = 0,
 ) -> Contents:
     """The columns of a text table.
 
@@ -59,13 +71,21 @@ def read_text(
         skip: number of lines to leave out at the start
         footer: number of lines to leave out at the end
 
-    Errors, each with its line: ENCODING, NO_NUMBERS, BAD_LINE, RAGGED_LINE, DECIMAL_COMMA, TRUNCATED, NON_FINITE.
+    Errors, each with its line: ENCODING, NO_NUMBERS, BAD_LINE, RAGGED_LINE, DECIMAL_COMMA,
+    TRUNCATED, NON_FINITE.
     """
     text = decoded(data, name, encoding)
     lines = [(i, line.strip(" \r")) for i, line in enumerate(re.split(r"\r\n|\n|\r", text), 1)]
     lines = [(i, line) for i, line in lines[skip:] if line.strip()]
     lines = lines[: len(lines) - footer] if footer else lines
-    first = next((k for k, (_, line) in enumerate(lines[:LONGEST_PREAMBLE]) if _is_data(line, separator, decimal)), None)
+    first = next(
+        (
+            k
+            for k, (_, line) in enumerate(lines[:LONGEST_PREAMBLE])
+            if _is_data(line, separator, decimal)
+        ),
+        None,
+    )
     if first is None:
         raise _no_numbers(lines, name, separator, decimal)
     separator = separator or _separator(lines[first][1])
@@ -73,40 +93,78 @@ def read_text(
     values = numbers_of(rows, name, separator, decimal, complete=text.endswith(("\n", "\r")))
     if first and not _fits_head(lines[first - 1][1], separator, values.shape[1]):
         (i, head), width = lines[first - 1], values.shape[1]
-        message, limit = f"names {len(_cells(head, separator))} columns: {head!r:.50}", f"{width}, as line {lines[first][0]} has"
+        message, limit = (
+            f"names {len(_cells(head, separator))} columns: {head!r:.50}",
+            f"{width}, as line {lines[first][0]} has",
+        )
         raise JaxbodyError(
-            Problem("RAGGED_LINE", f"{name}:{i}", message, head, limit, _ragged_hint(width, len(_cells(head, separator)), separator))
+            Problem(
+                "RAGGED_LINE",
+                f"{name}:{i}",
+                message,
+                head,
+                limit,
+                _ragged_hint(width, len(_cells(head, separator)), separator),
+            )
         )
     names, units, used = _heads([line for _, line in lines[:first]], separator, values.shape[1])
     if any(NUMBER.fullmatch(cell) and cell for cell in names) and used:
         i, line = lines[first - used]
-        hint = _thousands(_cells(line, separator)) or f"If it is neither names nor numbers, give skip={i}."
-        raise JaxbodyError(Problem("BAD_LINE", f"{name}:{i}", f"is {line!r:.60}", line, "names or numbers", hint))
-    columns = {head: Column(values[:, k], unit) for k, (head, unit) in enumerate(zip(distinct(names), units, strict=True))}
-    notes = [f"left out {counted(count, 'line')} {where}" for count, where in ((skip, "at the start"), (footer, "at the end")) if count]
+        hint = (
+            _thousands(_cells(line, separator))
+            or f"If it is neither names nor numbers, give skip={i}."
+        )
+        raise JaxbodyError(
+            Problem("BAD_LINE", f"{name}:{i}", f"is {line!r:.60}", line, "names or numbers", hint)
+        )
+    columns = {
+        head: Column(values[:, k], unit)
+        for k, (head, unit) in enumerate(zip(distinct(names), units, strict=True))
+    }
+    notes = [
+        f"left out {counted(count, 'line')} {where}"
+        for count, where in ((skip, "at the start"), (footer, "at the end"))
+        if count
+    ]
     if first - used > 0:
         notes.append(f"ignored {counted(first - used, 'line')} before the table")
     return Contents(columns, notes, lines[first - used][0])
 
 
 def distinct(names: list[str]) -> list[str]:
-    """The names, those that come more than once with their number, and the number alone in place of no name."""
+    """The names, those that come more than once with their number, and the number alone in place of
+    no name."""
     often = Counter(names)
-    return [name if name and often[name] == 1 else f"{name}#{k}" if name else str(k) for k, name in enumerate(names)]
+    return [
+        name if name and often[name] == 1 else f"{name}#{k}" if name else str(k)
+        for k, name in enumerate(names)
+    ]
 
 
 def _cells(line: str, separator: str) -> list[str]:
     if '"' in line:
-        cells = next(csv.reader([line], delimiter=separator if separator.strip() or separator == "\t" else " ", skipinitialspace=True))
+        cells = next(
+            csv.reader(
+                [line],
+                delimiter=separator if separator.strip() or separator == "\t" else " ",
+                skipinitialspace=True,
+            )
+        )
     else:
         cells = line.split(None if separator == " " else separator)
     return [cell.strip() for cell in cells]
 
 
 def _fits_head(head: str, separator: str, width: int) -> bool:
-    """Whether a line above the numbers is valid: as many names as columns, a comment, or other text."""
+    """Whether a line above the numbers is valid: as many names as columns, a comment, or
+    other text."""
     cells = _cells(head, separator)
-    return head.startswith(COMMENTS) or separator == " " or len(cells) in (1, width) or (len(cells) == width + 1 and not cells[-1])
+    return (
+        head.startswith(COMMENTS)
+        or separator == " "
+        or len(cells) in (1, width)
+        or (len(cells) == width + 1 and not cells[-1])
+    )
 
 
 def _separator(line: str) -> str:
@@ -118,7 +176,11 @@ def _is_data(line: str, separator: str | None, decimal: str) -> bool:
         return False
     separator = separator or _separator(line)
     cells = _cells(line, separator)
-    looks = [NUMBER.fullmatch(_pointed(cell, decimal)) or (separator != "," and COMMA_NUMBER.fullmatch(cell)) for cell in cells]
+    looks = [
+        NUMBER.fullmatch(_pointed(cell, decimal))
+        or (separator != "," and COMMA_NUMBER.fullmatch(cell))
+        for cell in cells
+    ]
     return all(looks) and any(cell[:1].isdigit() or cell[:1] in ("+", "-", ".") for cell in cells)
 
 
@@ -128,34 +190,63 @@ def _pointed(cell: str, decimal: str) -> str:
 
 def _thousands(cells: list[str]) -> str:
     """The hint for a number with thousands separators; "" if there is none."""
-    cell = next((cell for cell in cells if THOUSANDS.fullmatch(cell) and not NUMBER.fullmatch(cell)), None)
-    return "" if cell is None else f"{cell!r} has thousands separators, or quotes around them: write numbers without them."
+    cell = next(
+        (cell for cell in cells if THOUSANDS.fullmatch(cell) and not NUMBER.fullmatch(cell)), None
+    )
+    return (
+        ""
+        if cell is None
+        else (
+            f"{cell!r} has thousands separators, or quotes around them: write numbers without them."
+        )
+    )
 
 
 def _dated(cells: list[str]) -> str:
     """The hint for a date or a time of day; "" if there is none."""
     cell = next((cell for cell in cells if DATE.fullmatch(cell)), None)
-    hint = "write seconds in its place, or give jb.Record the columns that pandas.read_csv(..., parse_dates=) reads, with "
-    return "" if cell is None else f"'{cell:.30}' is a date or a time of day: {hint}(t - t[0]).dt.total_seconds()."
+    hint = (
+        "write seconds in its place, or give jb.Record the columns that pandas.read_csv(..., "
+        "parse_dates=) reads, with "
+    )
+    return (
+        ""
+        if cell is None
+        else f"'{cell:.30}' is a date or a time of day: {hint}(t - t[0]).dt.total_seconds()."
+    )
 
 
-def _no_numbers(lines: list[tuple[int, str]], name: str, separator: str | None, decimal: str) -> JaxbodyError:
+def _no_numbers(
+    lines: list[tuple[int, str]], name: str, separator: str | None, decimal: str
+) -> JaxbodyError:
     i, line = lines[0] if lines else (1, "")
     hint = (
-        f"Give numbers separated by {separator or 'commas, semicolons, tabs or blanks'}, with decimal '{decimal}', below a line of names."
+        f"Give numbers separated by {separator or 'commas, semicolons, tabs or blanks'}, with "
+        f"decimal '{decimal}', below a line of names."
     )
     cells = [_cells(row, separator or _separator(row)) for _, row in lines[:LONGEST_PREAMBLE]]
     hint = next((text for row in cells if (text := _thousands(row) or _dated(row))), hint)
-    message = f"has no line with numbers only; line {i} is {line!r:.60}" if lines else "has only blank lines"
+    message = (
+        f"has no line with numbers only; line {i} is {line!r:.60}"
+        if lines
+        else "has only blank lines"
+    )
     return JaxbodyError(Problem("NO_NUMBERS", name, message, i, "a table of numbers", hint))
 
 
-def numbers_of(rows: list[tuple[int, str]], name: str, separator: str, decimal: str, *, complete: bool) -> np.ndarray:
+def numbers_of(
+    rows: list[tuple[int, str]], name: str, separator: str, decimal: str, *, complete: bool
+) -> np.ndarray:
     """(n, k) numbers; NaN where a cell is empty."""
     try:  # fast, and enough for nearly all files
         if decimal != "." or any('"' in line for _, line in rows[:1]):
             raise ValueError
-        values = np.loadtxt([line for _, line in rows], delimiter=None if separator == " " else separator, comments=None, ndmin=2)
+        values = np.loadtxt(
+            [line for _, line in rows],
+            delimiter=None if separator == " " else separator,
+            comments=None,
+            ndmin=2,
+        )
         if np.isfinite(values).all():
             return values
     except (ValueError, OverflowError):
@@ -163,20 +254,49 @@ def numbers_of(rows: list[tuple[int, str]], name: str, separator: str, decimal: 
     with Problems() as problems:
         cells = [_cells(line, separator) for _, line in rows]
         width = len(cells[0])
-        no_numbers = [[cell for cell in row if not NUMBER.fullmatch(_pointed(cell, decimal))] for row in cells]
-        last_good = max((k for k, row in enumerate(cells) if len(row) == width and not no_numbers[k]), default=0)
+        no_numbers = [
+            [cell for cell in row if not NUMBER.fullmatch(_pointed(cell, decimal))] for row in cells
+        ]
+        last_good = max(
+            (k for k, row in enumerate(cells) if len(row) == width and not no_numbers[k]), default=0
+        )
         for k, ((i, line), row) in enumerate(zip(rows, cells, strict=True)):
             where, wrong = f"{name}:{i}", no_numbers[k]
             comma = next((cell for cell in wrong if COMMA_NUMBER.fullmatch(cell)), None)
             if len(row) != width:
                 last = k == len(rows) - 1 and not complete and len(row) < width
-                hint = "The file ends within a line: copy it again, or give footer=1." if last else _ragged_hint(len(row), width, separator)
-                message, limit = f"has {len(row)} cells: {line!r:.50}", f"{width}, as line {rows[0][0]} has"
-                problems.add("TRUNCATED" if last else "RAGGED_LINE", where, message, value=len(row), limit=limit, hint=hint)
+                hint = (
+                    "The file ends within a line: copy it again, or give footer=1."
+                    if last
+                    else _ragged_hint(len(row), width, separator)
+                )
+                message, limit = (
+                    f"has {len(row)} cells: {line!r:.50}",
+                    f"{width}, as line {rows[0][0]} has",
+                )
+                problems.add(
+                    "TRUNCATED" if last else "RAGGED_LINE",
+                    where,
+                    message,
+                    value=len(row),
+                    limit=limit,
+                    hint=hint,
+                )
             elif comma is not None:
                 hint = f'It may be a decimal comma: give decimal=",", separator="{separator}".'
-                hint += " If it separates thousands, write numbers without it." if THOUSANDS.fullmatch(comma) else ""
-                problems.add("DECIMAL_COMMA", where, f"has {comma!r}", value=comma, limit="a decimal point", hint=hint)
+                hint += (
+                    " If it separates thousands, write numbers without it."
+                    if THOUSANDS.fullmatch(comma)
+                    else ""
+                )
+                problems.add(
+                    "DECIMAL_COMMA",
+                    where,
+                    f"has {comma!r}",
+                    value=comma,
+                    limit="a decimal point",
+                    hint=hint,
+                )
             elif wrong and wrong[0].lower().lstrip("+-") in ("inf", "infinity", "1.#inf"):
                 problems.add(
                     "NON_FINITE",
@@ -190,8 +310,16 @@ def numbers_of(rows: list[tuple[int, str]], name: str, separator: str, decimal: 
                 at_end = k > last_good
                 if at_end and k > last_good + 1:
                     continue  # reported with the first line of the footer
-                hint = f"If the table ends before it, give footer={len(rows) - k}. If" if at_end else "Numbers follow: if"
-                hint = _thousands(wrong) or _dated(wrong) or f"{hint} it means a missing sample, leave the cell empty or write nan."
+                hint = (
+                    f"If the table ends before it, give footer={len(rows) - k}. If"
+                    if at_end
+                    else "Numbers follow: if"
+                )
+                hint = (
+                    _thousands(wrong)
+                    or _dated(wrong)
+                    or f"{hint} it means a missing sample, leave the cell empty or write nan."
+                )
                 message = f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}"
                 problems.add("BAD_LINE", where, message, value=wrong[0], limit="numbers", hint=hint)
             if len(problems.collected) >= MOST_PROBLEMS:
@@ -202,22 +330,41 @@ def numbers_of(rows: list[tuple[int, str]], name: str, separator: str, decimal: 
     huge = np.argwhere(np.isinf(values))
     if len(huge):
         i = rows[huge[0][0]][0]
-        raise JaxbodyError(Problem("NON_FINITE", f"{name}:{i}", "has a number too large for float64", i, "finite", "Leave the cell empty."))
+        raise JaxbodyError(
+            Problem(
+                "NON_FINITE",
+                f"{name}:{i}",
+                "has a number too large for float64",
+                i,
+                "finite",
+                "Leave the cell empty.",
+            )
+        )
     return values
 
 
 def _number(cell: str) -> float:
-    return float(cell.replace("d", "e").replace("D", "e")) if cell[-1:].isdigit() or cell[-1:] == "." else np.nan
+    return (
+        float(cell.replace("d", "e").replace("D", "e"))
+        if cell[-1:].isdigit() or cell[-1:] == "."
+        else np.nan
+    )
 
 
 def _ragged_hint(cells: int, width: int, separator: str) -> str:
     if separator == "," and cells % 2 == 0 and 2 * width in (cells, 2 * cells):
-        return 'Are there decimal commas? A file with them needs another separator: decimal=",", separator=";".'
-    return "All lines of the table need the same number of cells; footer= leaves out lines at the end."
+        return (
+            "Are there decimal commas? A file with them needs another separator: "
+            'decimal=",", separator=";".'
+        )
+    return (
+        "All lines of the table need the same number of cells; footer= leaves out lines at the end."
+    )
 
 
 def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], list[str | None], int]:
-    """Names and units from the lines above the numbers, and the number of these lines; columns without names are numbered."""
+    """Names and units from the lines above the numbers, and the number of these lines; columns
+    without names are numbered."""
     rows = []
     for line in reversed(lines[-2:]):
         row = _cells(line.lstrip("".join(COMMENTS)).strip(), separator)
@@ -233,7 +380,9 @@ def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], lis
         units = [cell or None for cell in below]
         names = [split_unit(cell)[0] for cell in rows[0]]
     elif rows:
-        names, units = (list(part) for part in zip(*(split_unit(cell) for cell in rows[-1]), strict=True))
+        names, units = (
+            list(part) for part in zip(*(split_unit(cell) for cell in rows[-1]), strict=True)
+        )
         rows = rows[-1:]
     else:
         names = [""] * width
@@ -252,7 +401,8 @@ def _opening(head: str) -> int:
 
 
 def split_unit(head: str) -> tuple[str, str | None]:
-    """Name and unit from a heading such as "acc [g]"; parentheses are read only if they contain a unit.
+    """Name and unit from a heading such as "acc [g]"; parentheses are read only if they contain
+    a unit.
 
     >>> split_unit("acc [g]"), split_unit("speed (m/s)"), split_unit("x (left)")
     (('acc', 'g'), ('speed', 'm/s'), ('x (left)', None))

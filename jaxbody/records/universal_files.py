@@ -1,4 +1,5 @@
-"""Universal files (UFF, UNV), sets 58: functions of time and frequency responses by node and direction, "4+Z"."""
+"""Universal files (UFF, UNV), sets 58: functions of time and frequency responses by node and
+direction, "4+Z"."""
 
 from __future__ import annotations
 
@@ -10,16 +11,49 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, import_extra
-from jaxbody.records.sources import Pick, along, column, find_name, kind_of, reader_errors, stated_number
+from jaxbody.records.sources import (
+    Pick,
+    along,
+    column,
+    find_name,
+    kind_of,
+    reader_errors,
+    stated_number,
+)
 from jaxbody.records.text_tables import Contents, distinct
 
-DIRECTIONS = {0: "", 1: "+X", -1: "-X", 2: "+Y", -2: "-Y", 3: "+Z", -3: "-Z", 4: "+RX", -4: "-RX", 5: "+RY", -5: "-RY", 6: "+RZ", -6: "-RZ"}
+DIRECTIONS = {
+    0: "",
+    1: "+X",
+    -1: "-X",
+    2: "+Y",
+    -2: "-Y",
+    3: "+Z",
+    -3: "-Z",
+    4: "+RX",
+    -4: "-RX",
+    5: "+RY",
+    -5: "-RY",
+    6: "+RZ",
+    -6: "-RZ",
+}
 
 KINDS = {
-    0: "a general function", 1: "a time response", 2: "an auto spectrum", 3: "a cross spectrum", 4: "a frequency response",
-    5: "a transmissibility", 6: "a coherence", 7: "an auto correlation", 8: "a cross correlation", 9: "a power spectral density",
-    10: "an energy spectral density", 12: "a spectrum", 24: "a shock response spectrum", 26: "a multiple coherence",
-}  # fmt: skip
+    0: "a general function",
+    1: "a time response",
+    2: "an auto spectrum",
+    3: "a cross spectrum",
+    4: "a frequency response",
+    5: "a transmissibility",
+    6: "a coherence",
+    7: "an auto correlation",
+    8: "a cross correlation",
+    9: "a power spectral density",
+    10: "an energy spectral density",
+    12: "a spectrum",
+    24: "a shock response spectrum",
+    26: "a multiple coherence",
+}
 
 OF_AXES = {8: "m", 18: "Hz", 19: "rpm", 20: "1"}  # data types of abscissas that are not times
 
@@ -35,7 +69,11 @@ def sets_of(path: Path) -> list[dict[str, Any]]:
             if kinds
             else "has no complete set: it is no universal file, or is cut off"
         )
-        hint = "Export responses as functions (set 58)." if kinds else 'Check the extension, or give format="...".'
+        hint = (
+            "Export responses as functions (set 58)."
+            if kinds
+            else 'Check the extension, or give format="...".'
+        )
         raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, kinds, "sets 58", hint))
     return [file.read_sets(i) for i, kind in enumerate(kinds) if kind == 58]
 
@@ -65,8 +103,8 @@ def _is(s: dict[str, Any]) -> str:
 
 
 def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
-    """Functions of time, by node and direction or by a unique id line. Errors: WRONG_FORMAT, UNKNOWN_CHANNEL, NOT_A_RECORD, TRUNCATED,
-    RAGGED_LINE."""
+    """Functions of time, by node and direction or by a unique id line. Errors: WRONG_FORMAT,
+    UNKNOWN_CHANNEL, NOT_A_RECORD, TRUNCATED, RAGGED_LINE."""
     sets = sets_of(path)
     names = distinct([_uff_place(s, "rsp") for s in sets])
     lines = [str(s.get("id1") or "").strip() for s in sets]
@@ -76,9 +114,19 @@ def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
     for asked, name in pick(names, list(places)).items():
         s = sets[names.index(name) if name in names else places[name]]
         if int(s["func_type"]) not in (0, 1) or np.iscomplexobj(s["data"]):
-            hint = "Export time responses; jb.read_responses reads frequency responses, and jb.PSD.from_record makes densities of records."
+            hint = (
+                "Export time responses; jb.read_responses reads frequency responses, and "
+                "jb.PSD.from_record makes densities of records."
+            )
             raise JaxbodyError(
-                Problem("NOT_A_RECORD", path.name, f"'{name}' {_is(s)}, not a function of time", name, "types 0 and 1", hint)
+                Problem(
+                    "NOT_A_RECORD",
+                    path.name,
+                    f"'{name}' {_is(s)}, not a function of time",
+                    name,
+                    "types 0 and 1",
+                    hint,
+                )
             )
         times, values = _axes(s, name, path, "s")
         columns[asked] = column(values, name, path.name, _uff_unit(s, "ordinate"), times)
@@ -87,7 +135,8 @@ def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
 
 @dataclass
 class Response:
-    """A frequency response in a file: frequencies [Hz], complex values, units of numerator and denominator."""
+    """A frequency response in a file: frequencies [Hz], complex values, units of numerator
+    and denominator."""
 
     frequencies: np.ndarray
     values: np.ndarray
@@ -100,21 +149,41 @@ def read_uff_responses(path: Any, wanted: list[str], largest: float) -> dict[str
     path = Path(path)
     kind_of(path, "uff", largest)
     with reader_errors(path, "uff"):
-        sets = sorted(sets_of(path), key=lambda s: int(s["func_type"]) != 4)  # responses first, named as if they were alone
+        # responses first, named as if they were alone
+        sets = sorted(sets_of(path), key=lambda s: int(s["func_type"]) != 4)
         count = sum(int(s["func_type"]) == 4 for s in sets)
         names = [f"{_uff_place(s, 'rsp')}/{_uff_place(s, 'ref')}" for s in sets]
         names, others = distinct(names[:count]), dict(zip(names[count:], sets[count:], strict=True))
         responses = {}
         for asked in wanted:
             if asked in others and asked not in names:
-                hint = "Export frequency responses, H1 or H2 (function type 4); jb.PSD takes a power spectral density as numbers."
+                hint = (
+                    "Export frequency responses, H1 or H2 (function type 4); jb.PSD takes a power "
+                    "spectral density as numbers."
+                )
                 message = f"'{asked}' {_is(others[asked])}, not a frequency response"
-                raise JaxbodyError(Problem("NOT_A_RESPONSE", path.name, message, asked, "type 4", hint))
+                raise JaxbodyError(
+                    Problem("NOT_A_RESPONSE", path.name, message, asked, "type 4", hint)
+                )
             name = find_name(asked, names, path.name)
             s = sets[names.index(name)]
             x, y = _axes(s, name, path, "Hz")
             if not (np.isfinite(x).all() and np.isfinite(y).all() and len(x) == len(y) > 0):
-                message = f"'{asked}' has {len(y)} values at {len(x)} frequencies, or values that are not finite"
-                raise JaxbodyError(Problem("NOT_A_RESPONSE", path.name, message, len(y), "one finite value each", "Export it again."))
-            responses[asked] = Response(x, y.astype(complex), _uff_unit(s, "ordinate"), _uff_unit(s, "orddenom"))
+                message = (
+                    f"'{asked}' has {len(y)} values at {len(x)} frequencies, or "
+                    "values that are not finite"
+                )
+                raise JaxbodyError(
+                    Problem(
+                        "NOT_A_RESPONSE",
+                        path.name,
+                        message,
+                        len(y),
+                        "one finite value each",
+                        "Export it again.",
+                    )
+                )
+            responses[asked] = Response(
+                x, y.astype(complex), _uff_unit(s, "ordinate"), _uff_unit(s, "orddenom")
+            )
     return responses

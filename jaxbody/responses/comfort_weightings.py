@@ -1,8 +1,10 @@
-"""Human response to vibration: the frequency weightings of ISO 2631 and the vibration dose value, for spectral densities and signals.
+"""Human response to vibration: the frequency weightings of ISO 2631 and the vibration dose value,
+for spectral densities and signals.
 
-With w_i = 2 pi f_i a weighting is the product of a Butterworth high-pass (f1) and low-pass (f2) of second order, a transition from
-acceleration to velocity (1 + s/w3)/(1 + s/(Q4 w4) + (s/w4)^2), and a step K (1 + s/(Q5 w5) + (s/w5)^2)/(1 + s/(Q6 w6) + (s/w6)^2)
-(w5/w6)^2. Parameters: ISO 8041:2005, table 3.
+With w_i = 2 pi f_i a weighting is the product of a Butterworth high-pass (f1) and low-pass (f2) of
+second order, a transition from acceleration to velocity (1 + s/w3)/(1 + s/(Q4 w4) + (s/w4)^2), and
+a step K (1 + s/(Q5 w5) + (s/w5)^2)/(1 + s/(Q6 w6) + (s/w6)^2) (w5/w6)^2. Parameters: ISO
+8041:2005, table 3.
 """
 
 from __future__ import annotations
@@ -52,15 +54,16 @@ WEIGHTINGS = {
     "Wk": Filter(0.4, 100.0, 12.5, 12.5, 0.63, 2.37, 0.91, 3.35, 0.91),
 }
 HINT = (
-    "Wk is for z, Wd for x and y, Wb for z in trains, Wc for seat backs, We for rotation, Wj for recumbent heads, Wf for motion sickness."
+    "Wk is for z, Wd for x and y, Wb for z in trains, Wc for seat backs, We for rotation, Wj for "
+    "recumbent heads, Wf for motion sickness."
 )
 DECAY_PERIODS = 3.2  # of the high-pass, in which its transient decays to less than 1e-6
 
 
 class WeightedSignal(Result):
-    """`values` of a signal after weighting, over `times`; `rms` over the whole record, `peak`, the largest absolute value,
-    `crest_factor` = peak/rms, and `dose`, the vibration dose value [m/s1.75] from the beginning to each time; `vdv` is that of the whole
-    record."""
+    """`values` of a signal after weighting, over `times`; `rms` over the whole record, `peak`, the
+    largest absolute value, `crest_factor` = peak/rms, and `dose`, the vibration dose value
+    [m/s1.75] from the beginning to each time; `vdv` is that of the whole record."""
 
     times: Float[Array, "nt"]
     values: Float[Array, "nt"]
@@ -78,28 +81,35 @@ class WeightedSignal(Result):
 
     @property
     def estimated_vdv(self) -> Float[Array, ""]:
-        """The estimate of the dose for crest factors below 6 [m/s1.75]: 1.4 rms T^(1/4), T the length of the record."""
+        """The estimate of the dose for crest factors below 6 [m/s1.75]: 1.4 rms T^(1/4), T the
+        length of the record."""
         return 1.4 * self.rms * (self.times[..., -1] - self.times[..., 0]) ** 0.25
 
     def _tables(self) -> list[tables.PrintedTable]:
         unit = _unit(self.name)
         rows = [
-            (f"rms [{unit}]", self.rms), (f"peak [{unit}]", self.peak), ("crest factor", self.crest_factor),
-            (f"vibration dose value [{unit[:-1]}1.75]", self.dose if isinstance(self.dose, Tracer) else np.asarray(self.dose)[..., -1]),
-        ]  # fmt: skip
+            (f"rms [{unit}]", self.rms),
+            (f"peak [{unit}]", self.peak),
+            ("crest factor", self.crest_factor),
+            (
+                f"vibration dose value [{unit[:-1]}1.75]",
+                self.dose if isinstance(self.dose, Tracer) else np.asarray(self.dose)[..., -1],
+            ),
+        ]
         return [tables.PrintedTable(f"Signal weighted by {self.name}", ("", ""), rows)]
 
 
 def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
-    """A frequency weighting at frequencies [Hz], complex, from acceleration to weighted acceleration [m/s2, or rad/s2 for We].
+    """A frequency weighting at frequencies [Hz], complex, from acceleration to weighted
+    acceleration [m/s2, or rad/s2 for We].
 
     Args:
-        name: Wk (vertical, seated or standing), Wd (horizontal), Wf (motion sickness), Wc (seat back), We (rotation), Wj (head, recumbent),
-            Wb (vertical, in trains).
+        name: Wk (vertical, seated or standing), Wd (horizontal), Wf (motion sickness), Wc (seat
+            back), We (rotation), Wj (head, recumbent), Wb (vertical, in trains).
         frequencies: frequencies in one row [Hz].
 
-    Errors: BAD_WEIGHTING, BAD_FREQUENCY, BAD_SHAPE. Source: ISO 2631-1:1997, annex A; for Wb ISO 2631-4:2001; parameters as in ISO
-    8041:2005, table 3.
+    Errors: BAD_WEIGHTING, BAD_FREQUENCY, BAD_SHAPE. Source: ISO 2631-1:1997, annex A; for Wb ISO
+    2631-4:2001; parameters as in ISO 8041:2005, table 3.
 
     >>> [round(float(abs(w)), 3) for w in weighting("Wk", [1.0, 8.0])]
     [0.482, 1.036]
@@ -109,14 +119,20 @@ def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
 
 
 def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomResponse:
-    """A random response with weighted accelerations, {output: "Wk", or another `weighting`}: densities times |W|^2, weighted rms.
+    """A random response with weighted accelerations, {output: "Wk", or another `weighting`}:
+    densities times |W|^2, weighted rms.
 
-    Other outputs are omitted. Errors: UNKNOWN_NAME, BAD_WEIGHTING, BAD_UNIT for an output that is not an acceleration (angular for We, else
-    linear). Source: ISO 2631-1:1997.
+    Other outputs are omitted. Errors: UNKNOWN_NAME, BAD_WEIGHTING, BAD_UNIT for an output that is
+    not an acceleration (angular for We, else linear). Source: ISO 2631-1:1997.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> response = random_response(linearize(model, equilibrium(model)), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
-    ...                            {"body": Acceleration("body", axis="z")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    >>> response = random_response(
+    ...     linearize(model, equilibrium(model)),
+    ...     Band(0.1, 100.0),
+    ...     {"road": BaseMotion("road", "z")},
+    ...     {"body": Acceleration("body", axis="z")},
+    ...     {"road": Unevenness.iso("C").at_speed(20.0)},
+    ... )
     >>> bool(weighted(response, {"body": "Wk"})["body"] < response["body"])
     True
     """
@@ -126,16 +142,42 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
                 problems.collected.append(unknown(output, "weighted", response.outputs))
                 continue
             if name not in WEIGHTINGS:
-                problems.add("BAD_WEIGHTING", f"weighted[{output!r}]", f"is {name!r}", value=name, limit=" ".join(WEIGHTINGS), hint=HINT)
+                problems.add(
+                    "BAD_WEIGHTING",
+                    f"weighted[{output!r}]",
+                    f"is {name!r}",
+                    value=name,
+                    limit=" ".join(WEIGHTINGS),
+                    hint=HINT,
+                )
             unit, limit = response.units[response.outputs.index(output)], _unit(name)
             if unit != limit:
                 hint = "Give an Acceleration; We is for an AngularAcceleration."
-                problems.add("BAD_UNIT", f"weighted[{output!r}]", f"is in {unit}", value=unit, limit=limit, hint=hint)
-    rows, names = tuple(response.outputs.index(output) for output in weights), tuple(weights.values())
-    psd, rms = _weighted(response.psd, response.rms, response.frequencies, response.weights, rows, names)
+                problems.add(
+                    "BAD_UNIT",
+                    f"weighted[{output!r}]",
+                    f"is in {unit}",
+                    value=unit,
+                    limit=limit,
+                    hint=hint,
+                )
+    rows, names = (
+        tuple(response.outputs.index(output) for output in weights),
+        tuple(weights.values()),
+    )
+    psd, rms = _weighted(
+        response.psd, response.rms, response.frequencies, response.weights, rows, names
+    )
     return RandomResponse(
-        response.frequencies, psd, rms, response.weights, response.coarse, response.status, tuple(weights), tuple(map(_unit, names))
-    )  # fmt: skip
+        response.frequencies,
+        psd,
+        rms,
+        response.weights,
+        response.coarse,
+        response.status,
+        tuple(weights),
+        tuple(map(_unit, names)),
+    )
 
 
 @program
@@ -147,7 +189,8 @@ def _weighted(
     rows: tuple[int, ...],
     names,
 ):
-    """The rows of the densities times the squares of these weightings, and their root mean squares."""
+    """The rows of the densities times the squares of these weightings, and their root
+    mean squares."""
     factors = jnp.stack([jnp.abs(_weighting(name, f)) ** 2 for name in names], -2)
     psd = psd[..., np.array(rows, int), :] * factors
     infinite = jnp.isinf(rms[..., np.array(rows, int)])
@@ -155,13 +198,16 @@ def _weighted(
 
 
 def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
-    """A weighted acceleration [m/s2] over evenly spaced times [s], from rest: its rms, crest factor and vibration dose value.
+    """A weighted acceleration [m/s2] over evenly spaced times [s], from rest: its rms, crest factor
+    and vibration dose value.
 
         VDV = (int a_w^4 dt)^(1/4)
 
-    `name`: of a `weighting`. The frequency response multiplies the Fourier transform of the record, padded with zeros until the filter has
-    decayed: exact up to half the sampling rate, unlike digital filters of the same order, and differentiable. Sample at 200 Hz or more;
-    weightings extend to 80 Hz. Errors: BAD_WEIGHTING, NOT_UNIFORM, BAD_SHAPE, NON_FINITE. Source: ISO 2631-1:1997, 6.1 and 6.3.2.
+    `name`: of a `weighting`. The frequency response multiplies the Fourier transform of the record,
+    padded with zeros until the filter has decayed: exact up to half the sampling rate, unlike
+    digital filters of the same order, and differentiable. Sample at 200 Hz or more; weightings
+    extend to 80 Hz. Errors: BAD_WEIGHTING, NOT_UNIFORM, BAD_SHAPE, NON_FINITE. Source: ISO
+    2631-1:1997, 6.1 and 6.3.2.
 
     >>> t = jnp.arange(0.0, 20.0, 0.005)
     >>> signal = weighted_signal(t, jnp.sin(2 * jnp.pi * 5.0 * t), "Wk")
@@ -172,8 +218,14 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
     """
     _check_weighting(name, "weighted_signal.name")
     with Problems() as problems:
-        a, step = even_samples(times, acceleration, ("weighted_signal.times", "weighted_signal.acceleration"), problems)
-    padding = int(np.ceil(DECAY_PERIODS / WEIGHTINGS[name].f1 / float(step))) if is_concrete(step) else np.size(times)
+        a, step = even_samples(
+            times, acceleration, ("weighted_signal.times", "weighted_signal.acceleration"), problems
+        )
+    padding = (
+        int(np.ceil(DECAY_PERIODS / WEIGHTINGS[name].f1 / float(step)))
+        if is_concrete(step)
+        else np.size(times)
+    )
     results = _weighted_signal(jnp.asarray(a, float), jnp.asarray(step), name, padding)
     return WeightedSignal(jnp.asarray(times, float), *results, jnp.array(Status.OK.value), name)
 
@@ -186,7 +238,12 @@ def _weighting(name: str, f: Float[Array, "nf"]) -> Complex[Array, "nf"]:
     W = W * (1 + s / p.f3) / (1 + s / (p.Q4 * p.f4) + (s / p.f4) ** 2)
     if p.f5 == NONE:
         return W
-    return W * (1 + s / (p.Q5 * p.f5) + (s / p.f5) ** 2) / (1 + s / (p.Q6 * p.f6) + (s / p.f6) ** 2) * (p.f5 / p.f6) ** 2
+    return (
+        W
+        * (1 + s / (p.Q5 * p.f5) + (s / p.f5) ** 2)
+        / (1 + s / (p.Q6 * p.f6) + (s / p.f6) ** 2)
+        * (p.f5 / p.f6) ** 2
+    )
 
 
 @program
@@ -201,7 +258,9 @@ def _weighted_signal(a: Float[Array, "nt"], step: Float[Array, ""], name: str, p
 def dose(values: Float[Array, "nt"], step: Any) -> Float[Array, "nt"]:
     """(int a^4 dt)^(1/4) from the beginning to each time, by trapezoids."""
     fourth = values**4
-    return _root(jnp.concatenate([jnp.zeros(1), jnp.cumsum((fourth[1:] + fourth[:-1]) / 2)]) * step, 4)
+    return _root(
+        jnp.concatenate([jnp.zeros(1), jnp.cumsum((fourth[1:] + fourth[:-1]) / 2)]) * step, 4
+    )
 
 
 def _root(x: Array, n: int) -> Array:
@@ -216,4 +275,6 @@ def _unit(name: str) -> str:
 
 def _check_weighting(name: Any, where: str) -> None:
     if name not in WEIGHTINGS:
-        raise JaxbodyError(Problem("BAD_WEIGHTING", where, f"is {name!r}", name, " ".join(WEIGHTINGS), HINT))
+        raise JaxbodyError(
+            Problem("BAD_WEIGHTING", where, f"is {name!r}", name, " ".join(WEIGHTINGS), HINT)
+        )

@@ -1,4 +1,5 @@
-"""Matrices of harmonic motion, D(s) = K + s C + s^2 M + i H, and the solutions of D(s) x = b: by elimination or by sums over modes.
+"""Matrices of harmonic motion, D(s) = K + s C + s^2 M + i H, and the solutions of D(s) x = b: by
+elimination or by sums over modes.
 
 Frequencies are the last axis of all arrays, so that operations run along them.
 """
@@ -15,10 +16,13 @@ from jaxbody.core.arrays import Array, Bool, Complex, Float
 from jaxbody.numerics.eigenproblems import companion, eig, first_order, natural
 from jaxbody.numerics.precisions import reachable
 
-LARGEST_UNROLLED = 16  # coordinates; beyond them LAPACK at each frequency costs less than compiling this elimination
-GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, above which it is not rounding
+# coordinates; beyond them LAPACK at each frequency costs less than compiling this elimination
+LARGEST_UNROLLED = 16
+# real part of an eigenvalue, relative to the largest eigenvalue, above which it is not rounding
+GROWS = 1e-6
 MANY = 1e6  # frequencies times n^3; so many take milliseconds
-INVERTED = 1e-7  # relative error of the inverse of the modes, above which the modal sum is inaccurate
+# relative error of the inverse of the modes, above which the modal sum is inaccurate
+INVERTED = 1e-7
 
 
 def are_many(f: Float[Array, "nf"], K: Float[Array, "n n"]) -> bool:
@@ -27,7 +31,8 @@ def are_many(f: Float[Array, "nf"], K: Float[Array, "n n"]) -> bool:
 
 
 class DynamicMatrices(Module):
-    """The matrices of D = K + s C + s^2 M + i H, s = i w; the last `massless` rows of D are those of massless coordinates."""
+    """The matrices of D = K + s C + s^2 M + i H, s = i w; the last `massless` rows of D are those
+    of massless coordinates."""
 
     K: Float[Array, "k n"]
     C: Float[Array, "k n"]
@@ -43,24 +48,43 @@ class DynamicMatrices(Module):
         C, M, s = self.C.astype(s.dtype), self.M.astype(s.dtype), s[None, None]
         return K[:, :, None] + C[:, :, None] * s + M[:, :, None] * s**2
 
-    def times(self, s: Complex[Array, "nf"], x: Complex[jax.Array, "n m nf"]) -> Complex[jax.Array, "k m nf"]:
+    def times(
+        self, s: Complex[Array, "nf"], x: Complex[jax.Array, "n m nf"]
+    ) -> Complex[jax.Array, "k m nf"]:
         """D(s) x by real products."""
         parts = jax.tree.leaves(self)
-        re, im = (jnp.split(jnp.tensordot(jnp.concatenate(parts), part, 1), len(parts)) for part in (x.real, x.imag))
+        re, im = (
+            jnp.split(jnp.tensordot(jnp.concatenate(parts), part, 1), len(parts))
+            for part in (x.real, x.imag)
+        )
         product = [jax.lax.complex(re_, im_) for re_, im_ in zip(re, im, strict=True)]
-        return sum((a * b for a, b in zip(product[1:], (s[None, None], s[None, None] ** 2, 1j), strict=False)), product[0])
+        return sum(
+            (
+                a * b
+                for a, b in zip(product[1:], (s[None, None], s[None, None] ** 2, 1j), strict=False)
+            ),
+            product[0],
+        )
 
 
-def solved(own: DynamicMatrices, s, b: Complex[Array, "n m nf"], method: str) -> tuple[Complex[Array, "n m nf"], Bool[Array, ""]]:
-    """D(s)^-1 b, with the derivatives of linear systems for both methods; and whether the modes, if used, are complete."""
+def solved(
+    own: DynamicMatrices, s, b: Complex[Array, "n m nf"], method: str
+) -> tuple[Complex[Array, "n m nf"], Bool[Array, ""]]:
+    """D(s)^-1 b, with the derivatives of linear systems for both methods; and whether the modes, if
+    used, are complete."""
     frozen, at = jax.lax.stop_gradient((own, s))
-    solve, complete = _modal_sum(frozen, at) if method == "modal" else (_eliminated(frozen, at), jnp.array(True))
-    return jax.lax.custom_linear_solve(lambda x: own.times(s, x), b, lambda _, b: solve(b, False), lambda _, b: solve(b, True)), complete
+    solve, complete = (
+        _modal_sum(frozen, at) if method == "modal" else (_eliminated(frozen, at), jnp.array(True))
+    )
+    return jax.lax.custom_linear_solve(
+        lambda x: own.times(s, x), b, lambda _, b: solve(b, False), lambda _, b: solve(b, True)
+    ), complete
 
 
 def _eliminated(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]:
-    """The map b -> D^-1 b or its transpose, from one elimination. In the coordinates of the real modes no pivoting is needed: D is diagonal
-    except for damping, and no entry of C exceeds the mean of two on its diagonal."""
+    """The map b -> D^-1 b or its transpose, from one elimination. In the coordinates of the real
+    modes no pivoting is needed: D is diagonal except for damping, and no entry of C exceeds the
+    mean of two on its diagonal."""
     if A.massless:
         return _eliminated_with_branches(A, s)
     if (n := len(A.M)) > LARGEST_UNROLLED:
@@ -80,30 +104,43 @@ def _by_lapack(D: Complex[Array, "n n nf"]) -> Callable[[jax.Array, bool], jax.A
     from jax.scipy.linalg import lu_factor, lu_solve  # for the few models that need them
 
     factors = lu_factor(jnp.moveaxis(D, -1, 0))
-    return lambda b, transposed: jax.vmap(lambda LU, b: lu_solve(LU, b, int(transposed)), (0, -1), -1)(factors, b)
+    return lambda b, transposed: jax.vmap(
+        lambda LU, b: lu_solve(LU, b, int(transposed)), (0, -1), -1
+    )(factors, b)
 
 
 def _eliminated_with_branches(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]:
-    """As `_eliminated`: with K_yy U = C_yy U diag(r) and U' C_yy U = 1, massless coordinates are eliminated first, one by one,
+    """As `_eliminated`: with K_yy U = C_yy U diag(r) and U' C_yy U = 1, massless coordinates are
+    eliminated first, one by one,
 
-    D_yy^-1 = U diag(1/(r + s)) U',    D_dd - sum of g g'/(r + s) over the branches,    g = U' (K_yd + s C_yd)"""
+    D_yy^-1 = U diag(1/(r + s)) U',    D_dd - sum of g g'/(r + s) over the branches,
+    g = U' (K_yd + s C_yd)"""
     d, y = slice(n := len(A.M) - A.massless), slice(n, None)
     rates, U = natural(A.K[y, y], A.C[y, y])
     K_yd, C_yd, U = (x.astype(s.dtype) for x in (U.T @ A.K[y, d], U.T @ A.C[y, d], U))
-    g, soft = K_yd[:, :, None] + C_yd[:, :, None] * s[None, None], 1 / (rates.astype(s.dtype)[:, None] + s[None])
-    whole = DynamicMatrices(A.K[d, d], A.C[d, d], A.M[d, d], None).at(s) - jnp.einsum("ynf,yf,ymf->nmf", g, soft, g)
+    g, soft = (
+        K_yd[:, :, None] + C_yd[:, :, None] * s[None, None],
+        1 / (rates.astype(s.dtype)[:, None] + s[None]),
+    )
+    whole = DynamicMatrices(A.K[d, d], A.C[d, d], A.M[d, d], None).at(s) - jnp.einsum(
+        "ynf,yf,ymf->nmf", g, soft, g
+    )
     rest = _by_lapack(whole)
 
     def solve(b, transposed):
         own = jnp.tensordot(U.T, b[y], 1)
         right = b[d] - jnp.einsum("ynf,yf,ymf->nmf", g, soft, own)
         x = rest(right, transposed)
-        return jnp.concatenate([x, jnp.tensordot(U, soft[:, None] * (own - jnp.einsum("ynf,nmf->ymf", g, x)), 1)])
+        return jnp.concatenate(
+            [x, jnp.tensordot(U, soft[:, None] * (own - jnp.einsum("ynf,nmf->ymf", g, x)), 1)]
+        )
 
     return solve
 
 
-def _product(A: Complex[jax.Array, "k n nf"], x: Complex[jax.Array, "n m nf"]) -> Complex[jax.Array, "k m nf"]:
+def _product(
+    A: Complex[jax.Array, "k n nf"], x: Complex[jax.Array, "n m nf"]
+) -> Complex[jax.Array, "k m nf"]:
     """The product A x at each frequency."""
     pairs = [(A[:, j, None], x[j][None]) for j in range(len(x))]
     none = jnp.zeros((len(A), *x.shape[1:]), A.real.dtype)
@@ -111,17 +148,25 @@ def _product(A: Complex[jax.Array, "k n nf"], x: Complex[jax.Array, "n m nf"]) -
     return jax.lax.complex(re, sum((a.real * b.imag + a.imag * b.real for a, b in pairs), none))
 
 
-def _modal_sum(A: DynamicMatrices, s) -> tuple[Callable[[jax.Array, bool], jax.Array], Bool[Array, ""]]:
-    """The map b -> D^-1 b or its transpose, D^-1 = left diag(1/(s - pole)) right; and whether the modes are a basis."""
+def _modal_sum(
+    A: DynamicMatrices, s
+) -> tuple[Callable[[jax.Array, bool], jax.Array], Bool[Array, ""]]:
+    """The map b -> D^-1 b or its transpose, D^-1 = left diag(1/(s - pole)) right; and whether the
+    modes are a basis."""
     n = len(A.M) - A.massless
     K = A.K if A.H is None else A.K + 1j * A.H
     matrix, forces = first_order(A.M, A.C, K, n) if A.massless else (companion(A.M, A.C, K), None)
-    unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n : 2 * n, :n])))  # of frequency, so that displacements and rates have the same scale
-    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit), jnp.ones(A.massless)]).astype(matrix.dtype)
+    # of frequency, so that displacements and rates have the same scale
+    unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n : 2 * n, :n])))
+    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit), jnp.ones(A.massless)]).astype(
+        matrix.dtype
+    )
     balanced = matrix * scale[None] / scale[:, None]
     poles, vectors = eig(balanced)
     inverse = jnp.linalg.inv(vectors)
-    error = jnp.max(jnp.abs((vectors * poles[None]) @ inverse - balanced.astype(inverse.dtype))) / jnp.max(jnp.abs(balanced))
+    error = jnp.max(
+        jnp.abs((vectors * poles[None]) @ inverse - balanced.astype(inverse.dtype))
+    ) / jnp.max(jnp.abs(balanced))
     if forces is None:
         right = inverse[:, n:] @ (jnp.linalg.inv(A.M) / unit).astype(inverse.dtype)
     else:
@@ -138,7 +183,9 @@ def _modal_sum(A: DynamicMatrices, s) -> tuple[Callable[[jax.Array, bool], jax.A
 def free_motions(A: DynamicMatrices) -> Complex[Array, "k"]:
     """The eigenvalues s of free motions exp(s t), without derivatives and without H."""
     M, C, K = jax.lax.stop_gradient((A.M, A.C, A.K))
-    return jnp.linalg.eigvals(first_order(M, C, K, len(M) - A.massless)[0] if A.massless else companion(M, C, K))
+    return jnp.linalg.eigvals(
+        first_order(M, C, K, len(M) - A.massless)[0] if A.massless else companion(M, C, K)
+    )
 
 
 def is_unstable(A: DynamicMatrices) -> Bool[Array, ""]:

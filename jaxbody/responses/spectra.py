@@ -1,7 +1,8 @@
 """Power spectral densities with their units, correlated inputs, and frequency bands for integrals.
 
-Inside, all are one-sided and per hertz: the variance of a signal is int_0^inf S(f) df. A density per rad/s is multiplied by 2 pi; one per
-cycle/m is divided by the speed; a two-sided one is doubled.
+Inside, all are one-sided and per hertz: the variance of a signal is int_0^inf S(f) df. A
+density per rad/s is multiplied by 2 pi; one per cycle/m is divided by the speed; a two-sided
+one is doubled.
 """
 
 from __future__ import annotations
@@ -33,9 +34,17 @@ from jaxbody.core.units import ANGULAR_RATE, RATE, parse
 from jaxbody.records.samplings import even_samples
 
 QUANTITIES = ("m", "m/s", "m/s2", "rad", "rad/s", "rad/s2", "N", "N m")
-MEASURES = {"Hz": RATE, "rad/s": ANGULAR_RATE, "cycle/m": (-1, 0, 0, 0, 0), "rad/m": (-1, 0, 0, 1, 0)}
+MEASURES = {
+    "Hz": RATE,
+    "rad/s": ANGULAR_RATE,
+    "cycle/m": (-1, 0, 0, 0, 0),
+    "rad/m": (-1, 0, 0, 1, 0),
+}
 DENSITIES = {  # dimension -> quantity, measure of frequency
-    tuple(2 * a - b for a, b in zip(parse(quantity, "").dimension, measure, strict=True)): (quantity, per)
+    tuple(2 * a - b for a, b in zip(parse(quantity, "").dimension, measure, strict=True)): (
+        quantity,
+        per,
+    )
     for quantity in QUANTITIES
     for per, measure in MEASURES.items()
 }
@@ -46,7 +55,8 @@ LOWEST = -700.0  # used for the logarithm of zero
 
 
 class Spectrum(eqx.Module):
-    """The base of power spectral densities: `spectrum(f)` at frequencies f [Hz] is one-sided, per hertz, of a signal in `quantity`.
+    """The base of power spectral densities: `spectrum(f)` at frequencies f [Hz] is one-sided, per
+    hertz, of a signal in `quantity`.
 
     >>> PowerLaw(2.0, unit="(m/s)2/Hz")(jnp.array([1.0, 3.0])).tolist()
     [2.0, 2.0]
@@ -63,7 +73,8 @@ class Density(Spectrum):
 
     speed: Float[Array, ""]
     quantity: str = eqx.field(static=True)
-    factor: float = eqx.field(static=True)  # from the unit to the square of the quantity in SI units
+    # from the unit to the square of the quantity in SI units
+    factor: float = eqx.field(static=True)
     per: str = eqx.field(static=True)
     sides: int = eqx.field(static=True)
 
@@ -72,40 +83,66 @@ class Density(Spectrum):
         kind, hint = type(self).__name__, "Give the speed in m/s."
         self.quantity, self.per, self.factor = _unit(unit, f"{kind}.unit", problems)
         if sides not in (1, 2):
-            problems.add("BAD_SIDES", f"{kind}.sides", f"is {sides!r}", value=sides, limit="1 or 2", hint="Give 2 for a two-sided density.")
+            problems.add(
+                "BAD_SIDES",
+                f"{kind}.sides",
+                f"is {sides!r}",
+                value=sides,
+                limit="1 or 2",
+                hint="Give 2 for a two-sided density.",
+            )
         if self.per.endswith("/m") != (speed is not None):
             message = "is missing" if speed is None else "is given, but the spectrum is over time"
             problems.add(
-                "NO_SPEED", f"{kind}.speed", message, value=speed, limit="for cycle/m and rad/m only", hint="Give the speed in m/s."
+                "NO_SPEED",
+                f"{kind}.speed",
+                message,
+                value=speed,
+                limit="for cycle/m and rad/m only",
+                hint="Give the speed in m/s.",
             )
-        self.sides, self.speed = sides, scalar(1.0 if speed is None else speed, f"{kind}.speed", problems)
+        self.sides, self.speed = (
+            sides,
+            scalar(1.0 if speed is None else speed, f"{kind}.speed", problems),
+        )
         known = concrete(self.speed)
         if known is not None and known <= 0:
-            problems.add("NO_SPEED", f"{kind}.speed", f"is {known:g} m/s", value=float(known), limit="> 0", hint=hint)
+            problems.add(
+                "NO_SPEED",
+                f"{kind}.speed",
+                f"is {known:g} m/s",
+                value=float(known),
+                limit="> 0",
+                hint=hint,
+            )
 
     @abstractmethod
     def at(self, x: Float[Array, "nf"]) -> Float[Array, "nf"]:
         """The density as stated, at frequencies in the measure of its unit."""
 
     def __call__(self, f):
-        rate = (2 * jnp.pi if self.per.startswith("rad") else 1.0) / (self.speed if self.per.endswith("/m") else 1.0)
+        rate = (2 * jnp.pi if self.per.startswith("rad") else 1.0) / (
+            self.speed if self.per.endswith("/m") else 1.0
+        )
         return self.factor * self.sides * rate * self.at(f * rate)
 
 
 class PowerLaw(Density):
-    """S(x) = level (x/reference)^-exponent, with the frequency x as in the unit (Hz, rad/s, cycle/m or rad/m): exponent 0 is white noise, 2
-    a road.
+    """S(x) = level (x/reference)^-exponent, with the frequency x as in the unit (Hz, rad/s, cycle/m
+    or rad/m): exponent 0 is white noise, 2 a road.
 
     Args:
         level: S at the reference [unit]
-        unit: such as "m2/Hz", "(m/s2)^2/Hz", "m2/s4/Hz", "g2/Hz", "m2/(rad/s)", "m3" or "m2/(cycle/m)": the square of a length, angle,
-            force or moment, of their rates or accelerations, per Hz, rad/s, cycle/m or rad/m
+        unit: such as "m2/Hz", "(m/s2)^2/Hz", "m2/s4/Hz", "g2/Hz", "m2/(rad/s)", "m3" or
+            "m2/(cycle/m)": the square of a length, angle, force or moment, of their rates or
+            accelerations, per Hz, rad/s, cycle/m or rad/m
         exponent: default 0, a constant
         reference: frequency x at which S is `level`
         sides: 1, or 2 where half of the power is at negative frequencies
         speed: speed of travel, for a spectrum over distance [m/s]
 
-    Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY for a reference of 0 or less, BAD_SHAPE, NON_FINITE.
+    Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY for a reference of 0 or less,
+    BAD_SHAPE, NON_FINITE.
 
     >>> road = PowerLaw(64e-6, exponent=2.0, reference=0.1, unit="m2/(cycle/m)", speed=20.0)
     >>> round(float(road(jnp.array([2.0]))[0]) * 1e6, 9)
@@ -116,7 +153,9 @@ class PowerLaw(Density):
     exponent: Float[Array, ""]
     reference: Float[Array, ""]
 
-    def __init__(self, level, *, unit: str, exponent: Any = 0.0, reference=1.0, sides: int = 1, speed=None):
+    def __init__(
+        self, level, *, unit: str, exponent: Any = 0.0, reference=1.0, sides: int = 1, speed=None
+    ):
         with Problems() as problems:
             self.stated(unit, sides, speed, problems)
             self.level = scalar(level, "PowerLaw.level", problems)
@@ -126,14 +165,22 @@ class PowerLaw(Density):
             known = concrete(self.reference)
             if known is not None and known <= 0:
                 hint = "Give the frequency at which the density is `level`."
-                problems.add("BAD_FREQUENCY", "PowerLaw.reference", f"is {known:g}", value=float(known), limit="> 0", hint=hint)
+                problems.add(
+                    "BAD_FREQUENCY",
+                    "PowerLaw.reference",
+                    f"is {known:g}",
+                    value=float(known),
+                    limit="> 0",
+                    hint=hint,
+                )
 
     def at(self, x):
         return self.level * (x / self.reference) ** -self.exponent
 
 
 class PSD(Density):
-    """A power spectral density through points, interpolated linearly in log-log scale, as in test specifications; zero outside the points.
+    """A power spectral density through points, interpolated linearly in log-log scale, as in test
+    specifications; zero outside the points.
 
     `PSD.from_record` estimates one from a record.
 
@@ -158,12 +205,21 @@ class PSD(Density):
         with Problems() as problems:
             self.stated(unit, sides, speed, problems)
             count = max(2, np.size(frequencies))
-            x = checked(frequencies, ((count,),), "PSD.frequencies", problems, "Give two points or more.")
-            y = checked(values, ((count,),), "PSD.values", problems, "One value for each frequency.")
+            x = checked(
+                frequencies, ((count,),), "PSD.frequencies", problems, "Give two points or more."
+            )
+            y = checked(
+                values, ((count,),), "PSD.values", problems, "One value for each frequency."
+            )
             known = None if x is None else concrete(x)
             if known is not None and ((known <= 0).any() or (np.diff(known) <= 0).any()):
                 problems.add(
-                    "BAD_FREQUENCY", "PSD.frequencies", f"is {known}", value=known, limit="positive, increasing", hint="Leave 0 out."
+                    "BAD_FREQUENCY",
+                    "PSD.frequencies",
+                    f"is {known}",
+                    value=known,
+                    limit="positive, increasing",
+                    hint="Leave 0 out.",
                 )
             if y is not None:
                 check_not_negative(y, "PSD.values", problems)
@@ -171,7 +227,8 @@ class PSD(Density):
 
     @classmethod
     def from_record(cls, times, values, *, unit: str, segment: int = 1024) -> PSD:
-        """Welch's estimate from a record, with scipy.signal.welch: Hann windows of `segment` samples that overlap by half.
+        """Welch's estimate from a record, with scipy.signal.welch: Hann windows of `segment`
+        samples that overlap by half.
 
         Args:
             times: evenly spaced [s].
@@ -183,7 +240,9 @@ class PSD(Density):
         from scipy.signal import welch
 
         with Problems() as problems:
-            y, step = even_samples(times, values, ("PSD.from_record times", "PSD.from_record values"), problems)
+            y, step = even_samples(
+                times, values, ("PSD.from_record times", "PSD.from_record values"), problems
+            )
         f, S = welch(np.asarray(y), 1 / float(step), nperseg=min(segment, len(y)))
         return cls(f[1:], S[1:], unit=f"({unit})2/Hz")
 
@@ -197,19 +256,25 @@ class PSD(Density):
 
 
 class CrossPSD(eqx.Module):
-    """Correlated inputs, S_ij = coherence_ij sqrt(S_i S_j) exp(-i 2 pi f (d_i - d_j)), by the names of the inputs.
+    """Correlated inputs, S_ij = coherence_ij sqrt(S_i S_j) exp(-i 2 pi f (d_i - d_j)), by the names
+    of the inputs.
 
     Args:
         spectra: {input: Spectrum}
         delays: {input: d [s]}, such as that of a rear wheel behind a front wheel; default 0
-        coherence: {(input, input): a number from 0 to 1, or a function of the frequencies [Hz]}, the ratio |S_ij|/sqrt(S_i S_j), which is
-            the square root of the usual coherence estimate; other pairs are not correlated
+        coherence: {(input, input): a number from 0 to 1, or a function of the frequencies [Hz]},
+            the ratio |S_ij|/sqrt(S_i S_j), which is the square root of the usual coherence
+            estimate; other pairs are not correlated
 
-    The matrix S must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, BAD_PAIR for an input with itself or a pair given twice,
-    NOT_POSITIVE, BAD_SHAPE, NON_FINITE.
+    The matrix S must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, BAD_PAIR for an
+    input with itself or a pair given twice, NOT_POSITIVE, BAD_SHAPE, NON_FINITE.
 
     >>> road = PowerLaw(1e-6, unit="m2/Hz", exponent=2.0)
-    >>> axles = CrossPSD({"front": road, "rear": road}, delays={"rear": 0.125}, coherence={("front", "rear"): 1.0})
+    >>> axles = CrossPSD(
+    ...     {"front": road, "rear": road},
+    ...     delays={"rear": 0.125},
+    ...     coherence={("front", "rear"): 1.0},
+    ... )
     >>> correlation = axles.correlation(jnp.array([2.0]))[:, :, 0]
     >>> [round(float(abs(x)), 9) for x in correlation[0]], round(float(correlation[1, 0].imag), 9)
     ([1.0, 1.0], -1.0)
@@ -218,40 +283,82 @@ class CrossPSD(eqx.Module):
     spectra: dict[str, Spectrum]
     delays: dict[str, Array]
     levels: tuple[Array, ...]
-    pairs: tuple[tuple[int, int, Any], ...] = eqx.field(static=True)  # of inputs, and a function or the index in `levels`
+    # of inputs, and a function or the index in `levels`
+    pairs: tuple[tuple[int, int, Any], ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
 
-    def __init__(self, spectra: dict[str, Spectrum], *, delays: dict[str, Any] | None = None, coherence: dict[Any, Any] | None = None):
+    def __init__(
+        self,
+        spectra: dict[str, Spectrum],
+        *,
+        delays: dict[str, Any] | None = None,
+        coherence: dict[Any, Any] | None = None,
+    ):
         with Problems() as problems:
-            self.names, self.spectra = tuple(spectra), check_spectra(spectra, "CrossPSD.spectra", problems)
+            self.names, self.spectra = (
+                tuple(spectra),
+                check_spectra(spectra, "CrossPSD.spectra", problems),
+            )
             given = delays or {}
-            for name in {*given, *(name for pair in coherence or {} for name in pair)} - set(self.names):
+            for name in {*given, *(name for pair in coherence or {} for name in pair)} - set(
+                self.names
+            ):
                 problems.collected.append(unknown(name, "CrossPSD", self.names))
             self.delays = {
-                name: device_array(shaped(given.get(name, 0.0), (), f"CrossPSD.delays[{name!r}]", problems)) for name in self.names
+                name: device_array(
+                    shaped(given.get(name, 0.0), (), f"CrossPSD.delays[{name!r}]", problems)
+                )
+                for name in self.names
             }
         levels, pairs = [], []
         for (one, other), value in (coherence or {}).items():
-            if one == other or (self.names.index(other), self.names.index(one)) in [pair[:2] for pair in pairs]:
-                message = "is of an input with itself, which is 1" if one == other else "is given in both orders"
+            if one == other or (self.names.index(other), self.names.index(one)) in [
+                pair[:2] for pair in pairs
+            ]:
+                message = (
+                    "is of an input with itself, which is 1"
+                    if one == other
+                    else "is given in both orders"
+                )
                 limit, hint = "two inputs, each pair once", "Leave it out."
-                problems.add("BAD_PAIR", f"CrossPSD.coherence[{(one, other)}]", message, value=(one, other), limit=limit, hint=hint)
+                problems.add(
+                    "BAD_PAIR",
+                    f"CrossPSD.coherence[{(one, other)}]",
+                    message,
+                    value=(one, other),
+                    limit=limit,
+                    hint=hint,
+                )
             index = value if callable(value) else len(levels)
             if not callable(value):
-                levels.append(device_array(shaped(value, (), f"CrossPSD.coherence[{(one, other)}]", problems)))
+                levels.append(
+                    device_array(shaped(value, (), f"CrossPSD.coherence[{(one, other)}]", problems))
+                )
             pairs.append((self.names.index(one), self.names.index(other), index))
         self.levels, self.pairs = tuple(levels), tuple(pairs)
         problems.raise_if_any()
-        if all(isinstance(index, int) for *_, index in pairs) and all(concrete(level) is not None for level in levels):
+        if all(isinstance(index, int) for *_, index in pairs) and all(
+            concrete(level) is not None for level in levels
+        ):
             smallest = np.linalg.eigvalsh(np.asarray(self._coherences(jnp.ones(1)))[:, :, 0]).min()
             if smallest < -ROUNDING:
                 hint = "If one input has coherence 1 with two others, these two are coherent too."
                 message = f"give a matrix with eigenvalue {smallest:.3g}"
-                problems.add("NOT_POSITIVE", "CrossPSD.coherence", message, value=float(smallest), limit=">= 0", hint=hint)
+                problems.add(
+                    "NOT_POSITIVE",
+                    "CrossPSD.coherence",
+                    message,
+                    value=float(smallest),
+                    limit=">= 0",
+                    hint=hint,
+                )
                 problems.raise_if_any()
 
     def _coherences(self, f: Float[Array, "nf"]) -> Float[Array, "nu nu nf"]:
-        rows = [[jnp.full(f.shape, float(i == j)) for j in range(len(self.names))] for i in range(len(self.names))]
+        rows = [
+            [jnp.full(f.shape, float(i == j)) for j in range(len(self.names))]
+            for i in range(len(self.names))
+        ]
         for i, j, index in self.pairs:
             value = self.levels[index] if isinstance(index, int) else index(f)
             rows[i][j] = rows[j][i] = jnp.broadcast_to(value, f.shape)
@@ -272,9 +379,10 @@ class CrossPSD(eqx.Module):
 
 
 class Band(eqx.Module):
-    """A band from `low` to `high` [Hz], with `points` at equal steps of the logarithm and weights for integrals, whose error for a smooth
-    function decreases with the fourth power of the step; where a density jumps it is up to half a step of the jump: divide the band
-    there. Errors: EMPTY_BAND, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE.
+    """A band from `low` to `high` [Hz], with `points` at equal steps of the logarithm and weights
+    for integrals, whose error for a smooth function decreases with the fourth power of the step;
+    where a density jumps it is up to half a step of the jump: divide the band there. Errors:
+    EMPTY_BAND, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE.
 
     >>> band = Band(1.0, 100.0)
     >>> round(float(jnp.sum(band.weights / band.frequencies**2)), 9)
@@ -287,16 +395,40 @@ class Band(eqx.Module):
 
     def __init__(self, low, high, *, points: int = 1001):
         with Problems() as problems:
-            low, high = shaped(low, (), "Band.low", problems), shaped(high, (), "Band.high", problems)
+            low, high = (
+                shaped(low, (), "Band.low", problems),
+                shaped(high, (), "Band.high", problems),
+            )
             first, last = concrete(low), concrete(high)
             if first is not None and last is not None and not problems.collected:
                 if first <= 0:
-                    problems.add("BAD_FREQUENCY", "Band.low", f"is {low:g} Hz", value=float(low), limit="> 0", hint="Take a small one.")
+                    problems.add(
+                        "BAD_FREQUENCY",
+                        "Band.low",
+                        f"is {low:g} Hz",
+                        value=float(low),
+                        limit="> 0",
+                        hint="Take a small one.",
+                    )
                 elif first >= last:
                     message, hint = f"goes from {low:g} to {high:g} Hz", "Give the lower end first."
-                    problems.add("EMPTY_BAND", "Band", message, value=(float(low), float(high)), limit="low < high", hint=hint)
+                    problems.add(
+                        "EMPTY_BAND",
+                        "Band",
+                        message,
+                        value=(float(low), float(high)),
+                        limit="low < high",
+                        hint=hint,
+                    )
             if points < 17:
-                problems.add("EMPTY_BAND", "Band.points", f"is {points}", value=points, limit=">= 17", hint="Give more points.")
+                problems.add(
+                    "EMPTY_BAND",
+                    "Band.points",
+                    f"is {points}",
+                    value=points,
+                    limit=">= 17",
+                    hint="Give more points.",
+                )
         n, low, high = points | 1, as_numpy(low), as_numpy(high)
         xp = module_of(low, high)
         step = xp.log(high / low) / (n - 1)
@@ -311,7 +443,9 @@ class Band(eqx.Module):
         skipping = np.zeros(n)
         skipping[::2] = 2 * weights(n // 2 + 1)
         self.frequencies = device_array(frequencies)
-        self.weights, self.coarse = (device_array(step * frequencies * w) for w in (weights(n), skipping))
+        self.weights, self.coarse = (
+            device_array(step * frequencies * w) for w in (weights(n), skipping)
+        )
 
 
 def trapezoids(f: Float[Array, "n"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
@@ -330,22 +464,40 @@ def check_spectra(given: Any, where: str, problems: Problems) -> dict[str, Spect
     for name, spectrum in given.items():
         if not isinstance(spectrum, Spectrum):
             hint = "Give a PSD, a PowerLaw or a Spectrum of your own, which have units."
-            problems.add("WRONG_KIND", f"{where}[{name!r}]", f"is a {type(spectrum).__name__}", value=spectrum, limit="Spectrum", hint=hint)
+            problems.add(
+                "WRONG_KIND",
+                f"{where}[{name!r}]",
+                f"is a {type(spectrum).__name__}",
+                value=spectrum,
+                limit="Spectrum",
+                hint=hint,
+            )
     return {name: spectrum for name, spectrum in given.items() if isinstance(spectrum, Spectrum)}
 
 
 def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
-    """The quantity, the measure of frequency, and the factor from this unit to the squared quantity in SI units per unit of that
-    measure."""
+    """The quantity, the measure of frequency, and the factor from this unit to the squared quantity
+    in SI units per unit of that measure."""
     try:
         text = CYCLES.sub("1", str(unit))
         whole, last = parse(text, where), LAST.fullmatch(text)
         measure = whole if last is None else parse(last[1], where)
-        if whole.dimension in DENSITIES and (measure if measure.dimension in MEASURES.values() else whole).factor == 1:
+        if (
+            whole.dimension in DENSITIES
+            and (measure if measure.dimension in MEASURES.values() else whole).factor == 1
+        ):
             return *DENSITIES[whole.dimension], whole.factor
-        hint = 'Such as "(m/s2)2/Hz", "m2/s4/Hz", "g2/Hz" or "m2/(cycle/m)"; square a density per square root of Hz.'
+        hint = (
+            'Such as "(m/s2)2/Hz", "m2/s4/Hz", "g2/Hz" or "m2/(cycle/m)"; square a density '
+            "per square root of Hz."
+        )
         problem = Problem(
-            "BAD_UNIT", where, f"is {unit!r}", unit, f"the square of {', '.join(QUANTITIES)} over {', '.join(MEASURES)}", hint
+            "BAD_UNIT",
+            where,
+            f"is {unit!r}",
+            unit,
+            f"the square of {', '.join(QUANTITIES)} over {', '.join(MEASURES)}",
+            hint,
         )
     except JaxbodyError as error:
         problem = Problem("BAD_UNIT", where, f"is {unit!r}", unit, error.limit, error.hint)
@@ -357,4 +509,11 @@ def check_not_negative(value: Any, where: str, problems: Problems) -> None:
     """Problem: NEGATIVE, for densities that are known."""
     known = concrete(value)
     if known is not None and (known < 0).any():
-        problems.add("NEGATIVE", where, f"is {known.min():g}", value=float(known.min()), limit=">= 0", hint="A density is not negative.")
+        problems.add(
+            "NEGATIVE",
+            where,
+            f"is {known.min():g}",
+            value=float(known.min()),
+            limit=">= 0",
+            hint="A density is not negative.",
+        )

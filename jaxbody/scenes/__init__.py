@@ -1,1 +1,2 @@
-"""What is drawn of a model and its motions in three dimensions, as plain arrays that know no renderer."""
+"""What is drawn of a model and its motions in three dimensions, as plain arrays that know
+no renderer."""

@@ -1,4 +1,5 @@
-"""Drawn parts with their pose, scale and color at each frame of an animation: plain arrays that know no renderer."""
+"""Drawn parts with their pose, scale and color at each frame of an animation: plain arrays that
+know no renderer."""
 
 from __future__ import annotations
 
@@ -12,8 +13,8 @@ from jaxbody.scenes.meshes import Mesh, across
 
 @dataclass(frozen=True)
 class DrawnPart:
-    """A mesh of one color. `p` (n, 3), `R` (n, 3, 3) and `scale` (n, 3) place it in each frame, or in all frames where n is 1:
-    x = p + R (scale * vertex)."""
+    """A mesh of one color. `p` (n, 3), `R` (n, 3, 3) and `scale` (n, 3) place it in each frame, or
+    in all frames where n is 1: x = p + R (scale * vertex)."""
 
     path: tuple[str, ...]  # group, name, and what of it: ("elements", "AB", "coil")
     mesh: Mesh
@@ -24,7 +25,8 @@ class DrawnPart:
     opacity: float = 1.0
     edged: bool = False  # whether its sharp edges are drawn
     below: bool = False  # whether it is a background, without shadow and without names beside it
-    over: float = 0.0  # how much nearer it is drawn in pictures [m], so that its body does not hide it
+    # how much nearer it is drawn in pictures [m], so that its body does not hide it
+    over: float = 0.0
     framed: bool = True  # whether it has to be in view
 
     def placed(self, points: np.ndarray, frame: int) -> np.ndarray:
@@ -39,7 +41,8 @@ class DrawnPart:
 
 @dataclass(frozen=True)
 class NameLabel:
-    """A name at a point (n, 3) or (1, 3); `kind` is what it names: "body", "support", "element", or "title" of several side by side."""
+    """A name at a point (n, 3) or (1, 3); `kind` is what it names: "body", "support", "element", or
+    "title" of several side by side."""
 
     path: tuple[str, ...]
     text: str
@@ -59,8 +62,9 @@ class Trail:
 
 @dataclass(frozen=True)
 class Animation:
-    """What is drawn, and when: `seconds` of playing at which each frame is shown, and what the `clock` then says; the directions `up` and
-    `right` of what is seen, in world axes, and a length of the model."""
+    """What is drawn, and when: `seconds` of playing at which each frame is shown, and what the
+    `clock` then says; the directions `up` and `right` of what is seen, in world axes, and a length
+    of the model."""
 
     seconds: np.ndarray
     clock: tuple[str, ...]
@@ -70,7 +74,8 @@ class Animation:
     up: np.ndarray
     right: np.ndarray
     size: float
-    seen_from: tuple[float, float] = (32.0, 24.0)  # degrees to the right of the plane of `right` and `up`, and above the horizontal
+    # degrees to the right of the plane of `right` and `up`, and above the horizontal
+    seen_from: tuple[float, float] = (32.0, 24.0)
     title: str = ""
     notes: tuple[str, ...] = ()  # scales of arrows and of the grid
 
@@ -95,9 +100,20 @@ class Animation:
         for part in self.parts:
             if part.framed:
                 low, high = part.mesh.vertices.min(0), part.mesh.vertices.max(0)
-                box = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+                box = np.array(
+                    [
+                        [x, y, z]
+                        for x in (low[0], high[0])
+                        for y in (low[1], high[1])
+                        for z in (low[2], high[2])
+                    ]
+                )
                 corners += [part.placed(box, i) for i in (frames if len(part.p) > 1 else [0])]
-        above = [label.p[:1] + 0.3 * self.size * self.up for label in self.labels if label.kind == "title"]
+        above = [
+            label.p[:1] + 0.3 * self.size * self.up
+            for label in self.labels
+            if label.kind == "title"
+        ]
         return np.concatenate([*corners, *above])
 
     def shown_at(self, seconds: np.ndarray) -> Animation:
@@ -107,22 +123,35 @@ class Animation:
         def picked(x: np.ndarray) -> np.ndarray:
             return x[rows] if len(x) > 1 else x
 
-        parts = tuple(replace(part, p=picked(part.p), R=picked(part.R), scale=picked(part.scale)) for part in self.parts)
+        parts = tuple(
+            replace(part, p=picked(part.p), R=picked(part.R), scale=picked(part.scale))
+            for part in self.parts
+        )
         labels = tuple(replace(label, p=picked(label.p)) for label in self.labels)
         trails = tuple(replace(trail, points=picked(trail.points)) for trail in self.trails)
         clock = tuple(self.clock[row] for row in rows)
-        return replace(self, seconds=seconds, clock=clock, parts=parts, labels=labels, trails=trails)
+        return replace(
+            self, seconds=seconds, clock=clock, parts=parts, labels=labels, trails=trails
+        )
 
     def moved(self, shift: np.ndarray, group: str) -> Animation:
         """The same at another place, its names within a group."""
-        parts = tuple(replace(part, path=(group, *part.path), p=part.p + shift) for part in self.parts)
-        labels = tuple(replace(label, path=(group, *label.path), p=label.p + shift) for label in self.labels)
-        trails = tuple(replace(trail, path=(group, *trail.path), points=trail.points + shift) for trail in self.trails)
+        parts = tuple(
+            replace(part, path=(group, *part.path), p=part.p + shift) for part in self.parts
+        )
+        labels = tuple(
+            replace(label, path=(group, *label.path), p=label.p + shift) for label in self.labels
+        )
+        trails = tuple(
+            replace(trail, path=(group, *trail.path), points=trail.points + shift)
+            for trail in self.trails
+        )
         return replace(self, parts=parts, labels=labels, trails=trails)
 
 
 def axes_along_lines(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes (n, 3, 3) whose third column is along d (n, 3), turned from frame to frame as little as possible, and the lengths (n,).
+    """Axes (n, 3, 3) whose third column is along d (n, 3), turned from frame to frame as little as
+    possible, and the lengths (n,).
 
     Where a line has no length the axes of the frame before are kept."""
     length = np.linalg.norm(d, axis=-1)
@@ -139,8 +168,23 @@ def axes_along_lines(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return R, length
 
 
-def rod(path: tuple[str, ...], mesh: Mesh, color: str, start: np.ndarray, end: np.ndarray, opacity: float = 1.0) -> DrawnPart:
+def rod(
+    path: tuple[str, ...],
+    mesh: Mesh,
+    color: str,
+    start: np.ndarray,
+    end: np.ndarray,
+    opacity: float = 1.0,
+) -> DrawnPart:
     """A part of unit length along z, from one point (n, 3) to another in each frame."""
     start, end = np.broadcast_arrays(start, end)
     R, length = axes_along_lines(end - start)
-    return DrawnPart(path, mesh, color, start, R, np.stack([np.ones_like(length), np.ones_like(length), length], -1), opacity)
+    return DrawnPart(
+        path,
+        mesh,
+        color,
+        start,
+        R,
+        np.stack([np.ones_like(length), np.ones_like(length), length], -1),
+        opacity,
+    )

@@ -20,7 +20,8 @@ from jaxbody.scenes.road_parts import hub_of
 from jaxbody.scenes.shapes import THICK, Shape, axes_along, solid_of_body
 
 FLAT = 1e-6  # largest extent of a flat model, relative to its size
-PIN, CENTER = 0.008, 0.016  # radius of the ends of elements and of a center of mass, relative to the size of the model
+# radius of the ends of elements and of a center of mass, relative to the size of the model
+PIN, CENTER = 0.008, 0.016
 BOARD = "#eef1f5"
 
 
@@ -41,35 +42,55 @@ def parts_of_bodies(
             if hub is not None:
                 parts.append(DrawnPart(("bodies", name, "hub"), hub, color, p, R))
             else:
-                inertia = np.zeros((3, 3)) if sequence.wheel else np.asarray(body.inertia, float)  # of which curves do not depend
+                # of which curves do not depend
+                inertia = np.zeros((3, 3)) if sequence.wheel else np.asarray(body.inertia, float)
                 solid = solid_of_body(own[name], com, float(body.mass), inertia, size)
-                parts.append(DrawnPart(("bodies", name, "solid"), solid, color, p, R, opacity=opacity, edged=True))
+                parts.append(
+                    DrawnPart(
+                        ("bodies", name, "solid"), solid, color, p, R, opacity=opacity, edged=True
+                    )
+                )
         pins = [sphere(PIN * size, 10).placed(point) for point in _attached(sequence, name)]
         if pins:
-            parts.append(DrawnPart(("bodies", name, "ends"), joined(pins), INK, p, R, over=1.5 * THICK * size))
+            parts.append(
+                DrawnPart(
+                    ("bodies", name, "ends"), joined(pins), INK, p, R, over=1.5 * THICK * size
+                )
+            )
         solids = [part.mesh.vertices for part in parts if part.path[:2] == ("bodies", name)]
-        reach = max((np.linalg.norm(vertices - com, axis=1).max() for vertices in solids), default=0.0)
+        reach = max(
+            (np.linalg.norm(vertices - com, axis=1).max() for vertices in solids), default=0.0
+        )
         parts += _center_of_mass(name, com, size, p, R, reach)
         labels.append(NameLabel(("names", name), name, sequence.points(name, com), INK))
     return parts, labels
 
 
-def _center_of_mass(name: str, com: np.ndarray, size: float, p: np.ndarray, R: np.ndarray, reach: float) -> list[DrawnPart]:
-    """The usual sign: a ball of eight parts, black and white by turns; `reach` is the largest distance of a point of the body from it."""
+def _center_of_mass(
+    name: str, com: np.ndarray, size: float, p: np.ndarray, R: np.ndarray, reach: float
+) -> list[DrawnPart]:
+    """The usual sign: a ball of eight parts, black and white by turns; `reach` is the largest
+    distance of a point of the body from it."""
     black, white = [], []
     for octant in np.ndindex(2, 2, 2):
         ball = sphere(CENTER * size, 16)
         sign = 1 - 2 * np.array(octant)
-        part = Mesh(ball.vertices, ball.faces[(ball.vertices[ball.faces].mean(1) * sign > 0).all(1)]).placed(com)
+        part = Mesh(
+            ball.vertices, ball.faces[(ball.vertices[ball.faces].mean(1) * sign > 0).all(1)]
+        ).placed(com)
         (white if sum(octant) % 2 else black).append(part)
     both = (("black", black, INK), ("white", white, "#ffffff"))
-    return [DrawnPart(("centers of mass", name, word), joined(of), color, p, R, over=reach) for word, of, color in both]
+    return [
+        DrawnPart(("centers of mass", name, word), joined(of), color, p, R, over=reach)
+        for word, of, color in both
+    ]
 
 
 def parts_of_supports(
     sequence: PoseSequence, size: float, up: np.ndarray, shapes: Mapping[str, tuple[Shape, ...]]
 ) -> tuple[list[DrawnPart], list[NameLabel]]:
-    """Supports: a slab under points in a horizontal plane, a board behind a flat model, and a foot at the end of each line element."""
+    """Supports: a slab under points in a horizontal plane, a board behind a flat model, and a foot
+    at the end of each line element."""
     model, parts, labels = sequence.model, [], []
     own = points_of_frames(sequence)
     board = _board(sequence, size, up) if len(model.layout.supports) == 1 else None
@@ -78,7 +99,9 @@ def parts_of_supports(
         p, R = sequence.p[:, row], sequence.R[:, row]
         feet = [_foot(point, direction, size) for point, direction in _feet(sequence, name)]
         if feet:
-            parts.append(DrawnPart(("supports", name, "feet"), joined(feet), GRAY, p, R, edged=True))
+            parts.append(
+                DrawnPart(("supports", name, "feet"), joined(feet), GRAY, p, R, edged=True)
+            )
         if name == WORLD:
             continue
         points = own[name]
@@ -86,15 +109,25 @@ def parts_of_supports(
             parts += _shaped(("supports", name), shapes[name], LIGHT, p, R)
         elif len(points) and board is not None and np.ptp(points @ R[0].T @ up) > 0.02 * size:
             own_board = board.placed(-p[0]).placed(np.zeros(3), R[0].T)
-            parts.append(DrawnPart(("supports", name, "board"), own_board, BOARD, p, R, below=True, edged=True))
-        elif len(points) and not _carries_tyre(sequence, name) and np.ptp(points @ R[0].T @ up) <= 0.02 * size:
+            parts.append(
+                DrawnPart(
+                    ("supports", name, "board"), own_board, BOARD, p, R, below=True, edged=True
+                )
+            )
+        elif (
+            len(points)
+            and not _carries_tyre(sequence, name)
+            and np.ptp(points @ R[0].T @ up) <= 0.02 * size
+        ):
             lowered = points - 2.2 * THICK * size * (R[0].T @ up)
             rim = box([3 * THICK * size] * 3).vertices * [2.2, 2.2, 0.4] @ axes_along(up).T @ R[0]
             slab = hull(np.concatenate([lowered + corner for corner in rim]))
             parts.append(DrawnPart(("supports", name, "slab"), slab, LIGHT, p, R, edged=True))
         if len(points) and not _carries_tyre(sequence, name):
             lowest = points[np.argmin(points @ R[0].T @ up)]
-            labels.append(NameLabel(("names", name), name, sequence.points(name, lowest), GRAY, "support"))
+            labels.append(
+                NameLabel(("names", name), name, sequence.points(name, lowest), GRAY, "support")
+            )
     return parts, labels
 
 
@@ -115,10 +148,16 @@ def parts_of_joints(sequence: PoseSequence, size: float) -> list[DrawnPart]:
         elif isinstance(joint, Guide):
             lines = [(rail, joint.axis, origin)]
         elif isinstance(joint, Combined):
-            lines = [(pin if turn else rail, n, at) for turn, n in zip(joint.turns, joint.directions, strict=True)]
+            lines = [
+                (pin if turn else rail, n, at)
+                for turn, n in zip(joint.turns, joint.directions, strict=True)
+            ]
         elif isinstance(joint, Composite):
             places = np.where(np.array(joint.turns)[:, None], np.asarray(joint.points), origin)
-            lines = [(pin if turn else rail, n, x) for turn, n, x in zip(joint.turns, joint.directions, places, strict=True)]
+            lines = [
+                (pin if turn else rail, n, x)
+                for turn, n, x in zip(joint.turns, joint.directions, places, strict=True)
+            ]
         elif isinstance(joint, Ball):
             parts.append(DrawnPart(("joints", name), sphere(1.5 * r), GRAY, p + R @ at, R))
         for i, (mesh, axis, point) in enumerate(lines):
@@ -128,23 +167,38 @@ def parts_of_joints(sequence: PoseSequence, size: float) -> list[DrawnPart]:
     return parts
 
 
-def ground(points: np.ndarray, up: np.ndarray, right: np.ndarray, size: float) -> tuple[DrawnPart, str]:
+def ground(
+    points: np.ndarray, up: np.ndarray, right: np.ndarray, size: float
+) -> tuple[DrawnPart, str]:
     """A grid at the height of the lowest of these points (n, 3), and a note of its cells."""
     cell = 10.0 ** np.floor(np.log10(size / 4))
     cell *= max(k for k in (1, 2, 5) if k * cell <= size / 4)
     axes = np.stack([right, np.cross(up, right), up], -1)
     inside = points @ axes
     level, wide = inside[:, 2].min() - 0.002 * size, 0.0035 * size
-    first, last = (np.floor(inside.min(0) / cell) - 1) * cell, (np.ceil(inside.max(0) / cell) + 1) * cell
+    first, last = (
+        (np.floor(inside.min(0) / cell) - 1) * cell,
+        (np.ceil(inside.max(0) / cell) + 1) * cell,
+    )
     lines = []
     for axis in range(2):
         other = 1 - axis
         line = ribbon(np.array([first[axis], last[axis]]), np.zeros(2), wide)
-        turned = line if axis == 0 else line.placed(np.zeros(3), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
+        turned = (
+            line
+            if axis == 0
+            else line.placed(np.zeros(3), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
+        )
         for k in np.arange(first[other], last[other] + 0.5 * cell, cell):
             lines.append(turned.placed(np.eye(3)[other] * k + np.array([0, 0, level])))
     return DrawnPart(
-        ("ground",), joined(lines), "#d5dae1", np.zeros((1, 3)), axes[None], below=True, framed=False
+        ("ground",),
+        joined(lines),
+        "#d5dae1",
+        np.zeros((1, 3)),
+        axes[None],
+        below=True,
+        framed=False,
     ), f"cells of the grid {cell:g} m"
 
 
@@ -156,7 +210,8 @@ def up_of(model: Any) -> np.ndarray:
 
 
 def is_flat(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray | None:
-    """The horizontal normal of the plane in which all marks of a flat model lie in the first frame; None for other models."""
+    """The horizontal normal of the plane in which all marks of a flat model lie in the first frame;
+    None for other models."""
     marks = np.stack([sequence.points(name, point)[0] for name, point in marks_of(sequence.model)])
     _, spread, rows = np.linalg.svd(marks - marks.mean(0), full_matrices=True)
     spread = np.concatenate([spread, np.zeros(3)])[:3]
@@ -166,7 +221,8 @@ def is_flat(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray |
 
 
 def points_of_frames(sequence: PoseSequence) -> dict[str, np.ndarray]:
-    """{frame: points of elements, closures, joints and centers of mass on it (n, 3)}, in its own axes, in the first frame."""
+    """{frame: points of elements, closures, joints and centers of mass on it (n, 3)}, in its own
+    axes, in the first frame."""
     model = sequence.model
     places: dict[str, list[np.ndarray]] = {name: [] for name in model.layout.frames}
     for table in attaching(model):
@@ -190,12 +246,17 @@ def _attached(sequence: PoseSequence, name: str) -> list[np.ndarray]:
     for table in sequence.model.elements:
         if hasattr(table.rows, "free_length"):
             for end, rows in enumerate(table.rows.points):
-                points += [row for link, row in zip(table.links, np.asarray(rows, float), strict=True) if link[end] == name]
+                points += [
+                    row
+                    for link, row in zip(table.links, np.asarray(rows, float), strict=True)
+                    if link[end] == name
+                ]
     return points
 
 
 def _feet(sequence: PoseSequence, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(point, outward direction), in the axes of a support or of the world, where elements along a line end on it."""
+    """(point, outward direction), in the axes of a support or of the world, where elements along a
+    line end on it."""
     feet, row = [], sequence.row(name)
     for table in sequence.model.elements:
         if not hasattr(table.rows, "free_length"):
@@ -204,7 +265,10 @@ def _feet(sequence: PoseSequence, name: str) -> list[tuple[np.ndarray, np.ndarra
         for link, *points in zip(table.links, a, b, strict=True):
             for end in range(2):
                 if link[end] == name:
-                    d = (sequence.points(name, points[end]) - sequence.points(link[1 - end], points[1 - end]))[0]
+                    d = (
+                        sequence.points(name, points[end])
+                        - sequence.points(link[1 - end], points[1 - end])
+                    )[0]
                     length = np.linalg.norm(d)
                     d = d / length if length > 0 else np.array([0.0, 0, -1])
                     feet.append((points[end], sequence.R[0, row].T @ d))
@@ -218,9 +282,11 @@ def _foot(point: np.ndarray, direction: np.ndarray, size: float) -> Mesh:
 
 
 def _carries_tyre(sequence: PoseSequence, name: str) -> bool:
-    return any(isinstance(table.rows, Tyre) and link[1] == name for table in sequence.model.elements for link in table.links) or (
-        name in sequence.roads
-    )
+    return any(
+        isinstance(table.rows, Tyre) and link[1] == name
+        for table in sequence.model.elements
+        for link in table.links
+    ) or (name in sequence.roads)
 
 
 def _board(sequence: PoseSequence, size: float, up: np.ndarray) -> Mesh | None:
@@ -237,8 +303,18 @@ def _board(sequence: PoseSequence, size: float, up: np.ndarray) -> Mesh | None:
     return box([high[0] - low[0], high[1] - low[1], 0.015 * size]).placed(axes @ middle, axes)
 
 
-def _shaped(path: tuple[str, ...], shapes: tuple[Shape, ...], color: str, p: np.ndarray, R: np.ndarray) -> list[DrawnPart]:
+def _shaped(
+    path: tuple[str, ...], shapes: tuple[Shape, ...], color: str, p: np.ndarray, R: np.ndarray
+) -> list[DrawnPart]:
     return [
-        DrawnPart((*path, f"shape {i + 1}"), shape.mesh, shape.color or color, p, R, opacity=shape.opacity, edged=True)
+        DrawnPart(
+            (*path, f"shape {i + 1}"),
+            shape.mesh,
+            shape.color or color,
+            p,
+            R,
+            opacity=shape.opacity,
+            edged=True,
+        )
         for i, shape in enumerate(shapes)
     ]

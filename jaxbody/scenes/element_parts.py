@@ -1,5 +1,5 @@
-"""Elements as drawn parts: springs as coils that stretch, dampers as cylinders with rods, inerters, bushings, torsion springs, anti-roll
-bars, contacts."""
+"""Elements as drawn parts: springs as coils that stretch, dampers as cylinders with rods, inerters,
+bushings, torsion springs, anti-roll bars, contacts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from jaxbody.scenes.pose_sequences import PoseSequence
 from jaxbody.scenes.shapes import axes_along
 
 STEEL, RUBBER, DAMPER, BAR = "#4a525e", "#3a3f47", "#d9a441", COLORS[3]
-SLENDER, THIN, WIDE = 0.11, 0.010, 0.024  # radius of a coil over its length, and its limits relative to the size of the model
+# radius of a coil over its length, and its limits relative to the size of the model
+SLENDER, THIN, WIDE = 0.11, 0.010, 0.024
 PITCH = 1.15  # of a coil over its radius
 TUBE = 0.55  # length of a damper's tube over that of the damper in the first frame
 
@@ -34,15 +35,28 @@ def parts_of_elements(sequence: PoseSequence, size: float, up: np.ndarray) -> li
             element = table.row(name)
             if isinstance(element, Tyre):
                 continue
-            ends = [sequence.points(frame, point) for frame, point in zip(element.between, element.points, strict=True)]
+            ends = [
+                sequence.points(frame, point)
+                for frame, point in zip(element.between, element.points, strict=True)
+            ]
             parts += _parts(name, element, ends, sequence, size, up)
     return parts
 
 
-def _parts(name: str, element: Any, ends: list[np.ndarray], sequence: PoseSequence, size: float, up: np.ndarray) -> list[DrawnPart]:
+def _parts(
+    name: str,
+    element: Any,
+    ends: list[np.ndarray],
+    sequence: PoseSequence,
+    size: float,
+    up: np.ndarray,
+) -> list[DrawnPart]:
     if isinstance(element, Contact):
         ball = sphere(float(element.free_length) / 2)
-        return [DrawnPart(("elements", name, side), ball, COLORS[5], at, opacity=0.6) for side, at in zip("ab", ends, strict=True)]
+        return [
+            DrawnPart(("elements", name, side), ball, COLORS[5], at, opacity=0.6)
+            for side, at in zip("ab", ends, strict=True)
+        ]
     if isinstance(element, LineElement):
         return _line_element(name, element, ends[0], ends[1], size)
     if isinstance(element, Inerter):
@@ -65,7 +79,9 @@ def springs_and_dampers(element: LineElement) -> tuple[bool, bool]:
     return True, False
 
 
-def _line_element(name: str, element: LineElement, A: np.ndarray, B: np.ndarray, size: float) -> list[DrawnPart]:
+def _line_element(
+    name: str, element: LineElement, A: np.ndarray, B: np.ndarray, size: float
+) -> list[DrawnPart]:
     sprung, damped = springs_and_dampers(element)
     length = max(float(np.linalg.norm(B[0] - A[0])), 0.02 * size)
     radius = float(np.clip(SLENDER * length, THIN * size, WIDE * size))
@@ -73,17 +89,33 @@ def _line_element(name: str, element: LineElement, A: np.ndarray, B: np.ndarray,
     thickness = radius * (0.15 if damped else 0.18)
     parts = []
     if sprung:
-        parts.append(rod(("elements", name, "coil"), coil(radius, thickness, length, turns), STEEL, A, B))
+        parts.append(
+            rod(("elements", name, "coil"), coil(radius, thickness, length, turns), STEEL, A, B)
+        )
     if damped:
         inner = 0.62 * radius if sprung else 0.8 * radius
         R, lengths = axes_along_lines(B - A)
         least, most = 0.95 * float(lengths.min()), float(lengths.max())
-        tube, stem = min(TUBE * length, least), min(max(most - 0.7 * TUBE * length, 0.4 * length), least)
+        tube, stem = (
+            min(TUBE * length, least),
+            min(max(most - 0.7 * TUBE * length, 0.4 * length), least),
+        )
         if tube + stem > most:  # both rigid, as in a damper; else its rod is stretched
-            piston = DrawnPart(("elements", name, "piston"), cylinder(0.4 * inner, 0.0, stem, sides=12), GRAY, A, R)
+            piston = DrawnPart(
+                ("elements", name, "piston"), cylinder(0.4 * inner, 0.0, stem, sides=12), GRAY, A, R
+            )
         else:
             piston = rod(("elements", name, "piston"), cylinder(0.4 * inner, sides=12), GRAY, A, B)
-        parts += [piston, DrawnPart(("elements", name, "damper"), cylinder(inner, -max(tube, 0.02 * length), 0.0, sides=18), DAMPER, B, R)]
+        parts += [
+            piston,
+            DrawnPart(
+                ("elements", name, "damper"),
+                cylinder(inner, -max(tube, 0.02 * length), 0.0, sides=18),
+                DAMPER,
+                B,
+                R,
+            ),
+        ]
     return parts
 
 
@@ -98,24 +130,39 @@ def _inerter(name: str, A: np.ndarray, B: np.ndarray, size: float) -> list[Drawn
     ]
 
 
-def _bushing(name: str, element: Any, ends, sequence: PoseSequence, size: float, up: np.ndarray) -> list[DrawnPart]:
-    """A rubber ring on the frame of the second end about a pin on that of the first; its axis is the one nearest to up at rest."""
+def _bushing(
+    name: str, element: Any, ends, sequence: PoseSequence, size: float, up: np.ndarray
+) -> list[DrawnPart]:
+    """A rubber ring on the frame of the second end about a pin on that of the first; its axis is
+    the one nearest to up at rest."""
     R_a = sequence.R[:, sequence.row(element.between[0])] @ np.asarray(matrix(element.orientation))
-    R_b = sequence.R[:, sequence.row(element.between[1])] @ np.asarray(matrix(element.orientation_b))
-    turn = np.roll(np.eye(3), int(np.argmax(np.abs(R_b[0].T @ up))) - 2, axis=0)  # z of the mesh to that axis
+    R_b = sequence.R[:, sequence.row(element.between[1])] @ np.asarray(
+        matrix(element.orientation_b)
+    )
+    # z of the mesh to that axis
+    turn = np.roll(np.eye(3), int(np.argmax(np.abs(R_b[0].T @ up))) - 2, axis=0)
     r = 0.032 * size
     rubber = ring(0.4 * r, r, -0.62 * r, 0.62 * r)
-    pin = joined([cylinder(0.4 * r, -1.25 * r, 1.25 * r), *(cylinder(0.7 * r, *z) for z in ((-1.25 * r, -1.0 * r), (1.0 * r, 1.25 * r)))])
+    pin = joined(
+        [
+            cylinder(0.4 * r, -1.25 * r, 1.25 * r),
+            *(cylinder(0.7 * r, *z) for z in ((-1.25 * r, -1.0 * r), (1.0 * r, 1.25 * r))),
+        ]
+    )
     parts = [
         DrawnPart(("elements", name, "rubber"), rubber, RUBBER, ends[1], R_b @ turn),
         DrawnPart(("elements", name, "pin"), pin, GRAY, ends[0], R_a @ turn),
     ]
     if np.linalg.norm(ends[1][0] - ends[0][0]) > 2 * r:
-        parts.append(rod(("elements", name, "link"), cylinder(0.2 * r, sides=8), GRAY, ends[0], ends[1]))
+        parts.append(
+            rod(("elements", name, "link"), cylinder(0.2 * r, sides=8), GRAY, ends[0], ends[1])
+        )
     return parts
 
 
-def _torsion(name: str, element: Torsion, ends, sequence: PoseSequence, size: float) -> list[DrawnPart]:
+def _torsion(
+    name: str, element: Torsion, ends, sequence: PoseSequence, size: float
+) -> list[DrawnPart]:
     """A flat spiral about the axis on the first frame, whose outer end is an arm on the second."""
     R_a, R_b = (sequence.R[:, sequence.row(frame)] for frame in element.between)
     axes = np.asarray(matrix(element.orientation)) @ axes_along(np.asarray(element.axis, float))
@@ -123,13 +170,18 @@ def _torsion(name: str, element: Torsion, ends, sequence: PoseSequence, size: fl
     r = 0.035 * size
     arm = box([1.0 * r, 0.16 * r, 0.16 * r]).placed(np.array([0.7 * r, 0, 0]))
     return [
-        DrawnPart(("elements", name, "spiral"), spiral(0.2 * r, r, 0.07 * r), STEEL, ends[0], R_a @ axes),
+        DrawnPart(
+            ("elements", name, "spiral"), spiral(0.2 * r, r, 0.07 * r), STEEL, ends[0], R_a @ axes
+        ),
         DrawnPart(("elements", name, "arm"), arm, GRAY, ends[0], R_b @ in_b),
     ]
 
 
-def _anti_roll_bar(name: str, element: AntiRollBar, ends, sequence: PoseSequence, size: float) -> list[DrawnPart]:
-    """A bar on the body beside the line between the two wheels at rest, with a lever to each wheel."""
+def _anti_roll_bar(
+    name: str, element: AntiRollBar, ends, sequence: PoseSequence, size: float
+) -> list[DrawnPart]:
+    """A bar on the body beside the line between the two wheels at rest, with a lever to
+    each wheel."""
     left, right, _ = ends
     line, row = left[0] - right[0], sequence.row(element.between[2])
     normal = sequence.R[0, row] @ np.asarray(element.axis, float)

@@ -1,4 +1,5 @@
-"""Triangle meshes of what is drawn: solids, coils, wheels, arrows, ribbons. Lengths along z are 1 where a drawing stretches them."""
+"""Triangle meshes of what is drawn: solids, coils, wheels, arrows, ribbons. Lengths along z are 1
+where a drawing stretches them."""
 
 from __future__ import annotations
 
@@ -18,7 +19,9 @@ class Mesh(NamedTuple):
     vertices: np.ndarray
     faces: np.ndarray
 
-    def placed(self, p: np.ndarray, R: np.ndarray | None = None, scale: float | np.ndarray = 1.0) -> Mesh:
+    def placed(
+        self, p: np.ndarray, R: np.ndarray | None = None, scale: float | np.ndarray = 1.0
+    ) -> Mesh:
         """Scaled, then rotated, then moved by p."""
         scaled = self.vertices * scale
         return Mesh((scaled if R is None else scaled @ R.T) + p, self.faces)
@@ -31,8 +34,12 @@ class Mesh(NamedTuple):
         return n / np.where(length > 0, length, 1.0)
 
     def edges(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of vertices (e, 2) of sharp edges, and of those with one triangle, and their two triangles (e, 2)."""
-        pairs = np.sort(np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]), axis=1)
+        """Pairs of vertices (e, 2) of sharp edges, and of those with one triangle, and their two
+        triangles (e, 2)."""
+        pairs = np.sort(
+            np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]),
+            axis=1,
+        )
         owners = np.tile(np.arange(len(self.faces)), 3)
         unique, inverse, count = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
         order = np.argsort(inverse.ravel(), kind="stable")
@@ -67,22 +74,39 @@ def box(size: np.ndarray | Sequence[float]) -> Mesh:
     """A box with these edge lengths about the origin."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return Mesh(corners * size, np.array([face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]))
+    return Mesh(
+        corners * size, np.array([face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))])
+    )
 
 
 def revolved(profile: np.ndarray, sides: int = ROUND) -> Mesh:
-    """A profile of rows (radius, z), with z rising along the outside, turned about z; it ends on the axis, or where it starts."""
+    """A profile of rows (radius, z), with z rising along the outside, turned about z; it ends on
+    the axis, or where it starts."""
     closed = np.array_equal(profile[0], profile[-1])
     angle = 2 * np.pi * np.arange(sides) / sides
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     rows = profile[:-1] if closed else profile
-    rings = [np.array([[r, 0.0, z]]) if r == 0 else np.concatenate([r * circle, np.full((sides, 1), z)], -1) for r, z in rows]
+    rings = [
+        np.array([[r, 0.0, z]])
+        if r == 0
+        else np.concatenate([r * circle, np.full((sides, 1), z)], -1)
+        for r, z in rows
+    ]
     starts = np.cumsum([0, *(len(ring) for ring in rings)])
-    around = [start + (np.arange(sides) if len(ring) > 1 else np.zeros(sides, int)) for start, ring in zip(starts, rings, strict=False)]
+    around = [
+        start + (np.arange(sides) if len(ring) > 1 else np.zeros(sides, int))
+        for start, ring in zip(starts, rings, strict=False)
+    ]
     faces = []
-    for lower, upper in zip(around, [*around[1:], around[0]], strict=True) if closed else pairwise(around):
+    for lower, upper in (
+        zip(around, [*around[1:], around[0]], strict=True) if closed else pairwise(around)
+    ):
         a, b, c, d = lower, np.roll(lower, -1), np.roll(upper, -1), upper
-        faces += [np.stack(corners, -1) for corners in ((a, b, c), (a, c, d)) if len({*map(int, (x[0] for x in corners))}) == 3]
+        faces += [
+            np.stack(corners, -1)
+            for corners in ((a, b, c), (a, c, d))
+            if len({*map(int, (x[0] for x in corners))}) == 3
+        ]
     return Mesh(np.concatenate(rings), np.concatenate(faces))
 
 
@@ -101,19 +125,31 @@ def sphere(radius: float, sides: int = 16) -> Mesh:
 
 def arrow(radius: float, head: float) -> Mesh:
     """An arrow from 0 to 1 along z, whose head has this share of its length."""
-    return revolved(np.array([[0, 0], [radius, 0], [radius, 1 - head], [2.6 * radius, 1 - head], [0, 1]]), 12)
+    return revolved(
+        np.array([[0, 0], [radius, 0], [radius, 1 - head], [2.6 * radius, 1 - head], [0, 1]]), 12
+    )
 
 
 def ring(inner: float, outer: float, low: float, high: float) -> Mesh:
     """A tube about z with a wall between two radii."""
-    return revolved(np.array([[inner, low], [outer, low], [outer, high], [inner, high], [inner, low]]))
+    return revolved(
+        np.array([[inner, low], [outer, low], [outer, high], [inner, high], [inner, low]])
+    )
 
 
 def tyre(radius: float, width: float) -> Mesh:
     """A tyre about z with rounded shoulders and an opening for the rim."""
     r, w = radius, width / 2
     bead, shoulder = 0.62 * r, 0.10 * r
-    half = np.array([[bead, 0.8 * w], [bead + shoulder, w], [r - shoulder, w], [r - 0.3 * shoulder, 0.85 * w], [r, 0.55 * w]])
+    half = np.array(
+        [
+            [bead, 0.8 * w],
+            [bead + shoulder, w],
+            [r - shoulder, w],
+            [r - 0.3 * shoulder, 0.85 * w],
+            [r, 0.55 * w],
+        ]
+    )
     return revolved(np.concatenate([half * [1, -1], half[::-1], half[:1] * [1, -1]]), 36)
 
 
@@ -127,12 +163,16 @@ def wire(path: np.ndarray, radius: float, sides: int = 6) -> Mesh:
         rest = side[i - 1] - (side[i - 1] @ tangent[i]) * tangent[i]
         side[i] = rest / np.linalg.norm(rest)
     angle = 2 * np.pi * np.arange(sides) / sides
-    rim = np.cos(angle)[:, None, None] * side + np.sin(angle)[:, None, None] * np.cross(tangent, side)
+    rim = np.cos(angle)[:, None, None] * side + np.sin(angle)[:, None, None] * np.cross(
+        tangent, side
+    )
     rings = np.moveaxis(path + radius * rim, 0, 1).reshape(-1, 3)
     here, there = np.arange(sides), np.roll(np.arange(sides), -1)
     starts = sides * np.arange(len(path) - 1)[:, None]
     a, b, c, d = starts + here, starts + there, starts + sides + there, starts + sides + here
-    sleeve = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    sleeve = np.concatenate(
+        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
+    )
     first, last = np.full(sides, len(rings)), np.full(sides, len(rings) + 1)
     end = sides * (len(path) - 1)
     caps = [np.stack([first, there, here], -1), np.stack([last, end + here, end + there], -1)]
@@ -140,13 +180,20 @@ def wire(path: np.ndarray, radius: float, sides: int = 6) -> Mesh:
 
 
 def coil(radius: float, thickness: float, length: float, turns: int, points: int = 14) -> Mesh:
-    """A coil spring about z with straight ends, from z = 0 to 1; its wire is round where it is stretched to `length`."""
+    """A coil spring about z with straight ends, from z = 0 to 1; its wire is round where it is
+    stretched to `length`."""
     straight, lead = 0.08, 0.5  # share of the length, and turns over which the radius grows
     angle = np.linspace(0, turns, turns * points + 1)
     r = radius * np.clip(np.minimum(angle, turns - angle) / lead, 0, 1)
     z = straight + (1 - 2 * straight) * angle / turns
     helix = np.stack([r * np.cos(2 * np.pi * angle), r * np.sin(2 * np.pi * angle), length * z], -1)
-    path = np.concatenate([[[0, 0, 0], [0, 0, 0.6 * straight * length]], helix, [[0, 0, (1 - 0.6 * straight) * length], [0, 0, length]]])
+    path = np.concatenate(
+        [
+            [[0, 0, 0], [0, 0, 0.6 * straight * length]],
+            helix,
+            [[0, 0, (1 - 0.6 * straight) * length], [0, 0, length]],
+        ]
+    )
     mesh = wire(path, thickness)
     vertices = mesh.vertices / [1, 1, length]
     return Mesh(vertices * [1, 1, 0] + np.clip(vertices * [0, 0, 1], 0, 1), mesh.faces)
@@ -164,7 +211,10 @@ def ribbon(x: np.ndarray, z: np.ndarray, width: float) -> Mesh:
     y = np.full_like(x, width / 2)
     vertices = np.concatenate([np.stack([x, -y, z], -1), np.stack([x, y, z], -1)])
     a = np.arange(len(x) - 1)
-    right, left = np.stack([a, a + 1, len(x) + a + 1], -1), np.stack([a, len(x) + a + 1, len(x) + a], -1)
+    right, left = (
+        np.stack([a, a + 1, len(x) + a + 1], -1),
+        np.stack([a, len(x) + a + 1, len(x) + a], -1),
+    )
     return Mesh(vertices, np.concatenate([right, left]))
 
 

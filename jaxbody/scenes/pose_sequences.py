@@ -1,5 +1,5 @@
-"""What is viewed, as poses of all frames of a model at successive times: of a trajectory, of vibrating modes, of a suspension
-over its travel, or of one state."""
+"""What is viewed, as poses of all frames of a model at successive times: of a trajectory, of
+vibrating modes, of a suspension over its travel, or of one state."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ class PoseSequence:
     R: np.ndarray  # (n, frames, 3, 3), orientations
     title: str = ""
     clock: tuple[str, ...] = ("",)  # what is written at each time
-    forces: dict[str, np.ndarray] = field(default_factory=dict)  # {element: (n, ends, 3)} that it exerts on each end, world axes [N]
+    # {element: (n, ends, 3)} that it exerts on each end, world axes [N]
+    forces: dict[str, np.ndarray] = field(default_factory=dict)
     roads: dict[str, Road] = field(default_factory=dict)  # {support: road under it}
     wheel: Wheel | None = None  # that is drawn, beside those of tyres
 
@@ -67,80 +68,164 @@ def still(model: Model, state: State | None = None, title: str = "") -> PoseSequ
 
 
 def along(trajectory: Trajectory, most: int, forces: bool = False, title: str = "") -> PoseSequence:
-    """The samples of a motion nearest to `most` equal steps of time; those after a failure are left out.
+    """The samples of a motion nearest to `most` equal steps of time; those after a failure are
+    left out.
 
     Errors: BAD_SHAPE for a batch, NONFINITE where nothing is finite."""
     if trajectory.times.ndim > 1 or not is_concrete(trajectory.state.q):
         hint = "View one sample of the batch: jax.tree.map(lambda x: x[0], trajectory)."
-        raise JaxbodyError(Problem("BAD_SHAPE", "view", "is a batch of trajectories", trajectory.times.shape, "one trajectory", hint))
+        raise JaxbodyError(
+            Problem(
+                "BAD_SHAPE",
+                "view",
+                "is a batch of trajectories",
+                trajectory.times.shape,
+                "one trajectory",
+                hint,
+            )
+        )
     finite = np.isfinite(np.asarray(trajectory.state.q)).all(-1)
     if not finite.any():
-        raise JaxbodyError(Problem("NONFINITE", "view", f"has no finite state: {trajectory.report()}", hint="Simulate it again."))
+        raise JaxbodyError(
+            Problem(
+                "NONFINITE",
+                "view",
+                f"has no finite state: {trajectory.report()}",
+                hint="Simulate it again.",
+            )
+        )
     known = np.flatnonzero(finite)
     times = np.asarray(trajectory.times, float)
     rows = known[nearest(times[known], most)]
     part = eqx.tree_at(
-        lambda x: (x.times, x.state), trajectory, (trajectory.times[rows], jax.tree.map(lambda x: x[rows], trajectory.state))
+        lambda x: (x.times, x.state),
+        trajectory,
+        (trajectory.times[rows], jax.tree.map(lambda x: x[rows], trajectory.state)),
     )
     frames, model = part.at_samples(_frames), trajectory.model
-    exerted: dict[str, Any] = of_elements(model, part.at_samples(_end_forces), axis=1) if forces else {}
-    roads = {name: motion for name, motion in zip(model.layout.supports, trajectory.motions, strict=False) if isinstance(motion, Road)}
+    exerted: dict[str, Any] = (
+        of_elements(model, part.at_samples(_end_forces), axis=1) if forces else {}
+    )
+    roads = {
+        name: motion
+        for name, motion in zip(model.layout.supports, trajectory.motions, strict=False)
+        if isinstance(motion, Road)
+    }
     forces_by_name = {name: np.asarray(force) for name, force in exerted.items()}
     chosen = times[rows]
     step = np.diff(chosen).min(initial=1.0)
-    clock = tuple(f"t = {t:.{int(np.clip(np.ceil(-np.log10(step) - 1e-9), 0, 6))}f} s" for t in chosen)
-    return PoseSequence(model, chosen, np.asarray(frames.p), np.asarray(frames.R), title, clock, forces_by_name, roads)
+    clock = tuple(
+        f"t = {t:.{int(np.clip(np.ceil(-np.log10(step) - 1e-9), 0, 6))}f} s" for t in chosen
+    )
+    return PoseSequence(
+        model,
+        chosen,
+        np.asarray(frames.p),
+        np.asarray(frames.R),
+        title,
+        clock,
+        forces_by_name,
+        roads,
+    )
 
 
-def vibrating(modes: ModalResult, number: int, state: State | None, amplitude: float | None, phase: float) -> PoseSequence:
-    """One period of a mode about a state, Delta = s Re(phi exp(i (2 pi f t + phase))), in two seconds whatever its frequency.
+def vibrating(
+    modes: ModalResult, number: int, state: State | None, amplitude: float | None, phase: float
+) -> PoseSequence:
+    """One period of a mode about a state, Delta = s Re(phi exp(i (2 pi f t + phase))), in two
+    seconds whatever its frequency.
 
     Args:
         modes: natural or complex modes.
         number: number of the mode, from 1.
         state: the state about which it vibrates; None takes the reference pose.
-        amplitude: the largest displacement of an attached point or center of mass [m]; None takes an eighth of the model's size.
+        amplitude: the largest displacement of an attached point or center of mass [m]; None takes
+            an eighth of the model's size.
         phase: phase of the first frame [rad].
 
     Error: UNKNOWN_MODE."""
     model, count = modes.model, modes.frequency.shape[0]
     if not 1 <= number <= count:
         limit = f"1 to {count}"
-        raise JaxbodyError(Problem("UNKNOWN_MODE", "view.number", f"is {number}; there are modes {limit}", number, limit))
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_MODE",
+                "view.number",
+                f"is {number}; there are modes {limit}",
+                number,
+                limit,
+            )
+        )
     q = (model.reference if state is None else state).q
     shape: Any = np.asarray(modes.shapes)[: model.layout.nv, number - 1]
     if not np.isfinite(shape).all():
-        hint = "It is one of several with the same frequency: their shapes are not unique while they are differentiated."
-        raise JaxbodyError(Problem("NONFINITE", "view.number", f"mode {number} has no finite shape", number, hint=hint))
+        hint = (
+            "It is one of several with the same frequency: their shapes are not unique while "
+            "they are differentiated."
+        )
+        raise JaxbodyError(
+            Problem(
+                "NONFINITE", "view.number", f"mode {number} has no finite shape", number, hint=hint
+            )
+        )
     rest = still(model, State(q, jnp.zeros(model.layout.nv, q.dtype)))
     size = size_of_sequence(rest)
     extremes = np.stack([shape.real, shape.imag])
     trial = 1e-6 * size / max(np.abs(shape).max(), np.finfo(float).tiny)
     trials = PoseSequence(model, np.zeros(2), *_poses(model, q, trial * extremes))
-    largest = np.linalg.norm(np.linalg.norm(_marks(trials) - _marks(rest), axis=-1), axis=0).max() / trial
-    largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)  # where nothing is attached off O
+    largest = (
+        np.linalg.norm(np.linalg.norm(_marks(trials) - _marks(rest), axis=-1), axis=0).max() / trial
+    )
+    # where nothing is attached off O
+    largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
     factor = (SWING * size if amplitude is None else float(amplitude)) / largest
     steps = np.arange(CYCLE) / CYCLE
     turn = np.exp(1j * (2 * np.pi * steps + phase))
     p, R = _poses(model, q, factor * np.real(shape * turn[:, None]))
     frequency = float(np.asarray(modes.frequency)[number - 1])
     ratio = float(without_dust(modes.damping_ratio, 1.0)[number - 1])
-    title = f"mode {number}, {frequency:.4g} Hz\n" + (f"damping ratio {ratio:.2g}\n" if ratio > 0 else "") + modes.names[number - 1]
+    title = (
+        f"mode {number}, {frequency:.4g} Hz\n"
+        + (f"damping ratio {ratio:.2g}\n" if ratio > 0 else "")
+        + modes.names[number - 1]
+    )
     clock = tuple(f"phase {round(360 * step + np.rad2deg(phase)) % 360} degrees" for step in steps)
     return PoseSequence(model, SECONDS * steps, p, R, title, clock)
 
 
 def over_travel(curves: SuspensionCurves, title: str = "") -> PoseSequence:
-    """The configurations of a suspension in the order of its curves, in equal steps of time; those beyond reach are left out.
+    """The configurations of a suspension in the order of its curves, in equal steps of time; those
+    beyond reach are left out.
 
     Error: NONFINITE where none is within reach."""
     rows = np.flatnonzero(np.asarray(curves.ok))
     if not len(rows):
-        raise JaxbodyError(Problem("NONFINITE", "view", f"has no configuration: {curves.report()}", hint="Give values within reach."))
+        raise JaxbodyError(
+            Problem(
+                "NONFINITE",
+                "view",
+                f"has no configuration: {curves.report()}",
+                hint="Give values within reach.",
+            )
+        )
     p, R = _configurations(curves.model, curves.q[rows])
-    shown = [[f"{drive.name} {_shown(float(curves.over[drive.name][i]), drive.unit)}" for drive in curves.drives] for i in rows]
+    shown = [
+        [
+            f"{drive.name} {_shown(float(curves.over[drive.name][i]), drive.unit)}"
+            for drive in curves.drives
+        ]
+        for i in rows
+    ]
     times = np.linspace(0.0, TRAVEL, len(rows)) if len(rows) > 1 else np.zeros(1)
-    return PoseSequence(curves.model, times, p, R, title, tuple(", ".join(parts) for parts in shown), wheel=curves.wheel)
+    return PoseSequence(
+        curves.model,
+        times,
+        p,
+        R,
+        title,
+        tuple(", ".join(parts) for parts in shown),
+        wheel=curves.wheel,
+    )
 
 
 def _shown(value: float, unit: str) -> str:
@@ -158,20 +243,31 @@ def nearest(times: np.ndarray, most: int) -> np.ndarray:
 
 def marks_of(model: Model) -> list[tuple[str, np.ndarray]]:
     """(frame, point): centers of mass and origins of bodies, ends of elements and closures."""
-    places = [(name, point) for name in model.layout.bodies for point in (np.asarray(model[name].com), np.zeros(3))]
+    places = [
+        (name, point)
+        for name in model.layout.bodies
+        for point in (np.asarray(model[name].com), np.zeros(3))
+    ]
     for table in attaching(model):
         for end, points in enumerate(table.rows.points):
-            places += [(link[end], point) for link, point in zip(table.links, np.asarray(points), strict=True)]
+            places += [
+                (link[end], point)
+                for link, point in zip(table.links, np.asarray(points), strict=True)
+            ]
     return places
 
 
 def attaching(model: Model) -> list[KindTable]:
     """The tables of elements, and of closures that have points in space."""
-    return [*model.elements, *(table for table in model.closures if not isinstance(table.rows, Coupling | Equation))]
+    return [
+        *model.elements,
+        *(table for table in model.closures if not isinstance(table.rows, Coupling | Equation)),
+    ]
 
 
 def size_of_sequence(sequence: PoseSequence) -> float:
-    """The longest side of the box around the attached points and centers of mass in the first frame; 1 m for a point."""
+    """The longest side of the box around the attached points and centers of mass in the first
+    frame; 1 m for a point."""
     marks = _marks(sequence)[0]
     return float(np.ptp(marks, axis=0).max()) or 1.0
 
@@ -182,8 +278,11 @@ def _marks(sequence: PoseSequence) -> np.ndarray:
 
 
 def _poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses at q (+) Delta for rows of Delta, where closures are fulfilled, with supports in their reference poses."""
-    return _configurations(model, _moved(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype)))
+    """Poses at q (+) Delta for rows of Delta, where closures are fulfilled, with supports in their
+    reference poses."""
+    return _configurations(
+        model, _moved(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype))
+    )
 
 
 @program

@@ -1,4 +1,5 @@
-"""Measured channels: residuals between readings and measured values, missing samples, components of the noise."""
+"""Measured channels: residuals between readings and measured values, missing samples, components of
+the noise."""
 
 import math
 from typing import Any, ClassVar
@@ -12,13 +13,15 @@ from jaxbody.geometry.places import DIRECTIONS
 class Channel(eqx.Module):
     """The base class of sensors and of the channels of other measurements.
 
-    `shape` is that of a reading, `noise_shape` that of a residual. `unit` is that of both; it may hold several, separated by commas, and
-    noise then has one number for each."""
+    `shape` is that of a reading, `noise_shape` that of a residual. `unit` is that of both; it may
+    hold several, separated by commas, and noise then has one number for each."""
 
     shape: eqx.AbstractClassVar[tuple[int, ...]]
     unit: eqx.AbstractClassVar[str]
-    series: ClassVar[bool] = True  # a time series: neighbors may be correlated, and there are enough samples to estimate the noise
-    parts: ClassVar[tuple[str, ...]] = ()  # names of the groups of components, where there are several units
+    # a time series: neighbors may be correlated, and there are enough samples to estimate the noise
+    series: ClassVar[bool] = True
+    # names of the groups of components, where there are several units
+    parts: ClassVar[tuple[str, ...]] = ()
 
     def residual(self, reading: Array, measured: Array) -> Float[Array, "*r"]:
         """Reading minus measured, zero where a sample is missing."""
@@ -29,15 +32,22 @@ class Channel(eqx.Module):
         return module_of(measured).isnan(measured)
 
     def spread(self, level: Any) -> Any:
-        """Noise levels of the components of a residual, from one number or one for each unit; several as a row of the samples."""
+        """Noise levels of the components of a residual, from one number or one for each unit;
+        several as a row of the samples."""
         if self.units == 1:
             return level
         xp = module_of(level)
-        return xp.repeat(xp.broadcast_to(level, (self.units,)), self.noise_shape[-1] // self.units)[None]
+        return xp.repeat(xp.broadcast_to(level, (self.units,)), self.noise_shape[-1] // self.units)[
+            None
+        ]
 
     def pooled(self, x: Any) -> Any:
         """The sum of the components of residuals over all samples: one number for each unit."""
-        return x.sum() if self.units == 1 else x.reshape(-1, self.units, self.noise_shape[-1] // self.units).sum((0, 2))
+        return (
+            x.sum()
+            if self.units == 1
+            else x.reshape(-1, self.units, self.noise_shape[-1] // self.units).sum((0, 2))
+        )
 
     @property
     def noise_shape(self) -> tuple[int, ...]:
@@ -45,7 +55,8 @@ class Channel(eqx.Module):
 
     @property
     def components(self) -> tuple[str, ...]:
-        """The names of the components of a residual: "" for a single number, "x" to "rz" for up to six, else their numbers."""
+        """The names of the components of a residual: "" for a single number, "x" to "rz" for up to
+        six, else their numbers."""
         shape = self.noise_shape
         if not shape:
             return ("",)

@@ -1,4 +1,5 @@
-"""Instruments between two points (displacement, length of a wire) and with laser beams from the world (velocity, distance)."""
+"""Instruments between two points (displacement, length of a wire) and with laser beams from the
+world (velocity, distance)."""
 
 from typing import Any, Unpack
 
@@ -21,7 +22,8 @@ GRAZING = 1e-6  # smallest cosine between the beam and the normal of the surface
 
 
 class Gauge(Sensor):
-    """The base class of instruments between point a of one body or support and point b of another; `between` names the two."""
+    """The base class of instruments between point a of one body or support and point b of another;
+    `between` names the two."""
 
     between: tuple[str, str] = field(static=True)
     a: Float[Array, "3"] = field("m")
@@ -49,8 +51,9 @@ class Gauge(Sensor):
 
 
 class Displacement(Gauge):
-    """Displacement [m] of a point relative to a body or support, in the axes of the latter: R_B' (p_a - p_B) - b, as read by an LVDT or a
-    ruler. A Position with `relative_to` is that from the origin of the latter.
+    """Displacement [m] of a point relative to a body or support, in the axes of the latter: R_B'
+    (p_a - p_B) - b, as read by an LVDT or a ruler. A Position with `relative_to` is that from the
+    origin of the latter.
 
     Args:
         a: (name, point), or a name for its origin
@@ -58,7 +61,8 @@ class Displacement(Gauge):
         axis: the sensitive direction in the axes of b, for one number; None: three numbers
         chain: `gain`, `bias` (sets the zero), `delay`, `lag`, `start`: see Sensor
 
-    Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, BAD_DIRECTION, ZERO_AXIS, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+    Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, BAD_DIRECTION, ZERO_AXIS, BAD_SHAPE, NON_FINITE,
+    BAD_CHAIN, BAD_LAG.
 
     >>> Displacement(("plate", [0.1, 0, 0]), "base", axis=[0, 0, 1]).shape
     ()
@@ -80,10 +84,12 @@ class Displacement(Gauge):
 
 
 class StringPotentiometer(Gauge):
-    """Distance |AB| [m] between two points, as read by a wire from one to the other; at zero length its derivatives are zero.
+    """Distance |AB| [m] between two points, as read by a wire from one to the other; at zero length
+    its derivatives are zero.
 
     `a` and `b` are each (name, point). `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
-    Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_LENGTH in the reference pose, BAD_SHAPE, NON_FINITE, BAD_LAG.
+    Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_LENGTH in the reference pose, BAD_SHAPE,
+    NON_FINITE, BAD_LAG.
 
     >>> StringPotentiometer(("plate", [0.1, 0, 0]), ("base", [0, 0, 1])).between
     ('plate', 'base')
@@ -110,7 +116,11 @@ class StringPotentiometer(Gauge):
             return None
         length, size = np.linalg.norm(p - other), np.abs(p).max()
         message = f"has length {length:.3g} m in the reference pose, which gives it no direction"
-        return None if length > 1e-12 * size else Problem("ZERO_LENGTH", where, message, length, "> 0", "Move one of its points.")
+        return (
+            None
+            if length > 1e-12 * size
+            else Problem("ZERO_LENGTH", where, message, length, "> 0", "Move one of its points.")
+        )
 
 
 def _length(d: Float[Array, "3"]) -> Float[Array, ""]:
@@ -120,9 +130,11 @@ def _length(d: Float[Array, "3"]) -> Float[Array, ""]:
 
 
 class LaserLine(Sensor):
-    """The base class of instruments with a beam fixed in the world, from `origin` along the unit vector `axis` n.
+    """The base class of instruments with a beam fixed in the world, from `origin` along the unit
+    vector `axis` n.
 
-    The beam meets a plane surface of the body, through `point` P with `normal` N, both in body axes, at the spot
+    The beam meets a plane surface of the body, through `point` P with `normal` N, both in body
+    axes, at the spot
 
         S = origin + d n,   d = (P - origin) . R N/(n . R N)
     """
@@ -140,7 +152,12 @@ class LaserLine(Sensor):
             self.on, self.point = on, vector(point, f"{kind}.point", problems)
             self.axis = direction(axis, f"{kind}.axis", problems)
             if (origin is None) != (normal is None):
-                problems.add("NO_SURFACE", kind, "has only one of `origin` and `normal`", hint="Give both or neither.")
+                problems.add(
+                    "NO_SURFACE",
+                    kind,
+                    "has only one of `origin` and `normal`",
+                    hint="Give both or neither.",
+                )
             self.origin = None if origin is None else vector(origin, f"{kind}.origin", problems)
             self.normal = None if normal is None else direction(normal, f"{kind}.normal", problems)
             self.chained(problems, **chain)
@@ -148,24 +165,39 @@ class LaserLine(Sensor):
     def distance(self, frame: Pose) -> Float[Array, ""]:
         """The distance d from the beam's origin to the spot."""
         N = rotate(frame.R, jnp.asarray(self.normal))
-        return dot(frame.point(self.point) - jnp.asarray(self.origin), N) / dot(jnp.asarray(self.axis), N)
+        return dot(frame.point(self.point) - jnp.asarray(self.origin), N) / dot(
+            jnp.asarray(self.axis), N
+        )
 
     def problem(self, model, where):
         if (problem := super().problem(model, where)) is not None or self.normal is None:
             return problem
         R = concrete(pose_at_reference(model, self.on).R)
         axis, normal = concrete(self.axis), concrete(self.normal)
-        if R is None or axis is None or normal is None or abs(cosine := axis @ R @ normal) > GRAZING:
+        if (
+            R is None
+            or axis is None
+            or normal is None
+            or abs(cosine := axis @ R @ normal) > GRAZING
+        ):
             return None
         message = "has a beam parallel to the surface in the reference pose"
-        return Problem("GRAZING", where, message, cosine, f"|cosine to the normal| > {GRAZING:g}", "Turn the beam or the normal.")
+        return Problem(
+            "GRAZING",
+            where,
+            message,
+            cosine,
+            f"|cosine to the normal| > {GRAZING:g}",
+            "Turn the beam or the normal.",
+        )
 
 
 class LaserVibrometer(LaserLine):
     """Velocity [m/s] of a body along a beam fixed in the world, n . v, positive along `axis` n.
 
-    Without `origin` and `normal`, v is the velocity of `point`, which is accurate while the body moves little across the beam. With both, v
-    is the velocity of the body at the spot where the beam meets its surface.
+    Without `origin` and `normal`, v is the velocity of `point`, which is accurate while the body
+    moves little across the beam. With both, v is the velocity of the body at the spot where the
+    beam meets its surface.
 
     Args:
         on: name of the body or support
@@ -183,7 +215,9 @@ class LaserVibrometer(LaserLine):
 
     unit = "m/s"
 
-    def __init__(self, on: str, point=(0, 0, 0), *, axis, origin=None, normal=None, **chain: Unpack[Chain]):
+    def __init__(
+        self, on: str, point=(0, 0, 0), *, axis, origin=None, normal=None, **chain: Unpack[Chain]
+    ):
         self.aimed(on, point, axis, origin, normal, chain)
 
     def reading(self, model, frames):
@@ -195,10 +229,13 @@ class LaserVibrometer(LaserLine):
 
 
 class LaserDistance(LaserLine):
-    """Distance d [m] from the `origin` of a beam fixed in the world, along `axis`, to a plane surface of a body, as read by a triangulation
-    sensor. Arguments and errors: see LaserVibrometer; `origin` and `normal` must be given.
+    """Distance d [m] from the `origin` of a beam fixed in the world, along `axis`, to a plane
+    surface of a body, as read by a triangulation sensor. Arguments and errors: see LaserVibrometer;
+    `origin` and `normal` must be given.
 
-    >>> LaserDistance("plate", [0, 0, 0.1], origin=[0, 0, 1], axis=[0, 0, -1], normal=[0, 0, 1]).unit
+    >>> LaserDistance(
+    ...     "plate", [0, 0, 0.1], origin=[0, 0, 1], axis=[0, 0, -1], normal=[0, 0, 1]
+    ... ).unit
     'm'
     """
 

@@ -1,4 +1,5 @@
-"""Instruments mounted on bodies: accelerometer, gyro, inclinometer; and sensors of elements, forces and joints."""
+"""Instruments mounted on bodies: accelerometer, gyro, inclinometer; and sensors of elements, forces
+and joints."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, Unpack
@@ -23,8 +24,9 @@ from jaxbody.sensors.sensors import Chain, Sensor
 
 
 class Mounted(Sensor):
-    """The base class of instruments with their own axes: three components in the axes of `orientation`, a quaternion or rotation matrix of
-    the instrument in its body; or one number along `axis`, the sensitive direction in body axes."""
+    """The base class of instruments with their own axes: three components in the axes of
+    `orientation`, a quaternion or rotation matrix of the instrument in its body; or one number
+    along `axis`, the sensitive direction in body axes."""
 
     on: str = eqx.field(static=True, converter=plain)
     point: Float[Array, "3"] = field("m")
@@ -36,10 +38,18 @@ class Mounted(Sensor):
         with Problems() as problems:
             self.on, self.point = on, vector(point, f"{kind}.point", problems)
             if axis is not None and orientation is not None:
-                problems.add("TWO_AXES", kind, "has an axis and an orientation", value=axis, hint="Give one of them: one number or three.")
+                problems.add(
+                    "TWO_AXES",
+                    kind,
+                    "has an axis and an orientation",
+                    value=axis,
+                    hint="Give one of them: one number or three.",
+                )
             self.axis = None if axis is None else direction(axis, f"{kind}.axis", problems)
             turned = IDENTITY if orientation is None else orientation
-            self.orientation = None if axis is not None else as_quaternion(turned, f"{kind}.orientation", problems)
+            self.orientation = (
+                None if axis is not None else as_quaternion(turned, f"{kind}.orientation", problems)
+            )
             self.chained(problems, **chain)
 
     @property
@@ -47,7 +57,8 @@ class Mounted(Sensor):
         return (3,) if self.axis is None else ()
 
     def along(self, R: Float[Array, "3 3"], x: Float[Array, "3"]) -> Float[Array, "*r"]:
-        """The components of a world vector in the axes of the instrument, or its component along the one axis."""
+        """The components of a world vector in the axes of the instrument, or its component along
+        the one axis."""
         x_B = rotate_back(R, x)
         if self.axis is not None:
             return dot(jnp.asarray(self.axis), x_B)
@@ -59,27 +70,34 @@ class Accelerometer(Mounted):
 
         f = R_S' R' (a_P - g),   a_P = a_O + alpha x r + w x (w x r),   r = R point
 
-    At rest it reads +9.81 upwards. Accelerations are those of the equations of motion, loads included.
+    At rest it reads +9.81 upwards. Accelerations are those of the equations of motion,
+    loads included.
 
     Args:
         on: name of the body or support
         point: position in body axes [m]
         axis: the sensitive direction in body axes, or x, y or z, for one number
-        orientation: R_S of the instrument in its body (quaternion or matrix), for three numbers; None: body axes
+        orientation: R_S of the instrument in its body (quaternion or matrix), for three
+            numbers; None: body axes
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
-    Errors: TWO_AXES, ZERO_AXIS, BAD_QUATERNION, BAD_ROTATION, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+    Errors: TWO_AXES, ZERO_AXIS, BAD_QUATERNION, BAD_ROTATION, BAD_SHAPE, NON_FINITE,
+    BAD_CHAIN, BAD_LAG.
 
     >>> box, hinge = Body(mass=2.0, inertia=[1, 1, 1]), Hinge("world", axis=[0, 0, 1])
     >>> model = Model(bodies={"box": box}, joints={"box": hinge}, gravity=[0, 0, -9.81])
-    >>> measure(simulate(model, [0.0, 0.1]), {"acc": Accelerometer("box", [0.1, 0, 0])})["acc"][0].tolist()
+    >>> measure(simulate(model, [0.0, 0.1]), {"acc": Accelerometer("box", [0.1, 0, 0])})["acc"][
+    ...     0
+    ... ].tolist()
     [0.0, 0.0, 9.81]
     """
 
     unit = "m/s2"
     accelerations = True
 
-    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, orientation=None, **chain: Unpack[Chain]):
+    def __init__(
+        self, on: str, point=(0, 0, 0), *, axis=None, orientation=None, **chain: Unpack[Chain]
+    ):
         self.mounted(on, point, axis, orientation, chain)
 
     def reading(self, model, frames):
@@ -88,8 +106,8 @@ class Accelerometer(Mounted):
 
 
 class Gyro(Mounted):
-    """Angular velocity [rad/s] of a body or support in the axes of the instrument, w_S = R_S' R' w. Its arguments (except `point`) and
-    errors are those of an Accelerometer.
+    """Angular velocity [rad/s] of a body or support in the axes of the instrument, w_S = R_S' R' w.
+    Its arguments (except `point`) and errors are those of an Accelerometer.
 
         >>> Gyro("box", axis=[0, 0, 1]).shape, Gyro("box").shape
         ((), (3,))
@@ -106,12 +124,14 @@ class Gyro(Mounted):
 
 
 class Tilt(Mounted):
-    """An inclinometer: the angles [rad] of its x and y axes above the horizontal plane, or of its single `axis`, positive upwards,
+    """An inclinometer: the angles [rad] of its x and y axes above the horizontal plane, or of its
+    single `axis`, positive upwards,
 
         theta = atan2(e . u, |e x u|),   u = -g/|g|
 
-    It reads the direction of gravity only; for an instrument that also responds to accelerations use an Accelerometer. Its arguments
-    (except `point`) and errors are those of an Accelerometer, with NO_GRAVITY for a model without gravity.
+    It reads the direction of gravity only; for an instrument that also responds to accelerations
+    use an Accelerometer. Its arguments (except `point`) and errors are those of an Accelerometer,
+    with NO_GRAVITY for a model without gravity.
 
     >>> Tilt("box").shape, Tilt("box", axis=[1, 0, 0]).shape
     ((2,), ())
@@ -136,12 +156,20 @@ class Tilt(Mounted):
     def problem(self, model, where):
         g = concrete(model.gravity)
         if g is not None and not g.any():
-            return Problem("NO_GRAVITY", where, "needs the direction of gravity", g, "not 0", "Give the model its gravity.")
+            return Problem(
+                "NO_GRAVITY",
+                where,
+                "needs the direction of gravity",
+                g,
+                "not 0",
+                "Give the model its gravity.",
+            )
         return super().problem(model, where)
 
 
 def _elevation(e: Float[Array, "*n 3"], u: Float[Array, "3"]) -> Float[Array, "*n"]:
-    """The angle of e above the plane normal to u; its derivatives are finite where e is parallel to u."""
+    """The angle of e above the plane normal to u; its derivatives are finite where e is parallel
+    to u."""
     u = jnp.broadcast_to(u, e.shape)
     across = cross(e, u)
     return jnp.arctan2(dot(e, u), jnp.sqrt(jnp.maximum(dot(across, across), 1e-24)))
@@ -160,8 +188,8 @@ class Components(Sensor):
 
 
 class OfElement(Components):
-    """The base class of sensors of an element: one number; of a bushing a `component`, 0 to 2 along and 3 to 5 about the axes of its end
-    a."""
+    """The base class of sensors of an element: one number; of a bushing a `component`, 0 to 2 along
+    and 3 to 5 about the axes of its end a."""
 
     shape = ()
     units_of_parts: ClassVar[tuple[str, str]]  # along and about an axis
@@ -180,22 +208,28 @@ class OfElement(Components):
     def read(self, model: Model, frames: Instant, of: Callable[..., Any]) -> Float[Array, ""]:
         element = model[self.on]
         rows = [model.layout.frame(end) for end in element.between]
-        value = of(element, *(frames.frame(row) if element.has_inertia() else frames[row] for row in rows))
+        value = of(
+            element, *(frames.frame(row) if element.has_inertia() else frames[row] for row in rows)
+        )
         return value if self.component is None else value[self.component]
 
     def problem(self, model, where):
         if self.on not in model.element_names:
             return unknown(self.on, where, model.element_names)
         size = model[self.on].size
-        return _component_problem(self.component, None if size == 1 else size, f"'{self.on}'", where)
+        return _component_problem(
+            self.component, None if size == 1 else size, f"'{self.on}'", where
+        )
 
 
 class Elongation(OfElement):
-    """Deformation of an element: elongation [m] of a spring, tension positive; the angle [rad] of a Torsion; as an output of responses its
-    change from equilibrium. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
+    """Deformation of an element: elongation [m] of a spring, tension positive; the angle [rad] of a
+    Torsion; as an output of responses its change from equilibrium. `gain`, `bias`, `delay`, `lag`,
+    `start`: see Sensor.
 
-    A bushing needs a `component`: 0 to 2 for the displacements [m], 3 to 5 for the rotations [rad] of its end b, in the axes of its end a.
-    Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_LAG.
+    A bushing needs a `component`: 0 to 2 for the displacements [m], 3 to 5 for the rotations [rad]
+    of its end b, in the axes of its end a. Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE,
+    NON_FINITE, BAD_LAG.
 
     >>> Elongation("AB").unit, Elongation("mount", component=5).unit
     ('m', 'rad')
@@ -204,15 +238,18 @@ class Elongation(OfElement):
     units_of_parts = ("m", "rad")
 
     def reading(self, model, frames):
-        return self.read(model, frames, lambda element, *ends: element.deformation(*(end.pose() for end in ends)))
+        return self.read(
+            model, frames, lambda element, *ends: element.deformation(*(end.pose() for end in ends))
+        )
 
 
 class LoadCell(OfElement):
-    """The force in an element [N], tension positive, its damper and its inertia included; the moment [N m] of a Torsion. `gain`, `bias`,
-    `delay`, `lag`, `start`: see Sensor.
+    """The force in an element [N], tension positive, its damper and its inertia included; the
+    moment [N m] of a Torsion. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
 
-    A bushing needs a `component`: 0 to 2 for the forces [N], 3 to 5 for the moments [N m] that oppose its deformation, in the axes of its
-    end a: positive where its end b is displaced along the axis.
+    A bushing needs a `component`: 0 to 2 for the forces [N], 3 to 5 for the moments [N m] that
+    oppose its deformation, in the axes of its end a: positive where its end b is displaced along
+    the axis.
     Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_LAG.
 
     >>> LoadCell("AB").unit, LoadCell("mount", component=5).unit
@@ -231,12 +268,18 @@ class LoadCell(OfElement):
 def _force(element: Element, *ends: Any) -> Array:
     if not element.has_inertia():
         return element.force(*ends)
-    frames, changes = (tuple(ends) for ends in zip(*((Frame(end.p, end.R, end.v, end.w), end.changes()) for end in ends), strict=True))
+    frames, changes = (
+        tuple(ends)
+        for ends in zip(
+            *((Frame(end.p, end.R, end.v, end.w), end.changes()) for end in ends), strict=True
+        )
+    )
     return element.force(*frames) + element.inertial_force(frames, changes)
 
 
 class WrenchSensor(Components):
-    """The base class of sensors of a force [N] and a moment [N m]: six numbers, or `component` 0 to 5 of them."""
+    """The base class of sensors of a force [N] and a moment [N m]: six numbers, or `component` 0 to
+    5 of them."""
 
     accelerations = reactions = True
 
@@ -252,21 +295,29 @@ class WrenchSensor(Components):
     def parts(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return ("force", "moment") if self.component is None else ()
 
-    def picked(self, R: Float[Array, "3 3"], F: Float[Array, "3"], M: Float[Array, "3"]) -> Float[Array, "*r"]:
+    def picked(
+        self, R: Float[Array, "3 3"], F: Float[Array, "3"], M: Float[Array, "3"]
+    ) -> Float[Array, "*r"]:
         """Force and moment in the axes R: all six numbers, or the selected component."""
         both = jnp.concatenate([rotate_back(R, F), rotate_back(R, M)])
         return both if self.component is None else both[self.component]
 
     def problem(self, model, where):
-        return None if self.component is None else _component_problem(self.component, 6, f"'{self.on}'", where)
+        return (
+            None
+            if self.component is None
+            else _component_problem(self.component, 6, f"'{self.on}'", where)
+        )
 
 
 class ForcePlate(WrenchSensor):
-    """Total force [N] on a support, or `world`, and moment [N m] about its origin, in its axes: six numbers, or `component` 0 to 5 of them.
+    """Total force [N] on a support, or `world`, and moment [N m] about its origin, in its axes: six
+    numbers, or `component` 0 to 5 of them.
 
-    It is the sum of all that bodies, springs and loads exert on the base, as read by a force plate or a shaker table. A Reaction reads it
-    in world axes. Noise is one number, or two: for forces [N] and moments [N m]. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
-    Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+    It is the sum of all that bodies, springs and loads exert on the base, as read by a force plate
+    or a shaker table. A Reaction reads it in world axes. Noise is one number, or two: for forces
+    [N] and moments [N m]. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor. Errors:
+    UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
 
     >>> ForcePlate("base").shape, ForcePlate("base", component=2).unit
     ((6,), 'N')
@@ -282,22 +333,25 @@ class ForcePlate(WrenchSensor):
 
 
 class Reaction(WrenchSensor):
-    """Force [N] and moment [N m] of a joint on the body that it carries, in the axes of its parent, or on a support by all that is attached
-    to it, in world axes: six numbers, or `component` 0 to 5.
+    """Force [N] and moment [N m] of a joint on the body that it carries, in the axes of its
+    parent, or on a support by all that is attached to it, in world axes: six numbers, or
+    `component` 0 to 5.
 
-        F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;  M likewise, about the joint
+        F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;
+        M likewise, about the joint
 
-    Along the joint's degrees of freedom it is zero, or the force of a coupling (`jb.closures.Coupling`). Noise is one number, or two: for
-    forces [N] and moments [N m].
+    Along the joint's degrees of freedom it is zero, or the force of a coupling
+    (`jb.closures.Coupling`). Noise is one number, or two: for forces [N] and moments [N m].
 
     Args:
         on: name of the body that the joint carries, or of a support
-        point: point about which the moment is taken, in axes of the body or support [m]; None: the point `at` of a hinge or ball, or else
-            the reference point O
+        point: point about which the moment is taken, in axes of the body or support [m]; None: the
+            point `at` of a hinge or ball, or else the reference point O
         component: 0 to 2 for one force, 3 to 5 for one moment; None: all six
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
-    Errors: UNKNOWN_NAME, NO_JOINT for a free body, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+    Errors: UNKNOWN_NAME, NO_JOINT for a free body, BAD_COMPONENT, BAD_SHAPE, NON_FINITE,
+    BAD_CHAIN, BAD_LAG.
 
     >>> box, hinge = Body(mass=2.0, inertia=[1, 1, 1]), Hinge("world", axis=[0, 1, 0])
     >>> model = Model(bodies={"box": box}, joints={"box": hinge}, gravity=[0, 0, -9.81])
@@ -307,7 +361,9 @@ class Reaction(WrenchSensor):
 
     point: Float[Array, "3"] | None = field("m")
 
-    def __init__(self, on: str, point=None, *, component: int | None = None, **chain: Unpack[Chain]):
+    def __init__(
+        self, on: str, point=None, *, component: int | None = None, **chain: Unpack[Chain]
+    ):
         with Problems() as problems:
             self.point = None if point is None else vector(point, "Reaction.point", problems)
             problems.gather(lambda: Components.__init__(self, on, component=component, **chain))
@@ -316,10 +372,18 @@ class Reaction(WrenchSensor):
         row, point = model.layout.frame(self.on), self.point
         if self.on in model.layout.supports:
             F, M = (jnp.asarray(x)[row] for x in (frames.F, frames.M))
-            return self.picked(frames.R[0], F, M if point is None else M - cross(rotate(frames.R[row], point), F))
+            return self.picked(
+                frames.R[0], F, M if point is None else M - cross(rotate(frames.R[row], point), F)
+            )
         joint = model.joint(self.on)
         parent, at, body = model.layout.frame(joint.parent), joint.at, frames[row]
-        place = body.point(point) if point is not None else body.p if at is None else frames[parent].point(at)
+        place = (
+            body.point(point)
+            if point is not None
+            else body.p
+            if at is None
+            else frames[parent].point(at)
+        )
         F, M = (-jnp.asarray(x)[row] for x in (frames.F, frames.M))
         return self.picked(frames.R[parent], F, M + cross(body.p - place, F))
 
@@ -330,16 +394,25 @@ class Reaction(WrenchSensor):
         if self.on not in layout.bodies:
             return unknown(self.on, where, layout.supports + layout.bodies)
         if layout.block(self.on).kind is Free:
-            return Problem("NO_JOINT", where, f"is on '{self.on}', a free body", self.on, "a body on a joint", "LoadCell reads elements.")
+            return Problem(
+                "NO_JOINT",
+                where,
+                f"is on '{self.on}', a free body",
+                self.on,
+                "a body on a joint",
+                "LoadCell reads elements.",
+            )
         return super().problem(model, where)
 
 
 class JointAngle(Components):
-    """An encoder: the angle [rad] of the joint that carries a body, from its reference pose, whole turns included.
+    """An encoder: the angle [rad] of the joint that carries a body, from its reference pose, whole
+    turns included.
 
-    A joint with several coordinates needs a `component`, the number (from 0) of one that is a rotation. `gain`, `bias`, `delay`, `lag`,
-    `start`: see Sensor.
-    Errors: UNKNOWN_NAME, BAD_COMPONENT (free bodies and ball joints have no angle: use Orientation), BAD_SHAPE, NON_FINITE, BAD_LAG.
+    A joint with several coordinates needs a `component`, the number (from 0) of one that is a
+    rotation. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
+    Errors: UNKNOWN_NAME, BAD_COMPONENT (free bodies and ball joints have no angle: use
+    Orientation), BAD_SHAPE, NON_FINITE, BAD_LAG.
 
     >>> JointAngle("arm").unit
     'rad'
@@ -359,14 +432,29 @@ class JointAngle(Components):
         turns = [i for i, unit in enumerate(block.q_units) if unit == "rad"]
         if (self.component is None and block.nv == 1 and turns) or self.component in turns:
             return None
-        message = f"reads component {self.component} of the joint of '{self.on}', a {block.kind.__name__}"
+        message = (
+            f"reads component {self.component} of the joint of '{self.on}', a {block.kind.__name__}"
+        )
         limit = f"one of {turns}" if turns else "a joint that turns"
-        return Problem("BAD_COMPONENT", where, message, self.component, limit, "Give the number of a rotation.")
+        return Problem(
+            "BAD_COMPONENT", where, message, self.component, limit, "Give the number of a rotation."
+        )
 
 
-def _component_problem(component: int | None, size: int | None, what: str, where: str) -> Problem | None:
+def _component_problem(
+    component: int | None, size: int | None, what: str, where: str
+) -> Problem | None:
     """The problem of a missing, superfluous or nonexistent component; None if there is none."""
-    if (component is None) == (size is None) and (component is None or component in range(size or 0)):
+    if (component is None) == (size is None) and (
+        component is None or component in range(size or 0)
+    ):
         return None
     limit = "no component" if size is None else f"0 to {size - 1}"
-    return Problem("BAD_COMPONENT", where, f"reads component {component} of {what}", component, limit, "Change `component`.")
+    return Problem(
+        "BAD_COMPONENT",
+        where,
+        f"reads component {component} of {what}",
+        component,
+        limit,
+        "Change `component`.",
+    )

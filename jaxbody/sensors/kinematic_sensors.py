@@ -1,6 +1,8 @@
-"""The motion of a point or of a body, without an instrument: position, velocity, acceleration; rotation, angular velocity and acceleration.
+"""The motion of a point or of a body, without an instrument: position, velocity, acceleration;
+rotation, angular velocity and acceleration.
 
-With p, v, a those of the point and R, w, alpha those of its body, relative to B and in the axes of B; r = p - p_B, u = v - v_B - w_B x r:
+With p, v, a those of the point and R, w, alpha those of its body, relative to B and in the axes of
+B; r = p - p_B, u = v - v_B - w_B x r:
 
     position               R_B' r
     velocity               R_B' u
@@ -9,7 +11,8 @@ With p, v, a those of the point and R, w, alpha those of its body, relative to B
     angular velocity       R_B' (w - w_B)
     angular acceleration   R_B' (alpha - alpha_B - w_B x w)
 
-Velocities and accelerations are time derivatives of positions and velocities. Relative to the world the axes are those of the world.
+Velocities and accelerations are time derivatives of positions and velocities. Relative to the world
+the axes are those of the world.
 """
 
 from abc import abstractmethod
@@ -32,7 +35,8 @@ from jaxbody.sensors.sensors import Chain, Sensor
 
 
 class Kinematic(Sensor):
-    """The base class of kinematic sensors, with three components in the axes of `relative_to` or one.
+    """The base class of kinematic sensors, with three components in the axes of `relative_to`
+    or one.
 
     Class attribute: `order`, 0 for a displacement, 1 for a velocity, 2 for an acceleration."""
 
@@ -47,7 +51,14 @@ class Kinematic(Sensor):
             for name, given in (("on", on), ("relative_to", relative_to)):
                 if not isinstance(given, str):
                     hint = f'Write {kind}("plate", ..., relative_to="base").'
-                    problems.add("WRONG_KIND", f"{kind}.{name}", f"is {given!r:.60}", value=given, limit="a name", hint=hint)
+                    problems.add(
+                        "WRONG_KIND",
+                        f"{kind}.{name}",
+                        f"is {given!r:.60}",
+                        value=given,
+                        limit="a name",
+                        hint=hint,
+                    )
             self.on, self.relative_to = on, relative_to
             if isinstance(self, KinematicOfPoint):
                 self.point = vector(point, f"{kind}.point", problems)
@@ -66,27 +77,38 @@ class Kinematic(Sensor):
         """All components, or the one along the axis."""
         return x if self.axis is None else dot(jnp.asarray(self.axis), x)
 
-    def rows(self, model: Model, frames: Frame, twists: Float[Array, "nf n 6"]) -> Float[Array, "n *r"]:
-        """The change of the displacement, or of the rotation, per unit of each of n coordinates that move the frames by their `twists`."""
+    def rows(
+        self, model: Model, frames: Frame, twists: Float[Array, "nf n 6"]
+    ) -> Float[Array, "n *r"]:
+        """The change of the displacement, or of the rotation, per unit of each of n coordinates
+        that move the frames by their `twists`."""
         row, other = (model.layout.frame(name) for name in self.names)
         moved = self.moved(frames, row, twists[row])
         if self.relative_to != WORLD:
-            moved = rotate_back(frames.R[other][None], moved - self.moved(frames, row, twists[other], other))
+            moved = rotate_back(
+                frames.R[other][None], moved - self.moved(frames, row, twists[other], other)
+            )
         return moved if self.axis is None else moved @ jnp.asarray(self.axis)
 
-    def moved(self, frames: Frame, row: int, twist: Float[Array, "n 6"], carried_by: int | None = None) -> Float[Array, "n 3"]:
-        """The rotation of a frame in world axes, or the displacement of the point when carried along by a frame."""
+    def moved(
+        self, frames: Frame, row: int, twist: Float[Array, "n 6"], carried_by: int | None = None
+    ) -> Float[Array, "n 3"]:
+        """The rotation of a frame in world axes, or the displacement of the point when carried
+        along by a frame."""
         return twist[:, 3:]
 
 
 class KinematicVector(Kinematic):
-    """The base class of those whose reading is a world vector: `absolute`, or `relative` to that of the frame in another row."""
+    """The base class of those whose reading is a world vector: `absolute`, or `relative` to that of
+    the frame in another row."""
 
     @abstractmethod
     def absolute(self, model: Model, frames: Instant, row: int) -> Float[Array, "3"]: ...
 
     @abstractmethod
-    def relative(self, model: Model, frames: Instant, row: int, other: int) -> Float[Array, "3"]: ...
+    def relative(
+        self, model: Model, frames: Instant, row: int, other: int
+    ) -> Float[Array, "3"]: ...
 
     def reading(self, model, frames):
         row, other = (model.layout.frame(name) for name in self.names)
@@ -106,13 +128,15 @@ class KinematicOfPoint(KinematicVector):
 
 
 class Position(KinematicOfPoint):
-    """Position [m] of a point of a body or support, in world axes; as an output of responses its displacement from equilibrium.
+    """Position [m] of a point of a body or support, in world axes; as an output of responses its
+    displacement from equilibrium.
 
     Args:
         on: name of the body or support
         point: position in its axes [m]
         axis: for one component, x, y, z or a direction; None: three components
-        relative_to: a body or support B, for the position from its origin, as seen by an observer on B, in the axes of B
+        relative_to: a body or support B, for the position from its origin, as seen by an observer
+            on B, in the axes of B
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
     Errors: BAD_DIRECTION, ZERO_AXIS, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
@@ -123,7 +147,15 @@ class Position(KinematicOfPoint):
 
     unit = "m"
 
-    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+    def __init__(
+        self,
+        on: str,
+        point=(0, 0, 0),
+        *,
+        axis=None,
+        relative_to: str = WORLD,
+        **chain: Unpack[Chain],
+    ):
         self.placed(on, axis, relative_to, chain, point)
 
     def absolute(self, model, frames, row):
@@ -134,7 +166,8 @@ class Position(KinematicOfPoint):
 
 
 class Velocity(KinematicOfPoint):
-    """Velocity [m/s] of a point of a body or support. Relative to the world it is the ideal record of a geophone.
+    """Velocity [m/s] of a point of a body or support. Relative to the world it is the ideal record
+    of a geophone.
 
     Its arguments and errors are those of Position.
 
@@ -145,7 +178,15 @@ class Velocity(KinematicOfPoint):
     unit = "m/s"
     order = 1
 
-    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+    def __init__(
+        self,
+        on: str,
+        point=(0, 0, 0),
+        *,
+        axis=None,
+        relative_to: str = WORLD,
+        **chain: Unpack[Chain],
+    ):
         self.placed(on, axis, relative_to, chain, point)
 
     def absolute(self, model, frames, row):
@@ -157,13 +198,18 @@ class Velocity(KinematicOfPoint):
 
 
 class Acceleration(KinematicOfPoint):
-    """Acceleration [m/s2] of a point of a body or support, d2p/dt2, without gravity: what comfort values are of. An Accelerometer reads the
-    specific force in its own axes, which contains gravity.
+    """Acceleration [m/s2] of a point of a body or support, d2p/dt2, without gravity: what
+    comfort values are of. An Accelerometer reads the specific force in its own axes, which
+    contains gravity.
 
     Its arguments and errors are those of Position. A stone that falls:
 
     >>> guide = Guide("world", axis=[0, 0, 1])
-    >>> model = Model(bodies={"stone": Body(mass=1, inertia=[1, 1, 1])}, joints={"stone": guide}, gravity=[0, 0, -10])
+    >>> model = Model(
+    ...     bodies={"stone": Body(mass=1, inertia=[1, 1, 1])},
+    ...     joints={"stone": guide},
+    ...     gravity=[0, 0, -10],
+    ... )
     >>> measure(simulate(model, [0.0, 0.5]), {"a": Acceleration("stone", axis="z")})["a"].tolist()
     [-10.0, -10.0]
     """
@@ -172,7 +218,15 @@ class Acceleration(KinematicOfPoint):
     order = 2
     accelerations = True
 
-    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+    def __init__(
+        self,
+        on: str,
+        point=(0, 0, 0),
+        *,
+        axis=None,
+        relative_to: str = WORLD,
+        **chain: Unpack[Chain],
+    ):
         self.placed(on, axis, relative_to, chain, point)
 
     def absolute(self, model, frames, row):
@@ -182,17 +236,23 @@ class Acceleration(KinematicOfPoint):
         assert frames.a is not None and frames.alpha is not None
         r, w = frames[row].point(self.point) - frames.p[other], frames.w[other]
         u = frames[row].velocity(self.point) - frames.v[other] - cross(w, r)
-        return self.absolute(model, frames, row) - frames.a[other] - cross(frames.alpha[other], r) - cross(w, cross(w, r) + 2 * u)
+        return (
+            self.absolute(model, frames, row)
+            - frames.a[other]
+            - cross(frames.alpha[other], r)
+            - cross(w, cross(w, r) + 2 * u)
+        )
 
 
 class Rotation(Kinematic):
-    """Rotation vector [rad] of a body or support from its reference pose, below half a turn; as an output of responses that from
-    equilibrium.
+    """Rotation vector [rad] of a body or support from its reference pose, below half a turn; as an
+    output of responses that from equilibrium.
 
     Args:
         on: name of the body or support
         axis: for one component, x, y, z or a direction; None: three components
-        relative_to: a body or support B, for the rotation as seen by an observer on B, in the axes of B
+        relative_to: a body or support B, for the rotation as seen by an observer on B, in the axes
+            of B
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
     Errors: BAD_DIRECTION, ZERO_AXIS, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
@@ -223,7 +283,8 @@ class Rotation(Kinematic):
 
 
 class AngularVelocity(KinematicVector):
-    """Angular velocity [rad/s] of a body or support. Its arguments and errors are those of Rotation; a Gyro reads it in its own axes.
+    """Angular velocity [rad/s] of a body or support. Its arguments and errors are those of
+    Rotation; a Gyro reads it in its own axes.
 
     >>> AngularVelocity("plate").shape
     (3,)
@@ -243,7 +304,8 @@ class AngularVelocity(KinematicVector):
 
 
 class AngularAcceleration(KinematicVector):
-    """Angular acceleration [rad/s2] of a body or support. Its arguments and errors are those of Rotation.
+    """Angular acceleration [rad/s2] of a body or support. Its arguments and errors are those
+    of Rotation.
 
     >>> AngularAcceleration("plate", axis="y").unit
     'rad/s2'

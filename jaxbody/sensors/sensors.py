@@ -1,4 +1,5 @@
-"""The base class of sensors: the reading of an instrument on a body, and its chain of gain, bias, delay and lag."""
+"""The base class of sensors: the reading of an instrument on a body, and its chain of gain, bias,
+delay and lag."""
 
 from abc import abstractmethod
 from typing import Any, ClassVar, TypedDict, Unpack
@@ -32,7 +33,8 @@ class Chain(TypedDict, total=False):
 
 
 class Sensor(Described, Channel):
-    """The base class of sensors: `reading` of the frames at one time, `transduced` into a record, and `residual`, reading minus measured.
+    """The base class of sensors: `reading` of the frames at one time, `transduced` into a record,
+    and `residual`, reading minus measured.
 
         y(t) = gain x_lag(t) + bias,   lag x_lag' + x_lag = x(t - delay),   x_lag(t_0) = start
 
@@ -43,14 +45,16 @@ class Sensor(Described, Channel):
         lag: time constant [s]
         start: initial value of the lag; None: x(t_0 - delay), as for an instrument that has settled
 
-    By default all of them are None, without effect. A record is extrapolated by at most one sample. Delayed samples further outside are
-    unknown: `measure` returns NaN, and a fit treats them as missing, with a weight that decreases to zero over one sample.
+    By default all of them are None, without effect. A record is extrapolated by at most one sample.
+    Delayed samples further outside are unknown: `measure` returns NaN, and a fit treats them as
+    missing, with a weight that decreases to zero over one sample.
 
-    Class attributes: `shape` of a reading; `noise_shape` of a residual; `unit` of both, or several separated by commas, and noise then has
-    one number for each; `accelerations` and `reactions`, True where a reading needs the accelerations of the frames or the loads on joints
-    and supports.
+    Class attributes: `shape` of a reading; `noise_shape` of a residual; `unit` of both, or several
+    separated by commas, and noise then has one number for each; `accelerations` and `reactions`,
+    True where a reading needs the accelerations of the frames or the loads on joints and supports.
 
-    Your own sensor defines `on`, `shape`, `unit` and `reading`, and has this chain too. The speed of a falling body, read 2 % too high:
+    Your own sensor defines `on`, `shape`, `unit` and `reading`, and has this chain too. The speed
+    of a falling body, read 2 % too high:
 
     >>> import equinox as eqx
     >>> class Speed(Sensor):
@@ -59,7 +63,11 @@ class Sensor(Described, Channel):
     ...     def reading(self, model, frames):
     ...         return jnp.linalg.norm(frames.v[model.layout.frame(self.on)])
     >>> guide = Guide("world", axis=[0, 0, 1])
-    >>> model = Model(bodies={"stone": Body(mass=1, inertia=[1, 1, 1])}, joints={"stone": guide}, gravity=[0, 0, -10])
+    >>> model = Model(
+    ...     bodies={"stone": Body(mass=1, inertia=[1, 1, 1])},
+    ...     joints={"stone": guide},
+    ...     gravity=[0, 0, -10],
+    ... )
     >>> run = simulate(model, [0.0, 0.5])
     >>> round(float(measure(run, {"speed": Speed("stone", gain=1.02)})["speed"][-1]), 9)
     5.1
@@ -69,12 +77,23 @@ class Sensor(Described, Channel):
     accelerations: ClassVar[bool] = False
     reactions: ClassVar[bool] = False
     # The stages that its chain may have, each with a number to start a fit from
-    stages: ClassVar[dict[str, str]] = {"gain": "1.0", "bias": "0.0", "delay": "0.0", "lag": "1e-3", "start": "0.0"}
+    stages: ClassVar[dict[str, str]] = {
+        "gain": "1.0",
+        "bias": "0.0",
+        "delay": "0.0",
+        "lag": "1e-3",
+        "start": "0.0",
+    }
     gain: Float[Array, "*g"] | None = field(default=None, kw_only=True)
     bias: Float[Array, "*b"] | None = field("unit", default=None, kw_only=True)
     delay: Float[Array, ""] | None = field("s", default=None, kw_only=True)
     lag: Float[Array, ""] | None = field(
-        "s", "positive", code="BAD_LAG", hint="Leave it out if there is no lag.", default=None, kw_only=True
+        "s",
+        "positive",
+        code="BAD_LAG",
+        hint="Leave it out if there is no lag.",
+        default=None,
+        kw_only=True,
     )
     start: Float[Array, "*r"] | None = field("unit", default=None, kw_only=True)
 
@@ -95,15 +114,29 @@ class Sensor(Described, Channel):
             if value is None:
                 continue
             if name not in self.stages:
-                problems.add("BAD_CHAIN", where, "does not apply to an orientation", value=value, limit=", ".join(self.stages))
+                problems.add(
+                    "BAD_CHAIN",
+                    where,
+                    "does not apply to an orientation",
+                    value=value,
+                    limit=", ".join(self.stages),
+                )
                 continue
             shape = shapes.get(name, ())
             several = shape if "gain" in self.stages else ()
             array = checked(value, ((), shape) if shape and several else (shape,), where, problems)
-            setattr(self, name, None if array is None else in_domain(array, kind_of(self, name), where, problems))
+            setattr(
+                self,
+                name,
+                None if array is None else in_domain(array, kind_of(self, name), where, problems),
+            )
         if self.start is not None and self.lag is None:
             problems.add(
-                "BAD_CHAIN", f"{kind}.start", "is the initial value of a lag, which is not given", value=self.start, hint="Give lag=..."
+                "BAD_CHAIN",
+                f"{kind}.start",
+                "is the initial value of a lag, which is not given",
+                value=self.start,
+                hint="Give lag=...",
             )
 
     def needs_accelerations(self, model: Model) -> bool:
@@ -114,18 +147,26 @@ class Sensor(Described, Channel):
     def reading(self, model: Model, frames: Instant) -> Reading:
         """The measured quantity at one time, before the chain."""
 
-    def change(self, model: Model, frames: Instant, rest: Instant, at_rest: Model) -> Float[Array, "*s"]:
-        """The residual from a reading at rest, whose derivatives are the rows of an output of responses; the model, and that at rest, hold
-        the states of their elements."""
+    def change(
+        self, model: Model, frames: Instant, rest: Instant, at_rest: Model
+    ) -> Float[Array, "*s"]:
+        """The residual from a reading at rest, whose derivatives are the rows of an output of
+        responses; the model, and that at rest, hold the states of their elements."""
         now, before = self.reading(model, frames), self.reading(at_rest, rest)
-        return self.residual(*(x if self.bias is None else self.disturbed(x, self.bias) for x in (now, before)))
+        return self.residual(
+            *(x if self.bias is None else self.disturbed(x, self.bias) for x in (now, before))
+        )
 
-    def transduced(self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
+    def transduced(
+        self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]
+    ) -> Float[Array, "nt *r"]:
         """The record of a measured quantity x after the chain."""
         if self.delay is not None:
             x = self.delayed(times, x)
         if self.lag is not None:
-            x = delays_and_lags.lagged(times, x, self.lag, x[0] if self.start is None else self.start)
+            x = delays_and_lags.lagged(
+                times, x, self.lag, x[0] if self.start is None else self.start
+            )
         if self.gain is not None:
             x = to_rank(self.gain, x.ndim) * x
         return x if self.bias is None else self.disturbed(x, to_rank(self.bias, x.ndim))
@@ -136,9 +177,16 @@ class Sensor(Described, Channel):
 
     def weight(self, times: Float[Array, "nt"]) -> Float[Array, "nt"]:
         """The weight of each sample: 0 where a delayed one is unknown."""
-        return jnp.ones_like(times) if self.delay is None else delays_and_lags.known(times, self.delay)
+        return (
+            jnp.ones_like(times) if self.delay is None else delays_and_lags.known(times, self.delay)
+        )
 
-    def misfit(self, times: Float[Array, "nt"], reading: Float[Array, "nt *r"], measured: Float[Array, "nt *r"]) -> Float[Array, "nt *s"]:
+    def misfit(
+        self,
+        times: Float[Array, "nt"],
+        reading: Float[Array, "nt *r"],
+        measured: Float[Array, "nt *r"],
+    ) -> Float[Array, "nt *s"]:
         """Weighted residuals of a record."""
         r = self.residual(reading, measured)
         if self.delay is None:
@@ -146,13 +194,20 @@ class Sensor(Described, Channel):
         weight = self.weight(times).reshape(-1, *[1] * (r.ndim - 1))
         return jnp.where(weight > 0, weight * r, 0.0)
 
-    def disturbed(self, reading: Float[Array, "*#r"], noise: Float[Array, "*#r"]) -> Float[Array, "*#r"]:
+    def disturbed(
+        self, reading: Float[Array, "*#r"], noise: Float[Array, "*#r"]
+    ) -> Float[Array, "*#r"]:
         """A reading with noise added."""
         return reading + noise
 
     def absent(self) -> dict[str, str]:
-        """{stage: arguments that add it} for the stages that its chain does not have; `start` needs a `lag`."""
-        arguments = {stage: f"{stage}={start}" for stage, start in self.stages.items() if getattr(self, stage) is None}
+        """{stage: arguments that add it} for the stages that its chain does not have; `start` needs
+        a `lag`."""
+        arguments = {
+            stage: f"{stage}={start}"
+            for stage, start in self.stages.items()
+            if getattr(self, stage) is None
+        }
         if {"lag", "start"} <= arguments.keys():
             arguments["start"] = f"{arguments['lag']}, {arguments['start']}"
         return arguments
@@ -180,27 +235,51 @@ class Sensor(Described, Channel):
 def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:
     """Check that all sensors are Sensors, on parts of the model."""
     with Problems() as problems:
-        for name, sensor in checked_dict(sensors, where, "name: jb.Position(...)", problems).items():
-            check_kind(sensor, Sensor, f"{where}['{name}']", "a sensor, such as jb.Position(...)", problems)
-            problem = sensor.problem(model, f"{where}['{name}']") if isinstance(sensor, Sensor) else None
+        for name, sensor in checked_dict(
+            sensors, where, "name: jb.Position(...)", problems
+        ).items():
+            check_kind(
+                sensor, Sensor, f"{where}['{name}']", "a sensor, such as jb.Position(...)", problems
+            )
+            problem = (
+                sensor.problem(model, f"{where}['{name}']") if isinstance(sensor, Sensor) else None
+            )
             problems.collected += [] if problem is None else [problem]
 
 
-def noise_levels(sensors: dict[str, Sensor], noise: Any, where: str, problems: Problems, *, zero: bool) -> dict[str, Any]:
-    """{sensor: standard deviation} from one number for all sensors or a dict; adds to `problems`. `zero`: whether 0 is allowed."""
+def noise_levels(
+    sensors: dict[str, Sensor], noise: Any, where: str, problems: Problems, *, zero: bool
+) -> dict[str, Any]:
+    """{sensor: standard deviation} from one number for all sensors or a dict; adds to `problems`.
+    `zero`: whether 0 is allowed."""
     levels = {}
-    for name, value in (noise if isinstance(noise, dict) else dict.fromkeys(sensors, noise)).items():
+    for name, value in (
+        noise if isinstance(noise, dict) else dict.fromkeys(sensors, noise)
+    ).items():
         place = f"{where}['{name}']"
         if name not in sensors:
             problem = unknown(name, place, tuple(sensors))
             problems.add(problem.code, place, problem.message, value=name, hint=problem.hint)
             continue
         units = sensors[name].units
-        level = checked(value, ((),) if units == 1 else ((), (units,)), place, problems, f"One number [{sensors[name].unit}].")
+        level = checked(
+            value,
+            ((),) if units == 1 else ((), (units,)),
+            place,
+            problems,
+            f"One number [{sensors[name].unit}].",
+        )
         known = None if level is None else concrete(level)
         if known is not None and ((known < 0).any() or not (zero or known.all())):
             hint = "" if zero else "Leave noise out to have it estimated."
-            problems.add("BAD_NOISE", place, f"is {known}", value=known, limit=">= 0" if zero else "> 0", hint=hint)
+            problems.add(
+                "BAD_NOISE",
+                place,
+                f"is {known}",
+                value=known,
+                limit=">= 0" if zero else "> 0",
+                hint=hint,
+            )
         if level is not None:
             levels[name] = level
     return levels

@@ -1,1 +1,2 @@
-"""Shock and earthquake: response spectra, maxima by spectra, floor spectra, design spectra and records that meet them."""
+"""Shock and earthquake: response spectra, maxima by spectra, floor spectra, design spectra and
+records that meet them."""

@@ -1,12 +1,15 @@
-"""Combinations of the peaks of modes, whose times are unknown: SRSS, CQC, and the sum of absolute values.
+"""Combinations of the peaks of modes, whose times are unknown: SRSS, CQC, and the sum of
+absolute values.
 
     SRSS       R^2 = sum_j R_j^2,   modes of one frequency are one mode, R_j their sum
     CQC        R^2 = sum_ij rho_ij R_i R_j,   r = w_i/w_j,
-               rho_ij = 8 sqrt(z_i z_j) (r z_i + z_j) r^1.5/((1 - r^2)^2 + 4 z_i z_j r (1 + r^2) + 4 (z_i^2 + z_j^2) r^2)
+               rho_ij = 8 sqrt(z_i z_j) (r z_i + z_j) r^1.5
+                        /((1 - r^2)^2 + 4 z_i z_j r (1 + r^2) + 4 (z_i^2 + z_j^2) r^2)
     absolute   R = sum_j |R_j|, an upper bound
 
-rho_ij is the correlation of the displacements of two oscillators under one white noise. Source: A. Der Kiureghian, Earthquake Eng. Struct.
-Dyn. 9 (1981) 419; E. L. Wilson, A. Der Kiureghian, E. P. Bayo, same volume, 187.
+rho_ij is the correlation of the displacements of two oscillators under one white noise. Source:
+A. Der Kiureghian, Earthquake Eng. Struct. Dyn. 9 (1981) 419; E. L. Wilson, A. Der Kiureghian,
+E. P. Bayo, same volume, 187.
 """
 
 from __future__ import annotations
@@ -19,7 +22,9 @@ from jaxbody.numerics.eigenproblems import together
 COMBINATIONS = ("SRSS", "CQC", "absolute")
 
 
-def correlations(frequency: Float[Array, "n"], damping: Float[Array, "n"], cluster: Int[Array, "n"]) -> Float[Array, "n n"]:
+def correlations(
+    frequency: Float[Array, "n"], damping: Float[Array, "n"], cluster: Int[Array, "n"]
+) -> Float[Array, "n n"]:
     """rho_ij, 1 within a cluster of coinciding frequencies, and 0 between modes without damping."""
     same = together(cluster)
     zi, zj, r = damping[:, None], damping[None], frequency[:, None] / frequency[None]
@@ -29,8 +34,11 @@ def correlations(frequency: Float[Array, "n"], damping: Float[Array, "n"], clust
     return jnp.where(same, 1.0, 8 * root * (r * zi + zj) * r**1.5 / jnp.where(same, 1.0, below))
 
 
-def combined(modal: Float[Array, "*b n"], rest: Float[Array, "*b"], rho: Float[Array, "n n"], combine: str):
-    """The combined peak of signed peaks of modes and of the rest, which is not correlated with them, and the shares of all, (..., n + 1).
+def combined(
+    modal: Float[Array, "*b n"], rest: Float[Array, "*b"], rho: Float[Array, "n n"], combine: str
+):
+    """The combined peak of signed peaks of modes and of the rest, which is not correlated with
+    them, and the shares of all, (..., n + 1).
 
     `rho`: correlations, of SRSS those within clusters alone."""
     if combine == "absolute":
@@ -47,4 +55,8 @@ def combined(modal: Float[Array, "*b n"], rest: Float[Array, "*b"], rho: Float[A
 def root(square: Float[Array, "*b"]) -> Float[Array, "*b"]:
     """The square root, with the derivative zero at zero."""
     positive = square > 0
-    return jnp.where(jnp.isnan(square), square, jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0))
+    return jnp.where(
+        jnp.isnan(square),
+        square,
+        jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0),
+    )

@@ -1,6 +1,8 @@
-"""Oscillators under an acceleration of straight lines between equally spaced samples: their peaks and histories by an exact recurrence.
+"""Oscillators under an acceleration of straight lines between equally spaced samples: their peaks
+and histories by an exact recurrence.
 
-With x'' + 2 zeta w x' + w^2 x = -a and the pole s = -zeta w + i w sqrt(1 - zeta^2), the complex state r' = s r - c a gives
+With x'' + 2 zeta w x' + w^2 x = -a and the pole s = -zeta w + i w sqrt(1 - zeta^2), the complex
+state r' = s r - c a gives
 
     Im(r) = x                     c = 1/Im(s)
             x'                    c = s/Im(s)
@@ -8,9 +10,11 @@ With x'' + 2 zeta w x' + w^2 x = -a and the pole s = -zeta w + i w sqrt(1 - zeta
 
 and, for any complex c, any sum of them. Over a step h, with z = s h,
 
-    r_{k+1} = e^z r_k - c h ((phi1 - phi2) a_k + phi2 a_{k+1}),   phi1 = (e^z - 1)/z,   phi2 = (e^z - 1 - z)/z^2
+    r_{k+1} = e^z r_k - c h ((phi1 - phi2) a_k + phi2 a_{k+1}),   phi1 = (e^z - 1)/z,
+    phi2 = (e^z - 1 - z)/z^2
 
-Source: N. C. Nigam, P. C. Jennings, Bull. Seismol. Soc. Am. 59 (1969) 909, whose recurrence of x and x' this is.
+Source: N. C. Nigam, P. C. Jennings, Bull. Seismol. Soc. Am. 59 (1969) 909, whose recurrence of x
+and x' this is.
 """
 
 from __future__ import annotations
@@ -29,12 +33,14 @@ SMALL = 0.5  # |z| below which the functions phi are power series
 TERMS = 14
 ROUNDING = 1e-9  # of a time, relative to the step
 REFINED = 10  # steps of Newton's rule, or halvings of a bracket
-EXACT, BETWEEN = 1e-9, 2e-3  # relative differences of equal peaks: of rounding; of points of which one is nearer to its peak
+# relative differences of equal peaks: of rounding; of points of which one is nearer to its peak
+EXACT, BETWEEN = 1e-9, 2e-3
 
 
 class Peak(NamedTuple):
-    """The value of a peak at a sample, the sample, and the state less `c h phi2` times the acceleration there; the first of peaks that
-    differ by EXACT, and the first of those that differ by BETWEEN."""
+    """The value of a peak at a sample, the sample, and the state less `c h phi2` times the
+    acceleration there; the first of peaks that differ by EXACT, and the first of those that differ
+    by BETWEEN."""
 
     value: Float[Array, "2 n"]
     sample: Array
@@ -47,7 +53,9 @@ def poles(frequency: Float[Array, "n"], damping: Float[Array, "n"]) -> Complex[j
     return jax.lax.complex(-damping * w, w * jnp.sqrt(1 - damping**2))
 
 
-def steps(s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], h: Any) -> tuple[Complex[jax.Array, "n"], ...]:
+def steps(
+    s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], h: Any
+) -> tuple[Complex[jax.Array, "n"], ...]:
     """e^z, and the factors of a_k and a_{k+1} in a step."""
     h = jnp.asarray(h).astype(s.dtype)
     z = s * h
@@ -64,10 +72,17 @@ def steps(s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], h: Any) -> tup
 
 @program_with(WIDE)
 def peaks(
-    a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], side: str, parts: int | None, r0: Any
+    a: Float[Array, "nt"],
+    h: Any,
+    s: Complex[jax.Array, "n"],
+    c: Complex[jax.Array, "n"],
+    side: str,
+    parts: int | None,
+    r0: Any,
 ) -> tuple[Float[Array, "n"], Complex[jax.Array, "n"]]:
-    """The largest |Im(r)|, Im(r) or -Im(r) of oscillators whose state is r0 at the first sample, and r at the last one: at the samples if
-    `parts` is None, else of the continuous response, from the largest of so many points in each step on by Newton's rule."""
+    """The largest |Im(r)|, Im(r) or -Im(r) of oscillators whose state is r0 at the first sample,
+    and r at the last one: at the samples if `parts` is None, else of the continuous response, from
+    the largest of so many points in each step on by Newton's rule."""
     if parts is None:
         peak, end = _largest(a, h, s, c, side, r0)
         return peak.value[0], end
@@ -77,9 +92,11 @@ def peaks(
     return _first_of_equal(a, h / parts, s, c, side, peak)[0], end
 
 
-def free_peaks(r: Complex[jax.Array, "n"], s: Complex[jax.Array, "n"], side: str) -> Float[Array, "n"]:
-    """The largest |Im(r e^(s t))|, Im or -Im for t >= 0: at t = 0, or at the first two of the times at which Im(s r e^(s t)) = 0. In
-    derivatives the time is constant."""
+def free_peaks(
+    r: Complex[jax.Array, "n"], s: Complex[jax.Array, "n"], side: str
+) -> Float[Array, "n"]:
+    """The largest |Im(r e^(s t))|, Im or -Im for t >= 0: at t = 0, or at the first two of the times
+    at which Im(s r e^(s t)) = 0. In derivatives the time is constant."""
     half = jax.lax.stop_gradient(jnp.pi / s.imag)
     first = jnp.mod(-jnp.angle(jax.lax.stop_gradient(s * r)), jnp.pi) * half / jnp.pi
     best = jnp.zeros_like(half)
@@ -90,9 +107,15 @@ def free_peaks(r: Complex[jax.Array, "n"], s: Complex[jax.Array, "n"], side: str
 
 
 @program_with(WIDE)
-def influences(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], parts: int):
-    """Continuous peaks of |Im(r)| and their derivatives by the samples (n, nt): responses to the hat of each sample at the time of the
-    peak."""
+def influences(
+    a: Float[Array, "nt"],
+    h: Any,
+    s: Complex[jax.Array, "n"],
+    c: Complex[jax.Array, "n"],
+    parts: int,
+):
+    """Continuous peaks of |Im(r)| and their derivatives by the samples (n, nt): responses to the
+    hat of each sample at the time of the peak."""
     weights, n = jnp.arange(parts) / parts, len(a)
     fine = jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
     peak, _ = _largest(fine, h / parts, s, c, "maximax", jnp.zeros_like(s), kept=True)
@@ -101,18 +124,25 @@ def influences(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Com
     k, late, part = whole.astype(int), time - whole * h, time / h - whole
     e, before, after = steps(s, c, h)
     _, first, last = steps(s, c, late)  # of a_k and a(time) in the last, shorter step
-    left = (k[:, None] - jnp.arange(n)[None]).astype(late.dtype)  # steps from each sample to the last before the peak
-    decayed = jnp.exp(s[:, None] * jnp.where(left >= 0, left * h + late[:, None], 0.0).astype(s.dtype))
+    # steps from each sample to the last before the peak
+    left = (k[:, None] - jnp.arange(n)[None]).astype(late.dtype)
+    decayed = jnp.exp(
+        s[:, None] * jnp.where(left >= 0, left * h + late[:, None], 0.0).astype(s.dtype)
+    )
     none, part = jnp.zeros_like(decayed), part.astype(s.dtype)
     inner = jnp.where(left > 0, (before / e)[:, None] * decayed, none)
-    inner = inner + jnp.where((left >= 0) & (jnp.arange(n) > 0)[None], after[:, None] * decayed, none)
+    inner = inner + jnp.where(
+        (left >= 0) & (jnp.arange(n) > 0)[None], after[:, None] * decayed, none
+    )
     here, following = (left == 0).astype(s.dtype), (left == -1).astype(s.dtype)
     inner = inner + (first + last * (1 - part))[:, None] * here + (last * part)[:, None] * following
     return value, sign[:, None] * jnp.imag(inner)
 
 
 @program_with(WIDE)
-def history(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "m n"]) -> Float[Array, "nt m"]:
+def history(
+    a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "m n"]
+) -> Float[Array, "nt m"]:
     """The sums over oscillators of Im(c r) at the samples, with the states r of c = 1."""
     e, before, after = steps(s, jnp.ones_like(s), h)
     drive, a = e * after + before, a.astype(s.dtype)
@@ -132,7 +162,10 @@ def _largest(a, h, s, c, side: str, r0, kept: bool = False) -> tuple[Peak, Compl
     e, before, after = steps(s, c, h)
     drive = e * after + before  # of w = r - after a, whose step needs one acceleration
     er, ei, dr, di, own = e.real, e.imag, drive.real, drive.imag, after.imag
-    start, zero = (r0.real - after.real * a[0], r0.imag - own * a[0]), jnp.zeros((2 if kept else 1, *er.shape), er.dtype)
+    start, zero = (
+        (r0.real - after.real * a[0], r0.imag - own * a[0]),
+        jnp.zeros((2 if kept else 1, *er.shape), er.dtype),
+    )
     places = (jnp.zeros(zero.shape, jnp.int32), zero, zero) if kept else ()
     margins = 1 + jnp.array([EXACT, BETWEEN], er.dtype)[: len(zero), None]
 
@@ -142,29 +175,50 @@ def _largest(a, h, s, c, side: str, r0, kept: bool = False) -> tuple[Peak, Compl
         larger = y > best * margins
         if kept:
             larger = larger | ((y > best) & (place[0] == now[1] - 1))  # on the way up
-            place = [jnp.where(larger, new, old) for new, old in zip((now[1], re[None], im[None]), place, strict=True)]
-        return (er * re - ei * im + dr * now[0], er * im + ei * re + di * now[0], jnp.where(larger, y, best), *place), None
+            place = [
+                jnp.where(larger, new, old)
+                for new, old in zip((now[1], re[None], im[None]), place, strict=True)
+            ]
+        return (
+            er * re - ei * im + dr * now[0],
+            er * im + ei * re + di * now[0],
+            jnp.where(larger, y, best),
+            *place,
+        ), None
 
     rows = (a, jnp.arange(len(a), dtype=jnp.int32)) if kept else (a,)
-    at_last, _ = jax.lax.scan(step, (*start, zero, *places), jax.tree.map(lambda x: x[:-1], rows), unroll=UNROLLED)
+    at_last, _ = jax.lax.scan(
+        step, (*start, zero, *places), jax.tree.map(lambda x: x[:-1], rows), unroll=UNROLLED
+    )
     (_, _, best, *place), _ = step(at_last, tuple(x[-1] for x in rows))
     end = jax.lax.complex(*at_last[:2]) + after * a[-1].astype(s.dtype)
-    peak = Peak(best, place[0], jax.lax.complex(place[1], place[2])) if kept else Peak(best, jnp.zeros(0), e[None, :0])
+    peak = (
+        Peak(best, place[0], jax.lax.complex(place[1], place[2]))
+        if kept
+        else Peak(best, jnp.zeros(0), e[None, :0])
+    )
     return peak, end
 
 
-def _first_of_equal(a, h, s, c, side: str, peak: Peak) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
-    """The larger of both peaks, or the first one where they are equal, as it is larger with any damping."""
+def _first_of_equal(
+    a, h, s, c, side: str, peak: Peak
+) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
+    """The larger of both peaks, or the first one where they are equal, as it is larger with
+    any damping."""
     both = jax.vmap(lambda one: _refined(a, h, s, c, side, one))(peak)
     earlier = both[0][1] >= both[0][0] * (1 - EXACT)
     return tuple(jnp.where(earlier, x[1], x[0]) for x in both)  # pyright: ignore[reportReturnType]
 
 
-def _refined(a, h, s, c, side: str, peak: Peak) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
-    """The peak of the continuous response beside the sample, its time, and the sign of the response there.
+def _refined(
+    a, h, s, c, side: str, peak: Peak
+) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
+    """The peak of the continuous response beside the sample, its time, and the sign of the
+    response there.
 
-    It is in the step into which the response grows, where its rate is zero: by Newton's rule, or bisection where that leaves the bracket.
-    In derivatives its time is constant, as they do not depend on that of a maximum."""
+    It is in the step into which the response grows, where its rate is zero: by Newton's rule, or
+    bisection where that leaves the bracket. In derivatives its time is constant, as they do not
+    depend on that of a maximum."""
     k, h = peak.sample, jnp.asarray(h, a.dtype)
     now = a[k].astype(s.dtype)
     r = peak.state + steps(s, c, h)[2] * now

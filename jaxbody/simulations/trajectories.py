@@ -47,13 +47,15 @@ BLURRED = 1e-10  # rounding of times, of the whole time, from which functions of
 
 
 class Trajectory(Labeled, Result):
-    """A motion at `times` [s]: `state`, and by name `poses`, `elongations` [m], `forces` [N], `energies` [J], `powers` [W],
-    `reactions` [N, N m].
+    """A motion at `times` [s]: `state`, and by name `poses`, `elongations` [m], `forces` [N],
+    `energies` [J], `powers` [W], `reactions` [N, N m].
 
-    `status`: MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED if the integration ended early, with NaN in later samples; SINGULAR_CLOSURE if
-    it did where closures become dependent, NOT_CLOSED if no initial state fulfils them; TABLE_RANGE if a motion left the table of a law.
-    `statistics`: accepted and rejected steps. `closing`: how far the given initial state was from closures. Quantities by name and
-    `summary()` are computed when they are read; printing computes nothing."""
+    `status`: MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED if the integration ended early, with
+    NaN in later samples; SINGULAR_CLOSURE if it did where closures become dependent, NOT_CLOSED
+    if no initial state fulfils them; TABLE_RANGE if a motion left the table of a law.
+    `statistics`: accepted and rejected steps. `closing`: how far the given initial state was from
+    closures. Quantities by name and `summary()` are computed when they are read; printing
+    computes nothing."""
 
     index = "time"
     times: Float[Array, "nt"]
@@ -71,10 +73,14 @@ class Trajectory(Labeled, Result):
 
     @property
     def poses(self) -> dict[str, Pose]:
-        """{body or support: pose}, with `.p` (nt, 3) position of its origin, `.R` (nt, 3, 3) orientation, `.quaternion`."""
+        """{body or support: pose}, with `.p` (nt, 3) position of its origin, `.R` (nt, 3, 3)
+        orientation, `.quaternion`."""
         frames, lead = self.at_samples(_frames), (slice(None),) * self.times.ndim
         names = self.model.layout.frames[1:]
-        return {name: jax.tree.map(lambda x, i=i: part_of(x, (*lead, i + 1)), frames) for i, name in enumerate(names)}
+        return {
+            name: jax.tree.map(lambda x, i=i: part_of(x, (*lead, i + 1)), frames)
+            for i, name in enumerate(names)
+        }
 
     @property
     def elongations(self) -> dict[str, Array]:
@@ -83,9 +89,13 @@ class Trajectory(Labeled, Result):
 
     @property
     def forces(self) -> dict[str, Array]:
-        """{element: tension (nt,), its damper and its inertia included}; for a bushing the six forces and moments (nt, 6) that oppose its
-        deformation."""
-        return self._of_elements(_forces_with_inertia, loads=True) if inertial_tables(self.model) else self._of_elements(_forces)
+        """{element: tension (nt,), its damper and its inertia included}; for a bushing the six
+        forces and moments (nt, 6) that oppose its deformation."""
+        return (
+            self._of_elements(_forces_with_inertia, loads=True)
+            if inertial_tables(self.model)
+            else self._of_elements(_forces)
+        )
 
     @property
     def energies(self) -> dict[str, Array]:
@@ -101,8 +111,8 @@ class Trajectory(Labeled, Result):
 
     @property
     def powers(self) -> dict[str, Array]:
-        """damping: power dissipated by all elements; supports, loads: power that the imposed motions and the loads supply [W], each
-        (nt,)."""
+        """damping: power dissipated by all elements; supports, loads: power that the imposed
+        motions and the loads supply [W], each (nt,)."""
         return {
             "damping": sum(self.lost_powers.values(), jnp.zeros_like(self.times)),
             "supports": self.at_samples(_support_power, loads=True),
@@ -111,15 +121,20 @@ class Trajectory(Labeled, Result):
 
     @property
     def reactions(self) -> dict[str, tuple[Array, Array]]:
-        """{support: (force, moment about its origin)}, each (nt, 3) in world axes, exerted by all that is attached to it."""
+        """{support: (force, moment about its origin)}, each (nt, 3) in world axes, exerted by all
+        that is attached to it."""
         force, moment = self.at_samples(_reactions, loads=True)
         lead = (slice(None),) * self.times.ndim
-        return {name: (part_of(force, (*lead, i)), part_of(moment, (*lead, i))) for i, name in enumerate(self.model.layout.supports)}
+        return {
+            name: (part_of(force, (*lead, i)), part_of(moment, (*lead, i)))
+            for i, name in enumerate(self.model.layout.supports)
+        }
 
     @property
     def closure_reactions(self) -> dict[str, dict[str, Array]]:
-        """{closure: {condition: reaction [N, N m] (nt,)}}, positive where it resists an increase of the condition, as the tension of a rod
-        does; NaN where closures share a force, so that it is not unique."""
+        """{closure: {condition: reaction [N, N m] (nt,)}}, positive where it resists an increase of
+        the condition, as the tension of a rod does; NaN where closures share a force, so that it is
+        not unique."""
         if not self.model.closures:
             return {}
         values, named, i = self.at_samples(_closure_reactions, loads=True), {}, 0
@@ -133,23 +148,39 @@ class Trajectory(Labeled, Result):
         return of_elements(self.model, self.at_samples(function, loads=loads), axis=self.times.ndim)
 
     def at_samples(self, function: Callable, *more: Any, loads: bool = False) -> Any:
-        """function(model, motions, t, state, *more) at every sample, with `loads` (..., state, loads, *more); leading axes of a batch are
-        kept, and each function is compiled once."""
+        """function(model, motions, t, state, *more) at every sample, with `loads` (..., state,
+        loads, *more); leading axes of a batch are kept, and each function is compiled once."""
         with_loads = (self.loads,) if loads else ()
-        return _evaluate(function, self.times.ndim - 1, self.model, self.motions, with_loads, self.times, self.state, more)
+        return _evaluate(
+            function,
+            self.times.ndim - 1,
+            self.model,
+            self.motions,
+            with_loads,
+            self.times,
+            self.state,
+            more,
+        )
 
     def _ended(self) -> str:
         """When and after how many steps it ended."""
         if self.status == Status.TABLE_RANGE:
             return "report() names the elements"
-        taken, rejected = (int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
+        taken, rejected = (
+            int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected")
+        )
         t, last = (time_text(t, self.times) for t in (self.end[0], self.times[-1]))
-        return f"at t = {t} s of {last} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
+        return (
+            f"at t = {t} s of {last} s, {taken} steps accepted, {rejected} rejected; "
+            "samples after it are NaN"
+        )
 
     def explain(self) -> str:
         message, status = self._ended(), Status(int(self.status))
         if status in (Status.MAX_STEPS, Status.DT_MIN):
-            message += "; " + (force_jump_at(self.model, self.motions, *self.end) or self._what_steps_need(status))
+            message += "; " + (
+                force_jump_at(self.model, self.motions, *self.end) or self._what_steps_need(status)
+            )
         if status == Status.SINGULAR_CLOSURE:
             message += "; " + singular_closure(self.model, self.motions, *self.end)
         if status == Status.TABLE_RANGE:
@@ -162,51 +193,99 @@ class Trajectory(Labeled, Result):
     def _what_steps_need(self, status: Status) -> str:
         """What changes fastest where the steps ended, and what else to try."""
         changing = changing_most(self.model, self.motions, self.loads, self.times, *self.end)
-        remedy = "dt0, a first step of your own" if status == Status.DT_MIN else "a larger max_steps"
+        remedy = (
+            "dt0, a first step of your own" if status == Status.DT_MIN else "a larger max_steps"
+        )
         stiff = "" if self.model.closures else ", or in Python solver=diffrax.Kvaerno5() if stiff"
         usual = in_float64(self.state.q.dtype) or f"try {remedy}, a larger rtol{stiff}"
-        if (rounding := float(np.spacing(abs(self.end[0])))) > BLURRED * float(self.times[-1] - self.times[0]):
-            usual = f"functions of your own get times rounded to {rounding:.2g} s: count from the first sample; or {usual}"
+        if (rounding := float(np.spacing(abs(self.end[0])))) > BLURRED * float(
+            self.times[-1] - self.times[0]
+        ):
+            usual = (
+                f"functions of your own get times rounded to {rounding:.2g} s: count from the "
+                f"first sample; or {usual}"
+            )
         return "; ".join(filter(None, (changing, usual)))
 
     def _accelerations(self) -> str:
-        """The name of the nonfinite part where all forces and motions are finite: accelerations or the state."""
+        """The name of the nonfinite part where all forces and motions are finite: accelerations or
+        the state."""
         layout, q = self.model.layout, self.end[1].q
         massless = massless_motions(layout, matrices(self.model, State(q, np.zeros(layout.nv)))[0])
-        return "the accelerations: " + "; ".join(massless) if massless else f"the state of '{layout.bodies[0]}'"
+        return (
+            "the accelerations: " + "; ".join(massless)
+            if massless
+            else f"the state of '{layout.bodies[0]}'"
+        )
 
     def _outside_tables(self) -> str:
         """Which elements leave their tables, and when they first do."""
         beyond = np.asarray(self.at_samples(_beyond_laws))
         parts = [
-            f"'{name}' first at t = {time_text(self.times[np.argmax(column)], self.times)} s, in {column.sum()} of {len(column)} samples"
+            (
+                f"'{name}' first at t = {time_text(self.times[np.argmax(column)], self.times)} s, "
+                f"in {column.sum()} of {len(column)} samples"
+            )
             for name, column in zip(self.model.element_names, beyond.T, strict=True)
             if column.any()
         ]
         return "; ".join(parts) + ": beyond its table a law continues with its end slope"
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset over time: positions and quaternions of bodies, elongations and forces of springs, energies."""
+        """An xarray.Dataset over time: positions and quaternions of bodies, elongations and forces
+        of springs, energies."""
         model, poses, energies = self.model, self.poses, self.energies
-        elongations, forces, reactions = self.elongations, self.forces, self.reactions if model.layout.supports else {}
+        elongations, forces, reactions = (
+            self.elongations,
+            self.forces,
+            self.reactions if model.layout.supports else {},
+        )
         springs = springs_of(model)
         variables = {
-            "position": (("time", "frame", "axis"), rows_of([pose.p for pose in poses.values()], -2), "m"),
-            "quaternion": (("time", "frame", "part"), rows_of([pose.quaternion for pose in poses.values()], -2), ""),
+            "position": (
+                ("time", "frame", "axis"),
+                rows_of([pose.p for pose in poses.values()], -2),
+                "m",
+            ),
+            "quaternion": (
+                ("time", "frame", "part"),
+                rows_of([pose.quaternion for pose in poses.values()], -2),
+                "",
+            ),
             "kinetic_energy": (("time",), energies["kinetic"], "J"),
             "potential_energy": (("time",), energies["potential"], "J"),
         }
         coordinates: dict[str, Any] = {"frame": list(poses), "axis": AXES, "part": QUATERNION}
         if springs:
-            variables["elongation"] = (("time", "spring"), rows_of([elongations[name] for name in springs], -1), "m")
-            variables["force"] = (("time", "spring"), rows_of([forces[name] for name in springs], -1), "N")
+            variables["elongation"] = (
+                ("time", "spring"),
+                rows_of([elongations[name] for name in springs], -1),
+                "m",
+            )
+            variables["force"] = (
+                ("time", "spring"),
+                rows_of([forces[name] for name in springs], -1),
+                "N",
+            )
             coordinates["spring"] = springs
         if model.layout.nz:
-            variables["z"] = (("time", "state"), self.state.z, ", ".join(dict.fromkeys(model.layout.z_units)))
+            variables["z"] = (
+                ("time", "state"),
+                self.state.z,
+                ", ".join(dict.fromkeys(model.layout.z_units)),
+            )
             coordinates["state"] = list(model.layout.states)
         if reactions:
-            variables["reaction_force"] = (("time", "support", "axis"), rows_of([force for force, _ in reactions.values()], -2), "N")
-            variables["reaction_moment"] = (("time", "support", "axis"), rows_of([moment for _, moment in reactions.values()], -2), "N m")
+            variables["reaction_force"] = (
+                ("time", "support", "axis"),
+                rows_of([force for force, _ in reactions.values()], -2),
+                "N",
+            )
+            variables["reaction_moment"] = (
+                ("time", "support", "axis"),
+                rows_of([moment for _, moment in reactions.values()], -2),
+                "N m",
+            )
             coordinates["support"] = list(reactions)
         for name in (name for name, e in elongations.items() if name not in springs):
             variables[f"{name}_deformation"] = (("time", "component"), elongations[name], "m, rad")
@@ -220,11 +299,18 @@ class Trajectory(Labeled, Result):
         return result.assign(status=(result["kinetic_energy"].dims[:-1], np.asarray(self.status)))
 
     def summary(self) -> str:
-        """The printed table of one motion, with positions of frames, elongations and tensions of springs, and jumps of forces."""
-        known = replace(self, jumps=force_jumps_along(self.model, self.motions, self.times, self.state))
+        """The printed table of one motion, with positions of frames, elongations and tensions of
+        springs, and jumps of forces."""
+        known = replace(
+            self, jumps=force_jumps_along(self.model, self.motions, self.times, self.state)
+        )
         rows = [(name, *map(_range, np.asarray(pose.p).T)) for name, pose in self.poses.items()]
         forces = self.forces
-        springs = [(name, _range(e), _range(forces[name])) for name, e in self.elongations.items() if e.ndim == 1]
+        springs = [
+            (name, _range(e), _range(forces[name]))
+            for name, e in self.elongations.items()
+            if e.ndim == 1
+        ]
         added = (
             tables.PrintedTable("Positions", ("frame", "x [m]", "y [m]", "z [m]"), rows),
             tables.PrintedTable("", ("spring", "elongation [m]", "tension [N]"), springs),
@@ -233,7 +319,13 @@ class Trajectory(Labeled, Result):
 
     def _tables(self) -> list[tables.PrintedTable]:
         if self.times.ndim > 1 or not is_concrete(self.state.q):
-            return [tables.PrintedTable("Trajectories", ("", ""), [("states", self.state.q), ("status", self.message(Trajectory._ended))])]
+            return [
+                tables.PrintedTable(
+                    "Trajectories",
+                    ("", ""),
+                    [("states", self.state.q), ("status", self.message(Trajectory._ended))],
+                )
+            ]
         layout, q = self.model.layout, self.state.q
         ends = [f.reduce(q, 0) for f in (np.fmin, np.fmax)]
         rows = [(name, *(end[layout.q_slices[name]] for end in ends)) for name in layout.bodies]
@@ -253,18 +345,30 @@ def _frames(model, motions, t, state) -> Pose:
 
 
 def _deformations(model, motions, t, state):
-    return tuple(each_element(model, frames_at_time(model, motions, t, state), lambda s, *F: s.deformation(*(f.pose() for f in F))))
+    return tuple(
+        each_element(
+            model,
+            frames_at_time(model, motions, t, state),
+            lambda s, *F: s.deformation(*(f.pose() for f in F)),
+        )
+    )
 
 
 def _forces(model, motions, t, state):
-    return tuple(each_element(model, frames_at_time(model, motions, t, state), lambda s, *F: s.force(*F)))
+    return tuple(
+        each_element(model, frames_at_time(model, motions, t, state), lambda s, *F: s.force(*F))
+    )
 
 
 def _forces_with_inertia(model, motions, t, state, loads):
     """Forces of the elements, with those of their inertia at the accelerations of the motion."""
     now, forces = dynamics_of(model, motions, loads).accelerated(t, state), []
     for table, force in zip(model.elements, _forces(model, motions, t, state), strict=True):
-        inertia = accelerated(model, now, table, lambda s, *F: s.inertial_force(*F)) if table.rows.has_inertia() else 0.0
+        inertia = (
+            accelerated(model, now, table, lambda s, *F: s.inertial_force(*F))
+            if table.rows.has_inertia()
+            else 0.0
+        )
         forces.append(force + inertia)
     return tuple(forces)
 
@@ -279,7 +383,11 @@ def _beyond_laws(model, motions, t, state):
 
 
 def _lost_powers(model, motions, t, state):
-    return tuple(each_element(model, frames_at_time(model, motions, t, state), lambda s, *F: s.lost_power(*F)))
+    return tuple(
+        each_element(
+            model, frames_at_time(model, motions, t, state), lambda s, *F: s.lost_power(*F)
+        )
+    )
 
 
 def _reactions(model, motions, t, state, loads):
@@ -288,14 +396,20 @@ def _reactions(model, motions, t, state, loads):
 
 def _closure_reactions(model, motions, t, state, loads):
     multipliers, unique = ClosedLoops(model, motions, loads).multipliers(t, state)
-    return rows_or_nan(unique, multipliers * jnp.where(turning_rows(model), jax.lax.stop_gradient(size_of(model)), 1.0))
+    return rows_or_nan(
+        unique,
+        multipliers * jnp.where(turning_rows(model), jax.lax.stop_gradient(size_of(model)), 1.0),
+    )
 
 
 def _load_power(model, motions, t, state, loads):
     now = frames_at_time(model, motions, t, state)
     on = [now.frame(model.layout.frame(load.on)) for load in loads]
     wrenches = [(*load.wrench(frame), frame) for load, frame in zip(loads, on, strict=True)]
-    return sum((jnp.sum(F * frame.v) + jnp.sum(M * frame.w) for F, M, frame in wrenches), jnp.zeros((), state.q.dtype))
+    return sum(
+        (jnp.sum(F * frame.v) + jnp.sum(M * frame.w) for F, M, frame in wrenches),
+        jnp.zeros((), state.q.dtype),
+    )
 
 
 def _support_power(model, motions, t, state, loads):
@@ -305,7 +419,11 @@ def _support_power(model, motions, t, state, loads):
     return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
 
 
-@program_with(lambda function, batch_axes, model, motions, loads, times, *_: OPTIMIZED if take_long(model, times) else QUICK)
+@program_with(
+    lambda function, batch_axes, model, motions, loads, times, *_: (
+        OPTIMIZED if take_long(model, times) else QUICK
+    )
+)
 def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
     numbers, rest = partition((model, motions, loads), is_array)
     others, fixed = partition(more, is_array)

@@ -1,4 +1,5 @@
-"""Several equilibria: searches from many starts at once, and their results in order of energy, with the stability of each."""
+"""Several equilibria: searches from many starts at once, and their results in order of energy, with
+the stability of each."""
 
 from __future__ import annotations
 
@@ -31,9 +32,10 @@ DESCENT_STEPS, NEWTON_STEPS = 200, 60
 
 
 class Equilibria(Result):
-    """Equilibria in order of energy: `solutions` (n Equilibrium objects), and arrays (n,): `energies` [J], `stable`, `negative` (number of
-    negative eigenvalues of K), `distances` (largest displacement of a body from the reference pose [m]) and `hits` (number of searches
-    that ended there). `status` is NOT_CONVERGED if no search ended at an equilibrium."""
+    """Equilibria in order of energy: `solutions` (n Equilibrium objects), and arrays (n,):
+    `energies` [J], `stable`, `negative` (number of negative eigenvalues of K), `distances` (largest
+    displacement of a body from the reference pose [m]) and `hits` (number of searches that ended
+    there). `status` is NOT_CONVERGED if no search ended at an equilibrium."""
 
     status: Any
     solutions: tuple[Equilibrium, ...]
@@ -61,30 +63,56 @@ class Equilibria(Result):
 
     def _tables(self) -> list[tables.PrintedTable]:
         rows = [
-            (str(i), eq.energy, "stable" if eq.stable else f"unstable ({int(eq.negative)})", d, str(int(n)))
-            for i, (eq, d, n) in enumerate(zip(self.solutions, self.distances, self.hits, strict=True))
+            (
+                str(i),
+                eq.energy,
+                "stable" if eq.stable else f"unstable ({int(eq.negative)})",
+                d,
+                str(int(n)),
+            )
+            for i, (eq, d, n) in enumerate(
+                zip(self.solutions, self.distances, self.hits, strict=True)
+            )
         ]
-        note = f"{int(self.hits.sum())} of {self.searches} searches ended in these; there may be more"
-        return [tables.PrintedTable("Equilibria", ("", "energy [J]", "stability", "distance [m]", "searches"), rows, note)]
+        note = (
+            f"{int(self.hits.sum())} of {self.searches} searches ended in these; there may be more"
+        )
+        return [
+            tables.PrintedTable(
+                "Equilibria",
+                ("", "energy [J]", "stability", "distance [m]", "searches"),
+                rows,
+                note,
+            )
+        ]
 
 
-def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key: Array | None = None) -> Equilibria:
-    """Equilibria, stable and unstable, by searches from many configurations at once: from each, one search descends and one follows
-    Newton's method on dV/dDelta = 0 to saddles and maxima as well.
+def find_equilibria(
+    model: Model, *, starts: int = 64, spread: float = 1.0, key: Array | None = None
+) -> Equilibria:
+    """Equilibria, stable and unstable, by searches from many configurations at once: from each, one
+    search descends and one follows Newton's method on dV/dDelta = 0 to saddles and maxima as well.
 
     Args:
         starts: number of configurations: the reference pose and random ones.
-        spread: standard deviation of the random displacements, in units of the model's size; that of rotations is 2 `spread` rad.
+        spread: standard deviation of the random displacements, in units of the model's size; that
+            of rotations is 2 `spread` rad.
         key: random key of the configurations; by default jax.random.key(0).
 
-    With closures each search starts from the nearest configuration that fulfils them, on whichever branch of the mechanism that is, and
-    stays on them; positions in which closures are dependent are left out.
+    With closures each search starts from the nearest configuration that fulfils them, on whichever
+    branch of the mechanism that is, and stays on them; positions in which closures are dependent
+    are left out.
 
-    Nothing guarantees that all equilibria are found. Those connected by a free motion (singular K, equal energy) count as one.
-    Errors: UNATTACHED, WRONG_KIND for a key; warns NOT_CONVERGED if no search ends at an equilibrium.
+    Nothing guarantees that all equilibria are found. Those connected by a free motion (singular K,
+    equal energy) count as one. Errors: UNATTACHED, WRONG_KIND for a key; warns NOT_CONVERGED if no
+    search ends at an equilibrium.
 
     >>> rod = Body(mass=1.0, inertia=[0.1, 0.1, 0.01], com=[0, 0, -0.5])
-    >>> model = Model(bodies={"rod": rod}, gravity=[0, 0, -9.81], joints={"rod": Hinge("world", axis=[0, 1, 0])})
+    >>> model = Model(
+    ...     bodies={"rod": rod},
+    ...     gravity=[0, 0, -9.81],
+    ...     joints={"rod": Hinge("world", axis=[0, 1, 0])},
+    ... )
     >>> find_equilibria(model, starts=16).stable.tolist()
     [True, False]
     """
@@ -111,14 +139,21 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
             hits.append(1)
     distances = [float(distance_between(model, eq.state.q, model.reference.q)) for eq in distinct]
     code = Status.OK if distinct else Status.NOT_CONVERGED
-    return warn_if_failed(Equilibria(np.array(code.value), tuple(distinct), np.array(distances), np.array(hits), len(status)))
+    return warn_if_failed(
+        Equilibria(
+            np.array(code.value), tuple(distinct), np.array(distances), np.array(hits), len(status)
+        )
+    )
 
 
 def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
-    """Whether two have the same configuration, or the same energy and a free motion between them."""
+    """Whether two have the same configuration, or the same energy and a free motion
+    between them."""
     if abs(float(one.energy) - float(other.energy)) > tolerance:
         return False
-    near = float(distance_between(one.model, one.state.q, other.state.q)) <= 1e-5 * float(size_of(one.model))
+    near = float(distance_between(one.model, one.state.q, other.state.q)) <= 1e-5 * float(
+        size_of(one.model)
+    )
     return near or int(one.status) == int(other.status) == Status.SINGULAR_K
 
 
@@ -145,7 +180,9 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
             longest = jnp.max(jnp.abs(y), initial=0.0)
             y = y * jnp.where(longest > size / 4, size / 4 / longest, 1.0)
             unit = jnp.max(jnp.abs(K), initial=0.0)
-            done = (longest <= 1e-9 * size) & (jnp.max(jnp.abs(g), initial=0.0) <= 1e-9 * unit * size)
+            done = (longest <= 1e-9 * size) & (
+                jnp.max(jnp.abs(g), initial=0.0) <= 1e-9 * unit * size
+            )
             return (moved(coordinates, q, scale * y), done), None
 
         (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=NEWTON_STEPS)
@@ -157,15 +194,24 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
         status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)
         negative, singular = signs
         return equilibrium_at(
-            coordinates, SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype)), no_loads(q.dtype), model
+            coordinates,
+            SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype)),
+            no_loads(q.dtype),
+            model,
         )
 
     both = [jax.vmap(search)(q) for search in (descent, newton_search)]
     return jax.vmap(equilibrium)(*jax.tree.map(lambda *x: jnp.concatenate(x), *both))
 
 
-def distance_between(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> Float[Array, ""]:
-    """The largest displacement of a body between two configurations [m], rotations times the size of the model."""
+def distance_between(
+    model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]
+) -> Float[Array, ""]:
+    """The largest displacement of a body between two configurations [m], rotations times the size
+    of the model."""
     both = jax.vmap(Coordinates(model).at_rest)(jnp.stack([one, other]))
-    moved, turned = (jnp.sqrt(jnp.sum((x[0] - x[1]) ** 2, axes)) for x, axes in ((both.p, -1), (both.R, (-2, -1))))
+    moved, turned = (
+        jnp.sqrt(jnp.sum((x[0] - x[1]) ** 2, axes))
+        for x, axes in ((both.p, -1), (both.R, (-2, -1)))
+    )
     return jnp.max(jnp.maximum(moved, size_of(model) * turned))

@@ -1,9 +1,11 @@
-"""Load paths: equilibrium under loads that are raised step by step from zero, with Newton's method at each step.
+"""Load paths: equilibrium under loads that are raised step by step from zero, with Newton's method
+at each step.
 
     dV/dDelta = lambda Q,   K = d2V/dDelta2 - lambda dQ/dDelta,   lambda from 0 to 1
 
-Q is the generalized force of the loads in the chart. A step is taken if Newton's method converges, with K positive definite at every
-iteration, so that the path stays on the stable branch of the unloaded equilibrium; otherwise the step is divided by four.
+Q is the generalized force of the loads in the chart. A step is taken if Newton's method converges,
+with K positive definite at every iteration, so that the path stays on the stable branch of the
+unloaded equilibrium; otherwise the step is divided by four.
 """
 
 from __future__ import annotations
@@ -29,10 +31,12 @@ from jaxbody.models.models import Model
 from jaxbody.models.sizes import scaled
 from jaxbody.numerics.precisions import NEWTON, reachable
 
-FIRST, LEAST, MOST = 0.25, 1e-5, 64  # steps of lambda: the first, the smallest, their largest number
+# steps of lambda: the first, the smallest, their largest number
+FIRST, LEAST, MOST = 0.25, 1e-5, 64
 ITERATIONS = 10  # of Newton's method, within a step
 CONVERGED = 1e-10  # last step of Newton's method, relative to the size of the model
-FARTHEST = 0.25  # largest move of an iteration, in sizes of the model; a larger one may reach another branch
+# largest move of an iteration, in sizes of the model; a larger one may reach another branch
+FARTHEST = 0.25
 SHIFT = 1e-11  # keeps a free motion from making the system singular
 SINGULAR = 1e-10
 
@@ -40,8 +44,8 @@ SINGULAR = 1e-10
 class AppliedLoads(eqx.Module):
     """The loads raised with lambda: each load at time 0, times its weight, and a change of gravity.
 
-    Alike loads, of one class on one body, may stand in `loads` as one whose numbers have a further axis, with a row of weights: so they are
-    traced once."""
+    Alike loads, of one class on one body, may stand in `loads` as one whose numbers have a further
+    axis, with a row of weights: so they are traced once."""
 
     loads: tuple[Load, ...]
     weights: Float[Array, "n"] | tuple[Float[Array, "..."], ...]
@@ -62,7 +66,10 @@ def alike(loads: Sequence[Load]) -> tuple[tuple[Load, ...], list[list[int]]]:
     for i, load in enumerate(loads):
         numbers, structure = jax.tree.flatten(load)
         groups.setdefault((structure, *map(np.shape, numbers)), []).append(i)
-    stacked = tuple(jax.tree.map(lambda *rows: stack(list(rows)), *(loads[i] for i in group)) for group in groups.values())
+    stacked = tuple(
+        jax.tree.map(lambda *rows: stack(list(rows)), *(loads[i] for i in group))
+        for group in groups.values()
+    )
     return stacked, list(groups.values())
 
 
@@ -74,7 +81,8 @@ def summed(function: Callable, load: Load, weight: Float[Array, "*k"]) -> Any:
 
 
 class Path(eqx.Module):
-    """The steps taken: lambda and the smallest eigenvalue of the nondimensional K over its largest without loads; NaN after the last."""
+    """The steps taken: lambda and the smallest eigenvalue of the nondimensional K over its largest
+    without loads; NaN after the last."""
 
     factor: Float[Array, "n"]
     smallest: Float[Array, "n"]
@@ -85,13 +93,18 @@ def with_gravity(model: Model, change: Float[Array, "3"]) -> Model:
     return eqx.tree_at(lambda m: m.gravity, model, model.gravity + change)
 
 
-def with_load_gravity(at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0) -> Configuration:
+def with_load_gravity(
+    at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
+) -> Configuration:
     """The configuration with a fraction `factor` of the change of gravity."""
     return dataclasses.replace(at, model=with_gravity(at.model, factor * applied.gravity))
 
 
-def generalized_force(model: Model, q, loads: tuple[Load, ...], weights: Any, delta: Float[Array, "nv"]) -> Float[Array, "nv"]:
-    """Q at q (+) Delta, in the rates of Delta: the virtual power, sum of F . v* + M . w*, with the supports at their reference poses."""
+def generalized_force(
+    model: Model, q, loads: tuple[Load, ...], weights: Any, delta: Float[Array, "nv"]
+) -> Float[Array, "nv"]:
+    """Q at q (+) Delta, in the rates of Delta: the virtual power, sum of F . v* + M . w*, with the
+    supports at their reference poses."""
     layout = model.layout
     if not loads:
         return jnp.zeros_like(delta)
@@ -106,13 +119,17 @@ def generalized_force(model: Model, q, loads: tuple[Load, ...], weights: Any, de
     for load, weight in zip(loads, weights, strict=True):
         i = layout.frame(load.on)
         now = Pose(at.p[i], at.R[i]).at_rest().at_time(t)
-        F, M = summed(lambda load, weight, now=now: tuple(weight * x for x in load.wrench(now)), load, weight)
+        F, M = summed(
+            lambda load, weight, now=now: tuple(weight * x for x in load.wrench(now)), load, weight
+        )
         p = p.at[i].add(F)
         R = R.at[i].add(product(skew(M), at.R[i]) / 2)  # as <[M] R, [w] R>/2 = M . w
     return pull(Pose(p, R))[0]
 
 
-def stiffness_of_loads(model: Model, q, loads: tuple[Load, ...], weights: Any) -> Float[Array, "nv nv"]:
+def stiffness_of_loads(
+    model: Model, q, loads: tuple[Load, ...], weights: Any
+) -> Float[Array, "nv nv"]:
     """dQ/dDelta."""
     zero = jnp.zeros(model.layout.nv, q.dtype)
     if not loads:
@@ -120,27 +137,46 @@ def stiffness_of_loads(model: Model, q, loads: tuple[Load, ...], weights: Any) -
     return jax.jacfwd(lambda delta: generalized_force(model, q, loads, weights, delta))(zero)
 
 
-def residual(at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0) -> Float[Array, "nv"]:
+def residual(
+    at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
+) -> Float[Array, "nv"]:
     """dV/dDelta - lambda Q; `at` has no columns for the base."""
-    Q = generalized_force(at.model, at.q, applied.loads, applied.weights, jnp.zeros(at.model.layout.nv, at.q.dtype))
+    Q = generalized_force(
+        at.model, at.q, applied.loads, applied.weights, jnp.zeros(at.model.layout.nv, at.q.dtype)
+    )
     return slope(with_load_gravity(at, applied, factor)) - factor * Q
 
 
-def tangent(at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0) -> Float[Array, "nv nv"]:
+def tangent(
+    at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
+) -> Float[Array, "nv nv"]:
     """K = d2V/dDelta2 - lambda dQ/dDelta; `at` has no columns for the base."""
-    return stiffness(with_load_gravity(at, applied, factor)) - factor * stiffness_of_loads(at.model, at.q, applied.loads, applied.weights)
+    return stiffness(with_load_gravity(at, applied, factor)) - factor * stiffness_of_loads(
+        at.model, at.q, applied.loads, applied.weights
+    )
 
 
 def dead_forces(at: Configuration, applied: AppliedLoads) -> DeadForces:
     """The contribution of the loads at time 0; NaN where one of them is not dead."""
     layout, t = at.model.layout, jnp.zeros((), at.q.dtype)
-    V, G, Q = t, [jnp.zeros(6, t.dtype)] * len(layout.bodies), [jnp.zeros((3, 3), t.dtype)] * len(layout.bodies)
+    V, G, Q = (
+        t,
+        [jnp.zeros(6, t.dtype)] * len(layout.bodies),
+        [jnp.zeros((3, 3), t.dtype)] * len(layout.bodies),
+    )
     for load, weight in zip(applied.loads, applied.weights, strict=True):
         i, frame = layout.bodies.index(load.on), at.frames[layout.frame(load.on)]
 
         def of(load, weight, frame=frame):
-            arm, pull = rotate(frame.R, load.point), jnp.where(weight == 0, 0.0, -weight * load.dead_force(t))
-            return dot(pull, frame.p + arm), jnp.concatenate([pull, cross(arm, pull)]), turning(arm, pull)
+            arm, pull = (
+                rotate(frame.R, load.point),
+                jnp.where(weight == 0, 0.0, -weight * load.dead_force(t)),
+            )
+            return (
+                dot(pull, frame.p + arm),
+                jnp.concatenate([pull, cross(arm, pull)]),
+                turning(arm, pull),
+            )
 
         dV, dG, dQ = summed(of, load, weight)
         V, G[i], Q[i] = V + dV, G[i] + dG, Q[i] + dQ
@@ -155,22 +191,41 @@ class _At(eqx.Module):
     K: Float[Array, "nv nv"]
 
 
-def follow_load_path(coordinates: Coordinates, q, applied: AppliedLoads, scale: Float[Array, "nv"], size: Float[Array, ""]):
-    """(q, K, lambda, path, whether K turns negative ahead) at the end of the path from the unloaded equilibrium q.
+def follow_load_path(
+    coordinates: Coordinates,
+    q,
+    applied: AppliedLoads,
+    scale: Float[Array, "nv"],
+    size: Float[Array, ""],
+):
+    """(q, K, lambda, path, whether K turns negative ahead) at the end of the path from the unloaded
+    equilibrium q.
 
     One loop, whose body is one iteration of Newton's method, so that K is compiled once."""
     n, dtype = len(scale), q.dtype
-    converged, shift, zero_stiffness = reachable(CONVERGED, dtype, NEWTON), reachable(SHIFT, dtype, 8), reachable(SINGULAR, dtype)
+    converged, shift, zero_stiffness = (
+        reachable(CONVERGED, dtype, NEWTON),
+        reachable(SHIFT, dtype, 8),
+        reachable(SINGULAR, dtype),
+    )
 
     def nondimensional(q, factor):
         at = configuration_at(coordinates, q, base=False)
-        return on_closures(coordinates, q, residual(at, applied, factor) * scale, scaled(tangent(at, applied, factor), scale), scale)
+        return on_closures(
+            coordinates,
+            q,
+            residual(at, applied, factor) * scale,
+            scaled(tangent(at, applied, factor), scale),
+            scale,
+        )
 
     def iterate(carry):
         at, q, target, length, iteration, steps, top, path = carry
         r, K = nondimensional(q, target)
         unit = jnp.max(jnp.abs(K), initial=0.0)
-        y = -jnp.linalg.solve(K + shift * jnp.where(unit > 0, unit, 1.0) * np.eye(n, dtype=dtype), r)
+        y = -jnp.linalg.solve(
+            K + shift * jnp.where(unit > 0, unit, 1.0) * np.eye(n, dtype=dtype), r
+        )
         longest = jnp.max(jnp.abs(y), initial=0.0)
         shifted = moved(coordinates, q, scale * y)
         values = jnp.linalg.eigvalsh((K + K.T) / 2)
@@ -178,14 +233,30 @@ def follow_load_path(coordinates: Coordinates, q, applied: AppliedLoads, scale: 
         smallest = jnp.min(values, initial=jnp.inf) / jnp.where(top > 0, top, 1.0)
         arrived = longest <= converged * size
         good = arrived & (smallest > -zero_stiffness)
-        ended = arrived | (smallest < -zero_stiffness) | (iteration >= ITERATIONS) | ~(longest <= FARTHEST * size)
-        path = Path(*(x.at[steps].set(jnp.where(good, new, x[steps])) for x, new in ((path.factor, target), (path.smallest, smallest))))
+        ended = (
+            arrived
+            | (smallest < -zero_stiffness)
+            | (iteration >= ITERATIONS)
+            | ~(longest <= FARTHEST * size)
+        )
+        path = Path(
+            *(
+                x.at[steps].set(jnp.where(good, new, x[steps]))
+                for x, new in ((path.factor, target), (path.smallest, smallest))
+            )
+        )
         at = jax.tree.map(lambda new, old: jnp.where(good, new, old), _At(shifted, target, K), at)
         length = jnp.where(ended, jnp.where(good, 2 * length, length / 4), length)
         return (
-            at, jnp.where(ended, at.q, shifted), jnp.where(ended, jnp.minimum(1.0, at.factor + length), target), length,
-            jnp.where(ended, 0, iteration + 1), jnp.where(good, steps + 1, steps), top, path,
-        )  # fmt: skip
+            at,
+            jnp.where(ended, at.q, shifted),
+            jnp.where(ended, jnp.minimum(1.0, at.factor + length), target),
+            length,
+            jnp.where(ended, 0, iteration + 1),
+            jnp.where(good, steps + 1, steps),
+            top,
+            path,
+        )
 
     def unfinished(carry):
         at, _, _, length, _, steps, _, _ = carry
@@ -195,14 +266,24 @@ def follow_load_path(coordinates: Coordinates, q, applied: AppliedLoads, scale: 
     empty = jnp.full(MOST, jnp.nan, dtype)
     start = _At(q, zero, jnp.zeros((n, n), dtype))
     at, *_, path = jax.lax.while_loop(
-        unfinished, iterate, (start, q, zero, jnp.asarray(FIRST / 2, dtype), 0, jnp.array(0), zero, Path(empty, empty))
+        unfinished,
+        iterate,
+        (start, q, zero, jnp.asarray(FIRST / 2, dtype), 0, jnp.array(0), zero, Path(empty, empty)),
     )
-    return at.q, at.K, at.factor, path, _negative_ahead(nondimensional, coordinates, at, scale, size)
+    return (
+        at.q,
+        at.K,
+        at.factor,
+        path,
+        _negative_ahead(nondimensional, coordinates, at, scale, size),
+    )
 
 
-def _negative_ahead(nondimensional, coordinates: Coordinates, at: _At, scale, size) -> Bool[Array, ""]:
-    """Whether K turns negative within one size of the model along its softest motion: true beyond a limit point, false under a force
-    that no displacement can balance."""
+def _negative_ahead(
+    nondimensional, coordinates: Coordinates, at: _At, scale, size
+) -> Bool[Array, ""]:
+    """Whether K turns negative within one size of the model along its softest motion: true beyond a
+    limit point, false under a force that no displacement can balance."""
     vectors = jnp.linalg.eigh(at.K + at.K.T)[1]
     softest = vectors[:, 0] / jnp.max(jnp.abs(vectors[:, 0]), initial=1e-300)
     moves = size * jnp.concatenate([s := jnp.logspace(-4, 0, 9, dtype=at.q.dtype), -s])

@@ -1,9 +1,10 @@
-"""Autocorrelation of one record: autocovariances, autoregressions with the order selected by BIC, and tests for whiteness.
+"""Autocorrelation of one record: autocovariances, autoregressions with the order selected by BIC,
+and tests for whiteness.
 
     r_t = phi_1 r_(t-1) + ... + phi_q r_(t-q) + e_t,   e_t white,   gamma_k = E r_t r_(t+k)
 
-Sources: J. Durbin, The fitting of time-series models, Rev. Inst. Int. Stat. 28 (1960) 233; G. Schwarz, Ann. Stat. 6 (1978) 461;
-G. M. Ljung and G. E. P. Box, Biometrika 65 (1978) 297.
+Sources: J. Durbin, The fitting of time-series models, Rev. Inst. Int. Stat. 28 (1960) 233;
+G. Schwarz, Ann. Stat. 6 (1978) 461; G. M. Ljung and G. E. P. Box, Biometrika 65 (1978) 297.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-SHARPEST = 0.995  # largest partial autocorrelation; beyond it a finite record looks like a random walk
+# largest partial autocorrelation; beyond it a finite record looks like a random walk
+SHARPEST = 0.995
 FEWEST = 20  # smallest number of samples for an analysis of autocorrelation
 
 
@@ -29,11 +31,16 @@ def products(r: np.ndarray, most: int) -> np.ndarray:
 
 
 def autoregressions(gamma: np.ndarray) -> list[Autoregression]:
-    """Autoregressions of all orders up to len(gamma) - 1, by Durbin's recursion; partial autocorrelations are limited to SHARPEST."""
+    """Autoregressions of all orders up to len(gamma) - 1, by Durbin's recursion; partial
+    autocorrelations are limited to SHARPEST."""
     phi, variance = np.zeros(0), float(gamma[0])
     processes = [Autoregression(phi, variance)]
     for k in range(1, len(gamma)):
-        partial = np.clip((gamma[k] - phi @ gamma[1:k][::-1]) / variance, -SHARPEST, SHARPEST) if variance > 0 else 0.0
+        partial = (
+            np.clip((gamma[k] - phi @ gamma[1:k][::-1]) / variance, -SHARPEST, SHARPEST)
+            if variance > 0
+            else 0.0
+        )
         phi, variance = np.append(phi - partial * phi[::-1], partial), variance * (1 - partial**2)
         processes.append(Autoregression(phi, variance))
     return processes
@@ -49,11 +56,19 @@ def chosen_order(r: np.ndarray) -> int:
     n = len(r)
     if most_lags(n) == 0 or not r.any():
         return 0
-    return int(np.argmin([n * np.log(a.variance) + len(a.phi) * np.log(n) for a in autoregressions(products(r, most_lags(n)) / n)]))
+    return int(
+        np.argmin(
+            [
+                n * np.log(a.variance) + len(a.phi) * np.log(n)
+                for a in autoregressions(products(r, most_lags(n)) / n)
+            ]
+        )
+    )
 
 
 def autocovariances(process: Autoregression, n: int) -> np.ndarray:
-    """gamma_0 ... gamma_(n-1) of a stationary autoregression, by the Yule-Walker equations and then the recursion."""
+    """gamma_0 ... gamma_(n-1) of a stationary autoregression, by the Yule-Walker equations and then
+    the recursion."""
     phi, variance = process
     q = len(phi)
     A = np.eye(q + 1)
@@ -75,7 +90,8 @@ def innovations(process: Autoregression, r: np.ndarray) -> np.ndarray:
 
 
 class Whiteness(NamedTuple):
-    """Lag-one correlation r1, Durbin and Watson's d, Ljung and Box's Q over `lags`, and its p-value p (probability of a larger Q)."""
+    """Lag-one correlation r1, Durbin and Watson's d, Ljung and Box's Q over `lags`, and its p-value
+    p (probability of a larger Q)."""
 
     r1: float
     d: float
@@ -96,4 +112,6 @@ def whiteness(r: np.ndarray) -> Whiteness | None:
         return None
     rho = products(r, lags) / (r @ r)
     Q = n * (n + 2) * float((rho[1:] ** 2 / (n - np.arange(1, lags + 1))).sum())
-    return Whiteness(float(rho[1]), float(np.diff(r) @ np.diff(r) / (r @ r)), Q, lags, float(chdtrc(lags, Q)))
+    return Whiteness(
+        float(rho[1]), float(np.diff(r) @ np.diff(r) / (r @ r)), Q, lags, float(chdtrc(lags, Q))
+    )

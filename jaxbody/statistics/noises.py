@@ -1,13 +1,16 @@
-"""Covariance of the noise, estimated from residuals: variances by sensor, autoregressions by record, correlations between records.
+"""Covariance of the noise, estimated from residuals: variances by sensor, autoregressions by
+record, correlations between records.
 
-The error of a least-squares estimate is A^-1 J'e, with A = J'J. With J = Q R it follows from Q'e, whose covariance this file estimates from
-the residuals r = (I - QQ') e:
+The error of a least-squares estimate is A^-1 J'e, with A = J'J. With J = Q R it follows from Q'e,
+whose covariance this file estimates from the residuals r = (I - QQ') e:
 
-    sum over records a, b of  Q_a' Omega_ab Q_b,      Omega_aa = Toeplitz(gamma_a),   Omega_ab = sigma_ab H_a H_b'
+    sum over records a, b of  Q_a' Omega_ab Q_b,      Omega_aa = Toeplitz(gamma_a),
+                              Omega_ab = sigma_ab H_a H_b'
 
-For a white record gamma is the variance, common to all white records of its sensor; for another record it is that of an autoregression. A
-fit removes from the residuals the part of the noise that it can explain. Autocovariances are therefore increased until the products of
-residuals have their expected value,
+For a white record gamma is the variance, common to all white records of its sensor; for another
+record it is that of an autoregression. A fit removes from the residuals the part of the noise that
+it can explain. Autocovariances are therefore increased until the products of residuals have their
+expected value,
 
     E sum_t r_t r_(t+k) = trace_k[(I - QQ') Omega (I - QQ')].
 """
@@ -30,8 +33,11 @@ from jaxbody.statistics.autocorrelations import (
     products,
 )
 
-ROUNDS = 4  # iterations that correct autocovariances; the last one changes them by far less than their standard errors
-SINGULAR = 1e-12  # smallest eigenvalue of autocovariances, relative to the largest, that is more than round-off
+# iterations that correct autocovariances; the last one changes them by far less than their
+# standard errors
+ROUNDS = 4
+# smallest eigenvalue of autocovariances, relative to the largest, that is more than round-off
+SINGULAR = 1e-12
 LEAST = 0.5  # smallest number of degrees of freedom from which a variance is estimated
 ALL = ""
 STEP = 1e-4  # of central differences, in standard errors
@@ -40,9 +46,10 @@ STEP = 1e-4  # of central differences, in standard errors
 class ResidualSeries(NamedTuple):
     """Residuals of one component of one channel of one run, without missing samples.
 
-    `rows`: their rows among all residuals, in order of time; `group`: records with the same name have the same noise level; `run` and
-    `times` (sample numbers): records that agree in both are sampled together; `series`: False for numbers that are not a sequence; `known`:
-    True where the noise is stated, and the numbers are too few to estimate it."""
+    `rows`: their rows among all residuals, in order of time; `group`: records with the same name
+    have the same noise level; `run` and `times` (sample numbers): records that agree in both are
+    sampled together; `series`: False for numbers that are not a sequence; `known`: True where the
+    noise is stated, and the numbers are too few to estimate it."""
 
     name: str
     group: str
@@ -57,9 +64,9 @@ class ResidualSeries(NamedTuple):
 class Noise:
     """The estimated noise.
 
-    `M`: covariance of Q'e; `parts`: changes of M when one of its estimates, which are independent, changes by its standard error; `white`:
-    M if all noise were white; `orders`: orders of the autoregressions, by record; `pairs`: correlations of innovations, by pairs of
-    records."""
+    `M`: covariance of Q'e; `parts`: changes of M when one of its estimates, which are independent,
+    changes by its standard error; `white`: M if all noise were white; `orders`: orders of the
+    autoregressions, by record; `pairs`: correlations of innovations, by pairs of records."""
 
     M: np.ndarray
     parts: np.ndarray
@@ -72,7 +79,12 @@ class _Piece:
     """Residuals and rows of Q of one record, with their Fourier transforms."""
 
     def __init__(self, record: ResidualSeries, r: np.ndarray, Q: np.ndarray):
-        self.record, self.r, self.Q, self.n = record, r[record.rows], Q[record.rows], len(record.rows)
+        self.record, self.r, self.Q, self.n = (
+            record,
+            r[record.rows],
+            Q[record.rows],
+            len(record.rows),
+        )
         self.square = self.Q.T @ self.Q
         self.fitted = float(np.trace(self.square))  # degrees of freedom that the parameters use
         self.order = chosen_order(self.r) if record.series else 0
@@ -92,7 +104,9 @@ class _Piece:
         if len(process.phi) == 0:
             return process.variance * self.square
         gamma = autocovariances(process, self.n)
-        return self.cross_covariance(self, np.real(np.fft.rfft(np.concatenate([gamma, [0.0], gamma[:0:-1]]))))
+        return self.cross_covariance(
+            self, np.real(np.fft.rfft(np.concatenate([gamma, [0.0], gamma[:0:-1]])))
+        )
 
     def cross_covariance(self, other: _Piece, S: np.ndarray) -> np.ndarray:
         """Q_a' Omega Q_b from a cross spectrum S."""
@@ -104,12 +118,15 @@ class _Piece:
         """Q_a' H_a H_b' Q_b, from innovations of variance one that both records have in common."""
         if self.order == other.order == 0:
             return self.Q.T @ other.Q
-        H, G = (1 / np.fft.rfft(np.append(1.0, -one.process.phi), 2 * self.n) for one in (self, other))
+        H, G = (
+            1 / np.fft.rfft(np.append(1.0, -one.process.phi), 2 * self.n) for one in (self, other)
+        )
         return self.cross_covariance(other, H * G.conj())
 
     def corrected(self, M: np.ndarray) -> Autoregression:
-        """The process from the products of residuals and those that the fit has removed, as expected from the process and M; the process
-        itself where no process has such autocovariances, as of residuals that an unfinished fit has left."""
+        """The process from the products of residuals and those that the fit has removed, as
+        expected from the process and M; the process itself where no process has such
+        autocovariances, as of residuals that an unfinished fit has left."""
         from scipy.linalg import toeplitz
 
         n, sums, gamma = self.n, products(self.r, self.order), autocovariances(self.process, self.n)
@@ -123,9 +140,11 @@ class _Piece:
 
 
 def noise_of(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> Noise:
-    """The noise from residuals r, an orthonormal basis Q of the columns of the Jacobian, and the records.
+    """The noise from residuals r, an orthonormal basis Q of the columns of the Jacobian, and
+    the records.
 
-    Rows that belong to no record, such as those of priors, and rows of known noise have the standard deviation one."""
+    Rows that belong to no record, such as those of priors, and rows of known noise have the
+    standard deviation one."""
     pieces = [_Piece(record, r, Q) for record in records if not record.known]
     known = np.ones(len(r), bool)
     known[np.concatenate([np.zeros(0, int), *(one.record.rows for one in pieces)])] = False
@@ -133,7 +152,10 @@ def noise_of(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> Noi
     variances = _variances(pieces)
     white = of_known + sum(variances[one.record.group][0] * one.square for one in pieces)
     colored = [one for one in pieces if one.order]
-    plain, freedoms = [one for one in pieces if not one.order], _variances([one for one in pieces if not one.order])
+    plain, freedoms = (
+        [one for one in pieces if not one.order],
+        _variances([one for one in pieces if not one.order]),
+    )
     for one in plain:
         one.process = Autoregression(np.zeros(0), freedoms[one.record.group][0])
     rest = of_known + sum(one.covariance(one.process) for one in plain)
@@ -157,14 +179,21 @@ def noise_of(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> Noi
         both = size * (both + both.T)
         M = M + correlation * both
         parts.append(np.sqrt((1 + correlation**2) / one.n) * both)
-    return Noise(M, np.reshape(parts, (len(parts), *M.shape)), white, {one.record.name: one.order for one in pieces}, pairs)
+    return Noise(
+        M,
+        np.reshape(parts, (len(parts), *M.shape)),
+        white,
+        {one.record.name: one.order for one in pieces},
+        pairs,
+    )
 
 
 def _variances(pieces: list[_Piece]) -> dict[str, tuple[float, float]]:
-    """{group: (variance r'r/(n - p), degrees of freedom n - p)}, where the parameters use p degrees of freedom.
+    """{group: (variance r'r/(n - p), degrees of freedom n - p)}, where the parameters use p degrees
+    of freedom.
 
-    A group without degrees of freedom has the variance of all groups together; if these have none either, the variance is one, that of the
-    stated noise."""
+    A group without degrees of freedom has the variance of all groups together; if these have none
+    either, the variance is one, that of the stated noise."""
     left = {group: [0.0, 0.0] for group in [*(one.record.group for one in pieces), ALL]}
     for one in pieces:
         for group in (one.record.group, ALL):
@@ -172,32 +201,42 @@ def _variances(pieces: list[_Piece]) -> dict[str, tuple[float, float]]:
             left[group][1] += one.n - one.fitted
     square, freedom = left.pop(ALL)
     pooled = (square / freedom, freedom) if freedom > LEAST else (1.0, 1.0)
-    return {group: (square / freedom, freedom) if freedom > LEAST else pooled for group, (square, freedom) in left.items()}
+    return {
+        group: (square / freedom, freedom) if freedom > LEAST else pooled
+        for group, (square, freedom) in left.items()
+    }
 
 
 def _parts(one: _Piece) -> list[np.ndarray]:
-    """Changes of Q' Omega Q for standard errors of the variance and of phi, whose Yule-Walker covariance is variance/n Gamma^-1."""
+    """Changes of Q' Omega Q for standard errors of the variance and of phi, whose Yule-Walker
+    covariance is variance/n Gamma^-1."""
     from scipy.linalg import toeplitz
 
     process, q = one.process, one.order
     w, V = np.linalg.eigh(toeplitz(autocovariances(process, q)))
-    spread = V * np.sqrt(process.variance / (one.n * np.maximum(w, SINGULAR * w[-1])))  # residuals of an exact fit may be a single wave
+    # residuals of an exact fit may be a single wave
+    spread = V * np.sqrt(process.variance / (one.n * np.maximum(w, SINGULAR * w[-1])))
     parts = [np.sqrt(2 / max(one.n - one.fitted - q, 1.0)) * one.covariance(process)]
     for change in STEP * spread.T:
-        ends = [one.covariance(Autoregression(process.phi + sign * change, process.variance)) for sign in (1, -1)]
+        ends = [
+            one.covariance(Autoregression(process.phi + sign * change, process.variance))
+            for sign in (1, -1)
+        ]
         parts.append((ends[0] - ends[1]) / (2 * STEP))
     return parts
 
 
 def _pairs(pieces: list[_Piece]) -> list[tuple[_Piece, _Piece, float]]:
-    """Pairs of records sampled together and the correlation of their innovations, where any pair among them is significantly correlated."""
+    """Pairs of records sampled together and the correlation of their innovations, where any pair
+    among them is significantly correlated."""
     pairs = []
     together: dict[tuple[str, bytes], list[_Piece]] = {}
     for one in pieces:
         if one.record.series and one.n >= FEWEST and one.process.variance > 0:
             together.setdefault((one.record.run, one.record.times.tobytes()), []).append(one)
     for members in together.values():
-        members = [one for one in members if np.ptp(one.r) > 0]  # constant residuals have no correlation
+        # constant residuals have no correlation
+        members = [one for one in members if np.ptp(one.r) > 0]
         if len(members) < 2:
             continue
         E = np.array([innovations(one.process, one.r) for one in members])

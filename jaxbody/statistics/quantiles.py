@@ -19,4 +19,8 @@ def quantile(level: float, freedom: Any, *, sides: int = 2) -> np.ndarray:
 def check_level(level: float, where: str) -> None:
     """Check that a confidence level is between 0 and 1. Error: BAD_LEVEL."""
     if not 0 < level < 1:
-        raise JaxbodyError(Problem("BAD_LEVEL", where, f"is {level}", level, "between 0 and 1", "Give 0.95 for 95 %."))
+        raise JaxbodyError(
+            Problem(
+                "BAD_LEVEL", where, f"is {level}", level, "between 0 and 1", "Give 0.95 for 95 %."
+            )
+        )

@@ -1,1 +1,2 @@
-"""Studies in files: a model with motions, loads, sensors, experiments and designs; the schema of all that a file may hold."""
+"""Studies in files: a model with motions, loads, sensors, experiments and designs; the schema of
+all that a file may hold."""

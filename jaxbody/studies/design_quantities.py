@@ -1,4 +1,5 @@
-"""Quantities of a design in a file: what `tune` minimizes and limits, each a function of the model at its equilibrium, with its unit."""
+"""Quantities of a design in a file: what `tune` minimizes and limits, each a function of the model
+at its equilibrium, with its unit."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ from jaxbody.vibrations.natural_modes import Modes, modes
 
 @dataclass
 class Design:
-    """A model, and on demand its equilibrium, its small motions and its ride: `roads` {support: (class of ISO 8608, speed [m/s])}."""
+    """A model, and on demand its equilibrium, its small motions and its ride: `roads` {support:
+    (class of ISO 8608, speed [m/s])}."""
 
     model: Model
     sensors: dict[str, Sensor]
@@ -47,13 +49,16 @@ class Design:
     @cached_property
     def ride(self) -> RandomResponse:
         inputs = {name: BaseMotion(name, "z") for name in self.roads}
-        spectra: dict[str, Spectrum] = {name: Unevenness.iso(kind).at_speed(speed) for name, (kind, speed) in self.roads.items()}
+        spectra: dict[str, Spectrum] = {
+            name: Unevenness.iso(kind).at_speed(speed) for name, (kind, speed) in self.roads.items()
+        }
         return random_response(self.linearization, Band(*self.band), inputs, self.sensors, spectra)
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A kind of quantity: the function of a design, what else it is a function of, its unit where that is known, whether it needs roads."""
+    """A kind of quantity: the function of a design, what else it is a function of, its unit where
+    that is known, whether it needs roads."""
 
     of: Callable[..., Any]
     stated: tuple[str, ...]
@@ -72,7 +77,9 @@ def quantity(unit: str = "", on_roads: bool = False) -> Callable[[Any], Any]:
     """A decorator of functions that are quantities of designs by their name."""
 
     def added(of: Any) -> Any:
-        QUANTITIES[of.__name__] = Quantity(of, tuple(inspect.signature(of).parameters)[1:], unit, on_roads)
+        QUANTITIES[of.__name__] = Quantity(
+            of, tuple(inspect.signature(of).parameters)[1:], unit, on_roads
+        )
         return of
 
     return added
@@ -133,21 +140,41 @@ def comfort(at: Design, weights: dict[str, str]) -> Array:
 
 
 def own_quantity(of: Callable[..., Any], unit: str) -> Quantity:
-    """A function of the user's as a quantity: of the model, and by keyword of what the file states beside it."""
-    return Quantity(lambda at, **options: of(at.model, **options), tuple(inspect.signature(of).parameters)[1:], unit, on_roads=False)
+    """A function of the user's as a quantity: of the model, and by keyword of what the file states
+    beside it."""
+    return Quantity(
+        lambda at, **options: of(at.model, **options),
+        tuple(inspect.signature(of).parameters)[1:],
+        unit,
+        on_roads=False,
+    )
 
 
 class Evaluation:
-    """The quantities of a design as a function of the model, as `tune` takes it. `quantities`: each kind, and what it is a function of."""
+    """The quantities of a design as a function of the model, as `tune` takes it. `quantities`: each
+    kind, and what it is a function of."""
 
-    def __init__(self, quantities: dict[str, tuple[Quantity, dict[str, Any]]], sensors: dict[str, Sensor], roads: Any, band: Any):
+    def __init__(
+        self,
+        quantities: dict[str, tuple[Quantity, dict[str, Any]]],
+        sensors: dict[str, Sensor],
+        roads: Any,
+        band: Any,
+    ):
         self.quantities, self.sensors, self.roads, self.band = quantities, sensors, roads, band
 
     def __call__(self, model: Model) -> dict[str, Array]:
         design = Design(model, self.sensors, self.roads, self.band)
-        return {name: kind.of(design, **options) for name, (kind, options) in self.quantities.items()}
+        return {
+            name: kind.of(design, **options) for name, (kind, options) in self.quantities.items()
+        }
 
 
 def sensors_of(stated: Iterable[dict[str, Any]]) -> set[str]:
     """The names of the sensors that quantities are about."""
-    return {name for options in stated for name in (options.get("sensor"), *options.get("weights", {})) if name}
+    return {
+        name
+        for options in stated
+        for name in (options.get("sensor"), *options.get("weights", {}))
+        if name
+    }

@@ -1,4 +1,5 @@
-"""Builders of measured modes and responses: numbers of the document, or columns of a file beside it."""
+"""Builders of measured modes and responses: numbers of the document, or columns of a file
+beside it."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ PAIRS = (("real", "imaginary"), ("magnitude", "phase"))
 
 @dataclass
 class MeasurementBuilder:
-    """Makes measured modes and responses of the values at a path of a document. Problems are collected by the builder of the document."""
+    """Makes measured modes and responses of the values at a path of a document. Problems are
+    collected by the builder of the document."""
 
     builder: Builder
     model: Model
@@ -53,9 +55,21 @@ class MeasurementBuilder:
 
     def modes(self) -> MeasuredModes | None:
         """The result of a modal test."""
-        given = {name: self.numbers(self.values[name], unit, name) for name, unit in UNITS.items() if name in self.values}
-        given |= {name: self.values[name] for name in ("number", "pairing", "noise") if name in self.values}
-        given["sensors"] = {name: self.sensors[name] for name in self.values.get("sensors", ()) if name in self.sensors}
+        given = {
+            name: self.numbers(self.values[name], unit, name)
+            for name, unit in UNITS.items()
+            if name in self.values
+        }
+        given |= {
+            name: self.values[name]
+            for name in ("number", "pairing", "noise")
+            if name in self.values
+        }
+        given["sensors"] = {
+            name: self.sensors[name]
+            for name in self.values.get("sensors", ())
+            if name in self.sensors
+        }
         return self.made(MeasuredModes, given)
 
     def response(self) -> MeasuredResponse | None:
@@ -70,14 +84,33 @@ class MeasurementBuilder:
                     self.known(name, inputs, section, output, name)
         if self.failed or None in inputs.values():
             return None
-        pairs = {(y, u): value for y, by_input in self.values["measured"].items() for u, value in by_input.items()}
+        pairs = {
+            (y, u): value
+            for y, by_input in self.values["measured"].items()
+            for u, value in by_input.items()
+        }
         unit = {pair: response_unit(of_outputs[pair[0]], inputs[pair[1]].unit) for pair in pairs}
-        frequencies, measured = self.of_universal_file(pairs) if self.in_universal_file(pairs) else self.of_numbers(pairs, unit)
-        outputs = {name: self.sensors[name] for name in self.sensors if any(self.sensor_of(y) == name for y, _ in pairs)}
-        given: dict[str, Any] = {"frequencies": frequencies, "inputs": inputs, "outputs": outputs, "measured": measured}
+        frequencies, measured = (
+            self.of_universal_file(pairs)
+            if self.in_universal_file(pairs)
+            else self.of_numbers(pairs, unit)
+        )
+        outputs = {
+            name: self.sensors[name]
+            for name in self.sensors
+            if any(self.sensor_of(y) == name for y, _ in pairs)
+        }
+        given: dict[str, Any] = {
+            "frequencies": frequencies,
+            "inputs": inputs,
+            "outputs": outputs,
+            "measured": measured,
+        }
         if "noise" in self.values:
             given["noise"] = {
-                (y, u): self.builder.quantity(level, unit.get((y, u), ""), (*self.path, "noise", y, u))
+                (y, u): self.builder.quantity(
+                    level, unit.get((y, u), ""), (*self.path, "noise", y, u)
+                )
                 for y, by_input in self.values["noise"].items()
                 for u, level in by_input.items()
             }
@@ -106,7 +139,11 @@ class MeasurementBuilder:
         """A force on a body, or the motion of a support, of the model."""
         path = (*self.path, "inputs", name)
         made = self.builder.thing(value, None, path, {})
-        problem = None if made is None else made.problem(self.model, self.builder.document.where((*path, "on")))
+        problem = (
+            None
+            if made is None
+            else made.problem(self.model, self.builder.document.where((*path, "on")))
+        )
         if problem is not None:
             self.builder.problems.collected.append(problem)
         return made
@@ -118,50 +155,95 @@ class MeasurementBuilder:
         """Frequencies and responses of a universal file."""
         for (y, u), value in pairs.items():
             if "response" not in value:
-                self.add("MISSING_ENTRY", "has no 'response'", "as the other pairs have", "measured", y, u)
+                self.add(
+                    "MISSING_ENTRY",
+                    "has no 'response'",
+                    "as the other pairs have",
+                    "measured",
+                    y,
+                    u,
+                )
         if "frequencies" in self.values:
-            self.add("UNKNOWN_NAME", "is stated, and the file has its own", "none with 'response'", "frequencies")
+            self.add(
+                "UNKNOWN_NAME",
+                "is stated, and the file has its own",
+                "none with 'response'",
+                "frequencies",
+            )
         if "file" not in self.values:
             self.add("MISSING_ENTRY", "has no 'file'", 'file = "plate.uff"')
-        file = None if self.failed else self.builder.beside(self.values["file"], (*self.path, "file"))
-        asked = {pair: (value.get("response"), *value.get("units", (None, None))) for pair, value in pairs.items()}
+        file = (
+            None if self.failed else self.builder.beside(self.values["file"], (*self.path, "file"))
+        )
+        asked = {
+            pair: (value.get("response"), *value.get("units", (None, None)))
+            for pair, value in pairs.items()
+        }
         problems = Problems()
         read = file and problems.gather(lambda: read_responses(file, asked))
         for problem in problems.collected:
-            stated = replace(problem, hint='Write units = ["m/s2", "N"] beside the response.') if problem.code == "NO_UNIT" else problem
-            self.builder.problems.collected.append(self.builder.placed(stated, (*self.path, "file"), ""))
+            stated = (
+                replace(problem, hint='Write units = ["m/s2", "N"] beside the response.')
+                if problem.code == "NO_UNIT"
+                else problem
+            )
+            self.builder.problems.collected.append(
+                self.builder.placed(stated, (*self.path, "file"), "")
+            )
         return read or (None, None)
 
-    def of_numbers(self, pairs: dict[tuple[str, str], dict[str, Any]], unit: dict[tuple[str, str], str]) -> tuple[Any, Any]:
+    def of_numbers(
+        self, pairs: dict[tuple[str, str], dict[str, Any]], unit: dict[tuple[str, str], str]
+    ) -> tuple[Any, Any]:
         """Frequencies and responses of numbers or columns."""
         if "frequencies" not in self.values:
             self.add("MISSING_ENTRY", "has no 'frequencies'", "one for each measured number")
         frequencies = self.numbers(self.values.get("frequencies", []), "Hz", "frequencies")
-        measured = {(y, u): self.complex(value, unit[y, u], "measured", y, u) for (y, u), value in pairs.items()}
+        measured = {
+            (y, u): self.complex(value, unit[y, u], "measured", y, u)
+            for (y, u), value in pairs.items()
+        }
         return frequencies, measured
 
     def complex(self, value: dict[str, Any], unit: str, *parts: str) -> Any:
         """Complex numbers by two real ones."""
         chosen = next((names for names in PAIRS if set(names) == set(value)), None)
         if chosen is None:
-            self.add("MISSING_ENTRY", f"has {', '.join(value) or 'no entries'}", "real and imaginary, or magnitude and phase", *parts)
+            self.add(
+                "MISSING_ENTRY",
+                f"has {', '.join(value) or 'no entries'}",
+                "real and imaginary, or magnitude and phase",
+                *parts,
+            )
             return None
         first, second = (
-            self.numbers(value[name], "rad", *parts, name) if name == "phase" else self.numbers(value[name], unit, *parts, name, own=True)
+            self.numbers(value[name], "rad", *parts, name)
+            if name == "phase"
+            else self.numbers(value[name], unit, *parts, name, own=True)
             for name in chosen
         )
         if first is None or second is None:
             return None
         if first.shape != second.shape:
-            self.add("BAD_SHAPE", f"has {first.size} and {second.size} numbers", "as many of both", *parts)
+            self.add(
+                "BAD_SHAPE",
+                f"has {first.size} and {second.size} numbers",
+                "as many of both",
+                *parts,
+            )
             return None
         return first + 1j * second if chosen[0] == "real" else first * np.exp(1j * second)
 
     def numbers(self, value: Any, unit: str, *parts: str, own: bool = False) -> Any:
-        """Numbers in SI that stand in the document, or in columns of the file. `own`: in a unit that the schema does not know."""
+        """Numbers in SI that stand in the document, or in columns of the file. `own`: in a unit
+        that the schema does not know."""
         path = (*self.path, *parts)
         if isinstance(value, dict):
-            return None if self.columns is None else self.builder.gather(path, "", lambda: self.of_columns(value, unit))
+            return (
+                None
+                if self.columns is None
+                else self.builder.gather(path, "", lambda: self.of_columns(value, unit))
+            )
         numbers = self.builder.quantity(value, unit, path) if own else value
         return self.builder.gather(path, "", lambda: np.atleast_1d(float_array(numbers, "")))
 
@@ -171,11 +253,17 @@ class MeasurementBuilder:
         found = [self.columns[name] for name in names]
         hint = 'State it: {columns = "f", unit = "Hz"}, or "1" for numbers without a unit.'
         with Problems() as problems:
-            stated = agreed_unit(value.get("unit"), {column.unit for column in found}, "", problems, [], hint)
+            stated = agreed_unit(
+                value.get("unit"), {column.unit for column in found}, "", problems, [], hint
+            )
         factor, expected = units.parse(stated, ""), units.parse(unit or "1", "").dimension
         if factor.dimension != expected:
             limit = f"a unit such as {units.si_words(expected)}"
-            raise JaxbodyError(Problem("WRONG_DIMENSION", "", f"is in {stated}", stated, limit, "Name another column."))
+            raise JaxbodyError(
+                Problem(
+                    "WRONG_DIMENSION", "", f"is in {stated}", stated, limit, "Name another column."
+                )
+            )
         table = np.stack([column.values * factor.factor for column in found], -1)
         return table if isinstance(value["columns"], list) else table[:, 0]
 
@@ -188,7 +276,9 @@ class MeasurementBuilder:
         file = self.builder.beside(self.values["file"], (*self.path, "file"))
         names = list(dict.fromkeys(_columns_in(self.values)))
         options = {name: self.values[name] for name in OF_FILES if name in self.values}
-        contents = file and self.builder.gather((*self.path, "file"), "", lambda: read_columns(file, names, **options))
+        contents = file and self.builder.gather(
+            (*self.path, "file"), "", lambda: read_columns(file, names, **options)
+        )
         return contents.columns if contents else None
 
 

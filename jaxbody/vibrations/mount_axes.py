@@ -1,4 +1,5 @@
-"""Axes of a mounted body: that about which it turns under a torque, and those along which a force moves it without rotation."""
+"""Axes of a mounted body: that about which it turns under a torque, and those along which a force
+moves it without rotation."""
 
 from __future__ import annotations
 
@@ -25,10 +26,12 @@ from jaxbody.vibrations.linearizations import Linearization, check_system
 class ElasticAxes(Labeled, Result):
     """Elastic axes of a body on its mounts, in world axes, the softest first.
 
-    `directions` (columns), `stiffness` [N/m] along each, `points` (rows): the point of each axis nearest to `center`, `pitch` [m]: moment
-    per force that accompanies the force, 0 for an elastic axis in the strict sense. `center`: center of stiffness; all axes pass through
-    it, and pitches vanish, where the mounts decouple translation from rotation. `torsional_directions` (columns) and `torsional_stiffness`
-    [N m/rad]: axes along which a pure couple turns the body about a parallel axis."""
+    `directions` (columns), `stiffness` [N/m] along each, `points` (rows): the point of each axis
+    nearest to `center`, `pitch` [m]: moment per force that accompanies the force, 0 for an elastic
+    axis in the strict sense. `center`: center of stiffness; all axes pass through it, and pitches
+    vanish, where the mounts decouple translation from rotation. `torsional_directions` (columns)
+    and `torsional_stiffness` [N m/rad]: axes along which a pure couple turns the body about a
+    parallel axis."""
 
     index = "elastic_axis"
     center: Float[Array, "3"]
@@ -53,28 +56,42 @@ class ElasticAxes(Labeled, Result):
             "torsional_stiffness": (("elastic_axis",), self.torsional_stiffness, "N m/rad"),
             "status": ((), self.status, ""),
         }
-        return dataset(variables, {"axis": AXES, "elastic_axis": [1, 2, 3]}, f"elastic axes of {self.body}")
+        return dataset(
+            variables, {"axis": AXES, "elastic_axis": [1, 2, 3]}, f"elastic axes of {self.body}"
+        )
 
     @tables.summarized("Elastic axes", 1, stiffness="stiffness [N/m]")
     def _tables(self) -> list[tables.PrintedTable]:
         columns = zip(self.directions.T, self.stiffness, self.points, self.pitch, strict=True)
-        rows = [(str(i + 1), tables.without_dust(d), k, tables.without_dust(p), h) for i, (d, k, p, h) in enumerate(columns)]
+        rows = [
+            (str(i + 1), tables.without_dust(d), k, tables.without_dust(p), h)
+            for i, (d, k, p, h) in enumerate(columns)
+        ]
         torsional_axes = [
             (str(i + 1), tables.without_dust(d), k)
-            for i, (d, k) in enumerate(zip(self.torsional_directions.T, self.torsional_stiffness, strict=True))
+            for i, (d, k) in enumerate(
+                zip(self.torsional_directions.T, self.torsional_stiffness, strict=True)
+            )
         ]
         note = f"center of stiffness {tables.number(self.center)} m; {self.report()}"
         return [
-            tables.PrintedTable(f"Elastic axes of {self.body}", ("axis", "direction", "stiffness [N/m]", "through [m]", "pitch [m]"), rows),
-            tables.PrintedTable("", ("torsional axis", "direction", "stiffness [N m/rad]"), torsional_axes, note),
+            tables.PrintedTable(
+                f"Elastic axes of {self.body}",
+                ("axis", "direction", "stiffness [N/m]", "through [m]", "pitch [m]"),
+                rows,
+            ),
+            tables.PrintedTable(
+                "", ("torsional axis", "direction", "stiffness [N m/rad]"), torsional_axes, note
+            ),
         ]
 
 
 class TorqueRollAxis(Result):
-    """The axis through `point`, the center of mass, along `direction` (unit), about which a free body turns under a torque, in world axes.
+    """The axis through `point`, the center of mass, along `direction` (unit), about which a free
+    body turns under a torque, in world axes.
 
-    `inertia` [kg m2] and `stiffness` [N m/rad] of rotation about it, `frequency` [Hz] from both, and `coupling`, 0 if this rotation is a
-    mode, the only one that the torque excites."""
+    `inertia` [kg m2] and `stiffness` [N m/rad] of rotation about it, `frequency` [Hz] from both,
+    and `coupling`, 0 if this rotation is a mode, the only one that the torque excites."""
 
     point: Float[Array, "3"]
     direction: Float[Array, "3"]
@@ -94,24 +111,38 @@ class TorqueRollAxis(Result):
             ("frequency", self.frequency, "Hz"),
             ("coupling", self.coupling, "-"),
         ]
-        return [tables.PrintedTable(f"Torque roll axis of {self.body}", ("quantity", "value", "unit"), rows, self.failure)]
+        return [
+            tables.PrintedTable(
+                f"Torque roll axis of {self.body}",
+                ("quantity", "value", "unit"),
+                rows,
+                self.failure,
+            )
+        ]
 
 
 def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
-    """The elastic axes and the center of stiffness of a free body, with all others held fixed, from its 6 x 6 stiffness [[A, B], [B', D]]
-    about its origin. With closures the other independent coordinates are held, and the body's own must be independent.
+    """The elastic axes and the center of stiffness of a free body, with all others held fixed, from
+    its 6 x 6 stiffness [[A, B], [B', D]] about its origin. With closures the other independent
+    coordinates are held, and the body's own must be independent.
 
-        A n = k n,   m = B' n:   force k n with moment m moves the body along n and does not turn it;
+        A n = k n,
+        m = B' n:   force k n with moment m moves the body along n and does not turn it;
         it acts on the line through O + n x m/k, with pitch n . m/k
-        center O + p, where B' - [p] A is symmetric:   (tr(A) I - A) p = axial vector of B' - B, (P32 - P23, P13 - P31, P21 - P12)
+        center O + p, where B' - [p] A is symmetric:   (tr(A) I - A) p = axial vector of B' - B,
+        (P32 - P23, P13 - P31, P21 - P12)
         D - B' A^-1 B = the torsional stiffness, about any point
 
-    Preload and gravity are included as in K. Errors: UNKNOWN_NAME for the body, NOT_FREE; NaN with SINGULAR_K if the mounts do not resist
-    every translation. Source: J. Loncaric, IEEE Journal of Robotics and Automation 3 (1987) 567; T. Patterson, H. Lipkin, Journal of
+    Preload and gravity are included as in K. Errors: UNKNOWN_NAME for the body, NOT_FREE; NaN
+    with SINGULAR_K if the mounts do not resist every translation. Source: J. Loncaric, IEEE
+    Journal of Robotics and Automation 3 (1987) 567; T. Patterson, H. Lipkin, Journal of
     Mechanical Design 115 (1993) 576.
 
     >>> corners = [[1, 1, -0.2], [1, -1, -0.2], [-1, 1, -0.2], [-1, -1, -0.2]]
-    >>> legs = {f"leg{i}": Bushing(("box", at), ("world", at), stiffness=[1e4, 2e4, 3e4]) for i, at in enumerate(corners)}
+    >>> legs = {
+    ...     f"leg{i}": Bushing(("box", at), ("world", at), stiffness=[1e4, 2e4, 3e4])
+    ...     for i, at in enumerate(corners)
+    ... }
     >>> model = Model(bodies={"box": Body(mass=50.0, inertia=[4, 5, 6])}, elements=legs)
     >>> axes = elastic_axes(linearize(model, model.reference), "box")
     >>> axes.stiffness.tolist(), [round(float(x), 9) for x in axes.center]
@@ -122,15 +153,16 @@ def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
 
 
 def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAxis:
-    """The axis about which a free body, without mounts or on very soft ones, turns under a torque (3,) of fixed direction (in world axes),
-    such as that of the crankshaft.
+    """The axis about which a free body, without mounts or on very soft ones, turns under a torque
+    (3,) of fixed direction (in world axes), such as that of the crankshaft.
 
         J n ~ torque,   through the center of mass,   J: moment of inertia about it
         r = (displacement of O, n) of this rotation:   frequency = sqrt(r' K r/(r' M r))/(2 pi),
         coupling = |K r - w^2 M r|/(w^2 |M r|) in the norm of M^-1
 
-    If r is a mode, with coupling 0, the mounts are decoupled about this axis. Errors: UNKNOWN_NAME for the body, NOT_FREE, BAD_SHAPE,
-    NON_FINITE, ZERO_AXIS for the torque. Source: T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
+    If r is a mode, with coupling 0, the mounts are decoupled about this axis. Errors: UNKNOWN_NAME
+    for the body, NOT_FREE, BAD_SHAPE, NON_FINITE, ZERO_AXIS for the torque. Source: T. Jeong,
+    R. Singh, Journal of Sound and Vibration 234 (2000) 85.
 
     >>> model = jb.presets.engine_on_mounts()
     >>> axis = torque_roll_axis(linearize(model, model.reference), "engine", [1, 0, 0])
@@ -141,8 +173,19 @@ def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAx
     with Problems() as problems:
         along = shaped(torque, (3,), "torque_roll_axis.torque", problems)
     if is_concrete(along) and not np.any(along):
-        raise JaxbodyError(Problem("ZERO_AXIS", "torque_roll_axis.torque", "is zero", along, "> 0", "Give the direction of the torque."))
-    return warn_if_failed(_torque_roll_axis(lin, jnp.asarray(along), _free(lin, body, "torque_roll_axis")))
+        raise JaxbodyError(
+            Problem(
+                "ZERO_AXIS",
+                "torque_roll_axis.torque",
+                "is zero",
+                along,
+                "> 0",
+                "Give the direction of the torque.",
+            )
+        )
+    return warn_if_failed(
+        _torque_roll_axis(lin, jnp.asarray(along), _free(lin, body, "torque_roll_axis"))
+    )
 
 
 def _free(lin: Linearization, body: str, where: str) -> str:
@@ -162,8 +205,15 @@ def _free(lin: Linearization, body: str, where: str) -> str:
         )
     own = layout.v_slices[body]
     if not set(range(own.start, own.stop)) <= set(lin.independent):
-        message, limit = f"'{body}' follows other bodies by closures", "a body whose six coordinates are independent"
-        raise JaxbodyError(Problem("NOT_FREE", where, message, body, limit, "Make bushings of them by jb.compliant."))
+        message, limit = (
+            f"'{body}' follows other bodies by closures",
+            "a body whose six coordinates are independent",
+        )
+        raise JaxbodyError(
+            Problem(
+                "NOT_FREE", where, message, body, limit, "Make bushings of them by jb.compliant."
+            )
+        )
     return body
 
 
@@ -188,7 +238,10 @@ def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     origin = _origin(lin, body)[0]
     resists = jnp.min(stiffness) > 1e-10 * jnp.max(jnp.abs(stiffness))
     status = jnp.where(resists, Status.OK.value, Status.SINGULAR_K.value)
-    center, points, pitch, torsional = (jnp.where(resists, x, jnp.nan) for x in (origin + p, (origin + p)[None] + points, pitch, torsional))
+    center, points, pitch, torsional = (
+        jnp.where(resists, x, jnp.nan)
+        for x in (origin + p, (origin + p)[None] + points, pitch, torsional)
+    )
     return ElasticAxes(center, n, stiffness, points, pitch, torsional_axes, torsional, status, body)
 
 
@@ -207,7 +260,9 @@ def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) 
     m, k = dot(r, M @ r), dot(r, K @ r)
     force = K @ r - k / m * (M @ r)
     square = dot(force, jnp.linalg.solve(M, force)) / m
-    coupling = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0) / jnp.abs(k / m)
+    coupling = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0) / jnp.abs(
+        k / m
+    )
     frequency = jnp.where(k > 0, jnp.sqrt(jnp.where(k > 0, k / m, 1.0)), jnp.nan) / (2 * jnp.pi)
     status = jnp.where(k > 0, Status.OK.value, Status.UNSTABLE.value)
     return TorqueRollAxis(p + arm, n, m, k, frequency, coupling, status, body)

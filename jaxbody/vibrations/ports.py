@@ -1,10 +1,12 @@
-"""The matrices between inputs and outputs of small motions. With x = (Delta, Xi), motions of supports are Xi = X u, forces enter as F u,
-and sensors read, to first order, y = Y0 x + Y1 x' + Y2 x'' + G u.
+"""The matrices between inputs and outputs of small motions. With x = (Delta, Xi), motions of
+supports are Xi = X u, forces enter as F u, and sensors read, to first order, y = Y0 x + Y1 x' + Y2
+x'' + G u.
 
-About rest each frame is displaced by J x and has the velocity J x' and the acceleration J x'', J its twists, so that the rows of a sensor
-are the derivatives of its reading along these. Three kinds have them in closed form: kinematic sensors by the twists themselves, a LoadCell
-by V'' J and R'' J of its element, a Reaction on a support by the rows of K, C and M of its motion. The chain of a sensor multiplies its
-response by
+About rest each frame is displaced by J x and has the velocity J x' and the acceleration J x'', J
+its twists, so that the rows of a sensor are the derivatives of its reading along these. Three kinds
+have them in closed form: kinematic sensors by the twists themselves, a LoadCell by V'' J and R'' J
+of its element, a Reaction on a support by the rows of K, C and M of its motion. The chain of a
+sensor multiplies its response by
 
     gain exp(-s delay)/(1 + s lag)
 """
@@ -38,9 +40,10 @@ from jaxbody.sensors.sensors import Sensor
 
 
 class Ports(eqx.Module):
-    """The matrices of inputs and outputs. `orders`: the order of the derivative of Xi for each input (0 for forces); `chains` of outputs;
-    `elements`: for each output the index of the element whose force it is; `reactions`: the index of the component of Xi whose reaction it
-    is; -1 for others."""
+    """The matrices of inputs and outputs. `orders`: the order of the derivative of Xi for each
+    input (0 for forces); `chains` of outputs; `elements`: for each output the index of the
+    element whose force it is; `reactions`: the index of the component of Xi whose reaction it is;
+    -1 for others."""
 
     F: Float[Array, "n nu"]
     X: Float[Array, "nxi nu"]
@@ -53,7 +56,8 @@ class Ports(eqx.Module):
 
 
 class Outputs(NamedTuple):
-    """The sensors, and the names and units of all components of their readings: "seat", or "seat.x", "seat.y", "seat.z"."""
+    """The sensors, and the names and units of all components of their readings: "seat", or
+    "seat.x", "seat.y", "seat.z"."""
 
     names: tuple[str, ...]
     sensors: tuple[Sensor, ...]
@@ -74,30 +78,51 @@ class Chains(eqx.Module):
         return gain * jnp.exp(-s[None] * delay) / (1 + s[None] * lag)
 
 
-def inputs_of(model: Model, given: Any, where: str, problems: Problems) -> tuple[tuple[str, ...], tuple[Input, ...], tuple[str, ...]]:
+def inputs_of(
+    model: Model, given: Any, where: str, problems: Problems
+) -> tuple[tuple[str, ...], tuple[Input, ...], tuple[str, ...]]:
     """Names, inputs and units of a dict of inputs; errors go to `problems`."""
-    ports = _checked(model, given, Input, f"{where}.inputs", "{name: BaseMotion or PointForce}", problems)
+    ports = _checked(
+        model, given, Input, f"{where}.inputs", "{name: BaseMotion or PointForce}", problems
+    )
     return tuple(ports), tuple(ports.values()), tuple(port.unit for port in ports.values())
 
 
 def outputs_of(model: Model, given: Any, where: str, problems: Problems) -> Outputs:
     """The outputs of a dict of sensors; errors go to `problems`."""
-    sensors = _checked(model, given, Sensor, f"{where}.outputs", "{name: sensor}, such as jb.Position(...)", problems)
+    sensors = _checked(
+        model,
+        given,
+        Sensor,
+        f"{where}.outputs",
+        "{name: sensor}, such as jb.Position(...)",
+        problems,
+    )
     units = component_units(sensors, model)
     return Outputs(tuple(units), tuple(sensors.values()), tuple(units.values()))
 
 
-def _checked(model: Model, given: Any, kinds: Any, where: str, limit: str, problems: Problems) -> dict[str, Any]:
+def _checked(
+    model: Model, given: Any, kinds: Any, where: str, limit: str, problems: Problems
+) -> dict[str, Any]:
     """The dict, if all in it are of these kinds and fit the model, else an empty one."""
     if not isinstance(given, dict) or not given:
-        problems.add("WRONG_KIND", where, f"is {given!r:.60}", value=given, limit=limit, hint="Name each of them.")
+        problems.add(
+            "WRONG_KIND",
+            where,
+            f"is {given!r:.60}",
+            value=given,
+            limit=limit,
+            hint="Name each of them.",
+        )
         return {}
     found = len(problems.collected)
     for name, port in given.items():
         path = f"{where}[{name!r}]"
         if not isinstance(port, kinds):
             problems.add("WRONG_KIND", path, f"is a {type(port).__name__}", value=port, limit=limit)
-        elif (problem := type(port).problem(port, model, path)) is not None:  # Equinox takes long to bind a method
+        elif (problem := type(port).problem(port, model, path)) is not None:
+            # Equinox takes long to bind a method
             problems.collected.append(problem)
     return {} if len(problems.collected) > found else given
 
@@ -109,27 +134,48 @@ def component_units(sensors: dict[str, Any], model: Model | None = None) -> dict
         if not isinstance(sensor, Sensor):
             units[name] = ""
             continue
-        unit, parts = sensor.unit if model is None else type(sensor).unit_on(sensor, model), sensor.components
+        unit, parts = (
+            sensor.unit if model is None else type(sensor).unit_on(sensor, model),
+            sensor.components,
+        )
         each = [part.strip() for part in unit.split(",")] if "," in unit else [unit]
-        units |= {f"{name}.{part}" if part else name: each[i * len(each) // len(parts)] for i, part in enumerate(parts)}
+        units |= {
+            f"{name}.{part}" if part else name: each[i * len(each) // len(parts)]
+            for i, part in enumerate(parts)
+        }
     return units
 
 
 def chains_of(sensors: tuple[Sensor, ...]) -> Chains | None:
     """The chains of all components; None if there is none."""
-    if all(getattr(sensor, stage) is None for sensor in sensors for stage in ("gain", "delay", "lag")):
+    if all(
+        getattr(sensor, stage) is None for sensor in sensors for stage in ("gain", "delay", "lag")
+    ):
         return None
 
     def each(stage: str, none: float) -> Float[Array, "ny"]:
-        given = [none if getattr(sensor, stage) is None else getattr(sensor, stage) for sensor in sensors]
-        return jnp.concatenate([jnp.broadcast_to(x, (len(sensor.components),)) for sensor, x in zip(sensors, given, strict=True)])
+        given = [
+            none if getattr(sensor, stage) is None else getattr(sensor, stage) for sensor in sensors
+        ]
+        return jnp.concatenate(
+            [
+                jnp.broadcast_to(x, (len(sensor.components),))
+                for sensor, x in zip(sensors, given, strict=True)
+            ]
+        )
 
     with_lag = [sensor.lag is not None for sensor in sensors for _ in sensor.components]
-    return Chains(each("gain", 1.0), each("delay", 0.0), each("lag", 0.0), tuple(np.flatnonzero(with_lag).tolist()))
+    return Chains(
+        each("gain", 1.0),
+        each("delay", 0.0),
+        each("lag", 0.0),
+        tuple(np.flatnonzero(with_lag).tolist()),
+    )
 
 
 class _Rows(NamedTuple):
-    """The rows of one sensor, and of each component the index of its element and of its reaction, -1 for none."""
+    """The rows of one sensor, and of each component the index of its element and of its reaction,
+    -1 for none."""
 
     Y: Float[Array, "3 k n"]
     G: Float[Array, "k nu"]
@@ -137,16 +183,31 @@ class _Rows(NamedTuple):
     reactions: tuple[int, ...] = ()
 
 
-def rows_of(lin: Any, at: Configuration, twists, sensors: tuple[Sensor, ...], F: Float[Array, "n nu"], wrenches: Float[Array, "nu nb 6"]):
-    """Y and G of all outputs, and the indices of elements and reactions. Each input exerts, per unit, the generalized force F and the
-    `wrenches`: force and moment on each body about its origin, in world axes."""
+def rows_of(
+    lin: Any,
+    at: Configuration,
+    twists,
+    sensors: tuple[Sensor, ...],
+    F: Float[Array, "n nu"],
+    wrenches: Float[Array, "nu nb 6"],
+):
+    """Y and G of all outputs, and the indices of elements and reactions. Each input exerts, per
+    unit, the generalized force F and the `wrenches`: force and moment on each body about its
+    origin, in world axes."""
     model, zero = lin.model, jnp.zeros(len(F), F.dtype)
 
     def of_element(sensor) -> bool:
-        """Whether its rows are those of an element; with coordinates of elements or accelerations it is read."""
+        """Whether its rows are those of an element; with coordinates of elements or accelerations
+        it is read."""
         return isinstance(sensor, LoadCell) and not (lin.inner or sensor.needs_accelerations(model))
 
-    others = [sensor for sensor in sensors if not (isinstance(sensor, Kinematic) or of_element(sensor) or reads_matrices(sensor, model))]
+    others = [
+        sensor
+        for sensor in sensors
+        if not (
+            isinstance(sensor, Kinematic) or of_element(sensor) or reads_matrices(sensor, model)
+        )
+    ]
     elements = _by_name(model, at) if any(map(of_element, sensors)) else {}
     readings = iter(_read_rows(lin, at, twists, others, wrenches) if others else ())
     held = zero
@@ -162,7 +223,11 @@ def rows_of(lin: Any, at: Configuration, twists, sensors: tuple[Sensor, ...], F:
         elif isinstance(sensor, LoadCell) and of_element(sensor):
             i, derivatives = elements[sensor.on]
             k = sensor.component or 0
-            J = derivatives.J if lin.dependent is None else derivatives.J @ lin.dependent.whole(0, model.layout.nxi)
+            J = (
+                derivatives.J
+                if lin.dependent is None
+                else derivatives.J @ lin.dependent.whole(0, model.layout.nxi)
+            )
             Y = jnp.stack([derivatives.stiffness[k] @ J, derivatives.damping[k] @ J, zero])[:, None]
             rows.append(_Rows(Y, jnp.zeros((1, F.shape[1]), F.dtype), i))
         elif isinstance(sensor, Reaction) and reads_matrices(sensor, model):
@@ -170,14 +235,25 @@ def rows_of(lin: Any, at: Configuration, twists, sensors: tuple[Sensor, ...], F:
         else:
             rows.append(next(readings))
     counts = [len(row.G) for row in rows]
-    by_element = tuple(row.element for row, count in zip(rows, counts, strict=True) for _ in range(count))
-    by_reaction = tuple(i for row, count in zip(rows, counts, strict=True) for i in row.reactions or (-1,) * count)
-    return jnp.concatenate([row.Y for row in rows], 1), jnp.concatenate([row.G for row in rows]), by_element, by_reaction
+    by_element = tuple(
+        row.element for row, count in zip(rows, counts, strict=True) for _ in range(count)
+    )
+    by_reaction = tuple(
+        i for row, count in zip(rows, counts, strict=True) for i in row.reactions or (-1,) * count
+    )
+    return (
+        jnp.concatenate([row.Y for row in rows], 1),
+        jnp.concatenate([row.G for row in rows]),
+        by_element,
+        by_reaction,
+    )
 
 
 def reads_matrices(sensor: Any, model: Model) -> bool:
     """Whether a sensor reads its rows from the matrices of a support's motion."""
-    return isinstance(sensor, Reaction) and sensor.on in model.layout.supports and sensor.point is None
+    return (
+        isinstance(sensor, Reaction) and sensor.on in model.layout.supports and sensor.point is None
+    )
 
 
 def _by_name(model: Model, at: Configuration) -> dict[str, tuple[int, ElementDerivatives]]:
@@ -190,8 +266,11 @@ def _by_name(model: Model, at: Configuration) -> dict[str, tuple[int, ElementDer
     return {name: (i, derivatives) for i, (name, derivatives) in enumerate(named)}
 
 
-def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sensors: list[Sensor], wrenches) -> list[_Rows]:
-    """The rows of sensors by the derivatives of their readings; accelerations are those of x'': no equation of motion is solved."""
+def _read_rows(
+    lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sensors: list[Sensor], wrenches
+) -> list[_Rows]:
+    """The rows of sensors by the derivatives of their readings; accelerations are those of x'': no
+    equation of motion is solved."""
     model, q, layout, frames = lin.model, lin.state.q, lin.model.layout, at.frames
     dynamics, zero = dynamics_of(lin.held, (), lin.loads), jnp.zeros(twists.shape[1], q.dtype)
     n, k, with_mass = len(lin.independent), lin.inner, len(layout.inertial)
@@ -203,10 +282,16 @@ def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sens
             return lin.held
         y, y_dot, z, zero = x[n : n + k], rate[n : n + k], lin.state.z, jnp.zeros_like(lin.state.z)
         z = z.at[layout.inner_places[:k]].add(y).at[layout.inner_rates].add(y_dot[:with_mass])
-        return settled(model, z) if lin.slow else apart(model, z, zero.at[layout.inner_places[:k]].set(y_dot))
+        return (
+            settled(model, z)
+            if lin.slow
+            else apart(model, z, zero.at[layout.inner_places[:k]].set(y_dot))
+        )
 
     def moved(x, rate, change, u) -> Instant:
-        (dp, turn), (v, w), (a, alpha) = (jnp.split(jnp.einsum("fni,n->fi", twists, y), 2, -1) for y in (x, rate, change))
+        (dp, turn), (v, w), (a, alpha) = (
+            jnp.split(jnp.einsum("fni,n->fi", twists, y), 2, -1) for y in (x, rate, change)
+        )
         step = Frame(frames.p, frames.R, dp, turn).rates()
         delta, v_own = (y[: layout.nv] if T is None else T @ y for y in (x, rate))
         state = State(dynamics.coordinates.retract(q, delta), v_own)
@@ -214,7 +299,9 @@ def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sens
         now = Instant(frames.p + step.p, frames.R + step.R, v, w, t, state, a, alpha)
         if any(sensor.reactions for sensor in sensors):
             extra = jnp.tensordot(u, wrenches, 1)
-            now = dynamics_of(held(x, rate), (), lin.loads).with_reactions(now, (extra[:, :3], extra[:, 3:]))
+            now = dynamics_of(held(x, rate), (), lin.loads).with_reactions(
+                now, (extra[:, :3], extra[:, 3:])
+            )
         return now
 
     start = (zero, zero, zero, jnp.zeros(len(wrenches), q.dtype))
@@ -222,20 +309,34 @@ def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sens
 
     def readings(*motion):
         instant, present = moved(*motion), held(*motion[:2])
-        return jnp.concatenate([jnp.ravel(sensor.change(present, instant, rest, dynamics.model)) for sensor in sensors])
+        return jnp.concatenate(
+            [jnp.ravel(sensor.change(present, instant, rest, dynamics.model)) for sensor in sensors]
+        )
 
     ends = np.cumsum([len(sensor.components) for sensor in sensors])[:-1]
     *rows, direct = jax.jacfwd(readings, (0, 1, 2, 3))(*start)
-    return [_Rows(Y, G) for Y, G in zip(jnp.split(jnp.stack(rows), ends, 1), jnp.split(direct, ends), strict=True)]
+    return [
+        _Rows(Y, G)
+        for Y, G in zip(jnp.split(jnp.stack(rows), ends, 1), jnp.split(direct, ends), strict=True)
+    ]
 
 
-def _reaction_rows(lin: Any, sensor: Reaction, held: Float[Array, "nxi"], F: Float[Array, "n nu"]) -> _Rows:
-    """Minus the rows of K, C and M of a support's motion; and the forces on it. Of a moment also phi x m/2: the moment m at equilibrium
-    equals dV/dphi at the rotation vector phi = 0 only; in general m = J(phi)^-T dV/dphi."""
+def _reaction_rows(
+    lin: Any, sensor: Reaction, held: Float[Array, "nxi"], F: Float[Array, "n nu"]
+) -> _Rows:
+    """Minus the rows of K, C and M of a support's motion; and the forces on it. Of a moment also
+    phi x m/2: the moment m at equilibrium equals dV/dphi at the rotation vector phi = 0 only; in
+    general m = J(phi)^-T dV/dphi."""
     nv, first = lin.M.shape[-1], 6 * lin.model.layout.supports.index(sensor.on)
-    places = tuple(range(first, first + 6)) if sensor.component is None else (first + sensor.component,)
+    places = (
+        tuple(range(first, first + 6)) if sensor.component is None else (first + sensor.component,)
+    )
     own = nv + np.array(places)
-    turned = jnp.zeros((6, len(F)), F.dtype).at[3:, nv + first + 3 : nv + first + 6].set(-skew(held[first + 3 : first + 6]) / 2)
+    turned = (
+        jnp.zeros((6, len(F)), F.dtype)
+        .at[3:, nv + first + 3 : nv + first + 6]
+        .set(-skew(held[first + 3 : first + 6]) / 2)
+    )
     K, C, M = (A[own] for A in lin.whole)
     return _Rows(-jnp.stack([K + turned[np.array(places) - first], C, M]), F[own], reactions=places)
 
@@ -251,10 +352,21 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ..
     if lin.dependent is not None:
         twists = jnp.einsum("fni,nm->fmi", twists, lin.dependent.whole(lin.inner, layout.nxi))
     zero, still = jnp.zeros(twists.shape[1], lin.M.dtype), jnp.zeros(layout.nxi, lin.M.dtype)
-    forces = [_force_row(port, at.frames, twists, layout.frame) if isinstance(port, PointForce) else zero for port in inputs]
-    moved = [still.at[_place(port, layout)].set(1.0) if isinstance(port, BaseMotion) else still for port in inputs]
-    F, X = (jnp.reshape(jnp.asarray(rows, still.dtype), (len(inputs), n)).T for rows, n in ((forces, len(zero)), (moved, len(still))))
-    rows, direct, elements, reactions = rows_of(lin, at, twists, sensors, F, _input_wrenches(inputs, at.frames, layout))
+    forces = [
+        _force_row(port, at.frames, twists, layout.frame) if isinstance(port, PointForce) else zero
+        for port in inputs
+    ]
+    moved = [
+        still.at[_place(port, layout)].set(1.0) if isinstance(port, BaseMotion) else still
+        for port in inputs
+    ]
+    F, X = (
+        jnp.reshape(jnp.asarray(rows, still.dtype), (len(inputs), n)).T
+        for rows, n in ((forces, len(zero)), (moved, len(still)))
+    )
+    rows, direct, elements, reactions = rows_of(
+        lin, at, twists, sensors, F, _input_wrenches(inputs, at.frames, layout)
+    )
     orders = tuple(KINDS.index(port.kind) if isinstance(port, BaseMotion) else 0 for port in inputs)
     return Ports(F, X, rows, direct, chains_of(sensors), orders, elements, reactions)
 
@@ -262,7 +374,9 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ..
 def check_ports(lin: Any, inputs: Any, outputs: Any, where: str) -> tuple[tuple[Any, ...], Outputs]:
     """(names, inputs, units) and outputs; raises all errors at once."""
     with Problems() as problems:
-        return inputs_of(lin.model, inputs, where, problems), outputs_of(lin.model, outputs, where, problems)
+        return inputs_of(lin.model, inputs, where, problems), outputs_of(
+            lin.model, outputs, where, problems
+        )
 
 
 def _place(port: BaseMotion, layout) -> int:

@@ -13,13 +13,16 @@ from jaxbody.scenes.animations import Animation, DrawnPart
 from jaxbody.scenes.meshes import Mesh
 from jaxbody.views.cameras import ANGLE, Camera
 
-STEP = 2.0**-21  # relative to the size of the model: positions are rounded to about this, which makes the file smaller
+# relative to the size of the model: positions are rounded to about this, which makes the
+# file smaller
+STEP = 2.0**-21
 STEP_OF_TURN = 2.0**-20  # of quaternions, likewise
 TRAIL = 2.5  # pixels
 
 
 def page_of(animation: Animation, camera: Camera, *, names: bool = True) -> str:
-    """The HTML text of an animation that starts by itself, with slider, speed and the tree of its parts. Error: MISSING_EXTRA."""
+    """The HTML text of an animation that starts by itself, with slider, speed and the tree of its
+    parts. Error: MISSING_EXTRA."""
     server = server_at(0)
     try:
         stage = Stage(server, animation, camera, names)
@@ -47,15 +50,22 @@ def silent() -> Any:
 
 
 class Stage:
-    """The parts of an animation in the scene of a server. `show(i)` moves them to a frame and sends only what changes by it."""
+    """The parts of an animation in the scene of a server. `show(i)` moves them to a frame and sends
+    only what changes by it."""
 
     def __init__(self, server: Any, animation: Animation, camera: Camera, names: bool):
         scene = self.scene = server.scene
         self.step = 2.0 ** np.floor(np.log2(STEP * animation.size))
         scene.set_up_direction(tuple(animation.up))
-        server.initial_camera.position, server.initial_camera.look_at = tuple(camera.position), tuple(camera.target)
+        server.initial_camera.position, server.initial_camera.look_at = (
+            tuple(camera.position),
+            tuple(camera.target),
+        )
         server.initial_camera.fov = float(ANGLE)
-        server.initial_camera.near, server.initial_camera.far = 1e-3 * animation.size, 1e3 * animation.size
+        server.initial_camera.near, server.initial_camera.far = (
+            1e-3 * animation.size,
+            1e3 * animation.size,
+        )
         self.handles: dict[tuple[str, ...], Any] = {}
         self.meshes: dict[tuple[str, ...], Mesh] = {}
         self.shown: dict[tuple[str, ...], dict[str, np.ndarray]] = {}
@@ -65,36 +75,63 @@ class Stage:
             label.path: scene.add_label(
                 _name(label.path), label.text, position=tuple(label.p[0]), font_screen_scale=0.9,
                 anchor="bottom-center" if label.kind == "title" else "bottom-left",
-                visible=label.kind != "element",  # those are many; they are switched on in the tree of the scene
+                # those are many; they are switched on in the tree of the scene
+                visible=label.kind != "element",
             )
             for label in labels
         }  # fmt: skip
         for trail in animation.trails:
             segments = np.stack([trail.points[:-1], trail.points[1:]], 1)
-            scene.add_line_segments(_name(trail.path), segments, _rgb(trail.color), thickness=TRAIL, thickness_units="screen")
+            scene.add_line_segments(
+                _name(trail.path),
+                segments,
+                _rgb(trail.color),
+                thickness=TRAIL,
+                thickness_units="screen",
+            )
         corner = tuple(_corner(animation, camera))
-        self.clock = scene.add_label("/time", "", position=corner, anchor="top-left") if animation.moves else None
+        self.clock = (
+            scene.add_label("/time", "", position=corner, anchor="top-left")
+            if animation.moves
+            else None
+        )
         self.shown |= {label.path: {"position": label.p[0]} for label in labels}
 
     def take(self, animation: Animation) -> None:
-        """Take the parts of an animation of the same model; those whose mesh is the same stay, and are moved by the next `show`."""
+        """Take the parts of an animation of the same model; those whose mesh is the same stay, and
+        are moved by the next `show`."""
         self.animation = animation
         self.places = {part.path: _places(part, self.step) for part in animation.parts}
         for path in [path for path in self.handles if path not in self.places]:
             self.handles.pop(path).remove()
         for part in animation.parts:
-            same = part.path in self.handles and np.array_equal(self.meshes[part.path].vertices, part.mesh.vertices)
+            same = part.path in self.handles and np.array_equal(
+                self.meshes[part.path].vertices, part.mesh.vertices
+            )
             if not same:
                 self.handles[part.path] = _add(self.scene, part, self.places[part.path])
                 self.meshes[part.path] = part.mesh
-                self.shown[part.path] = {name: values[0] for name, values in self.places[part.path].items()}
+                self.shown[part.path] = {
+                    name: values[0] for name, values in self.places[part.path].items()
+                }
 
     def show(self, i: int) -> None:
         for path, handle in self.handles.items():
-            self._move(path, handle, {name: values[min(i, len(values) - 1)] for name, values in self.places[path].items()})
+            self._move(
+                path,
+                handle,
+                {
+                    name: values[min(i, len(values) - 1)]
+                    for name, values in self.places[path].items()
+                },
+            )
         for label in self.animation.labels:
             if label.path in self.texts and len(label.p) > 1:
-                self._move(label.path, self.texts[label.path], {"position": _rounded(label.p[i], 64 * self.step)})
+                self._move(
+                    label.path,
+                    self.texts[label.path],
+                    {"position": _rounded(label.p[i], 64 * self.step)},
+                )
         if self.clock is not None:
             self.clock.text = self.animation.clock[i]
 
@@ -106,13 +143,18 @@ class Stage:
 
 
 def _places(part: DrawnPart, step: float) -> dict[str, np.ndarray]:
-    """{property of a handle: its values in all frames}, rounded, with quaternions that do not change their sign from frame to frame."""
+    """{property of a handle: its values in all frames}, rounded, with quaternions that do not
+    change their sign from frame to frame."""
     from scipy.spatial.transform import Rotation
 
     q = Rotation.from_matrix(part.R).as_quat()[:, [3, 0, 1, 2]]
     sign = np.where(np.sum(q[1:] * q[:-1], -1) < 0, -1.0, 1.0)
     q[1:] *= np.cumprod(sign)[:, None]
-    return {"position": _rounded(part.p, step), "wxyz": _rounded(q, STEP_OF_TURN), "scale": _rounded(part.scale, step)}
+    return {
+        "position": _rounded(part.p, step),
+        "wxyz": _rounded(q, STEP_OF_TURN),
+        "scale": _rounded(part.scale, step),
+    }
 
 
 def _rounded(x: np.ndarray, step: float) -> np.ndarray:
@@ -121,10 +163,16 @@ def _rounded(x: np.ndarray, step: float) -> np.ndarray:
 
 def _add(scene: Any, part: DrawnPart, place: dict[str, np.ndarray]) -> Any:
     return scene.add_mesh_simple(
-        _name(part.path), part.mesh.vertices, part.mesh.faces, color=_rgb(part.color), flat_shading=part.edged,
-        opacity=None if part.opacity == 1 else part.opacity, cast_shadow=not part.below, receive_shadow=not part.below,
+        _name(part.path),
+        part.mesh.vertices,
+        part.mesh.faces,
+        color=_rgb(part.color),
+        flat_shading=part.edged,
+        opacity=None if part.opacity == 1 else part.opacity,
+        cast_shadow=not part.below,
+        receive_shadow=not part.below,
         **{name: tuple(values[0]) for name, values in place.items()},
-    )  # fmt: skip
+    )
 
 
 def _corner(animation: Animation, camera: Camera) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""The camera: a direction that suits the model, a distance from which all that moves is in view, and its perspective."""
+"""The camera: a direction that suits the model, a distance from which all that moves is in view,
+and its perspective."""
 
 from __future__ import annotations
 
@@ -15,21 +16,24 @@ FILLED = 0.93  # share of the picture that is used
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera at `position` that looks at `target`; the columns of `axes` point right, up and toward it."""
+    """A camera at `position` that looks at `target`; the columns of `axes` point right, up and
+    toward it."""
 
     position: np.ndarray
     target: np.ndarray
     axes: np.ndarray
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Picture coordinates (n, 2), in units of the distance of the picture's plane, and depths (n,) [m]."""
+        """Picture coordinates (n, 2), in units of the distance of the picture's plane, and depths
+        (n,) [m]."""
         x = (points - self.position) @ self.axes
         depth = -x[:, 2]
         return x[:, :2] / np.where(depth > 0, depth, np.nan)[:, None], depth
 
 
 def camera_for(animation: Animation, direction: np.ndarray | None = None) -> Camera:
-    """The camera for an animation. `direction`: from what is seen to the camera, in world axes; None chooses it."""
+    """The camera for an animation. `direction`: from what is seen to the camera, in world axes;
+    None chooses it."""
     up, right = animation.up, animation.right
     front = np.cross(right, up)
     aside, above = np.deg2rad(animation.seen_from)
@@ -43,5 +47,9 @@ def camera_for(animation: Animation, direction: np.ndarray | None = None) -> Cam
     target = axes @ ((low + high) / 2)
     seen = (points - target) @ axes
     half = np.tan(ANGLE / 2) * FILLED
-    distance = float(np.max(seen[:, 2] + np.maximum(np.abs(seen[:, 1]) / half, np.abs(seen[:, 0]) / (ASPECT * half))))
+    distance = float(
+        np.max(
+            seen[:, 2] + np.maximum(np.abs(seen[:, 1]) / half, np.abs(seen[:, 0]) / (ASPECT * half))
+        )
+    )
     return Camera(target + max(distance, 1e-6 * animation.size) * z, target, axes)

@@ -1,4 +1,5 @@
-"""Frames of an animation as pictures: meshes in perspective, with names and paths by matplotlib. No display is needed."""
+"""Frames of an animation as pictures: meshes in perspective, with names and paths by matplotlib. No
+display is needed."""
 
 from __future__ import annotations
 
@@ -31,10 +32,13 @@ class Painter:
 
     Args:
         animation, camera: what is seen, and from where.
-        width: of the pictures, in pixels; the height follows from what is seen. None takes 720, or less for what is tall.
+        width: of the pictures, in pixels; the height follows from what is seen. None takes 720, or
+            less for what is tall.
         names: whether names are written beside bodies, supports and elements."""
 
-    def __init__(self, animation: Animation, camera: Camera, width: int | None, *, names: bool = True):
+    def __init__(
+        self, animation: Animation, camera: Camera, width: int | None, *, names: bool = True
+    ):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.collections import LineCollection
         from matplotlib.figure import Figure
@@ -50,20 +54,45 @@ class Painter:
         self.canvas = FigureCanvasAgg(figure)
         self.ax = figure.add_axes((0, 0, 1, 1))
         self.ax.set_axis_off()
-        self.middle, self.half = (low + high) / 2, max(sides[0] / width, sides[1] / height) / 2 * np.array([width, height])
+        self.middle, self.half = (
+            (low + high) / 2,
+            max(sides[0] / width, sides[1] / height) / 2 * np.array([width, height]),
+        )
         self._widen(1.0)
         fine = FINE * animation.size
         self.meshes = [_divided(part.mesh, fine, part.scale[0]) for part in animation.parts]
         self.edges = [_edges(part.mesh, fine) if part.edged else None for part in animation.parts]
-        self.background: Any = figure.figimage(np.full((height * FINER, self.width * FINER, 3), 255, np.uint8), zorder=-1)
+        self.background: Any = figure.figimage(
+            np.full((height * FINER, self.width * FINER, 3), 255, np.uint8), zorder=-1
+        )
         self.trails: Any = LineCollection([], linewidths=1.6, zorder=3)
         self.ax.add_collection(self.trails, autolim=False)
-        self.clock = self.ax.text(0.012, 0.015, "", transform=self.ax.transAxes, fontsize=9, color=GRAY, zorder=9)
-        self.ax.text(0.012, 0.985, animation.title, transform=self.ax.transAxes, fontsize=9, color=INK, va="top", zorder=9)
+        self.clock = self.ax.text(
+            0.012, 0.015, "", transform=self.ax.transAxes, fontsize=9, color=GRAY, zorder=9
+        )
+        self.ax.text(
+            0.012,
+            0.985,
+            animation.title,
+            transform=self.ax.transAxes,
+            fontsize=9,
+            color=INK,
+            va="top",
+            zorder=9,
+        )
         for label in animation.labels:
             if label.kind == "title":
                 at = camera.project(label.p[:1])[0][0]
-                self.ax.text(at[0], at[1], label.text, fontsize=9, color=label.color, ha="center", va="bottom", zorder=9)
+                self.ax.text(
+                    at[0],
+                    at[1],
+                    label.text,
+                    fontsize=9,
+                    color=label.color,
+                    ha="center",
+                    va="bottom",
+                    zorder=9,
+                )
         self.names, widest = self._written_names() if names else [], 4 * self.half[0]
         while self.names and (outside := self._outside()) > 0 and self.half[0] < widest:
             for _, text in self.names:
@@ -81,7 +110,9 @@ class Painter:
         for label, text in self.names:
             text.xy = self.camera.project(label.p[min(i, len(label.p) - 1)][None])[0][0]
         self.canvas.draw()
-        return np.asarray(Image.fromarray(np.asarray(self.canvas.buffer_rgba())).convert("RGB").reduce(FINER))
+        return np.asarray(
+            Image.fromarray(np.asarray(self.canvas.buffer_rgba())).convert("RGB").reduce(FINER)
+        )
 
     def _widen(self, factor: float) -> None:
         self.half = factor * self.half
@@ -105,14 +136,25 @@ class Painter:
         for part in self.animation.parts:
             if part.framed and not part.below:
                 flat, _ = self.camera.project(part.at(0).vertices)
-                outlines += [self.ax.plot(*line.T, lw=0)[0] for line in flat[part.mesh.edges()[0][::3]]]
+                outlines += [
+                    self.ax.plot(*line.T, lw=0)[0] for line in flat[part.mesh.edges()[0][::3]]
+                ]
         elements = [label for label in self.animation.labels if label.kind == "element"]
         written = {"body", "support", "element" if len(elements) <= MOST_NAMED else ""}
-        placed = [(label, self.camera.project(label.p[:1])[0][0]) for label in self.animation.labels if label.kind in written]
-        annotate(self.ax, [Label(label.text, at, np.array([0.5, 1.0]), 9, label.color) for label, at in placed])
+        placed = [
+            (label, self.camera.project(label.p[:1])[0][0])
+            for label in self.animation.labels
+            if label.kind in written
+        ]
+        annotate(
+            self.ax,
+            [Label(label.text, at, np.array([0.5, 1.0]), 9, label.color) for label, at in placed],
+        )
         for outline in outlines:
             outline.remove()
-        return [(label, text) for (label, _), text in zip(placed, self.ax.texts[known:], strict=True)]
+        return [
+            (label, text) for (label, _), text in zip(placed, self.ax.texts[known:], strict=True)
+        ]
 
     def _drawn(self, i: int) -> np.ndarray:
         """The pixels of all parts."""
@@ -121,8 +163,14 @@ class Painter:
             pieces = [self._triangles(part, Mesh(part.placed(mesh.vertices, i), mesh.faces))]
             if edges is not None:
                 ends, owners = edges
-                pieces.append(self._lines(part, part.placed(ends[self._faces_camera(part, i)[owners].any(1)], i)))
-            (solid if part.opacity >= SOLID else clear).extend((*piece, np.full(len(piece[0]), part.opacity)) for piece in pieces)
+                pieces.append(
+                    self._lines(
+                        part, part.placed(ends[self._faces_camera(part, i)[owners].any(1)], i)
+                    )
+                )
+            (solid if part.opacity >= SOLID else clear).extend(
+                (*piece, np.full(len(piece[0]), part.opacity)) for piece in pieces
+            )
         raster = Raster(*self.background.get_array().shape[:2])
         corners, depths, colors, _ = (np.concatenate(column) for column in zip(*solid, strict=True))
         raster.draw(corners, depths, colors)
@@ -137,35 +185,68 @@ class Painter:
     def _faces_camera(self, part: DrawnPart, i: int) -> np.ndarray:
         """Which triangles of the undivided mesh face the camera."""
         mesh = part.at(i)
-        return np.sum((self.camera.position - mesh.vertices[mesh.faces[:, 0]]) * mesh.normals(), -1) > 0
+        return (
+            np.sum((self.camera.position - mesh.vertices[mesh.faces[:, 0]]) * mesh.normals(), -1)
+            > 0
+        )
 
     def _triangles(self, part: DrawnPart, mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Corners (f, 3, 2) [pixels], depths (f, 3) and colors (f, 3) of the triangles that face the camera."""
+        """Corners (f, 3, 2) [pixels], depths (f, 3) and colors (f, 3) of the triangles that face
+        the camera."""
         flat, depth = self.camera.project(mesh.vertices)
         corners = self._pixels(flat)[mesh.faces]
-        (ax, ay), (bx, by) = np.moveaxis(corners[:, 1] - corners[:, 0], 1, 0), np.moveaxis(corners[:, 2] - corners[:, 0], 1, 0)
+        (ax, ay), (bx, by) = (
+            np.moveaxis(corners[:, 1] - corners[:, 0], 1, 0),
+            np.moveaxis(corners[:, 2] - corners[:, 0], 1, 0),
+        )
         near = NEAR * np.linalg.norm(self.camera.position - self.camera.target)
         seen = (ax * by - ay * bx > 0) & (depth[mesh.faces].min(1) > near)
         n = Mesh(mesh.vertices, mesh.faces[seen]).normals() @ self.camera.axes
         lit = np.clip(0.5 + 0.5 * n @ (LIGHT_FROM / np.linalg.norm(LIGHT_FROM)), 0, 1)
-        return corners[seen], depth[mesh.faces[seen]] - part.over, _colors(part, DARKEST + (BRIGHTEST - DARKEST) * lit)
+        return (
+            corners[seen],
+            depth[mesh.faces[seen]] - part.over,
+            _colors(part, DARKEST + (BRIGHTEST - DARKEST) * lit),
+        )
 
-    def _lines(self, part: DrawnPart, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _lines(
+        self, part: DrawnPart, edges: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same of lines along edges (e, 2, 3), as thin rectangles of two triangles."""
-        flat, depth = (x.reshape(len(edges), 2, *x.shape[1:]) for x in self.camera.project(edges.reshape(-1, 3)))
+        flat, depth = (
+            x.reshape(len(edges), 2, *x.shape[1:])
+            for x in self.camera.project(edges.reshape(-1, 3))
+        )
         ends = self._pixels(flat)
         d = ends[:, 1] - ends[:, 0]
         length = np.linalg.norm(d, axis=1, keepdims=True)
-        side = np.stack([-d[:, 1], d[:, 0]], -1) / np.where(length > 0, length, 1.0) * 0.5 * EDGE * FINER * DPI / 72
+        side = (
+            np.stack([-d[:, 1], d[:, 0]], -1)
+            / np.where(length > 0, length, 1.0)
+            * 0.5
+            * EDGE
+            * FINER
+            * DPI
+            / 72
+        )
         a, b, c, e = ends[:, 0] - side, ends[:, 1] - side, ends[:, 1] + side, ends[:, 0] + side
         corners = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, e], 1)])
-        depths = np.concatenate([depth[:, [0, 1, 1]], depth[:, [0, 1, 0]]]) - OVER * self.animation.size - part.over
+        depths = (
+            np.concatenate([depth[:, [0, 1, 1]], depth[:, [0, 1, 0]]])
+            - OVER * self.animation.size
+            - part.over
+        )
         return corners, depths, _colors(part, np.full(len(corners), DARK))
 
     def _draw_trails(self, i: int) -> None:
         trails = self.animation.trails
         self.trails.set_segments(
-            [self.camera.project(trail.points[: i + 1] if self.animation.moves else trail.points)[0] for trail in trails]
+            [
+                self.camera.project(
+                    trail.points[: i + 1] if self.animation.moves else trail.points
+                )[0]
+                for trail in trails
+            ]
         )
         self.trails.set_color([trail.color for trail in trails])
 
@@ -177,7 +258,8 @@ def _colors(part: DrawnPart, brightness: np.ndarray) -> np.ndarray:
 
 
 def _divided(mesh: Mesh, longest: float, scale: np.ndarray) -> Mesh:
-    """The mesh with its longest edges halved until all are short enough, as stretched by `scale`."""
+    """The mesh with its longest edges halved until all are short enough, as stretched
+    by `scale`."""
     vertices, faces = mesh
     for _ in range(24):
         corners = (vertices * scale)[faces]
@@ -190,16 +272,22 @@ def _divided(mesh: Mesh, longest: float, scale: np.ndarray) -> Mesh:
         middle = len(vertices) + np.arange(len(k))
         vertices = np.concatenate([vertices, (vertices[rolled[:, 0]] + vertices[rolled[:, 1]]) / 2])
         a, b, c = rolled.T
-        faces = np.concatenate([faces[~long], np.stack([a, middle, c], -1), np.stack([middle, b, c], -1)])
+        faces = np.concatenate(
+            [faces[~long], np.stack([a, middle, c], -1), np.stack([middle, b, c], -1)]
+        )
     return Mesh(vertices, faces)
 
 
 def _edges(mesh: Mesh, longest: float) -> tuple[np.ndarray, np.ndarray]:
-    """The sharp edges (e, 2, 3) in pieces that are short enough, and the two triangles of each (e, 2)."""
+    """The sharp edges (e, 2, 3) in pieces that are short enough, and the two triangles of each
+    (e, 2)."""
     pairs, owners = mesh.edges()
     ends = mesh.vertices[pairs]
     while len(ends) and (long := np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) > longest).any():
         middle = ends[long].mean(1)
         halves = [np.stack([ends[long][:, 0], middle], 1), np.stack([middle, ends[long][:, 1]], 1)]
-        ends, owners = np.concatenate([ends[~long], *halves]), np.concatenate([owners[~long], owners[long], owners[long]])
+        ends, owners = (
+            np.concatenate([ends[~long], *halves]),
+            np.concatenate([owners[~long], owners[long], owners[long]]),
+        )
     return ends, owners

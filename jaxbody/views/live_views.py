@@ -1,4 +1,5 @@
-"""A view that is served live: sliders in the browser change mode, amplitude and phase while the model vibrates, or the time of a motion."""
+"""A view that is served live: sliders in the browser change mode, amplitude and phase while the
+model vibrates, or the time of a motion."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ SPEEDS = (0.1, 3.0)
 
 
 class Vibration(NamedTuple):
-    """What is drawn of modes: the animation by (numbers of the modes, amplitude, phase), the largest number, and these as given."""
+    """What is drawn of modes: the animation by (numbers of the modes, amplitude, phase), the
+    largest number, and these as given."""
 
     drawn: Callable[[Sequence[int], float | None, float], Animation]
     numbers: tuple[int, ...]
@@ -28,10 +30,18 @@ class Vibration(NamedTuple):
 
 
 class LiveView:
-    """A view in a browser that this process draws. `url`: its address; `controls` {name: the handle of viser}, such as
-    `controls["phase"].value` in degrees; `animation`: what is drawn now; `stop()` ends it, `wait()` until Ctrl+C."""
+    """A view in a browser that this process draws. `url`: its address; `controls` {name: the handle
+    of viser}, such as `controls["phase"].value` in degrees; `animation`: what is drawn now;
+    `stop()` ends it, `wait()` until Ctrl+C."""
 
-    def __init__(self, animation: Animation, camera: Camera, names: bool, vibration: Vibration | None, port: int):
+    def __init__(
+        self,
+        animation: Animation,
+        camera: Camera,
+        names: bool,
+        vibration: Vibration | None,
+        port: int,
+    ):
         self.animation, self.vibration, self.frame = animation, vibration, 0
         self.server, self.lock, self.ended = server_at(port), threading.RLock(), threading.Event()
         self.stage = Stage(self.server, animation, camera, names)
@@ -56,21 +66,28 @@ class LiveView:
         amplitude, phase = vibration.amplitude or usual, np.rad2deg(vibration.phase) % 360
         most = 2 * max(amplitude, usual)
         if len(vibration.numbers) == 1 and vibration.most > 1:
-            self.controls["mode"] = gui.add_slider("mode", 1, vibration.most, 1, vibration.numbers[0])
-        self.controls["amplitude"] = gui.add_slider("amplitude [m]", 0.0, most, most / 200, amplitude)
+            self.controls["mode"] = gui.add_slider(
+                "mode", 1, vibration.most, 1, vibration.numbers[0]
+            )
+        self.controls["amplitude"] = gui.add_slider(
+            "amplitude [m]", 0.0, most, most / 200, amplitude
+        )
         self.controls["phase"] = gui.add_slider("phase [degrees]", 0.0, 360.0, 1.0, phase)
         for name in ("mode", "amplitude", "phase"):
             if name in self.controls:
                 self.controls[name].on_update(self._vibrate)
 
     def _vibrate(self, _: Any) -> None:
-        """Draw the modes with what the sliders say; where it does not play, at the first frame, which has the phase."""
+        """Draw the modes with what the sliders say; where it does not play, at the first frame,
+        which has the phase."""
         assert self.vibration is not None
         with self.lock:
             number = self.controls.get("mode")
             numbers = self.vibration.numbers if number is None else (int(number.value),)
             phase = np.deg2rad(self.controls["phase"].value)
-            self.animation = self.vibration.drawn(numbers, self.controls["amplitude"].value, float(phase))
+            self.animation = self.vibration.drawn(
+                numbers, self.controls["amplitude"].value, float(phase)
+            )
             self.stage.take(self.animation)
             self.title.content = _lines(self.animation.title)
             self.show(self.frame if self.controls["play"].value else 0)
@@ -78,7 +95,9 @@ class LiveView:
     def _at_time(self, _: Any) -> None:
         with self.lock:
             if not self.controls["play"].value:
-                self.show(int(np.argmin(np.abs(self.animation.seconds - self.controls["time"].value))))
+                self.show(
+                    int(np.argmin(np.abs(self.animation.seconds - self.controls["time"].value)))
+                )
 
     def show(self, frame: int) -> None:
         """Show a frame of the animation."""
@@ -96,7 +115,11 @@ class LiveView:
 
     def _pause(self) -> float:
         playing = self.controls["play"].value
-        return float(self.animation.pauses[self.frame]) / max(self.controls["speed"].value, SPEEDS[0]) if playing else STILL
+        return (
+            float(self.animation.pauses[self.frame]) / max(self.controls["speed"].value, SPEEDS[0])
+            if playing
+            else STILL
+        )
 
     @property
     def url(self) -> str:

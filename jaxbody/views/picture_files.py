@@ -31,7 +31,8 @@ def save_png(path: Path, painter: Painter, frame: int) -> None:
 
 
 def save_gif(path: Path, painter: Painter) -> None:
-    """All frames in a loop, with one palette, so that only what changes is stored. Error: NOT_SAVED."""
+    """All frames in a loop, with one palette, so that only what changes is stored.
+    Error: NOT_SAVED."""
     from PIL import Image
 
     animation = painter.animation
@@ -40,7 +41,15 @@ def save_gif(path: Path, painter: Painter) -> None:
     palette = _palette(images[:: max(1, len(images) // LOOKED_AT)], animation)
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     with writing(path):
-        small[0].save(path, format="GIF", save_all=True, append_images=small[1:], duration=pauses, loop=0, optimize=True)
+        small[0].save(
+            path,
+            format="GIF",
+            save_all=True,
+            append_images=small[1:],
+            duration=pauses,
+            loop=0,
+            optimize=True,
+        )
 
 
 def _palette(images: list[Any], animation: Animation) -> Any:
@@ -76,7 +85,9 @@ def save_mp4(path: Path, painter: Painter) -> None:
     for array, count in zip(_drawn(painter, frames, path.name), counts, strict=True):
         if writer is None:
             height, width = array.shape[:2]
-            writer = ffmpeg.write_frames(str(path), (width, height), fps=rate, macro_block_size=2, quality=7)
+            writer = ffmpeg.write_frames(
+                str(path), (width, height), fps=rate, macro_block_size=2, quality=7
+            )
             writer.send(None)
         for _ in range(count):
             writer.send(np.ascontiguousarray(array))
@@ -85,13 +96,18 @@ def save_mp4(path: Path, painter: Painter) -> None:
 
 
 def _frames(animation: Animation, rate: int) -> tuple[list[int], list[int]]:
-    """The frames that are shown at a rate, and how long each [ms], in steps of 10 ms, which is the unit of GIF."""
+    """The frames that are shown at a rate, and how long each [ms], in steps of 10 ms, which is the
+    unit of GIF."""
     if not animation.moves:
         return [0], [1000]
     duration = float(animation.seconds[-1] + animation.pauses[-1])
     count = int(np.clip(round(duration * rate), 2, MOST))
     wanted = np.arange(count) * duration / count
-    frames = np.clip(np.searchsorted(animation.seconds, wanted + 1e-9, side="right") - 1, 0, len(animation.seconds) - 1)
+    frames = np.clip(
+        np.searchsorted(animation.seconds, wanted + 1e-9, side="right") - 1,
+        0,
+        len(animation.seconds) - 1,
+    )
     shown, first = np.unique(frames, return_index=True)
     starts = np.append(wanted[first], duration)
     ticks = np.maximum(np.diff(np.round(starts * 100)), 2)

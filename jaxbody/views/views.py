@@ -1,4 +1,5 @@
-"""jb.view: a model, a motion, modes or a tuned design in three dimensions, in a notebook, a browser, one HTML file, or pictures."""
+"""jb.view: a model, a motion, modes or a tuned design in three dimensions, in a notebook, a
+browser, one HTML file, or pictures."""
 
 from __future__ import annotations
 
@@ -38,41 +39,67 @@ from jaxbody.views.picture_files import save_gif, save_mp4, save_png
 FORMATS = (".html", ".png", ".gif", ".mp4")
 HEIGHT = 480  # pixels in a notebook
 RATE, MOST = 25, 1500  # frames per second of playing, and in all
-SHORTEST, LONGEST, USUAL = 2.0, 60.0, 5.0  # seconds of playing at which the speed is that of the motion; of a shorter motion
+# seconds of playing at which the speed is that of the motion; of a shorter motion
+SHORTEST, LONGEST, USUAL = 2.0, 60.0, 5.0
 VIEWED = (Model, Equilibrium, Trajectory, SuspensionCurves, ModalResult, Tuning)
 
 
 class View(Printed):
-    """What `jb.view` returns: `show()` opens it in a browser, `serve()` does so with sliders for mode, amplitude and phase, `save(path)`
-    writes .html, .png, .gif or .mp4, `plot()` draws it into axes; in a notebook it is shown inline. `animation` has all drawn parts with
-    their poses.
+    """What `jb.view` returns: `show()` opens it in a browser, `serve()` does so with sliders for
+    mode, amplitude and phase, `save(path)` writes .html, .png, .gif or .mp4, `plot()` draws it into
+    axes; in a notebook it is shown inline. `animation` has all drawn parts with their poses.
 
     >>> view(jb.presets.quarter_car()).animation.part("bodies", "wheel", "solid").color
     '#e0803a'
     """
 
-    def __init__(self, animation: Animation, camera: Camera, names: bool, speed: float | None, vibration: Vibration | None = None):
-        self.animation, self.camera, self.names, self.speed, self.vibration = animation, camera, names, speed, vibration
+    def __init__(
+        self,
+        animation: Animation,
+        camera: Camera,
+        names: bool,
+        speed: float | None,
+        vibration: Vibration | None = None,
+    ):
+        self.animation, self.camera, self.names, self.speed, self.vibration = (
+            animation,
+            camera,
+            names,
+            speed,
+            vibration,
+        )
 
     def to_html(self) -> str:
         """The text of one HTML file that needs no network. Error: MISSING_EXTRA."""
         return page_of(self.animation, self.camera, names=self.names)
 
     def save(self, path: Any, *, at: float = 0.0, width: int | None = None) -> Path:
-        """Write a file: .html plays in any browser without network, .gif and .mp4 move, .png is one frame. Returns the path.
+        """Write a file: .html plays in any browser without network, .gif and .mp4 move, .png is one
+        frame. Returns the path.
 
         Args:
             path: its path; it replaces a file of the same name.
             at: seconds of playing at which a .png is taken.
             width: of pictures, in pixels; None takes 720, or less for what is tall.
 
-        Errors: UNKNOWN_FORMAT, NOT_SAVED, BAD_NUMBER; MISSING_EXTRA for .html and .mp4 without `pip install 'jaxbody[view]'`."""
+        Errors: UNKNOWN_FORMAT, NOT_SAVED, BAD_NUMBER; MISSING_EXTRA for .html and .mp4 without `pip
+        install 'jaxbody[view]'`."""
         path = Path(path)
         with Problems() as problems:
             if path.suffix not in FORMATS:
                 limit = " ".join(FORMATS)
-                problems.add("UNKNOWN_FORMAT", path.name, f"has the extension '{path.suffix}'", value=path.suffix, limit=limit)
-            width = width if width is None else whole_number(width, "View.save width", problems, least=100)
+                problems.add(
+                    "UNKNOWN_FORMAT",
+                    path.name,
+                    f"has the extension '{path.suffix}'",
+                    value=path.suffix,
+                    limit=limit,
+                )
+            width = (
+                width
+                if width is None
+                else whole_number(width, "View.save width", problems, least=100)
+            )
         if path.suffix == ".html":
             text = self.to_html()
             with writing(path):
@@ -86,34 +113,43 @@ class View(Printed):
         return path
 
     def plot(self, *, at: float = 0.0, ax: Any = None) -> Any:
-        """The picture at a time of playing [s], in axes of matplotlib; None makes a new figure. Returns the axes."""
+        """The picture at a time of playing [s], in axes of matplotlib; None makes a new figure.
+        Returns the axes."""
         if ax is None:
             import matplotlib.pyplot as plt
 
             ax = plt.figure(figsize=(7.2, 4.8)).add_axes((0, 0, 1, 1))
-        ax.imshow(Painter(self.animation, self.camera, None, names=self.names).picture(self._frame(at)), interpolation="antialiased")
+        ax.imshow(
+            Painter(self.animation, self.camera, None, names=self.names).picture(self._frame(at)),
+            interpolation="antialiased",
+        )
         ax.set_axis_off()
         return ax
 
     def show(self) -> None:
-        """Show it in the notebook, or from a script in a browser, from a temporary file. Error: MISSING_EXTRA."""
+        """Show it in the notebook, or from a script in a browser, from a temporary file.
+        Error: MISSING_EXTRA."""
         ipython: Any = sys.modules.get("IPython")
         if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
             ipython.display.display(self)
             return
-        with tempfile.NamedTemporaryFile("w", suffix=".html", prefix="jaxbody-", delete=False, encoding="utf-8") as file:
+        with tempfile.NamedTemporaryFile(
+            "w", suffix=".html", prefix="jaxbody-", delete=False, encoding="utf-8"
+        ) as file:
             file.write(self.to_html())
         webbrowser.open(Path(file.name).as_uri())
 
     def serve(self, *, port: int = 0, browser: bool = True) -> LiveView:
-        """Show it live in a browser: this process draws it, and sliders beside it change mode, amplitude and phase of modes while they
-        vibrate, or the time of a motion. A file from `save` holds what was recorded: it has the slider of time alone.
+        """Show it live in a browser: this process draws it, and sliders beside it change mode,
+        amplitude and phase of modes while they vibrate, or the time of a motion. A file from `save`
+        holds what was recorded: it has the slider of time alone.
 
         Args:
             port: of the server, on this machine alone; 0 takes a free one.
             browser: whether to open it in a browser; its `url` is printed with it.
 
-        `stop()` ends it; at the end of a script, `wait()` keeps it until Ctrl+C. Errors: BAD_NUMBER, MISSING_EXTRA."""
+        `stop()` ends it; at the end of a script, `wait()` keeps it until Ctrl+C. Errors:
+        BAD_NUMBER, MISSING_EXTRA."""
         with Problems() as problems:
             port = whole_number(port, "View.serve port", problems, least=0)
         live = LiveView(self.animation, self.camera, self.names, self.vibration, port)
@@ -123,7 +159,10 @@ class View(Printed):
 
     def _repr_html_(self) -> str:
         page = escape(self.to_html(), quote=True)
-        return f'<iframe srcdoc="{page}" style="width: 100%; height: {HEIGHT}px; border: 1px solid #dfe4ea"></iframe>'
+        return (
+            f'<iframe srcdoc="{page}" style="width: 100%; height: {HEIGHT}px; border: 1px '
+            'solid #dfe4ea"></iframe>'
+        )
 
     def _frame(self, at: float) -> int:
         return int(np.argmin(np.abs(self.animation.seconds - at)))
@@ -133,10 +172,24 @@ class View(Printed):
         for part in self.animation.parts:
             group = groups.setdefault(part.path[0], [])
             group += [part.path[1]] if len(part.path) > 1 and part.path[1] not in group else []
-        rows = [(name, ", ".join(group[:8]) + (", ..." if len(group) > 8 else "")) for name, group in groups.items() if group]
+        rows = [
+            (name, ", ".join(group[:8]) + (", ..." if len(group) > 8 else ""))
+            for name, group in groups.items()
+            if group
+        ]
         seconds = float(self.animation.seconds[-1])
-        pace = "" if self.speed is None else f" at {self.speed:g} times the speed of the motion" if self.speed != 1 else " in real time"
-        played = f"{counted(len(self.animation.seconds), 'frame')}, {seconds:.3g} s{pace}" if self.animation.moves else "one frame"
+        pace = (
+            ""
+            if self.speed is None
+            else f" at {self.speed:g} times the speed of the motion"
+            if self.speed != 1
+            else " in real time"
+        )
+        played = (
+            f"{counted(len(self.animation.seconds), 'frame')}, {seconds:.3g} s{pace}"
+            if self.animation.moves
+            else "one frame"
+        )
         return [PrintedTable("View", ("", ""), rows, "; ".join([played, *self.animation.notes]))]
 
 
@@ -154,58 +207,91 @@ def view(
     names: bool = True,
     direction: Any = None,
 ) -> View:
-    """A model, or a result, in three dimensions: bodies, springs that stretch, dampers, joints, supports and roads that move.
+    """A model, or a result, in three dimensions: bodies, springs that stretch, dampers, joints,
+    supports and roads that move.
 
-    Nothing has to be said about the drawing: a body is the hull of what is attached to it and of its inertia, a spring is a coil of its
-    length, a tyre has its radius, up is against gravity. Nothing is computed but poses.
+    Nothing has to be said about the drawing: a body is the hull of what is attached to it and of
+    its inertia, a spring is a coil of its length, a tyre has its radius, up is against gravity.
+    Nothing is computed but poses.
 
     Args:
-        what: a model, an equilibrium, a trajectory, modes (natural or complex), the curves of a suspension, which moves over its travel,
-            a tuning (the model before and after), or {name: any of these}, side by side.
-        shapes: {body or support: jb.Shape, or several}, in place of the default ones; they never enter the physics.
-        at: the state in which a model is drawn, or about which modes vibrate: a State, an equilibrium or a linearization; None takes the
-            reference pose.
+        what: a model, an equilibrium, a trajectory, modes (natural or complex), the curves of a
+            suspension, which moves over its travel, a tuning (the model before and after), or
+            {name: any of these}, side by side.
+        shapes: {body or support: jb.Shape, or several}, in place of the default ones; they never
+            enter the physics.
+        at: the state in which a model is drawn, or about which modes vibrate: a State, an
+            equilibrium or a linearization; None takes the reference pose.
         number: number of the mode, from 1, or several, side by side.
-        amplitude: largest displacement of a drawn mode [m]; None takes an eighth of the model's size.
+        amplitude: largest displacement of a drawn mode [m]; None takes an eighth of the
+            model's size.
         phase: phase of a mode in the first frame [rad].
-        forces: whether arrows show the forces of elements on bodies along a trajectory, to one scale.
+        forces: whether arrows show the forces of elements on bodies along a trajectory, to
+            one scale.
         trails: names of bodies, or {name: (body, point in its axes)}, whose paths are drawn.
-        speed: seconds of a motion per second of playing; None: 1, but about 5 s of playing for a motion shorter than 2 s and at most 60 s
-            for a longer one.
+        speed: seconds of a motion per second of playing; None: 1, but about 5 s of playing for a
+            motion shorter than 2 s and at most 60 s for a longer one.
         names: whether names are written.
         direction: from the model to the camera, in world axes; None chooses it.
 
-    Errors: WRONG_KIND, NO_DATA, UNKNOWN_NAME, UNKNOWN_MODE, NOT_POSITIVE, BAD_SHAPE, NON_FINITE, ZERO_AXIS. `view(...).save("x.html")`
-    and `.show()` need `pip install 'jaxbody[view]'`.
+    Errors: WRONG_KIND, NO_DATA, UNKNOWN_NAME, UNKNOWN_MODE, NOT_POSITIVE, BAD_SHAPE, NON_FINITE,
+    ZERO_AXIS. `view(...).save("x.html")` and `.show()` need `pip install 'jaxbody[view]'`.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, -9.81, 0],
-    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9)})
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     gravity=[0, -9.81, 0],
+    ...     elements={
+    ...         "s": Spring(
+    ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9
+    ...         )
+    ...     },
+    ... )
     >>> coil = view(model).animation.part("elements", "s", "coil")
     >>> float(coil.scale[0, 2])  # its length [m]
     1.0
     """
     with Problems() as problems:
         given = _named(what, problems)
-        models = [thing.model if not isinstance(thing, Model) else thing for thing in given.values()]
+        models = [
+            thing.model if not isinstance(thing, Model) else thing for thing in given.values()
+        ]
         own_shapes = _shapes(shapes, models, problems)
         marks = _trails(trails, models, problems)
         state = _state(at, problems)
-        seen_from = None if direction is None else concrete(vector(direction, "view.direction", problems))
+        seen_from = (
+            None if direction is None else concrete(vector(direction, "view.direction", problems))
+        )
         if seen_from is not None and not np.any(seen_from):
-            problems.add("ZERO_AXIS", "view.direction", "has length zero", value=seen_from, limit="> 0", hint="Give such as [1, -2, 1].")
+            problems.add(
+                "ZERO_AXIS",
+                "view.direction",
+                "has length zero",
+                value=seen_from,
+                limit="> 0",
+                hint="Give such as [1, -2, 1].",
+            )
         for name, value in (("amplitude", amplitude), ("speed", speed)):
             if value is not None:
                 positive_number(value, f"view.{name}", problems)
         turn: Any = checked(phase, ((),), "view.phase", problems)
-        numbers = [whole_number(x, "view.number", problems) for x in np.atleast_1d(np.asarray(number)).tolist()]
+        numbers = [
+            whole_number(x, "view.number", problems)
+            for x in np.atleast_1d(np.asarray(number)).tolist()
+        ]
     pace = _speed(given, speed)
 
     def drawn(numbers: Sequence[int], amplitude: float | None, phase: float) -> Animation:
         sequences: dict[str, PoseSequence] = {}
         for name, thing in given.items():
             if isinstance(thing, Trajectory):
-                duration = float(thing.times[-1] - thing.times[0]) / (pace or 1.0) if thing.times.ndim == 1 else 1.0
-                sequences[name] = along(thing, int(np.clip(round(duration * RATE), 2, MOST)), forces)
+                duration = (
+                    float(thing.times[-1] - thing.times[0]) / (pace or 1.0)
+                    if thing.times.ndim == 1
+                    else 1.0
+                )
+                sequences[name] = along(
+                    thing, int(np.clip(round(duration * RATE), 2, MOST)), forces
+                )
             elif isinstance(thing, ModalResult):
                 for k in numbers:
                     label = f"{name}, mode {k}".removeprefix(", ") if len(numbers) > 1 else name
@@ -216,16 +302,33 @@ def view(
                 sequences[name] = still(thing.model, thing.state)
             else:
                 sequences[name] = still(thing, state)
-        largest = max((float(np.linalg.norm(f, axis=-1).max()) for s in sequences.values() for f in s.forces.values()), default=0.0)
+        largest = max(
+            (
+                float(np.linalg.norm(f, axis=-1).max())
+                for s in sequences.values()
+                for f in s.forces.values()
+            ),
+            default=0.0,
+        )
         animations = {
-            name: animation_of(sequence, speed=pace or 1.0, shapes=own_shapes, trails=marks, longest_force=largest or None)
+            name: animation_of(
+                sequence,
+                speed=pace or 1.0,
+                shapes=own_shapes,
+                trails=marks,
+                longest_force=largest or None,
+            )
             for name, sequence in sequences.items()
         }
-        return with_ground(next(iter(animations.values())) if len(animations) == 1 else side_by_side(animations))
+        return with_ground(
+            next(iter(animations.values())) if len(animations) == 1 else side_by_side(animations)
+        )
 
     animation = drawn(numbers, amplitude, float(turn))
     modes = [thing.frequency.shape[0] for thing in given.values() if isinstance(thing, ModalResult)]
-    vibration = Vibration(drawn, tuple(numbers), min(modes), amplitude, float(turn)) if modes else None
+    vibration = (
+        Vibration(drawn, tuple(numbers), min(modes), amplitude, float(turn)) if modes else None
+    )
     return View(animation, camera_for(animation, seen_from), names, pace, vibration)
 
 
@@ -233,44 +336,99 @@ def _named(what: Any, problems: Problems) -> dict[str, Any]:
     """What is viewed by name: one thing has the name ""; a tuning is two models."""
     if isinstance(what, Tuning):
         return {"before": what.space.model, "after": what.model}
-    given = checked_dict(what, "view", "name: result", problems) if isinstance(what, Mapping) else {"": what}
+    given = (
+        checked_dict(what, "view", "name: result", problems)
+        if isinstance(what, Mapping)
+        else {"": what}
+    )
     if not given:
-        problems.add("NO_DATA", "view", "is empty", limit="at least one", hint='Give {"before": ..., "after": ...}.')
+        problems.add(
+            "NO_DATA",
+            "view",
+            "is empty",
+            limit="at least one",
+            hint='Give {"before": ..., "after": ...}.',
+        )
     for name, thing in given.items():
         if not isinstance(thing, VIEWED) or isinstance(thing, Tuning):
-            hint = "Give a model, an equilibrium, a trajectory, modes, curves of a suspension or a tuning, or several of them in a dict."
-            problems.add("WRONG_KIND", f"view['{name}']" if name else "view", f"is {kind_of(thing)}", value=thing, hint=hint)
+            hint = (
+                "Give a model, an equilibrium, a trajectory, modes, curves of a suspension or a "
+                "tuning, or several of them in a dict."
+            )
+            problems.add(
+                "WRONG_KIND",
+                f"view['{name}']" if name else "view",
+                f"is {kind_of(thing)}",
+                value=thing,
+                hint=hint,
+            )
         elif (thing if isinstance(thing, Model) else thing.model).gravity.ndim > 1:
-            problems.add("BAD_SHAPE", "view", "is a batch", value=thing, limit="one model", hint="View one of the batch.")
+            problems.add(
+                "BAD_SHAPE",
+                "view",
+                "is a batch",
+                value=thing,
+                limit="one model",
+                hint="View one of the batch.",
+            )
     problems.raise_if_any()
     return given
 
 
 def _shapes(shapes: Any, models: list[Model], problems: Problems) -> dict[str, tuple[Shape, ...]]:
-    known = tuple(dict.fromkeys(name for model in models for name in (*model.layout.bodies, *model.layout.supports)))
+    known = tuple(
+        dict.fromkeys(
+            name for model in models for name in (*model.layout.bodies, *model.layout.supports)
+        )
+    )
     result = {}
-    for name, shape in checked_dict(shapes, "view.shapes", "body: jb.Shape.box(...)", problems).items():
+    for name, shape in checked_dict(
+        shapes, "view.shapes", "body: jb.Shape.box(...)", problems
+    ).items():
         several = tuple(shape) if isinstance(shape, list | tuple) else (shape,)
         if name not in known:
             problems.collected.append(unknown(name, "view.shapes", known))
         if not all(isinstance(x, Shape) for x in several):
             hint = "Give jb.Shape.box(...), or a list of shapes."
-            problems.add("WRONG_KIND", f"view.shapes['{name}']", f"is {kind_of(shape)}", value=shape, limit="a Shape", hint=hint)
+            problems.add(
+                "WRONG_KIND",
+                f"view.shapes['{name}']",
+                f"is {kind_of(shape)}",
+                value=shape,
+                limit="a Shape",
+                hint=hint,
+            )
         result[name] = several
     return result
 
 
-def _trails(trails: Any, models: list[Model], problems: Problems) -> list[tuple[str, str, np.ndarray]]:
+def _trails(
+    trails: Any, models: list[Model], problems: Problems
+) -> list[tuple[str, str, np.ndarray]]:
     """(name, frame, point) of each."""
-    known = tuple(name for name in models[0].layout.frames if all(name in model.layout.frames for model in models))
-    given = dict(trails) if isinstance(trails, Mapping) else {name: name for name in ([trails] if isinstance(trails, str) else trails)}
+    known = tuple(
+        name
+        for name in models[0].layout.frames
+        if all(name in model.layout.frames for model in models)
+    )
+    given = (
+        dict(trails)
+        if isinstance(trails, Mapping)
+        else {name: name for name in ([trails] if isinstance(trails, str) else trails)}
+    )
     result = []
     for name, place in given.items():
-        frame, point = (str(place[0]), place[1]) if isinstance(place, tuple | list) and len(place) == 2 else (str(place), (0, 0, 0))
+        frame, point = (
+            (str(place[0]), place[1])
+            if isinstance(place, tuple | list) and len(place) == 2
+            else (str(place), (0, 0, 0))
+        )
         if frame not in known:
             problems.collected.append(unknown(frame, "view.trails", known[1:]))
             continue
-        result.append((str(name), frame, concrete(vector(point, f"view.trails['{name}']", problems))))
+        result.append(
+            (str(name), frame, concrete(vector(point, f"view.trails['{name}']", problems)))
+        )
     return result
 
 
@@ -278,14 +436,24 @@ def _state(at: Any, problems: Problems) -> State | None:
     if isinstance(at, Equilibrium | LinearSystem):
         return at.state
     if at is not None and not isinstance(at, State):
-        problems.add("WRONG_KIND", "view.at", f"is {kind_of(at)}", value=at, limit="a State, an equilibrium or a linearization")
+        problems.add(
+            "WRONG_KIND",
+            "view.at",
+            f"is {kind_of(at)}",
+            value=at,
+            limit="a State, an equilibrium or a linearization",
+        )
         return None
     return at
 
 
 def _speed(given: dict[str, Any], speed: float | None) -> float | None:
     """Seconds of motion per second of playing; None where nothing moves in time."""
-    durations = [float(x.times[-1] - x.times[0]) for x in given.values() if isinstance(x, Trajectory) and x.times.ndim == 1]
+    durations = [
+        float(x.times[-1] - x.times[0])
+        for x in given.values()
+        if isinstance(x, Trajectory) and x.times.ndim == 1
+    ]
     if not durations:
         return None
     if speed is not None:
@@ -296,4 +464,8 @@ def _speed(given: dict[str, Any], speed: float | None) -> float | None:
     wanted = longest / (USUAL if longest < SHORTEST else LONGEST)
     power = 10.0 ** np.floor(np.log10(wanted) + 1e-9)
     steps = np.array([1, 2, 5, 10]) * power
-    return float(steps[steps <= wanted * (1 + 1e-9)].max() if longest < SHORTEST else steps[steps >= wanted * (1 - 1e-9)].min())
+    return float(
+        steps[steps <= wanted * (1 + 1e-9)].max()
+        if longest < SHORTEST
+        else steps[steps >= wanted * (1 - 1e-9)].min()
+    )

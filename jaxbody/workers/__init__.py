@@ -1,1 +1,2 @@
-"""Batches in chunks over devices, processes and machines: programs as data, lost workers, results on disk."""
+"""Batches in chunks over devices, processes and machines: programs as data, lost workers, results
+on disk."""

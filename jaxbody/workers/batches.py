@@ -1,4 +1,5 @@
-"""A batch of independent rows as chunks: how long one is, who computes it, and where its results are kept, in memory or in a store."""
+"""A batch of independent rows as chunks: how long one is, who computes it, and where its results
+are kept, in memory or in a store."""
 
 from __future__ import annotations
 
@@ -16,7 +17,15 @@ import numpy as np
 from jaxbody.compilation.compile_options import quick_options
 from jaxbody.core.arrays import device_array
 from jaxbody.core.errors import Problems, Status, warn
-from jaxbody.workers.chunk_programs import ChunkProgram, ComputedChunk, FailedChunk, Types, exported, filled, types_of
+from jaxbody.workers.chunk_programs import (
+    ChunkProgram,
+    ComputedChunk,
+    FailedChunk,
+    Types,
+    exported,
+    filled,
+    types_of,
+)
 from jaxbody.workers.chunk_stores import ChunkStore, hash_of
 from jaxbody.workers.dispatches import dispatched
 from jaxbody.workers.executors import Crew, check_workers
@@ -57,9 +66,11 @@ class ChunkedBatch:
         return self.program, self.shared, self.rows(*self.ends(chunk)), self.function
 
 
-def arrays_apart(function: Callable[..., Any], tree: Any) -> tuple[Callable[..., Any], list[Any], Any]:
-    """function(tree, *rows) as a function of two lists of arrays, (shared, rows); the arrays of the tree, which are `shared`; and what else
-    the tree is, which is part of the program."""
+def arrays_apart(
+    function: Callable[..., Any], tree: Any
+) -> tuple[Callable[..., Any], list[Any], Any]:
+    """function(tree, *rows) as a function of two lists of arrays, (shared, rows); the arrays of the
+    tree, which are `shared`; and what else the tree is, which is part of the program."""
     numbers, rest = eqx.partition(tree, lambda x: isinstance(x, jax.Array | np.ndarray))
     shared, structure = jax.tree.flatten(numbers)
 
@@ -70,7 +81,8 @@ def arrays_apart(function: Callable[..., Any], tree: Any) -> tuple[Callable[...,
 
 
 def kept(owner: Any, place: Any, make: Callable[[], Any]) -> Any:
-    """What `make` returns, kept by the function that it is made of, as long as this lives, and a place among what else it depends on."""
+    """What `make` returns, kept by the function that it is made of, as long as this lives, and a
+    place among what else it depends on."""
     known = programs.setdefault(owner, {})
     if place not in known:
         while len(known) >= KEPT:
@@ -93,8 +105,9 @@ def computed_here(
     place: Any = (),
     memory: float | None = None,
 ) -> Iterator[dict[str, np.ndarray]]:
-    """The results by function(tree, *rows) of `width` rows at a time, in their order, by this process and without workers; arguments as in
-    `batch_of`. The program is that of workers but not made data, so that the numbers are the same, and callbacks are possible."""
+    """The results by function(tree, *rows) of `width` rows at a time, in their order, by this
+    process and without workers; arguments as in `batch_of`. The program is that of workers but not
+    made data, so that the numbers are the same, and callbacks are possible."""
     apart, shared, rest = arrays_apart(function, tree)
     one, width = rows(0, 1), min(width, count)
 
@@ -111,24 +124,40 @@ def computed_here(
         return program, width
 
     shapes = tuple((x.shape, x.dtype) for x in [*shared, *one])
-    program, width = kept(owner, ("here", place, rest, shapes, width, memory, jax.config.read("jax_enable_x64")), fitting)
+    program, width = kept(
+        owner,
+        ("here", place, rest, shapes, width, memory, jax.config.read("jax_enable_x64")),
+        fitting,
+    )
     for first in range(0, count, width):
         last = min(first + width, count)
         results = program(shared, [device_array(filled(x, 0, width)) for x in rows(first, last)])
         yield {name: np.asarray(x)[: last - first] for name, x in results.items()}
 
 
-def checked_chunks(where: str, workers: Any, out: Any, chunks: Any, problems: Problems, *, fixed: bool) -> list[int] | None:
-    """The numbers of the chunks that a call computes, None for all; `fixed`: whether the size of chunks is that of every call.
+def checked_chunks(
+    where: str, workers: Any, out: Any, chunks: Any, problems: Problems, *, fixed: bool
+) -> list[int] | None:
+    """The numbers of the chunks that a call computes, None for all; `fixed`: whether the size of
+    chunks is that of every call.
 
     Problems: BAD_WORKERS, MISSING_EXTRA, WRONG_KIND, BAD_CHUNK."""
     problems.gather(lambda: check_workers(workers, f"{where}.workers"))
     if out is not None and not isinstance(out, str | os.PathLike):
-        problems.add("WRONG_KIND", f"{where}.out", f"is {out!r:.60}", value=out, limit="a path", hint='Give out="results.zarr".')
+        problems.add(
+            "WRONG_KIND",
+            f"{where}.out",
+            f"is {out!r:.60}",
+            value=out,
+            limit="a path",
+            hint='Give out="results.zarr".',
+        )
     if chunks is None:
         return None
     if out is None or not fixed:
-        hint = "Give out=, where the chunks meet" + (", and chunk=, the size to which the numbers refer." if not fixed else ".")
+        hint = "Give out=, where the chunks meet" + (
+            ", and chunk=, the size to which the numbers refer." if not fixed else "."
+        )
         message = "are given without out=" + (" or chunk=" if not fixed else "")
         problems.add("BAD_CHUNK", f"{where}.chunks", message, value=chunks, hint=hint)
     try:
@@ -137,7 +166,9 @@ def checked_chunks(where: str, workers: Any, out: Any, chunks: Any, problems: Pr
         numbers = [-1]
     if min(numbers, default=0) < 0:
         limit = "whole numbers from 0, such as range(0, n, 8)"
-        problems.add("BAD_CHUNK", f"{where}.chunks", f"are {chunks!r:.60}", value=chunks, limit=limit)
+        problems.add(
+            "BAD_CHUNK", f"{where}.chunks", f"are {chunks!r:.60}", value=chunks, limit=limit
+        )
     return numbers
 
 
@@ -154,7 +185,8 @@ def batch_of(
     place: Any = (),
     memory: float | None = None,
 ) -> ChunkedBatch:
-    """A batch by function(tree, *rows); its program and the size of its chunks are `kept` for other numbers.
+    """A batch by function(tree, *rows); its program and the size of its chunks are `kept` for
+    other numbers.
 
     Args:
         function: returns {name: array of `width` rows} for a tree and arrays of `width` rows.
@@ -165,8 +197,9 @@ def batch_of(
         where: the place in the call, for messages.
         crew: the workers.
         owner, place: as in `kept`: what `function` is made of.
-        memory: temporary memory that these may take [bytes], or fewer are computed at a time; a chunk is then so long that it keeps a
-            worker busy for BUSY, as a worker finds out. By default a chunk has `width` rows.
+        memory: temporary memory that these may take [bytes], or fewer are computed at a time; a
+            chunk is then so long that it keeps a worker busy for BUSY, as a worker finds out. By
+            default a chunk has `width` rows.
 
     Errors: NOT_SENT, OTHER_WORKER, BAD_WORKERS.
     """
@@ -174,7 +207,9 @@ def batch_of(
     shared, width = [np.asarray(x) for x in arrays], min(width, count)
 
     def of_width(width: int) -> ChunkedBatch:
-        return ChunkedBatch(exported(apart, shared, rows(0, 1), width, where), shared, rows, count, width)
+        return ChunkedBatch(
+            exported(apart, shared, rows(0, 1), width, where), shared, rows, count, width
+        )
 
     shapes = tuple((x.shape, x.dtype) for x in [*shared, *rows(0, 1)])
     place = "batch", place, rest, shapes, count, width, memory, jax.config.read("jax_enable_x64")
@@ -187,9 +222,15 @@ def _without_rows(batch: ChunkedBatch) -> ChunkedBatch:
     return dataclasses.replace(batch, shared=[], rows=lambda first, last: [])
 
 
-def _sized(of_width: Callable[[int], ChunkedBatch], width: int, crew: Crew, memory: float | None, where: str) -> ChunkedBatch:
-    """The batch with as many rows in a program as memory allows and in a chunk as keep a worker busy, as it finds out; `memory` None: one
-    program, one chunk."""
+def _sized(
+    of_width: Callable[[int], ChunkedBatch],
+    width: int,
+    crew: Crew,
+    memory: float | None,
+    where: str,
+) -> ChunkedBatch:
+    """The batch with as many rows in a program as memory allows and in a chunk as keep a worker
+    busy, as it finds out; `memory` None: one program, one chunk."""
 
     def tried(batch: ChunkedBatch) -> ComputedChunk | FailedChunk:
         trial = batch.program, batch.shared, batch.rows(0, min(TRIED * batch.size, batch.count))
@@ -197,7 +238,12 @@ def _sized(of_width: Callable[[int], ChunkedBatch], width: int, crew: Crew, memo
 
     batch = of_width(width)
     answer = None if memory is None else tried(batch)
-    if memory is not None and isinstance(answer, ComputedChunk) and answer.memory > memory and width > 1:
+    if (
+        memory is not None
+        and isinstance(answer, ComputedChunk)
+        and answer.memory > memory
+        and width > 1
+    ):
         width = max(1, int(width * memory / answer.memory))
         batch = of_width(width)
         answer = tried(batch)
@@ -205,15 +251,24 @@ def _sized(of_width: Callable[[int], ChunkedBatch], width: int, crew: Crew, memo
         return batch
     times = min(TRIED * width, batch.count) / width
     most = min(
-        BUSY * times / answer.seconds, LARGEST * times / sum(x.nbytes for x in answer.results.values()), batch.count / width / FEWEST
+        BUSY * times / answer.seconds,
+        LARGEST * times / sum(x.nbytes for x in answer.results.values()),
+        batch.count / width / FEWEST,
     )
     return dataclasses.replace(batch, size=width * max(1, round(most)))
 
 
 def computed(
-    batch: ChunkedBatch, crew: Crew, chunks: Iterable[int], where: str, report: Report, *, continued: bool = False
+    batch: ChunkedBatch,
+    crew: Crew,
+    chunks: Iterable[int],
+    where: str,
+    report: Report,
+    *,
+    continued: bool = False,
 ) -> Iterator[tuple[int, ComputedChunk | None]]:
-    """(chunk, its results, None if it is lost) as they finish; `continued` as in `dispatched`. Warns LOST at the end, with the rows."""
+    """(chunk, its results, None if it is lost) as they finish; `continued` as in `dispatched`.
+    Warns LOST at the end, with the rows."""
     lost: list[tuple[int, str]] = []
     done = 0
     for chunk, answer in dispatched(crew, chunks, batch.arguments, where, continued=continued):
@@ -224,11 +279,25 @@ def computed(
         done += last - first
         report(done, len(crew.seen))
     if lost:
-        rows = ", ".join("{} to {}".format(*batch.ends(chunk)) for chunk, _ in sorted(lost)[:8]) + (", ..." if len(lost) > 8 else "")
-        warn("LOST", f"{where}: {len(lost)} of {batch.chunks} chunks failed three times, rows {rows}; {lost[0][1]}")
+        rows = ", ".join("{} to {}".format(*batch.ends(chunk)) for chunk, _ in sorted(lost)[:8]) + (
+            ", ..." if len(lost) > 8 else ""
+        )
+        warn(
+            "LOST",
+            f"{where}: {len(lost)} of {batch.chunks} chunks failed three times, rows "
+            f"{rows}; {lost[0][1]}",
+        )
 
 
-def store_of(batch: ChunkedBatch, out: Any, plan: dict[str, Any], inputs: Sequence[str], dimension: str, *, any_size: bool) -> ChunkStore:
+def store_of(
+    batch: ChunkedBatch,
+    out: Any,
+    plan: dict[str, Any],
+    inputs: Sequence[str],
+    dimension: str,
+    *,
+    any_size: bool,
+) -> ChunkStore:
     """The store of a batch, which keeps its rows, too.
 
     Args:
@@ -241,22 +310,43 @@ def store_of(batch: ChunkedBatch, out: Any, plan: dict[str, Any], inputs: Sequen
     Errors: those of `ChunkStore`.
     """
     program = batch.program
-    plan = plan | {"model": hash_of(*batch.shared), "width": program.width, **dict(program.versions)}
+    plan = plan | {
+        "model": hash_of(*batch.shared),
+        "width": program.width,
+        **dict(program.versions),
+    }
     plan |= {"x64": program.x64, "fast_loops": program.fast, "program": program.name[:16]}
     given = types_of(dict(zip(inputs, batch.rows(0, 1), strict=True)), 1)
-    return ChunkStore(Path(out), plan, given, batch.results, dimension=dimension, count=batch.count, size=batch.size, any_size=any_size)
+    return ChunkStore(
+        Path(out),
+        plan,
+        given,
+        batch.results,
+        dimension=dimension,
+        count=batch.count,
+        size=batch.size,
+        any_size=any_size,
+    )
 
 
 def gathered(
-    batch: ChunkedBatch, crew: Crew, where: str, report: Report, store: ChunkStore | None = None, chunks: Iterable[int] | None = None
+    batch: ChunkedBatch,
+    crew: Crew,
+    where: str,
+    report: Report,
+    store: ChunkStore | None = None,
+    chunks: Iterable[int] | None = None,
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """All results in memory, NaN where there are none, and the status of each row, by way of a store if there is one.
+    """All results in memory, NaN where there are none, and the status of each row, by way of a
+    store if there is one.
 
     Ctrl-C returns what is done. Warns INTERRUPTED, LOST."""
     if store is not None:
         stored(batch, store, chunks, crew, where, report)
         return store.read(batch.results)
-    results = {name: empty((batch.count, *shape), dtype) for name, (shape, dtype) in batch.results.items()}
+    results = {
+        name: empty((batch.count, *shape), dtype) for name, (shape, dtype) in batch.results.items()
+    }
     status = np.full(batch.count, Status.INTERRUPTED.value)
     try:
         for chunk, answer in computed(batch, crew, range(batch.chunks), where, report):
@@ -265,7 +355,11 @@ def gathered(
             for name, part in ({} if answer is None else answer.results).items():
                 results[name][rows] = part
     except KeyboardInterrupt:
-        warn("INTERRUPTED", f"{where}: {int((status == Status.INTERRUPTED).sum())} of {batch.count} rows were not computed")
+        warn(
+            "INTERRUPTED",
+            f"{where}: {int((status == Status.INTERRUPTED).sum())} of {batch.count} "
+            "rows were not computed",
+        )
     return results, status
 
 
@@ -274,12 +368,21 @@ def empty(shape: tuple[int, ...], dtype: str) -> np.ndarray:
     return np.full(shape, np.nan if np.dtype(dtype).kind == "f" else 0, dtype)
 
 
-def stored(batch: ChunkedBatch, store: ChunkStore, chunks: Iterable[int] | None, crew: Crew, where: str, report: Report) -> None:
-    """Compute the chunks that the store lacks, of those that are asked for, and write each with its rows as it comes.
+def stored(
+    batch: ChunkedBatch,
+    store: ChunkStore,
+    chunks: Iterable[int] | None,
+    crew: Crew,
+    where: str,
+    report: Report,
+) -> None:
+    """Compute the chunks that the store lacks, of those that are asked for, and write each with its
+    rows as it comes.
 
-    Those that were lost before are tried once more, last. Ctrl-C ends it. Warns INTERRUPTED, LOST. Errors: those of `dispatched`,
-    NOT_SAVED."""
-    made: dict[tuple[int, int], list[np.ndarray]] = {}  # rows that are sent and not written yet, as it may be costly to make them again
+    Those that were lost before are tried once more, last. Ctrl-C ends it. Warns INTERRUPTED, LOST.
+    Errors: those of `dispatched`, NOT_SAVED."""
+    # rows that are sent and not written yet, as it may be costly to make them again
+    made: dict[tuple[int, int], list[np.ndarray]] = {}
 
     def rows(first: int, last: int) -> list[np.ndarray]:
         if (first, last) not in made:
@@ -288,11 +391,28 @@ def stored(batch: ChunkedBatch, store: ChunkStore, chunks: Iterable[int] | None,
 
     given_rows, batch = batch.rows, dataclasses.replace(batch, size=store.size, rows=rows)
     complete, lost = store.complete(), store.lost()
-    missing = [i for i in (range(batch.chunks) if chunks is None else chunks) if i < batch.chunks and i not in complete]
+    missing = [
+        i
+        for i in (range(batch.chunks) if chunks is None else chunks)
+        if i < batch.chunks and i not in complete
+    ]
     try:
-        for chunk, answer in computed(batch, crew, sorted(missing, key=lost.__contains__), where, report, continued=bool(complete)):
+        for chunk, answer in computed(
+            batch,
+            crew,
+            sorted(missing, key=lost.__contains__),
+            where,
+            report,
+            continued=bool(complete),
+        ):
             given = dict(zip(store.inputs, rows(*batch.ends(chunk)), strict=True))
             del made[batch.ends(chunk)]
-            store.write(chunk, given | ({} if answer is None else answer.results), lost=answer is None)
+            store.write(
+                chunk, given | ({} if answer is None else answer.results), lost=answer is None
+            )
     except KeyboardInterrupt:
-        warn("INTERRUPTED", f"{where}: {store.path} has {len(store.complete())} of {batch.chunks} chunks; the same call continues")
+        warn(
+            "INTERRUPTED",
+            f"{where}: {store.path} has {len(store.complete())} of {batch.chunks} chunks; "
+            "the same call continues",
+        )

@@ -1,7 +1,9 @@
-"""Programs as data: what one process has traced for a batch of one width, any other loads, keeps by its name, and runs on chunks of rows.
+"""Programs as data: what one process has traced for a batch of one width, any other loads, keeps by
+its name, and runs on chunks of rows.
 
-`jax.export` writes the program with all that it depends on but its arguments, so that neither functions of the user nor JAX's own objects
-are sent. A chunk has any number of rows; the program computes `width` of them at a time, on each device of the process.
+`jax.export` writes the program with all that it depends on but its arguments, so that neither
+functions of the user nor JAX's own objects are sent. A chunk has any number of rows; the program
+computes `width` of them at a time, on each device of the process.
 """
 
 from __future__ import annotations
@@ -31,18 +33,23 @@ from jaxbody.core.errors import JaxbodyError, Problem
 KEPT = 16  # programs that a worker keeps
 WORD = r'(?:"(?:[^"\\]|\\.)*"|[^()"])*'
 CUSTOM_CALL = re.compile(r"stablehlo\.custom_call @(\w+)")
-LOCATION = re.compile(rf"^#loc.*\n| loc\({WORD}(?:\({WORD}\))?\)", re.M)  # lines of the source, in the text of a program
+# lines of the source, in the text of a program
+LOCATION = re.compile(rf"^#loc.*\n| loc\({WORD}(?:\({WORD}\))?\)", re.M)
 
-one_at_a_time = threading.Lock()  # because with jaxlib 0.10 two programs with LAPACK in one process may wait for each other for ever
+# because with jaxlib 0.10 two programs with LAPACK in one process may wait for each other for ever
+one_at_a_time = threading.Lock()
 
 Types = dict[str, tuple[tuple[int, ...], str]]  # {name: shape and type of an array}
 
 
 @dataclass(frozen=True)
 class ChunkProgram:
-    """A program: (arrays that all rows share, arrays of `width` rows) -> {name: array of `width` results}."""
+    """A program: (arrays that all rows share, arrays of `width` rows) -> {name: array of
+    `width` results}."""
 
-    name: str  # a hash of the program, without lines of the source, and of what follows the data: the same in every process
+    # a hash of the program, without lines of the source, and of what follows the data: the same in
+    # every process
+    name: str
     data: bytes
     width: int
     results: Types  # of one row
@@ -51,21 +58,28 @@ class ChunkProgram:
     fast: bool  # whether `fast_loops` is set
     versions: tuple[tuple[str, str], ...]
 
-    def __call__(self, shared: Sequence[np.ndarray], rows: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-        """The results of a chunk of rows; the last `width` of them is filled up with its last row. Error: OTHER_WORKER."""
+    def __call__(
+        self, shared: Sequence[np.ndarray], rows: Sequence[np.ndarray]
+    ) -> dict[str, np.ndarray]:
+        """The results of a chunk of rows; the last `width` of them is filled up with its last row.
+        Error: OTHER_WORKER."""
         loaded, count, parts = self.loaded(), len(rows[0]), []
         with one_at_a_time, precision(self.x64):
             for first in range(0, count, loaded.width):
                 given = [filled(x, first, loaded.width) for x in rows]
-                parts.append({name: np.asarray(y) for name, y in loaded.call(shared, given).items()})
-        results = {name: np.concatenate([part[name] for part in parts])[:count] for name in parts[0]}
+                parts.append(
+                    {name: np.asarray(y) for name, y in loaded.call(shared, given).items()}
+                )
+        results = {
+            name: np.concatenate([part[name] for part in parts])[:count] for name in parts[0]
+        }
         if types_of(results, 1) != self.results:
             raise other_worker(f"returns {types_of(results, 1)}", self.results)
         return results
 
     def loaded(self) -> LoadedProgram:
-        """The program compiled, kept in this process by its name. Error: OTHER_WORKER if this process would not compute the same numbers
-        as the caller."""
+        """The program compiled, kept in this process by its name. Error: OTHER_WORKER if this
+        process would not compute the same numbers as the caller."""
         with one_at_a_time, precision(self.x64):
             self._check()
             if self.name not in _loaded:
@@ -92,14 +106,17 @@ class ChunkProgram:
 
 @dataclass(frozen=True)
 class LoadedProgram:
-    """A program that is compiled for the devices of this process, which compute `width` rows at a time together."""
+    """A program that is compiled for the devices of this process, which compute `width` rows at a
+    time together."""
 
     call: Callable[..., dict[str, jax.Array]]
     width: int
     memory: int  # temporary memory of a device [bytes]
 
 
-def exported(function: Callable[..., Any], shared: Sequence[Any], rows: Sequence[Any], width: int, where: str) -> ChunkProgram:
+def exported(
+    function: Callable[..., Any], shared: Sequence[Any], rows: Sequence[Any], width: int, where: str
+) -> ChunkProgram:
     """function(shared, rows), which returns {name: array of `width` rows}, as data.
 
     Args:
@@ -113,29 +130,38 @@ def exported(function: Callable[..., Any], shared: Sequence[Any], rows: Sequence
     """
     given = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in rows]
     program = jax.jit(function)
-    results = types_of(jax.eval_shape(program, list(shared), given), 1)  # errors of the user's own functions are raised as they are
+    # errors of the user's own functions are raised as they are
+    results = types_of(jax.eval_shape(program, list(shared), given), 1)
     given = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in shared], given
     try:
         made = _export(program, given)
         data, text = bytes(made.serialize()), LOCATION.sub("", made.mlir_module())
     except Exception as error:  # a callback, or an operation that this version of JAX cannot export
-        hint = "Leave out callbacks, such as jax.debug.print and pure_callback, or compute without workers= and out=."
+        hint = (
+            "Leave out callbacks, such as jax.debug.print and pure_callback, or compute "
+            "without workers= and out=."
+        )
         message = f"cannot be sent to workers: {str(error).splitlines()[0]:.200}"
-        raise JaxbodyError(Problem("NOT_SENT", where, message, limit="a program without callbacks", hint=hint)) from error
+        raise JaxbodyError(
+            Problem("NOT_SENT", where, message, limit="a program without callbacks", hint=hint)
+        ) from error
     x64: bool = jax.config.read("jax_enable_x64")
     rest: Any = (width, results, tuple(quick_options().items()), x64, _fast(), versions())
     return ChunkProgram(hashlib.sha256(f"{text} {rest}".encode()).hexdigest(), data, *rest)
 
 
 def _export(program: Any, given: tuple[Any, ...]) -> jax.export.Exported:
-    """Export a program with calls of LAPACK or a device's library that other versions of jaxlib may lack; workers have the same one."""
+    """Export a program with calls of LAPACK or a device's library that other versions of jaxlib may
+    lack; workers have the same one."""
     try:
         return jax.export.export(program)(*given)
     except ValueError as error:
         names = set(CUSTOM_CALL.findall(str(error)))
         if not names or any("callback" in name for name in names):
             raise
-        return jax.export.export(program, disabled_checks=list(map(jax.export.DisabledSafetyCheck.custom_call, names)))(*given)
+        return jax.export.export(
+            program, disabled_checks=list(map(jax.export.DisabledSafetyCheck.custom_call, names))
+        )(*given)
 
 
 def filled(x: np.ndarray, first: int, width: int) -> np.ndarray:
@@ -158,14 +184,23 @@ def hash_of_source() -> str:
 
 
 def _sources(folder: Any) -> list[Any]:
-    return [file for x in folder.iterdir() for file in (_sources(x) if x.is_dir() else [x] if x.name.endswith(".py") else [])]
+    return [
+        file
+        for x in folder.iterdir()
+        for file in (_sources(x) if x.is_dir() else [x] if x.name.endswith(".py") else [])
+    ]
 
 
 @functools.cache
 def versions() -> tuple[tuple[str, str], ...]:
-    """What the numbers depend on: jaxbody with a hash of its source, JAX and its compiler, and the kind of device."""
+    """What the numbers depend on: jaxbody with a hash of its source, JAX and its compiler, and the
+    kind of device."""
     libraries = [(name, metadata.version(name)) for name in ("jax", "jaxlib")]
-    return (("jaxbody", f"{metadata.version('jaxbody')} of source {hash_of_source()[:8]}"), *libraries, ("device", jax.default_backend()))
+    return (
+        ("jaxbody", f"{metadata.version('jaxbody')} of source {hash_of_source()[:8]}"),
+        *libraries,
+        ("device", jax.default_backend()),
+    )
 
 
 def _fast() -> bool:
@@ -188,35 +223,57 @@ def worker_name() -> str:
 
 def other_worker(message: str, wanted: Any) -> JaxbodyError:
     """The error of a worker that differs from the caller."""
-    hint = "Install the same versions for the caller and all workers, and set the same options before JAX starts."
-    return JaxbodyError(Problem("OTHER_WORKER", f"worker {worker_name()}", message, limit=f"{wanted}, as the caller", hint=hint))
+    hint = (
+        "Install the same versions for the caller and all workers, and set the same "
+        "options before JAX starts."
+    )
+    return JaxbodyError(
+        Problem(
+            "OTHER_WORKER",
+            f"worker {worker_name()}",
+            message,
+            limit=f"{wanted}, as the caller",
+            hint=hint,
+        )
+    )
 
 
 _loaded: dict[str, LoadedProgram] = {}
 
 
 def _compiled(program: ChunkProgram) -> LoadedProgram:
-    """Each device runs the same program on its own rows, so that numbers do not depend on how many there are."""
-    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), jnp.result_type(float)))  # jaxlib then knows where LAPACK is
+    """Each device runs the same program on its own rows, so that numbers do not depend on how many
+    there are."""
+    # jaxlib then knows where LAPACK is
+    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), jnp.result_type(float)))
     exported = jax.export.deserialize(bytearray(program.data))
-    devices = [] if b"lapack" in program.data and jax.default_backend() == "cpu" else jax.local_devices()  # see `one_at_a_time`
+    devices = (
+        [] if b"lapack" in program.data and jax.default_backend() == "cpu" else jax.local_devices()
+    )  # see `one_at_a_time`
     width, call = program.width, exported.call
     if len(devices) > 1:
-        mesh = jax.make_mesh((len(devices),), ("device",), axis_types=(AxisType.Auto,), devices=devices)
+        mesh = jax.make_mesh(
+            (len(devices),), ("device",), axis_types=(AxisType.Auto,), devices=devices
+        )
         here, apart = PartitionSpec(), PartitionSpec("device")
-        call = jax.shard_map(call, mesh=mesh, in_specs=(here, apart), out_specs=apart, check_vma=False)
+        call = jax.shard_map(
+            call, mesh=mesh, in_specs=(here, apart), out_specs=apart, check_vma=False
+        )
         width *= len(devices)
 
     (shared, rows), _ = jax.tree.unflatten(exported.in_tree, exported.in_avals)
     wide = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in rows]
     same = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in shared]
     compiled = jax.jit(call, compiler_options=dict(program.options)).lower(same, wide).compile()
-    return LoadedProgram(compiled, width, getattr(compiled.memory_analysis(), "temp_size_in_bytes", 0))
+    return LoadedProgram(
+        compiled, width, getattr(compiled.memory_analysis(), "temp_size_in_bytes", 0)
+    )
 
 
 @dataclass(frozen=True)
 class ComputedChunk:
-    """Results of a chunk, the worker, the time that they took [s], without that to load the program, and its memory [bytes]."""
+    """Results of a chunk, the worker, the time that they took [s], without that to load the
+    program, and its memory [bytes]."""
 
     results: dict[str, np.ndarray]
     worker: str
@@ -226,16 +283,21 @@ class ComputedChunk:
 
 @dataclass(frozen=True)
 class FailedChunk:
-    """Why a chunk has no results; `refused` if this worker cannot compute any. (Not an exception, as some cannot be sent.)"""
+    """Why a chunk has no results; `refused` if this worker cannot compute any. (Not an exception,
+    as some cannot be sent.)"""
 
     message: str
     refused: Problem | None = None
 
 
 def compute_chunk(
-    program: ChunkProgram, shared: Sequence[np.ndarray], rows: Sequence[np.ndarray], function: Callable[..., Any] | None = None
+    program: ChunkProgram,
+    shared: Sequence[np.ndarray],
+    rows: Sequence[np.ndarray],
+    function: Callable[..., Any] | None = None,
 ) -> ComputedChunk | FailedChunk:
-    """Compute a chunk, by the program or by a function of jaxbody that calls it: function(program, shared, rows) -> results."""
+    """Compute a chunk, by the program or by a function of jaxbody that calls it: function(program,
+    shared, rows) -> results."""
     try:
         memory = program.loaded().memory
         begin = time.perf_counter()

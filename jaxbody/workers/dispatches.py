@@ -1,7 +1,9 @@
-"""Chunks sent to workers and received as they finish; what is lost with a worker is sent again, what fails three times is given up.
+"""Chunks sent to workers and received as they finish; what is lost with a worker is sent again,
+what fails three times is given up.
 
-A chunk that fails twice, by an error or with its worker, is sent a third time when no other is under way: a chunk that ends any process
-that computes it takes its neighbors with it, and they must not be blamed for that.
+A chunk that fails twice, by an error or with its worker, is sent a third time when no other is
+under way: a chunk that ends any process that computes it takes its neighbors with it, and they must
+not be blamed for that.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from jaxbody.workers.executors import Crew
 
 TWICE = 2  # failures after which a chunk is sent alone
 MOST_ALONE = 8  # chunks that wait to be sent alone
-MOST_FIRST, MOST_RENEWALS = 4, 20  # chunks given up, and executors made again, before anything is computed
+# chunks given up, and executors made again, before anything is computed
+MOST_FIRST, MOST_RENEWALS = 4, 20
 
 
 def dispatched(
@@ -39,8 +42,8 @@ def dispatched(
         compute: the function that workers are sent.
         continued: whether other chunks of the batch have been computed before.
 
-    Errors: OTHER_WORKER; BAD_WORKERS, also where processes end before they compute anything; LOST where the first chunks all fail, unless
-    `continued`.
+    Errors: OTHER_WORKER; BAD_WORKERS, also where processes end before they compute anything; LOST
+    where the first chunks all fail, unless `continued`.
     """
     waiting, again, alone = iter(chunks), deque[int](), deque[int]()
     failures: Counter[int] = Counter()
@@ -57,9 +60,18 @@ def dispatched(
     def failed(chunk: int, why: FailedChunk) -> Iterator[tuple[int, FailedChunk]]:
         failures[chunk] += 1
         if failures[chunk] > TWICE:
-            if not crew.seen and not continued and (given_up := sum(n > TWICE for n in failures.values())) >= MOST_FIRST:
-                message = f"none of the first {given_up} chunks could be computed; the last one: {why.message}"
-                raise JaxbodyError(Problem("LOST", where, message, hint="Compute a few designs without workers=."))
+            if (
+                not crew.seen
+                and not continued
+                and (given_up := sum(n > TWICE for n in failures.values())) >= MOST_FIRST
+            ):
+                message = (
+                    f"none of the first {given_up} chunks could be computed; the "
+                    f"last one: {why.message}"
+                )
+                raise JaxbodyError(
+                    Problem("LOST", where, message, hint="Compute a few designs without workers=.")
+                )
             yield chunk, why
         else:
             (alone if failures[chunk] == TWICE else again).append(chunk)
@@ -68,7 +80,8 @@ def dispatched(
     try:
         while True:
             broken = False
-            full = len(alone) >= (MOST_ALONE if crew.seen else 1)  # they are not left until the end, as all may fail
+            # they are not left until the end, as all may fail
+            full = len(alone) >= (MOST_ALONE if crew.seen else 1)
             while (
                 not full
                 and not broken
@@ -80,7 +93,9 @@ def dispatched(
                 broken = not send(alone.popleft())
             if not sent and not broken:
                 return
-            for future in futures.wait(sent, return_when=futures.FIRST_COMPLETED).done if sent else ():
+            for future in (
+                futures.wait(sent, return_when=futures.FIRST_COMPLETED).done if sent else ()
+            ):
                 chunk = sent.pop(future)
                 answer = _answer(future)
                 broken = broken or isinstance(answer, futures.BrokenExecutor)
@@ -93,11 +108,25 @@ def dispatched(
                 for future, chunk in [*sent.items()]:
                     sent.pop(future)
                     answer = _answer(future) if future.done() else "its worker was lost"
-                    yield from [(chunk, answer)] if isinstance(answer, ComputedChunk) else failed(chunk, _failure(answer))
+                    yield from (
+                        [(chunk, answer)]
+                        if isinstance(answer, ComputedChunk)
+                        else failed(chunk, _failure(answer))
+                    )
                 renewals = 0 if crew.seen else renewals + 1
                 if renewals > MOST_RENEWALS:
-                    hint = "Processes end as soon as they start: is there memory for them, and can they import jaxbody?"
-                    raise JaxbodyError(Problem("BAD_WORKERS", where, f"broke {renewals} times before anything was computed", hint=hint))
+                    hint = (
+                        "Processes end as soon as they start: is there memory for them, and can "
+                        "they import jaxbody?"
+                    )
+                    raise JaxbodyError(
+                        Problem(
+                            "BAD_WORKERS",
+                            where,
+                            f"broke {renewals} times before anything was computed",
+                            hint=hint,
+                        )
+                    )
                 crew.renew(where)
     finally:
         for future in sent:
@@ -119,4 +148,8 @@ def _failure(answer: Any) -> FailedChunk:
         if answer.refused is not None:
             raise JaxbodyError(answer.refused)
         return answer
-    return FailedChunk(f"{type(answer).__name__}: {answer!s:.200}" if isinstance(answer, BaseException) else str(answer))
+    return FailedChunk(
+        f"{type(answer).__name__}: {answer!s:.200}"
+        if isinstance(answer, BaseException)
+        else str(answer)
+    )

@@ -1,4 +1,5 @@
-"""Who computes a batch: this process, a number of processes of this machine by loky, or any executor of processes that the user gives."""
+"""Who computes a batch: this process, a number of processes of this machine by loky, or any
+executor of processes that the user gives."""
 
 from __future__ import annotations
 
@@ -37,30 +38,56 @@ class ThisProcess(Executor):
 class Crew:
     """The workers of one call.
 
-    `executor`: where chunks are sent; `make` makes another in place of one that is broken; `most`: largest number of chunks that are sent
-    and have not come back, None if it follows from the number of workers that have answered.
+    `executor`: where chunks are sent; `make` makes another in place of one that is broken; `most`:
+    largest number of chunks that are sent and have not come back, None if it follows from the
+    number of workers that have answered.
     """
 
-    def __init__(self, executor: Executor, make: Callable[[], Executor] | None = None, most: int | None = None, close: Any = None):
-        self.executor, self.make, self.most, self.close = executor, make, most, close or (lambda executor, at_once: None)
+    def __init__(
+        self,
+        executor: Executor,
+        make: Callable[[], Executor] | None = None,
+        most: int | None = None,
+        close: Any = None,
+    ):
+        self.executor, self.make, self.most, self.close = (
+            executor,
+            make,
+            most,
+            close or (lambda executor, at_once: None),
+        )
         self.seen: set[str] = set()  # workers that have answered
 
     def room(self, sent: int) -> bool:
-        """Whether another chunk may be sent: enough to keep all workers busy, few enough that they need little memory."""
+        """Whether another chunk may be sent: enough to keep all workers busy, few enough that they
+        need little memory."""
         return sent < (self.most or 4 * max(FEWEST, len(self.seen)))
 
     def renew(self, where: str) -> None:
-        """Replace a broken executor. Error: BAD_WORKERS if it is the user's, of a kind that cannot be made again."""
+        """Replace a broken executor. Error: BAD_WORKERS if it is the user's, of a kind that cannot
+        be made again."""
         if self.make is None:
-            hint = "Give workers= a number of processes, which are started again; what is stored is kept."
-            raise JaxbodyError(Problem("BAD_WORKERS", where, "is broken: one of its processes has ended", self.executor, hint=hint))
+            hint = (
+                "Give workers= a number of processes, which are started again; "
+                "what is stored is kept."
+            )
+            raise JaxbodyError(
+                Problem(
+                    "BAD_WORKERS",
+                    where,
+                    "is broken: one of its processes has ended",
+                    self.executor,
+                    hint=hint,
+                )
+            )
         self.close(self.executor, True)
         self.executor = self.make()
 
 
 @contextmanager
 def crew_of(workers: Any, where: str) -> Iterator[Crew]:
-    """The workers that the user asks for, during a `with` block. At Ctrl-C and errors processes that were started here end at once.
+    """The workers that the user asks for, during a `with` block. At Ctrl-C and errors processes
+    that were started here end at once.
 
     Args:
         workers: None, a number of processes, or an executor.
@@ -89,40 +116,70 @@ def check_workers(workers: Any, where: str) -> None:
         import_extra("loky", where)
         return
     if isinstance(workers, ThreadPoolExecutor):
-        hint = "Programs of one process compute one after the other, as LAPACK in two threads may never end: give a number of processes."
-        raise JaxbodyError(Problem("BAD_WORKERS", where, "is an executor of threads", workers, limit, hint))
+        hint = (
+            "Programs of one process compute one after the other, as LAPACK in two threads may "
+            "never end: give a number of processes."
+        )
+        raise JaxbodyError(
+            Problem("BAD_WORKERS", where, "is an executor of threads", workers, limit, hint)
+        )
     if not isinstance(workers, Executor):
-        hint = "Of a Dask client, give client.get_executor(pure=False)." if hasattr(workers, "get_executor") else "Give workers=2."
-        raise JaxbodyError(Problem("BAD_WORKERS", where, f"is {kind_of(workers)}", workers, limit, hint))
+        hint = (
+            "Of a Dask client, give client.get_executor(pure=False)."
+            if hasattr(workers, "get_executor")
+            else "Give workers=2."
+        )
+        raise JaxbodyError(
+            Problem("BAD_WORKERS", where, f"is {kind_of(workers)}", workers, limit, hint)
+        )
     try:
         workers.submit(int)
     except RuntimeError as error:  # a broken executor raises a kind of it
         hint = "Open it with a `with` block round the call."
-        raise JaxbodyError(Problem("BAD_WORKERS", where, f"takes no work: {error}", workers, limit, hint)) from None
+        raise JaxbodyError(
+            Problem("BAD_WORKERS", where, f"takes no work: {error}", workers, limit, hint)
+        ) from None
 
 
 def _crew(workers: Any, where: str) -> Crew:
     if workers is None:
         return Crew(ThisProcess(), most=1)
     if isinstance(workers, int):
-        return Crew(_processes(workers, where), lambda: _processes(workers, where), 2 * workers, _close_processes)
+        return Crew(
+            _processes(workers, where),
+            lambda: _processes(workers, where),
+            2 * workers,
+            _close_processes,
+        )
     if type(workers) is not ProcessPoolExecutor:
         return Crew(workers)
 
     def make() -> Executor:
         kind: Any = workers  # its arguments have no public names
-        return ProcessPoolExecutor(kind._max_workers, kind._mp_context, initializer=kind._initializer, initargs=kind._initargs)
+        return ProcessPoolExecutor(
+            kind._max_workers,
+            kind._mp_context,
+            initializer=kind._initializer,
+            initargs=kind._initargs,
+        )
 
     return Crew(
-        workers, make, close=lambda executor, _: None if executor is workers else executor.shutdown(wait=False, cancel_futures=True)
+        workers,
+        make,
+        close=lambda executor, _: (
+            None if executor is workers else executor.shutdown(wait=False, cancel_futures=True)
+        ),
     )
 
 
 def _processes(number: int, where: str) -> Executor:
-    """Processes of this machine, one thread each, which later calls find with their programs until they have been idle for a while."""
+    """Processes of this machine, one thread each, which later calls find with their programs until
+    they have been idle for a while."""
     loky = import_extra("loky", where)
     environment = dict.fromkeys(ONE_THREAD, "1") | _cache()
-    executor = loky.get_reusable_executor(max_workers=number, timeout=IDLE, initializer=_ignore_interrupts, env=environment)
+    executor = loky.get_reusable_executor(
+        max_workers=number, timeout=IDLE, initializer=_ignore_interrupts, env=environment
+    )
     for _ in range(number):
         executor.submit(worker_name)  # imports JAX, while the caller traces
     return executor
@@ -139,7 +196,8 @@ def _ignore_interrupts() -> None:
 
 
 def _cache() -> dict[str, str]:
-    """The folder in which processes share compiled programs: that of JAX or `keep_programs`, if any, or a temporary one."""
+    """The folder in which processes share compiled programs: that of JAX or `keep_programs`, if
+    any, or a temporary one."""
     folder = jax.config.jax_compilation_cache_dir or _temporary_folder().name  # pyright: ignore[reportAttributeAccessIssue]
     return {
         "JAX_COMPILATION_CACHE_DIR": str(folder),

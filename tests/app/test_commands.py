@@ -1,4 +1,5 @@
-"""The command on model files: the examples of its help, results as in Python, messages and exit codes."""
+"""The command on model files: the examples of its help, results as in Python, messages and
+exit codes."""
 
 import contextlib
 import csv
@@ -37,26 +38,38 @@ roads.road = {class = "C", speed = "72 km/h"}
 comfort = {type = "comfort", weights = {seat = "Wk"}}
 travel = {type = "stroke", sensor = "travel"}
 bounce = {type = "frequency", mode = 1}
-"""
+"""  # noqa: E501
 
 
 @pytest.fixture(scope="module")
 def record():
-    """A text file of the motion of a quarter car with a softer suspension on a road, with noise of 0.1 mm."""
+    """A text file of the motion of a quarter car with a softer suspension on a road, with noise
+    of 0.1 mm."""
     times = np.arange(100) / 50
     base = np.stack([0 * times, 0 * times, 0.01 * (1 - np.cos(2 * np.pi * times))], 1)
-    car = jb.replace(jb.presets.quarter_car(), {"suspension.stiffness": 30000.0, "suspension.damping": 1500.0})
-    run = jb.simulate(car, times, motion={"road": jb.Sampled(times, translation=base)}, initial="rest")
+    car = jb.replace(
+        jb.presets.quarter_car(), {"suspension.stiffness": 30000.0, "suspension.damping": 1500.0}
+    )
+    run = jb.simulate(
+        car, times, motion={"road": jb.Sampled(times, translation=base)}, initial="rest"
+    )
     z = np.asarray(run.poses["body"].p)[:, 2] + np.random.default_rng(0).normal(0, 1e-4, 100)
-    rows = [",".join(map(repr, row)) for row in np.stack([times, 1000 * z, 1000 * base[:, 2]], 1).tolist()]
+    rows = [
+        ",".join(map(repr, row))
+        for row in np.stack([times, 1000 * z, 1000 * base[:, 2]], 1).tolist()
+    ]
     return "\n".join(["t [s],x [mm],base [mm]", *rows])
 
 
 def uncommented(text, without="nothing"):
     """The text of a new file with its measured data, but for one section."""
     start = text.index("\n# [records.run1]")
-    sections = ["[" + section for section in re.sub("^# ", "", text[start:], flags=re.M).split("\n[")[1:]]
-    return "\n".join([text[:start], *(section for section in sections if not section.startswith(without))])
+    sections = [
+        "[" + section for section in re.sub("^# ", "", text[start:], flags=re.M).split("\n[")[1:]
+    ]
+    return "\n".join(
+        [text[:start], *(section for section in sections if not section.startswith(without))]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +82,10 @@ def texts():
         printed[name] = out.getvalue()
     text = printed["quarter_car"]
     measured = uncommented(text, without="[experiments.modal]")
-    measured = measured.replace("[elements.suspension]", "[elements.suspension]\ndamping = 1500.0") + DESIGN
+    measured = (
+        measured.replace("[elements.suspension]", "[elements.suspension]\ndamping = 1500.0")
+        + DESIGN
+    )
     return {"engine.toml": printed["engine"], "car.toml": text, "measured.toml": measured}
 
 
@@ -113,14 +129,20 @@ def test_measured_data_of_a_new_file_are_read_when_they_are_there(name, capsys, 
     text = capsys.readouterr().out
     (folder / "model.toml").write_text(uncommented(text))
     heads = re.search(r"with the columns (.*)", text)[1].split(", ")
-    rows = [",".join(f"{x!r}" for x in (t, *[0.1 * t] * (len(heads) - 1))) for t in (0.0, 0.1, 0.2, 0.3)]
+    rows = [
+        ",".join(f"{x!r}" for x in (t, *[0.1 * t] * (len(heads) - 1))) for t in (0.0, 0.1, 0.2, 0.3)
+    ]
     (folder / "run1.csv").write_text("\n".join([",".join(heads), *rows]))
-    assert commands.main(["check", "model.toml"]) == 0 and "2 experiments" in capsys.readouterr().out
+    assert (
+        commands.main(["check", "model.toml"]) == 0 and "2 experiments" in capsys.readouterr().out
+    )
     study = jb.read_study("model.toml")
     assert set(study.experiments) == {"run1", "modal"} and study.fit["free"]
     measured = study.experiments["modal"].measured["frequency"]
     np.testing.assert_allclose(
-        jb.modes(jb.linearize(study.model, study.model.reference)).frequency[:2], measured, atol=0.006
+        jb.modes(jb.linearize(study.model, study.model.reference)).frequency[:2],
+        measured,
+        atol=0.006,
     )  # two decimals
     assert all(jb.paths(study.model, path) for path in study.fit["free"])
 
@@ -143,7 +165,9 @@ def test_the_design_of_a_new_file_is_tuned(name, capsys, folder):
 @pytest.mark.long
 def test_new_without_a_name_lists_the_ready_models(capsys):
     assert commands.main(["new"]) == 0
-    assert set(dir(jb.presets)) == set(re.findall(r"\w+", capsys.readouterr().out.partition(":")[2]))
+    assert set(dir(jb.presets)) == set(
+        re.findall(r"\w+", capsys.readouterr().out.partition(":")[2])
+    )
     assert commands.main(["new", "quarter_cat"]) == 2
     assert "Did you mean 'quarter_car'?" in capsys.readouterr().err
 
@@ -153,19 +177,26 @@ left; engine; frame; 1100; 250; 500; 200; 210; 400; 45; 0.5; 30 N m/deg; 0; 0
 right; engine; frame; 1100; -250; 50 cm; 200; 210; 400; ; 0.5; 0; 0; 0
 rear; engine; sub frame; 700; 0; 400; 100; 100; 150; ; 0.5; 0; 0; 0
 link; sub frame; world; 700; 0; 400; 900; 900; 900; ; 0.5; 90 kN m/rad; 90 kN m/rad; 90 kN m/rad
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.long
 def test_a_data_sheet_of_mounts_becomes_a_file(capsys, folder):
-    """The mounts are those that Python reads, with points in the axes of the sheet, and their numbers can be set; the masses are marked as
-    placeholders in each line, and said to be."""
+    """The mounts are those that Python reads, with points in the axes of the sheet, and their
+    numbers can be set; the masses are marked as placeholders in each line, and said to be."""
     (folder / "mounts.csv").write_text(SHEET)
     assert commands.main(["new", "--mounts", "mounts.csv"]) == 0
     said = capsys.readouterr()
-    assert "not in mounts.csv: replace the placeholders" in said.err and said.out.count(": a placeholder") == 6 and "-0.0]" not in said.out
+    assert (
+        "not in mounts.csv: replace the placeholders" in said.err
+        and said.out.count(": a placeholder") == 6
+        and "-0.0]" not in said.out
+    )
     (folder / "mounts.toml").write_text(said.out)
-    assert commands.main(["check", "mounts.toml"]) == 0 and "2 bodies, 1 support, 4 elements, 2 sensors" in capsys.readouterr().out
+    assert (
+        commands.main(["check", "mounts.toml"]) == 0
+        and "2 bodies, 1 support, 4 elements, 2 sensors" in capsys.readouterr().out
+    )
     model = jb.read_model("mounts.toml")
     frames = {"engine": model["engine"], "frame": model["frame"], "sub frame": model["sub frame"]}
     for name, mount in jb.read_mounts("mounts.csv", frames).items():
@@ -184,7 +215,9 @@ def test_a_data_sheet_of_mounts_becomes_a_file(capsys, folder):
         "rear.stiffness=90, 90, 90 N/mm",
     ]
     assert commands.main(words) == 0 and "engine" in capsys.readouterr().out
-    (folder / "mounts.csv").write_text(SHEET.replace("kx [N/mm]", "kx [mm]").replace("right;", "left;"))
+    (folder / "mounts.csv").write_text(
+        SHEET.replace("kx [N/mm]", "kx [mm]").replace("right;", "left;")
+    )
     assert commands.main(["new", "--mounts", "mounts.csv"]) == 2
     said = capsys.readouterr()
     assert (
@@ -195,20 +228,38 @@ def test_a_data_sheet_of_mounts_becomes_a_file(capsys, folder):
 
 
 def test_a_data_sheet_without_names_of_bodies_is_of_an_engine_on_a_frame(capsys, folder):
-    (folder / "mounts.csv").write_text("name,x [mm],y [mm],z [mm],kx [N/mm],ky [N/mm],kz [N/mm]\nm,0,0,10,1,2,3\n")
+    (folder / "mounts.csv").write_text(
+        "name,x [mm],y [mm],z [mm],kx [N/mm],ky [N/mm],kz [N/mm]\nm,0,0,10,1,2,3\n"
+    )
     assert commands.main(["new", "--mounts", "mounts.csv"]) == 0
     (folder / "mounts.toml").write_text(capsys.readouterr().out)
     assert jb.read_model("mounts.toml")["m"].between == ("engine", "frame")
 
 
 def test_a_new_engine_has_no_gravity_and_its_file_says_so(texts):
-    assert "\ngravity = [0.0, 0.0, 0.0] # m/s2; zero, as in the source of this model\n" in texts["engine.toml"]
+    assert (
+        "\ngravity = [0.0, 0.0, 0.0] # m/s2; zero, as in the source of this model\n"
+        in texts["engine.toml"]
+    )
 
 
 @pytest.mark.long
 def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     before = (folder / "measured.toml").read_text()
-    assert commands.main(["fit", "measured.toml", "--free", "suspension.stiffness", "--write", "--out", "fit.csv"]) == 0
+    assert (
+        commands.main(
+            [
+                "fit",
+                "measured.toml",
+                "--free",
+                "suspension.stiffness",
+                "--write",
+                "--out",
+                "fit.csv",
+            ]
+        )
+        == 0
+    )
     said = capsys.readouterr().out
     (folder / "before.toml").write_text(before)
     study = jb.read_study("before.toml")
@@ -216,7 +267,13 @@ def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     assert str(fit) in said and "wrote measured.toml" in said
     estimate = float(fit.estimates["suspension.stiffness"])
     assert abs(estimate / 30000 - 1) < 0.01  # noise of 0.1 mm in motions of 10 mm
-    changed = [(a, b) for a, b in zip(before.splitlines(), (folder / "measured.toml").read_text().splitlines(), strict=True) if a != b]
+    changed = [
+        (a, b)
+        for a, b in zip(
+            before.splitlines(), (folder / "measured.toml").read_text().splitlines(), strict=True
+        )
+        if a != b
+    ]
     assert changed == [("stiffness = 35000.0 # N/m", f"stiffness = {estimate!r} # N/m")]
     assert "suspension.stiffness" in (folder / "fit.csv").read_text()
 
@@ -227,7 +284,11 @@ def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     [
         (["modes", "car.toml"], "frequency", "mode"),
         (["modes", "car.toml", "--damped"], "decay_rate", "mode"),
-        (["response", "car.toml", "--input", "road.z", "--output", "body.z", "--points", "9"], "body.z / road.z [1]", "frequency [Hz]"),
+        (
+            ["response", "car.toml", "--input", "road.z", "--output", "body.z", "--points", "9"],
+            "body.z / road.z [1]",
+            "frequency [Hz]",
+        ),
         (["load-cases", "car.toml", "--case", "bump=0,0,3"], "load_factor", "case"),
         (["simulate", "car.toml", "--duration", "0.1"], "body z [m]", "time [s]"),
     ],
@@ -251,20 +312,33 @@ def test_numbers_are_saved_as_parquet_and_netcdf(words, column, label, capsys, f
 @pytest.mark.long
 def test_numbers_in_parquet_have_units_and_are_read_again(capsys, folder):
     parquet = pytest.importorskip("pyarrow.parquet")
-    assert commands.main(["simulate", "measured.toml", "--duration", "0.5", "--out", "motion.parquet"]) == 0
-    assert commands.main(["simulate", "measured.toml", "--duration", "0.5", "--out", "motion.csv"]) == 0
+    assert (
+        commands.main(["simulate", "measured.toml", "--duration", "0.5", "--out", "motion.parquet"])
+        == 0
+    )
+    assert (
+        commands.main(["simulate", "measured.toml", "--duration", "0.5", "--out", "motion.csv"])
+        == 0
+    )
     columns = {"z": ("body z", "m"), "force": ("force of tyre", "N"), "acc": ("seat", "m/s2")}
     in_parquet = {name: f"{column} [{unit}]" for name, (column, unit) in columns.items()}
     records = [
         jb.read_record("motion.parquet", time="time [s]", channels=in_parquet),
-        jb.read_record("motion.csv", time="time", channels={name: column for name, (column, _) in columns.items()}),
+        jb.read_record(
+            "motion.csv",
+            time="time",
+            channels={name: column for name, (column, _) in columns.items()},
+        ),
     ]
     assert records[0].units == records[1].units == {"z": "m", "force": "N", "acc": "m/s2"}
     for name in columns:
         np.testing.assert_array_equal(records[0][name], records[1][name])
     assert commands.main(["modes", "measured.toml", "--out", "modes.parquet"]) == 0
     fields = parquet.read_schema("modes.parquet")
-    stated = {name: fields.field(name).metadata[b"unit"].decode() for name in ("frequency", "damping_ratio", "eigenvalue")}
+    stated = {
+        name: fields.field(name).metadata[b"unit"].decode()
+        for name in ("frequency", "damping_ratio", "eigenvalue")
+    }
     assert stated == {"frequency": "Hz", "damping_ratio": "1", "eigenvalue": "rad2/s2"}
 
 
@@ -273,15 +347,24 @@ def test_complex_numbers_have_the_same_names_in_parquet_and_netcdf(capsys, folde
     pandas, xarray, _ = (pytest.importorskip(name) for name in ("pandas", "xarray", "pyarrow"))
     for name in ("modes.parquet", "modes.nc"):
         assert commands.main(["modes", "measured.toml", "--damped", "--out", name]) == 0
-    frame, data = pandas.read_parquet("modes.parquet"), xarray.open_dataset("modes.nc", engine="scipy")
+    frame, data = (
+        pandas.read_parquet("modes.parquet"),
+        xarray.open_dataset("modes.nc", engine="scipy"),
+    )
     car = jb.read_model("measured.toml")
     poles = jb.complex_modes(jb.linearize(car, jb.equilibrium(car))).poles
     for half, part in (("real", np.real), ("imaginary", np.imag)):
         np.testing.assert_array_equal(data[f"pole_{half}"], part(poles))
         np.testing.assert_array_equal(frame.filter(like=f"pole_{half}["), part(poles))
-        assert data[f"pole_{half}"].attrs["units"] == frame.attrs["units"][f"pole_{half}[0]"] == "1/s"
-    names = {column.partition("[")[0] for column in frame if "_real" in column or "_imaginary" in column}
-    assert names == {str(name) for name in data.data_vars if str(name).endswith(("_real", "_imaginary"))}
+        assert (
+            data[f"pole_{half}"].attrs["units"] == frame.attrs["units"][f"pole_{half}[0]"] == "1/s"
+        )
+    names = {
+        column.partition("[")[0] for column in frame if "_real" in column or "_imaginary" in column
+    }
+    assert names == {
+        str(name) for name in data.data_vars if str(name).endswith(("_real", "_imaginary"))
+    }
 
 
 def test_the_package_for_parquet_is_named_when_it_is_missing(capsys, monkeypatch, folder):
@@ -300,7 +383,8 @@ def test_a_fit_without_data_or_parameters_says_both(capsys, folder):
 
 
 def held_out(text):
-    """The text of a file with a second experiment, the second half of the record from a free start, which is held out."""
+    """The text of a file with a second experiment, the second half of the record from a free start,
+    which is held out."""
     return (
         text
         + """
@@ -321,28 +405,57 @@ motion.road = {type = "Sampled", record = "run2", translation = "base", axis = "
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
 def test_a_fit_is_validated_by_the_experiments_that_are_held_out(capsys, folder):
-    """The fit is that without them; the comparison is that of `validate`, printed, saved and drawn in the report."""
+    """The fit is that without them; the comparison is that of `validate`, printed, saved and drawn
+    in the report."""
     words = ["measured.toml", "--free", "suspension.stiffness", "--out"]
     assert commands.main(["fit", *words, "fit.csv"]) == 0
     alone = capsys.readouterr().out.replace("saved fit.csv\n", "")
     (folder / "measured.toml").write_text(held_out((folder / "measured.toml").read_text()))
-    assert commands.main(["check", "measured.toml"]) == 0 and "1 experiment, 1 held-out experiment" in capsys.readouterr().out
+    assert (
+        commands.main(["check", "measured.toml"]) == 0
+        and "1 experiment, 1 held-out experiment" in capsys.readouterr().out
+    )
     assert commands.main(["fit", *words, "fit.csv"]) == 0
     said = capsys.readouterr().out
     study = jb.read_study("measured.toml")
     assert list(study.experiments) == ["run1"] and list(study.held_out) == ["run2"]
-    validation = jb.validate(jb.fit(study.model, study.experiments, free="suspension.stiffness"), study.held_out)
+    validation = jb.validate(
+        jb.fit(study.model, study.experiments, free="suspension.stiffness"), study.held_out
+    )
     assert alone in said and str(validation) in said and "run2.reading" not in alone
-    (row,) = [line for line in (folder / "fit.csv").read_text().splitlines() if line.startswith("run2.reading,")]
+    (row,) = [
+        line
+        for line in (folder / "fit.csv").read_text().splitlines()
+        if line.startswith("run2.reading,")
+    ]
     assert float(row.split(",")[3]) == pytest.approx(validation.rms["run2.reading"], rel=1e-5)
-    assert commands.main(["report", "measured.toml", "--part", "fit", "--free", "suspension.stiffness", "--out", "fit.html"]) == 0
+    assert (
+        commands.main(
+            [
+                "report",
+                "measured.toml",
+                "--part",
+                "fit",
+                "--free",
+                "suspension.stiffness",
+                "--out",
+                "fit.html",
+            ]
+        )
+        == 0
+    )
     text = (folder / "fit.html").read_text()
-    assert "<h2>Validation</h2>" in text and "run2, reading: measured, and predicted without a fit to it" in text
+    assert (
+        "<h2>Validation</h2>" in text
+        and "run2, reading: measured, and predicted without a fit to it" in text
+    )
 
 
 def test_a_fit_needs_an_experiment_that_is_not_held_out(capsys, folder):
     text = (folder / "measured.toml").read_text()
-    (folder / "measured.toml").write_text(text.replace('record = "run1"  ', 'validate = true\nrecord = "run1"  '))
+    (folder / "measured.toml").write_text(
+        text.replace('record = "run1"  ', 'validate = true\nrecord = "run1"  ')
+    )
     assert commands.main(["fit", "measured.toml"]) == 2
     assert "measured.toml: has validate = true in all experiments" in capsys.readouterr().err
 
@@ -355,8 +468,13 @@ def test_a_design_is_that_of_python_and_is_written_into_the_file(capsys, folder)
         lin = jb.linearize(car, jb.equilibrium(car))
         outputs = {"seat": jb.Acceleration("body", axis="z"), "travel": jb.Elongation("suspension")}
         spectra = {"road": jb.Unevenness.iso("C").at_speed(20.0)}
-        ride = jb.random_response(lin, jb.Band(0.1, 100.0), {"road": jb.BaseMotion("road", "z")}, outputs, spectra)
-        comfort, travel = jb.objectives.comfort(ride, {"seat": "Wk"}), jb.objectives.stroke(ride, "travel")
+        ride = jb.random_response(
+            lin, jb.Band(0.1, 100.0), {"road": jb.BaseMotion("road", "z")}, outputs, spectra
+        )
+        comfort, travel = (
+            jb.objectives.comfort(ride, {"seat": "Wk"}),
+            jb.objectives.stroke(ride, "travel"),
+        )
         return {"comfort": comfort, "travel": travel, "bounce": jb.modes(lin).frequency[0]}
 
     free = ["suspension.stiffness", "suspension.damping"]
@@ -372,11 +490,16 @@ def test_a_design_is_that_of_python_and_is_written_into_the_file(capsys, folder)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("words", ["show", "modes --draw 2", "simulate --duration 0.2", "equilibrium"])
+@pytest.mark.parametrize(
+    "words", ["show", "modes --draw 2", "simulate --duration 0.2", "equilibrium"]
+)
 def test_a_page_in_three_dimensions_is_saved(words, capsys, folder):
     pytest.importorskip("viser")
     name, *options = words.split()
-    assert commands.main([name, "car.toml", *options, "--out", "page.html"]) == 0 and "saved page.html" in capsys.readouterr().out
+    assert (
+        commands.main([name, "car.toml", *options, "--out", "page.html"]) == 0
+        and "saved page.html" in capsys.readouterr().out
+    )
     assert "viser" in (folder / "page.html").read_text()
 
 
@@ -384,46 +507,80 @@ def test_the_package_for_pages_is_named_when_it_is_missing(capsys, monkeypatch, 
     monkeypatch.setitem(sys.modules, "viser", None)
     assert commands.main(["show", "car.toml", "--out", "page.html"]) == 2
     said = capsys.readouterr().err
-    assert "MISSING_EXTRA" in said and "pip install 'jaxbody[view]'" in said and not (folder / "page.html").exists()
+    assert (
+        "MISSING_EXTRA" in said
+        and "pip install 'jaxbody[view]'" in said
+        and not (folder / "page.html").exists()
+    )
 
 
 @pytest.mark.long
 def test_readings_of_sensors_are_saved_with_a_motion(capsys, folder):
-    assert commands.main(["simulate", "measured.toml", "--duration", "0.1", "--out", "motion.csv"]) == 0
+    assert (
+        commands.main(["simulate", "measured.toml", "--duration", "0.1", "--out", "motion.csv"])
+        == 0
+    )
     head, *rows = (folder / "motion.csv").read_text().splitlines()
-    columns = dict(zip(head.split(","), np.array([row.split(",") for row in rows], float).T, strict=True))
+    columns = dict(
+        zip(head.split(","), np.array([row.split(",") for row in rows], float).T, strict=True)
+    )
     assert len(rows) == 11 and np.array_equal(columns["reading [m]"], columns["body z [m]"])
 
 
 def test_the_numbers_are_those_of_python(capsys, folder):
-    assert commands.main(["modes", "car.toml", "--set", "suspension.stiffness=30 N/mm", "--out", "modes.csv"]) == 0
+    assert (
+        commands.main(
+            ["modes", "car.toml", "--set", "suspension.stiffness=30 N/mm", "--out", "modes.csv"]
+        )
+        == 0
+    )
     model = jb.replace(jb.presets.quarter_car(), {"suspension.stiffness": 3e4})
     modes = jb.modes(jb.linearize(model, jb.equilibrium(model)))
     assert str(modes) in capsys.readouterr().out
-    rows = [line.split(",") for line in (folder / "modes.csv").read_text().splitlines() if line[0] != "#"]
+    rows = [
+        line.split(",")
+        for line in (folder / "modes.csv").read_text().splitlines()
+        if line[0] != "#"
+    ]
     column = rows[0].index("frequency [Hz]")
-    np.testing.assert_allclose([float(row[column]) for row in rows[1:]], modes.frequency, rtol=1e-12)
+    np.testing.assert_allclose(
+        [float(row[column]) for row in rows[1:]], modes.frequency, rtol=1e-12
+    )
 
 
 def test_the_motion_is_that_of_python(folder):
     """From rest on the road, which is at its highest at the start."""
-    words = "simulate car.toml --duration 0.5 --interval 0.05 --set 'motion.road.frequency=2 Hz' --out motion.csv"
+    words = (
+        "simulate car.toml --duration 0.5 --interval 0.05 --set 'motion.road.frequency=2 "
+        "Hz' --out motion.csv"
+    )
     assert commands.main(shlex.split(words)) == 0
     road = {"road": jb.Harmonic(frequency=2.0, translation=[0, 0, 0.005])}
-    expected = jb.simulate(jb.presets.quarter_car(), np.linspace(0, 0.5, 11), motion=road, initial="rest")
-    table = np.genfromtxt(folder / "motion.csv", delimiter=",", comments="#", names=True, deletechars="")
+    expected = jb.simulate(
+        jb.presets.quarter_car(), np.linspace(0, 0.5, 11), motion=road, initial="rest"
+    )
+    table = np.genfromtxt(
+        folder / "motion.csv", delimiter=",", comments="#", names=True, deletechars=""
+    )
     np.testing.assert_allclose(table["body_z_[m]"], expected.poses["body"].p[:, 2], rtol=1e-12)
-    np.testing.assert_allclose(table["road_z_[m]"], 0.005 * np.cos(4 * np.pi * table["time_[s]"]), atol=1e-15)
+    np.testing.assert_allclose(
+        table["road_z_[m]"], 0.005 * np.cos(4 * np.pi * table["time_[s]"]), atol=1e-15
+    )
     np.testing.assert_allclose(table["force_of_tyre_[N]"], expected.forces["tyre"], rtol=1e-9)
 
 
 def test_the_response_is_that_of_python(folder):
-    words = "response car.toml --input road.z --output body.z --frequencies 1:10 --points 5 --quantity acceleration --out response.csv"
+    words = (
+        "response car.toml --input road.z --output body.z --frequencies 1:10 --points 5 --quantity "
+        "acceleration --out response.csv"
+    )
     assert commands.main(words.split()) == 0
     car = jb.presets.quarter_car()
     ports = {"road": jb.BaseMotion("road", "z")}, {"body": jb.Acceleration("body", axis="z")}
     f = np.geomspace(1, 10, 5)
-    expected = jb.frequency_response(jb.linearize(car, jb.equilibrium(car)), f, *ports)["body", "road"]
+    expected = jb.frequency_response(jb.linearize(car, jb.equilibrium(car)), f, *ports)[
+        "body", "road"
+    ]
     table = np.loadtxt(folder / "response.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table[:, 0], f, rtol=1e-15)
     np.testing.assert_allclose(table[:, 1] * np.exp(1j * table[:, 2]), expected, rtol=1e-12)
@@ -432,26 +589,43 @@ def test_the_response_is_that_of_python(folder):
 @pytest.mark.long
 def test_the_random_response_and_load_cases_are_those_of_python(capsys, folder):
     damped = ["--set", "suspension.damping=1500"]
-    words = "random car.toml --input road.z --output body.z --quantity acceleration --frequencies 0.2:40 --speed 15 --out psd.csv"
+    words = (
+        "random car.toml --input road.z --output body.z --quantity acceleration --frequencies "
+        "0.2:40 --speed 15 --out psd.csv"
+    )
     assert commands.main([*words.split(), *damped]) == 0
     car = jb.presets.quarter_car(damping=1500.0)
     lin = jb.linearize(car, jb.equilibrium(car))
     ports = {"road.z": jb.BaseMotion("road", "z")}, {"body.z": jb.Acceleration("body", axis="z")}
-    expected = jb.random_response(lin, jb.Band(0.2, 40.0), *ports, {"road.z": jb.Unevenness.iso("C").at_speed(15.0)})
+    expected = jb.random_response(
+        lin, jb.Band(0.2, 40.0), *ports, {"road.z": jb.Unevenness.iso("C").at_speed(15.0)}
+    )
     assert str(expected) in capsys.readouterr().out
     table = np.loadtxt(folder / "psd.csv", delimiter=",", skiprows=1)
-    np.testing.assert_allclose(table, np.stack([expected.frequencies, expected.psd[0]], 1), rtol=1e-9)
-    assert commands.main(["load-cases", "car.toml", *damped, "--case", "bump=0,0,2", "--out", "cases.csv"]) == 0
+    np.testing.assert_allclose(
+        table, np.stack([expected.frequencies, expected.psd[0]], 1), rtol=1e-9
+    )
+    assert (
+        commands.main(
+            ["load-cases", "car.toml", *damped, "--case", "bump=0,0,2", "--out", "cases.csv"]
+        )
+        == 0
+    )
     cases = jb.load_cases(car, {"bump": jb.LoadCase(acceleration=[0, 0, 2])})
     assert str(cases) in capsys.readouterr().out
     (row,) = csv.DictReader((folder / "cases.csv").read_text().splitlines())
-    assert row["case"] == "bump" and float(row["displacement of body z [m]"]) == float(cases.displacements["body"][0, 2])
+    assert row["case"] == "bump" and float(row["displacement of body z [m]"]) == float(
+        cases.displacements["body"][0, 2]
+    )
     assert float(row["stroke of tyre [m]"]) == float(cases.strokes["tyre"][0])
     assert float(row["force of suspension [N]"]) == float(cases.forces["suspension"][0])
     words = ["report", "car.toml", *damped, "--part", "load-cases", "--out", "cases.html"]
     assert commands.main(words) == 2 and "--case: is missing" in capsys.readouterr().err
     assert commands.main([*words, "--case", "bump=0,0,2"]) == 0
-    assert "<h2>Load cases</h2>" in (folder / "cases.html").read_text() and "<figcaption>" in (folder / "cases.html").read_text()
+    assert (
+        "<h2>Load cases</h2>" in (folder / "cases.html").read_text()
+        and "<figcaption>" in (folder / "cases.html").read_text()
+    )
     for wrong in ("bump", "bump=1,2", "=1,2,3", "bump=x,0,0"):
         with pytest.raises(SystemExit):
             commands.main(["load-cases", "car.toml", "--case", wrong])
@@ -459,7 +633,21 @@ def test_the_random_response_and_load_cases_are_those_of_python(capsys, folder):
 
 
 def test_values_are_set_by_name_and_pattern(capsys):
-    assert commands.main(["show", "car.toml", "--set", "*.stiffness=30 kN/m", "--set", "body.mass=300", "--set", "gravity=[0, 0, 0]"]) == 0
+    assert (
+        commands.main(
+            [
+                "show",
+                "car.toml",
+                "--set",
+                "*.stiffness=30 kN/m",
+                "--set",
+                "body.mass=300",
+                "--set",
+                "gravity=[0, 0, 0]",
+            ]
+        )
+        == 0
+    )
     shown = capsys.readouterr().out
     assert shown.count(" 30000 ") == 2 and " 300 " in shown
 
@@ -468,39 +656,80 @@ def test_values_are_set_by_name_and_pattern(capsys):
     "words, message",
     [
         ("check missing.toml", "missing.toml: cannot be read"),
-        ("check car.toml --set bodi.mass=3", "bodi.mass=3: 'bodi.mass' is unknown. Did you mean 'body.mass'?"),
-        ("check car.toml --set 'body.mass=3 m'", "car.toml with body.mass=3 m: is '3 m', in m (allowed: a unit such as kg)"),
-        ("check car.toml --set body.mass=-3", "car.toml with body.mass=-3: is -3 kg (allowed: > 0)"),
+        (
+            "check car.toml --set bodi.mass=3",
+            "bodi.mass=3: 'bodi.mass' is unknown. Did you mean 'body.mass'?",
+        ),
+        (
+            "check car.toml --set 'body.mass=3 m'",
+            "car.toml with body.mass=3 m: is '3 m', in m (allowed: a unit such as kg)",
+        ),
+        (
+            "check car.toml --set body.mass=-3",
+            "car.toml with body.mass=-3: is -3 kg (allowed: > 0)",
+        ),
         ("check car.toml --set body.weight=3", "car.toml with body.weight=3: 'weight' is unknown"),
         ("check car.toml --set motion.table.frequency=2", "names nothing that has entries"),
-        ("check car.toml --set motion.road.frequency='2 m'", "is '2 m', in m (allowed: a unit such as 1/s)"),
+        (
+            "check car.toml --set motion.road.frequency='2 m'",
+            "is '2 m', in m (allowed: a unit such as 1/s)",
+        ),
         ("check car.toml --set car", "car: is not a path and a value"),
         ("check car.toml --set body.mass.x=3", "body.mass.x=3: names nothing that has entries"),
-        ("modes car.toml --out modes.xls", "--out: is modes.xls (allowed: .csv .parquet .nc .png .svg .pdf .html)"),
+        (
+            "modes car.toml --out modes.xls",
+            "--out: is modes.xls (allowed: .csv .parquet .nc .png .svg .pdf .html)",
+        ),
         ("check car.toml --out car.png", "--out: is a picture, which this command does not draw"),
         ("show car.toml --out none/car.png", "none/car.png: cannot be written"),
-        ("response car.toml --input z --output body.z", "--input: is 'z' (allowed: a name and a direction, such as road.z)"),
+        (
+            "response car.toml --input z --output body.z",
+            "--input: is 'z' (allowed: a name and a direction, such as road.z)",
+        ),
         ("response car.toml --input road.z --output cat.z", "'cat' is unknown"),
     ],
 )
 def test_what_is_wrong_is_said_without_a_traceback(words, message, capsys):
     assert commands.main(shlex.split(words)) == 2
     said = capsys.readouterr()
-    assert said.err.startswith(f"jaxbody {words.split()[0]}: ") and message in said.err and "Traceback" not in said.err
+    assert (
+        said.err.startswith(f"jaxbody {words.split()[0]}: ")
+        and message in said.err
+        and "Traceback" not in said.err
+    )
 
 
 def test_frequencies_are_in_order(capsys):
     for wrong in ("20:1", "0:1", "x", "1"):
         with pytest.raises(SystemExit) as stopped:
-            commands.main(["response", "car.toml", "--input", "road.z", "--output", "body.z", "--frequencies", wrong])
-        assert stopped.value.code == 2 and "two frequencies in ascending order" in capsys.readouterr().err
+            commands.main(
+                [
+                    "response",
+                    "car.toml",
+                    "--input",
+                    "road.z",
+                    "--output",
+                    "body.z",
+                    "--frequencies",
+                    wrong,
+                ]
+            )
+        assert (
+            stopped.value.code == 2
+            and "two frequencies in ascending order" in capsys.readouterr().err
+        )
 
 
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
 @pytest.mark.nan
 def test_a_result_that_is_not_ok_is_told_by_the_exit_code(capsys):
     """A car without springs falls."""
-    assert commands.main(["equilibrium", "car.toml", "--set", "*.stiffness=0", "--set", "*.free_length=0"]) == 1
+    assert (
+        commands.main(
+            ["equilibrium", "car.toml", "--set", "*.stiffness=0", "--set", "*.free_length=0"]
+        )
+        == 1
+    )
     assert "ok" not in capsys.readouterr().out.splitlines()[1]
 
 
@@ -526,14 +755,24 @@ with jb.compile_times() as times:
 libraries = [name for name in {libraries} if name in sys.modules]
 print(json.dumps([code, times.count, times.cached, libraries, gc.isenabled()]))
 """
-SLOW_TO_IMPORT = ("diffrax", "lineax", "matplotlib", "optax", "optimistix", "pandas", "scipy.optimize", "scipy.signal", "scipy.stats")
+SLOW_TO_IMPORT = (
+    "diffrax",
+    "lineax",
+    "matplotlib",
+    "optax",
+    "optimistix",
+    "pandas",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.stats",
+)
 
 
 @pytest.mark.long
 @pytest.mark.everywhere
 def test_a_second_process_imports_and_compiles_no_more_than_it_needs(folder, monkeypatch):
-    """The modes of a model without experiments: three programs, compiled by the first process; the numbers are the same, also with other
-    stiffnesses."""
+    """The modes of a model without experiments: three programs, compiled by the first process; the
+    numbers are the same, also with other stiffnesses."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
     (folder / "cache").mkdir()
@@ -560,15 +799,23 @@ def test_what_is_too_large_is_refused_with_its_estimate_and_the_setting(capsys, 
     size = (folder / "car.toml").stat().st_size
     assert commands.main(["check", "car.toml", "--largest", "500"]) == 2
     said = capsys.readouterr().err
-    assert f"car.toml: has {size} bytes (allowed: 500 bytes). Set largest={1.1 * size:.2g} (--largest {1.1 * size:.2g})" in said
+    assert (
+        f"car.toml: has {size} bytes (allowed: 500 bytes). Set largest={1.1 * size:.2g} "
+        f"(--largest {1.1 * size:.2g})"
+    ) in said
     assert f"about {60 * size / 1e9:.2g} GB of memory" in said and "TOO_LARGE" in said
     assert commands.main(["check", "car.toml", "--largest", f"{1.1 * size:.2g}"]) == 0
-    many = {f"b{i}": {"mass": 1, "inertia": [1, 1, 1]} for i in range(2000)}  # ten matrices of 12 000 x 12 000 numbers
+    # ten matrices of 12 000 x 12 000 numbers
+    many = {f"b{i}": {"mass": 1, "inertia": [1, 1, 1]} for i in range(2000)}
     (folder / "many.json").write_text(json.dumps({"jaxbody": 1, "units": "SI", "bodies": many}))
     capsys.readouterr()
     assert commands.main(["modes", "many.json"]) == 2
     said = capsys.readouterr().err
-    assert "12000 coordinates and 0 elements, whose matrices need about 11.5 GB (allowed: 8 GB)" in said and "MOST_MEMORY" in said
+    assert (
+        "12000 coordinates and 0 elements, whose matrices need about 11.5 GB (allowed: 8 GB)"
+        in said
+        and "MOST_MEMORY" in said
+    )
 
 
 SPRINGS = """
@@ -586,13 +833,15 @@ model = jb.read_model(path)
 equilibrium = jb.equilibrium(model)
 stiffness = float(jb.linearize(model, equilibrium).K[0, 0])
 print(path.stat().st_size, 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before), stiffness)
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.long
 def test_100_000_springs_are_read_within_the_estimate_of_memory(folder):
     words = [sys.executable, "-c", SPRINGS, str(folder / "springs.toml")]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=900, env=os.environ | {"JAX_ENABLE_X64": "1"})
+    done = subprocess.run(
+        words, capture_output=True, text=True, timeout=900, env=os.environ | {"JAX_ENABLE_X64": "1"}
+    )
     assert done.returncode == 0, done.stderr
     size, memory, stiffness = map(float, done.stdout.split())
     assert size < 2e7 and memory < 60 * size + 3e8  # the second: JAX and its compiler
@@ -606,21 +855,34 @@ bodies.compressor = {mass = 85, inertia = [2.1e6, 3.2e6, 2.9e6], com = [20, 10, 
 supports.floor = {}
 elements.fl = {type = "Bushing", a = ["compressor", [250, 180, -200]], b = ["floor", [250, 180, 60]], stiffness = [60, 60, 90]}
 elements.rl = {type = "Bushing", a = ["compressor", [-250, 180, -200]], b = ["floor", [-250, 180, 60]], stiffness = [60, 60, 90]}
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.long
 def test_check_says_what_the_numbers_mean(tmp_path, monkeypatch, capsys):
-    """A machine on the mounts of one side alone hangs below them; in N/mm and kg its equilibrium is that of SI."""
+    """A machine on the mounts of one side alone hangs below them; in N/mm and kg its equilibrium is
+    that of SI."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "two.toml").write_text(TWO_MOUNTS)
     assert commands.main(["check", "two.toml"]) == 0
     said = capsys.readouterr().out
-    assert "no errors" in said and re.search(r"far from the drawn pose: 'compressor' is 0.49\d m and 13\d degrees from it", said)
-    assert commands.main(["modes", "two.toml"]) == 0 and "far from the drawn pose" in capsys.readouterr().out
+    assert "no errors" in said and re.search(
+        r"far from the drawn pose: 'compressor' is 0.49\d m and 13\d degrees from it", said
+    )
+    assert (
+        commands.main(["modes", "two.toml"]) == 0
+        and "far from the drawn pose" in capsys.readouterr().out
+    )
     model = jb.read_model("two.toml")
-    assert float(model["compressor"].inertia[0, 0]) == 2.1 and float(model["fl"].stiffness[0]) == 6e4
-    (tmp_path / "apart.toml").write_text(TWO_MOUNTS.replace("[250, 180, -200]", "[2500, 180, -200]"))
+    assert (
+        float(model["compressor"].inertia[0, 0]) == 2.1 and float(model["fl"].stiffness[0]) == 6e4
+    )
+    (tmp_path / "apart.toml").write_text(
+        TWO_MOUNTS.replace("[250, 180, -200]", "[2500, 180, -200]")
+    )
     commands.main(["check", "apart.toml", "--set", "gravity=[0, 0, -9.81]"])
     said = capsys.readouterr().out
-    assert "bushing 'fl' is drawn 2.25 m apart" in said and "gravity is 0.00981 m/s2, not 9.7 to 9.9: is it in m/s2?" in said
+    assert (
+        "bushing 'fl' is drawn 2.25 m apart" in said
+        and "gravity is 0.00981 m/s2, not 9.7 to 9.9: is it in m/s2?" in said
+    )

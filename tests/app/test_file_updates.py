@@ -1,4 +1,5 @@
-"""New numbers in a file: read again to the bit, in the units that stood there, with every comment."""
+"""New numbers in a file: read again to the bit, in the units that stood there, with
+every comment."""
 
 import json
 import re
@@ -44,8 +45,14 @@ stiffness = "200, 200, 400 N/mm"   # three directions
 
 def space_of_all(model, kept=lambda leaf: True):
     """A space in which every number of a model is free but unit vectors."""
-    leaves = [leaf for leaf in leaves_of(model) if leaf.kind.domain not in ("direction", "rotation") and kept(leaf)]
-    return SimpleNamespace(model=model, parameters=[SimpleNamespace(places=[("", leaf)]) for leaf in leaves])
+    leaves = [
+        leaf
+        for leaf in leaves_of(model)
+        if leaf.kind.domain not in ("direction", "rotation") and kept(leaf)
+    ]
+    return SimpleNamespace(
+        model=model, parameters=[SimpleNamespace(places=[("", leaf)]) for leaf in leaves]
+    )
 
 
 def changed(model):
@@ -59,7 +66,9 @@ def check_update(path, space, model, rounding=0.0):
     again = jb.read_model(path)
     expected, found = jax.tree.leaves(model), jax.tree.leaves(again)
     for (_, leaf), *_ in [parameter.places for parameter in space.parameters]:
-        np.testing.assert_allclose(leaf.read(found), leaf.read(expected), rtol=rounding, atol=0, err_msg=leaf.path)
+        np.testing.assert_allclose(
+            leaf.read(found), leaf.read(expected), rtol=rounding, atol=0, err_msg=leaf.path
+        )
     return before, path.read_text()
 
 
@@ -77,9 +86,26 @@ def test_units_comments_and_order_stay(tmp_path):
     path = tmp_path / "box.toml"
     path.write_text(BOX)
     model = jb.read_model(path)
-    stated = {"mass", "inertia", "position", "a", "b", "free_length", "stiffness", "coefficient", "gap", "bump", "rebound", "gravity"}
-    space = space_of_all(model, lambda leaf: leaf.field in stated and not leaf.path.startswith(("box.position", "right.b")))
-    before, after = check_update(path, space, changed(model), rounding=2.3e-16)  # not every double is one of centimeters
+    stated = {
+        "mass",
+        "inertia",
+        "position",
+        "a",
+        "b",
+        "free_length",
+        "stiffness",
+        "coefficient",
+        "gap",
+        "bump",
+        "rebound",
+        "gravity",
+    }
+    space = space_of_all(
+        model,
+        lambda leaf: leaf.field in stated and not leaf.path.startswith(("box.position", "right.b")),
+    )
+    # not every double is one of centimeters
+    before, after = check_update(path, space, changed(model), rounding=2.3e-16)
     number = r"-?\d[\d.e+-]*"
     assert re.sub(number, "#", before.replace(" 0,", " 0.0,")) == re.sub(number, "#", after)
     assert 'spring = ["21.0659' in after and "[0.0, " not in after
@@ -87,14 +113,25 @@ def test_units_comments_and_order_stay(tmp_path):
 
 def test_terms_of_a_sum_have_their_own_places(tmp_path):
     path = tmp_path / "box.toml"
-    path.write_text(BOX.replace('gap = "8 mm", stiffness = "3 kN/mm"}]', 'gap = "8 mm", stiffness = "3 kN/mm"}, "4 N/mm"]'))
+    path.write_text(
+        BOX.replace(
+            'gap = "8 mm", stiffness = "3 kN/mm"}]',
+            'gap = "8 mm", stiffness = "3 kN/mm"}, "4 N/mm"]',
+        )
+    )
     model = jb.read_model(path)
-    wanted = [f"left.spring.terms.{i}.{name}" for i, name in ((0, "coefficient"), (1, "gap"), (1, "stiffness"), (2, "coefficient"))]
+    wanted = [
+        f"left.spring.terms.{i}.{name}"
+        for i, name in ((0, "coefficient"), (1, "gap"), (1, "stiffness"), (2, "coefficient"))
+    ]
     space = space_of_all(model, lambda leaf: leaf.path in wanted)
     assert len(space.parameters) == 4
     check_update(path, space, changed(model), rounding=2.3e-16)
     path.write_text(
-        BOX.replace('spring = ["21 N/mm",               # catalogue', 'spring = [{type = "Linear", coefficient = "1 N/m"}, "21 N/mm",')
+        BOX.replace(
+            'spring = ["21 N/mm",               # catalogue',
+            'spring = [{type = "Linear", coefficient = "1 N/m"}, "21 N/mm",',
+        )
     )
     model = jb.read_model(path)
     space = space_of_all(model, lambda leaf: leaf.path == "left.spring.terms.1.coefficient")
@@ -103,15 +140,30 @@ def test_terms_of_a_sum_have_their_own_places(tmp_path):
 
 def test_numbers_of_a_unit_system_stay_in_it(tmp_path):
     path = tmp_path / "box.toml"
-    text = BOX.replace("jaxbody = 1", 'jaxbody = 1\nunits = {length = "mm", mass = "kg", force = "N", time = "s", angle = "deg"}')
-    path.write_text(text.replace('"21 N/mm"', "21").replace('"200, 200, 400 N/mm"', "[200, 200, 400]").replace('"2 kg"', "2"))
+    text = BOX.replace(
+        "jaxbody = 1",
+        'jaxbody = 1\nunits = {length = "mm", mass = "kg", force = "N", time = "s", angle = "deg"}',
+    )
+    path.write_text(
+        text.replace('"21 N/mm"', "21")
+        .replace('"200, 200, 400 N/mm"', "[200, 200, 400]")
+        .replace('"2 kg"', "2")
+    )
     model = jb.read_model(path)
     stated = {"mass", "stiffness", "coefficient"}
-    check_update(path, space_of_all(model, lambda leaf: leaf.field in stated and "rotation" not in leaf.path), changed(model))
+    check_update(
+        path,
+        space_of_all(model, lambda leaf: leaf.field in stated and "rotation" not in leaf.path),
+        changed(model),
+    )
     factor = 1.0 + np.pi * 1e-3
     values = read_document(path).values
     np.testing.assert_allclose(values["elements"]["left"]["spring"][0], 21 * factor, rtol=1e-14)
-    np.testing.assert_allclose(values["elements"]["right"]["stiffness"], [200 * factor, 200 * factor, 400 * factor], rtol=1e-14)
+    np.testing.assert_allclose(
+        values["elements"]["right"]["stiffness"],
+        [200 * factor, 200 * factor, 400 * factor],
+        rtol=1e-14,
+    )
     np.testing.assert_allclose(values["bodies"]["box"]["mass"], 2 * factor, rtol=1e-14)
 
 
@@ -120,6 +172,13 @@ def test_what_stands_in_another_file_is_named(tmp_path):
     path = tmp_path / "box.toml"
     path.write_text(BOX.replace('["21 N/mm",', '[{type = "Table", file = "curve.csv"},'))
     model = jb.read_model(path)
-    space = space_of_all(model, lambda leaf: leaf.path in ("left.spring.terms.0.forces", "box.mass"))
-    assert update(path, read_document(path), space, {"": changed(model)}) == ["left.spring.terms.0.forces"]
-    assert "curve.csv" in path.read_text() and jb.read_model(path)["box"].mass == changed(model)["box"].mass
+    space = space_of_all(
+        model, lambda leaf: leaf.path in ("left.spring.terms.0.forces", "box.mass")
+    )
+    assert update(path, read_document(path), space, {"": changed(model)}) == [
+        "left.spring.terms.0.forces"
+    ]
+    assert (
+        "curve.csv" in path.read_text()
+        and jb.read_model(path)["box"].mass == changed(model)["box"].mass
+    )

@@ -1,4 +1,5 @@
-"""Pages of the manual: their code runs and prints what they show; their model file and commands work; names that they mention exist."""
+"""Pages of the manual: their code runs and prints what they show; their model file and commands
+work; names that they mention exist."""
 
 import re
 import shlex
@@ -10,7 +11,11 @@ import pytest
 import jaxbody as jb
 from jaxbody.app import commands
 
-PAGES = sorted(path for path in manual_pages.DOCS.rglob("*.md") if not path.is_relative_to(manual_pages.DOCS / "generated"))
+PAGES = sorted(
+    path
+    for path in manual_pages.DOCS.rglob("*.md")
+    if not path.is_relative_to(manual_pages.DOCS / "generated")
+)
 RUNNING = [path for path in PAGES if manual_pages.blocks(path)]
 
 
@@ -28,8 +33,12 @@ def test_a_page_prints_what_it_shows(page):
 
 def test_the_guide_and_every_kind_of_extension_run():
     names = {label(page) for page in RUNNING}
-    assert {f"guide/{name}" for name in ("build", "settle", "shake", "fit", "trust", "tune", "scale")} <= names
-    assert {f"extending/{name}" for name in ("law", "element", "joint", "sensor", "motion")} <= names
+    assert {
+        f"guide/{name}" for name in ("build", "settle", "shake", "fit", "trust", "tune", "scale")
+    } <= names
+    assert {
+        f"extending/{name}" for name in ("law", "element", "joint", "sensor", "motion")
+    } <= names
 
 
 def test_a_page_that_shows_something_else_is_found():
@@ -42,7 +51,9 @@ def test_a_page_that_shows_something_else_is_found():
 
 @pytest.mark.parametrize("page", PAGES, ids=label)
 def test_names_of_the_package_that_a_page_mentions_exist(page):
-    for name in re.findall(r"\bjb\.([A-Za-z_][A-Za-z_0-9]*(?:\.[A-Za-z_][A-Za-z_0-9]*)?)", page.read_text()):
+    for name in re.findall(
+        r"\bjb\.([A-Za-z_][A-Za-z_0-9]*(?:\.[A-Za-z_][A-Za-z_0-9]*)?)", page.read_text()
+    ):
         found = jb
         for part in name.split("."):
             found = getattr(found, part)
@@ -51,7 +62,8 @@ def test_names_of_the_package_that_a_page_mentions_exist(page):
 def fenced(page, kind):
     text = (manual_pages.DOCS / "guide" / page).read_text()
     bodies = re.findall(rf"^```{re.escape(kind)}\n(.*?)^```", text, re.M | re.S)
-    return [re.sub(r"^:.*\n", "", body, flags=re.M) for body in bodies]  # without options of the directive
+    # without options of the directive
+    return [re.sub(r"^:.*\n", "", body, flags=re.M) for body in bodies]
 
 
 def test_all_commands_are_in_the_table(capsys):
@@ -63,35 +75,64 @@ def test_all_commands_are_in_the_table(capsys):
 
 @pytest.mark.long
 def test_the_model_file_and_its_commands(tmp_path, monkeypatch, capsys):
-    """The same model in Python has the same numbers; every command runs, and the fit finds the mass with which the record was made."""
+    """The same model in Python has the same numbers; every command runs, and the fit finds the mass
+    with which the record was made."""
     monkeypatch.chdir(tmp_path)
     model_text, study_text = fenced("files.md", "{code-block} toml")
     (tmp_path / "engine.toml").write_text(model_text)
-    ends = {side: (("engine", [0, y, -0.1]), ("frame", [0, y, 0])) for side, y in (("left", 0.25), ("right", -0.25))}
-    bushings = {side: jb.Bushing(*points, stiffness=[2e5, 2e5, 4e5]) for side, points in ends.items()}
+    ends = {
+        side: (("engine", [0, y, -0.1]), ("frame", [0, y, 0]))
+        for side, y in (("left", 0.25), ("right", -0.25))
+    }
+    bushings = {
+        side: jb.Bushing(*points, stiffness=[2e5, 2e5, 4e5]) for side, points in ends.items()
+    }
     spring = jb.laws.Linear(6e4) + jb.laws.Stop(gap=0.015, stiffness=2e6)
     damper = jb.laws.TwoSided(bump=900.0, rebound=2100.0)
-    strut = jb.SpringDamper(("engine", [0.3, 0, -0.1]), ("frame", [0.3, 0, -0.4]), spring=spring, damper=damper, free_length=0.4)
+    strut = jb.SpringDamper(
+        ("engine", [0.3, 0, -0.1]),
+        ("frame", [0.3, 0, -0.4]),
+        spring=spring,
+        damper=damper,
+        free_length=0.4,
+    )
     body, frame = jb.Body(180.0, [8, 12, 10], position=[0, 0, 0.6]), jb.Support([0, 0, 0.5])
     elements = {**bushings, "strut": strut}
-    model = jb.Model(bodies={"engine": body}, supports={"frame": frame}, elements=elements, gravity=[0, 0, -9.81])
+    model = jb.Model(
+        bodies={"engine": body}, supports={"frame": frame}, elements=elements, gravity=[0, 0, -9.81]
+    )
     read = jb.read_model("engine.toml")
-    assert all(np.allclose(x, jb.paths(model)[path], rtol=1e-15, atol=0) for path, x in jb.paths(read).items())
+    assert all(
+        np.allclose(x, jb.paths(model)[path], rtol=1e-15, atol=0)
+        for path, x in jb.paths(read).items()
+    )
     new, plain, study = (block.splitlines() for block in fenced("commands.md", "sh"))
-    assert [line.split()[1] for line in new] == ["new", "check", "modes"] and len(plain) == 4 and len(study) == 3
+    assert (
+        [line.split()[1] for line in new] == ["new", "check", "modes"]
+        and len(plain) == 4
+        and len(study) == 3
+    )
     for line in plain:
         assert commands.main(shlex.split(line)[1:]) == 0 and capsys.readouterr().out
     assert (tmp_path / "modes.csv").exists() and (tmp_path / "response.png").exists()
     times = np.arange(100) / 200
     base = np.stack([0 * times, 0 * times, 1e-3 * np.sin(2 * np.pi * 6 * times) ** 2], 1)
     heavier = jb.replace(read, {"engine.mass": 200.0})
-    run = jb.simulate(heavier, times, motion={"frame": jb.Sampled(times, translation=base)}, initial="rest")
+    run = jb.simulate(
+        heavier, times, motion={"frame": jb.Sampled(times, translation=base)}, initial="rest"
+    )
     noise = np.random.default_rng(0).normal(0, 0.05, 100)
-    lift = np.asarray(jb.measure(run, {"lift": jb.Acceleration("engine", axis="z")})["lift"]) + noise
-    rows = [",".join(map(repr, row)) for row in np.stack([times, lift / 9.80665, 1e3 * base[:, 2]], 1).tolist()]
+    lift = (
+        np.asarray(jb.measure(run, {"lift": jb.Acceleration("engine", axis="z")})["lift"]) + noise
+    )
+    rows = [
+        ",".join(map(repr, row))
+        for row in np.stack([times, lift / 9.80665, 1e3 * base[:, 2]], 1).tolist()
+    ]
     (tmp_path / "test.csv").write_text("\n".join(["t [s],a [g],base [mm]", *rows]))
     (tmp_path / "engine.toml").write_text(model_text + study_text)
     for line in study:
         assert commands.main(shlex.split(line)[1:]) == 0 and capsys.readouterr().out
-    assert abs(float(jb.read_model("engine.toml")["engine"].mass) - 200) < 2  # noise of 0.05 in accelerations of about 1 m/s2
+    # noise of 0.05 in accelerations of about 1 m/s2
+    assert abs(float(jb.read_model("engine.toml")["engine"].mass) - 200) < 2
     assert (tmp_path / "design.csv").exists() and (tmp_path / "engine.html").exists()

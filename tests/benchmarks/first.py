@@ -1,9 +1,11 @@
-"""First results of fresh processes, compared with an earlier commit: `python tests/benchmarks/first.py 4bdcbdb`.
+"""First results of fresh processes, compared with an earlier commit: `python
+tests/benchmarks/first.py 4bdcbdb`.
 
-Each job runs in new processes of both versions, in turn, each with an environment and a script of its own, and of this version twice more
-with programs kept on disk, of which the second counts. Processor time, that of child processes included, so that neither threads nor
-other work on the machine change it much; ratios of medians decide. The floor is a plate in hand-written JAX, with XLA's default options
-and with those that jaxbody uses.
+Each job runs in new processes of both versions, in turn, each with an environment and a script of
+its own, and of this version twice more with programs kept on disk, of which the second counts.
+Processor time, that of child processes included, so that neither threads nor other work on the
+machine change it much; ratios of medians decide. The floor is a plate in hand-written JAX, with
+XLA's default options and with those that jaxbody uses.
 """
 
 import argparse
@@ -51,7 +53,7 @@ def record():
 guess = jb.replace(car, {"suspension.stiffness": 1.2 * float(car["suspension"].stiffness)})
 def comfort(model):
     return {"acceleration": ride(model)["body"], "stiffness": model["suspension"].stiffness}
-"""
+"""  # noqa: E501
 END = "\nprint(json.dumps([spent() - begin, result]))"
 JOBS = {  # after the imports of jax and diffrax; the result is compared
     "equilibrium and frequencies": "result = float(first(car))",
@@ -59,10 +61,14 @@ JOBS = {  # after the imports of jax and diffrax; the result is compared
     "random response": 'result = float(ride(car)["body"])',
     "frequencies of an engine on bushings": "result = float(first(jb.presets.engine_on_mounts()))",
     "gradient of a frequency": 'result = float(jit(jax.grad(first))(car)["suspension"].stiffness)',
-    "gradient of a comfort value": 'result = float(jit(jax.grad(lambda model: ride(model)["body"]))(car)["suspension"].stiffness)',
+    "gradient of a comfort value": (
+        "result = float(jit(jax.grad(lambda model: "
+        'ride(model)["body"]))(car)["suspension"].stiffness)'
+    ),
     "vmap of five frequencies": (
         'k = float(car["suspension"].stiffness) * np.linspace(0.8, 1.2, 5)\n'
-        'result = float(jit(jax.vmap(lambda k: first(jb.replace(car, {"suspension.stiffness": k}))))(k)[4])'
+        "result = float(jit(jax.vmap(lambda k: first(jb.replace(car, "
+        '{"suspension.stiffness": k}))))(k)[4])'
     ),
     "fit by optax": (
         "import optax\n"
@@ -70,17 +76,20 @@ JOBS = {  # after the imports of jax and diffrax; the result is compared
         'result = float(fit.estimates["suspension.stiffness"])'
     ),
     "fit by least squares": (
-        'fit = jb.fit(guess, record(), free=["suspension.stiffness"])\nresult = float(fit.estimates["suspension.stiffness"])'
+        'fit = jb.fit(guess, record(), free=["suspension.stiffness"])\n'
+        'result = float(fit.estimates["suspension.stiffness"])'
     ),
     "tune of a quarter car": (
         'stiffness = float(car["suspension"].stiffness)\n'
         'limits = {"stiffness": (0.8 * stiffness, None)}\n'
-        'design = jb.tune(car, comfort, free=["suspension.stiffness"], minimize="acceleration", limits=limits)\n'
+        'design = jb.tune(car, comfort, free=["suspension.stiffness"], '
+        'minimize="acceleration", limits=limits)\n'
         'result = float(design.values["suspension.stiffness"])'
     ),
 }
 
-# One plate on three springs that pull and bend nothing: V(q) = sum k (|r_a - r_b| - L)^2/2 + m g y, q = (p, rotation vector).
+# One plate on three springs that pull and bend nothing: V(q) = sum k (|r_a - r_b| - L)^2/2 + m g y,
+# q = (p, rotation vector).
 FLOOR = """
 m, g, l = 3.0, 9.81, 0.7
 k0, I = jnp.array([m * g / l, m * g / l, 120.0]), jnp.diag(jnp.array([0.3, 0.9, 1.2]))
@@ -139,7 +148,7 @@ begin = spent()
 function, options = {function}, {options}
 value = jax.block_until_ready(jax.jit(function, compiler_options=options)(k0))
 result = float(jnp.sum(value))
-"""
+"""  # noqa: E501
 SAME = """
 import jaxbody as jb
 l, m, g = 0.7, 3.0, 9.81
@@ -152,13 +161,17 @@ model = jb.Model(
 )
 first = lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
 begin = spent()
-"""
+"""  # noqa: E501
 FLOORS = {
     "frequency": "result = float(first(model))",
-    "slope": 's = jax.grad(first)(model)\nresult = float(sum(s[name].stiffness for name in ("AB", "CD", "EF")))',
+    "slope": (
+        "s = jax.grad(first)(model)\nresult = float(sum(s[name].stiffness for name in "
+        '("AB", "CD", "EF")))'
+    ),
     "motion": (
         'moved = {"base": jb.Harmonic(frequency=5.0 / (2 * np.pi), translation=[0.01, 0, 0])}\n'
-        "result = float(jb.simulate(model, np.arange(2501) * 2e-3, motion=moved).poses['plate'].p[1:, 0].sum())"
+        "result = float(jb.simulate(model, np.arange(2501) * 2e-3, "
+        "motion=moved).poses['plate'].p[1:, 0].sum())"
     ),
 }
 CLOSE = {"frequency": 1e-9, "slope": 1e-7, "motion": 1e-8}
@@ -166,15 +179,27 @@ CLOSE = {"frequency": 1e-9, "slope": 1e-7, "motion": 1e-8}
 
 def seconds(python: Path, script: str, **environment: str) -> tuple[float, float]:
     hidden = {"JAX_COMPILATION_CACHE_DIR", "XLA_FLAGS", "PYTHONPATH"}
-    clean = {name: value for name, value in os.environ.items() if name not in hidden} | environment | {"MPLBACKEND": "Agg"}
-    done = subprocess.run([python, "-c", script], capture_output=True, text=True, timeout=900, env=clean, cwd=tempfile.gettempdir())
+    clean = (
+        {name: value for name, value in os.environ.items() if name not in hidden}
+        | environment
+        | {"MPLBACKEND": "Agg"}
+    )
+    done = subprocess.run(
+        [python, "-c", script],
+        capture_output=True,
+        text=True,
+        timeout=900,
+        env=clean,
+        cwd=tempfile.gettempdir(),
+    )
     if done.returncode:
         raise RuntimeError(done.stderr[-2000:])
     return tuple(json.loads(done.stdout.splitlines()[-1]))
 
 
 def whole(command: str) -> str:
-    """A process that runs another one and prints its processor time, and the time by the clock to its first table."""
+    """A process that runs another one and prints its processor time, and the time by the clock to
+    its first table."""
     return f"""
 import json, os, subprocess, sys, time
 begin = time.perf_counter()
@@ -191,8 +216,13 @@ print(json.dumps([sum(os.times()[2:4]), first]))
 def script_of(job: str, source: Path) -> str:
     """Of the version with this source."""
     if job == README:
-        kept = 'import os, jaxbody; os.environ.get("KEPT") and jaxbody.keep_programs(os.environ["KEPT"])\n'
-        return whole(f"[sys.executable, '-c', {kept + (source / 'examples' / 'contract.py').read_text()!r}]")
+        kept = (
+            'import os, jaxbody; os.environ.get("KEPT") and '
+            'jaxbody.keep_programs(os.environ["KEPT"])\n'
+        )
+        return whole(
+            f"[sys.executable, '-c', {kept + (source / 'examples' / 'contract.py').read_text()!r}]"
+        )
     if job == DEMO:
         code = """import importlib.metadata, sys
 sys.argv = ['jaxbody', 'demo', '--out', sys.argv[1]]
@@ -215,12 +245,19 @@ def environment(folder: Path, python: str, name: str, source: Path) -> Path:
 def compare(python: str, folder: Path, commit: str, rounds: int, jobs: list[str]) -> Path:
     """Compare the jobs, and return the Python with the present jaxbody."""
     version = subprocess.run(
-        [python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"], capture_output=True, text=True
+        [python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"],
+        capture_output=True,
+        text=True,
     ).stdout.strip()
     before = folder / "before"
     if not before.exists():
-        subprocess.run(["git", "-C", ROOT, "worktree", "add", "--detach", before, commit], check=True)
-    old, new = environment(folder, python, f"{version}-before", before), environment(folder, python, f"{version}-now", ROOT)
+        subprocess.run(
+            ["git", "-C", ROOT, "worktree", "add", "--detach", before, commit], check=True
+        )
+    old, new = (
+        environment(folder, python, f"{version}-before", before),
+        environment(folder, python, f"{version}-now", ROOT),
+    )
     print(f"\nPython {version}: processor seconds before, now, kept; ratios", flush=True)
     for job in jobs:
         earlier, script, times = script_of(job, before), script_of(job, ROOT), ([], [], [])
@@ -243,25 +280,44 @@ def compare(python: str, folder: Path, commit: str, rounds: int, jobs: list[str]
 
 
 def floor(python: Path, rounds: int) -> None:
-    print("\nOne plate: jaxbody, floor with XLA's defaults, floor with jaxbody's options; ratio at equal options", flush=True)
+    print(
+        "\nOne plate: jaxbody, floor with XLA's defaults, floor with jaxbody's options; "
+        "ratio at equal options",
+        flush=True,
+    )
     unoptimized = '{"xla_backend_optimization_level": 0, "xla_cpu_parallel_codegen_split_count": 1}'
     for name, job in FLOORS.items():
         scripts = [BEGIN + SAME + job + END]
-        scripts += [BEGIN + FLOOR.replace("{function}", name).replace("{options}", o) + END for o in ("None", unoptimized)]
+        scripts += [
+            BEGIN + FLOOR.replace("{function}", name).replace("{options}", o) + END
+            for o in ("None", unoptimized)
+        ]
         runs = [[seconds(python, script) for script in scripts] for _ in range(rounds)]
         ours, theirs = runs[0][0][1], runs[0][1][1]
         assert abs(ours - theirs) <= CLOSE[name] * abs(theirs), (name, ours, theirs)
         medians = [statistics.median(run[i][0] for run in runs) for i in range(3)]
         equal = medians[1] if name == "motion" else medians[2]  # motions are optimized
-        print(f"{name:12} {medians[0]:6.2f} {medians[1]:6.2f} {medians[2]:6.2f}   {medians[0] / equal:.2f}", flush=True)
+        print(
+            f"{name:12} {medians[0]:6.2f} {medians[1]:6.2f} {medians[2]:6.2f}   "
+            f"{medians[0] / equal:.2f}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("commit", help="the earlier version")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--python", nargs="+", default=[sys.executable], help="interpreters to make environments of")
-    parser.add_argument("--folder", type=Path, help="folder of the environments, kept for another time; by default a new one")
+    parser.add_argument(
+        "--python", nargs="+", default=[sys.executable], help="interpreters to make environments of"
+    )
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        help="folder of the environments, kept for another time; by default a new one",
+    )
     parser.add_argument("--jobs", nargs="+", default=[README, DEMO, *JOBS], help="some of the jobs")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -270,4 +326,6 @@ if __name__ == "__main__":
         for python in given.python:
             floor(compare(python, folder, given.commit, given.rounds, given.jobs), given.rounds)
         if given.folder is None:
-            subprocess.run(["git", "-C", ROOT, "worktree", "remove", "--force", folder / "before"], check=True)
+            subprocess.run(
+                ["git", "-C", ROOT, "worktree", "remove", "--force", folder / "before"], check=True
+            )

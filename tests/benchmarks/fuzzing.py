@@ -1,10 +1,12 @@
-"""Model files, data sheets and records with characters, words and values changed: each is read, or ends in a clear error, soon.
+"""Model files, data sheets and records with characters, words and values changed: each is read, or
+ends in a clear error, soon.
 
     python tests/benchmarks/fuzzing.py [--files N] [--seed S]
 
-N changed files of each kind, made from ready models: TOML and JSON, MJCF, data sheets of mounts, hard points, records. A file that raises
-anything but a JaxbodyError, a message of more than twelve lines, or a file that takes more than SECONDS of the processor ends the run with
-exit code 1. The table goes to fuzzing.md.
+N changed files of each kind, made from ready models: TOML and JSON, MJCF, data sheets of mounts,
+hard points, records. A file that raises anything but a JaxbodyError, a message of more than twelve
+lines, or a file that takes more than SECONDS of the processor ends the run with exit code 1. The
+table goes to fuzzing.md.
 """
 
 import argparse
@@ -39,7 +41,14 @@ BODIES = {"engine": jb.Body(180.0, [9, 12, 7]), "frame": jb.Support()}
 
 def sources(folder: Path) -> dict:
     """{kind: (paths of good files, how they are read)}."""
-    models = {make.__name__: make() for make in (jb.presets.quarter_car, jb.presets.engine_on_mounts, jb.presets.double_pendulum)}
+    models = {
+        make.__name__: make()
+        for make in (
+            jb.presets.quarter_car,
+            jb.presets.engine_on_mounts,
+            jb.presets.double_pendulum,
+        )
+    }
     toml, mjcf = ([folder / f"{name}{ending}" for name in models] for ending in (".toml", ".xml"))
     for model, path in zip(models.values(), toml, strict=True):
         jb.write_model(model, path)
@@ -48,7 +57,10 @@ def sources(folder: Path) -> dict:
         jb.write_mjcf(models[path.stem], path)
     times = 0.01 * np.arange(60)
     record = folder / "run.csv"
-    record.write_text("t [s],a [m/s2]\n" + "".join(f"{t:.3f},{x:.6f}\n" for t, x in zip(times, np.sin(20 * times), strict=True)))
+    record.write_text(
+        "t [s],a [m/s2]\n"
+        + "".join(f"{t:.3f},{x:.6f}\n" for t, x in zip(times, np.sin(20 * times), strict=True))
+    )
     mounts, points = folder / "mounts.csv", folder / "points.csv"
     mounts.write_text(MOUNTS)
     points.write_text(POINTS)
@@ -56,14 +68,22 @@ def sources(folder: Path) -> dict:
         "model files, TOML": (toml, jb.read_model, changed_text),
         "model files, JSON": (toml, jb.read_model, changed_value),
         "MJCF": (mjcf, jb.read_mjcf, changed_text),
-        "data sheets of mounts": ([mounts], lambda path: jb.read_mounts(path, BODIES), changed_text),
+        "data sheets of mounts": (
+            [mounts],
+            lambda path: jb.read_mounts(path, BODIES),
+            changed_text,
+        ),
         "hard points": ([points], jb.read_hard_points, changed_text),
-        "records": ([record], lambda path: jb.read_record(path, time="t", channels={"a": "a"}), changed_text),
+        "records": (
+            [record],
+            lambda path: jb.read_record(path, time="t", channels={"a": "a"}),
+            changed_text,
+        ),
     }
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--files", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
@@ -88,13 +108,22 @@ def main() -> int:
                 slowest = max(slowest, time.process_time() - start)
             grown = _memory() - before
             bad += (slowest > SECONDS) + (grown > MEMORY)
-            rows.append(f"| {kind} | {options.files} | {good} | {options.files - good} | {1e3 * slowest:.0f} | {grown / 1e6:.0f} |")
+            rows.append(
+                f"| {kind} | {options.files} | {good} | {options.files - good} | "
+                f"{1e3 * slowest:.0f} | {grown / 1e6:.0f} |"
+            )
             print(rows[-1], flush=True)
     text = [
         "# Changed files\n",
-        f"`python tests/benchmarks/fuzzing.py --files {options.files} --seed {options.seed}`, {datetime.date.today()},",
+        (
+            f"`python tests/benchmarks/fuzzing.py --files {options.files} --seed {options.seed}`, "
+            f"{datetime.date.today()},"
+        ),
         f"jaxbody {jb.__version__}.",
-        f"Not read, and without a clear error: {bad}. Limits: {SECONDS:g} s a file, {MEMORY / 1e6:g} MB.\n",
+        (
+            f"Not read, and without a clear error: {bad}. Limits: {SECONDS:g} s a file, "
+            f"{MEMORY / 1e6:g} MB.\n"
+        ),
         "| kind | files | read | clear errors | slowest [ms] | memory [MB] |",
         "|---|---|---|---|---|---|",
         *rows,

@@ -1,8 +1,9 @@
-"""Many bodies with many elements: compile time, and time per step, which must be linear in the number of elements.
+"""Many bodies with many elements: compile time, and time per step, which must be linear in the
+number of elements.
 
-`python tests/benchmarks/many.py` simulates chains of 5 to 50 bodies with four elements each, springs and struts with laws, on a moving
-base with constant steps. The table compares the ratio of the time per step to that of the smallest chain with the ratio of the numbers of
-elements.
+`python tests/benchmarks/many.py` simulates chains of 5 to 50 bodies with four elements each,
+springs and struts with laws, on a moving base with constant steps. The table compares the ratio of
+the time per step to that of the smallest chain with the ratio of the numbers of elements.
 """
 
 import time
@@ -20,20 +21,31 @@ STEPS, ROUNDS = 200, 7
 
 
 def chain(n):
-    """n bodies, each on four elements from the one below (the first from the base): two springs, two struts."""
+    """n bodies, each on four elements from the one below (the first from the base): two springs,
+    two struts."""
     rng = np.random.default_rng(0)
-    bodies = {f"b{i}": jb.Body(mass=2.0, inertia=[0.02, 0.03, 0.04], position=[0, 0, 0.5 * (i + 1)]) for i in range(n)}
+    bodies = {
+        f"b{i}": jb.Body(mass=2.0, inertia=[0.02, 0.03, 0.04], position=[0, 0, 0.5 * (i + 1)])
+        for i in range(n)
+    }
     elements = {}
     for i in range(n):
         below = f"b{i - 1}" if i else "base"
         for j, (x, y) in enumerate([(0.2, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.2, -0.2)]):
-            ends = (f"b{i}", [x, y, 0]), (below, [x + 0.1 * rng.normal(), y + 0.1 * rng.normal(), 0])
+            ends = (
+                (f"b{i}", [x, y, 0]),
+                (below, [x + 0.1 * rng.normal(), y + 0.1 * rng.normal(), 0]),
+            )
             if j < 2:
                 elements[f"e{i}{j}"] = jb.Spring(*ends, stiffness=2e4, free_length=0.5, damping=5.0)
             else:
                 law = laws.Polynomial([2e4, 0.0, 1e6])
-                elements[f"e{i}{j}"] = jb.SpringDamper(*ends, spring=law, damper=laws.TwoSided(bump=4.0, rebound=8.0), free_length=0.5)
-    return jb.Model(bodies=bodies, supports={"base": jb.Support()}, elements=elements, gravity=[0, 0, -9.81])
+                elements[f"e{i}{j}"] = jb.SpringDamper(
+                    *ends, spring=law, damper=laws.TwoSided(bump=4.0, rebound=8.0), free_length=0.5
+                )
+    return jb.Model(
+        bodies=bodies, supports={"base": jb.Support()}, elements=elements, gravity=[0, 0, -9.81]
+    )
 
 
 def main():
@@ -45,7 +57,9 @@ def main():
 
         @jax.jit
         def run(model):
-            options = dict(solver=diffrax.Dopri8(), stepsize_controller=diffrax.ConstantStepSize(), dt0=1e-4)
+            options = dict(
+                solver=diffrax.Dopri8(), stepsize_controller=diffrax.ConstantStepSize(), dt0=1e-4
+            )
             return jb.simulate(model, times, motion=motion, **options).state.q[-1]
 
         begin = time.perf_counter()
@@ -60,9 +74,15 @@ def main():
             run(model).block_until_ready()
             spent[n].append((time.perf_counter() - begin) / STEPS)
     per_step = {n: np.median(s) for n, s in spent.items()}
-    print(f"{'bodies':>8s}{'elements':>10s}{'first result [s]':>18s}{'per step [us]':>16s}{'ratio':>8s}{'elements':>10s}")
+    print(
+        f"{'bodies':>8s}{'elements':>10s}{'first result [s]':>18s}{'per step [us]':>16s}"
+        f"{'ratio':>8s}{'elements':>10s}"
+    )
     for n, m, first in rows:
-        print(f"{n:8d}{m:10d}{first:18.1f}{1e6 * per_step[n]:16.1f}{per_step[n] / per_step[5]:8.2f}{m / 20:10.2f}")
+        print(
+            f"{n:8d}{m:10d}{first:18.1f}{1e6 * per_step[n]:16.1f}{per_step[n] / per_step[5]:8.2f}"
+            f"{m / 20:10.2f}"
+        )
 
 
 if __name__ == "__main__":

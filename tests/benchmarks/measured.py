@@ -1,4 +1,5 @@
-"""The measurements of one process: T1 to T4 of a job with jaxbody's public functions, C and the peers; a first result; compile times."""
+"""The measurements of one process: T1 to T4 of a job with jaxbody's public functions, C and the
+peers; a first result; compile times."""
 
 import time
 from collections.abc import Callable
@@ -7,9 +8,15 @@ import numpy as np
 from job import TIMES, Job
 
 RTOL = {"plate": {"T1": 2e-4, "T2": 5e-4}, "three": {"T1": 2e-5, "T2": 2e-4}}
-STEP = {"plate": 0.1, "three": 0.04}  # of T3, seconds, constant as C's; errors are about half of those allowed
+# of T3, seconds, constant as C's; errors are about half of those allowed
+STEP = {"plate": 0.1, "three": 0.04}
 FEW = 50  # T3 and T4 are checked at every fiftieth set
-MEASURED_AGAINST = {"T1": "T1 C RK4", "T2": "T2 C dual numbers", "T3": "T3 C SIMD RK4", "T4": "T4 C scalar"}
+MEASURED_AGAINST = {
+    "T1": "T1 C RK4",
+    "T2": "T2 C dual numbers",
+    "T3": "T3 C SIMD RK4",
+    "T4": "T4 C scalar",
+}
 LIMITS = {"T1": 1e-6, "T2": 1e-4, "T3": 1e-6, "T4": 1e-9}  # errors allowed
 
 
@@ -62,7 +69,10 @@ def calls(job: Job) -> dict[str, Callable]:
     import jax
 
     written = user_functions(job)
-    k, k_1000, k_10000 = (jax.numpy.asarray(x) for x in (job.stiffness, job.several_stiffnesses(1000), job.several_stiffnesses(10000)))
+    k, k_1000, k_10000 = (
+        jax.numpy.asarray(x)
+        for x in (job.stiffness, job.several_stiffnesses(1000), job.several_stiffnesses(10000))
+    )
     target = jax.numpy.asarray(job.solution(job.true_stiffness))
     return {
         "T1": lambda: written["T1"](k),
@@ -81,7 +91,9 @@ def truth(job: Job, task: str) -> np.ndarray:
     if task == "T2":
         return references.gradient(job)
     if task == "T3":
-        return np.stack([job.solution(k, TIMES[[0, 100]])[-1] for k in job.several_stiffnesses(1000)[::FEW]])
+        return np.stack(
+            [job.solution(k, TIMES[[0, 100]])[-1] for k in job.several_stiffnesses(1000)[::FEW]]
+        )
     return references.frequencies(job, job.several_stiffnesses(10000)[::FEW])
 
 
@@ -123,7 +135,12 @@ def measure(job: Job, rounds: int, only: str, with_peers: bool) -> dict:
         errors[name] = error(job, task, result, truths[task])
     times = medians({name: functions[name] for name in chosen}, rounds)
     times = {name: ms * shares.get(name, 1.0) for name, ms in times.items()}
-    return {"first": {name: first[name] for name in LIMITS if name in first}, "errors": errors, "times": times, "skipped": skipped}
+    return {
+        "first": {name: first[name] for name in LIMITS if name in first},
+        "errors": errors,
+        "times": times,
+        "skipped": skipped,
+    }
 
 
 def medians(functions: dict[str, Callable], rounds: int) -> dict[str, float]:
@@ -142,7 +159,8 @@ def medians(functions: dict[str, Callable], rounds: int) -> dict[str, float]:
 
 
 def start(job: Job, what: str) -> dict:
-    """Seconds to a first result in this process, after the bare imports of jax and diffrax, and of these."""
+    """Seconds to a first result in this process, after the bare imports of jax and diffrax, and
+    of these."""
     importing = time.perf_counter()
     import diffrax  # noqa: F401
     import jax
@@ -153,7 +171,9 @@ def start(job: Job, what: str) -> dict:
 
     jit = jb.jit if what.endswith("jb.jit") else jax.jit
     if what == "motion":
-        jax.block_until_ready(jb.simulate(job.model(), TIMES, motion=job.motion(), rtol=RTOL[job.name]["T1"]).state.q)
+        jax.block_until_ready(
+            jb.simulate(job.model(), TIMES, motion=job.motion(), rtol=RTOL[job.name]["T1"]).state.q
+        )
     elif what == "frequencies":
         model = job.model()
         jax.block_until_ready(jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency)
@@ -166,8 +186,8 @@ def start(job: Job, what: str) -> dict:
 
 
 def compilation(job: Job, rounds: int = 3) -> dict:
-    """Seconds to trace and compile T1, T4 and the slope of the first frequency, for the job's springs and for 20 times as many; the least
-    of several."""
+    """Seconds to trace and compile T1, T4 and the slope of the first frequency, for the job's
+    springs and for 20 times as many; the least of several."""
     import jax
 
     jax.config.update("jax_enable_x64", True)

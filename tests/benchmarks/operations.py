@@ -1,7 +1,8 @@
 """Operations of the programs that first.py runs: `python tests/benchmarks/operations.py`.
 
-What a program costs to trace and to compile grows with them. Inner programs are opened and their calls not counted; a loop's body counts
-once, each branch too. A function that is called twice counts twice, as XLA compiles it twice.
+What a program costs to trace and to compile grows with them. Inner programs are opened and their
+calls not counted; a loop's body counts once, each branch too. A function that is called twice
+counts twice, as XLA compiles it twice.
 """
 
 import jax
@@ -38,14 +39,18 @@ def of_stiffness(function):
 
 PROGRAMS = {
     "equilibrium": of_stiffness(lambda model: jb.equilibrium(model).state.q),
-    "matrices about the reference": of_stiffness(lambda model: jb.linearize(model, model.reference).K),
+    "matrices about the reference": of_stiffness(
+        lambda model: jb.linearize(model, model.reference).K
+    ),
     "a frequency": of_stiffness(frequency),
     "its gradient": jax.grad(of_stiffness(frequency)),
     "a motion": of_stiffness(motion),
     "its gradient, forward": jax.jacfwd(of_stiffness(motion)),
     "a comfort value": of_stiffness(comfort),
     "gradient of a comfort value": jax.grad(of_stiffness(comfort)),
-    "frequency of an engine on bushings": lambda k: frequency(jb.replace(jb.presets.engine_on_mounts(), {"*.mass": k})),
+    "frequency of an engine on bushings": lambda k: frequency(
+        jb.replace(jb.presets.engine_on_mounts(), {"*.mass": k})
+    ),
 }
 
 
@@ -53,7 +58,11 @@ def operations(jaxpr) -> int:
     """The number of operations of a program and of those inside it."""
     count = 0
     for equation in getattr(jaxpr, "jaxpr", jaxpr).eqns:
-        inside = [x for x in jax.tree.leaves(list(equation.params.values()), is_leaf=is_program) if is_program(x)]
+        inside = [
+            x
+            for x in jax.tree.leaves(list(equation.params.values()), is_leaf=is_program)
+            if is_program(x)
+        ]
         count += sum(map(operations, inside)) if inside else 1
     return count
 

@@ -1,4 +1,5 @@
-"""Processor time of a tuning with compilation: mounts that decouple a powertrain, from 64 starts; under 20 s is expected."""
+"""Processor time of a tuning with compilation: mounts that decouple a powertrain, from 64 starts;
+under 20 s is expected."""
 
 import pathlib
 import sys
@@ -16,4 +17,7 @@ if __name__ == "__main__":
     _, result = rigs.decoupled_powertrain()
     spent = time.process_time() - begin[0], time.perf_counter() - begin[1]
     shares = result.runs.quantities["dominant"].min(-1)
-    print(f"{spent[0]:.1f} s of the processor, {spent[1]:.1f} s in all; median of the least dominant share {np.median(shares):.2f} %")
+    print(
+        f"{spent[0]:.1f} s of the processor, {spent[1]:.1f} s in all; median of the least "
+        f"dominant share {np.median(shares):.2f} %"
+    )

@@ -1,4 +1,5 @@
-"""Reference results of T2 and T4 from SciPy: the gradient by complex steps, frequencies by Newton's method and an eigenvalue solver."""
+"""Reference results of T2 and T4 from SciPy: the gradient by complex steps, frequencies by Newton's
+method and an eigenvalue solver."""
 
 from dataclasses import replace
 
@@ -8,7 +9,8 @@ from job import Job
 
 
 def gradient(job: Job) -> np.ndarray:
-    """Of the sum of squares to the target's path, for all stiffnesses; complex numbers pass through the equations of motion."""
+    """Of the sum of squares to the target's path, for all stiffnesses; complex numbers pass through
+    the equations of motion."""
     target, result = job.solution(job.true_stiffness, rtol=1e-10), []
     for i in range(len(job.stiffness)):
         step = 1e-30j * np.eye(len(job.stiffness))[i]
@@ -27,7 +29,8 @@ def frequencies(job: Job, stiffnesses: np.ndarray) -> np.ndarray:
         return (inertia * still.rate(0.0, y, k).reshape(-1, 13)[:, 7:]).ravel()
 
     def moved(y, step):
-        """Displaced by the first three of each body's six numbers, turned by the rest, to first order."""
+        """Displaced by the first three of each body's six numbers, turned by the rest, to
+        first order."""
         y, step = y.reshape(-1, 13) + 0 * step.sum(), step.reshape(-1, 6)
         (w, *v), half = y[:, 3:7].T, step[:, 3:].T / 2
         turn = [-np.sum(v * half, 0), *(w * half + np.cross(np.transpose(v), half.T).T)]
@@ -48,5 +51,8 @@ def frequencies(job: Job, stiffnesses: np.ndarray) -> np.ndarray:
             y = y.ravel()
         assert np.abs(force(k, y)).max() < 1e-9
         K = stiffness(k, y)
-        result.append(np.sqrt(scipy.linalg.eigh((K + K.T) / 2, np.diag(inertia.ravel()), eigvals_only=True)) / (2 * np.pi))
+        result.append(
+            np.sqrt(scipy.linalg.eigh((K + K.T) / 2, np.diag(inertia.ravel()), eigvals_only=True))
+            / (2 * np.pi)
+        )
     return np.array(result)

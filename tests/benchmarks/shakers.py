@@ -1,8 +1,9 @@
-"""Records of a machine on a shaker, fitted by `jaxbody fit FILE` without an option: truth inside 99 % intervals, or a status that says why.
+"""Records of a machine on a shaker, fitted by `jaxbody fit FILE` without an option: truth inside
+99 % intervals, or a status that says why.
 
-`python tests/benchmarks/shakers.py` writes `--count` text files of 2 to 60 s at 100 to 5000 Hz, in mm, ms and g, with a base that is clean
-or has noise of 0.02 mm, integrates the machine by SciPy, and fits stiffness and damping of its mount. `--write` puts the table into
-shakers.md.
+`python tests/benchmarks/shakers.py` writes `--count` text files of 2 to 60 s at 100 to 5000 Hz, in
+mm, ms and g, with a base that is clean or has noise of 0.02 mm, integrates the machine by SciPy,
+and fits stiffness and damping of its mount. `--write` puts the table into shakers.md.
 """
 
 import argparse
@@ -23,7 +24,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import shaken_machine
 
 SEED = 2026
-RUNS = [(2, 100), (10, 200), (2, 1000), (60, 100), (2, 5000), (30, 500), (10, 2000), (60, 5000)]  # [s], [Hz]
+# [s], [Hz]
+RUNS = [(2, 100), (10, 200), (2, 1000), (60, 100), (2, 5000), (30, 500), (10, 2000), (60, 5000)]
 FREE = ["mount.stiffness", "mount.damping"]
 BASE_NOISE = 2e-5  # [m]
 UNITS = ("ms", "s"), ("mm", "m"), ("g", "m/s2")
@@ -39,7 +41,11 @@ def write_case(folder, number):
     rows = shaken_machine.record(times, k, c, phases, BASE_NOISE * noisy, rng)
     units = [pair[rng.integers(2)] for pair in UNITS]
     words = f"{duration} s at {rate} Hz, {'noisy' if noisy else 'clean'} floor, {', '.join(units)}"
-    return shaken_machine.write_case(folder, rows, units), dict(zip(FREE, (k, c), strict=True)), words
+    return (
+        shaken_machine.write_case(folder, rows, units),
+        dict(zip(FREE, (k, c), strict=True)),
+        words,
+    )
 
 
 def fitted(path):
@@ -56,9 +62,11 @@ def inside(fit, truth, level=0.99):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--count", type=int, default=100, help="(default: 100)")
-    parser.add_argument("--longest", type=int, default=10**6, help="largest number of samples (default: 1e6)")
+    parser.add_argument(
+        "--longest", type=int, default=10**6, help="largest number of samples (default: 1e6)"
+    )
     parser.add_argument("--write", action="store_true", help="write shakers.md")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
@@ -74,17 +82,35 @@ def main():
         run += 1
         held, status = inside(fit, truth), jb.Status(int(fit.status)).name
         good += held or status != "OK"
-        errors = ", ".join(f"{(float(fit.estimates[p]) - x) / float(fit.standard_errors[p]):+.1f}" for p, x in truth.items())
-        rows.append(f"| {number} | {words} | {status} | {errors} | {'yes' if held else 'no'} | {', '.join(sorted(set(codes)))} |")
+        errors = ", ".join(
+            f"{(float(fit.estimates[p]) - x) / float(fit.standard_errors[p]):+.1f}"
+            for p, x in truth.items()
+        )
+        rows.append(
+            f"| {number} | {words} | {status} | {errors} | {'yes' if held else 'no'} | "
+            f"{', '.join(sorted(set(codes)))} |"
+        )
         print(rows[-1], f"{time.time() - begun:.0f} s", flush=True)
     lines = [
         "# Shaker records by `jaxbody fit FILE`",
         "",
-        f"`tests/benchmarks/shakers.py`, seed {SEED}, {datetime.date.today()}; {run} records of up to {options.longest} samples,",
-        f"stiffness and damping of a mount. Truth inside the 99 % intervals, or a status that says why: {good} of {run}.",
+        (
+            f"`tests/benchmarks/shakers.py`, seed {SEED}, {datetime.date.today()}; {run} records "
+            f"of up to {options.longest} samples,"
+        ),
+        (
+            "stiffness and damping of a mount. Truth inside the 99 % intervals, or a status that "
+            f"says why: {good} of {run}."
+        ),
         "",
-        "Where the floor's own record has noise, it acts as a force that the model lacks, the larger the faster it was sampled (0.02 mm at",
-        "5000 Hz are 0.2 m/s): NOISY_INPUT says so. Such a record of the floor must be filtered before it drives a model.",
+        (
+            "Where the floor's own record has noise, it acts as a force that the model lacks, the "
+            "larger the faster it was sampled (0.02 mm at"
+        ),
+        (
+            "5000 Hz are 0.2 m/s): NOISY_INPUT says so. Such a record of the floor must be "
+            "filtered before it drives a model."
+        ),
         "",
         "| number | record | status | errors in standard errors | inside | warnings |",
         "|---|---|---|---|---|---|",

@@ -1,8 +1,10 @@
-"""The speed of a shock spectrum against scipy.signal.lfilter, frequency by frequency: `python tests/benchmarks/shock_spectra.py`.
+"""The speed of a shock spectrum against scipy.signal.lfilter, frequency by frequency: `python
+tests/benchmarks/shock_spectra.py`.
 
-200 frequencies, 5 damping ratios, absolute acceleration of El Centro at its samples. SciPy's filter of each oscillator is the same
-recurrence (ramp invariant, ISO 18431-4); both compute their coefficients, in turn in one process. Exit code 1
-below the required ratio of the fastest rounds, which other programs on the machine disturb least.
+200 frequencies, 5 damping ratios, absolute acceleration of El Centro at its samples. SciPy's filter
+of each oscillator is the same recurrence (ramp invariant, ISO 18431-4); both compute their
+coefficients, in turn in one process. Exit code 1 below the required ratio of the fastest rounds,
+which other programs on the machine disturb least.
 """
 
 import statistics
@@ -25,7 +27,8 @@ FREQUENCIES, DAMPING = np.geomspace(0.1, 12.5, 200), (0.01, 0.02, 0.05, 0.1, 0.2
 
 
 def by_lfilter(a: np.ndarray, h: float) -> np.ndarray:
-    """One call for each oscillator, with the coefficients of ISO 18431-4 for the absolute acceleration."""
+    """One call for each oscillator, with the coefficients of ISO 18431-4 for the
+    absolute acceleration."""
     peaks = np.empty((len(DAMPING), len(FREQUENCIES)))
     for i, zeta in enumerate(DAMPING):
         for j, f in enumerate(FREQUENCIES):
@@ -55,7 +58,10 @@ def main() -> int:
     times = [(seconds(ours), seconds(lambda: by_lfilter(a, h))) for _ in range(ROUNDS)]
     for name, of in (("medians", statistics.median), ("fastest", min)):
         mine, scipy_ = (of(column) for column in zip(*times, strict=True))
-        print(f"{name}: jaxbody {1e3 * mine:.2f} ms, scipy.signal.lfilter {1e3 * scipy_:.2f} ms: ratio {scipy_ / mine:.1f}")
+        print(
+            f"{name}: jaxbody {1e3 * mine:.2f} ms, scipy.signal.lfilter {1e3 * scipy_:.2f} ms: "
+            f"ratio {scipy_ / mine:.1f}"
+        )
     print(f"largest relative difference {difference:.1e}")
     return scipy_ / mine < REQUIRED
 

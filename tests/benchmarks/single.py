@@ -1,4 +1,5 @@
-"""Float32 compared with float64 in time and accuracy for each task; `python single.py` runs each precision in its own process."""
+"""Float32 compared with float64 in time and accuracy for each task; `python single.py` runs each
+precision in its own process."""
 
 import argparse
 import functools
@@ -25,14 +26,22 @@ def measure(precision: int, folder: Path) -> None:
     import jaxbody as jb
 
     warnings.simplefilter("ignore", jb.JaxbodyWarning)
-    model, motion, number = JOB.model(), JOB.motion(), jnp.float64 if precision == 64 else jnp.float32
+    model, motion, number = (
+        JOB.model(),
+        JOB.motion(),
+        jnp.float64 if precision == 64 else jnp.float32,
+    )
 
     def path(k, times, rtol):
-        return jb.simulate(jb.replace(model, {"*.stiffness": k}), times, motion=motion, rtol=rtol).state.q
+        return jb.simulate(
+            jb.replace(model, {"*.stiffness": k}), times, motion=motion, rtol=rtol
+        ).state.q
 
     def frequencies(k):
         changed = jb.replace(model, {"*.stiffness": k})
-        return jb.modes(jb.linearize(changed, jb.equilibrium(changed)), allow_float32=True).frequency
+        return jb.modes(
+            jb.linearize(changed, jb.equilibrium(changed)), allow_float32=True
+        ).frequency
 
     tasks = {
         "T1": lambda rtol: jax.jit(lambda k: path(k, np.linspace(0, 10, 1001), rtol)),
@@ -42,7 +51,9 @@ def measure(precision: int, folder: Path) -> None:
     result, functions = {}, {}
     for task, tolerances in TOLERANCES.items():
         for rtol in tolerances if precision == 32 else tolerances[-1:]:
-            k = jnp.asarray(JOB.several_stiffnesses(SETS[task]) if task in SETS else JOB.stiffness, number)
+            k = jnp.asarray(
+                JOB.several_stiffnesses(SETS[task]) if task in SETS else JOB.stiffness, number
+            )
             function = tasks[task](rtol if precision == 32 else 1e-10)
             result[f"{task} {rtol:g}"] = np.asarray(jax.block_until_ready(function(k)), float)
             functions[f"{task} {rtol:g}"] = functools.partial(function, k)
@@ -57,15 +68,23 @@ def main() -> None:
         spent = {}
         for precision in (64, 32):
             given = [sys.executable, __file__, "--precision", str(precision), "--folder", folder]
-            spent[precision] = json.loads(subprocess.run(given, check=True, stdout=subprocess.PIPE).stdout.splitlines()[-1])
+            spent[precision] = json.loads(
+                subprocess.run(given, check=True, stdout=subprocess.PIPE).stdout.splitlines()[-1]
+            )
         exact, single = (np.load(Path(folder) / f"{precision}.npz") for precision in (64, 32))
-        print("| task, rtol | ms in float32 | ms in float64, rtol 1e-10 | largest error of float32 |\n|---|---|---|---|")
+        print(
+            "| task, rtol | ms in float32 | ms in float64, rtol 1e-10 | largest error of float32 "
+            "|\n|---|---|---|---|"
+        )
         for name in single.files:
             task = name.split()[0]
             (reference,) = (key for key in exact.files if key.startswith(task))
             error = np.abs(single[name] - exact[reference])
             error = (error / np.abs(exact[reference])).max() if task == "T4" else error.max()
-            print(f"| {name} | {spent[32][name]:.3g} | {spent[64][reference]:.3g} | {error:.1e}{' relative' if task == 'T4' else ''} |")
+            print(
+                f"| {name} | {spent[32][name]:.3g} | {spent[64][reference]:.3g} | "
+                f"{error:.1e}{' relative' if task == 'T4' else ''} |"
+            )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""The second job: three boxes held apart by fourteen spring-dampers under tension, eight to the shaking base and six between them."""
+"""The second job: three boxes held apart by fourteen spring-dampers under tension, eight to the
+shaking base and six between them."""
 
 import numpy as np
 from job import Job
@@ -20,7 +21,9 @@ SPRINGS = [
     (2, 0, [-0.17, -0.04, -0.05], [-0.07, 0.09, 0.15], 650, 0.443),
     (2, 0, [-0.01, -0.13, -0.13], [0.09, -0.1, 0.09], 850, 0.394),
 ]
-ONE, OTHER, A, B, STIFFNESS, FREE_LENGTH = (np.array(column) for column in zip(*SPRINGS, strict=True))
+ONE, OTHER, A, B, STIFFNESS, FREE_LENGTH = (
+    np.array(column) for column in zip(*SPRINGS, strict=True)
+)
 
 JOB = Job(
     name="three",
@@ -32,7 +35,8 @@ JOB = Job(
     a=A,
     b=B,
     stiffness=1.0 * STIFFNESS,
-    true_stiffness=STIFFNESS * np.array([1.1, 0.95, 1.05, 0.9, 1.02, 0.97, 1.08, 0.93, 1.04, 0.96, 1.06, 0.92, 1.03, 0.98]),
+    true_stiffness=STIFFNESS
+    * np.array([1.1, 0.95, 1.05, 0.9, 1.02, 0.97, 1.08, 0.93, 1.04, 0.96, 1.06, 0.92, 1.03, 0.98]),
     free_length=FREE_LENGTH,
     damping=5.0,
     steps=4,

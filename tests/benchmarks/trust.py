@@ -2,9 +2,10 @@
 
     python trust.py [rests drift gradients speed kills interrupts units] [--share 0.01] [--write]
 
-Without a name it measures all of them. `--share` takes this part of their numbers of models, kills and so on. `--write` puts what was
-measured into trust.md; rows of what was not measured stay, and those of what other scripts and tests measure are written by hand. Limits
-are those asked for, met or not.
+Without a name it measures all of them. `--share` takes this part of their numbers of models, kills
+and so on. `--write` puts what was measured into trust.md; rows of what was not measured stay, and
+those of what other scripts and tests measure are written by hand. Limits are those asked for, met
+or not.
 """
 
 import argparse
@@ -42,7 +43,8 @@ BATCH, STRUCTURES = 500, 52
 
 
 def rests(share):
-    """Searches for equilibria of random trees; gradient and Hessian of the energy say whether one called ok is a stable equilibrium."""
+    """Searches for equilibria of random trees; gradient and Hessian of the energy say whether one
+    called ok is a stable equilibrium."""
 
     def searched(model):
         eq, chart = jb.equilibrium(model), Chart(model)
@@ -60,7 +62,13 @@ def rests(share):
         }
 
     open_ones = [n for n in range(STRUCTURES) if not Structure(n).closed]
-    each, statuses, wrong, shape, program = int(share * 1e5 / len(open_ones)) + 1, collections.Counter(), 0, None, None
+    each, statuses, wrong, shape, program = (
+        int(share * 1e5 / len(open_ones)) + 1,
+        collections.Counter(),
+        0,
+        None,
+        None,
+    )
     for number in open_ones:
         structure = Structure(number)
         if structure.shape != shape:
@@ -69,7 +77,11 @@ def rests(share):
         for first in range(0, each, BATCH):
             found = program([structure.model(seed) for seed in range(first, first + BATCH)])  # type: ignore[misc]
             ok = found["status"] == 0
-            K = np.where(np.isfinite(found["K"]).all((1, 2), keepdims=True), found["K"], -np.eye(found["K"].shape[1]))
+            K = np.where(
+                np.isfinite(found["K"]).all((1, 2), keepdims=True),
+                found["K"],
+                -np.eye(found["K"].shape[1]),
+            )
             largest = np.abs(K).max((1, 2))
             unstable = np.linalg.eigvalsh(K)[:, 0] < -1e-12 * largest
             moving = ~(np.abs(found["gradient"]).max(1) <= 1e-9 * largest * found["size"])
@@ -90,7 +102,10 @@ def drift(share):
     """Energy of a rig of two bodies over 10 s, relative to what is exchanged."""
     model = jb.replace(rigs.rig(), {"*.damping": 0.0})
     eq = jb.equilibrium(model)
-    start = jb.State(jb.retract(model, eq.state.q, jnp.array([0.04, -0.03, 0.05, 0.15, -0.1, 0.2, -0.3])), 0.3 * jnp.ones(7))
+    start = jb.State(
+        jb.retract(model, eq.state.q, jnp.array([0.04, -0.03, 0.05, 0.15, -0.1, 0.2, -0.3])),
+        0.3 * jnp.ones(7),
+    )
     found = jb.simulate(model, np.linspace(0, 10, 401), initial=start, rtol=1e-13)
     energy = np.asarray(found.energies["total"])
     error = np.abs(energy - energy[0]).max() / (energy[0] - float(eq.energy))
@@ -98,7 +113,8 @@ def drift(share):
 
 
 def gradients(share):
-    """Derivatives of a motion by forward mode and by the two adjoints of reverse mode, in constant steps."""
+    """Derivatives of a motion by forward mode and by the two adjoints of reverse mode, in
+    constant steps."""
     import diffrax
 
     times, motion = np.linspace(0, 0.5, 26), {"base": jb.Harmonic(**rigs.SHAKING)}
@@ -106,7 +122,9 @@ def gradients(share):
 
     def loss(p, adjoint=None):
         model = rigs.rig(p)
-        found = jb.simulate(model, times, motion=motion, initial=model.reference, adjoint=adjoint, **steps)
+        found = jb.simulate(
+            model, times, motion=motion, initial=model.reference, adjoint=adjoint, **steps
+        )
         return jnp.sum(jnp.sin(3 * found.state.q)) + jnp.sum(found.state.v**2)
 
     by = {
@@ -115,20 +133,36 @@ def gradients(share):
         "direct": jax.grad(lambda p: loss(p, diffrax.DirectAdjoint())),
     }
     found = {name: jb.jit(g)(jax.tree.map(jnp.asarray, rigs.PARAMETERS)) for name, g in by.items()}
-    worst = max(rigs.max_difference(g[kind], x) / np.abs(x).max() for g in found.values() for kind, x in found["forward"].items())
-    yield "R5", "derivatives of a motion, modes and adjoints", "1e-10", f"{worst:.1e}", worst < 1e-10
+    worst = max(
+        rigs.max_difference(g[kind], x) / np.abs(x).max()
+        for g in found.values()
+        for kind, x in found["forward"].items()
+    )
+    yield (
+        "R5",
+        "derivatives of a motion, modes and adjoints",
+        "1e-10",
+        f"{worst:.1e}",
+        worst < 1e-10,
+    )
 
 
 def speed(share):
-    """The gradient of the frequencies of a chain of six bodies, and its matrices, in time of the processor."""
+    """The gradient of the frequencies of a chain of six bodies, and its matrices, in time of
+    the processor."""
     names = [f"b{i}" for i in range(6)]
     corners = np.array([[0.2, 0.1, 0], [-0.2, 0.1, 0], [0, -0.2, 0.1], [0, 0, -0.1]])
     springs = {
-        f"{name} {i}": jb.Spring((above, corner), (name, corner), stiffness=1e4, free_length=0.5, damping=20.0)
+        f"{name} {i}": jb.Spring(
+            (above, corner), (name, corner), stiffness=1e4, free_length=0.5, damping=20.0
+        )
         for above, name in zip(["world", *names], names, strict=False)
         for i, corner in enumerate(corners)
     }
-    bodies = {name: jb.Body(mass=2.0, inertia=[0.1, 0.1, 0.1], position=[0, 0, -0.6 * (i + 1)]) for i, name in enumerate(names)}
+    bodies = {
+        name: jb.Body(mass=2.0, inertia=[0.1, 0.1, 0.1], position=[0, 0, -0.6 * (i + 1)])
+        for i, name in enumerate(names)
+    }
     model = jb.Model(bodies=bodies, elements=springs, gravity=[0, 0, -9.81])
     stiffnesses = 1e4 * np.random.default_rng(0).uniform(0.8, 1.2, (20, len(springs)))
 
@@ -141,8 +175,16 @@ def speed(share):
     seconds = time.process_time() - begin
     for k in stiffnesses:
         assert np.isfinite(compiled(k)).all()
-    yield "R12", "compiling the gradient of frequencies of six bodies [s]", "15", f"{seconds:.1f}", seconds <= 15
-    linearize = jax.jit(lambda k, state: jb.linearize(jb.replace(model, {"*.stiffness": k}), state).K)
+    yield (
+        "R12",
+        "compiling the gradient of frequencies of six bodies [s]",
+        "15",
+        f"{seconds:.1f}",
+        seconds <= 15,
+    )
+    linearize = jax.jit(
+        lambda k, state: jb.linearize(jb.replace(model, {"*.stiffness": k}), state).K
+    )
     spent = []
     for k in stiffnesses:
         begin = time.process_time()
@@ -187,17 +229,32 @@ def kills(share):
 
 
 def interrupts(share):
-    """Fits that Ctrl-C stops at random moments: the time to the answer, and whether they go on from their checkpoints to the optimum."""
+    """Fits that Ctrl-C stops at random moments: the time to the answer, and whether they go on from
+    their checkpoints to the optimum."""
     count, late, same, stopped = max(1, int(500 * share)), 0.0, 0, 0
-    rng, car, times = np.random.default_rng(0), jb.presets.quarter_car(damping=1500.0), np.linspace(0.0, 2.0, 101)
-    motion = {"motion": {"road": jb.Harmonic(frequency=1.3, translation=[0, 0, 0.01])}, "initial": jb.equilibrium(car).state}
+    rng, car, times = (
+        np.random.default_rng(0),
+        jb.presets.quarter_car(damping=1500.0),
+        np.linspace(0.0, 2.0, 101),
+    )
+    motion = {
+        "motion": {"road": jb.Harmonic(frequency=1.3, translation=[0, 0, 0.01])},
+        "initial": jb.equilibrium(car).state,
+    }
     sensors = {"body": jb.Position("body", axis="z")}
     moved = jb.measure(jb.simulate(car, times, **motion), sensors)["body"]
-    run = jb.Experiment(times, **motion, sensors=sensors, measured={"body": np.asarray(moved) + 1e-4 * rng.normal(size=101)})
+    run = jb.Experiment(
+        times,
+        **motion,
+        sensors=sensors,
+        measured={"body": np.asarray(moved) + 1e-4 * rng.normal(size=101)},
+    )
     guess = jb.replace(car, {"suspension.stiffness": 3e4, "suspension.damping": 1000.0})
 
     def whole(**options):
-        fit = jb.fit(guess, {"run": run}, free=["suspension.stiffness", "suspension.damping"], **options)
+        fit = jb.fit(
+            guess, {"run": run}, free=["suspension.stiffness", "suspension.damping"], **options
+        )
         return fit, np.array([float(x) for x in fit.estimates.values()])
 
     def interrupt(*_):
@@ -223,8 +280,16 @@ def interrupts(share):
             same += np.allclose(found, optimum, rtol=1e-6)
         left = {path.suffix for path in pathlib.Path(folder).iterdir()} - {".npz"}
     signal.signal(signal.SIGALRM, earlier)
-    measured = f"{late:.2f} s; {same} of {count}, {stopped} of them stopped" + (f"; left {left}" if left else "")
-    yield "R13", "Ctrl-C answered; fits resumed", "2 s; 500 of 500", measured, late < 2 and same == count >= 500 and not left
+    measured = f"{late:.2f} s; {same} of {count}, {stopped} of them stopped" + (
+        f"; left {left}" if left else ""
+    )
+    yield (
+        "R13",
+        "Ctrl-C answered; fits resumed",
+        "2 s; 500 of 500",
+        measured,
+        late < 2 and same == count >= 500 and not left,
+    )
 
 
 BLUNDERS = {  # what was typed: the unit that is meant, and the factor that is left out
@@ -241,9 +306,14 @@ BLUNDERS = {  # what was typed: the unit that is meant, and the factor that is l
 
 
 def scaled(model, unit, factor):
-    """The model with all its numbers in this unit times a factor; None where it has none that matter."""
+    """The model with all its numbers in this unit times a factor; None where it has none
+    that matter."""
     arrays, values = jax.tree.leaves(model), {}
-    turning = [name for name in model.layout.bodies if model.layout.turns[model.layout.v_slices[name]].any()]
+    turning = [
+        name
+        for name in model.layout.bodies
+        if model.layout.turns[model.layout.v_slices[name]].any()
+    ]
     for leaf in leaves_of(model):
         if unit == "kg m2" and leaf.path.rsplit(".", 1)[0] not in turning:
             continue
@@ -255,12 +325,18 @@ def scaled(model, unit, factor):
 
 
 def varied(model, rng):
-    """Each stiffness, damping and mass times a factor of its own from 1/2 to 2, inertias as their masses, all lengths times one."""
+    """Each stiffness, damping and mass times a factor of its own from 1/2 to 2, inertias as their
+    masses, all lengths times one."""
     arrays, values = jax.tree.leaves(model), {}
-    size, masses = 2.0 ** rng.uniform(-1, 1), {name: 2.0 ** rng.uniform(-1, 1) for name in model.layout.bodies}
+    size, masses = (
+        2.0 ** rng.uniform(-1, 1),
+        {name: 2.0 ** rng.uniform(-1, 1) for name in model.layout.bodies},
+    )
     for leaf in leaves_of(model):
         value, owner = np.asarray(leaf.read(arrays)), leaf.path.split(".")[0]
-        factor = {"stiffness": 2.0 ** rng.uniform(-1, 1), "damping": 2.0 ** rng.uniform(-1, 1)}.get(leaf.field, 1.0)
+        factor = {"stiffness": 2.0 ** rng.uniform(-1, 1), "damping": 2.0 ** rng.uniform(-1, 1)}.get(
+            leaf.field, 1.0
+        )
         if leaf.field in ("mass", "inertia") and owner in masses:
             factor = masses[owner] * (size**2 if leaf.field == "inertia" else 1.0)
         elif value.size and set(units_of(leaf, model, value)) == {"m"}:
@@ -270,7 +346,8 @@ def varied(model, rng):
 
 
 def units(share):
-    """Ready models and variants of them, as they are and with all numbers of one unit typed in another."""
+    """Ready models and variants of them, as they are and with all numbers of one unit typed
+    in another."""
     rng, counts, flagged = np.random.default_rng(0), collections.Counter(), collections.Counter()
 
     def judged(model):
@@ -309,21 +386,31 @@ RULE = "|---|---|---|---|---|---|"
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("names", nargs="*", choices=[[], *MEASURES])
     parser.add_argument("--share", type=float, default=1.0)
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     warnings.simplefilter("ignore", jb.JaxbodyWarning)
     path = HERE / "trust.md"
-    head = ["# Figures of trust\n", "`tests/benchmarks/trust.py`\n", "| | what | limit | measured | met | date |", RULE]
+    head = [
+        "# Figures of trust\n",
+        "`tests/benchmarks/trust.py`\n",
+        "| | what | limit | measured | met | date |",
+        RULE,
+    ]
     rows = {_what(row): row for row in path.read_text().partition(RULE)[2].split("\n")[1:-1]}
     for name in options.names or MEASURES:
         for figure, what, limit, value, met in MEASURES[name](options.share):
-            row = f"| {figure} | {what} | {limit} | {value} | {'yes' if met else 'no'} | {datetime.date.today()} |"
+            row = (
+                f"| {figure} | {what} | {limit} | {value} | {'yes' if met else 'no'} | "
+                f"{datetime.date.today()} |"
+            )
             rows[_what(row)] = row
             print(row, flush=True)
-    text = "\n".join([*head, *sorted(rows.values(), key=lambda row: int(row.split("|")[1].strip()[1:])), ""])
+    text = "\n".join(
+        [*head, *sorted(rows.values(), key=lambda row: int(row.split("|")[1].strip()[1:])), ""]
+    )
     if options.write:
         path.write_text(text)
     print(text)

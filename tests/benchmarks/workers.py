@@ -1,9 +1,12 @@
-"""Throughput by several processes: sweeps, tolerances and several starts by one process, by two and by Dask, and the driver's bookkeeping.
+"""Throughput by several processes: sweeps, tolerances and several starts by one process, by two and
+by Dask, and the driver's bookkeeping.
 
-`python tests/benchmarks/workers.py` needs jaxbody[cluster,xarray] and two free cores. Each call is made `--repeats` times after a first one
-in which all programs are compiled, in turn with the same call by one process, and the medians are printed: of time, and of processor time,
-which other programs on the same cores do not change much. `--chunks 100000` tries the bookkeeping alone: so many chunks that compute
-nothing, sent, received and written; `--designs 10000000` a sweep of so many designs that compute little, by this process into a store.
+`python tests/benchmarks/workers.py` needs jaxbody[cluster,xarray] and two free cores. Each call is
+made `--repeats` times after a first one in which all programs are compiled, in turn with the same
+call by one process, and the medians are printed: of time, and of processor time, which other
+programs on the same cores do not change much. `--chunks 100000` tries the bookkeeping alone: so
+many chunks that compute nothing, sent, received and written; `--designs 10000000` a sweep of so
+many designs that compute little, by this process into a store.
 """
 
 import argparse
@@ -45,22 +48,38 @@ def jobs():
         return {"q": jb.simulate(model, TIMES, motion=motion, rtol=1e-6).state.q[-1]}
 
     k = float(model[name].stiffness)
-    over, scatter = {f"{name}.stiffness": np.linspace(0.8 * k, 1.2 * k, 200_000)}, {"*.stiffness": 0.02 * k}
+    over, scatter = (
+        {f"{name}.stiffness": np.linspace(0.8 * k, 1.2 * k, 200_000)},
+        {"*.stiffness": 0.02 * k},
+    )
     sensors = {"corner": jb.Position("body 0", [1.0, 0.5, 0.0])}
     times = np.linspace(0.0, 3.0, 61)
-    measured = jb.measure(jb.simulate(model, times, motion=motion), sensors, noise=1e-4, key=jax.random.key(0))
-    runs = {"run": jb.Experiment(times, motion=motion, sensors=sensors, measured=measured, noise=1e-4)}
+    measured = jb.measure(
+        jb.simulate(model, times, motion=motion), sensors, noise=1e-4, key=jax.random.key(0)
+    )
+    runs = {
+        "run": jb.Experiment(times, motion=motion, sensors=sensors, measured=measured, noise=1e-4)
+    }
     guess = jb.replace(model, {"*.stiffness": 1.2 * k})
     return {
-        "frequencies of 2e5 designs": lambda workers: jb.sweep(model, frequencies, over, workers=workers)["frequency"].values,
-        "motions of 1 s of 2e5 designs": lambda workers: jb.sweep(model, moved, over, workers=workers)["q"].values,
-        "tolerances, 1e5 samples": lambda workers: jb.tolerances(model, frequencies, scatter, samples=100_000, workers=workers).samples,
-        "multistart of 32": lambda workers: jb.multistart(guess, runs, free=[f"{name}.stiffness"], starts=32, workers=workers).cost,
+        "frequencies of 2e5 designs": lambda workers: (
+            jb.sweep(model, frequencies, over, workers=workers)["frequency"].values
+        ),
+        "motions of 1 s of 2e5 designs": lambda workers: (
+            jb.sweep(model, moved, over, workers=workers)["q"].values
+        ),
+        "tolerances, 1e5 samples": lambda workers: (
+            jb.tolerances(model, frequencies, scatter, samples=100_000, workers=workers).samples
+        ),
+        "multistart of 32": lambda workers: (
+            jb.multistart(guess, runs, free=[f"{name}.stiffness"], starts=32, workers=workers).cost
+        ),
     }
 
 
 def processor_seconds() -> tuple[float, float]:
-    """Processor time so far of this process, and of all those that it has started and that still run."""
+    """Processor time so far of this process, and of all those that it has started and that
+    still run."""
     children = psutil.Process().children(recursive=True)
     return time.process_time(), sum(sum(child.cpu_times()[:2]) for child in children)
 
@@ -77,9 +96,12 @@ def dask() -> Iterator[Executor]:
         yield executor
 
 
-def in_turn(job: Callable[[Any], Any], several: Any, repeats: int) -> tuple[np.ndarray, np.ndarray, str]:
-    """Medians of [time, processor time of the caller, that of workers] by one process and by several, and how alike their numbers are. The
-    first call of each, which compiles, does not count."""
+def in_turn(
+    job: Callable[[Any], Any], several: Any, repeats: int
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Medians of [time, processor time of the caller, that of workers] by one process and by
+    several, and how alike their numbers are. The first call of each, which compiles, does
+    not count."""
     measured = []
     for _ in range(repeats + 1):  # in turn, so that both meet the same machine
         results = []
@@ -96,17 +118,29 @@ def in_turn(job: Callable[[Any], Any], several: Any, repeats: int) -> tuple[np.n
 
 def compare(names: list[str], repeats: int) -> None:
     for variable in ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[variable] = "1"  # one thread for Dask's workers, and for this process when JAX starts
-    print("| job | who | time [s] | of processor: caller [s] | workers [s] | times as fast | times the processor | same numbers |")
+        # one thread for Dask's workers, and for this process when JAX starts
+        os.environ[variable] = "1"
+    print(
+        "| job | who | time [s] | of processor: caller [s] | workers [s] | times as fast | times "
+        "the processor | same numbers |"
+    )
     print("|---" * 8 + "|")
-    ways = {"two by loky": lambda: contextlib.nullcontext(2), "two by Dask": dask}  # a cluster keeps cores busy even when it has no work
-    chosen = {name: job for name, job in jobs().items() if not names or any(word in name for word in names)}
+    # a cluster keeps cores busy even when it has no work
+    ways = {"two by loky": lambda: contextlib.nullcontext(2), "two by Dask": dask}
+    chosen = {
+        name: job
+        for name, job in jobs().items()
+        if not names or any(word in name for word in names)
+    }
     for way, crew in ways.items():
         with crew() as several:
             for name, job in chosen.items():
                 (alone, caller, _), (seconds, own, others), same = in_turn(job, several, repeats)
                 print(f"| {name} | one process | {alone:.2f} | {caller:.2f} | | | | |")
-                cells = f"{seconds:.2f} | {own:.2f} | {others:.2f} | {alone / seconds:.2f} | {(own + others) / caller:.2f}"
+                cells = (
+                    f"{seconds:.2f} | {own:.2f} | {others:.2f} | {alone / seconds:.2f} | "
+                    f"{(own + others) / caller:.2f}"
+                )
                 print(f"| {name} | {way} | {cells} | {same} |", flush=True)
 
 
@@ -128,28 +162,48 @@ def bookkeeping(chunks: int) -> None:
     """Chunks of one design, a number for each: what the driver does for them."""
     rows = np.zeros(1)
     print(
-        "| | time a chunk [ms] | of the processor [ms] | files a chunk | on disk [bytes] | memory [bytes] | found again in [s] |\n"
+        (
+            "| | time a chunk [ms] | of the processor [ms] | files a chunk | on disk [bytes] | "
+            "memory [bytes] | found again in [s] |\n"
+        )
         + 7 * "|---"
         + "|"
     )
     for stored in (False, True):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, "s.zarr")
-            store = ChunkStore(path, {}, {}, {"x": ((), "float64")}, count=chunks, size=1, any_size=False)
+            store = ChunkStore(
+                path, {}, {}, {"x": ((), "float64")}, count=chunks, size=1, any_size=False
+            )
             store.write(0, {"x": rows})  # what is needed once is not counted
             begin, cpu, memory = time.perf_counter(), time.process_time(), peak()
-            for chunk, answer in dispatched(Crew(AtOnce()), range(chunks), lambda chunk: (rows,), "benchmark"):
+            for chunk, answer in dispatched(
+                Crew(AtOnce()), range(chunks), lambda chunk: (rows,), "benchmark"
+            ):
                 if stored:
                     store.write(chunk, answer.results)
-            seconds, cpu, memory = time.perf_counter() - begin, time.process_time() - cpu, peak() - memory
+            seconds, cpu, memory = (
+                time.perf_counter() - begin,
+                time.process_time() - cpu,
+                peak() - memory,
+            )
             begin = time.perf_counter()
             found = len(store.complete())
             again = time.perf_counter() - begin
             assert found == (chunks if stored else 1)
             files = [file.stat() for file in path.rglob("*") if file.is_file()]
-            each = 1e3 * seconds / chunks, 1e3 * cpu / chunks, len(files) / chunks, 512 * sum(x.st_blocks for x in files) / chunks
+            each = (
+                1e3 * seconds / chunks,
+                1e3 * cpu / chunks,
+                len(files) / chunks,
+                512 * sum(x.st_blocks for x in files) / chunks,
+            )
             cells = [f"{x:.3g}" for x in (*each, 2**20 * memory / chunks, again)]
-            print(f"| {chunks} chunks {'written, too' if stored else 'sent and received'} | {' | '.join(cells)} |", flush=True)
+            print(
+                f"| {chunks} chunks {'written, too' if stored else 'sent and received'} | "
+                f"{' | '.join(cells)} |",
+                flush=True,
+            )
 
 
 def large(designs: int) -> None:
@@ -163,12 +217,14 @@ def large(designs: int) -> None:
     for count in (designs // 100, designs):
         with tempfile.TemporaryDirectory() as folder:
             before, begin = peak(), time.perf_counter()
-            result = jb.sweep(car, sag, over, samples=count, out=Path(folder, "s.zarr"), chunk=min(count, 65536))
+            result = jb.sweep(
+                car, sag, over, samples=count, out=Path(folder, "s.zarr"), chunk=min(count, 65536)
+            )
             assert int(np.count_nonzero(result["status"][-1000:])) == 0
             size = sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())
             print(
-                f"{count} designs: {time.perf_counter() - begin:.1f} s, largest memory {before:.0f} MB before and {peak():.0f} MB after, "
-                f"{size / 2**20:.0f} MB on disk",
+                f"{count} designs: {time.perf_counter() - begin:.1f} s, largest memory "
+                f"{before:.0f} MB before and {peak():.0f} MB after, {size / 2**20:.0f} MB on disk",
                 flush=True,
             )
 

@@ -1,4 +1,5 @@
-"""Compilations are reported; the option for fast loops is set on request, before JAX starts, and only in versions that support it."""
+"""Compilations are reported; the option for fast loops is set on request, before JAX starts, and
+only in versions that support it."""
 
 import os
 import subprocess
@@ -22,18 +23,24 @@ def run(program, *arguments, **environment):
     """What a fresh process prints."""
     flags = {"XLA_FLAGS": "", **environment}
     command = [sys.executable, "-c", program, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env={**os.environ, **flags})
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, env={**os.environ, **flags}
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 
 
 def by_themselves(model, amplitude, times):
-    """What users call outside of any jit: motion, equilibrium, matrices, frequencies, a response."""
+    """What users call outside of any jit: motion, equilibrium, matrices, frequencies,
+    a response."""
     motion = {"base": jb.Harmonic(frequency=2.0, translation=[0, 0, amplitude])}
     jb.simulate(model, times, motion=motion)
     lin = jb.linearize(model, jb.equilibrium(model))
     jb.modes(lin)
-    inputs, outputs = {"floor": jb.BaseMotion("base", "z")}, {"plate": jb.Position("plate", axis="z")}
+    inputs, outputs = (
+        {"floor": jb.BaseMotion("base", "z")},
+        {"plate": jb.Position("plate", axis="z")},
+    )
     jb.frequency_response(lin, 1 + times, inputs, outputs)
 
 
@@ -45,7 +52,13 @@ def test_each_is_one_program_whatever_the_values():
     assert first.programs["integrate"][3] == 1  # the others may have been compiled for another test
     assert all(count <= 1 for *_, count in first.programs.values()), first
     with jb.compile_times() as then:
-        by_themselves(jb.replace(model, {"*.stiffness": 77.0, "plate.mass": 3.0, "plate.com": [0.01, 0, 0.02]}), 2e-3, 2 * times)
+        by_themselves(
+            jb.replace(
+                model, {"*.stiffness": 77.0, "plate.mass": 3.0, "plate.com": [0.01, 0, 0.02]}
+            ),
+            2e-3,
+            2 * times,
+        )
     assert then.count == 0, then
 
 
@@ -67,7 +80,8 @@ def test_another_shape_or_option_is_another_program():
 
 
 def test_a_program_that_runs_while_another_is_traced_is_counted_once():
-    """The trace sleeps for 0.2 s and compiles and runs another program: its own time is that of the sleep, and a little."""
+    """The trace sleeps for 0.2 s and compiles and runs another program: its own time is that of the
+    sleep, and a little."""
 
     @jax.jit
     def slept(x):
@@ -105,7 +119,9 @@ try:
 except jb.JaxbodyError as error:
     print(error.code, "before any array" in str(error), "threshold" in os.environ["XLA_FLAGS"])
 """
-before_012 = pytest.mark.skipif(not HAS_SLOW_LOOPS, reason="from jaxlib 0.12 on fast_loops does nothing")
+before_012 = pytest.mark.skipif(
+    not HAS_SLOW_LOOPS, reason="from jaxlib 0.12 on fast_loops does nothing"
+)
 
 
 @before_012
@@ -115,8 +131,14 @@ def test_fast_loops_are_set_once_beside_what_is_there():
     flags = f"--xla_cpu_prefer_vector_width=128 {held}xla_cpu_disable_new_fusion_emitters=false"
     message = run(FAST)
     width = "--xla_cpu_prefer_vector_width=512"
-    assert message == [f"True True {width} {held}xla_cpu_small_while_loop_byte_threshold=100000000", "True True"]
-    assert message[0].split()[2:] == run(FAST, XLA_FLAGS="--xla_cpu_multi_thread_eigen=true")[0].split()[3:]
+    assert message == [
+        f"True True {width} {held}xla_cpu_small_while_loop_byte_threshold=100000000",
+        "True True",
+    ]
+    assert (
+        message[0].split()[2:]
+        == run(FAST, XLA_FLAGS="--xla_cpu_multi_thread_eigen=true")[0].split()[3:]
+    )
     kept = run(FAST.split("import jax.numpy")[0], XLA_FLAGS=flags)[0]
     assert kept.endswith(flags + ",xla_cpu_small_while_loop_byte_threshold=100000000")
 
@@ -129,7 +151,10 @@ def test_fast_loops_come_too_late_after_the_first_array():
 
 @pytest.mark.skipif(HAS_SLOW_LOOPS, reason="before jaxlib 0.12 fast_loops sets options")
 def test_fast_loops_do_nothing_where_loops_are_fast():
-    assert run(FAST, XLA_FLAGS="--xla_cpu_multi_thread_eigen=true") == ["False False --xla_cpu_multi_thread_eigen=true", "True False"]
+    assert run(FAST, XLA_FLAGS="--xla_cpu_multi_thread_eigen=true") == [
+        "False False --xla_cpu_multi_thread_eigen=true",
+        "True False",
+    ]
 
 
 CACHED = """
@@ -144,7 +169,7 @@ jb.quick_options()  # tries what XLA knows; where it does not know it (jaxlib 0.
 with jb.compile_times() as spent:
     trajectory = jb.simulate(model, [0.0, 0.1])
 print(spent.cached, spent.count)
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.long

@@ -1,4 +1,5 @@
-"""jb.jit is jax.jit with options that compile quickly; a driver is one program, whose options follow from the shapes of its arguments."""
+"""jb.jit is jax.jit with options that compile quickly; a driver is one program, whose options
+follow from the shapes of its arguments."""
 
 import functools
 import os
@@ -19,12 +20,22 @@ pytestmark = pytest.mark.everywhere
 
 
 def spring(k, x, power=1, name="spring"):
-    """A force, an integer, a result without x, some that are no arrays: what drivers return, too."""
-    return {"force": k * x**power + jnp.sin(k), "count": jnp.arange(power), "stiffness": k**2, "said": name, "power": power}
+    """A force, an integer, a result without x, some that are no arrays: what drivers
+    return, too."""
+    return {
+        "force": k * x**power + jnp.sin(k),
+        "count": jnp.arange(power),
+        "stiffness": k**2,
+        "said": name,
+        "power": power,
+    }
 
 
 def test_results_of_jit_are_those_of_the_function_whatever_they_hold():
-    found, plain = jb.jit(spring)(3.0, np.array([1.0, 2.0]), power=2, name="strut"), spring(3.0, np.array([1.0, 2.0]), 2, "strut")
+    found, plain = (
+        jb.jit(spring)(3.0, np.array([1.0, 2.0]), power=2, name="strut"),
+        spring(3.0, np.array([1.0, 2.0]), 2, "strut"),
+    )
     assert (found["said"], found["power"]) == ("strut", 2) and found["count"].tolist() == [0, 1]
     np.testing.assert_allclose(found["force"], plain["force"], rtol=1e-15)
     assert jb.jit(functools.partial(spring, 2.0))(1.0)["force"] == spring(2.0, 1.0)["force"]
@@ -34,7 +45,12 @@ def test_results_of_jit_are_those_of_the_function_whatever_they_hold():
 def test_new_floats_compile_nothing_and_other_words_do():
     traced = []
     force = jb.jit(lambda k, power: traced.append(power) or k**power)
-    assert [float(force(k, 2)) for k in (1.0, 2.0, np.float64(3.0), jnp.asarray(4.0))] == [1, 4, 9, 16]
+    assert [float(force(k, 2)) for k in (1.0, 2.0, np.float64(3.0), jnp.asarray(4.0))] == [
+        1,
+        4,
+        9,
+        16,
+    ]
     assert traced.count(2) <= 2  # a float of Python has a weak type
     assert float(force(2.0, 3)) == 8 and traced[-1] == 3
     one = jb.jit(lambda x: type(x).__name__)
@@ -49,7 +65,11 @@ def force(k):
     return jb.jit(spring)(k, jnp.asarray(2.0), 3)["force"]
 
 
-@pytest.mark.parametrize("inside", [force, lambda k: program(spring)(k, jnp.asarray(2.0), 3, "")["force"]], ids=["jit", "driver"])
+@pytest.mark.parametrize(
+    "inside",
+    [force, lambda k: program(spring)(k, jnp.asarray(2.0), 3, "")["force"]],
+    ids=["jit", "driver"],
+)
 def test_derivatives_and_batches_inside_and_outside_of_jit(inside):
     k = jnp.array([3.0, 5.0])
     ways = [
@@ -73,7 +93,11 @@ def test_derivatives_and_batches_inside_and_outside_of_jit(inside):
 def test_keys_of_random_numbers_are_arguments():
     drawn = jb.jit(lambda key, scale: scale * jax.random.normal(key, (2,)))
     keys = jax.random.split(jax.random.key(0), 3)
-    np.testing.assert_allclose(jax.vmap(drawn, (0, None))(keys, 2.0), [2 * jax.random.normal(key, (2,)) for key in keys], rtol=1e-14)
+    np.testing.assert_allclose(
+        jax.vmap(drawn, (0, None))(keys, 2.0),
+        [2 * jax.random.normal(key, (2,)) for key in keys],
+        rtol=1e-14,
+    )
 
 
 class Seen(Exception):
@@ -145,10 +169,16 @@ guess = jb.replace(car, {"suspension.stiffness": 3e4})
 for method in (optax.lbfgs(), "least_squares"):
     assert jb.fit(guess, {"run": jb.Experiment(times, measured=read, noise=1e-4, **run)}, free="suspension.stiffness", method=method).ok
 print([i for i, (x, y) in enumerate(zip(before, settings())) if x != y])
-"""
+"""  # noqa: E501
 
 
 def test_a_fit_leaves_the_settings_of_the_process_as_they_were():
     """Python's garbage collector, threads, environment and warnings, NumPy's settings and JAX's."""
-    done = subprocess.run([sys.executable, "-c", SETTINGS], capture_output=True, text=True, timeout=300, env=os.environ)
+    done = subprocess.run(
+        [sys.executable, "-c", SETTINGS],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env=os.environ,
+    )
     assert done.stdout == "[]\n", done.stdout + done.stderr

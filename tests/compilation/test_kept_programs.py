@@ -1,4 +1,5 @@
-"""Programs on disk: a second process compiles nothing, and a folder that others may write to is refused."""
+"""Programs on disk: a second process compiles nothing, and a folder that others may write to
+is refused."""
 
 import json
 import os
@@ -22,14 +23,20 @@ frequency = lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).f
 with jb.compile_times() as times:
     found = float(frequency(model)), float(jb.jit(jax.grad(frequency))(model)["suspension"].stiffness)
 print(json.dumps([found, times.count, times.cached, str(folder)]))
-"""
+"""  # noqa: E501
 
 
 def process(*arguments, **environment):
     hidden = {"JAX_COMPILATION_CACHE_DIR", "XLA_FLAGS"}
-    clean = {name: value for name, value in os.environ.items() if name not in hidden and not name.startswith("JAX_PERSISTENT")}
+    clean = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in hidden and not name.startswith("JAX_PERSISTENT")
+    }
     command = [sys.executable, "-c", PROCESS, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, env=clean | environment)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=600, env=clean | environment
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -43,9 +50,13 @@ def test_a_second_process_takes_all_programs_from_the_folder(tmp_path):
 
 def test_the_folder_is_that_of_the_user_and_private(tmp_path):
     expected = tmp_path / "cache" / "jaxbody"
-    assert process(XDG_CACHE_HOME=str(tmp_path / "cache"))[3] == str(expected) and expected.stat().st_mode & 0o777 == 0o700
+    assert (
+        process(XDG_CACHE_HOME=str(tmp_path / "cache"))[3] == str(expected)
+        and expected.stat().st_mode & 0o777 == 0o700
+    )
     given = tmp_path / "of_jax"
-    assert process(tmp_path / "other", JAX_COMPILATION_CACHE_DIR=str(given))[3] == str(given)  # JAX's own setting stays
+    # JAX's own setting stays
+    assert process(tmp_path / "other", JAX_COMPILATION_CACHE_DIR=str(given))[3] == str(given)
     (tmp_path / "open").mkdir(mode=0o755)
     (tmp_path / "file").write_text("")
     with pytest.raises(jb.JaxbodyError, match=r"mode 0755.*chmod 700.*UNSAFE_FOLDER"):

@@ -1,4 +1,5 @@
-"""README's script, the example of its contract and `jaxbody demo` compile few programs, none of single operations but the script's own."""
+"""README's script, the example of its contract and `jaxbody demo` compile few programs, none of
+single operations but the script's own."""
 
 import os
 import subprocess
@@ -11,7 +12,8 @@ ROOT = Path(__file__).parents[2]
 
 pytestmark = pytest.mark.long
 
-# Programs are jaxbody's where one of its files, other than the script of the demo, is among the callers. JAX reports each with its name.
+# Programs are jaxbody's where one of its files, other than the script of the demo, is among the
+# callers. JAX reports each with its name.
 COUNTED = """
 import runpy, sys, traceback
 import jax, jaxbody
@@ -25,18 +27,18 @@ def heard(event, seconds, fun_name="", **_):
         ours.append(fun_name.removeprefix("jit(").removesuffix(")"))
 
 jax.monitoring.register_event_duration_secs_listener(heard)
-"""
+"""  # noqa: E501
 CONTRACT = (
     COUNTED
     + """
 runpy.run_path('examples/contract.py', run_name='__main__')
 assert not {"scipy.stats", "scipy.signal"} & set(sys.modules)  # 0.4 s to import, and its noise is white
 print('programs', *sorted(ours))
-"""
+"""  # noqa: E501
 )
-DEMO = (
-    COUNTED
-    + "from jaxbody.app import commands\nassert commands.main(['demo', '--out', sys.argv[1]]) == 0\nprint('programs', *sorted(ours))"
+DEMO = COUNTED + (
+    "from jaxbody.app import commands\nassert commands.main(['demo', '--out', sys.argv[1]]) == "
+    "0\nprint('programs', *sorted(ours))"
 )
 RIDE = (
     COUNTED
@@ -53,7 +55,7 @@ def ride(model):
 car = jb.presets.quarter_car(damping=1500.0)
 found = ride(car), jb.tune(car, ride, free=["suspension.damping"], minimize="acceleration")
 print('programs', *sorted(ours))
-"""
+"""  # noqa: E501
 )
 
 REPLACED = (
@@ -81,9 +83,13 @@ DRIVERS += ["_begin", "_placed", "_step", "residual_and_jacobian"]  # of a fit b
 
 def programs(script, *arguments):
     hidden = {"JAX_COMPILATION_CACHE_DIR", "XLA_FLAGS"}
-    environment = {name: value for name, value in os.environ.items() if name not in hidden} | {"PYTHONPATH": str(ROOT)}
+    environment = {name: value for name, value in os.environ.items() if name not in hidden} | {
+        "PYTHONPATH": str(ROOT)
+    }
     command = [sys.executable, "-c", script, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, cwd=ROOT, env=environment, check=True)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=600, cwd=ROOT, env=environment, check=True
+    )
     return done.stdout.splitlines()[-1].split()[1:]
 
 
@@ -103,7 +109,8 @@ def test_the_script_of_readme_compiles_its_drivers_only():
 
 def test_the_demo_compiles_few_programs(tmp_path):
     found = programs(DEMO, tmp_path)
-    plots = ["_evaluate", "_evaluate", "_linearize", "_poses", "drawn_reference"]  # of poses, of tensions, about the reference
+    # of poses, of tensions, about the reference
+    plots = ["_evaluate", "_evaluate", "_linearize", "_poses", "drawn_reference"]
     assert found == sorted(DRIVERS + plots) and len(found) <= 15
 
 

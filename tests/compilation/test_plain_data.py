@@ -1,4 +1,5 @@
-"""Static values become text and are the same again; what has no name has no text, and no text runs anything."""
+"""Static values become text and are the same again; what has no name has no text, and no text
+runs anything."""
 
 import numpy as np
 import pytest

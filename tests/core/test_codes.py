@@ -1,4 +1,5 @@
-"""The table of codes: every code of the package is in it with its meaning and remedy, and no other."""
+"""The table of codes: every code of the package is in it with its meaning and remedy, and
+no other."""
 
 import ast
 import re
@@ -45,7 +46,11 @@ RAISES = {"add", "Problem", "warn", "JaxbodyWarning"}
 def nodes():
     for file in Path(jb.__file__).parent.rglob("*.py"):
         tree = ast.parse(file.read_text(encoding="utf-8"))
-        table = [node for node in tree.body if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "CODES"]
+        table = [
+            node
+            for node in tree.body
+            if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "CODES"
+        ]
         skipped = {id(node) for part in table for node in ast.walk(part)}
         yield from (node for node in ast.walk(tree) if id(node) not in skipped)
 
@@ -55,17 +60,31 @@ def called(node):
 
 
 def test_the_table_has_every_code_and_no_other():
-    written = {node.value for node in nodes() if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    written = {
+        node.value
+        for node in nodes()
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
     codes = {text for text in written if len(text) > 2 and re.fullmatch(CODE, text)} - NOT_CODES
-    first = {node.args[0] for node in nodes() if isinstance(node, ast.Call) and called(node) in RAISES and node.args}
-    raised = {node.value for node in first if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    first = {
+        node.args[0]
+        for node in nodes()
+        if isinstance(node, ast.Call) and called(node) in RAISES and node.args
+    }
+    raised = {
+        node.value
+        for node in first
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
     assert len(raised) > 100 and raised <= codes
     assert set(CODES) == codes | {status.name for status in jb.Status} | COMPUTED
 
 
 def test_docstrings_name_codes_of_the_table():
     with_docstrings = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    docs = "\n".join(ast.get_docstring(node) or "" for node in nodes() if isinstance(node, with_docstrings))
+    docs = "\n".join(
+        ast.get_docstring(node) or "" for node in nodes() if isinstance(node, with_docstrings)
+    )
     stated = " ".join(re.findall(r"(?:Errors?|[Ww]arns)\b[^.]*", docs))
     named = {text for text in re.findall(rf"\b{CODE}\b", stated) if "_" in text}
     assert len(named) > 100 and named - set(CODES) - NOT_CODES == set()

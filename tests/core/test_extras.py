@@ -30,7 +30,11 @@ def reading(start, suffix):
 
 
 def labeled(folder):
-    jb.sweep(jb.presets.quarter_car(), lambda car: {"mass": car["body"].mass}, {"body.mass": np.array([250.0, 300.0])}).to_xarray()
+    jb.sweep(
+        jb.presets.quarter_car(),
+        lambda car: {"mass": car["body"].mass},
+        {"body.mass": np.array([250.0, 300.0])},
+    ).to_xarray()
 
 
 def tabulated(folder):
@@ -40,7 +44,13 @@ def tabulated(folder):
 
 def tuned(folder):
     car = jb.presets.quarter_car()
-    jb.tune(car, lambda car: {"mass": car["body"].mass}, free=["body.mass"], minimize="mass", method="ipopt")
+    jb.tune(
+        car,
+        lambda car: {"mass": car["body"].mass},
+        free=["body.mass"],
+        minimize="mass",
+        method="ipopt",
+    )
 
 
 def counted(folder):
@@ -61,7 +71,13 @@ def shaped(folder):
 def swept(**options):
     def sweep(folder):
         out = {name: folder / "sweep.zarr" for name in options.pop("stored", ())}
-        jb.sweep(jb.presets.quarter_car(), lambda car: {"mass": car["body"].mass}, {"body.mass": [250.0, 300.0]}, **options, **out)
+        jb.sweep(
+            jb.presets.quarter_car(),
+            lambda car: {"mass": car["body"].mass},
+            {"body.mass": [250.0, 300.0]},
+            **options,
+            **out,
+        )
 
     return sweep
 

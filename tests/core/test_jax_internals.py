@@ -1,4 +1,5 @@
-"""Internal functions of JAX behave as jaxbody needs them, and there is a substitute where they no longer exist."""
+"""Internal functions of JAX behave as jaxbody needs them, and there is a substitute where they no
+longer exist."""
 
 import ast
 import importlib
@@ -23,7 +24,7 @@ jax.config.update("jax_enable_x64", True)
 from jax.sharding import PartitionSpec as P
 mesh = jax.make_mesh((2,), ("devices",), axis_types=(jax.sharding.AxisType.Auto,))
 on_two = lambda function, given, **options: jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=P("devices"), **options)
-"""
+"""  # noqa: E501
 
 LOOPS_ON_TWO = """
 from jaxbody.core.jax_internals import without_manual_axes
@@ -43,7 +44,7 @@ total = lambda c: jnp.sum(on_two(batch, (P("devices"), P()))(x, c))
 np.testing.assert_allclose(jax.grad(total)(2.0), np.sum(a + 4 * a**2 + 12 * a**3), rtol=1e-14)
 inside = on_two(lambda x, c: jax.vmap(jax.grad(looped), (0, None))(x, c), (P("devices"), P()))
 np.testing.assert_allclose(inside(x, 2.0), np.cos(x) * (24 * a**2 + 8 * a + 2), rtol=1e-14)
-"""
+"""  # noqa: E501
 
 FREQUENCIES_ON_TWO = """
 import jaxbody as jb
@@ -58,11 +59,13 @@ def frequency(k):
 both = lambda k: jnp.stack(jax.vmap(jax.value_and_grad(frequency))(k), -1)
 f = np.sqrt(K / 2.0) / (2 * np.pi)
 np.testing.assert_allclose(jax.jit(on_two(both, P("devices")))(K), np.stack([f, f / (2 * K)], -1), rtol=1e-10)
-"""
+"""  # noqa: E501
 
 
 def run_on_two(program: str) -> None:
-    done = subprocess.run([sys.executable, "-c", TWO_DEVICES + program], capture_output=True, text=True, timeout=600)
+    done = subprocess.run(
+        [sys.executable, "-c", TWO_DEVICES + program], capture_output=True, text=True, timeout=600
+    )
     assert done.returncode == 0, done.stderr[-2000:]
 
 
@@ -78,7 +81,9 @@ def test_frequencies_and_their_slopes_in_shard_map():
 
 def test_programs_lose_what_only_jax_itself_can_compile():
     table = jnp.arange(5.0)
-    lowered = jax_internals.without_high_operations(jax.make_jaxpr(lambda x: jnp.interp(x, table, table**2))(1.5))
+    lowered = jax_internals.without_high_operations(
+        jax.make_jaxpr(lambda x: jnp.interp(x, table, table**2))(1.5)
+    )
     assert not getattr(lowered, "is_high", False)
     assert jax.core.eval_jaxpr(lowered.jaxpr, lowered.consts, 1.5) == [2.5]
 
@@ -87,31 +92,52 @@ INSIDE = ("jax._src", "jax.interpreters", "jax.extend", "jaxlib")
 
 
 def names_of_the_inside(path):
-    """What a file takes from these modules of JAX: names that it imports, and attributes of modules that it imports."""
+    """What a file takes from these modules of JAX: names that it imports, and attributes of modules
+    that it imports."""
     tree, modules, names = ast.parse(path.read_text()), set(), set()
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(INSIDE):
             for alias in node.names:
                 of_module = f"{node.module}.{alias.name}"
-                (modules if inspect.ismodule(vars(importlib.import_module(node.module)).get(alias.name)) else names).add(of_module)
+                (
+                    modules
+                    if inspect.ismodule(vars(importlib.import_module(node.module)).get(alias.name))
+                    else names
+                ).add(of_module)
         elif isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names if alias.name.startswith(INSIDE)}
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            names |= {f"{module}.{node.attr}" for module in modules if module.rpartition(".")[2] == node.value.id}
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("getattr", "hasattr"):
+            names |= {
+                f"{module}.{node.attr}"
+                for module in modules
+                if module.rpartition(".")[2] == node.value.id
+            }
+        elif (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id in ("getattr", "hasattr")
+        ):
             of, name = map(ast.unparse, node.args[:2])
-            names |= {f"{module}.{name[1:-1]}" for module in modules if module.rpartition(".")[2] == of}
+            names |= {
+                f"{module}.{name[1:-1]}" for module in modules if module.rpartition(".")[2] == of
+            }
     return names
 
 
 def test_the_inside_of_jax_is_used_in_one_file_by_few_names_each_with_why():
     package = Path(jax_internals.__file__).parents[1]
-    found = {path.relative_to(package).as_posix(): names for path in package.rglob("*.py") if (names := names_of_the_inside(path))}
+    found = {
+        path.relative_to(package).as_posix(): names
+        for path in package.rglob("*.py")
+        if (names := names_of_the_inside(path))
+    }
     assert list(found) == ["core/jax_internals.py"]
     (names,) = found.values()
     assert len(names) <= 15, sorted(names)
-    assert [name for name in names if name.rpartition(".")[2] not in str(jax_internals.__doc__)] == []
+    assert [
+        name for name in names if name.rpartition(".")[2] not in str(jax_internals.__doc__)
+    ] == []
 
 
 def test_whether_anything_is_being_traced(monkeypatch):
@@ -123,8 +149,13 @@ def test_whether_anything_is_being_traced(monkeypatch):
 
 
 def test_whether_jax_has_looked_for_devices(monkeypatch):
-    program = "import jax; from jaxbody.core.jax_internals import started; print(started()); jax.devices(); print(started())"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
+    program = (
+        "import jax; from jaxbody.core.jax_internals import started; print(started()); "
+        "jax.devices(); print(started())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=300
+    )
     assert done.stdout.split() == ["False", "True"], done.stderr
     monkeypatch.delattr("jax._src.xla_bridge.backends_are_initialized")
     assert not jax_internals.started()
@@ -135,4 +166,7 @@ def test_programs_lose_what_their_results_do_not_need(monkeypatch):
     kept = jax_internals.only_what_is_needed(traced)
     assert [eqn.primitive.name for eqn in kept.jaxpr.eqns] == ["sin"]
     monkeypatch.delattr(jax_internals.partial_eval, "dce_jaxpr")
-    assert [eqn.primitive.name for eqn in jax_internals.only_what_is_needed(traced).jaxpr.eqns] == ["sin", "cos"]
+    assert [eqn.primitive.name for eqn in jax_internals.only_what_is_needed(traced).jaxpr.eqns] == [
+        "sin",
+        "cos",
+    ]

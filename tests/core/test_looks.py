@@ -35,12 +35,22 @@ SWING = np.cos(2 * np.pi * TIMES) + 0.02 * np.cos(300 * TIMES**2)
 def two_of(**more):
     """A mass on a guide, its spring and damper to a base; a box that hangs from it on a bushing."""
     return jb.Model(
-        bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0]), "box": jb.Body(mass=1.0, inertia=[1, 2, 3])},
+        bodies={
+            "mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0]),
+            "box": jb.Body(mass=1.0, inertia=[1, 2, 3]),
+        },
         supports={"base": jb.Support()},
         joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
         elements={
-            "spring": jb.Spring(("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=30.0, damping=0.5),
-            "mount": jb.Bushing(("box", [0, 0, 0]), ("mass", [0, 0, 0]), stiffness=np.diag([30.0, 40, 50, 3, 4, 5]), damping=np.eye(6)),
+            "spring": jb.Spring(
+                ("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=30.0, damping=0.5
+            ),
+            "mount": jb.Bushing(
+                ("box", [0, 0, 0]),
+                ("mass", [0, 0, 0]),
+                stiffness=np.diag([30.0, 40, 50, 3, 4, 5]),
+                damping=np.eye(6),
+            ),
         }
         | more,
     )
@@ -51,13 +61,20 @@ def one_of(**law):
         bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
         joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
         supports={"base": jb.Support()},
-        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("base", [0, 0, 0]), **({"stiffness": 30.0} | law))},
+        elements={
+            "spring": jb.Spring(
+                ("mass", [0, 0, 0]), ("base", [0, 0, 0]), **({"stiffness": 30.0} | law)
+            )
+        },
     )
 
 
 def looped():
     rod = jb.closures.Rod(("mass", [0, 0, 0]), ("world", [0, 0, 0]))
-    return jb.Model(bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, closures={"rod": rod})
+    return jb.Model(
+        bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+        closures={"rod": rod},
+    )
 
 
 def quantities(model):
@@ -71,7 +88,8 @@ def measured(times):
 
 
 def made():
-    """One small of every class of results, from one model or two; what takes long to compile is put together by hand."""
+    """One small of every class of results, from one model or two; what takes long to compile is put
+    together by hand."""
     model, one, free = two_of(), one_of(), ["spring.stiffness"]
     eq, lin = jb.equilibrium(model), jb.linearize(model, model.reference)
     still, small, nv = jb.equilibrium(one), jb.linearize(one, one.reference), lin.K.shape[0]
@@ -81,50 +99,113 @@ def made():
         {"*.stiffness": (3.0, 300.0)},
     )
     result, modes = jb.fit(one, {"run": measured(TIMES)}, free=free), jb.modes(lin)
-    acceleration = jb.Record(np.arange(400) / 20, {"acc": (np.cos(np.arange(400) / 20 * 6), "m/s2")})
+    acceleration = jb.Record(
+        np.arange(400) / 20, {"acc": (np.cos(np.arange(400) / 20 * 6), "m/s2")}
+    )
     path = Path(jnp.linspace(0, 1, 3), jnp.array([1.0, 0.5, jnp.nan]))
-    x, (strokes, forces) = jnp.ones((1, 2, 3)), 2 * [tuple(jnp.ones((1, *e.shape)) for e in eq.deformations)]
+    x, (strokes, forces) = (
+        jnp.ones((1, 2, 3)),
+        2 * [tuple(jnp.ones((1, *e.shape)) for e in eq.deformations)],
+    )
     o, i = jnp.ones(nv), jnp.zeros(nv, int)
     wheel = jb.Wheel("mass", center=[0, 0, 0], axis="y", radius=0.3)
     return [
-        jb.simulate(model, TIMES[:3]), eq, eqx.tree_at(lambda e: e.path, eq, path, is_leaf=lambda x: x is None),
+        jb.simulate(model, TIMES[:3]),
+        eq,
+        eqx.tree_at(lambda e: e.path, eq, path, is_leaf=lambda x: x is None),
         Equilibria(0, (still,), np.ones(1), np.ones(1), 4),
-        LoadCases(jnp.zeros(1, int), jnp.ones(1), eq.state, eq, x, x, strokes, forces, jnp.array([True]), jnp.array([True]), ("bump",)),
-        jb.preload(one), Assembly(looped(), eq.state, jnp.zeros((2, 1)), jnp.ones((1, 6)), jnp.array(0)),
-        SuspensionCurves({"x": o[:1]}, {"toe": o[:1]}, {"x": {"toe": o[:1]}}, lin.K[:1], i[:1], model, (Drive("x", 0, "m"),), wheel),
+        LoadCases(
+            jnp.zeros(1, int),
+            jnp.ones(1),
+            eq.state,
+            eq,
+            x,
+            x,
+            strokes,
+            forces,
+            jnp.array([True]),
+            jnp.array([True]),
+            ("bump",),
+        ),
+        jb.preload(one),
+        Assembly(looped(), eq.state, jnp.zeros((2, 1)), jnp.ones((1, 6)), jnp.array(0)),
+        SuspensionCurves(
+            {"x": o[:1]},
+            {"toe": o[:1]},
+            {"x": {"toe": o[:1]}},
+            lin.K[:1],
+            i[:1],
+            model,
+            (Drive("x", 0, "m"),),
+            wheel,
+        ),
         WheelCompliance(jnp.ones((5, 5)), jnp.array(0)),
-        lin, lin.state_space(shaken, moved), modes, jb.complex_modes(lin), jb.mode_energies(lin), jb.elastic_axes(lin, "box"),
+        lin,
+        lin.state_space(shaken, moved),
+        modes,
+        jb.complex_modes(lin),
+        jb.mode_energies(lin),
+        jb.elastic_axes(lin, "box"),
         jb.torque_roll_axis(lin, "box", [1, 0, 0]),
         Backbones(o, lin.K, 0 * i, o, lin.K, lin.K, o, o, o, i, model.layout, model.independent),
-        SpinLinearization(lin.M, lin.C, lin.K, lin.status, lin.state, model, lin.basis, lin.C, lin.K, lin.K[0]),
-        Branches(o[:2], *(jnp.ones((2, *shape)) for shape in [(nv,), (nv,), (nv, nv)]), jnp.array([i, i]), jnp.array([o, o]), i[:2], modes),
-        DynamicStiffness(o, o + 1j, o[0], i[0]), jb.frequency_response(small, [1.0, 2.0], shaken, moved),
-        jb.random_response(small, jb.Band(0.5, 5.0), shaken, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}),
+        SpinLinearization(
+            lin.M, lin.C, lin.K, lin.status, lin.state, model, lin.basis, lin.C, lin.K, lin.K[0]
+        ),
+        Branches(
+            o[:2],
+            *(jnp.ones((2, *shape)) for shape in [(nv,), (nv,), (nv, nv)]),
+            jnp.array([i, i]),
+            jnp.array([o, o]),
+            i[:2],
+            modes,
+        ),
+        DynamicStiffness(o, o + 1j, o[0], i[0]),
+        jb.frequency_response(small, [1.0, 2.0], shaken, moved),
+        jb.random_response(
+            small, jb.Band(0.5, 5.0), shaken, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}
+        ),
         *shocked(small, moved),
-        jb.weighted_signal(np.arange(400) / 400, np.cos(np.arange(400)), "Wk"), jb.base_motion(acceleration, "acc", axis=[1, 0, 0]),
-        result, Multistart(result, np.ones(1), np.ones(1, int), result.estimates, 4, 3, result.status),
+        jb.weighted_signal(np.arange(400) / 400, np.cos(np.arange(400)), "Wk"),
+        jb.base_motion(acceleration, "acc", axis=[1, 0, 0]),
+        result,
+        Multistart(result, np.ones(1), np.ones(1, int), result.estimates, 4, 3, result.status),
         jb.validate(result, {"later": measured(TIMES)}),
-        Coverage(("spring.stiffness",), 0.95, *np.zeros((3, 4, 1)), *np.ones((2, 1)), np.zeros(4, int)),
-        jb.profile(result, free[0]), jb.bands(result, lambda model: model["spring"].stiffness), jb.diagnose(one, {"run": measured(TIMES)}),
+        Coverage(
+            ("spring.stiffness",), 0.95, *np.zeros((3, 4, 1)), *np.ones((2, 1)), np.zeros(4, int)
+        ),
+        jb.profile(result, free[0]),
+        jb.bands(result, lambda model: model["spring"].stiffness),
+        jb.diagnose(one, {"run": measured(TIMES)}),
         jb.plausibility(one),
-        jb.tune(one, quantities, free=free, minimize="shake", bounds=bounds, starts=1), jb.sensitivities(one, quantities, free=free),
+        jb.tune(one, quantities, free=free, minimize="shake", bounds=bounds, starts=1),
+        jb.sensitivities(one, quantities, free=free),
         jb.tolerances(one, quantities, {"spring.stiffness": 1.0}, samples=100),
-        jb.pareto(one, quantities, minimize=["shake", "travel"], free=free, bounds=bounds, points=3),
-    ]  # fmt: skip
+        jb.pareto(
+            one, quantities, minimize=["shake", "travel"], free=free, bounds=bounds, points=3
+        ),
+    ]
 
 
 def shocked(small, moved):
     """Of spectra, peaks and fatigue."""
     record = np.arange(40) / 10, np.cos(np.arange(40.0))
     ride = jb.random_response(
-        small, jb.Band(0.5, 5.0), {"base": jb.BaseMotion("base", "x")}, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}
+        small,
+        jb.Band(0.5, 5.0),
+        {"base": jb.BaseMotion("base", "x")},
+        moved,
+        {"base": jb.PowerLaw(1.0, unit="m2/Hz")},
     )
     o = jnp.ones(3)
     return [
-        jb.shock_spectrum(record, [1.0, 2.0], damping=[0.02, 0.05]), jb.spectrum_response(small, {"base": {"x": record}}, moved),
-        MatchedRecord(o, o, o, o, o, o, o, jnp.array(0.05), jnp.array(0)), jb.peak_factor(ride, 30.0),
-        jb.fatigue_damage(ride, {"mass": jb.SNCurve(3.0, cycles=1e6, level=1.0, unit="m")}, duration=60.0),
-    ]  # fmt: skip
+        jb.shock_spectrum(record, [1.0, 2.0], damping=[0.02, 0.05]),
+        jb.spectrum_response(small, {"base": {"x": record}}, moved),
+        MatchedRecord(o, o, o, o, o, o, o, jnp.array(0.05), jnp.array(0)),
+        jb.peak_factor(ride, 30.0),
+        jb.fatigue_damage(
+            ride, {"mass": jb.SNCurve(3.0, cycles=1e6, level=1.0, unit="m")}, duration=60.0
+        ),
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -145,8 +226,9 @@ def classes(of=Result):
 
 @pytest.mark.long
 def test_no_result_computes_when_it_is_looked_at(results):
-    """Neither what is compiled nor what is compiled already: inside make_jaxpr all that JAX is asked for becomes part of a program, which
-    stays empty. So for results that are good, and as if they had ended in any other way."""
+    """Neither what is compiled nor what is compiled already: inside make_jaxpr all that JAX is
+    asked for becomes part of a program, which stays empty. So for results that are good, and as if
+    they had ended in any other way."""
     for module in pkgutil.walk_packages(jb.__path__, "jaxbody."):
         import_module(module.name)
     assert {type(result) for result in results} == classes()
@@ -155,6 +237,8 @@ def test_no_result_computes_when_it_is_looked_at(results):
             looked_at(result)
         assert times.count == 0, times
         for status in jb.Status:
-            ended = eqx.tree_at(lambda r: r.status, result, np.full(np.shape(result.status), status.value))
+            ended = eqx.tree_at(
+                lambda r: r.status, result, np.full(np.shape(result.status), status.value)
+            )
             program = jax.make_jaxpr(lambda ended=ended: looked_at(ended) and ())()
             assert not program.eqns, (type(result).__name__, status.name)

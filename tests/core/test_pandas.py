@@ -1,4 +1,5 @@
-"""Results as tables of pandas: the numbers of the results, with units, for every class that has labeled arrays."""
+"""Results as tables of pandas: the numbers of the results, with units, for every class that has
+labeled arrays."""
 
 import jax
 import jax.numpy as jnp
@@ -27,13 +28,18 @@ def test_a_motion_is_a_table_over_time():
     np.testing.assert_array_equal(frame.index, run.times)
     np.testing.assert_array_equal(frame["position[body, z]"], run.poses["body"].p[:, 2])
     np.testing.assert_array_equal(frame["force[suspension]"], run.forces["suspension"])
-    assert frame.attrs["units"]["force[suspension]"] == "N" and frame.attrs["units"]["quaternion[body, w]"] == ""
+    assert (
+        frame.attrs["units"]["force[suspension]"] == "N"
+        and frame.attrs["units"]["quaternion[body, w]"] == ""
+    )
     assert set(frame.attrs["units"]) == {"time", *frame.columns}
 
 
 @pytest.mark.long
 def test_a_batch_has_the_sample_in_its_index():
-    cars = jax.tree.map(lambda *x: jnp.stack(x), *(jb.replace(CAR, {"body.mass": mass}) for mass in (300.0, 400.0)))
+    cars = jax.tree.map(
+        lambda *x: jnp.stack(x), *(jb.replace(CAR, {"body.mass": mass}) for mass in (300.0, 400.0))
+    )
     lins = jax.vmap(lambda model: jb.modes(jb.linearize(model, model.reference)))(cars)
     frame = lins.to_pandas()
     assert frame.index.names == ["sample", "mode"] and frame.shape[0] == 4
@@ -42,12 +48,20 @@ def test_a_batch_has_the_sample_in_its_index():
 
 @pytest.mark.long
 def test_responses_have_the_units_of_output_and_input(lin):
-    inputs, outputs = {"road": jb.BaseMotion("road", "z")}, {"seat": jb.Acceleration("body", axis="z"), "load": jb.LoadCell("tyre")}
+    inputs, outputs = (
+        {"road": jb.BaseMotion("road", "z")},
+        {"seat": jb.Acceleration("body", axis="z"), "load": jb.LoadCell("tyre")},
+    )
     response = jb.frequency_response(lin, np.geomspace(0.1, 10, 5), inputs, outputs)
     frame = response.to_pandas()
     np.testing.assert_array_equal(frame["response[load, road]"], response["load", "road"])
-    assert frame.attrs["units"]["response[load, road]"] == response.unit("load", "road") and frame.attrs["units"]["frequency"] == "Hz"
-    ride = jb.random_response(lin, jb.Band(0.1, 10.0), inputs, outputs, {"road": jb.Unevenness.iso("C").at_speed(20.0)})
+    assert (
+        frame.attrs["units"]["response[load, road]"] == response.unit("load", "road")
+        and frame.attrs["units"]["frequency"] == "Hz"
+    )
+    ride = jb.random_response(
+        lin, jb.Band(0.1, 10.0), inputs, outputs, {"road": jb.Unevenness.iso("C").at_speed(20.0)}
+    )
     frame = ride.to_pandas()
     np.testing.assert_array_equal(frame["psd[seat]"], ride.psd[0])
     assert frame.attrs["units"]["psd[seat]"] == "(m/s2)^2/Hz"
@@ -62,7 +76,10 @@ def test_modes_energies_matrices_and_cases_are_tables(lin):
     np.testing.assert_array_equal(frame["frequency"], modes.frequency)
     np.testing.assert_array_equal(frame.filter(like="shape"), modes.shapes.T)
     assert list(frame.index) == [1, 2] and frame.attrs["units"]["frequency"] == "Hz"
-    assert energies.to_pandas().filter(like="kinetic").shape == (2, energies.kinetic_shares.size // 2)
+    assert energies.to_pandas().filter(like="kinetic").shape == (
+        2,
+        energies.kinetic_shares.size // 2,
+    )
     matrices = lin.to_pandas()
     np.testing.assert_array_equal(matrices.filter(like="K[").iloc[:, :2], lin.K)
     cases = jb.load_cases(CAR, {"bump": jb.LoadCase(acceleration=[0, 0, 3])}).to_pandas()
@@ -72,7 +89,9 @@ def test_modes_energies_matrices_and_cases_are_tables(lin):
 
 
 def test_a_record_is_a_table_over_time():
-    record = jb.Record([0.0, 0.1, 0.2], {"acc": (np.arange(9.0).reshape(3, 3), "g"), "x": ([1.0, 2.0, 4.0], "mm")})
+    record = jb.Record(
+        [0.0, 0.1, 0.2], {"acc": (np.arange(9.0).reshape(3, 3), "g"), "x": ([1.0, 2.0, 4.0], "mm")}
+    )
     frame = record.to_pandas()
     assert frame["x"].tolist() == record["x"].tolist() and frame.attrs["units"] == {
         "time": "s", "x": "m", **{f"acc[{i}]": "m/s2" for i in range(3)},

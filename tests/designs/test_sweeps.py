@@ -20,7 +20,10 @@ def car():
 
 def quantities(model):
     lin = jb.linearize(model, model.reference)
-    return {"frequency": jb.modes(lin).frequency, "sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
+    return {
+        "frequency": jb.modes(lin).frequency,
+        "sag": model["body"].mass * 9.81 / model["suspension"].stiffness,
+    }
 
 
 def frequencies(ks, ms):
@@ -36,21 +39,32 @@ def grid(car):
 
 @pytest.mark.long
 def test_a_grid_has_its_labels_and_the_values_of_closed_forms(grid):
-    assert grid["frequency"].dims == ("suspension.stiffness", "body.mass", "frequency_0") and grid["sag"].shape == (7, 3)
+    assert grid["frequency"].dims == ("suspension.stiffness", "body.mass", "frequency_0") and grid[
+        "sag"
+    ].shape == (7, 3)
     np.testing.assert_allclose(grid["frequency"], frequencies(K[:, None], M), rtol=1e-10)
     np.testing.assert_allclose(grid["sag"].sel({"body.mass": 450.0}), 450 * 9.81 / K, rtol=1e-14)
 
 
 @pytest.mark.long
 def test_chunks_change_nothing_and_values_do_not_recompile(car, grid, capsys):
-    """Four chunks of six, the last one not full; progress is printed; new values of the model are arguments."""
+    """Four chunks of six, the last one not full; progress is printed; new values of the model
+    are arguments."""
     over = {"suspension.stiffness": K, "body.mass": M}
     parts = jb.sweep(car, quantities, over, chunk=6, progress=True)
     np.testing.assert_allclose(parts["frequency"], grid["frequency"], rtol=1e-13)
-    assert capsys.readouterr().err.split("\r")[1:] == ["sweep 6 of 21", "sweep 12 of 21", "sweep 18 of 21", "sweep 21 of 21\n"]
+    assert capsys.readouterr().err.split("\r")[1:] == [
+        "sweep 6 of 21",
+        "sweep 12 of 21",
+        "sweep 18 of 21",
+        "sweep 21 of 21\n",
+    ]
     with jb.compile_times() as times:
         softer = jb.sweep(jb.replace(car, {"tyre.stiffness": 1e5}), quantities, over, chunk=6)
-    assert not any(word in str(times) for word in ("one", "apart", "quantities")) and (softer["frequency"] < grid["frequency"]).all()
+    assert (
+        not any(word in str(times) for word in ("one", "apart", "quantities"))
+        and (softer["frequency"] < grid["frequency"]).all()
+    )
 
 
 @pytest.mark.long
@@ -70,8 +84,11 @@ def test_chunks_shrink_to_the_memory_there_is(car, monkeypatch):
 
 
 def test_samples_of_a_range_that_begins_at_zero_may_be_valid(car):
-    """A mass of zero is none, but no sample has it; samples of negative masses are refused by name."""
-    ratio = jb.sweep(car, lambda model: model["body"].mass / 450.0, {"body.mass": (0.0, 450.0)}, samples=8)["objective"]
+    """A mass of zero is none, but no sample has it; samples of negative masses are refused
+    by name."""
+    ratio = jb.sweep(
+        car, lambda model: model["body"].mass / 450.0, {"body.mass": (0.0, 450.0)}, samples=8
+    )["objective"]
     assert sorted(np.floor(8 * ratio.values).astype(int)) == list(range(8))
     with pytest.raises(jb.JaxbodyError, match=r"body.*mass"):
         jb.sweep(car, quantities, {"body.mass": (-1.0, 450.0)}, samples=512)
@@ -85,7 +102,8 @@ def test_samples_are_spread_between_their_ranges(car, sampler):
     assert result["frequency"].dims == ("sample", "frequency_0")
     np.testing.assert_allclose(result["frequency"], frequencies(ks, ms), rtol=1e-10)
     for values, (low, high) in ((ks, over["suspension.stiffness"]), (ms, over["body.mass"])):
-        assert sorted(np.floor(32 * (values - low) / (high - low)).astype(int)) == list(range(32))  # one in each of 32 slices
+        # one in each of 32 slices
+        assert sorted(np.floor(32 * (values - low) / (high - low)).astype(int)) == list(range(32))
     again = jb.sweep(car, quantities, over, samples=32, sampler=sampler, key=jax.random.key(3))
     assert (again["body.mass"] == result["body.mass"]).all()
 

@@ -1,4 +1,5 @@
-"""Inerters: natural frequencies, isolators, conservation, small motions and derivatives against closed forms and other routes."""
+"""Inerters: natural frequencies, isolators, conservation, small motions and derivatives against
+closed forms and other routes."""
 
 import diffrax
 import jax
@@ -22,7 +23,10 @@ def isolator(b=B, c=C, between=(("m", [0, 0, 0]), ("base", [0, 0, 0]))):
         bodies={"m": jb.Body(mass=M)},
         joints={"m": jb.Guide("world", axis="z")},
         supports={"base": jb.Support(position=[0, 0, -1])},
-        elements={"spring": jb.Spring(*between, stiffness=K, damping=c, free_length=1.0), "inerter": jb.Inerter(*between, inertance=b)},
+        elements={
+            "spring": jb.Spring(*between, stiffness=K, damping=c, free_length=1.0),
+            "inerter": jb.Inerter(*between, inertance=b),
+        },
     )
 
 
@@ -47,17 +51,28 @@ def test_an_isolator_with_an_inerter():
     np.testing.assert_allclose(lin.M_tilde, [[0, 0, B, 0, 0, 0]], atol=1e-12)
     np.testing.assert_allclose(lin.M_bb, np.diag([0, 0, B, 0, 0, 0]), atol=1e-12)
     f = np.array([1.0, 2, 5, 10])
-    found = responses(isolator(), f, x=jb.Position("m", axis="z"), force=jb.LoadCell("inerter"), base=jb.Reaction("base", component=2))
-    np.testing.assert_allclose(np.abs(found["x"]), [1.74807666047, 0.76580144294, 0.09096704238, 0.14884768905], rtol=1e-10)
+    found = responses(
+        isolator(),
+        f,
+        x=jb.Position("m", axis="z"),
+        force=jb.LoadCell("inerter"),
+        base=jb.Reaction("base", component=2),
+    )
+    np.testing.assert_allclose(
+        np.abs(found["x"]), [1.74807666047, 0.76580144294, 0.09096704238, 0.14884768905], rtol=1e-10
+    )
     exact, w = transmissibility(f), HERTZ * f
     np.testing.assert_allclose(found["x"], exact, rtol=1e-12)
     np.testing.assert_allclose(found["force"], -B * w**2 * (exact - 1), rtol=1e-12)
     np.testing.assert_allclose(found["base"], M * w**2 * exact, rtol=1e-10)
     antiresonance = np.sqrt(K / B) / HERTZ
     np.testing.assert_allclose(antiresonance, 3.558812717, rtol=1e-9)
-    free = responses(isolator(c=0.0), np.array([antiresonance, 1e4]), x=jb.Position("m", axis="z"))["x"]
+    free = responses(isolator(c=0.0), np.array([antiresonance, 1e4]), x=jb.Position("m", axis="z"))[
+        "x"
+    ]
     assert abs(free[0]) < 1e-13
-    np.testing.assert_allclose(abs(free[1]), 1 / 6, rtol=1e-6)  # b/(m + b); what is left is (w_0/w)^2
+    # b/(m + b); what is left is (w_0/w)^2
+    np.testing.assert_allclose(abs(free[1]), 1 / 6, rtol=1e-6)
 
 
 def quarter_car(k, c, b):
@@ -65,7 +80,10 @@ def quarter_car(k, c, b):
         return jb.Spring((one, [0, 0, 0]), (other, [0, 0, 0]), free_length=0.5, **spring)
 
     return jb.Model(
-        bodies={"wheel": jb.Body(mass=35.0, position=[0, 0, 0.5]), "car": jb.Body(mass=250.0, position=[0, 0, 1.0])},
+        bodies={
+            "wheel": jb.Body(mass=35.0, position=[0, 0, 0.5]),
+            "car": jb.Body(mass=250.0, position=[0, 0, 1.0]),
+        },
         joints={"wheel": jb.Guide("world", axis="z"), "car": jb.Guide("world", axis="z")},
         supports={"road": jb.Support()},
         elements={
@@ -86,14 +104,16 @@ CARS = [
 @pytest.mark.long
 @pytest.mark.parametrize(("k", "c", "b", "acceleration", "deflection", "force", "undamped"), CARS)
 def test_quarter_cars_of_smith_and_wang(k, c, b, acceleration, deflection, force, undamped):
-    """REFERENCES2 3.5: root mean squares on a road of white velocity, by the modes of the library's state space."""
+    """REFERENCES2 3.5: root mean squares on a road of white velocity, by the modes of the library's
+    state space."""
     lin = at_rest(quarter_car(float(k), float(c), float(b)))
     np.testing.assert_allclose(jb.modes(lin).frequency, undamped, rtol=1e-9)
     outputs = {"deflection": jb.Elongation("strut"), "tyre": jb.LoadCell("tyre")}
     system = lin.state_space({"road": jb.BaseMotion("road", "z", kind="velocity")}, outputs)
     A, b_in, out = np.asarray(system.A), np.asarray(system.B), np.asarray(system.C)
     W = HERTZ**2 * 5e-7 * 25
-    stable, vectors = np.linalg.eig(A)  # the displacement of the road is a state that no output sees
+    # the displacement of the road is a state that no output sees
+    stable, vectors = np.linalg.eig(A)
     seen = np.abs(stable) > 1e-6
     G, H = np.linalg.inv(vectors)[seen] @ b_in, out @ vectors[:, seen]
     P = -W / 2 * (G @ G.conj().T) / (stable[seen][:, None] + stable[seen].conj()[None])
@@ -103,13 +123,18 @@ def test_quarter_cars_of_smith_and_wang(k, c, b, acceleration, deflection, force
     s, ms, mu, kt = 2j * np.pi * f, 250.0, 35.0, 150e3
     below = [ms * mu + b * (ms + mu), c * (ms + mu), k * (ms + mu) + kt * (ms + b), kt * c, k * kt]
     road = {"road": jb.BaseMotion("road", "z", kind="velocity")}
-    found = jb.frequency_response(lin, f, road, {"a": jb.Acceleration("car", axis="z")}).values[0, 0]
-    np.testing.assert_allclose(found, kt * s * (b * s**2 + c * s + k) / np.polyval(below, s), rtol=1e-10)
+    found = jb.frequency_response(lin, f, road, {"a": jb.Acceleration("car", axis="z")}).values[
+        0, 0
+    ]
+    np.testing.assert_allclose(
+        found, kt * s * (b * s**2 + c * s + k) / np.polyval(below, s), rtol=1e-10
+    )
 
 
 @pytest.mark.long
 def test_two_masses_move_against_each_other():
-    """The relative motion has the mass m1 m2/(m1 + m2) + b; the shares of the inerter and of the masses in its energy."""
+    """The relative motion has the mass m1 m2/(m1 + m2) + b; the shares of the inerter and of the
+    masses in its energy."""
     m1, m2, b, k = 3.0, 5.0, 2.0, 800.0
     places = ("one", [0, 0, 0]), ("two", [0, 0, 0])
     model = jb.Model(
@@ -118,15 +143,21 @@ def test_two_masses_move_against_each_other():
         elements={
             "spring": jb.Spring(*places, stiffness=k, free_length=1.0),
             "inerter": jb.Inerter(*places, inertance=b),
-            "weak": jb.Spring(("one", [0, 0, 0]), ("world", [-1, 0, 0]), stiffness=1e-9 * k, free_length=1.0),
+            "weak": jb.Spring(
+                ("one", [0, 0, 0]), ("world", [-1, 0, 0]), stiffness=1e-9 * k, free_length=1.0
+            ),
         },
     )
     lin = at_rest(model)
     reduced = m1 * m2 / (m1 + m2)
-    np.testing.assert_allclose(jb.modes(lin).frequency[1] * HERTZ, np.sqrt(k / (reduced + b)), rtol=1e-8)
+    np.testing.assert_allclose(
+        jb.modes(lin).frequency[1] * HERTZ, np.sqrt(k / (reduced + b)), rtol=1e-8
+    )
     energies = jb.mode_energies(lin)
     np.testing.assert_allclose(energies.inertia["inerter"][1], 100 * b / (reduced + b), rtol=1e-8)
-    np.testing.assert_allclose(energies.kinetic_shares.sum((0, 1)) + energies.inertia_shares.sum(0), 100.0, rtol=1e-12)
+    np.testing.assert_allclose(
+        energies.kinetic_shares.sum((0, 1)) + energies.inertia_shares.sum(0), 100.0, rtol=1e-12
+    )
     assert energies.names[1] == "one against two along x 63, 37 %"
     assert "inerter" in str(energies) and energies.to_xarray()["inertia"].shape == (1, 2)
 
@@ -139,8 +170,12 @@ def swinging():
             "rotor": jb.Body(mass=1.0, inertia=[0.05, 0.06, 0.08], position=[0, 0, -1]),
         },
         elements={
-            "up": jb.Spring(("plate", [0.2, 0, 0]), ("world", [0, 0, 1]), stiffness=60.0, free_length=0.5),
-            "down": jb.Spring(("plate", [0, 0.1, 0]), ("rotor", [0.1, 0, 0]), stiffness=40.0, free_length=0.7),
+            "up": jb.Spring(
+                ("plate", [0.2, 0, 0]), ("world", [0, 0, 1]), stiffness=60.0, free_length=0.5
+            ),
+            "down": jb.Spring(
+                ("plate", [0, 0.1, 0]), ("rotor", [0.1, 0, 0]), stiffness=40.0, free_length=0.7
+            ),
             "upper": jb.Inerter(("plate", [-0.2, 0.1, 0]), ("world", [0.3, 0, 1.5]), inertance=1.5),
             "lower": jb.Inerter(("plate", [0, -0.3, 0]), ("rotor", [0, 0.2, 0]), inertance=0.8),
         },
@@ -157,39 +192,73 @@ def test_free_motion_with_large_rotations_keeps_its_energy():
     model, rtol = swinging(), 1e-9
     run = jb.simulate(model, jnp.linspace(0, 2, 21), initial=start(model), rtol=rtol)
     energies = run.energies
-    np.testing.assert_allclose(energies["total"], energies["total"][0], atol=100 * rtol * float(energies["kinetic"].max()))
+    np.testing.assert_allclose(
+        energies["total"], energies["total"][0], atol=100 * rtol * float(energies["kinetic"].max())
+    )
     turned = jnp.arccos(jnp.clip(jnp.abs(run.state.q[:, 3]), 0, 1))
     assert float(2 * turned.max()) > 2.0
     steps = jnp.linspace(0, 1, 401)
-    gauss = jb.simulate(model, steps, initial=start(model), solver=jb.Gauss(3), stepsize_controller=diffrax.ConstantStepSize(), dt0=1 / 400)
+    gauss = jb.simulate(
+        model,
+        steps,
+        initial=start(model),
+        solver=jb.Gauss(3),
+        stepsize_controller=diffrax.ConstantStepSize(),
+        dt0=1 / 400,
+    )
     np.testing.assert_allclose(gauss.state.q[200], run.state.q[5], atol=1e-7)
     np.testing.assert_allclose(gauss.state.v[-1], run.state.v[10], atol=1e-6)
 
 
 @pytest.mark.long
 def test_what_supports_supply_is_stored_or_lost():
-    """Power of the supports = rate of the energies + damping, in the mean over a motion; the load cell reads b times the acceleration."""
+    """Power of the supports = rate of the energies + damping, in the mean over a motion; the load
+    cell reads b times the acceleration."""
     rtol = 1e-10
-    motion = {"base": jb.Harmonic(frequency=2.0, translation=[0, 0, 0.02], translation_phase=[0, 0, 0.4])}
+    motion = {
+        "base": jb.Harmonic(frequency=2.0, translation=[0, 0, 0.02], translation_phase=[0, 0, 0.4])
+    }
     times = jnp.linspace(0, 1, 2001)
     run = jb.simulate(isolator(), times, motion=motion, rtol=rtol)
     powers, total = run.powers, run.energies["total"]
-    work = scipy.integrate.simpson(np.asarray(powers["supports"] - powers["damping"]), dx=float(times[1]))
+    work = scipy.integrate.simpson(
+        np.asarray(powers["supports"] - powers["damping"]), dx=float(times[1])
+    )
     np.testing.assert_allclose(work, total[-1] - total[0], atol=1e-9 * float(np.abs(total).max()))
-    sensors = {"cell": jb.LoadCell("inerter"), "a": jb.Acceleration("m", axis="z"), "base": jb.Reaction("base", component=2)}
+    sensors = {
+        "cell": jb.LoadCell("inerter"),
+        "a": jb.Acceleration("m", axis="z"),
+        "base": jb.Reaction("base", component=2),
+    }
     read = jb.measure(run, sensors)
     base = jax.vmap(jax.grad(jax.grad(lambda t: run.motions[0](t)[2])))(times)
-    np.testing.assert_allclose(read["cell"], B * (read["a"] - base), atol=1e-9 * B * float(jnp.abs(base).max()))
+    np.testing.assert_allclose(
+        read["cell"], B * (read["a"] - base), atol=1e-9 * B * float(jnp.abs(base).max())
+    )
     np.testing.assert_allclose(run.forces["inerter"], read["cell"], rtol=1e-12)
-    np.testing.assert_allclose(read["base"], -M * read["a"], atol=1e-9 * M * float(jnp.abs(read["a"]).max()))
+    np.testing.assert_allclose(
+        read["base"], -M * read["a"], atol=1e-9 * M * float(jnp.abs(read["a"]).max())
+    )
 
 
 def beam():
     """On joints whose q are increments, tilted, under gravity."""
     return rigs.beam_with_tip(
         {
-            "left": jb.Spring(("beam", [-0.5, 0, 0]), ("base", [-0.6, 0, -0.5]), stiffness=2e4, free_length=0.5, damping=30.0),
-            "right": jb.Spring(("beam", [0.5, 0, 0]), ("base", [0.4, 0, -0.5]), stiffness=2e4, free_length=0.5, damping=30.0),
+            "left": jb.Spring(
+                ("beam", [-0.5, 0, 0]),
+                ("base", [-0.6, 0, -0.5]),
+                stiffness=2e4,
+                free_length=0.5,
+                damping=30.0,
+            ),
+            "right": jb.Spring(
+                ("beam", [0.5, 0, 0]),
+                ("base", [0.4, 0, -0.5]),
+                stiffness=2e4,
+                free_length=0.5,
+                damping=30.0,
+            ),
             "tip spring": jb.Torsion("tip", "beam", axis="y", spring=300.0, damper=1.0),
             "slant": jb.Inerter(("tip", [0.2, 0, 0]), ("base", [0.3, 0, -0.7]), inertance=12.0),
             "inner": jb.Inerter(("tip", [0.3, 0, 0.1]), ("beam", [0, 0, 0.3]), inertance=4.0),
@@ -206,23 +275,32 @@ def test_small_motions_are_the_slopes_of_the_equations_of_motion():
     found = first_order(lin.M, lin.C, lin.K, model.layout.nv)[0]
     assert np.abs(found - A).max() < 1e-10 * np.abs(A).max()
     without = jb.Model(
-        bodies={name: model[name] for name in model.layout.bodies}, supports={"base": model["base"]},
+        bodies={name: model[name] for name in model.layout.bodies},
+        supports={"base": model["base"]},
         joints={name: model.joint(name) for name in model.layout.bodies},
-        elements={name: model[name] for name in ("left", "right", "tip spring")}, gravity=model.gravity,
-    )  # fmt: skip
-    np.testing.assert_allclose(eq.state.q, jb.equilibrium(without).state.q, atol=1e-12)  # no force at rest
+        elements={name: model[name] for name in ("left", "right", "tip spring")},
+        gravity=model.gravity,
+    )
+    # no force at rest
+    np.testing.assert_allclose(eq.state.q, jb.equilibrium(without).state.q, atol=1e-12)
     np.testing.assert_allclose([eq.forces["slant"], eq.forces["inner"]], 0.0, atol=1e-12)
 
 
 @pytest.mark.long
 def test_a_backbone_bends_by_the_inertia_of_an_inerter_across_the_motion():
-    """L = m (1 + eps x^2) x'^2/2 - k x^2/2 has the frequency w (1 - eps a^2/4): eps = b/(m h^2), h the length of the inerter at rest."""
+    """L = m (1 + eps x^2) x'^2/2 - k x^2/2 has the frequency w (1 - eps a^2/4): eps = b/(m h^2), h
+    the length of the inerter at rest."""
     h = 0.5
     model = isolator(between=(("m", [0, 0, 0]), ("base", [0, 0, 0])), c=0.0)
     model = jb.Model(
-        bodies={"m": model["m"]}, joints={"m": model.joint("m")}, supports={"base": model["base"]},
-        elements={"spring": model["spring"], "inerter": jb.Inerter(("m", [0, 0, 0]), ("world", [h, 0, 0]), inertance=B)},
-    )  # fmt: skip
+        bodies={"m": model["m"]},
+        joints={"m": model.joint("m")},
+        supports={"base": model["base"]},
+        elements={
+            "spring": model["spring"],
+            "inerter": jb.Inerter(("m", [0, 0, 0]), ("world", [h, 0, 0]), inertance=B),
+        },
+    )
     curves = jb.backbones(at_rest(model))
     np.testing.assert_allclose(curves.curvature, [-B / (4 * M * h**2)], rtol=1e-10)
 
@@ -233,7 +311,10 @@ def test_an_inerter_along_the_axis_of_a_rotor():
     places = ("disk", [0, 0, 0]), ("world", [0, 0, -1])
     model = jb.Model(
         bodies={"disk": jb.Body(mass=2.0, inertia=[0.1, 0.1, 0.2])},
-        elements={"spring": jb.Spring(*places, stiffness=500.0, free_length=1.0), "inerter": jb.Inerter(*places, inertance=3.0)},
+        elements={
+            "spring": jb.Spring(*places, stiffness=500.0, free_length=1.0),
+            "inerter": jb.Inerter(*places, inertance=3.0),
+        },
     )
     lin = jb.linearize_spin(model, jb.State(model.reference.q, jnp.array([0, 0, 0, 0, 0, 30.0])))
     assert int(lin.status) == 0
@@ -242,7 +323,9 @@ def test_an_inerter_along_the_axis_of_a_rotor():
 
 
 def at_the_end(x):
-    model = jb.replace(swinging(), {"upper.inertance": x[0], "lower.inertance": x[1], "upper.a": x[2:5]})
+    model = jb.replace(
+        swinging(), {"upper.inertance": x[0], "lower.inertance": x[1], "upper.a": x[2:5]}
+    )
     return jb.simulate(model, jnp.linspace(0, 0.3, 4), initial=start(model), rtol=1e-11).state.v[-1]
 
 
@@ -255,16 +338,24 @@ def test_derivatives_of_motions_and_frequencies():
         return jnp.sum(weights * at_the_end(x))
 
     def frequency(x):
-        model = jb.replace(beam(), {"slant.inertance": x[0], "inner.inertance": x[1], "inner.a": x[2:5]})
+        model = jb.replace(
+            beam(), {"slant.inertance": x[0], "inner.inertance": x[1], "inner.a": x[2:5]}
+        )
         return jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[1]
 
     for function in (motion, frequency):
         reverse, forward = jax.grad(function)(x), jax.jacfwd(function)(x)
-        np.testing.assert_allclose(forward, reverse, rtol=1e-9, atol=1e-9 * float(jnp.abs(reverse).max()))
+        np.testing.assert_allclose(
+            forward, reverse, rtol=1e-9, atol=1e-9 * float(jnp.abs(reverse).max())
+        )
         h = 1e-4
-        around = np.array([[float(function(x + s * h * e)) for s in (-2, -1, 1, 2)] for e in jnp.eye(5)])
+        around = np.array(
+            [[float(function(x + s * h * e)) for s in (-2, -1, 1, 2)] for e in jnp.eye(5)]
+        )
         steps = around @ np.array([1, -8, 8, -1]) / (12 * h)
-        np.testing.assert_allclose(reverse, steps, rtol=1e-6, atol=1e-6 * float(jnp.abs(reverse).max()))
+        np.testing.assert_allclose(
+            reverse, steps, rtol=1e-6, atol=1e-6 * float(jnp.abs(reverse).max())
+        )
 
 
 @pytest.mark.long
@@ -276,16 +367,23 @@ def test_a_batch_is_a_loop():
         changed = jb.replace(model, {"slant.inertance": b})
         return jb.modes(jb.linearize(changed, jb.equilibrium(changed))).frequency
 
-    np.testing.assert_allclose(jax.vmap(frequencies)(inertances), jnp.stack([frequencies(b) for b in inertances]), rtol=1e-10)
+    np.testing.assert_allclose(
+        jax.vmap(frequencies)(inertances),
+        jnp.stack([frequencies(b) for b in inertances]),
+        rtol=1e-10,
+    )
 
 
 def test_without_inerters_free_bodies_keep_their_constant_mass():
     model = swinging()
     plain = jb.Model(
-        bodies={name: model[name] for name in model.layout.bodies}, elements={name: model[name] for name in ("up", "down")},
+        bodies={name: model[name] for name in model.layout.bodies},
+        elements={name: model[name] for name in ("up", "down")},
         gravity=model.gravity,
-    )  # fmt: skip
-    assert isinstance(dynamics_of(plain, ()), FreeBodies) and not isinstance(dynamics_of(model, ()), FreeBodies)
+    )
+    assert isinstance(dynamics_of(plain, ()), FreeBodies) and not isinstance(
+        dynamics_of(model, ()), FreeBodies
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,5 @@
-"""Classes of the user's own: a runnable example for each base class, and a clear error for each missing part."""
+"""Classes of the user's own: a runnable example for each base class, and a clear error for each
+missing part."""
 
 import doctest
 
@@ -23,13 +24,30 @@ MISSING = {  # what each kind of its own has to state
 def test_a_method_left_out_is_named(base):
     make, names = MISSING[base]
     with pytest.raises(TypeError, match="Can't instantiate abstract class Mine") as raised:
-        make(type("Mine", (base,), {"shape": (), "unit": "m", "nq": 1, "nv": 1, "motions": ("turn",), "turns": (True,)}))
+        make(
+            type(
+                "Mine",
+                (base,),
+                {
+                    "shape": (),
+                    "unit": "m",
+                    "nq": 1,
+                    "nv": 1,
+                    "motions": ("turn",),
+                    "turns": (True,),
+                },
+            )
+        )
     for name in names:
         assert name in str(raised.value)
 
 
 @pytest.mark.parametrize(
-    "base, given, name", [(jb.Joint, {"nq": 1, "nv": 1, "motions": ("turn",)}, "turns"), (jb.Sensor, {"shape": (), "on": ""}, "unit")]
+    "base, given, name",
+    [
+        (jb.Joint, {"nq": 1, "nv": 1, "motions": ("turn",)}, "turns"),
+        (jb.Sensor, {"shape": (), "on": ""}, "unit"),
+    ],
 )
 def test_a_number_or_word_left_out_is_named(base, given, name):
     methods = dict.fromkeys(MISSING[base][1], lambda self, *_: None)
@@ -48,14 +66,20 @@ def test_a_law_without_force_and_potential_is_refused():
         def potential(self, x):
             return jnp.log(jnp.cosh(x))
 
-    assert float(Softening().force(jnp.array(0.5))) == pytest.approx(float(jnp.tanh(0.5)), rel=1e-12)
+    assert float(Softening().force(jnp.array(0.5))) == pytest.approx(
+        float(jnp.tanh(0.5)), rel=1e-12
+    )
 
 
-@pytest.mark.parametrize("base, uses", [(jb.Element, "equilibrium("), (jb.Joint, "simulate("), (jb.Sensor, "measure(")])
+@pytest.mark.parametrize(
+    "base, uses", [(jb.Element, "equilibrium("), (jb.Joint, "simulate("), (jb.Sensor, "measure(")]
+)
 def test_the_docstring_shows_a_whole_class_that_is_used(base, uses):
     """Under twenty lines; that it runs is for the doctests."""
     sources = [example.source for example in doctest.DocTestParser().get_examples(base.__doc__)]
-    assert any(f"({base.__name__}):" in source for source in sources) and any(uses in source for source in sources)
+    assert any(f"({base.__name__}):" in source for source in sources) and any(
+        uses in source for source in sources
+    )
     assert sum(source.count("\n") for source in sources) < 20
     assert not any("issubclass" in source for source in sources)
 
@@ -78,7 +102,8 @@ class Charges(jb.Element):
 
 @pytest.mark.long
 def test_a_field_of_ones_own_is_fitted_tuned_and_printed_with_its_unit():
-    """Released at rest at height h over the other charge, x'' = strength/(m x^2) - g; at 0.5 m it stays where strength = 0.5^2 m g."""
+    """Released at rest at height h over the other charge, x'' = strength/(m x^2) - g; at 0.5 m it
+    stays where strength = 0.5^2 m g."""
     pair = Charges(("ball", "world"), jnp.zeros(3), jnp.zeros(3), jnp.array(0.3), jnp.array(-1.0))
     model = jb.Model(
         bodies={"ball": jb.Body(mass=0.2, inertia=[1, 1, 1], position=[0, 0, 0.5])},

@@ -14,7 +14,11 @@ POINTS = ["lower outer", "upper outer", "tie rod outer", "wheel center"]
 def table():
     """The columns of the published double wishbone, {name: (41,)}."""
     file = Path(os.environ["JAXBODY_DATA"]) / "double_wishbone_41.csv"
-    names = next(line for line in file.read_text().splitlines() if "rack_m" in line).lstrip("# ").split(",")
+    names = (
+        next(line for line in file.read_text().splitlines() if "rack_m" in line)
+        .lstrip("# ")
+        .split(",")
+    )
     return dict(zip(names, np.loadtxt(file, delimiter=",").T, strict=True))
 
 
@@ -34,20 +38,25 @@ def rig_of(rows, wheel, take=slice(None), noise=(1e-9, 1e-10)):
 def off(names, by=0.005):
     """The corner with these points off by 5 mm along each axis, with alternating signs."""
     corner, signs = jb.double_wishbone(), np.array([1, -1, 1])
-    return corner.moved({name: corner.hard_points[name] + by * signs * (-1) ** i for i, name in enumerate(names)})
+    return corner.moved(
+        {name: corner.hard_points[name] + by * signs * (-1) ** i for i, name in enumerate(names)}
+    )
 
 
 @pytest.mark.long
 @pytest.mark.skipif("JAXBODY_DATA" not in os.environ, reason="needs the data of JAXBODY_DATA")
 def test_hard_points_from_the_published_curves():
-    """Four points that start 5 mm off, each along every axis, are found to 1e-9 m: the table has 12 digits, so that angles are rounded by
-    1e-13 rad or 1e-12 m, and the least change of a reading is 0.03 of that of the points."""
+    """Four points that start 5 mm off, each along every axis, are found to 1e-9 m: the table has 12
+    digits, so that angles are rounded by 1e-13 rad or 1e-12 m, and the least change of a reading is
+    0.03 of that of the points."""
     start = off(POINTS)
     fit = jb.fit(start, {"rig": rig_of(table(), start.wheel)}, free=POINTS, rtol=1e-12)
     truth = jb.double_wishbone().hard_points
     for name in POINTS:
         np.testing.assert_allclose(fit.estimates[name], truth[name], atol=1e-9)
-        np.testing.assert_allclose(fit.suspension.hard_points[name], fit.estimates[name], atol=1e-15)
+        np.testing.assert_allclose(
+            fit.suspension.hard_points[name], fit.estimates[name], atol=1e-15
+        )
 
 
 ALL = [name for name in jb.double_wishbone().hard_points if "spring" not in name]
@@ -56,12 +65,19 @@ ALL = [name for name in jb.double_wishbone().hard_points if "spring" not in name
 @pytest.mark.long
 @pytest.mark.skipif("JAXBODY_DATA" not in os.environ, reason="needs the data of JAXBODY_DATA")
 def test_what_curves_cannot_tell_is_named():
-    """A bearing of an arm may move along its axis, and the inner point of the axle along the axle: five motions that change nothing. The
-    singular values of the derivatives of all curves have as many that are zero."""
+    """A bearing of an arm may move along its axis, and the inner point of the axle along the axle:
+    five motions that change nothing. The singular values of the derivatives of all curves have as
+    many that are zero."""
     corner = jb.double_wishbone()
     with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE"):
         fit = jb.fit(corner, {"rig": rig_of(table(), corner.wheel)}, free=ALL, rtol=1e-12)
-    alone = ["lower inner front", "lower inner rear", "upper inner front", "upper inner rear", "axle inner"]
+    alone = [
+        "lower inner front",
+        "lower inner rear",
+        "upper inner front",
+        "upper inner rear",
+        "axle inner",
+    ]
     assert len(fit.unidentified) >= len(alone)
     for name in alone:
         assert any(name in text for text in fit.unidentified)
@@ -70,9 +86,14 @@ def test_what_curves_cannot_tell_is_named():
 @pytest.mark.long
 def test_a_moved_corner_moves_the_wheel_of_its_curves():
     corner = jb.double_wishbone()
-    moved = corner.moved({"wheel center": [-0.02, 0.951, 0.315], "axle inner": [-0.021, 0.8, 0.309]})
+    moved = corner.moved(
+        {"wheel center": [-0.02, 0.951, 0.315], "axle inner": [-0.021, 0.8, 0.309]}
+    )
     rig = jb.MeasuredCurves(
-        corner.wheel, drive=corner.drive, over={"travel": [-0.01, 0.0, 0.02], "steering": 0.0}, measured={"toe": [0.0, 0.0, 0.1]}
+        corner.wheel,
+        drive=corner.drive,
+        over={"travel": [-0.01, 0.0, 0.02], "steering": 0.0},
+        measured={"toe": [0.0, 0.0, 0.1]},
     )
     on = rig.on(corner, moved)
     for wheel in (on.wheel, on.drive["travel"]):
@@ -87,7 +108,13 @@ def test_bad_input():
 
     def rig(measured, over=None, **options):
         drive = {"travel": corner.wheel, "rack": "rack.q"}
-        return jb.MeasuredCurves(corner.wheel, drive=drive, over=over or {"travel": [0.0, 0.01], "rack": 0.0}, measured=measured, **options)
+        return jb.MeasuredCurves(
+            corner.wheel,
+            drive=drive,
+            over=over or {"travel": [0.0, 0.01], "rack": 0.0},
+            measured=measured,
+            **options,
+        )
 
     with pytest.raises(jb.JaxbodyError, match="NO_DATA"):
         rig({})

@@ -13,12 +13,24 @@ from mutated_files import check_changed
 from random_models import models
 
 import jaxbody as jb
-from jaxbody.files.kinds import ELEMENTS, INPUTS, JOINTS, LAWS, LOADS, MOTIONS, PULSES, SENSORS, TYPES
+from jaxbody.files.kinds import (
+    ELEMENTS,
+    INPUTS,
+    JOINTS,
+    LAWS,
+    LOADS,
+    MOTIONS,
+    PULSES,
+    SENSORS,
+    TYPES,
+)
 from jaxbody.files.schemas import SCHEMA_FILE
 from jaxbody.laws.laws import Law
 from jaxbody.studies.schema_sections import schema
 
-PRESETS = [name for name in dir(jb.presets) if isinstance(getattr(jb.presets, name), type(lambda: 0))]
+PRESETS = [
+    name for name in dir(jb.presets) if isinstance(getattr(jb.presets, name), type(lambda: 0))
+]
 ENGINE = '''jaxbody = 1
 gravity = "0, 0, -9.81 m/s2"
 
@@ -89,10 +101,15 @@ class Charges(jb.Element):
 
 
 def same_to_the_bit(model, again):
-    (leaves, structure), (others, structure_again) = jax.tree.flatten(model), jax.tree.flatten(again)
+    (leaves, structure), (others, structure_again) = (
+        jax.tree.flatten(model),
+        jax.tree.flatten(again),
+    )
     assert structure == structure_again
     for leaf, other in zip(leaves, others, strict=True):
-        assert leaf.dtype == other.dtype and np.asarray(leaf).tobytes() == np.asarray(other).tobytes()
+        assert (
+            leaf.dtype == other.dtype and np.asarray(leaf).tobytes() == np.asarray(other).tobytes()
+        )
 
 
 def again(model, path, **options):
@@ -115,7 +132,13 @@ def test_presets_are_the_same_again(name, suffix, tmp_path):
 def check_random_models(count, folder):
     built = 0
 
-    @settings(max_examples=count, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=count,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
     @given(models())
     def check(parts):
         nonlocal built
@@ -157,7 +180,9 @@ def test_single_precision_is_the_same_again(tmp_path):
 
 
 def engine(folder, text=ENGINE):
-    (folder / "rear.csv").write_text("angle [deg], moment [Nm]\n" + "".join(f"{i}, {3 * i}\n" for i in range(-5, 6)))
+    (folder / "rear.csv").write_text(
+        "angle [deg], moment [Nm]\n" + "".join(f"{i}, {3 * i}\n" for i in range(-5, 6))
+    )
     (folder / "engine.toml").write_text(text)
     return folder / "engine.toml"
 
@@ -165,56 +190,139 @@ def engine(folder, text=ENGINE):
 def test_a_file_by_hand_is_the_model_in_python(tmp_path):
     angles = np.arange(-5.0, 6.0)
     model = jb.Model(
-        bodies={"engine": jb.Body(180.0, [8, 12, 10], position=[0, 0, 0.5], orientation=jb.Euler("ZYX", np.deg2rad([0.0, 3, 0])))},
+        bodies={
+            "engine": jb.Body(
+                180.0,
+                [8, 12, 10],
+                position=[0, 0, 0.5],
+                orientation=jb.Euler("ZYX", np.deg2rad([0.0, 3, 0])),
+            )
+        },
         supports={"frame": jb.Support([0, 0, 0.4])},
         elements={
-            "left": jb.Bushing(("engine", [0.3, 0.25, -0.1]), ("frame", [0.3, 0.25, 0]), stiffness=[2e5, 2e5, 4e5]),
-            "right": jb.SpringDamper(
-                ("engine", [0.3, -0.25, -0.1]), ("frame", [0.3, -0.25, -0.2]),
-                spring=jb.laws.Linear(2e5) + jb.laws.Stop(gap=0.008, stiffness=3e6), damper=jb.laws.TwoSided(bump=900.0, rebound=2100.0),
+            "left": jb.Bushing(
+                ("engine", [0.3, 0.25, -0.1]), ("frame", [0.3, 0.25, 0]), stiffness=[2e5, 2e5, 4e5]
             ),
-            "rear": jb.Torsion("engine", "frame", axis=[0, 1, 0], spring=jb.laws.Table(np.deg2rad(angles), 3 * angles)),
+            "right": jb.SpringDamper(
+                ("engine", [0.3, -0.25, -0.1]),
+                ("frame", [0.3, -0.25, -0.2]),
+                spring=jb.laws.Linear(2e5) + jb.laws.Stop(gap=0.008, stiffness=3e6),
+                damper=jb.laws.TwoSided(bump=900.0, rebound=2100.0),
+            ),
+            "rear": jb.Torsion(
+                "engine",
+                "frame",
+                axis=[0, 1, 0],
+                spring=jb.laws.Table(np.deg2rad(angles), 3 * angles),
+            ),
         },
         gravity=[0, 0, -9.81],
-    )  # fmt: skip
+    )
     read = jb.read_model(engine(tmp_path))
     assert jax.tree.structure(read) == jax.tree.structure(model)
     for leaf, other in zip(jax.tree.leaves(read), jax.tree.leaves(model), strict=True):
-        np.testing.assert_allclose(leaf, other, rtol=1e-15, atol=1e-18)  # rounding of the conversions of units
+        # rounding of the conversions of units
+        np.testing.assert_allclose(leaf, other, rtol=1e-15, atol=1e-18)
 
 
 @pytest.mark.everywhere
 @pytest.mark.parametrize(
     "old, new, line, message",
     [
-        ('mass = "180 kg"', "mass = 180", 5, "bodies.engine.mass: is 180 without a unit (allowed: a unit such as kg)"),
+        (
+            'mass = "180 kg"',
+            "mass = 180",
+            5,
+            "bodies.engine.mass: is 180 without a unit (allowed: a unit such as kg)",
+        ),
         ('mass = "180 kg"', 'mass = "-180 kg"', 5, "bodies.engine.mass: is -180 kg (allowed: > 0)"),
         ('mass = "180 kg"', 'weight = "180 kg"', 5, "bodies.engine.weight: 'weight' is unknown"),
         ('mass = "180 kg"\n', "", 4, "bodies.engine: has no 'mass'"),
-        ("8, 12, 10 kg m2", "8, 12, 30 kg m2", 6, "bodies.engine.inertia: has principal moments 8, 12, 30 kg m2"),
+        (
+            "8, 12, 10 kg m2",
+            "8, 12, 30 kg m2",
+            6,
+            "bodies.engine.inertia: has principal moments 8, 12, 30 kg m2",
+        ),
         ("0, 0, 500 mm", "0, 0, 500 mm2", 7, "bodies.engine.position: is '0, 0, 500 mm2', in m2"),
         ("0, 0, 500 mm", "0, 500 mm", 7, "bodies.engine.position: has shape (2,)"),
         ("0, 3, 0 deg", "0, 3, 0", 8, "bodies.engine.orientation.angles: is 3 without a unit"),
-        ("[supports.frame]", "[bodies.engine]", 10, "bodies.engine: is stated twice, first in line 4"),
-        ('"Bushing"', '"Busing"', 14, "elements.left.type: 'Busing' is unknown. Did you mean 'Bushing'?"),
+        (
+            "[supports.frame]",
+            "[bodies.engine]",
+            10,
+            "bodies.engine: is stated twice, first in line 4",
+        ),
+        (
+            '"Bushing"',
+            '"Busing"',
+            14,
+            "elements.left.type: 'Busing' is unknown. Did you mean 'Bushing'?",
+        ),
         ('"Bushing"', '"os:system"', 14, "elements.left.type: names the module 'os'"),
-        ('["engine", "0.3, 0.25, -0.1 m"]', '["engin", "0.3, 0.25, -0.1 m"]', 15, "elements.left.a[0]: body or support 'engin' is unknown"),
-        ('["engine", "0.3, 0.25, -0.1 m"]', "3", 15, "elements.left.a: is 3 (allowed: a text or a list)"),
-        ("200, 200, 400 N/mm", "200, -200, 400 N/mm", 17, "elements.left.stiffness: has coefficients 200000, -200000, 400000"),
+        (
+            '["engine", "0.3, 0.25, -0.1 m"]',
+            '["engin", "0.3, 0.25, -0.1 m"]',
+            15,
+            "elements.left.a[0]: body or support 'engin' is unknown",
+        ),
+        (
+            '["engine", "0.3, 0.25, -0.1 m"]',
+            "3",
+            15,
+            "elements.left.a: is 3 (allowed: a text or a list)",
+        ),
+        (
+            "200, 200, 400 N/mm",
+            "200, -200, 400 N/mm",
+            17,
+            "elements.left.stiffness: has coefficients 200000, -200000, 400000",
+        ),
         ("8 mm", "-8 mm", 23, "elements.right.spring[1].gap: is -0.008 m"),
-        ('"3 kN/mm"', '"3 kN mm"', 23, "elements.right.spring[1].stiffness: is '3 kN mm', in N m (allowed: a unit such as N/m)"),
-        ('"0.9 N s/mm"', '"0.9 N/mm"', 24, "elements.right.damper.bump: is '0.9 N/mm', in N/m (allowed: a unit such as N s/m)"),
+        (
+            '"3 kN/mm"',
+            '"3 kN mm"',
+            23,
+            (
+                "elements.right.spring[1].stiffness: is '3 kN mm', in N m "
+                "(allowed: a unit such as N/m)"
+            ),
+        ),
+        (
+            '"0.9 N s/mm"',
+            '"0.9 N/mm"',
+            24,
+            "elements.right.damper.bump: is '0.9 N/mm', in N/m (allowed: a unit such as N s/m)",
+        ),
         ('"rear.csv"', '"../rear.csv"', 31, "elements.rear.spring.file: names '../rear.csv'"),
         ('"rear.csv"', '"read.csv"', 31, "elements.rear.spring.file: "),
         ('file = "rear.csv"', "x = [0]", 31, "elements.rear.spring: needs either points or a file"),
-        ('"rear.csv"', '"rear.csv", x = [0], forces = [0]', 31, "elements.rear.spring: needs either points or a file"),
-        ("jaxbody = 1", "jaxbody = 2", 1, "jaxbody: is version 2 (allowed: 1). This jaxbody reads version 1: install a newer one."),
+        (
+            '"rear.csv"',
+            '"rear.csv", x = [0], forces = [0]',
+            31,
+            "elements.rear.spring: needs either points or a file",
+        ),
+        (
+            "jaxbody = 1",
+            "jaxbody = 2",
+            1,
+            (
+                "jaxbody: is version 2 (allowed: 1). This jaxbody reads version 1: "
+                "install a newer one."
+            ),
+        ),
         ("jaxbody = 1\n", "\n", None, "jaxbody: does not state its version"),
-        ("[bodies.engine]", "[bodies.engin]", 15, "elements.left.a[0]: body or support 'engine' is unknown"),
-        ('axis = [0, 1, 0]', 'axis = [0, 0, 0]', 30, "elements.rear.axis: has length zero"),
+        (
+            "[bodies.engine]",
+            "[bodies.engin]",
+            15,
+            "elements.left.a[0]: body or support 'engine' is unknown",
+        ),
+        ("axis = [0, 1, 0]", "axis = [0, 0, 0]", 30, "elements.rear.axis: has length zero"),
         ('gravity = "0, 0, -9.81 m/s2"', 'gravity = "9.81 m/s2"', 2, "gravity: has shape ()"),
     ],
-)  # fmt: skip
+)
 def test_problems_are_reported_with_their_line(old, new, line, message, tmp_path):
     assert old in ENGINE
     with pytest.raises(jb.JaxbodyError) as error:
@@ -248,21 +356,30 @@ def test_own_classes_are_taken_from_modules_that_are_allowed(tmp_path):
     elements = {
         "pair": Charges(("ball", "world"), **ends, strength=jnp.array(0.5)),
         "pusher": Pusher(("ball", "world"), **ends, spring=jb.laws.Stop(gap=1.0, stiffness=3.0)),
-        "rubber": jb.SpringDamper(("ball", [0, 0, 0]), ("world", [0, 0, 1]), spring=Cubic(jnp.array(8.0))),
+        "rubber": jb.SpringDamper(
+            ("ball", [0, 0, 0]), ("world", [0, 0, 1]), spring=Cubic(jnp.array(8.0))
+        ),
     }
     model = jb.Model(bodies={"ball": ball}, elements=elements)
     same_to_the_bit(model, again(model, tmp_path / "own.toml", allow=[__name__]))
-    with pytest.raises(jb.JaxbodyError, match=f"elements.pair: is a Charges from {__name__}.*NOT_ALLOWED"):
+    with pytest.raises(
+        jb.JaxbodyError, match=f"elements.pair: is a Charges from {__name__}.*NOT_ALLOWED"
+    ):
         jb.write_model(model, tmp_path / "own.toml")
     with pytest.raises(jb.JaxbodyError, match=f"names the module '{__name__}'.*NOT_ALLOWED"):
         jb.read_model(tmp_path / "own.toml")
     with pytest.raises(jb.JaxbodyError, match="which cannot be imported"):
         (tmp_path / "own.json").write_text(
-            '{"jaxbody": 1, "bodies": {"a": {"mass": "1 kg"}}, "joints": {"a": {"type": "mine.joints:Nut"}}}'
+            '{"jaxbody": 1, "bodies": {"a": {"mass": "1 kg"}}, "joints": {"a": {"type": '
+            '"mine.joints:Nut"}}}'
         )
         jb.read_model(tmp_path / "own.json", allow=["mine.joints"])
     text = (tmp_path / "own.toml").read_text()
-    for old, new, code in (("0.5", "-0.5", "NOT_POSITIVE"), ("strength", "length", "MISSING_ENTRY"), ("Charges", "given", "UNKNOWN_NAME")):
+    for old, new, code in (
+        ("0.5", "-0.5", "NOT_POSITIVE"),
+        ("strength", "length", "MISSING_ENTRY"),
+        ("Charges", "given", "UNKNOWN_NAME"),
+    ):
         (tmp_path / "own.toml").write_text(text.replace(old, new))
         with pytest.raises(jb.JaxbodyError) as error:
             jb.read_model(tmp_path / "own.toml", allow=[__name__])
@@ -271,8 +388,14 @@ def test_own_classes_are_taken_from_modules_that_are_allowed(tmp_path):
 
 def test_what_has_no_text_is_named(tmp_path):
     spring = jb.SpringDamper(("ball", [0, 0, 0]), ("world", [0, 0, 1]), spring=lambda x: x**3)
-    model = jb.Model(bodies={"ball": jb.Body(mass=1.0)}, joints={"ball": jb.Translation("world")}, elements={"s": spring})
-    with pytest.raises(jb.JaxbodyError, match=r"elements.s.spring: is a Function of your own Python.*OWN_CODE"):
+    model = jb.Model(
+        bodies={"ball": jb.Body(mass=1.0)},
+        joints={"ball": jb.Translation("world")},
+        elements={"s": spring},
+    )
+    with pytest.raises(
+        jb.JaxbodyError, match=r"elements.s.spring: is a Function of your own Python.*OWN_CODE"
+    ):
         jb.write_model(model, tmp_path / "m.toml")
     car = jb.presets.quarter_car()
     with pytest.raises(jb.JaxbodyError, match=r"is a batch of 2 models.*BAD_SHAPE"):
@@ -290,7 +413,9 @@ def test_what_has_no_text_is_named(tmp_path):
 
 
 def test_the_schema_is_that_of_the_fields():
-    assert json.loads(SCHEMA_FILE.read_text()) == schema(), "run write_schema() of studies/schema_sections.py"
+    assert json.loads(SCHEMA_FILE.read_text()) == schema(), (
+        "run write_schema() of studies/schema_sections.py"
+    )
 
 
 BASES = {jb.laws.Hysteretic, jb.laws.Inertial, jb.laws.Viscoelastic}  # of laws of one's own
@@ -300,17 +425,40 @@ def test_every_class_of_the_package_is_in_the_schema():
     def below(kind):
         return {x for sub in kind.__subclasses__() for x in {sub, *below(sub)}}
 
-    public = {getattr(jb.laws, name) for name in dir(jb.laws)} | {getattr(jb, name) for name in dir(jb) if name[0].isupper()}
-    wanted = {kind for base in (jb.Element, jb.Joint, Law, jb.Load, jb.Sensor) for kind in below(base) & public}
-    assert len(wanted) > 40 and wanted - set(TYPES.values()) == {jb.laws.Function, jb.laws.Sum, *BASES}  # Python, and a list of laws
-    assert set(TYPES.values()) == {*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *PULSES, *LOADS, *INPUTS, *SENSORS, jb.signals.Sine}
+    public = {getattr(jb.laws, name) for name in dir(jb.laws)} | {
+        getattr(jb, name) for name in dir(jb) if name[0].isupper()
+    }
+    wanted = {
+        kind
+        for base in (jb.Element, jb.Joint, Law, jb.Load, jb.Sensor)
+        for kind in below(base) & public
+    }
+    assert len(wanted) > 40 and wanted - set(TYPES.values()) == {
+        jb.laws.Function,
+        jb.laws.Sum,
+        *BASES,
+    }  # Python, and a list of laws
+    assert set(TYPES.values()) == {
+        *JOINTS,
+        *ELEMENTS,
+        *LAWS,
+        *MOTIONS,
+        *PULSES,
+        *LOADS,
+        *INPUTS,
+        *SENSORS,
+        jb.signals.Sine,
+    }
 
 
 def test_editors_accept_what_is_read_and_refuse_what_is_not(tmp_path):
     jsonschema = pytest.importorskip("jsonschema")
     check = jsonschema.Draft202012Validator(schema())
     jb.write_model(jb.presets.full_car(), tmp_path / "car.json")
-    for values in (json.loads((tmp_path / "car.json").read_text()), jb.files.documents.read_document(engine(tmp_path)).values):
+    for values in (
+        json.loads((tmp_path / "car.json").read_text()),
+        jb.files.documents.read_document(engine(tmp_path)).values,
+    ):
         check.validate(values)
         values["bodies"][next(iter(values["bodies"]))].pop("mass")
         assert not check.is_valid(values)
@@ -325,7 +473,8 @@ def test_a_file_is_checked_before_JAX_is_imported(tmp_path):
         "import sys; from pathlib import Path; from jaxbody.files.documents import read_document; "
         "from jaxbody.files.schemas import checked_values\n"
         f"try: checked_values(read_document(Path({str(path)!r})))\n"
-        "except ValueError as error: print(error.code, 'jax' in sys.modules, 'numpy' in sys.modules)"
+        "except ValueError as error: print(error.code, 'jax' in sys.modules, "
+        "'numpy' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["WRONG_DIMENSION", "False", "False"]
@@ -352,7 +501,9 @@ def test_an_orientation_that_follows_from_the_drawing_is_not_written(tmp_path):
     turned = jb.Body(2.0, [1, 1, 1], orientation=jb.Euler("XYZ", [0.3, -0.2, 0.5]))
     ends = {"a": ("box", [0, 0, 0]), "b": ("world", [0, 0, 0]), "orientation": jb.Euler("Y", [0.4])}
     own = jb.Bushing(**ends, stiffness=[1, 2, 3], orientation_b=jb.Euler("Z", [0.1]))
-    model = jb.Model(bodies={"box": turned}, elements={"mount": jb.Mount(**ends, x=3.0), "own": own})
+    model = jb.Model(
+        bodies={"box": turned}, elements={"mount": jb.Mount(**ends, x=3.0), "own": own}
+    )
     jb.write_model(model, path)
     assert path.read_text().count("orientation_b") == 1
     same_to_the_bit(model, jb.read_model(path))

@@ -12,11 +12,21 @@ from jaxbody.files.quantities import in_SI, unit_system
 
 TORSION = {"force": "N m", "argument": "rad"}
 TURN = 57.29577951308232  # degrees in a radian
-DRAWING = unit_system({"length": "mm", "force": "N", "time": "s", "angle": "deg"}, "units", Problems())
-ADAMS = unit_system({"length": "mm", "mass": "kg", "force": "N", "time": "s", "angle": "deg"}, "units", Problems())
-MILLINEWTON = unit_system({"length": "mm", "mass": "kg", "time": "s", "angle": "deg"}, "units", Problems())
-TONNES = unit_system({"length": "mm", "mass": "t", "time": "s", "angle": "deg"}, "units", Problems())
-CRASH = unit_system({"length": "mm", "force": "kN", "time": "ms", "angle": "rad"}, "units", Problems())
+DRAWING = unit_system(
+    {"length": "mm", "force": "N", "time": "s", "angle": "deg"}, "units", Problems()
+)
+ADAMS = unit_system(
+    {"length": "mm", "mass": "kg", "force": "N", "time": "s", "angle": "deg"}, "units", Problems()
+)
+MILLINEWTON = unit_system(
+    {"length": "mm", "mass": "kg", "time": "s", "angle": "deg"}, "units", Problems()
+)
+TONNES = unit_system(
+    {"length": "mm", "mass": "t", "time": "s", "angle": "deg"}, "units", Problems()
+)
+CRASH = unit_system(
+    {"length": "mm", "force": "kN", "time": "ms", "angle": "rad"}, "units", Problems()
+)
 SI = unit_system("SI", "units", Problems())
 
 
@@ -51,7 +61,9 @@ SI = unit_system("SI", "units", Problems())
 )
 def test_conversions(value, unit, system, expected):
     problems = Problems()
-    np.testing.assert_allclose(in_SI(value, unit, TORSION, system, "f:1 x", problems), expected, rtol=4e-16)
+    np.testing.assert_allclose(
+        in_SI(value, unit, TORSION, system, "f:1 x", problems), expected, rtol=4e-16
+    )
     assert not problems.collected
 
 
@@ -80,20 +92,32 @@ def test_what_is_no_quantity(value, unit, code):
 @pytest.mark.parametrize(
     "value, unit, system, meant",
     [
-        (85, "kg", DRAWING, "is 85 without a unit, which would be 85000 kg by the units of the file"),  # N s2/mm are tonnes
+        (
+            85,
+            "kg",
+            DRAWING,
+            "is 85 without a unit, which would be 85000 kg by the units of the file",
+        ),  # N s2/mm are tonnes
         (
             2.1,
             "kg m2",
             DRAWING,
-            'which would be 0.0021 kg m2 by the units of the file (allowed: a unit such as kg m2). Write "2.1 kg m2", or add',
+            (
+                "which would be 0.0021 kg m2 by the units of the file (allowed: a unit such as kg "
+                'm2). Write "2.1 kg m2", or add'
+            ),
         ),
         (
             -9.81,
             "m/s2",
             DRAWING,
-            'which would be -0.00981 m/s2 by the units of the file (allowed: a unit such as m/s2). Write "-9.81 m/s2".',
+            (
+                "which would be -0.00981 m/s2 by the units of the file (allowed: a unit such as "
+                'm/s2). Write "-9.81 m/s2".'
+            ),
         ),
-        (60, "N/m", MILLINEWTON, "is 60 without a unit, which would be 60 N/m"),  # kg mm/s2 are millinewtons
+        # kg mm/s2 are millinewtons
+        (60, "N/m", MILLINEWTON, "is 60 without a unit, which would be 60 N/m"),
         (0.1, "N m", MILLINEWTON, 'or add force = "N" to the units of the file'),
     ],
 )
@@ -108,7 +132,16 @@ def test_a_number_too_large_for_a_float_is_infinite():
     assert in_SI(10**400, "m", {}, DRAWING, "f:1 x", Problems()) == float("inf")
 
 
-@pytest.mark.parametrize("stated", ["mks", 3, {"length": "mm"}, {"length": "s", "time": "s", "angle": "rad", "mass": "kg"}, {"x": "m"}])
+@pytest.mark.parametrize(
+    "stated",
+    [
+        "mks",
+        3,
+        {"length": "mm"},
+        {"length": "s", "time": "s", "angle": "rad", "mass": "kg"},
+        {"x": "m"},
+    ],
+)
 def test_unit_systems_are_complete(stated):
     problems = Problems()
     unit_system(stated, "f:1 units", problems)
@@ -117,15 +150,20 @@ def test_unit_systems_are_complete(stated):
 
 def test_what_a_unit_system_lacks_is_said_whole():
     problems = Problems()
-    unit_system({"length": "mm", "masses": "kg", "temperature": "K", "angle": "deg"}, "f:1 units", problems)
-    assert "has no mass or force and no time and has masses, temperature (allowed: length, time" in str(problems.collected[0])
+    unit_system(
+        {"length": "mm", "masses": "kg", "temperature": "K", "angle": "deg"}, "f:1 units", problems
+    )
+    assert (
+        "has no mass or force and no time and has masses, temperature (allowed: length, time"
+        in str(problems.collected[0])
+    )
 
 
 SWING = """jaxbody = 1
 bodies.arm = {mass = "2 kg", inertia = "1, 1, 1 kg m2"}
 joints.arm = {type = "Hinge", parent = "world", axis = [0, 0, 1]}
 elements.twist = {type = "Torsion", a = "arm", b = "world", axis = [0, 0, 1], spring = "1 N m/rad", free_angle = ANGLE}
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.parametrize(
@@ -146,12 +184,15 @@ def test_more_than_a_turn_in_rad_is_warned_of_once_with_its_line(angle, units, w
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         jb.read_model(path)
-    assert [str(each.message) for each in caught] == ([f"swing.toml:5 elements.twist.free_angle: is {warned} [UNIT]"] if warned else [])
+    assert [str(each.message) for each in caught] == (
+        [f"swing.toml:5 elements.twist.free_angle: is {warned} [UNIT]"] if warned else []
+    )
     assert not warned or caught[0].filename == __file__
 
 
 def test_angles_of_every_kind_are_checked(tmp_path):
-    """Rows of angles, phases, angles of a state; not angular velocities, nor stiffnesses about angles."""
+    """Rows of angles, phases, angles of a state; not angular velocities, nor stiffnesses
+    about angles."""
     path = tmp_path / "swing.toml"
     path.write_text(
         SWING.replace("ANGLE", '"0 rad"').replace("1 N m/rad", "100 N m/rad")
@@ -159,7 +200,7 @@ def test_angles_of_every_kind_are_checked(tmp_path):
 motion.table = {type = "Harmonic", frequency = "1 Hz", rotation = "0, 0, 20 rad", translation_phase = "90 rad"}
 loads.pull = {type = "Force", on = "arm", moment = {type = "Sine", amplitude = "0, 0, 3 N m", frequency = "2 Hz", phase = "45 rad"}}
 loads.wheel = {type = "Unbalance", on = "arm", axis = "z", unbalance = "5 kg mm", frequency = "20 Hz", phase = "-9 rad"}
-"""
+"""  # noqa: E501
     )
     path.write_text(path.read_text().replace('axis = "z"', "axis = [0, 0, 1]"))
     with warnings.catch_warnings(record=True) as caught:
@@ -176,11 +217,25 @@ loads.wheel = {type = "Unbalance", on = "arm", axis = "z", unbalance = "5 kg mm"
 
 def test_constructors_warn_of_phases_in_degrees():
     for make, where in (
-        (lambda: jb.Harmonic(frequency=1.0, translation=[0, 0, 1], translation_phase=90.0), "Harmonic.translation_phase is 90 rad"),
-        (lambda: jb.Harmonic(frequency=1.0, rotation=[0, 0, 1], rotation_phase=[0, 0, -90.0]), "Harmonic.rotation_phase is 90 rad"),
+        (
+            lambda: jb.Harmonic(frequency=1.0, translation=[0, 0, 1], translation_phase=90.0),
+            "Harmonic.translation_phase is 90 rad",
+        ),
+        (
+            lambda: jb.Harmonic(frequency=1.0, rotation=[0, 0, 1], rotation_phase=[0, 0, -90.0]),
+            "Harmonic.rotation_phase is 90 rad",
+        ),
         (lambda: jb.signals.Sine(amplitude=1.0, frequency=1.0, phase=45.0), "Sine.phase is 45 rad"),
-        (lambda: jb.Unbalance("a", axis=[0, 0, 1], unbalance=1.0, frequency=1.0, phase=45.0), "Unbalance.phase is 45 rad"),
-        (lambda: jb.EngineTorque("a", axis=[0, 0, 1], frequency=1.0, orders=[2], amplitudes=[1], phases=[45]), "EngineTorque.phases is 45"),
+        (
+            lambda: jb.Unbalance("a", axis=[0, 0, 1], unbalance=1.0, frequency=1.0, phase=45.0),
+            "Unbalance.phase is 45 rad",
+        ),
+        (
+            lambda: jb.EngineTorque(
+                "a", axis=[0, 0, 1], frequency=1.0, orders=[2], amplitudes=[1], phases=[45]
+            ),
+            "EngineTorque.phases is 45",
+        ),
     ):
         with pytest.warns(jb.JaxbodyWarning, match=where):
             make()

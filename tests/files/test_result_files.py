@@ -1,4 +1,5 @@
-"""Archives of results: every kind is the same again, to the bit and as printed; damaged archives end in clear errors."""
+"""Archives of results: every kind is the same again, to the bit and as printed; damaged archives
+end in clear errors."""
 
 import json
 import shutil
@@ -30,9 +31,16 @@ def results():
     lin = jb.linearize(CAR, rest)
     run = jb.simulate(CAR, np.linspace(0, 1, 51), motion=ROAD, initial="rest")
     measured = jb.measure(run, HEIGHT, noise=1e-4, key=jax.random.key(0))
-    experiments = {"run1": jb.Experiment(run.times, sensors=HEIGHT, measured=measured, motion=ROAD, initial="rest")}
+    experiments = {
+        "run1": jb.Experiment(
+            run.times, sensors=HEIGHT, measured=measured, motion=ROAD, initial="rest"
+        )
+    }
     inputs = {"road": jb.BaseMotion("road", "z")}
-    bounce = lambda car: {"k": car["suspension"].stiffness, "f": jb.modes(jb.linearize(car, car.reference)).frequency[0]}  # noqa: E731
+    bounce = lambda car: {  # noqa: E731
+        "k": car["suspension"].stiffness,
+        "f": jb.modes(jb.linearize(car, car.reference)).frequency[0],
+    }
     return {
         "model": CAR,
         "equilibrium": rest,
@@ -44,9 +52,17 @@ def results():
         "readings": measured,
         "experiment": experiments["run1"],
         "fit": jb.fit(CAR, experiments, free="suspension.stiffness"),
-        "design": jb.tune(CAR, bounce, free="suspension.stiffness", minimize="k", limits={"f": (1.2, None)}),
+        "design": jb.tune(
+            CAR, bounce, free="suspension.stiffness", minimize="k", limits={"f": (1.2, None)}
+        ),
         "response": jb.frequency_response(lin, np.geomspace(0.1, 10, 20), inputs, HEIGHT),
-        "ride": jb.random_response(lin, jb.Band(0.1, 100.0), inputs, HEIGHT, {"road": jb.Unevenness.iso("C").at_speed(20.0)}),
+        "ride": jb.random_response(
+            lin,
+            jb.Band(0.1, 100.0),
+            inputs,
+            HEIGHT,
+            {"road": jb.Unevenness.iso("C").at_speed(20.0)},
+        ),
         "load cases": jb.load_cases(CAR, {"bump": jb.LoadCase(acceleration=[0, 0, 3])}),
         "record": jb.Record(np.arange(10) / 10, {"a": (np.sin(np.arange(10)), "mm")}),
     }
@@ -58,7 +74,10 @@ def same(found, expected):
     for leaf, other in zip(leaves, others, strict=True):
         assert isinstance(leaf, jax.Array) == isinstance(other, jax.Array)
         if hasattr(other, "dtype"):
-            assert leaf.dtype == other.dtype and np.asarray(leaf).tobytes() == np.asarray(other).tobytes()
+            assert (
+                leaf.dtype == other.dtype
+                and np.asarray(leaf).tobytes() == np.asarray(other).tobytes()
+            )
         elif not isinstance(other, jb.Record):
             assert leaf == other and type(leaf) is type(other)
 
@@ -73,20 +92,32 @@ def test_every_kind_of_result_is_the_same_again(results, tmp_path):
         assert jax.tree.structure(again[name]) == jax.tree.structure(result) or name == "record"
         same(again[name], result)
     record, old = again["record"], results["record"]
-    assert record["a"].tobytes() == old["a"].tobytes() and record.units == old.units and record.sampling == old.sampling
+    assert (
+        record["a"].tobytes() == old["a"].tobytes()
+        and record.units == old.units
+        and record.sampling == old.sampling
+    )
 
 
 @pytest.mark.long
 def test_what_is_computed_on_demand_still_is(results, tmp_path):
-    jb.write_results({name: results[name] for name in ("fit", "trajectory", "modes")}, tmp_path / "some.zip")
+    jb.write_results(
+        {name: results[name] for name in ("fit", "trajectory", "modes")}, tmp_path / "some.zip"
+    )
     again = jb.read_results(tmp_path / "some.zip")
-    interval, expected = (x.intervals(0.9)["suspension.stiffness"] for x in (again["fit"], results["fit"]))
+    interval, expected = (
+        x.intervals(0.9)["suspension.stiffness"] for x in (again["fit"], results["fit"])
+    )
     assert interval == expected
     for name, force in results["trajectory"].forces.items():
         np.testing.assert_array_equal(again["trajectory"].forces[name], force)
     assert again["modes"].to_xarray().identical(results["modes"].to_xarray())
     fit = jb.fit(again["fit"].model, again["fit"].experiments, free="suspension.stiffness")
-    np.testing.assert_allclose(fit.estimates["suspension.stiffness"], results["fit"].estimates["suspension.stiffness"], rtol=1e-6)
+    np.testing.assert_allclose(
+        fit.estimates["suspension.stiffness"],
+        results["fit"].estimates["suspension.stiffness"],
+        rtol=1e-6,
+    )
 
 
 NUMBERS = {
@@ -118,7 +149,9 @@ def test_equal_results_are_equal_files_but_for_the_time(tmp_path):
 
 def test_own_classes_need_leave_and_functions_are_refused(tmp_path):
     ends = ("body", [0, 0, 0]), ("world", [0, 0, 1])
-    model = lambda law: jb.Model(bodies={"body": jb.Body(1.0, [1, 1, 1])}, elements={"s": jb.SpringDamper(*ends, spring=law)})  # noqa: E731
+    model = lambda law: jb.Model(  # noqa: E731
+        bodies={"body": jb.Body(1.0, [1, 1, 1])}, elements={"s": jb.SpringDamper(*ends, spring=law)}
+    )
     path = tmp_path / "own.zip"
     with pytest.raises(jb.JaxbodyError, match=r"Cubic of your own Python.*allow=.*OWN_CODE"):
         jb.write_results(model(Cubic(jnp.array(3.0))), path)
@@ -127,8 +160,13 @@ def test_own_classes_need_leave_and_functions_are_refused(tmp_path):
         jb.read_results(path)
     assert float(jb.read_results(path, allow=[__name__])["s"].spring.coefficient) == 3.0
     with pytest.raises(jb.JaxbodyError, match="OWN_CODE"):
-        jb.write_results(jb.simulate(CAR, [0.0, 0.1], motion={"road": lambda t: jnp.zeros(6)}), path, allow=[__name__])
-    assert float(jb.read_results(path, allow=[__name__])["s"].spring.coefficient) == 3.0  # the file is as it was
+        jb.write_results(
+            jb.simulate(CAR, [0.0, 0.1], motion={"road": lambda t: jnp.zeros(6)}),
+            path,
+            allow=[__name__],
+        )
+    # the file is as it was
+    assert float(jb.read_results(path, allow=[__name__])["s"].spring.coefficient) == 3.0
 
 
 def rewritten(path, changes):
@@ -150,11 +188,31 @@ def rewritten(path, changes):
         (lambda path: rewritten(path, {"results.json": b"{"}), "WRONG_FORMAT"),
         (lambda path: rewritten(path, {"results.json": b'{"format": 2}'}), "FILE_VERSION"),
         (lambda path: rewritten(path, {"results.json": b"[]"}), "FILE_VERSION"),
-        (lambda path: rewritten(path, {"results.json": b'{"format": 1, "results": ["name", "os:system"]}'}), "NOT_ALLOWED"),
-        (lambda path: rewritten(path, {"results.json": b'{"format": 1, "results": ["array", "jax", 99]}'}), "NOT_ALLOWED"),
-        (lambda path: rewritten(path, {"results.json": b'{"format": 1, "results": ' + b"[" * 99999}), "WRONG_FORMAT"),
+        (
+            lambda path: rewritten(
+                path, {"results.json": b'{"format": 1, "results": ["name", "os:system"]}'}
+            ),
+            "NOT_ALLOWED",
+        ),
+        (
+            lambda path: rewritten(
+                path, {"results.json": b'{"format": 1, "results": ["array", "jax", 99]}'}
+            ),
+            "NOT_ALLOWED",
+        ),
+        (
+            lambda path: rewritten(
+                path, {"results.json": b'{"format": 1, "results": ' + b"[" * 99999}
+            ),
+            "WRONG_FORMAT",
+        ),
         (lambda path: rewritten(path, {"0.npy": b"no array"}), "WRONG_FORMAT"),
-        (lambda path: rewritten(path, {"0.npy": np.lib.format.magic(1, 0) + b"\x10\x00" + b"{'shape': (9e9,)"}), "WRONG_FORMAT"),
+        (
+            lambda path: rewritten(
+                path, {"0.npy": np.lib.format.magic(1, 0) + b"\x10\x00" + b"{'shape': (9e9,)"}
+            ),
+            "WRONG_FORMAT",
+        ),
         (lambda path: rewritten(path, {"x.npy": b""}), "WRONG_FORMAT"),
         (lambda path: rewritten(path, {"bomb": bytes(2_000_000)}), "TOO_LARGE"),
     ],
@@ -184,7 +242,9 @@ def mutations(data, count):
         changed = bytearray(data)
         for _ in range(rng.integers(1, 4)):
             i = int(rng.integers(len(changed)))
-            changed[i : i + 1] = [bytes([rng.integers(256)]), b"", changed[i : i + 1] * 2][rng.integers(3)]
+            changed[i : i + 1] = [bytes([rng.integers(256)]), b"", changed[i : i + 1] * 2][
+                rng.integers(3)
+            ]
         yield bytes(changed)
 
 
@@ -193,7 +253,9 @@ def test_mutated_archives_are_results_or_clear_errors(member, tmp_path):
     path, changed = tmp_path / "car.zip", tmp_path / "changed.zip"
     jb.write_results({"car": CAR}, path)
     errors = 0
-    for data in mutations(path.read_bytes() if member is None else zipfile.ZipFile(path).read(member), 150):
+    for data in mutations(
+        path.read_bytes() if member is None else zipfile.ZipFile(path).read(member), 150
+    ):
         if member is None:
             changed.write_bytes(data)
         else:
@@ -202,7 +264,13 @@ def test_mutated_archives_are_results_or_clear_errors(member, tmp_path):
         try:
             jb.read_results(changed)
         except jb.JaxbodyError as error:
-            assert error.code in ("WRONG_FORMAT", "FILE_VERSION", "NOT_ALLOWED", "TOO_LARGE", "EMPTY_FILE")
+            assert error.code in (
+                "WRONG_FORMAT",
+                "FILE_VERSION",
+                "NOT_ALLOWED",
+                "TOO_LARGE",
+                "EMPTY_FILE",
+            )
             errors += 1
     assert errors > 20
 

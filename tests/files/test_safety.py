@@ -1,4 +1,5 @@
-"""Files and data are never run: no eval, exec, pickle, shell, YAML or network in what reads and writes them, by any name."""
+"""Files and data are never run: no eval, exec, pickle, shell, YAML or network in what reads and
+writes them, by any name."""
 
 import ast
 from pathlib import Path
@@ -11,19 +12,55 @@ PACKAGE = Path(jb.__file__).parent
 STARTING = {"mjcf_compiled": {"subprocess"}}  # a program of the package, to which the file is data
 READERS = ("files", "studies", "interchange", "records")
 REFUSED = {
-    "eval", "exec", "compile", "__import__", "builtins", "__builtins__", "globals", "__subclasses__", "import_module", "runpy", "ctypes",
-    "pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve", "read_pickle", "to_pickle", "allow_pickle", "yaml",
-    "os", "popen", "Popen", "subprocess", "pty", "socket", "urllib", "urllib3", "http", "requests", "ftplib", "urlopen", "urlretrieve",
-}  # fmt: skip
+    "eval",
+    "exec",
+    "compile",
+    "__import__",
+    "builtins",
+    "__builtins__",
+    "globals",
+    "__subclasses__",
+    "import_module",
+    "runpy",
+    "ctypes",
+    "pickle",
+    "cPickle",
+    "dill",
+    "cloudpickle",
+    "joblib",
+    "marshal",
+    "shelve",
+    "read_pickle",
+    "to_pickle",
+    "allow_pickle",
+    "yaml",
+    "os",
+    "popen",
+    "Popen",
+    "subprocess",
+    "pty",
+    "socket",
+    "urllib",
+    "urllib3",
+    "http",
+    "requests",
+    "ftplib",
+    "urlopen",
+    "urlretrieve",
+}
 ALLOWED = {
     "re.compile": "a pattern is no program",
     "allow_pickle=False": "NumPy's word for refusing",
-    "importlib.import_module": "of the modules in allow=[...], see test_own_classes_are_taken_from_modules_that_are_allowed",
+    "importlib.import_module": (
+        "of the modules in allow=[...], see "
+        "test_own_classes_are_taken_from_modules_that_are_allowed"
+    ),
 }
 
 
 def words(node):
-    """The names in a node of a syntax tree: used, imported or written as text for getattr and the like."""
+    """The names in a node of a syntax tree: used, imported or written as text for getattr and
+    the like."""
     if isinstance(node, ast.Name):
         return [node.id]
     if isinstance(node, ast.Attribute):
@@ -35,7 +72,11 @@ def words(node):
     if isinstance(node, ast.ImportFrom):
         return (node.module or "").split(".")
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
-        return node.value.split(".") if all(part.isidentifier() for part in node.value.split(".")) else []
+        return (
+            node.value.split(".")
+            if all(part.isidentifier() for part in node.value.split("."))
+            else []
+        )
     return []
 
 
@@ -46,23 +87,43 @@ def refused_in(text, allowed=frozenset()):
 
 
 @pytest.mark.parametrize(
-    "path", [path for package in READERS for path in sorted((PACKAGE / package).glob("*.py"))], ids=lambda path: path.stem
+    "path",
+    [path for package in READERS for path in sorted((PACKAGE / package).glob("*.py"))],
+    ids=lambda path: path.stem,
 )
 def test_no_file_can_run_anything(path):
     assert refused_in(path.read_text(), STARTING.get(path.stem, frozenset())) == []
 
 
 def test_modules_are_imported_in_one_place():
-    found = [path.name for package in READERS for path in (PACKAGE / package).glob("*.py") if "import_module" in path.read_text()]
+    found = [
+        path.name
+        for package in READERS
+        for path in (PACKAGE / package).glob("*.py")
+        if "import_module" in path.read_text()
+    ]
     assert found == ["builders.py"]
 
 
 EVIL = [
-    "eval(text)", "run = exec", "import os as x", "import os.path", "from os import system as s", "from subprocess import run",
-    "getattr(module, 'eval')", "np.load(file, allow_pickle=True)", "__import__('x')", "import pickle",
-    "pd.read_pickle(file)", "import yaml", "from urllib.request import urlopen", "().__class__.__base__.__subclasses__()",
-    "vars(x)['__builtins__']", "compile(text, '', 'exec')", "from importlib import import_module",
-]  # fmt: skip
+    "eval(text)",
+    "run = exec",
+    "import os as x",
+    "import os.path",
+    "from os import system as s",
+    "from subprocess import run",
+    "getattr(module, 'eval')",
+    "np.load(file, allow_pickle=True)",
+    "__import__('x')",
+    "import pickle",
+    "pd.read_pickle(file)",
+    "import yaml",
+    "from urllib.request import urlopen",
+    "().__class__.__base__.__subclasses__()",
+    "vars(x)['__builtins__']",
+    "compile(text, '', 'exec')",
+    "from importlib import import_module",
+]
 
 
 @pytest.mark.parametrize("text", EVIL)

@@ -11,7 +11,11 @@ import jaxbody as jb
 ENDS = ("mass", [0, 0, 0]), ("world", [0, 0, 1])
 LAWS = {
     "linear": (jb.laws.Linear(20e3), "Linear(20000)", "Linear(20000 N/m)"),
-    "polynomial": (jb.laws.Polynomial([1e3, 2e4]), "Polynomial([1000 20000])", "Polynomial([1000 N/m, 20000 N/m2])"),
+    "polynomial": (
+        jb.laws.Polynomial([1e3, 2e4]),
+        "Polynomial([1000 20000])",
+        "Polynomial([1000 N/m, 20000 N/m2])",
+    ),
     "stop": (
         jb.laws.Stop(gap=0.06, stiffness=2e5, engagement=0.01),
         "Stop(gap=0.06 m, stiffness=200000 N/m, engagement=0.01 m, extension=False)",
@@ -32,7 +36,9 @@ LAWS = {
 
 def model_with(**law):
     return jb.Model(
-        bodies={"mass": jb.Body(mass=1.0)}, joints={"mass": jb.Guide("world", axis="z")}, elements={"s": jb.SpringDamper(*ENDS, **law)}
+        bodies={"mass": jb.Body(mass=1.0)},
+        joints={"mass": jb.Guide("world", axis="z")},
+        elements={"s": jb.SpringDamper(*ENDS, **law)},
     )
 
 
@@ -72,10 +78,16 @@ def test_bodies_elements_loads_and_motions_print_their_numbers():
         jb.Bushing(*ENDS, stiffness=np.diag(np.arange(1, 7)))
     )
     sine = jb.signals.Sine(amplitude=[1, 0, 0], frequency=2.0)
-    assert "force=Sine(amplitude=[1 0 0] N, frequency=2 Hz, phase=0 rad)" in repr(jb.Force("mass", force=sine))
-    assert repr(jb.Harmonic(frequency=0.8, translation=[0.01, 0, 0])).startswith("Harmonic(frequency=0.8 Hz, translation=[0.01 0 0] m")
+    assert "force=Sine(amplitude=[1 0 0] N, frequency=2 Hz, phase=0 rad)" in repr(
+        jb.Force("mass", force=sine)
+    )
+    assert repr(jb.Harmonic(frequency=0.8, translation=[0.01, 0, 0])).startswith(
+        "Harmonic(frequency=0.8 Hz, translation=[0.01 0 0] m"
+    )
     assert repr(jb.Guide("world", axis="z")) == "Guide(parent='world', axis=[0 0 1])"
-    assert repr(jb.Position("mass", axis="z", gain=2.0)).startswith("Position(gain=2, on='mass', axis=[0 0 1]")
+    assert repr(jb.Position("mass", axis="z", gain=2.0)).startswith(
+        "Position(gain=2, on='mass', axis=[0 0 1]"
+    )
 
 
 def test_what_is_traced_batched_or_no_number_prints_too():
@@ -84,8 +96,15 @@ def test_what_is_traced_batched_or_no_number_prints_too():
     assert "spring=Polynomial(traced)" in seen[0]
     batch = jax.vmap(lambda k: jb.replace(model, {"s.free_length": k}))(jnp.arange(3.0))
     assert "free_length=[0 1 2] m" in repr(batch["s"])
-    for change in (lambda x: None, lambda x: True, lambda x: x.sum(), lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype)):
-        assert repr(jax.tree.map(change, model["s"])).startswith("SpringDamper(between=('mass', 'world')")
+    for change in (
+        lambda x: None,
+        lambda x: True,
+        lambda x: x.sum(),
+        lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype),
+    ):
+        assert repr(jax.tree.map(change, model["s"])).startswith(
+            "SpringDamper(between=('mass', 'world')"
+        )
 
 
 class Network(jb.laws.Law):
@@ -97,9 +116,12 @@ class Network(jb.laws.Law):
 
 
 def test_a_network_in_a_law_prints_as_the_number_of_its_numbers():
-    """16 + 16, 16 * 16 + 16 and 16 + 1 of weights and biases; a short dict as it is, a long one likewise."""
+    """16 + 16, 16 * 16 + 16 and 16 + 1 of weights and biases; a short dict as it is, a long
+    one likewise."""
     net = eqx.nn.MLP("scalar", "scalar", 16, 2, activation=jax.nn.tanh, key=jax.random.key(1))
     assert repr(Network(net, {"a": 1})) == "Network(net=MLP(321 numbers), parts={'a': 1})"
     long = {f"weights {i}": jnp.zeros(3) for i in range(9)}
     assert repr(Network(net, long)) == "Network(net=MLP(321 numbers), parts=dict(27 numbers))"
-    assert max(map(len, str(model_with(spring=Network(net, {}), free_length=1.0)).splitlines())) < 120
+    assert (
+        max(map(len, str(model_with(spring=Network(net, {}), free_length=1.0)).splitlines())) < 120
+    )

@@ -42,7 +42,10 @@ def test_formulas_of_units_are_read_in_the_words_of_the_owner(formula, words, un
 
 def test_units_of_parts_belong_to_the_numbers_of_these_parts():
     blocks = Kind("N/m, N; N, N m/rad")
-    assert units_of(blocks, (6, 6)) == [*(["N/m"] * 3 + ["N"] * 3) * 3, *(["N"] * 3 + ["N m/rad"] * 3) * 3]
+    assert units_of(blocks, (6, 6)) == [
+        *(["N/m"] * 3 + ["N"] * 3) * 3,
+        *(["N"] * 3 + ["N m/rad"] * 3) * 3,
+    ]
     assert units_of(blocks, (3,)) == ["N/m"] * 3
     assert units_of(Kind("m, rad"), (2, 6)) == (["m"] * 3 + ["rad"] * 3) * 2
     assert units_of(Kind("N, N m"), ()) == [""]  # one number for both

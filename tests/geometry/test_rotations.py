@@ -1,4 +1,5 @@
-"""Rotations against independent references: the matrix series in 60 decimal digits, SciPy, and the group axioms."""
+"""Rotations against independent references: the matrix series in 60 decimal digits, SciPy, and the
+group axioms."""
 
 import functools
 import itertools
@@ -20,8 +21,29 @@ LIMITS = [1e-15, 1e-14, 1e-13, 1e-12, 1e-10]  # of the value and its derivatives
 A, B = np.array([0.3, -0.7, 0.5]), np.array([-0.4, 0.2, 0.6])
 AXIS = np.array([2.0, -1.0, 2.0]) / 3
 SWEEP = np.array(SIZES)[:, None] * AXIS
-LARGE = np.array([0.5, 0.999999, 1.000001, 1.999999, 2.000001, 3.0, np.pi, 2 * np.pi - 1e-3, 2 * np.pi, 7.0, 12.5, 19.0])[:, None] * AXIS
-DIRECTIONS = np.array([s for s in itertools.product([1.0, 0.0, -1.0], repeat=3) if s > (0, 0, 0)] + [(1, 2, 0), (0, 1, 2), (2, 0, 1)])
+LARGE = (
+    np.array(
+        [
+            0.5,
+            0.999999,
+            1.000001,
+            1.999999,
+            2.000001,
+            3.0,
+            np.pi,
+            2 * np.pi - 1e-3,
+            2 * np.pi,
+            7.0,
+            12.5,
+            19.0,
+        ]
+    )[:, None]
+    * AXIS
+)
+DIRECTIONS = np.array(
+    [s for s in itertools.product([1.0, 0.0, -1.0], repeat=3) if s > (0, 0, 0)]
+    + [(1, 2, 0), (0, 1, 2), (2, 0, 1)]
+)
 
 
 def skew(w):
@@ -33,7 +55,8 @@ def skews(w):
 
 
 def series(w, s, a, first=0, order=4):
-    """Coefficients of e^0 .. e^order in the sum over k of [w + e s]^k a / (k + first)!, to 50 digits: floats are exact decimals."""
+    """Coefficients of e^0 .. e^order in the sum over k of [w + e s]^k a / (k + first)!, to 50
+    digits: floats are exact decimals."""
     W, S, v = (np.vectorize(Decimal)(x) for x in (w, s, a))
     W, S = skew(W), skew(S)
     with localcontext() as context:
@@ -47,18 +70,22 @@ def series(w, s, a, first=0, order=4):
 
 
 def matrix_series(w, first=0):
-    """The sum over k of [w]^k / (k + first)!: the exponential, and for first = 1 the left Jacobian."""
+    """The sum over k of [w]^k / (k + first)!: the exponential, and for first = 1 the
+    left Jacobian."""
     return np.stack([series(w, 0 * w, e, first, 0)[0] for e in np.eye(3)], 1).astype(float)
 
 
 @functools.cache
 def exact_potential():
-    """Derivatives 0 to 4 of |R a - b|^2 along each direction at each point: (5, points, directions)."""
+    """Derivatives 0 to 4 of |R a - b|^2 along each direction at each point: (5,
+    points, directions)."""
     table = np.empty((5, len(SWEEP) + len(LARGE), len(DIRECTIONS)))
     for (i, w), (j, s) in itertools.product(enumerate([*SWEEP, *LARGE]), enumerate(DIRECTIONS)):
         d = series(w, s, A)
         d[0] = d[0] - np.vectorize(Decimal)(B)
-        table[:, i, j] = [factorial(n) * sum(d[k].dot(d[n - k]) for k in range(n + 1)) for n in range(5)]
+        table[:, i, j] = [
+            factorial(n) * sum(d[k].dot(d[n - k]) for k in range(n + 1)) for n in range(5)
+        ]
     return table
 
 
@@ -67,7 +94,8 @@ def with_derivative(g):
 
 
 def along(f, order=4):
-    """f and its first derivatives along s, as a function of (w, s); sixteen directions determine a symmetric tensor of the fourth order."""
+    """f and its first derivatives along s, as a function of (w, s); sixteen directions determine a
+    symmetric tensor of the fourth order."""
 
     def derivatives(w, s):
         def g(t):
@@ -76,7 +104,10 @@ def along(f, order=4):
         for _ in range(order):
             g = with_derivative(g)
         nested = g(0.0)  # ((f, f'), (f', f'')) and so on
-        return [functools.reduce(lambda pair, i, n=n: pair[int(i < n)], range(order), nested) for n in range(order + 1)]
+        return [
+            functools.reduce(lambda pair, i, n=n: pair[int(i < n)], range(order), nested)
+            for n in range(order + 1)
+        ]
 
     return derivatives
 
@@ -88,12 +119,23 @@ def over_all(function, points):
     return [np.asarray(x).reshape(len(points), len(DIRECTIONS), *x.shape[1:]) for x in values]
 
 
-@pytest.mark.parametrize("mode", ["forward over exp_quaternion", pytest.param("reverse over forward over exp", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "mode",
+    [
+        "forward over exp_quaternion",
+        pytest.param("reverse over forward over exp", marks=pytest.mark.long),
+    ],
+)
 def test_derivatives_to_the_fourth_are_exact_from_zero_to_three_turns(mode):
-    """A potential |R a - b|^2 at rotations of 0 and 1e-16 to 0.1, on either side of the switches of branch, and up to 19 rad."""
+    """A potential |R a - b|^2 at rotations of 0 and 1e-16 to 0.1, on either side of the switches of
+    branch, and up to 19 rad."""
 
     def rotation(w):
-        return rotations.matrix(rotations.exp_quaternion(w)) if "quaternion" in mode else rotations.exp(w)
+        return (
+            rotations.matrix(rotations.exp_quaternion(w))
+            if "quaternion" in mode
+            else rotations.exp(w)
+        )
 
     def potential(w):
         d = rotation(w) @ A - B
@@ -104,14 +146,20 @@ def test_derivatives_to_the_fourth_are_exact_from_zero_to_three_turns(mode):
         return potential(w), *(jax.jacrev(lambda w: jnp.stack(along(potential, 3)(w, s)))(w) @ s)
 
     exact, size = exact_potential(), np.abs(DIRECTIONS).sum(1)
-    for n, value in enumerate(over_all(reverse if mode.startswith("reverse") else along(potential), np.concatenate([SWEEP, LARGE]))):
+    for n, value in enumerate(
+        over_all(
+            reverse if mode.startswith("reverse") else along(potential),
+            np.concatenate([SWEEP, LARGE]),
+        )
+    ):
         error = np.abs(value - exact[n]) / size**n / max(1, np.abs(exact[n] / size**n).max())
         assert error.max() <= LIMITS[n], n
 
 
 @pytest.mark.long
 def test_log_undoes_exp_with_all_derivatives_to_the_fourth():
-    """log(exp(w)) = w: its first derivative is the identity, the next three vanish; also next to half a turn."""
+    """log(exp(w)) = w: its first derivative is the identity, the next three vanish; also next to
+    half a turn."""
     points = np.concatenate([SWEEP, LARGE[:6], (np.pi - 1e-7) * AXIS[None]])
     value, *derivatives = over_all(along(lambda w: rotations.log(rotations.exp(w))), points)
     exact = [DIRECTIONS + 0 * points[:, None], 0, 0, 0]
@@ -121,7 +169,8 @@ def test_log_undoes_exp_with_all_derivatives_to_the_fourth():
 
 
 def sample(n, largest):
-    """Rotation vectors in every direction, of every size up to the largest, zero and the coordinate axes among them."""
+    """Rotation vectors in every direction, of every size up to the largest, zero and the coordinate
+    axes among them."""
     v = RNG.normal(size=(n, 3))
     v[:6] = [*np.eye(3), *-np.eye(3)]
     size = largest * RNG.uniform(size=n) ** 2
@@ -142,7 +191,10 @@ def test_exp_is_the_matrix_exponential():
 
 
 def test_a_turn_about_an_axis_is_the_exponential():
-    axes, angles = PSI[:-1] / np.linalg.norm(PSI[:-1], axis=1, keepdims=True), np.linspace(-19, 19, 59)
+    axes, angles = (
+        PSI[:-1] / np.linalg.norm(PSI[:-1], axis=1, keepdims=True),
+        np.linspace(-19, 19, 59),
+    )
     exact = Rotation.from_rotvec(angles[:, None] * axes).as_matrix()
     assert np.abs(rotations.about(axes, angles) - exact).max() <= 1e-14
 
@@ -156,23 +208,41 @@ def test_left_jacobian_is_its_series_and_turns_a_rate_into_an_angular_velocity()
 
 def test_inverse_left_jacobian_is_the_inverse_and_the_derivative_of_log():
     points = np.concatenate([PSI, HALF_TURNS * (1 - 1e-9), SWEEP])
-    inverse = np.stack([rotations.inverse_left_jacobian(points, np.broadcast_to(e, points.shape)) for e in np.eye(3)], -1)
+    inverse = np.stack(
+        [
+            rotations.inverse_left_jacobian(points, np.broadcast_to(e, points.shape))
+            for e in np.eye(3)
+        ],
+        -1,
+    )
     assert np.abs(inverse - np.linalg.inv([matrix_series(w, 1) for w in points])).max() <= 2e-15
     change = jax.jacrev(lambda e, R: rotations.log(vectors.product(rotations.exp(e), R)))
-    singular = np.concatenate([np.zeros((1, 3)), 1e-160 * AXIS[None], 1e-300 * AXIS[None], HALF_TURNS])  # squares underflow, sign open
-    result = jax.jit(jax.vmap(change, (None, 0)))(jnp.zeros(3), rotations.exp(np.concatenate([points, singular])))
+    singular = np.concatenate(
+        [np.zeros((1, 3)), 1e-160 * AXIS[None], 1e-300 * AXIS[None], HALF_TURNS]
+    )  # squares underflow, sign open
+    result = jax.jit(jax.vmap(change, (None, 0)))(
+        jnp.zeros(3), rotations.exp(np.concatenate([points, singular]))
+    )
     assert np.abs(result[: len(points)] - inverse).max() <= 1e-14
     assert np.isfinite(result).all()
 
 
 def test_quaternions_and_matrices_agree_with_scipy(rng):
-    q, R = Rotation.from_rotvec(PHI).as_quat(scalar_first=True), Rotation.from_rotvec(PHI).as_matrix()
+    q, R = (
+        Rotation.from_rotvec(PHI).as_quat(scalar_first=True),
+        Rotation.from_rotvec(PHI).as_matrix(),
+    )
     scale = rng.uniform(0.5, 2, size=(len(q), 1))
     result = np.asarray(rotations.exp_quaternion(PHI))
     assert np.abs(result * np.sign(np.sum(result * q, 1, keepdims=True)) - q).max() <= 1e-14
     assert np.abs(rotations.matrix(q * scale) - R).max() <= 1e-15
     assert np.abs(rotations.normalize(q * scale) - q).max() <= 4e-16
-    assert np.abs(rotations.log_quaternion(q) - Rotation.from_quat(q, scalar_first=True).as_rotvec()).max() <= 4e-15
+    assert (
+        np.abs(
+            rotations.log_quaternion(q) - Rotation.from_quat(q, scalar_first=True).as_rotvec()
+        ).max()
+        <= 4e-15
+    )
     assert np.abs(rotations.log_quaternion(-q) - rotations.log_quaternion(q)).max() == 0
 
 
@@ -182,7 +252,10 @@ def test_from_matrix_finds_the_quaternion_whichever_component_is_largest():
     R = Rotation.from_rotvec(turns).as_matrix()
     q = np.asarray(jax.jit(rotations.from_matrix)(R))
     assert {int(np.abs(row).argmax()) for row in q} == {0, 1, 2, 3}
-    assert np.abs(np.abs(np.sum(q * Rotation.from_matrix(R).as_quat(scalar_first=True), 1)) - 1).max() <= 1e-15
+    assert (
+        np.abs(np.abs(np.sum(q * Rotation.from_matrix(R).as_quat(scalar_first=True), 1)) - 1).max()
+        <= 1e-15
+    )
     assert np.abs(rotations.matrix(q) - R).max() <= 1e-15
     assert np.abs(np.linalg.norm(q, axis=1) - 1).max() <= 1e-15
 
@@ -190,7 +263,10 @@ def test_from_matrix_finds_the_quaternion_whichever_component_is_largest():
 @pytest.mark.parametrize("short_of", [1e-1, 1e-4, 1e-8, 1e-12, 1e-15, 0.0])
 def test_log_keeps_its_digits_up_to_half_a_turn(short_of):
     phi = HALF_TURNS * (1 - short_of / np.pi)
-    for log in (rotations.log(rotations.exp(phi)), rotations.log_quaternion(rotations.exp_quaternion(phi))):
+    for log in (
+        rotations.log(rotations.exp(phi)),
+        rotations.log_quaternion(rotations.exp_quaternion(phi)),
+    ):
         log = np.asarray(log)
         if short_of <= 1e-15:  # both of phi and -phi are right there
             log = log * np.sign(np.sum(log * phi, 1, keepdims=True))
@@ -204,7 +280,13 @@ def test_the_laws_of_a_group():
     assert np.abs(rotations.multiply(p, one) - p).max() == 0
     assert np.abs(rotations.multiply(one, p) - p).max() == 0
     assert np.abs(rotations.multiply(p, p * conjugate) - one).max() <= 1e-15
-    assert np.abs(rotations.multiply(rotations.multiply(p, q), r) - rotations.multiply(p, rotations.multiply(q, r))).max() <= 1e-15
+    assert (
+        np.abs(
+            rotations.multiply(rotations.multiply(p, q), r)
+            - rotations.multiply(p, rotations.multiply(q, r))
+        ).max()
+        <= 1e-15
+    )
     P, Q = rotations.matrix(p), rotations.matrix(q)
     assert np.abs(rotations.matrix(rotations.multiply(p, q)) - vectors.product(P, Q)).max() <= 2e-15
     assert np.abs(vectors.product(P, Q) - np.einsum("nij,njk->nik", P, Q)).max() <= 1e-15
@@ -213,7 +295,10 @@ def test_the_laws_of_a_group():
     assert np.abs(P @ np.swapaxes(P, 1, 2) - np.eye(3)).max() <= 1e-15
     assert np.abs(rotations.exp(PHI) - P).max() <= 2e-15
     assert np.abs(np.linalg.det(P) - 1).max() <= 2e-15
-    assert np.abs(vectors.skew(PHI) @ PSI[..., None] - vectors.cross(PHI, PSI)[..., None]).max() <= 1e-14
+    assert (
+        np.abs(vectors.skew(PHI) @ PSI[..., None] - vectors.cross(PHI, PSI)[..., None]).max()
+        <= 1e-14
+    )
     assert np.abs(vectors.cross(PHI, PSI) - np.cross(PHI, PSI)).max() <= 1e-14
 
 
@@ -234,8 +319,14 @@ def test_no_second_derivative_is_nan(rng, name):
     """At zero, at rotations whose square underflows, and at half a turn about each axis."""
 
     f = getattr(rotations, name)
-    f = (lambda w: rotations.inverse_left_jacobian(w, AXIS)) if name == "inverse_left_jacobian" else f
-    points = np.concatenate([np.zeros((1, 3)), SWEEP[1:4], 1e-160 * AXIS[None], 1e-300 * AXIS[None], HALF_TURNS[:3]])
+    f = (
+        (lambda w: rotations.inverse_left_jacobian(w, AXIS))
+        if name == "inverse_left_jacobian"
+        else f
+    )
+    points = np.concatenate(
+        [np.zeros((1, 3)), SWEEP[1:4], 1e-160 * AXIS[None], 1e-300 * AXIS[None], HALF_TURNS[:3]]
+    )
     weights = rng.normal(size=f(points[0]).shape)
     second = jax.jit(jax.vmap(jax.hessian(lambda w: jnp.sum(weights * f(w)))))(points)
     assert np.isfinite(second).all()

@@ -1,4 +1,5 @@
-"""Fits of models whose elements have memory: from stiffness curves, and from a record with the states of its start."""
+"""Fits of models whose elements have memory: from stiffness curves, and from a record with the
+states of its start."""
 
 import jax
 import numpy as np
@@ -14,12 +15,20 @@ def model_of(k0=2e4, k1=6e4, tau=0.01):
     return jb.Model(
         bodies={"m": jb.Body(mass=50.0)},
         joints={"m": jb.Guide("world", axis="x")},
-        elements={"s": jb.SpringDamper(("m", [0, 0, 0]), ("world", [1, 0, 0]), free_length=1.0, spring=spring)},
+        elements={
+            "s": jb.SpringDamper(
+                ("m", [0, 0, 0]), ("world", [1, 0, 0]), free_length=1.0, spring=spring
+            )
+        },
     )
 
 
 FREE = ["s.spring.terms.0.coefficient", "s.spring.terms.1.*"]
-TRUTH = {"s.spring.terms.0.coefficient": 2e4, "s.spring.terms.1.stiffness": 6e4, "s.spring.terms.1.relaxation_time": 0.01}
+TRUTH = {
+    "s.spring.terms.0.coefficient": 2e4,
+    "s.spring.terms.1.stiffness": 6e4,
+    "s.spring.terms.1.relaxation_time": 0.01,
+}
 
 
 def close_to_truth(fit, rtol):
@@ -46,7 +55,9 @@ def test_a_fit_of_a_record_with_its_initial_state():
     times = np.linspace(0, 0.5, 101)
     start = jb.State(np.array([0.01]), np.zeros(1), np.array([0.004]))
     sensors = {"x": jb.Position("m", axis="x")}
-    measured = jb.measure(jb.simulate(model_of(), times, initial=start), sensors, noise=1e-6, key=jax.random.key(1))
+    measured = jb.measure(
+        jb.simulate(model_of(), times, initial=start), sensors, noise=1e-6, key=jax.random.key(1)
+    )
     guess = jb.State(np.array([0.01]), np.zeros(1), np.array([0.0]))
     run = jb.Experiment(times, initial=guess, sensors=sensors, measured=measured, noise=1e-6)
     fit = jb.fit(model_of(2.2e4, 5e4, 0.012), {"run": run}, free=[*FREE, "run.initial.z"])
@@ -58,11 +69,19 @@ def test_a_fit_of_a_record_with_its_initial_state():
 def test_beta_is_not_told_from_gamma_and_delta():
     """Only beta gamma and beta delta are in the equation: a fit of all three names them."""
     law = jb.laws.Linear(5e4) + jb.laws.BoucWen(alpha=5e4, beta=1e3, gamma=0.8, delta=-0.5)
-    mount = jb.SpringDamper(("m", [0, 0, 0]), ("world", [1, 0, 0]), free_length=1.0, spring=law, damper=10.0)
-    model = jb.Model(bodies={"m": jb.Body(mass=2.0)}, joints={"m": jb.Guide("world", axis="x")}, elements={"mount": mount})
+    mount = jb.SpringDamper(
+        ("m", [0, 0, 0]), ("world", [1, 0, 0]), free_length=1.0, spring=law, damper=10.0
+    )
+    model = jb.Model(
+        bodies={"m": jb.Body(mass=2.0)},
+        joints={"m": jb.Guide("world", axis="x")},
+        elements={"mount": mount},
+    )
     times, start = np.linspace(0, 0.1, 41), jb.State(np.array([1e-3]), np.zeros(1), np.zeros(1))
     sensors = {"x": jb.Position("m", axis="x")}
-    measured = jb.measure(jb.simulate(model, times, initial=start), sensors, noise=1e-6, key=jax.random.key(3))
+    measured = jb.measure(
+        jb.simulate(model, times, initial=start), sensors, noise=1e-6, key=jax.random.key(3)
+    )
     run = jb.Experiment(times, initial=start, sensors=sensors, measured=measured, noise=1e-6)
     free = [f"mount.spring.terms.1.{name}" for name in ("beta", "gamma", "delta")]
     with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE"):

@@ -1,7 +1,9 @@
-"""The search and the standard errors of `fit` against the certified values of NIST's datasets for nonlinear regression.
+"""The search and the standard errors of `fit` against the certified values of NIST's datasets for
+nonlinear regression.
 
-tests/nist holds the 27 files as NIST publishes them (National Institute of Standards and Technology, public domain): data, two starts,
-and values certified to eleven digits, computed in 128-bit arithmetic. Parameters move as most of a model's do, b = b0 + |b0| u.
+tests/nist holds the 27 files as NIST publishes them (National Institute of Standards and
+Technology, public domain): data, two starts, and values certified to eleven digits, computed in
+128-bit arithmetic. Parameters move as most of a model's do, b = b0 + |b0| u.
 """
 
 import pathlib
@@ -21,7 +23,11 @@ exp, pi = jnp.exp, jnp.pi
 
 
 def gauss(x, b):
-    return b[0] * exp(-b[1] * x) + b[2] * exp(-((x - b[3]) ** 2) / b[4] ** 2) + b[5] * exp(-((x - b[6]) ** 2) / b[7] ** 2)
+    return (
+        b[0] * exp(-b[1] * x)
+        + b[2] * exp(-((x - b[3]) ** 2) / b[4] ** 2)
+        + b[5] * exp(-((x - b[6]) ** 2) / b[7] ** 2)
+    )
 
 
 def lanczos(x, b):
@@ -79,8 +85,17 @@ MODELS = {
 def read(path):
     """Starts (2, n), certified parameters and standard deviations, y and x."""
     text = path.read_text()
-    rows = np.array([row.split() for row in re.findall(r"^\s*b\d+\s*=\s*(.*)$", text, flags=re.M) if len(row.split()) == 4], float)
-    table = np.array([row.split() for row in text[text.rindex("Data:") :].splitlines()[1:] if row.strip()], float)
+    rows = np.array(
+        [
+            row.split()
+            for row in re.findall(r"^\s*b\d+\s*=\s*(.*)$", text, flags=re.M)
+            if len(row.split()) == 4
+        ],
+        float,
+    )
+    table = np.array(
+        [row.split() for row in text[text.rindex("Data:") :].splitlines()[1:] if row.strip()], float
+    )
     y, x = table[:, 0], table[:, 1] if table.shape[1] == 2 else table[:, 1:]
     return rows[:, :2].T, rows[:, 2], rows[:, 3], np.log(y) if path.stem == "Nelson" else y, x
 
@@ -105,7 +120,12 @@ def solved(path, start):
     u, arrived = by_scipy(evaluate, np.zeros(len(b0)), (-free, free))
     r, J, _ = evaluate(u)
     uncertainty = assess(
-        r, J, [], [], [f"b{i}" for i in range(len(b0))], [ResidualSeries("y", "y", "", np.arange(len(y)), np.arange(len(y)), False)]
+        r,
+        J,
+        [],
+        [],
+        [f"b{i}" for i in range(len(b0))],
+        [ResidualSeries("y", "y", "", np.arange(len(y)), np.arange(len(y)), False)],
     )
     error, freedom = uncertainty.spread(np.diag(np.abs(b0)))
     np.testing.assert_allclose(freedom[np.isfinite(error)], len(y) - uncertainty.rank, rtol=1e-9)
@@ -115,15 +135,19 @@ def solved(path, start):
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_certified_parameters_and_their_standard_deviations(path):
     result, error, arrived, certified, deviations = solved(path, 1)
-    print(f"{path.stem}: {digits(result, certified):.1f} and {digits(error, deviations):.1f} digits")
-    known = 3 if path.stem == "Lanczos1" else 4  # its residuals, 1e-13 of y, have three digits in float64
+    print(
+        f"{path.stem}: {digits(result, certified):.1f} and {digits(error, deviations):.1f} digits"
+    )
+    # its residuals, 1e-13 of y, have three digits in float64
+    known = 3 if path.stem == "Lanczos1" else 4
     assert arrived and digits(result, certified) >= 6 and digits(error, deviations) >= known
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_from_the_far_start_too_or_the_data_do_not_determine_the_parameters(path):
-    """Three end where an exponential has died out before the first point, on a plateau: parameters have no number there."""
+    """Three end where an exponential has died out before the first point, on a plateau: parameters
+    have no number there."""
     result, error, arrived, certified, _ = solved(path, 0)
     print(f"{path.stem}: {digits(result, certified):.1f} digits, {arrived}")
     lost = path.stem in ("BoxBOD", "MGH10", "MGH17")

@@ -1,5 +1,6 @@
-"""Noise in records of imposed motions and loads is told apart from noise of what is measured and from what a model lacks: records of a
-machine on a shaker by SciPy, and smoothed records in closed form."""
+"""Noise in records of imposed motions and loads is told apart from noise of what is measured and
+from what a model lacks: records of a machine on a shaker by SciPy, and smoothed records in
+closed form."""
 
 import contextlib
 
@@ -21,7 +22,13 @@ UP = jnp.array([0.0, 0.0, 1.0])
 
 
 def machine(stiffness=250e3, damping=300.0):
-    mount = jb.Spring(("machine", [0, 0, 0]), ("floor", [0, 0, 0]), stiffness=stiffness, damping=damping, free_length=0.1)
+    mount = jb.Spring(
+        ("machine", [0, 0, 0]),
+        ("floor", [0, 0, 0]),
+        stiffness=stiffness,
+        damping=damping,
+        free_length=0.1,
+    )
     return jb.Model(
         bodies={"machine": jb.Body(mass=shaken_machine.MASS, inertia=[1, 1, 1])},
         supports={"floor": jb.Support(position=[0, 0, -0.1])},
@@ -62,7 +69,8 @@ def test_noise_of_the_floor_has_its_status_and_a_clean_floor_has_none(duration, 
 def test_a_filtered_record_is_the_remedy():
     t, b, x, a = shaken(10, 400, 2e-5, 1)
     b = scipy.signal.sosfiltfilt(scipy.signal.butter(4, 40.0, fs=400, output="sos"), b)
-    with pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):  # noise that is as slow as the motion is left in the record
+    # noise that is as slow as the motion is left in the record
+    with pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):
         fit = fit_of(t, x, a, motion=moved(t, b))
     assert fit.status == jb.Status.OK
     assert all(low < TRUTH[path] < high for path, (low, high) in fit.intervals(0.99).items())
@@ -81,7 +89,11 @@ def test_noise_of_a_load_has_the_status_too():
     x, a = y[0] + 3e-5 * rng.normal(size=len(t)), rate(t, y)[1] + 0.15 * rng.normal(size=len(t))
     for noise, status in ((0.0, jb.Status.OK), (30.0, jb.Status.NOISY_INPUT)):
         samples = jb.signals.Samples(t, (force(t) + noise * rng.normal(size=len(t)))[:, None] * UP)
-        with contextlib.nullcontext() if status == jb.Status.OK else pytest.warns(jb.JaxbodyWarning, match=status.name):
+        with (
+            contextlib.nullcontext()
+            if status == jb.Status.OK
+            else pytest.warns(jb.JaxbodyWarning, match=status.name)
+        ):
             fit = fit_of(t, x, a, loads={"push": jb.Force("machine", force=samples)}, initial=None)
         assert fit.status == status
 
@@ -95,11 +107,24 @@ def test_what_a_model_lacks_is_no_noise_of_the_floor():
         e = y[0] - b
         return [y[1], (-K * e - 3e10 * e**3 - C * (y[1] - speed)) / shaken_machine.MASS]
 
-    y = solve_ivp(rate, (0, t[-1]), [0.0, 0.0], method="DOP853", t_eval=t, rtol=1e-9, atol=1e-12, max_step=0.02).y
+    y = solve_ivp(
+        rate,
+        (0, t[-1]),
+        [0.0, 0.0],
+        method="DOP853",
+        t_eval=t,
+        rtol=1e-9,
+        atol=1e-12,
+        max_step=0.02,
+    ).y
     x = y[0] + 3e-5 * rng.normal(size=len(t))
-    a = np.array([rate(t, z)[1] for t, z in zip(t, y.T, strict=True)]) + 0.15 * rng.normal(size=len(t))
+    a = np.array([rate(t, z)[1] for t, z in zip(t, y.T, strict=True)]) + 0.15 * rng.normal(
+        size=len(t)
+    )
     with pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):
-        fit = fit_of(t, x, a, motion=moved(t, np.array([shaken_machine.floor(now, PHASES)[0] for now in t])))
+        fit = fit_of(
+            t, x, a, motion=moved(t, np.array([shaken_machine.floor(now, PHASES)[0] for now in t]))
+        )
     assert fit.status == jb.Status.OK
 
 
@@ -110,8 +135,15 @@ def test_smoothing_leaves_polynomials_and_takes_the_highest_frequency():
     smooth = _smooth(jb.Sampled(t, translation=(slow + fast)[:, None] * UP))
     np.testing.assert_allclose(smooth.values[inner, 2], slow[inner], atol=1e-13)
     assert _smooth(jb.signals.Samples(t, slow + fast, kind="hold")).curvatures is None
-    # acceleration linear in time, of which sixth differences vanish: the motion is unchanged, from its first position and speed on
-    line = jb.Sampled.from_accelerations(t, translation=(2 - 0.5 * t)[:, None] * UP, initial_velocity=[0, 0, -3.0, 0, 0, 0])
+    # acceleration linear in time, of which sixth differences vanish: the motion is unchanged, from
+    # its first position and speed on
+    line = jb.Sampled.from_accelerations(
+        t, translation=(2 - 0.5 * t)[:, None] * UP, initial_velocity=[0, 0, -3.0, 0, 0, 0]
+    )
     instants = jnp.linspace(0, 3.9, 17)
-    np.testing.assert_allclose(jax.vmap(_smooth(line))(instants), jax.vmap(line)(instants), atol=1e-12)
-    np.testing.assert_allclose(jax.vmap(line)(instants)[:, 2], -3 * instants + instants**2 - instants**3 / 12, atol=1e-12)
+    np.testing.assert_allclose(
+        jax.vmap(_smooth(line))(instants), jax.vmap(line)(instants), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        jax.vmap(line)(instants)[:, 2], -3 * instants + instants**2 - instants**3 / 12, atol=1e-12
+    )

@@ -1,4 +1,5 @@
-"""A measured nonlinear oscillator: fitted to one part of its record and simulated over another one with rising amplitude."""
+"""A measured nonlinear oscillator: fitted to one part of its record and simulated over another one
+with rising amplitude."""
 
 import os
 import pathlib
@@ -23,7 +24,10 @@ def silverbox():
     file = data("silverbox", "SNLS80mV.csv.gz")
     path = pathlib.Path(__file__).parents[2] / "examples" / "silverbox.py"
     found = {"JAXBODY_DATA": str(file.parents[1]), "MPLBACKEND": "Agg"}
-    with mock.patch.dict(os.environ, found), pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):
+    with (
+        mock.patch.dict(os.environ, found),
+        pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"),
+    ):
         return SimpleNamespace(**runpy.run_path(str(path)))
 
 
@@ -32,7 +36,8 @@ def rms(error):
 
 
 def test_eight_parameters_tell_the_arrow_head(silverbox):
-    """Published models of the kind reach 0.26 to 0.40 mV; all samples of the test count, from the first."""
+    """Published models of the kind reach 0.26 to 0.40 mV; all samples of the test count, from
+    the first."""
     fit, error = silverbox.fit, silverbox.error
     assert fit.ok and fit.u.size == 8 and not any(path.startswith("records.") for path in fit.paths)
     assert error.shape == (40576,)
@@ -42,27 +47,38 @@ def test_eight_parameters_tell_the_arrow_head(silverbox):
 
 
 def test_the_oscillator_is_the_one_a_duffing_equation_knows(silverbox):
-    """Newton's law along the guide, integrated by SciPy over the 3000 samples of largest amplitude: the error of the example's steps is far
-    below the error of the model, and that of four times shorter steps is negligible."""
+    """Newton's law along the guide, integrated by SciPy over the 3000 samples of largest amplitude:
+    the error of the example's steps is far below the error of the model, and that of four times
+    shorter steps is negligible."""
     fit, V2 = silverbox.fit, silverbox.V2
     run = silverbox.record(silverbox.ARROW_HEAD)
     steps = silverbox.steps | {"dt0": silverbox.steps["dt0"] / 4, "max_steps": 200_000}
     trajectory = jb.simulate(fit.model, run.times, loads=run.loads, initial=run.initial, **steps)
-    assert np.abs(trajectory.state.q[:, 0] - V2[silverbox.ARROW_HEAD] - silverbox.error).max() < 2e-5
+    assert (
+        np.abs(trajectory.state.q[:, 0] - V2[silverbox.ARROW_HEAD] - silverbox.error).max() < 2e-5
+    )
     strut, m = fit.model["strut"], float(fit.model["mass"].mass)
     k1, k2, k3 = np.asarray(strut.spring.coefficients)
-    slow, fast, knee, rest = (float(x) for x in (strut.damper.slow, strut.damper.fast, strut.damper.knee, strut.free_length - 1))
+    slow, fast, knee, rest = (
+        float(x)
+        for x in (strut.damper.slow, strut.damper.fast, strut.damper.knee, strut.free_length - 1)
+    )
     last = slice(37000, 40000)
     t, drive = silverbox.times[last], CubicSpline(silverbox.times, silverbox.V1)
 
     def rate(t, y):
         x, v = y
         e = x - rest
-        spring, damper = k1 * e + k2 * e**2 + k3 * e**3, fast * v + (slow - fast) * v / np.sqrt(1 + (v / knee) ** 2)
+        spring, damper = (
+            k1 * e + k2 * e**2 + k3 * e**3,
+            fast * v + (slow - fast) * v / np.sqrt(1 + (v / knee) ** 2),
+        )
         return [v, (float(drive(t)) - spring - damper) / m]
 
     start = [float(trajectory.state.q[last.start, 0]), float(trajectory.state.v[last.start, 0])]
-    expected = solve_ivp(rate, (t[0], t[-1]), start, method="DOP853", rtol=1e-10, atol=1e-12, t_eval=t).y[0]
+    expected = solve_ivp(
+        rate, (t[0], t[-1]), start, method="DOP853", rtol=1e-10, atol=1e-12, t_eval=t
+    ).y[0]
     difference = np.abs(np.asarray(trajectory.state.q[last, 0]) - expected).max()
     print(f"largest difference {difference:.2g} V")
     assert difference < 1e-7 and np.abs(expected).max() > 0.25

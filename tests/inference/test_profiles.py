@@ -1,4 +1,5 @@
-"""Profiles, validation on held-out runs, bands and their plots: a mass released on two springs, whose motion has a closed form."""
+"""Profiles, validation on held-out runs, bands and their plots: a mass released on two springs,
+whose motion has a closed form."""
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +28,15 @@ def oscillator(values=(60.0, 1.0)):
     return jb.Model(
         bodies={"mass": jb.Body(mass=MASS, inertia=[1, 1, 1], position=[1, 0, 0])},
         joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
-        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=values[0], free_length=1.0, damping=values[1])},
+        elements={
+            "spring": jb.Spring(
+                ("mass", [0, 0, 0]),
+                ("world", [0, 0, 0]),
+                stiffness=values[0],
+                free_length=1.0,
+                damping=values[1],
+            )
+        },
     )
 
 
@@ -54,7 +63,9 @@ def result(record):
 def least(record, fixed):
     """The least sum of squares with the damping fixed, by SciPy."""
     squares = lambda k: np.sum((motion(k, fixed) - record) ** 2)  # noqa: E731
-    return scipy.optimize.minimize_scalar(squares, bounds=(20, 100), method="bounded", options={"xatol": 1e-9}).fun
+    return scipy.optimize.minimize_scalar(
+        squares, bounds=(20, 100), method="bounded", options={"xatol": 1e-9}
+    ).fun
 
 
 @pytest.fixture(scope="module")
@@ -63,11 +74,15 @@ def profile(result):
 
 
 def test_a_profile_ends_where_the_sum_of_squares_has_risen_enough(result, record, profile):
-    """SciPy's root of S(c) = S (1 + t^2/(n - p)), on both sides; the damping is known badly and its interval skewed."""
+    """SciPy's root of S(c) = S (1 + t^2/(n - p)), on both sides; the damping is known badly and its
+    interval skewed."""
     S = np.sum((motion(*(float(x) for x in result.estimates.values())) - record) ** 2)
     limit = S * (1 + student.ppf(0.975, len(TIMES) - 2) ** 2 / (len(TIMES) - 2))
     best = float(result.estimates["spring.damping"])
-    expected = [scipy.optimize.brentq(lambda c: least(record, c) - limit, *ends) for ends in ((1e-9, best), (best, 6.0))]
+    expected = [
+        scipy.optimize.brentq(lambda c: least(record, c) - limit, *ends)
+        for ends in ((1e-9, best), (best, 6.0))
+    ]
     print(profile.interval, expected, result.intervals()["spring.damping"])
     np.testing.assert_allclose(profile.interval, expected, rtol=2e-3)  # of the cubic between points
     assert profile.ok and profile.tau[0] < 0 < profile.tau[-1] and (np.diff(profile.tau) > 0).all()
@@ -82,7 +97,9 @@ def test_a_profile_at_a_bound_has_one_side(record):
     side = jb.profile(held, "spring.stiffness")
     low, high = held.intervals()["spring.stiffness"]
     print(side.interval, low, high)
-    assert side.interval[0] == pytest.approx(54) == float(low) and float(high) == pytest.approx(side.interval[1], rel=0.01)
+    assert side.interval[0] == pytest.approx(54) == float(low) and float(high) == pytest.approx(
+        side.interval[1], rel=0.01
+    )
     assert "at its bound" in str(held) and np.isinf(held.standard_errors["spring.stiffness"])
 
 
@@ -92,13 +109,19 @@ def test_of_a_robust_loss_the_profile_is_as_wide_as_the_standard_error(record):
     spoiled[::13] += 15 * SIGMA
     for loss in ("soft_l1", "cauchy"):
         robust = fit(run(spoiled), loss=loss)
-        ends, (low, high) = jb.profile(robust, "spring.stiffness").interval, robust.intervals()["spring.stiffness"]
+        ends, (low, high) = (
+            jb.profile(robust, "spring.stiffness").interval,
+            robust.intervals()["spring.stiffness"],
+        )
         print(ends, low, high)
         np.testing.assert_allclose(ends[1] - ends[0], high - low, rtol=0.1)
 
 
 def test_what_has_no_profile_is_reported(result):
-    for arguments, code in ((("spring.stifness",), "UNKNOWN_PATH"), (("spring.stiffness", 1.5), "BAD_LEVEL")):
+    for arguments, code in (
+        (("spring.stifness",), "UNKNOWN_PATH"),
+        (("spring.stiffness", 1.5), "BAD_LEVEL"),
+    ):
         with pytest.raises(jb.JaxbodyError) as error:
             jb.profile(result, arguments[0], **({"level": arguments[1]} if arguments[1:] else {}))
         assert error.value.code == code
@@ -107,8 +130,12 @@ def test_what_has_no_profile_is_reported(result):
 def test_validation_on_a_run_held_out(result):
     times = np.linspace(0, 2.4, 61)  # as many: one program serves all
     noise = SIGMA * np.random.default_rng(8).normal(size=len(times))
-    later, again = (run(x, t)["run"] for x, t in ((motion(*TRUTH, times) + noise, times), (motion(*TRUTH), TIMES)))
-    message = jb.validate(result, {"later": later, "again": again})  # not in the order of the alphabet
+    later, again = (
+        run(x, t)["run"]
+        for x, t in ((motion(*TRUTH, times) + noise, times), (motion(*TRUTH), TIMES))
+    )
+    # not in the order of the alphabet
+    message = jb.validate(result, {"later": later, "again": again})
     estimates = [float(x) for x in result.estimates.values()]
     measured = 1 + motion(*TRUTH, times) + noise
     expected = np.sqrt(np.mean((1 + motion(*estimates, times) - measured) ** 2)) / np.std(measured)
@@ -126,9 +153,15 @@ def test_a_validation_is_drawn_over_time(result):
     above, below = validation.plot().figure.axes
     measured, predicted = (line.get_ydata() for line in above.lines)
     np.testing.assert_array_equal(measured, again.measured["x"])
-    np.testing.assert_allclose(predicted, 1 + motion(*map(float, result.estimates.values())), atol=1e-6)  # of the integration
+    np.testing.assert_allclose(
+        predicted, 1 + motion(*map(float, result.estimates.values())), atol=1e-6
+    )  # of the integration
     np.testing.assert_allclose(below.lines[0].get_ydata(), measured - predicted, atol=1e-15)
-    assert (above.get_ylabel(), below.get_xlabel(), below.get_ylabel()) == ("x [m]", "time [s]", "residual [m]")
+    assert (above.get_ylabel(), below.get_xlabel(), below.get_ylabel()) == (
+        "x [m]",
+        "time [s]",
+        "residual [m]",
+    )
     assert above.get_title() == f"again, x: fit {100 * (1 - validation.nrmse['again.x']):.1f} %"
     assert {text.get_text() for text in above.get_legend().texts} == {"measured", "predicted"}
     with pytest.raises(jb.JaxbodyError, match="'y' is unknown"):
@@ -137,19 +170,33 @@ def test_a_validation_is_drawn_over_time(result):
 
 @pytest.mark.long
 def test_a_pose_is_validated_component_by_component(result):
-    """Of a sensor with two units; small rotations were read with noise. Each unit has a panel of its own."""
+    """Of a sensor with two units; small rotations were read with noise. Each unit has a panel of
+    its own."""
     noise = np.random.default_rng(9).normal(size=(len(TIMES), 6)) * np.repeat([SIGMA, 1e-3], 3)
     turn = np.concatenate([np.ones((len(TIMES), 1)), noise[:, 3:] / 2], axis=1)
     position = np.array([1.0, 0, 0]) + motion(*TRUTH)[:, None] * [1, 0, 0] + noise[:, :3]
-    measured = {"pose": np.concatenate([position, turn / np.linalg.norm(turn, axis=1)[:, None]], axis=1)}
+    measured = {
+        "pose": np.concatenate([position, turn / np.linalg.norm(turn, axis=1)[:, None]], axis=1)
+    }
     start = jb.State(jnp.array([X0]), jnp.array([0.0]))
-    posed = jb.Experiment(TIMES, initial=start, sensors={"pose": jb.BodyPose("mass")}, measured=measured)
+    posed = jb.Experiment(
+        TIMES, initial=start, sensors={"pose": jb.BodyPose("mass")}, measured=measured
+    )
     message = jb.validate(result, {"posed": posed})
     along = 1 + motion(*map(float, result.estimates.values())) - position[:, 0]
-    for channel, expected in (("posed.pose[0]", along), ("posed.pose[1]", noise[:, 1]), ("posed.pose[5]", noise[:, 5])):
-        assert message.rms[channel] == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-4), channel
+    for channel, expected in (
+        ("posed.pose[0]", along),
+        ("posed.pose[1]", noise[:, 1]),
+        ("posed.pose[5]", noise[:, 5]),
+    ):
+        assert message.rms[channel] == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-4), (
+            channel
+        )
     titles = [title for ax in message.plot().figure.axes if (title := ax.get_title())]
-    assert [title.partition(":")[0] for title in titles] == ["posed, pose position", "posed, pose orientation"]
+    assert [title.partition(":")[0] for title in titles] == [
+        "posed, pose position",
+        "posed, pose orientation",
+    ]
     assert titles[0].count("%") == titles[1].count("%") == 3
 
 
@@ -157,7 +204,9 @@ def test_a_pose_is_validated_component_by_component(result):
 def test_a_run_that_cannot_be_simulated_has_a_status(result):
     """A run so long that it needs more steps than the fit was allowed."""
     with pytest.warns(jb.JaxbodyWarning, match="NONFINITE"):
-        message = jb.validate(result, {"long": run(motion(*TRUTH), np.linspace(0, 4000, len(TIMES)))["run"]})
+        message = jb.validate(
+            result, {"long": run(motion(*TRUTH), np.linspace(0, 4000, len(TIMES)))["run"]}
+        )
     assert message.status == jb.Status.NONFINITE and "long: MAX_STEPS" in message.report()
     with pytest.raises(jb.JaxbodyError, match="NO_DATA"):
         jb.validate(result, {})
@@ -173,9 +222,13 @@ def test_bands_are_the_delta_method_and_draws_agree(result):
     f = np.sqrt(k / MASS) / (2 * np.pi) * np.array([1.0, 2.0])
     np.testing.assert_allclose(message.value, f, rtol=1e-12)
     np.testing.assert_allclose(message.standard_error, f * error / (2 * k), rtol=1e-9)
-    np.testing.assert_allclose(message.upper - f, student.ppf(0.975, len(TIMES) - 2) * message.standard_error, rtol=1e-6)
+    np.testing.assert_allclose(
+        message.upper - f, student.ppf(0.975, len(TIMES) - 2) * message.standard_error, rtol=1e-6
+    )
     drawn = jb.bands(result, frequency, samples=2000, key=jax.random.key(1))
-    np.testing.assert_allclose(drawn.standard_error, message.standard_error, rtol=4 / np.sqrt(2 * 2000))
+    np.testing.assert_allclose(
+        drawn.standard_error, message.standard_error, rtol=4 / np.sqrt(2 * 2000)
+    )
 
 
 @pytest.mark.nan
@@ -200,14 +253,19 @@ def test_draws_need_data_that_determine_all_parameters(record):
 
 def test_intervals_and_notes_print(result):
     low, high = result.intervals()["spring.stiffness"]
-    assert f"{low:.6g} to {high:.6g}" in str(result) and "noise white" in str(result) and "95 % interval" in str(result)
+    assert (
+        f"{low:.6g} to {high:.6g}" in str(result)
+        and "noise white" in str(result)
+        and "95 % interval" in str(result)
+    )
     with pytest.raises(jb.JaxbodyError, match="BAD_LEVEL"):
         result.intervals(95)
 
 
 @pytest.mark.long
 def test_missing_samples_and_the_order_of_runs_change_nothing(record):
-    """Against a fit to the samples that there are, and to the same two runs, one with five times the noise, in the other order."""
+    """Against a fit to the samples that there are, and to the same two runs, one with five times
+    the noise, in the other order."""
     gaps = np.where(np.arange(len(TIMES)) % 3 == 2, np.nan, record)
     with pytest.warns(jb.JaxbodyWarning, match="MISSING"):
         masked = fit(run(gaps))
@@ -219,7 +277,9 @@ def test_missing_samples_and_the_order_of_runs_change_nothing(record):
     for result, expected in ((masked, alone), (one, other)):
         for path in FREE:
             np.testing.assert_allclose(result.estimates[path], expected.estimates[path], rtol=1e-6)
-            np.testing.assert_allclose(result.standard_errors[path], expected.standard_errors[path], rtol=1e-4)
+            np.testing.assert_allclose(
+                result.standard_errors[path], expected.standard_errors[path], rtol=1e-4
+            )
     assert masked.uncertainty.samples == there.sum()
 
 
@@ -242,21 +302,35 @@ def test_pictures_of_a_fit_show_its_numbers(result, record, profile):
 
 @pytest.mark.long
 def test_few_degrees_of_freedom_are_printed_where_they_widen_intervals(result, record):
-    """Of white noise they are samples less parameters, 8 - 2: t is 25 % more than the normal distribution's 1.96; of 61 samples nothing
-    is said."""
+    """Of white noise they are samples less parameters, 8 - 2: t is 25 % more than the normal
+    distribution's 1.96; of 61 samples nothing is said."""
     few = fit(run(record[::8], TIMES[::8]))
     assert len(TIMES[::8]) == 8 and not any(few.uncertainty.orders.values())
-    k, error = float(few.estimates["spring.stiffness"]), float(few.standard_errors["spring.stiffness"])
+    k, error = (
+        float(few.estimates["spring.stiffness"]),
+        float(few.standard_errors["spring.stiffness"]),
+    )
     far = student.ppf(0.975, 6) * error / k
-    np.testing.assert_allclose(few.intervals()["spring.stiffness"], [k * np.exp(-far), k * np.exp(far)], rtol=1e-6)
+    np.testing.assert_allclose(
+        few.intervals()["spring.stiffness"], [k * np.exp(-far), k * np.exp(far)], rtol=1e-6
+    )
     for freedom in few.degrees_of_freedom.values():
         np.testing.assert_allclose(freedom, 6, rtol=1e-9)
-    text = f"intervals use Student's t with 6 degrees of freedom, which makes them {student.ppf(0.975, 6) / 1.959964:.2g} times wider"
+    text = (
+        "intervals use Student's t with 6 degrees of freedom, which makes them "
+        f"{student.ppf(0.975, 6) / 1.959964:.2g} times wider"
+    )
     assert text in str(few) and "degrees of freedom" in repr(few).splitlines()[1]
     with np.errstate(all="ignore"):
         side = jb.profile(few, "spring.stiffness")
-    assert side.degrees_of_freedom == pytest.approx(6) and side.limit == pytest.approx(student.ppf(0.975, 6)) and text in str(side)
+    assert (
+        side.degrees_of_freedom == pytest.approx(6)
+        and side.limit == pytest.approx(student.ppf(0.975, 6))
+        and text in str(side)
+    )
     band = jb.bands(few, lambda model: model["spring"].stiffness)
     assert band.degrees_of_freedom == pytest.approx(6) and text in str(band)
     np.testing.assert_allclose(result.degrees_of_freedom["spring.damping"], 59, rtol=1e-9)
-    assert "freedom" not in str(result) + str(jb.bands(result, lambda model: model["spring"].stiffness))
+    assert "freedom" not in str(result) + str(
+        jb.bands(result, lambda model: model["spring"].stiffness)
+    )

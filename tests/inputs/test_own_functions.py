@@ -1,4 +1,5 @@
-"""Motions, laws and loads of the user that JAX cannot trace, or that return a wrong type, cause an error that names them."""
+"""Motions, laws and loads of the user that JAX cannot trace, or that return a wrong type, cause an
+error that names them."""
 
 import math
 from typing import ClassVar
@@ -16,7 +17,15 @@ def slider(spring=100.0, damper=None):
         bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
         supports={"base": jb.Support()},
         joints={"mass": jb.Guide("base", axis=[1, 0, 0])},
-        elements={"s": jb.SpringDamper(("mass", [0, 0, 0]), ("base", [-1, 0, 0]), spring=spring, damper=damper, free_length=1.0)},
+        elements={
+            "s": jb.SpringDamper(
+                ("mass", [0, 0, 0]),
+                ("base", [-1, 0, 0]),
+                spring=spring,
+                damper=damper,
+                free_length=1.0,
+            )
+        },
     )
 
 
@@ -74,7 +83,11 @@ def test_a_motion_that_jax_cannot_trace_or_of_another_shape_is_refused_by_its_su
     with pytest.raises(jb.JaxbodyError) as raised, jb.compile_times() as times:
         jb.simulate(slider(), np.array([0.0, 1.0]), motion={"base": motion})
     assert raised.value.code == code and raised.value.where == "motion['base']"
-    assert ("jnp.sin" in str(raised.value)) if code == "NOT_TRACEABLE" else ("6 numbers" in str(raised.value))
+    assert (
+        ("jnp.sin" in str(raised.value))
+        if code == "NOT_TRACEABLE"
+        else ("6 numbers" in str(raised.value))
+    )
     assert raised.value.__cause__ is None and raised.value.__context__ is None
     assert "integrate" not in times.programs
 
@@ -84,7 +97,9 @@ def test_a_motion_is_traced_once_for_the_check_however_often_it_is_used():
     for amplitude in (1.0, 2.0, 3.0):
         jb.simulate(slider(), np.array([0.0, 0.1]), motion={"base": Counted(jnp.array(amplitude))})
         seen = len(Counted.calls)
-        jb.simulate(slider(), np.array([0.0, 0.1]), motion={"base": Counted(jnp.array(amplitude + 1))})
+        jb.simulate(
+            slider(), np.array([0.0, 0.1]), motion={"base": Counted(jnp.array(amplitude + 1))}
+        )
         assert len(Counted.calls) == seen
 
 
@@ -107,12 +122,19 @@ def test_a_law_that_jax_cannot_trace_or_of_two_numbers_is_refused_by_its_element
     with pytest.raises(jb.JaxbodyError) as raised, jb.compile_times() as times:
         slider(**{field: law})
     assert raised.value.code == code and raised.value.where == f"elements['s'].{field}"
-    assert ("jnp.sin" in str(raised.value)) if code == "NOT_TRACEABLE" else ("one number" in str(raised.value).lower())
+    assert (
+        ("jnp.sin" in str(raised.value))
+        if code == "NOT_TRACEABLE"
+        else ("one number" in str(raised.value).lower())
+    )
     assert times.count == 0
 
 
 def test_a_force_that_jax_cannot_trace_or_of_another_shape_is_refused():
-    for function, code in ((lambda t: np.sin(t) * np.ones(3), "NOT_TRACEABLE"), (lambda t: jnp.zeros(2), "BAD_SHAPE")):
+    for function, code in (
+        (lambda t: np.sin(t) * np.ones(3), "NOT_TRACEABLE"),
+        (lambda t: jnp.zeros(2), "BAD_SHAPE"),
+    ):
         with pytest.raises(jb.JaxbodyError) as raised:
             jb.Force("mass", force=function)
         assert raised.value.code == code and raised.value.where == "Force.force"

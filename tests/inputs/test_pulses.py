@@ -1,4 +1,5 @@
-"""Pulses: their shapes, and motions whose acceleration they are; a simulation ends its steps where they are not smooth."""
+"""Pulses: their shapes, and motions whose acceleration they are; a simulation ends its steps where
+they are not smooth."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,10 @@ PULSES = {
     "half sine": (jb.HalfSine(A, T, START), lambda u: np.sin(np.pi * u)),
     "sawtooth": (jb.Sawtooth(A, T, START), lambda u: u),
     "triangle": (jb.Triangle(A, T, START), lambda u: 1 - abs(2 * u - 1)),
-    "trapezoid": (jb.Trapezoid(A, T, START, rise=0.1, fall=0.2), lambda u: min(u / 0.25, 1.0, (1 - u) / 0.5)),
+    "trapezoid": (
+        jb.Trapezoid(A, T, START, rise=0.1, fall=0.2),
+        lambda u: min(u / 0.25, 1.0, (1 - u) / 0.5),
+    ),
 }
 
 
@@ -30,9 +34,18 @@ def test_a_motion_has_the_acceleration_of_its_pulse(name):
     np.testing.assert_allclose(second(times)[:, 2], exact, atol=1e-13)
     for t in (0.2, 0.5, 0.9):
         corners = [float(x) for x in pulse.kinks()]
-        velocity = quad(lambda x: A * shape((x - START) / T), START, min(t, START + T), points=corners)[0]
-        moved = quad(lambda x, t=t: (t - x) * A * shape((x - START) / T), START, min(t, START + T), points=corners)[0]
-        np.testing.assert_allclose([motion(jnp.array(t))[2], rate(jnp.array(t))[2]], [moved, velocity], rtol=1e-12)
+        velocity = quad(
+            lambda x: A * shape((x - START) / T), START, min(t, START + T), points=corners
+        )[0]
+        moved = quad(
+            lambda x, t=t: (t - x) * A * shape((x - START) / T),
+            START,
+            min(t, START + T),
+            points=corners,
+        )[0]
+        np.testing.assert_allclose(
+            [motion(jnp.array(t))[2], rate(jnp.array(t))[2]], [moved, velocity], rtol=1e-12
+        )
 
 
 def test_half_sine_of_15_g_changes_the_velocity_by_a_meter_a_second():
@@ -57,7 +70,11 @@ def test_a_simulation_follows_a_pulse_that_jumps():
         bodies={"mass": jb.Body(m, [1, 1, 1], position=[0, 0, 1])},
         supports={"base": jb.Support()},
         joints={"mass": jb.Guide("world", axis="z")},
-        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=k, free_length=1.0)},
+        elements={
+            "spring": jb.Spring(
+                ("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=k, free_length=1.0
+            )
+        },
     )
     times = np.linspace(0, 1.0, 21)
     motion = jb.Sawtooth(A, T, START).motion("z")

@@ -26,11 +26,18 @@ def test_points_are_in_meters_whatever_the_columns(tmp_path):
         (
             "900 mm",
             "900",
-            "corner.csv:3 y: is 900 without a unit (allowed: a unit such as m). Write it in the heading, y [m],",
+            (
+                "corner.csv:3 y: is 900 without a unit (allowed: a unit such as m). Write it "
+                "in the heading, y [m],"
+            ),
         ),
         ("900 mm", "900 N", "corner.csv:3 y: is '900 N', in N"),
         ("900 mm", "", "corner.csv:3 y: is empty (allowed: a number). Write 0 if it is zero."),
-        ("upper outer;", "lower outer;", "corner.csv:4: 'lower outer' is the name of a point above"),
+        (
+            "upper outer;",
+            "lower outer;",
+            "corner.csv:4: 'lower outer' is the name of a point above",
+        ),
         ("; y\n", "; why\n", "corner.csv:2: has no column 'y'"),
         (SHEET[18:], "", "corner.csv: has no line of headings and lines of hard points"),
     ],

@@ -1,4 +1,5 @@
-"""MJCF files that others wrote: energies and dampers as MuJoCo computes them, what is left out, problems with their lines."""
+"""MJCF files that others wrote: energies and dampers as MuJoCo computes them, what is left out,
+problems with their lines."""
 
 import re
 from pathlib import Path
@@ -32,10 +33,21 @@ FILES = {  # what is left out
     "half_cheetah": LEGS,
     "hopper": LEGS | {"visual map"},
     "humanoid": LEGS | {"visual map", "tendons other than between two sites", BUSY},
-    "inverted_double_pendulum": {"custom numeric", "contact of geoms", "limits of joints", "actuator motor"},
+    "inverted_double_pendulum": {
+        "custom numeric",
+        "contact of geoms",
+        "limits of joints",
+        "actuator motor",
+    },
     "inverted_pendulum": {"contact of geoms", "limits of joints", "actuator motor"},
     "point": {"asset texture", "asset material", "light", "contact of geoms", "actuator motor"},
-    "pusher_v5": {"light", "contact of geoms", "armature of joints", "limits of joints", "actuator motor"},
+    "pusher_v5": {
+        "light",
+        "contact of geoms",
+        "armature of joints",
+        "limits of joints",
+        "actuator motor",
+    },
     "reacher": {"contact of geoms", "armature of joints", "limits of joints", "actuator motor"},
     "swimmer": LEGS - {"contact of geoms"} | {"density of the medium", "viscosity of the medium"},
     "walker2d_v5": LEGS,
@@ -51,13 +63,18 @@ def own(monkeypatch):
 @pytest.fixture(params=["by MuJoCo", "own"])
 def reader(request):
     """What reads: MuJoCo's compiler, or jaxbody by itself."""
-    return request.param if request.param == "by MuJoCo" else request.getfixturevalue("own") or "own"
+    return (
+        request.param if request.param == "by MuJoCo" else request.getfixturevalue("own") or "own"
+    )
 
 
 def agree(model, m, rng, count=3):
-    """T, V (from that of the reference pose) and R are MuJoCo's, to rounding of sums of some twenty terms."""
+    """T, V (from that of the reference pose) and R are MuJoCo's, to rounding of sums of some
+    twenty terms."""
     states = list(mujoco_states.random_states(model, count, rng))
-    theirs = np.array([mujoco_states.energies(m, mujoco_states.put(model, state, m)) for state in states])
+    theirs = np.array(
+        [mujoco_states.energies(m, mujoco_states.put(model, state, m)) for state in states]
+    )
     ours = np.array([mujoco_states.energies_here(model, state) for state in states])
     theirs[:, 1] -= theirs[0, 1]
     ours[:, 1] -= ours[0, 1]
@@ -80,7 +97,9 @@ def compiled(tmp_path, text, **others):
     """Our model of a file and MuJoCo's."""
     for name, content in {"model": text, **others}.items():
         (tmp_path / f"{name}.xml").write_text(f"<mujoco>{content}</mujoco>")
-    return jb.read_mjcf(tmp_path / "model.xml"), mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
+    return jb.read_mjcf(tmp_path / "model.xml"), mujoco.MjModel.from_xml_path(
+        str(tmp_path / "model.xml")
+    )
 
 
 SHAPES = """<worldbody><body name="a"><freejoint/>
@@ -113,9 +132,9 @@ KINDS = """<compiler angle="radian" eulerseq="XzY" settotalmass="20" autolimits=
    <geom size="0.1"/><site name="of bob" pos="0.1 0 0"/></body></body>
 <include file="part.xml"/></worldbody>
 <tendon><spatial name="rope" class="soft" springlength="0 0.5"><site site="high"/><site site="low"/></spatial>
-<spatial stiffness="9" damping="1.5"><site site="of bob"/><site site="low"/></spatial></tendon>"""
+<spatial stiffness="9" damping="1.5"><site site="of bob"/><site site="low"/></spatial></tendon>"""  # noqa: E501
 PART = """<body name="included" pos="1 0 0"><joint type="slide"/><joint name="turn" axis="0 1 0" stiffness="2"/>
-<geom type="box" size="0.1 0.1 0.2" pos="0.1 0 0"/></body>"""
+<geom type="box" size="0.1 0.1 0.2" pos="0.1 0 0"/></body>"""  # noqa: E501
 
 
 def test_shapes_have_their_mass_and_inertia(tmp_path, rng, reader):
@@ -130,13 +149,14 @@ def test_classes_frames_includes_and_springs_of_all_kinds_of_joints(tmp_path, rn
     model = read.model
     assert model.layout.supports == ("shelf",) and isinstance(model.joint("included"), jb.Composite)
     assert {each.what for each in read.left_out} == {"contact of geoms", BUSY}
-    m.dof_damping[m.jnt_dofadr[m.body("included").jntadr[0]]] = 0  # of the slide of a body that turns, which is left out
+    # of the slide of a body that turns, which is left out
+    m.dof_damping[m.jnt_dofadr[m.body("included").jntadr[0]]] = 0
     agree(model, m, rng, count=5)
 
 
 def test_angles_are_in_degrees_unless_the_compiler_says_otherwise(tmp_path, rng, reader):
     text = """<worldbody><body name="flap" euler="10 20 30"><joint axis="0 1 0" stiffness="5" springref="25" ref="-10"/>
-<geom size="0.1" pos="0.3 0 0"/></body></worldbody>"""
+<geom size="0.1" pos="0.3 0 0"/></body></worldbody>"""  # noqa: E501
     read, m = compiled(tmp_path, text)
     agree(read.model, m, rng)
 
@@ -147,7 +167,7 @@ PARTS = """<worldbody><geom name="floor" type="plane" size="1 1 1"/><body name="
 <body name="hook" pos="0 0 1"><site name="s"/><site name="t"/></body>
 </body></body></worldbody>
 <tendon><fixed><joint joint="c" coef="1"/></fixed><spatial stiffness="2" springlength="0.1 0.2"><site site="s"/><site site="t"/></spatial>
-<spatial><site site="s"/><site site="t"/></spatial></tendon><actuator><motor joint="c"/></actuator>"""
+<spatial><site site="s"/><site site="t"/></spatial></tendon><actuator><motor joint="c"/></actuator>"""  # noqa: E501
 
 
 def test_bodies_without_joints_are_supports_fixed_or_parts(tmp_path, rng, reader):
@@ -156,7 +176,8 @@ def test_bodies_without_joints_are_supports_fixed_or_parts(tmp_path, rng, reader
     assert model.layout.supports == ("wall",) and model.layout.bodies == ("a_b", "body 3")
     assert isinstance(model.joint("body 3"), jb.Fixed) and model["a_b"].mass == 2
     left_out = {each.what: each.where for each in read.left_out}
-    lines = {name: "model.xml" for name in left_out} if reader == "by MuJoCo" else {}  # of what has no name in the file
+    # of what has no name in the file
+    lines = {name: "model.xml" for name in left_out} if reader == "by MuJoCo" else {}
     assert left_out == {
         "contact of geoms": "model.xml:1",
         "the name 'a.b', here 'a_b'": "model.xml:2",
@@ -170,12 +191,15 @@ def test_bodies_without_joints_are_supports_fixed_or_parts(tmp_path, rng, reader
     d = mujoco.MjData(m)
     d.qpos[:], d.qvel[:] = state.q, state.v
     mujoco.mj_forward(m, d)
-    np.testing.assert_allclose(mujoco_states.energies_here(model, state)[0], mujoco_states.energies(m, d)[0], rtol=1e-14)
+    np.testing.assert_allclose(
+        mujoco_states.energies_here(model, state)[0], mujoco_states.energies(m, d)[0], rtol=1e-14
+    )
 
 
 def test_what_is_complete_says_so(tmp_path, reader):
     (tmp_path / "m.xml").write_text(
-        '<mujoco><worldbody><body><joint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/></body></worldbody></mujoco>'
+        '<mujoco><worldbody><body><joint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 '
+        '1"/></body></worldbody></mujoco>'
     )
     read = jb.read_mjcf(tmp_path / "m.xml")
     assert read.left_out == () and "nothing" in str(read)
@@ -187,29 +211,95 @@ BALL = '<geom size="0.1"/>'
 @pytest.mark.parametrize(
     "text, messages",
     [
-        ("<worldbody>\n<body>\n<joint axis='0 0'/>{}</body></worldbody>", ["model.xml:3 joint axis: has 2 numbers", "BAD_SHAPE"]),
-        ("<worldbody><body><joint axis='0 0 0'/>{}</body></worldbody>", ["joint axis: has length zero", "ZERO_AXIS"]),
-        ("<worldbody><body><joint stiffness='-3' name='j'/>{}</body></worldbody>", ["model.xml:1 ", "-3", "NEGATIVE"]),
-        ("<worldbody><body><joint stiffness='soft'/>{}</body></worldbody>", ["joint stiffness: is 'soft'", "NOT_A_NUMBER"]),
-        ("<worldbody><body><joint damping='1e999'/>{}</body></worldbody>", ["joint damping: is '1e999'", "NON_FINITE"]),
-        ("<worldbody><body><joint type='screw'/>{}</body></worldbody>", ["has the type 'screw'", "free, ball, slide, hinge", "WRONG_KIND"]),
-        ("<worldbody><body><joint class='fast'/>{}</body></worldbody>", ["the class 'fast' is not known", "main", "UNKNOWN_NAME"]),
-        ("<worldbody><body><joint/></body></worldbody>", ["body: has joints and no mass", "BAD_MASS"]),
-        ("<worldbody><body><joint/><geom size='0'/></body></worldbody>", ["geom size: is '0' (allowed: 1 above 0)", "BAD_SHAPE"]),
-        ("<worldbody><body><joint/><geom type='mesh' mesh='a'/></body></worldbody>", ["has the type mesh", "inertial", "MISSING_ENTRY"]),
-        ("<worldbody><body><joint/><geom size='1' mass='-1'/></body></worldbody>", ["has the mass -1 kg", "NEGATIVE"]),
-        ("<worldbody><body quat='0 0 0 0'><joint/>{}</body></worldbody>", ["body quat: has length zero", "ZERO_AXIS"]),
-        ("<worldbody><body quat='1 0 0 0' euler='1 2 3'><joint/>{}</body></worldbody>", ["has quat and euler", "DUPLICATE_NAME"]),
-        ("<worldbody><body xyaxes='1 0 0 2 0 0'><joint/>{}</body></worldbody>", ["xyaxes: has parallel axes", "ZERO_AXIS"]),
-        ("<worldbody><body><joint/>{}<body><freejoint/>{}</body></body></worldbody>", ["is free on 'body 1'", "world", "WRONG_KIND"]),
-        ("<worldbody><body><joint type='ball'/><joint/>{}</body></worldbody>", ["is a ball joint, one of several", "WRONG_KIND"]),
-        ("<compiler eulerseq='xyw'/><worldbody><body/></worldbody>", ["eulerseq: is 'xyw'", "BAD_SEQUENCE"]),
+        (
+            "<worldbody>\n<body>\n<joint axis='0 0'/>{}</body></worldbody>",
+            ["model.xml:3 joint axis: has 2 numbers", "BAD_SHAPE"],
+        ),
+        (
+            "<worldbody><body><joint axis='0 0 0'/>{}</body></worldbody>",
+            ["joint axis: has length zero", "ZERO_AXIS"],
+        ),
+        (
+            "<worldbody><body><joint stiffness='-3' name='j'/>{}</body></worldbody>",
+            ["model.xml:1 ", "-3", "NEGATIVE"],
+        ),
+        (
+            "<worldbody><body><joint stiffness='soft'/>{}</body></worldbody>",
+            ["joint stiffness: is 'soft'", "NOT_A_NUMBER"],
+        ),
+        (
+            "<worldbody><body><joint damping='1e999'/>{}</body></worldbody>",
+            ["joint damping: is '1e999'", "NON_FINITE"],
+        ),
+        (
+            "<worldbody><body><joint type='screw'/>{}</body></worldbody>",
+            ["has the type 'screw'", "free, ball, slide, hinge", "WRONG_KIND"],
+        ),
+        (
+            "<worldbody><body><joint class='fast'/>{}</body></worldbody>",
+            ["the class 'fast' is not known", "main", "UNKNOWN_NAME"],
+        ),
+        (
+            "<worldbody><body><joint/></body></worldbody>",
+            ["body: has joints and no mass", "BAD_MASS"],
+        ),
+        (
+            "<worldbody><body><joint/><geom size='0'/></body></worldbody>",
+            ["geom size: is '0' (allowed: 1 above 0)", "BAD_SHAPE"],
+        ),
+        (
+            "<worldbody><body><joint/><geom type='mesh' mesh='a'/></body></worldbody>",
+            ["has the type mesh", "inertial", "MISSING_ENTRY"],
+        ),
+        (
+            "<worldbody><body><joint/><geom size='1' mass='-1'/></body></worldbody>",
+            ["has the mass -1 kg", "NEGATIVE"],
+        ),
+        (
+            "<worldbody><body quat='0 0 0 0'><joint/>{}</body></worldbody>",
+            ["body quat: has length zero", "ZERO_AXIS"],
+        ),
+        (
+            "<worldbody><body quat='1 0 0 0' euler='1 2 3'><joint/>{}</body></worldbody>",
+            ["has quat and euler", "DUPLICATE_NAME"],
+        ),
+        (
+            "<worldbody><body xyaxes='1 0 0 2 0 0'><joint/>{}</body></worldbody>",
+            ["xyaxes: has parallel axes", "ZERO_AXIS"],
+        ),
+        (
+            "<worldbody><body><joint/>{}<body><freejoint/>{}</body></body></worldbody>",
+            ["is free on 'body 1'", "world", "WRONG_KIND"],
+        ),
+        (
+            "<worldbody><body><joint type='ball'/><joint/>{}</body></worldbody>",
+            ["is a ball joint, one of several", "WRONG_KIND"],
+        ),
+        (
+            "<compiler eulerseq='xyw'/><worldbody><body/></worldbody>",
+            ["eulerseq: is 'xyw'", "BAD_SEQUENCE"],
+        ),
         ("<compiler coordinate='global'/><worldbody/>", ["global coordinates", "WRONG_KIND"]),
-        ("<worldbody><body><joint/>{}</body>\n</worldbody><tendon><spatial damping='1'><site site='a'/><site site='b'/></spatial></tendon>",
-         ["model.xml:2 ", "'a'", "UNKNOWN_NAME"]),
-        ("<worldbody>\n<body><joint/>{}\n<replicate count='4'>{}</replicate></body></worldbody>",
-         ["model.xml:3: is an element 'replicate', which may have mass", "pip install 'jaxbody[mujoco]'", "UNKNOWN_NAME"]),
-        ("<worldbody><composite type='cable'/></worldbody>", ["model.xml:1: is an element 'composite'"]),
+        (
+            (
+                "<worldbody><body><joint/>{}</body>\n"
+                "</worldbody><tendon><spatial damping='1'><site site='a'/><site "
+                "site='b'/></spatial></tendon>"
+            ),
+            ["model.xml:2 ", "'a'", "UNKNOWN_NAME"],
+        ),
+        (
+            "<worldbody>\n<body><joint/>{}\n<replicate count='4'>{}</replicate></body></worldbody>",
+            [
+                "model.xml:3: is an element 'replicate', which may have mass",
+                "pip install 'jaxbody[mujoco]'",
+                "UNKNOWN_NAME",
+            ],
+        ),
+        (
+            "<worldbody><composite type='cable'/></worldbody>",
+            ["model.xml:1: is an element 'composite'"],
+        ),
         ("<include file='../x.xml'/>", ["includes '../x.xml'", "OUTSIDE_FOLDER"]),
         ("<include file='/etc/passwd'/>", ["includes '/etc/passwd'", "OUTSIDE_FOLDER"]),
         ("<include file='model.xml'/>", ["includes 'model.xml' once more", "LOOP"]),
@@ -217,7 +307,7 @@ BALL = '<geom size="0.1"/>'
         ("<worldbody>\n<body></worldbody>", ["model.xml:2", "mismatched tag", "SYNTAX"]),
         ("<worldbody>" + 250 * "<body>", ["nested too deep (allowed: 200 levels)", "TOO_LARGE"]),
     ],
-)  # fmt: skip
+)
 def test_problems_have_their_line(text, messages, tmp_path, own):
     (tmp_path / "model.xml").write_text(f"<mujoco>{text.replace('{}', BALL)}</mujoco>")
     with pytest.raises(jb.JaxbodyError) as raised:
@@ -231,8 +321,14 @@ def test_problems_have_their_line(text, messages, tmp_path, own):
     [
         ("<sdf/>", "WRONG_FORMAT"),
         ("<robot name='arm'/>", "MISSING_EXTRA"),
-        ('<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]><mujoco>&b;</mujoco>', "WRONG_KIND"),
-        ('<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><mujoco>&a;</mujoco>', "WRONG_KIND"),
+        (
+            '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]><mujoco>&b;</mujoco>',
+            "WRONG_KIND",
+        ),
+        (
+            '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><mujoco>&a;</mujoco>',
+            "WRONG_KIND",
+        ),
         ('<?xml version="1.0" encoding="utf-99"?><mujoco/>', "ENCODING"),
         ("", "EMPTY_FILE"),
     ],
@@ -245,7 +341,10 @@ def test_files_of_another_kind(content, code, tmp_path, own):
 
 
 def test_all_problems_of_a_file_at_once(tmp_path, own):
-    text = "<mujoco><worldbody>\n<body pos='1 2'><joint axis='1'/>\n<geom size='x'/></body></worldbody></mujoco>"
+    text = (
+        "<mujoco><worldbody>\n<body pos='1 2'><joint axis='1'/>\n"
+        "<geom size='x'/></body></worldbody></mujoco>"
+    )
     (tmp_path / "model.xml").write_text(text)
     with pytest.raises(jb.JaxbodyError) as raised:
         jb.read_mjcf(tmp_path / "model.xml")
@@ -261,14 +360,16 @@ def test_all_problems_of_a_file_at_once(tmp_path, own):
 def test_mutated_files_are_models_or_clear_errors(count, tmp_path, own):
     (tmp_path / "part.xml").write_text(f"<mujoco>{PART}</mujoco>")
     (tmp_path / "model.xml").write_text(f"<mujoco>{KINDS}</mujoco>")
-    assert 0.1 * count < check_changed_text(tmp_path / "model.xml", count, jb.read_mjcf) < 0.9 * count
+    assert (
+        0.1 * count < check_changed_text(tmp_path / "model.xml", count, jb.read_mjcf) < 0.9 * count
+    )
 
 
 BOWL = """<worldbody><body name="bowl"><freejoint/><geom size=".1" mass="1"/>
-<replicate count="4" euler="0 0 90"><geom size=".05" pos=".5 0 0" mass="2"/></replicate></body></worldbody>"""
+<replicate count="4" euler="0 0 90"><geom size=".05" pos=".5 0 0" mass="2"/></replicate></body></worldbody>"""  # noqa: E501
 TETRAHEDRON = "v 0 0 0\nv 0.6 0 0\nv 0 0.6 0\nv 0 0 0.6\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 MESH = """<asset><mesh name="m" file="{}"/></asset>
-<worldbody><body name="stone"><freejoint/><geom type="mesh" mesh="m" density="2000"/></body></worldbody>"""
+<worldbody><body name="stone"><freejoint/><geom type="mesh" mesh="m" density="2000"/></body></worldbody>"""  # noqa: E501
 
 
 def test_what_is_replicated_has_its_mass(tmp_path):
@@ -276,18 +377,24 @@ def test_what_is_replicated_has_its_mass(tmp_path):
     read, _ = compiled(tmp_path, BOWL)
     bowl = read.model["bowl"]
     np.testing.assert_allclose(bowl.mass, 9.0, rtol=1e-14)
-    np.testing.assert_allclose(bowl.inertia[2, 2], 0.4 * (1 * 0.1**2 + 8 * 0.05**2) + 8 * 0.5**2, rtol=1e-12)
+    np.testing.assert_allclose(
+        bowl.inertia[2, 2], 0.4 * (1 * 0.1**2 + 8 * 0.05**2) + 8 * 0.5**2, rtol=1e-12
+    )
 
 
 def test_a_mesh_beside_the_file_has_mass_and_one_elsewhere_is_not_read(tmp_path):
-    """A tetrahedron with three edges at right angles of the length a has the volume a^3/6 and its center at a/4."""
+    """A tetrahedron with three edges at right angles of the length a has the volume a^3/6 and its
+    center at a/4."""
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "m.obj").write_text(TETRAHEDRON)
     read, _ = compiled(tmp_path / "models", MESH.format("m.obj"))
-    np.testing.assert_allclose(read.model["stone"].mass, 2000 * 0.6**3 / 6, rtol=1e-6)  # MuJoCo's meshes are of 32 bits
+    # MuJoCo's meshes are of 32 bits
+    np.testing.assert_allclose(read.model["stone"].mass, 2000 * 0.6**3 / 6, rtol=1e-6)
     (tmp_path / "m.obj").write_text(TETRAHEDRON)
     for name in ("../m.obj", str(tmp_path / "m.obj")):
-        with pytest.raises(jb.JaxbodyError, match="has the type mesh, whose inertia is not computed"):
+        with pytest.raises(
+            jb.JaxbodyError, match="has the type mesh, whose inertia is not computed"
+        ):
             compiled(tmp_path / "models", MESH.format(name))
 
 
@@ -296,20 +403,29 @@ URDF = """<robot name="arm"><link name="base"/>
  <inertia ixx="0.2" iyy="0.25" izz="0.1" ixy="0.01" ixz="0" iyz="0"/></inertial>
  <visual><geometry><mesh filename="package://arm/rod.stl"/></geometry></visual></link>
 <joint name="pivot" type="revolute"><parent link="base"/><child link="rod"/><origin xyz="0 0 1" rpy="0 0 0"/><axis xyz="0 1 0"/>
- <limit lower="-1" upper="1" effort="5" velocity="2"/><dynamics damping="0.7"/></joint></robot>"""
+ <limit lower="-1" upper="1" effort="5" velocity="2"/><dynamics damping="0.7"/></joint></robot>"""  # noqa: E501
 
 
 def test_a_urdf_is_read_by_mujoco(tmp_path):
-    """The moment about the pivot: that about the center of mass, turned by 0.1 about x, and m l^2; meshes are not looked for."""
+    """The moment about the pivot: that about the center of mass, turned by 0.1 about x, and m l^2;
+    meshes are not looked for."""
     (tmp_path / "arm.urdf").write_text(URDF)
     read = jb.read_mjcf(tmp_path / "arm.urdf")
     rod, hinge = read.model["rod"], read.model.joint("rod")
     turn = np.array([[1, 0, 0], [0, np.cos(0.1), -np.sin(0.1)], [0, np.sin(0.1), np.cos(0.1)]])
-    np.testing.assert_allclose(rod.inertia, turn @ [[0.2, 0.01, 0], [0.01, 0.25, 0], [0, 0, 0.1]] @ turn.T, atol=1e-12)
+    np.testing.assert_allclose(
+        rod.inertia, turn @ [[0.2, 0.01, 0], [0.01, 0.25, 0], [0, 0, 0.1]] @ turn.T, atol=1e-12
+    )
     np.testing.assert_allclose(rod.com, [0, 0, -0.4], atol=1e-15)
-    assert isinstance(hinge, jb.Hinge) and [each.what for each in read.left_out] == ["limits of joints"]
+    assert isinstance(hinge, jb.Hinge) and [each.what for each in read.left_out] == [
+        "limits of joints"
+    ]
     lin = jb.linearize(read.model, read.model.reference)
-    np.testing.assert_allclose(lin.M, turn[1] @ [[0.2, 0.01, 0], [0.01, 0.25, 0], [0, 0, 0.1]] @ turn[1] + 3 * 0.4**2, rtol=1e-12)
+    np.testing.assert_allclose(
+        lin.M,
+        turn[1] @ [[0.2, 0.01, 0], [0.01, 0.25, 0], [0, 0, 0.1]] @ turn[1] + 3 * 0.4**2,
+        rtol=1e-12,
+    )
     np.testing.assert_allclose(lin.C, 0.7, rtol=1e-14)
 
 
@@ -318,10 +434,15 @@ def test_what_ends_the_process_of_the_compiler_does_not_end_this_one(tmp_path, m
     process = tmp_path / "mujoco_process.py"
     process.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)")
     monkeypatch.setattr(mjcf_compiled, "__file__", str(process))
-    (tmp_path / "model.xml").write_text("<mujoco><worldbody><body><joint/><geom size='1' mass='2'/></body></worldbody></mujoco>")
+    (tmp_path / "model.xml").write_text(
+        "<mujoco><worldbody><body><joint/><geom size='1' mass='2'/></body></worldbody></mujoco>"
+    )
     assert jb.read_mjcf(tmp_path / "model.xml").model["body 1"].mass == 2
     (tmp_path / "arm.urdf").write_text(URDF)
-    with pytest.raises(jb.JaxbodyError, match="URDF that MuJoCo refuses: its compilation ended with the exit code -9"):
+    with pytest.raises(
+        jb.JaxbodyError,
+        match="URDF that MuJoCo refuses: its compilation ended with the exit code -9",
+    ):
         jb.read_mjcf(tmp_path / "arm.urdf")
 
 

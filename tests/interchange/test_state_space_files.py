@@ -23,14 +23,20 @@ def test_another_program_finds_the_same_response(lin, tmp_path):
     jb.write_state_space(lin.state_space(ROAD, SEAT), tmp_path / "plant.mat")
     plant = scipy.io.loadmat(tmp_path / "plant.mat", simplify_cells=True)
     assert [plant[name] for name in ("inputs", "input_units")] == ["road", "m/s2"]
-    assert list(plant["outputs"]) == ["seat", "stroke"] and list(plant["output_units"]) == ["m/s2", "m"]
+    assert list(plant["outputs"]) == ["seat", "stroke"] and list(plant["output_units"]) == [
+        "m/s2",
+        "m",
+    ]
     assert len(plant["states"]) == len(plant["A"])
     f = np.geomspace(0.3, 30, 40)
     response = jb.frequency_response(lin, f, ROAD, SEAT)
     A, B, C, D = plant["A"], plant["B"][:, None], plant["C"], plant["D"][:, None]
-    values = np.array([C @ np.linalg.solve(2j * np.pi * x * np.eye(len(A)) - A, B) + D for x in f])[:, :, 0]
+    values = np.array([C @ np.linalg.solve(2j * np.pi * x * np.eye(len(A)) - A, B) + D for x in f])[
+        :, :, 0
+    ]
     for i, name in enumerate(SEAT):
-        np.testing.assert_allclose(values[:, i], response[name, "road"], rtol=1e-9)  # A is conditioned to 1e6
+        # A is conditioned to 1e6
+        np.testing.assert_allclose(values[:, i], response[name, "road"], rtol=1e-9)
 
 
 def test_what_cannot_be_written_is_said(lin, tmp_path):

@@ -1,4 +1,5 @@
-"""Every joint on the world, on a turned moving support and on a turned moving body, against rigid-body kinematics written in NumPy."""
+"""Every joint on the world, on a turned moving support and on a turned moving body, against
+rigid-body kinematics written in NumPy."""
 
 import itertools
 
@@ -36,12 +37,19 @@ JOINTS = {
     "full car": jb.HeavePitchRoll,
     "composite": lambda parent: jb.Composite(parent, STEPS, directions=LINES[0], points=LINES[1]),
 }
-NAMES = [f"{kind} on {parent}" for parent, kind in itertools.product(["world", "base", "carrier"], JOINTS)]
-NAMES += ["ball at on hinge at on carrier", "hinge at on full car on base"]  # a body on a body on a body
+NAMES = [
+    f"{kind} on {parent}"
+    for parent, kind in itertools.product(["world", "base", "carrier"], JOINTS)
+]
+# a body on a body on a body
+NAMES += ["ball at on hinge at on carrier", "hinge at on full car on base"]
 
 
 def turned():
-    return {"position": RNG.normal(size=3), "orientation": Rotation.random(rng=RNG).as_quat(scalar_first=True)}
+    return {
+        "position": RNG.normal(size=3),
+        "orientation": Rotation.random(rng=RNG).as_quat(scalar_first=True),
+    }
 
 
 def body():
@@ -55,10 +63,20 @@ MODEL = jb.Model(
 )
 LAYOUT = MODEL.layout
 MOTIONS = tuple(
-    jb.Harmonic(frequency=0.3, translation=RNG.normal(size=3), rotation=2 * RNG.normal(size=3), rotation_phase=RNG.normal(size=3))
+    jb.Harmonic(
+        frequency=0.3,
+        translation=RNG.normal(size=3),
+        rotation=2 * RNG.normal(size=3),
+        rotation_phase=RNG.normal(size=3),
+    )
     for _ in LAYOUT.supports
 )
-DELTA, V, XI, XI_DOT = RNG.normal(size=LAYOUT.nv) * 2, RNG.normal(size=LAYOUT.nv), RNG.normal(size=(2, 6)), RNG.normal(size=(2, 6))
+DELTA, V, XI, XI_DOT = (
+    RNG.normal(size=LAYOUT.nv) * 2,
+    RNG.normal(size=LAYOUT.nv),
+    RNG.normal(size=(2, 6)),
+    RNG.normal(size=(2, 6)),
+)
 
 
 @jax.jit
@@ -79,7 +97,8 @@ def rate(q, v):
 
 @jax.jit
 def change(q, v, v_dot, xi_dot):
-    """Derivative of the table of frames where v moves the coordinates, v itself passes 0 at the rate v_dot, and the supports move."""
+    """Derivative of the table of frames where v moves the coordinates, v itself passes 0 at the
+    rate v_dot, and the supports move."""
     moving = (q, 0 * V, XI, 0 * XI), (rate(q, v), v_dot, xi_dot, 0 * XI)
     return jax.jvp(lambda *x: frames_and_axes(*x)[0], *moving)[1]
 
@@ -132,13 +151,24 @@ def pose_by_hand(kind, q, at, rest):
         return transform(q[0] * UNIT) @ rest
     if kind == "translation":
         return transform(q) @ rest
-    if kind.endswith("car"):  # R = R_y R_x: each turn about an axis that the one before it has turned
+    # R = R_y R_x: each turn about an axis that the one before it has turned
+    if kind.endswith("car"):
         R = Rotation.from_euler("YX"[: len(q) - 1], q[1:]).as_matrix()
         return transform(rest[:3, 3] + [0, 0, q[0]], R @ rest[:3, :3])
     if kind == "composite":
         T = np.eye(4)
-        for step, n, at, x in zip(STEPS, LINES[0] / np.linalg.norm(LINES[0], axis=1, keepdims=True), LINES[1], q, strict=True):
-            turn = transform(at) @ transform(R=Rotation.from_rotvec(x * n).as_matrix()) @ transform(-at)
+        for step, n, at, x in zip(
+            STEPS,
+            LINES[0] / np.linalg.norm(LINES[0], axis=1, keepdims=True),
+            LINES[1],
+            q,
+            strict=True,
+        ):
+            turn = (
+                transform(at)
+                @ transform(R=Rotation.from_rotvec(x * n).as_matrix())
+                @ transform(-at)
+            )
             T = T @ (turn if step == "turn" else transform(x * n))
         return T @ rest
     if kind == "planar":
@@ -157,7 +187,8 @@ def pose_by_hand(kind, q, at, rest):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_body_stands_where_its_joint_puts_it(name, q, posed):
-    """Axes and points of a joint are in the parent's frame; q = 0, or the unit quaternion, is the reference pose."""
+    """Axes and points of a joint are in the parent's frame; q = 0, or the unit quaternion, is the
+    reference pose."""
     kind, parent = name.split(" on ", 1)
     frames, _ = posed
     rest = np.linalg.inv(reference(parent)) @ reference(name)
@@ -174,18 +205,25 @@ def test_a_support_stands_where_its_motion_puts_it(posed):
     for name, xi in zip(LAYOUT.supports, XI, strict=True):
         T = reference(name)
         assert np.abs(frames.p[row(name)] - T[:3, 3] - xi[:3]).max() <= 1e-15
-        assert np.abs(frames.R[row(name)] - Rotation.from_rotvec(xi[3:]).as_matrix() @ T[:3, :3]).max() <= 1e-15
+        assert (
+            np.abs(frames.R[row(name)] - Rotation.from_rotvec(xi[3:]).as_matrix() @ T[:3, :3]).max()
+            <= 1e-15
+        )
 
 
 def test_the_reference_pose_is_met_at_the_reference_coordinates():
     frames, _ = frames_and_axes(MODEL.reference.q, MODEL.reference.v, 0 * XI, 0 * XI)
     for name in LAYOUT.frames:
-        assert np.abs(transform(frames.p[row(name)], frames.R[row(name)]) - reference(name)).max() <= 2e-15
+        assert (
+            np.abs(transform(frames.p[row(name)], frames.R[row(name)]) - reference(name)).max()
+            <= 2e-15
+        )
     assert not frames.v.any() and not frames.w.any()
 
 
 def test_increments_displace_a_free_body_and_turn_it_in_the_axes_of_its_parent(q):
-    """The chart of a free body: displacement of its reference point, R -> exp([theta]) R; of a ball joint the same without the first."""
+    """The chart of a free body: displacement of its reference point, R -> exp([theta]) R; of a ball
+    joint the same without the first."""
     start = MODEL.reference.q
     for name in NAMES:
         before, after = (np.asarray(x[LAYOUT.q_slices[name]]) for x in (start, q))
@@ -206,7 +244,8 @@ def test_the_rate_is_the_derivative_of_the_increment(q):
 
 
 def test_speeds_move_bodies_as_increments_displace_them(q, posed):
-    """d pose / d Delta is the velocity per unit of each speed: of the body itself `axes`, of those on it by the table of frames."""
+    """d pose / d Delta is the velocity per unit of each speed: of the body itself `axes`, of those
+    on it by the table of frames."""
     frames, (linear, angular) = posed
     own = [row(name) for name in LAYOUT.bodies for _ in range(LAYOUT.nv)[LAYOUT.v_slices[name]]]
     for i, unit in enumerate(np.eye(LAYOUT.nv)):
@@ -227,7 +266,11 @@ def test_velocities_of_all_frames_are_the_derivatives_of_their_poses_in_time(q, 
 
 def test_velocities_of_supports_are_the_derivatives_of_their_imposed_motions():
     """Shaking by metres and turning by radians, the axis of the turn changing."""
-    moving = jax.jit(lambda t: jax.jvp(lambda t: Coordinates(MODEL).supports_moving(MOTIONS, t), (t,), (jnp.ones_like(t),)))
+    moving = jax.jit(
+        lambda t: jax.jvp(
+            lambda t: Coordinates(MODEL).supports_moving(MOTIONS, t), (t,), (jnp.ones_like(t),)
+        )
+    )
     frames, d = moving(jnp.array(0.4))
     assert np.abs(frames.w).max() > 1
     assert np.abs(d.p - frames.v).max() <= 1e-14
@@ -239,7 +282,10 @@ def test_a_point_of_a_moving_frame_has_the_velocity_of_a_rigid_body(posed):
     points = RNG.normal(size=(len(LAYOUT.frames), 3))
     arm = np.einsum("nij,nj->ni", frames.R, points)
     assert np.abs(frames.point(points) - frames.p - arm).max() <= 1e-14
-    assert np.abs(frames.velocity(points) - frames.v - np.cross(frames.w, arm)).max() <= 1e-14 * np.abs(frames.w).max()
+    assert (
+        np.abs(frames.velocity(points) - frames.v - np.cross(frames.w, arm)).max()
+        <= 1e-14 * np.abs(frames.w).max()
+    )
 
 
 def test_a_quaternion_and_its_negative_are_the_same_pose(q, posed):
@@ -253,11 +299,14 @@ def test_a_quaternion_and_its_negative_are_the_same_pose(q, posed):
 
 
 def test_a_joint_may_turn_any_number_of_times(q):
-    """Three turns more of every hinge or pitch and roll, or of every quaternion about any axis, change nothing."""
+    """Three turns more of every hinge or pitch and roll, or of every quaternion about any axis,
+    change nothing."""
     more = np.zeros(LAYOUT.nv)
     for name in LAYOUT.bodies:
         mine = LAYOUT.v_slices[name]
-        if name.startswith(("hinge", "half", "full", "composite", "universal", "cylindrical", "planar")):
+        if name.startswith(
+            ("hinge", "half", "full", "composite", "universal", "cylindrical", "planar")
+        ):
             more[mine] = 6 * np.pi * LAYOUT.turns[mine]
         elif name.startswith(("free", "ball", "carrier")):
             more[mine][-3:] = 6 * np.pi * UNIT

@@ -1,10 +1,16 @@
-"""The full car on double wishbones in Exudyn: bodies move freely, joints and closures are conditions; anti-roll bars are left out."""
+"""The full car on double wishbones in Exudyn: bodies move freely, joints and closures are
+conditions; anti-roll bars are left out."""
 
 import time
 
 import exudyn
 import numpy as np
-from exudyn.utilities import CartesianSpringDamper, GenericJoint, MarkerBodyRigid, RigidBodySpringDamper
+from exudyn.utilities import (
+    CartesianSpringDamper,
+    GenericJoint,
+    MarkerBodyRigid,
+    RigidBodySpringDamper,
+)
 from in_exudyn import Judge
 
 import jaxbody as jb
@@ -15,39 +21,58 @@ class Car(Judge):
 
     def __init__(self, model, lift):
         self.lift, self.tyres = lift, {}
-        super().__init__(model, {name: (np.asarray(model[name].position), np.eye(3)) for name in model.layout.bodies})
+        super().__init__(
+            model,
+            {name: (np.asarray(model[name].position), np.eye(3)) for name in model.layout.bodies},
+        )
 
     def joint(self, body, parent, joint):
         if not isinstance(joint, jb.HeavePitchRoll):
             super().joint(body, parent, joint)
             return
         own, ground = self.marker(body, [0, 0, 0]), self.marker("world", self.places[body][0])
-        turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # it then holds y . x of the car, which pitches and then rolls
+        # it then holds y . x of the car, which pitches and then rolls
+        turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
         self.system.AddObject(
-            GenericJoint(markerNumbers=[ground, own], constrainedAxes=[1, 1, 0, 0, 0, 1], rotationMarker0=turned, rotationMarker1=turned)
+            GenericJoint(
+                markerNumbers=[ground, own],
+                constrainedAxes=[1, 1, 0, 0, 0, 1],
+                rotationMarker0=turned,
+                rotationMarker1=turned,
+            )
         )
 
     def marker(self, body, point):
-        return self.system.AddMarker(MarkerBodyRigid(bodyNumber=self.bodies[body], localPosition=list(np.asarray(point, float))))
+        return self.system.AddMarker(
+            MarkerBodyRigid(
+                bodyNumber=self.bodies[body], localPosition=list(np.asarray(point, float))
+            )
+        )
 
     def spring(self, element):
         if isinstance(element, jb.Spring):
             super().spring(element)
-        elif isinstance(element, jb.Tyre):  # as long as it touches: k (radius - half the engagement - height of the hub)
+        elif isinstance(element, jb.Tyre):
+            # as long as it touches: k (radius - half the engagement - height of the hub)
             (hub, road), k = element.between, float(element.stiffness)
             at = self.places[hub][0] + np.asarray(element.a)
             below = float(element.radius) - float(element.engagement) / 2
             markers = [self.marker("world", [at[0], at[1], 0.0]), self.marker(hub, element.a)]
-            made = CartesianSpringDamper(markerNumbers=markers, stiffness=[0, 0, k], damping=[0, 0, 0], offset=[0, 0, below])
+            made = CartesianSpringDamper(
+                markerNumbers=markers, stiffness=[0, 0, k], damping=[0, 0, 0], offset=[0, 0, below]
+            )
             self.tyres[road.removeprefix("road ")] = self.system.AddObject(made), below
         elif isinstance(element, jb.Bushing):
             (one, other), k = element.between, np.diag([*np.asarray(element.stiffness), 0, 0, 0])
             place = self.in_world(one, element.a)
             markers = [self.marker(other, self.in_own(other, place)), self.marker(one, element.a)]
-            self.system.AddObject(RigidBodySpringDamper(markerNumbers=markers, stiffness=k, damping=np.zeros((6, 6))))
+            self.system.AddObject(
+                RigidBodySpringDamper(markerNumbers=markers, stiffness=k, damping=np.zeros((6, 6)))
+            )
 
     def motion(self, end, steps):
-        """(place of the car, height of the hub of the wheel fl, seconds that it took) after a motion by the generalized-alpha method."""
+        """(place of the car, height of the hub of the wheel fl, seconds that it took) after a
+        motion by the generalized-alpha method."""
         settings = exudyn.SimulationSettings()
 
         def before_step(system, t):
@@ -66,5 +91,8 @@ class Car(Judge):
         begin = time.perf_counter()
         self.system.SolveDynamic(settings)
         spent = time.perf_counter() - begin
-        position = [self.system.GetNodeOutput(self.nodes[name], exudyn.OutputVariableType.Position) for name in ("car", "fl upright")]
+        position = [
+            self.system.GetNodeOutput(self.nodes[name], exudyn.OutputVariableType.Position)
+            for name in ("car", "fl upright")
+        ]
         return np.concatenate(position), spent

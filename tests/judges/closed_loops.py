@@ -1,4 +1,5 @@
-"""Closures by the kinematics of Pinocchio: the conditions of a closure, and their rows per unit of each speed."""
+"""Closures by the kinematics of Pinocchio: the conditions of a closure, and their rows per unit of
+each speed."""
 
 import numpy as np
 import pinocchio as pin
@@ -7,7 +8,8 @@ import jaxbody as jb
 
 
 def conditions(judge, closure):
-    """c and dc/dt per unit of each speed. Angles are counted in the axes of the first frame from the reference pose."""
+    """c and dc/dt per unit of each speed. Angles are counted in the axes of the first frame from
+    the reference pose."""
     (A, B), a, b = closure.between, np.asarray(closure.a), np.asarray(closure.b)
     X_A, X_B = judge.pose(A), judge.pose(B)
     R, d = X_A.rotation, X_B.act(b) - X_A.act(a)
@@ -40,15 +42,16 @@ def rows_of(judge):
 
 
 def multipliers(judge):
-    """lambda of least squares of r + J' lambda = 0, and what is left of it; r = M v' + h at rest."""
+    """lambda of least squares of r + J' lambda = 0, and what is left of it; r = M v' + h
+    at rest."""
     r, J = judge.equations()[1][judge.rows], rows_of(judge)[1][:, judge.rows]
     found = np.linalg.lstsq(J.T, -r, rcond=1e-10)[0]
     return found, r + J.T @ found
 
 
 def frequencies(judge, step=1e-3):
-    """Natural frequencies [Hz] about the rest where the judge is: M and the derivative of r + J' lambda, lambda held, along the null space
-    of J, by central differences of fourth order."""
+    """Natural frequencies [Hz] about the rest where the judge is: M and the derivative of r + J'
+    lambda, lambda held, along the null space of J, by central differences of fourth order."""
     M, J, b = judge.equations()[0], rows_of(judge)[1], judge.rows
     held, _ = multipliers(judge)
     _, singular, V = np.linalg.svd(J[:, b])
@@ -63,7 +66,11 @@ def frequencies(judge, step=1e-3):
 
     q, v = judge.q, judge.v
     columns = [
-        sum(c * unbalanced(pin.integrate(judge.pin, q, i * step * n)) for i, c in ((-2, 1), (-1, -8), (1, 8), (2, -1))) / (12 * step)
+        sum(
+            c * unbalanced(pin.integrate(judge.pin, q, i * step * n))
+            for i, c in ((-2, 1), (-1, -8), (1, 8), (2, -1))
+        )
+        / (12 * step)
         for n in N.T
     ]
     judge.move(q, v)
@@ -73,8 +80,8 @@ def frequencies(judge, step=1e-3):
 
 
 def poles(judge, step=1e-3):
-    """Poles [1/s] of small motions of a tree about the rest where the judge is, from accelerations near it, by central differences of
-    fourth order."""
+    """Poles [1/s] of small motions of a tree about the rest where the judge is, from accelerations
+    near it, by central differences of fourth order."""
     q, v, b, n = judge.q, judge.v, judge.rows, len(judge.rows)
     E = np.eye(judge.pin.nv)[b]
 
@@ -84,7 +91,9 @@ def poles(judge, step=1e-3):
         return np.linalg.solve(M[np.ix_(b, b)], -h[b])
 
     def slope(function):
-        return sum(c * function(i * step) for i, c in ((-2, 1), (-1, -8), (1, 8), (2, -1))) / (12 * step)
+        return sum(c * function(i * step) for i, c in ((-2, 1), (-1, -8), (1, 8), (2, -1))) / (
+            12 * step
+        )
 
     of_q = np.array([slope(lambda x, e=e: acceleration(x * e, v)) for e in E]).T
     of_v = np.array([slope(lambda x, e=e: acceleration(0 * v, x * e)) for e in E]).T

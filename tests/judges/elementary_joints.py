@@ -1,4 +1,5 @@
-"""Joints as rows of elementary ones, slides, hinges and balls, from which other programs build theirs; and their coordinates."""
+"""Joints as rows of elementary ones, slides, hinges and balls, from which other programs build
+theirs; and their coordinates."""
 
 import dataclasses
 
@@ -12,8 +13,9 @@ CONJUGATE = np.array([1.0, -1, -1, -1])
 
 @dataclasses.dataclass
 class Step:
-    """One elementary joint: "move" or "turn" along or about an axis, or "ball"; axis and point in the reference pose, in the axes of the
-    parent. Value and speed: a number, or the unit quaternion of the turn and the angular velocity, in the axes of the parent."""
+    """One elementary joint: "move" or "turn" along or about an axis, or "ball"; axis and point in
+    the reference pose, in the axes of the parent. Value and speed: a number, or the unit quaternion
+    of the turn and the angular velocity, in the axes of the parent."""
 
     kind: str
     at: np.ndarray
@@ -26,7 +28,8 @@ class Step:
 
 @dataclasses.dataclass
 class Carried:
-    """A body, or a support that moves freely, on its parent; `place` is its reference pose there."""
+    """A body, or a support that moves freely, on its parent; `place` is its reference
+    pose there."""
 
     name: str
     parent: str
@@ -55,7 +58,9 @@ def on_parent(model, name, parent):
 def frames(model):
     """Supports and bodies, each followed by all that it carries, as Pinocchio needs them."""
     E, layout = np.eye(3), model.layout
-    parents = dict.fromkeys(layout.supports, "world") | dict(zip(layout.bodies, layout.parents, strict=True))
+    parents = dict.fromkeys(layout.supports, "world") | dict(
+        zip(layout.bodies, layout.parents, strict=True)
+    )
 
     def carried_by(parent):
         for name in (name for name, its in parents.items() if its == parent):
@@ -76,23 +81,33 @@ def frames(model):
         elif isinstance(joint, jb.Ball):
             steps = [ball]
         elif isinstance(joint, jb.Guide | jb.Hinge):
-            steps = [Step("move" if isinstance(joint, jb.Guide) else "turn", at, np.asarray(joint.axis))]
+            steps = [
+                Step("move" if isinstance(joint, jb.Guide) else "turn", at, np.asarray(joint.axis))
+            ]
         elif isinstance(joint, jb.Composite):
-            rows = zip(joint.steps, np.asarray(joint.points), np.asarray(joint.directions), strict=True)
+            rows = zip(
+                joint.steps, np.asarray(joint.points), np.asarray(joint.directions), strict=True
+            )
             steps = [Step(kind, point, axis) for kind, point, axis in rows]
         else:  # translations, then rotations about O, along axes of the parent
-            steps = [Step("turn" if turn else "move", p, E[i]) for i, turn in zip(joint.steps, joint.turns, strict=True)]
+            steps = [
+                Step("turn" if turn else "move", p, E[i])
+                for i, turn in zip(joint.steps, joint.turns, strict=True)
+            ]
         found.append(Carried(name, joint.parent, (p, q), steps))
     return found
 
 
 def coordinates(model, carried, state, supports):
-    """(values, speeds) of the steps of a frame, in a state and with the supports at `supports[name]` = (displacement, turn, velocity,
-    angular velocity), in world axes."""
+    """(values, speeds) of the steps of a frame, in a state and with the supports at
+    `supports[name]` = (displacement, turn, velocity, angular velocity), in world axes."""
     if carried.name in model.layout.supports:
         u, turn, v, w = supports[carried.name]
         return [*u, turn], [*v, w]
-    q, v = (np.asarray(x)[slices[carried.name]] for x, slices in ((state.q, model.layout.q_slices), (state.v, model.layout.v_slices)))
+    q, v = (
+        np.asarray(x)[slices[carried.name]]
+        for x, slices in ((state.q, model.layout.q_slices), (state.v, model.layout.v_slices))
+    )
     joint = model.joint(carried.name)
     if isinstance(joint, jb.Free):
         p, rest = carried.place
@@ -103,8 +118,9 @@ def coordinates(model, carried, state, supports):
 
 
 def imposed(motion, t):
-    """(displacement, turn, velocity, angular velocity) and (acceleration, angular acceleration) of a support with a `Harmonic` motion, by
-    its formula: R' by a complex step, w' by six values of w at 0.002 s, which leaves 1e-12 at 1 Hz."""
+    """(displacement, turn, velocity, angular velocity) and (acceleration, angular acceleration) of
+    a support with a `Harmonic` motion, by its formula: R' by a complex step, w' by six values of w
+    at 0.002 s, which leaves 1e-12 at 1 Hz."""
     amplitude = np.concatenate([motion.translation, motion.rotation])
     phase = np.concatenate([motion.translation_phase, motion.rotation_phase])
     rate = 2 * np.pi * np.asarray(motion.frequency)
@@ -118,11 +134,20 @@ def imposed(motion, t):
         return np.array([W[2, 1], W[0, 2], W[1, 0]])
 
     h, phi = 2e-3, xi(t)[3:]
-    alpha = sum(c * w(t + i * h) for i, c in zip((-3, -2, -1, 1, 2, 3), (-1, 9, -45, 45, -9, 1), strict=True)) / (60 * h)
+    alpha = sum(
+        c * w(t + i * h)
+        for i, c in zip((-3, -2, -1, 1, 2, 3), (-1, 9, -45, 45, -9, 1), strict=True)
+    ) / (60 * h)
     angle = np.linalg.norm(phi)
     turn = np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * phi / angle])
-    x_dot, x_ddot = (-amplitude * rate * np.sin(rate * t + phase))[:3], (-amplitude * rate**2 * np.cos(rate * t + phase))[:3]
+    x_dot, x_ddot = (
+        (-amplitude * rate * np.sin(rate * t + phase))[:3],
+        (-amplitude * rate**2 * np.cos(rate * t + phase))[:3],
+    )
     return (xi(t)[:3], turn, x_dot, w(t)), (x_ddot, alpha)
 
 
-AT_REST = (np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3)), (np.zeros(3), np.zeros(3))
+AT_REST = (
+    (np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3)),
+    (np.zeros(3), np.zeros(3)),
+)

@@ -1,7 +1,8 @@
-"""A model in MuJoCo: springs and inerters are its tendons, torsion springs its joints', laws with memory its actuators with states.
+"""A model in MuJoCo: springs and inerters are its tendons, torsion springs its joints', laws with
+memory its actuators with states.
 
-Supports are bodies that move freely, or swing by themselves: of 1e10 kg on springs of their own, so that they move as imposed and dampers
-see their velocity.
+Supports are bodies that move freely, or swing by themselves: of 1e10 kg on springs of their own, so
+that they move as imposed and dampers see their velocity.
 """
 
 import elementary_joints as joints
@@ -13,20 +14,25 @@ import jaxbody as jb
 
 mujoco.set_mju_user_warning(lambda text: None)  # else it writes a file into the folder at work
 HEAVY = 1e10  # kg and kg m2
-KINDS = {"move": mujoco.mjtJoint.mjJNT_SLIDE, "turn": mujoco.mjtJoint.mjJNT_HINGE, "ball": mujoco.mjtJoint.mjJNT_BALL}
+KINDS = {
+    "move": mujoco.mjtJoint.mjJNT_SLIDE,
+    "turn": mujoco.mjtJoint.mjJNT_HINGE,
+    "ball": mujoco.mjtJoint.mjJNT_BALL,
+}
 SIX = np.array(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))).T
 
 
 def linear(like, coefficient):
-    """A stiffness or damping as MuJoCo has them: since version 4 the first of several coefficients."""
+    """A stiffness or damping as MuJoCo has them: since version 4 the first of
+    several coefficients."""
     row = np.zeros(np.shape(like))
     row[(0,) * row.ndim] = float(coefficient)
     return row if row.ndim else float(coefficient)
 
 
 class Judge:
-    """The same bodies, joints and elements. `swinging`: {support: Harmonic} whose supports swing, along x, y, z and about z, from
-    where they are at time 0, with phases of 0."""
+    """The same bodies, joints and elements. `swinging`: {support: Harmonic} whose supports swing,
+    along x, y, z and about z, from where they are at time 0, with phases of 0."""
 
     def __init__(self, model, *, swinging=None, step=2e-4):
         self.model, self.carried, self.swinging = model, joints.frames(model), swinging or {}
@@ -55,10 +61,17 @@ class Judge:
         elif swing is not None:
             mass, inertia, node.gravcomp = HEAVY, HEAVY * np.eye(3), 1.0
             steps = [*steps[:3], joints.Step("turn", p, np.array([0, 0, 1.0]))]
-        node.mass, node.ipos, node.fullinertia, node.explicitinertial = mass, com, inertia[*SIX], True
+        node.mass, node.ipos, node.fullinertia, node.explicitinertial = (
+            mass,
+            com,
+            inertia[*SIX],
+            True,
+        )
         for i, step in enumerate(steps):
             R = rigs.turned(q).T
-            joint = node.add_joint(name=f"{one.name} {i}", type=KINDS[step.kind], pos=R @ (step.at - p))
+            joint = node.add_joint(
+                name=f"{one.name} {i}", type=KINDS[step.kind], pos=R @ (step.at - p)
+            )
             if step.kind != "ball":
                 joint.axis = R @ step.axis
             if swing is not None:
@@ -85,7 +98,10 @@ class Judge:
         l0 = float(element.free_length)
         tendon.springlength = [l0, l0]
         if isinstance(element, jb.Spring):
-            tendon.stiffness, tendon.damping = linear(tendon.stiffness, element.stiffness), linear(tendon.damping, element.damping)
+            tendon.stiffness, tendon.damping = (
+                linear(tendon.stiffness, element.stiffness),
+                linear(tendon.damping, element.damping),
+            )
             return
         tendon.damping = linear(tendon.damping, element.damper.coefficient)
         for term in element.spring.terms:
@@ -96,7 +112,12 @@ class Judge:
 
     def memory(self, spec, name, law, l0):
         """An actuator along a tendon, which pushes with gain z + bias where the law pulls."""
-        acts = spec.add_actuator(name=f"{name} {len(self.laws)}", trntype=mujoco.mjtTrn.mjTRN_TENDON, target=name, actdim=1)
+        acts = spec.add_actuator(
+            name=f"{name} {len(self.laws)}",
+            trntype=mujoco.mjtTrn.mjTRN_TENDON,
+            target=name,
+            actdim=1,
+        )
         acts.dyntype, acts.gaintype = mujoco.mjtDyn.mjDYN_USER, mujoco.mjtGain.mjGAIN_FIXED
         acts.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         if isinstance(law, jb.laws.Maxwell):
@@ -126,7 +147,9 @@ class Judge:
     def bias(self, m, d, i):
         """What LuGre's force has beside that of its bristles."""
         law = self.laws[i][1]
-        return -(float(law.damping) * self.rate(m, d, i) + float(law.viscosity) * d.actuator_velocity[i])
+        return -(
+            float(law.damping) * self.rate(m, d, i) + float(law.viscosity) * d.actuator_velocity[i]
+        )
 
     def __enter__(self):
         mujoco.set_mjcb_act_dyn(self.rate)
@@ -138,7 +161,8 @@ class Judge:
         mujoco.set_mjcb_act_bias(None)
 
     def put(self, state, moving=None):
-        """Take on a state; `moving`: {support: its `imposed` motion}, for supports that do not swing."""
+        """Take on a state; `moving`: {support: its `imposed` motion}, for supports that do
+        not swing."""
         moving = {name: joints.AT_REST for name in self.model.layout.supports} | (moving or {})
         m, d = self.mj, self.data
         mujoco.mj_resetData(m, d)
@@ -147,18 +171,28 @@ class Judge:
         for one in self.carried:
             if one.name in self.swinging:
                 motion = self.swinging[one.name]
-                d.qpos[[m.joint(f"{one.name} {i}").qposadr[0] for i in range(4)]] = [*motion.translation, motion.rotation[2]]
+                d.qpos[[m.joint(f"{one.name} {i}").qposadr[0] for i in range(4)]] = [
+                    *motion.translation,
+                    motion.rotation[2],
+                ]
                 continue
             values, speeds = joints.coordinates(self.model, one, state, supports)
-            changes = [*moving[one.name][1][0], moving[one.name][1][1]] if one.name in moving else [0 * np.asarray(x) for x in speeds]
+            changes = (
+                [*moving[one.name][1][0], moving[one.name][1][1]]
+                if one.name in moving
+                else [0 * np.asarray(x) for x in speeds]
+            )
             for i, (value, speed, change) in enumerate(zip(values, speeds, changes, strict=True)):
                 number = m.joint(f"{one.name} {i}").id
                 at, first, n = m.jnt_qposadr[number], m.jnt_dofadr[number], np.size(speed)
                 rows, size = slice(first, first + n), np.size(value)
-                if n == 3:  # it counts from the reference pose, in axes of the body, as do the speeds
+                # it counts from the reference pose, in axes of the body, as do the speeds
+                if n == 3:
                     rest = one.place[1]
                     self.turn[rows, rows] = (rigs.turned(value) @ rigs.turned(rest)).T
-                    value = joints.multiplied(rest * joints.CONJUGATE, joints.multiplied(value, rest))
+                    value = joints.multiplied(
+                        rest * joints.CONJUGATE, joints.multiplied(value, rest)
+                    )
                 d.qpos[at : at + size] = value
                 d.qvel[rows] = self.turn[rows, rows] @ np.atleast_1d(speed)
                 self.a[rows] = self.turn[rows, rows] @ np.atleast_1d(change)
@@ -166,8 +200,12 @@ class Judge:
         for name in dict.fromkeys(name for name, *_ in self.laws):
             mine = [i for i, (its, *_) in enumerate(self.laws) if its == name]
             d.act[mine] = state.z[self.model.layout.z_slices[name]]
-        self.rows = np.array([row for name in self.model.layout.bodies for row in order.get(name, [])], int)
-        self.support_rows = np.array([row for name in self.model.layout.supports for row in order.get(name, [])], int)
+        self.rows = np.array(
+            [row for name in self.model.layout.bodies for row in order.get(name, [])], int
+        )
+        self.support_rows = np.array(
+            [row for name in self.model.layout.supports for row in order.get(name, [])], int
+        )
         mujoco.mj_forward(m, d)
         return self
 
@@ -187,7 +225,8 @@ class Judge:
         return self.data.act_dot.copy()
 
     def path(self, times):
-        """{body: (positions, rotation matrices)} at times, from where it is, and the states of the laws."""
+        """{body: (positions, rotation matrices)} at times, from where it is, and the states of
+        the laws."""
         poses, states = {name: [] for name in self.model.layout.bodies}, []
         for i, t in enumerate(times):
             for _ in range(round((t - (times[i - 1] if i else times[0])) / self.mj.opt.timestep)):
@@ -197,4 +236,6 @@ class Judge:
                 body = self.data.body(name)
                 found.append((body.xpos.copy(), body.xmat.reshape(3, 3).copy()))
             states.append(self.data.act.copy())
-        return {name: tuple(map(np.array, zip(*found, strict=True))) for name, found in poses.items()}, np.array(states)
+        return {
+            name: tuple(map(np.array, zip(*found, strict=True))) for name, found in poses.items()
+        }, np.array(states)

@@ -1,7 +1,8 @@
-"""A model in Pinocchio: its kinematics, mass matrix and bias forces there, with the forces of elements by NumPy.
+"""A model in Pinocchio: its kinematics, mass matrix and bias forces there, with the forces of
+elements by NumPy.
 
-Supports are massless bodies that move freely, whose coordinates, speeds and accelerations are prescribed, so that the forces which that
-takes are the reactions on them.
+Supports are massless bodies that move freely, whose coordinates, speeds and accelerations are
+prescribed, so that the forces which that takes are the reactions on them.
 """
 
 import elementary_joints as joints
@@ -27,21 +28,37 @@ class Judge:
         self.model, self.pin, self.joints, self.ids = model, pin.Model(), {}, {"world": 0}
         self.carried = joints.frames(model)
         self.pin.gravity = pin.Motion(np.concatenate([model.gravity, np.zeros(3)]))
-        ends = {"world": (0, pin.SE3.Identity())}  # of each frame: the last of its joints, and its place on that
+        # of each frame: the last of its joints, and its place on that
+        ends = {"world": (0, pin.SE3.Identity())}
         for one in self.carried:
             last, at = ends[one.parent]
             self.joints[one.name], place = [], placed(one.place)
             for step in one.steps:
-                kind = pin.JointModelSpherical() if step.kind == "ball" else KINDS[step.kind](step.axis)
-                last = self.pin.addJoint(last, kind, at * pin.SE3(np.eye(3), step.at), f"{one.name} {len(self.joints[one.name])}")
+                kind = (
+                    pin.JointModelSpherical()
+                    if step.kind == "ball"
+                    else KINDS[step.kind](step.axis)
+                )
+                last = self.pin.addJoint(
+                    last,
+                    kind,
+                    at * pin.SE3(np.eye(3), step.at),
+                    f"{one.name} {len(self.joints[one.name])}",
+                )
                 self.joints[one.name].append(last)
                 at = pin.SE3(np.eye(3), -step.at)
             ends[one.name] = last, at * place
             if one.name in model.layout.bodies:
                 body = model[one.name]
-                self.pin.appendBodyToJoint(last, pin.Inertia(float(body.mass), np.array(body.com), np.array(body.inertia)), at * place)
+                self.pin.appendBodyToJoint(
+                    last,
+                    pin.Inertia(float(body.mass), np.array(body.com), np.array(body.inertia)),
+                    at * place,
+                )
         for one in self.carried:
-            frame = pin.Frame(one.name, ends[one.name][0], 0, ends[one.name][1], pin.FrameType.OP_FRAME)
+            frame = pin.Frame(
+                one.name, ends[one.name][0], 0, ends[one.name][1], pin.FrameType.OP_FRAME
+            )
             self.ids[one.name] = self.pin.addFrame(frame, False)
         self.data = self.pin.createData()
         self.elements = [model[name] for name in model.element_names]
@@ -56,23 +73,42 @@ class Judge:
         supports = {name: at for name, (at, _) in moving.items()}
         for one in self.carried:
             values, speeds = joints.coordinates(self.model, one, state, supports)
-            changes = [*moving[one.name][1][0], moving[one.name][1][1]] if one.name in moving else [0 * np.asarray(x) for x in speeds]
-            for number, value, speed, change in zip(self.joints[one.name], values, speeds, changes, strict=True):
+            changes = (
+                [*moving[one.name][1][0], moving[one.name][1][1]]
+                if one.name in moving
+                else [0 * np.asarray(x) for x in speeds]
+            )
+            for number, value, speed, change in zip(
+                self.joints[one.name], values, speeds, changes, strict=True
+            ):
                 joint = self.pin.joints[number]
-                at, rows = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
+                at, rows = (
+                    slice(joint.idx_q, joint.idx_q + joint.nq),
+                    slice(joint.idx_v, joint.idx_v + joint.nv),
+                )
                 if joint.nv == 3:
-                    turn[rows, rows] = rigs.turned(value).T  # the angular velocity is in axes of the child
+                    # the angular velocity is in axes of the child
+                    turn[rows, rows] = rigs.turned(value).T
                     value = np.roll(value, -1)
-                q[at], v[rows], a[rows] = value, turn[rows, rows] @ np.atleast_1d(speed), turn[rows, rows] @ np.atleast_1d(change)
+                q[at], v[rows], a[rows] = (
+                    value,
+                    turn[rows, rows] @ np.atleast_1d(speed),
+                    turn[rows, rows] @ np.atleast_1d(change),
+                )
                 held[rows] = one.name in moving
                 order.setdefault(one.name, []).extend(range(joint.idx_v, joint.idx_v + joint.nv))
         self.a, self.turn = a, turn
-        self.rows = np.array([row for name in self.model.layout.bodies for row in order.get(name, [])], int)
-        self.support_rows = np.array([row for name in self.model.layout.supports for row in order[name]], int)
+        self.rows = np.array(
+            [row for name in self.model.layout.bodies for row in order.get(name, [])], int
+        )
+        self.support_rows = np.array(
+            [row for name in self.model.layout.supports for row in order[name]], int
+        )
         return self.move(q, v)
 
     def move(self, q, v):
-        """Take on coordinates and speeds of Pinocchio; the frames then have the accelerations that all joints leave at zero."""
+        """Take on coordinates and speeds of Pinocchio; the frames then have the accelerations that
+        all joints leave at zero."""
         self.q, self.v = q, v
         pin.computeJointJacobians(self.pin, self.data, q)
         pin.forwardKinematics(self.pin, self.data, q, v, np.zeros(self.pin.nv))
@@ -91,14 +127,17 @@ class Judge:
 
     def bias(self, name):
         """The derivative of the twist where all accelerations of joints are zero."""
-        return pin.getFrameClassicalAcceleration(self.pin, self.data, self.ids[name], WORLD_AXES).vector
+        return pin.getFrameClassicalAcceleration(
+            self.pin, self.data, self.ids[name], WORLD_AXES
+        ).vector
 
     def at(self, name, point):
         """The matrix that makes the velocity of a point of a frame from its twist."""
         return np.hstack([np.eye(3), -pin.skew(self.pose(name).rotation @ np.asarray(point))])
 
     def line(self, element):
-        """Length and direction of the line from a to b, its rate, and for each frame the row of the rate per unit twist."""
+        """Length and direction of the line from a to b, its rate, and for each frame the row of the
+        rate per unit twist."""
         (A, a), (B, b) = zip(element.between, (element.a, element.b), strict=True)
         d = self.pose(B).act(np.array(b)) - self.pose(A).act(np.array(a))
         L = np.linalg.norm(d)
@@ -114,40 +153,64 @@ class Judge:
             if isinstance(element, jb.Spring):
                 tension = float(element.stiffness) * e + float(element.damping) * rate
             else:
-                tension = force_laws.force(element.spring, e) + force_laws.force(element.damper, rate)
+                tension = force_laws.force(element.spring, e) + force_laws.force(
+                    element.damper, rate
+                )
             return [(name, -tension * row) for name, row in rows.items()]
         if isinstance(element, jb.Bushing):
             A, B = element.between
             X_A, X_B = (
                 self.pose(name) * placed((p, q))
-                for name, p, q in ((A, element.a, element.orientation), (B, element.b, element.orientation_b))
+                for name, p, q in (
+                    (A, element.a, element.orientation),
+                    (B, element.b, element.orientation_b),
+                )
             )
             X = X_A.actInv(X_B)
             slope = pin.Jlog6(X)
             twists = [pin.Motion(self.twist(n)) for n in (A, B)]
             of_B, of_A = (
-                pin.SE3(X_B.rotation.T, np.zeros(3)).act(self.moved(t, X_B.translation - self.pose(n).translation))
+                pin.SE3(X_B.rotation.T, np.zeros(3)).act(
+                    self.moved(t, X_B.translation - self.pose(n).translation)
+                )
                 for n, t in ((B, twists[1]), (A, twists[0]))
             )
             lever = pin.SE3(np.eye(3), np.zeros(3))
             relative = (of_B - lever.act(of_A)).vector
-            K, C = (np.array(x) if np.ndim(x) == 2 else np.diag([*np.asarray(x), 0, 0, 0]) for x in (element.stiffness, element.damping))
-            on_B = -slope.T @ (K @ pin.log6(X).vector + C @ (slope @ relative))  # at the frame of B, in its axes
+            K, C = (
+                np.array(x) if np.ndim(x) == 2 else np.diag([*np.asarray(x), 0, 0, 0])
+                for x in (element.stiffness, element.damping)
+            )
+            # at the frame of B, in its axes
+            on_B = -slope.T @ (K @ pin.log6(X).vector + C @ (slope @ relative))
             F, M = X_B.rotation @ on_B[:3], X_B.rotation @ on_B[3:]
             return [
-                (n, sign * np.concatenate([F, M + np.cross(X_B.translation - self.pose(n).translation, F)]))
+                (
+                    n,
+                    sign
+                    * np.concatenate(
+                        [F, M + np.cross(X_B.translation - self.pose(n).translation, F)]
+                    ),
+                )
                 for n, sign in ((B, 1), (A, -1))
             ]
         if isinstance(element, jb.Torsion):
             A, B = element.between
             X_A, X_B = self.pose(A), self.pose(B)
-            R = rigs.turned(element.orientation).T @ X_A.rotation.T @ X_B.rotation @ rigs.turned(element.orientation_b)
+            R = (
+                rigs.turned(element.orientation).T
+                @ X_A.rotation.T
+                @ X_B.rotation
+                @ rigs.turned(element.orientation_b)
+            )
             n = np.asarray(element.axis)
             w = pin.log3(R)  # a turn about n alone
             assert np.allclose(np.cross(w, n), 0, atol=1e-9)
             axis = X_A.rotation @ rigs.turned(element.orientation) @ n
             rate = axis @ (self.twist(B) - self.twist(A))[3:]
-            moment = force_laws.force(element.spring, w @ n - float(element.free_angle)) + force_laws.force(element.damper, rate)
+            moment = force_laws.force(
+                element.spring, w @ n - float(element.free_angle)
+            ) + force_laws.force(element.damper, rate)
             on_B = np.concatenate([np.zeros(3), -moment * axis])
             return [(B, on_B), (A, -on_B)]
         if isinstance(element, jb.AntiRollBar):
@@ -157,7 +220,9 @@ class Judge:
             rows = {left: axis @ self.at(left, element.a), right: -axis @ self.at(right, element.b)}
             rows[car] = np.concatenate([np.zeros(3), np.cross(axis, d)])
             rate = sum(row @ self.twist(name) for name, row in rows.items())
-            force = force_laws.force(element.spring, axis @ d) + force_laws.force(element.damper, rate)
+            force = force_laws.force(element.spring, axis @ d) + force_laws.force(
+                element.damper, rate
+            )
             return [(name, -force * row) for name, row in rows.items()]
         assert isinstance(element, jb.Inerter)
         return [("world", np.zeros(6))]
@@ -174,12 +239,19 @@ class Judge:
         h = pin.nonLinearEffects(self.pin, self.data, self.q, self.v)
         self.move(self.q, self.v)
         for element in self.elements:
-            h = h - sum(self.jacobian(name).T @ wrench for name, wrench in self.element_wrenches(element))
+            h = h - sum(
+                self.jacobian(name).T @ wrench for name, wrench in self.element_wrenches(element)
+            )
             if isinstance(element, jb.Inerter):
                 L, u, rate, rows = self.line(element)
                 J = sum(row @ self.jacobian(name) for name, row in rows.items())
-                relative = [self.at(n, p) @ self.twist(n) for n, p in zip(element.between, (element.a, element.b), strict=True)]
-                centripetal = self.acceleration_of_point(element, 1) - self.acceleration_of_point(element, 0)
+                relative = [
+                    self.at(n, p) @ self.twist(n)
+                    for n, p in zip(element.between, (element.a, element.b), strict=True)
+                ]
+                centripetal = self.acceleration_of_point(element, 1) - self.acceleration_of_point(
+                    element, 0
+                )
                 relative = relative[1] - relative[0]
                 b = float(element.inertance)
                 M = M + b * np.outer(J, J)

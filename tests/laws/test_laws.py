@@ -1,4 +1,5 @@
-"""Force laws against formulas in NumPy and quadrature by SciPy, slopes at kinks as documented, and messages for bad input."""
+"""Force laws against formulas in NumPy and quadrature by SciPy, slopes at kinks as documented, and
+messages for bad input."""
 
 import jax
 import jax.numpy as jnp
@@ -35,29 +36,60 @@ class Cubic(laws.Law):
 
 LAWS = {
     "linear": (laws.Linear(200.0), lambda x: 200 * x),
-    "polynomial": (laws.Polynomial([100.0, -20.0, 300.0]), lambda x: 100 * x - 20 * x**2 + 300 * x**3),
+    "polynomial": (
+        laws.Polynomial([100.0, -20.0, 300.0]),
+        lambda x: 100 * x - 20 * x**2 + 300 * x**3,
+    ),
     "table": (laws.Table(POINTS, FORCES), PCHIP),
-    "bilinear": (laws.TwoSided(bump=300.0, rebound=900.0), lambda x: np.where(x < 0, 300 * x, 900 * x)),
-    "two-sided": (laws.TwoSided(bump=300.0, rebound=laws.Polynomial([900.0, 0.0, 50.0])), two_sided),
-    "digressive": (laws.Digressive(slow=900.0, fast=100.0, knee=0.2), lambda x: 100 * x + 800 * x / np.sqrt(1 + (x / 0.2) ** 2)),
+    "bilinear": (
+        laws.TwoSided(bump=300.0, rebound=900.0),
+        lambda x: np.where(x < 0, 300 * x, 900 * x),
+    ),
+    "two-sided": (
+        laws.TwoSided(bump=300.0, rebound=laws.Polynomial([900.0, 0.0, 50.0])),
+        two_sided,
+    ),
+    "digressive": (
+        laws.Digressive(slow=900.0, fast=100.0, knee=0.2),
+        lambda x: 100 * x + 800 * x / np.sqrt(1 + (x / 0.2) ** 2),
+    ),
     "friction": (laws.Friction(level=40.0, velocity=0.05), lambda x: 40 * x / np.hypot(x, 0.05)),
     "stop": (laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.05), lambda x: -stop(-x - 0.1)),
-    "stop in extension": (laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.05, extension=True), lambda x: stop(x - 0.1)),
+    "stop in extension": (
+        laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.05, extension=True),
+        lambda x: stop(x - 0.1),
+    ),
     "tension only": (laws.TensionOnly(70.0), lambda x: 70 * np.maximum(x, 0)),
-    "air spring": (laws.AirSpring(pressure=3e5, area=0.01, height=1.1), lambda x: 0.01 * (101325 - 3e5 * (1 + x / 1.1) ** -1.4)),
-    "isothermal": (laws.AirSpring(pressure=3e5, area=0.01, height=1.1, exponent=1.0), lambda x: 0.01 * (101325 - 3e5 / (1 + x / 1.1))),
+    "air spring": (
+        laws.AirSpring(pressure=3e5, area=0.01, height=1.1),
+        lambda x: 0.01 * (101325 - 3e5 * (1 + x / 1.1) ** -1.4),
+    ),
+    "isothermal": (
+        laws.AirSpring(pressure=3e5, area=0.01, height=1.1, exponent=1.0),
+        lambda x: 0.01 * (101325 - 3e5 / (1 + x / 1.1)),
+    ),
     "function": (laws.Function(jnp.sinh), np.sinh),
     "of one's own": (Cubic(jnp.array(8.0)), lambda x: 8 * x**3),
-    "sum": (laws.Linear(200.0) + laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.05), lambda x: 200 * x - stop(-x - 0.1)),
+    "sum": (
+        laws.Linear(200.0) + laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.05),
+        lambda x: 200 * x - stop(-x - 0.1),
+    ),
 }
-KINKS = {"table": POINTS, "stop": [-0.15, -0.1], "stop in extension": [0.1, 0.15], "sum": [-0.15, -0.1]}
+KINKS = {
+    "table": POINTS,
+    "stop": [-0.15, -0.1],
+    "stop in extension": [0.1, 0.15],
+    "sum": [-0.15, -0.1],
+}
 
 
 def test_a_law_without_a_force_is_refused():
     class Empty(laws.Law):
         k: float = 1.0
 
-    with pytest.raises(jb.JaxbodyError, match=r"Empty: states neither force nor potential.*NO_FORCE"):
+    with pytest.raises(
+        jb.JaxbodyError, match=r"Empty: states neither force nor potential.*NO_FORCE"
+    ):
         Empty()
 
 
@@ -79,7 +111,12 @@ def everything(law, x):
 def case(request):
     law, formula = LAWS[request.param]
     law = jax.tree.map(jnp.asarray, law)
-    return law, formula, jax.tree.map(np.asarray, everything(law, jnp.asarray(X))), KINKS.get(request.param, [0.0])
+    return (
+        law,
+        formula,
+        jax.tree.map(np.asarray, everything(law, jnp.asarray(X))),
+        KINKS.get(request.param, [0.0]),
+    )
 
 
 def largest(x):
@@ -91,7 +128,17 @@ def test_force_is_the_formula_and_energy_its_integral(case):
     assert largest(F - formula(X)) <= 1e-14 * largest(F)
     assert largest(dU_dx - F) <= 1e-14 * largest(F)
     integral = [
-        quad(formula, 0, x, epsabs=1e-13, epsrel=1e-13, points=[k for k in kinks if 0 < k / x < 1] or None)[0] if x else 0.0 for x in X
+        quad(
+            formula,
+            0,
+            x,
+            epsabs=1e-13,
+            epsrel=1e-13,
+            points=[k for k in kinks if 0 < k / x < 1] or None,
+        )[0]
+        if x
+        else 0.0
+        for x in X
     ]
     assert largest(U - integral) <= 1e-12 * largest(U)
 
@@ -103,13 +150,27 @@ def test_slope_is_the_second_derivative_of_the_energy(case):
     smooth = np.array([min(abs(x - k) for k in kinks) > 1e-3 for x in X])
     h = 1e-6
     ends = [np.array([float(law.force(jnp.array(x + s * h))) for x in X[smooth]]) for s in (1, -1)]
-    assert largest((ends[0] - ends[1]) / (2 * h) - slope[smooth]) <= 1e-7 * largest(slope) + 1e-9 * largest(F) / h * 1e-6
+    assert (
+        largest((ends[0] - ends[1]) / (2 * h) - slope[smooth])
+        <= 1e-7 * largest(slope) + 1e-9 * largest(F) / h * 1e-6
+    )
 
 
 def test_nothing_is_nan_at_kinks_gaps_and_rest(case):
     law, _, _, kinks = case
-    special = jnp.asarray(np.unique([*kinks, 0.0, *(np.nextafter(k, 1) for k in kinks), *(np.nextafter(k, -1) for k in kinks)]))
-    assert all(np.isfinite(x).all() for x in jax.tree.leaves(everything(law, jnp.resize(special, len(X)))))
+    special = jnp.asarray(
+        np.unique(
+            [
+                *kinks,
+                0.0,
+                *(np.nextafter(k, 1) for k in kinks),
+                *(np.nextafter(k, -1) for k in kinks),
+            ]
+        )
+    )
+    assert all(
+        np.isfinite(x).all() for x in jax.tree.leaves(everything(law, jnp.resize(special, len(X))))
+    )
 
 
 def test_energy_and_force_agree_in_their_derivatives_by_the_laws_numbers(case):
@@ -160,16 +221,21 @@ def test_the_energy_of_a_gas_is_smooth_where_it_is_isothermal(exponent):
     def U(n, x=0.5):
         return quad(lambda s: 0.01 * (101325 - 3e5 * (1 + s / 1.1) ** -n), 0, x, epsabs=1e-12)[0]
 
-    slope = jax.grad(lambda law: law.potential(jnp.array(0.5)))(jax.tree.map(jnp.asarray, law)).exponent
+    slope = jax.grad(lambda law: law.potential(jnp.array(0.5)))(
+        jax.tree.map(jnp.asarray, law)
+    ).exponent
     assert abs(slope - (U(exponent + 1e-4) - U(exponent - 1e-4)) / 2e-4) <= 1e-6 * abs(slope)
 
 
 def test_an_air_spring_that_carries_a_load_has_the_absolute_pressure_for_it():
-    """p0 = p_a + load/A, so that it pushes with the load, and its stiffness n p0 A/h is that of the gas and not of the load alone."""
+    """p0 = p_a + load/A, so that it pushes with the load, and its stiffness n p0 A/h is that of the
+    gas and not of the load alone."""
     load, A, h, n = 800.0, 5e-3, 0.2, 1.3
     gas = jb.laws.AirSpring.carrying(load, area=A, height=h, exponent=n)
     at_rest = jnp.zeros(())
-    np.testing.assert_allclose([gas.force(at_rest), gas.slope(at_rest)], [-load, n * (101325.0 * A + load) / h], rtol=1e-12)
+    np.testing.assert_allclose(
+        [gas.force(at_rest), gas.slope(at_rest)], [-load, n * (101325.0 * A + load) / h], rtol=1e-12
+    )
 
 
 @pytest.mark.long
@@ -178,10 +244,16 @@ def test_a_gas_compressed_to_zero_volume_is_nan_and_named():
     model = jb.Model(
         bodies={"body": jb.Body(mass=1.0, inertia=[1, 1, 1])},
         joints={"body": jb.Guide("world", axis=[0, 0, 1])},
-        elements={"gas": jb.SpringDamper(("body", [0, 0, 0]), ("world", [0, 0, -1]), free_length=1.0, spring=gas)},
+        elements={
+            "gas": jb.SpringDamper(
+                ("body", [0, 0, 0]), ("world", [0, 0, -1]), free_length=1.0, spring=gas
+            )
+        },
     )
     with pytest.warns(jb.JaxbodyWarning, match=r"the force of element 'gas'"):
-        jb.simulate(model, [0.0, 0.1], initial=jb.State(jnp.array([-0.6]), jnp.array([0.0])), max_steps=50)
+        jb.simulate(
+            model, [0.0, 0.1], initial=jb.State(jnp.array([-0.6]), jnp.array([0.0])), max_steps=50
+        )
 
 
 # Files
@@ -194,9 +266,19 @@ def written(tmp_path, text):
 
 
 def test_a_table_from_a_file_is_in_si_units(tmp_path):
-    path = written(tmp_path, "# damper 7, cold\nvelocity [mm/s], force [kN]\n-500,-1.0\n-100,-0.4\n0,0\n# rebound\n100,0.9\n500,2.5\n")
+    path = written(
+        tmp_path,
+        "# damper 7, cold\nvelocity [mm/s], force [kN]\n-500,-1.0\n-100,-0.4\n0,0\n"
+        "# rebound\n100,0.9\n500,2.5\n",
+    )
     law = laws.Table.read(path)
-    assert law.x.tolist() == [-0.5, -0.1, 0, 0.1, 0.5] and law.forces.tolist() == [-1000, -400, 0, 900, 2500]
+    assert law.x.tolist() == [-0.5, -0.1, 0, 0.1, 0.5] and law.forces.tolist() == [
+        -1000,
+        -400,
+        0,
+        900,
+        2500,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -227,36 +309,176 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 
 ENDS = ("body", [0, 0, 0]), ("world", [0, 0, 1])
 BAD = {
-    "negative stiffness": (lambda: laws.Linear(-2.0), "NEGATIVE", "Linear.coefficient", "-2 >= 0 Polynomial"),
-    "table falls": (lambda: laws.Table([0, 1, 2, 3], [0, 2, 1, 3]), "TABLE_FALLS", "Table.forces", "from 2 to 1 x = 1 2"),
-    "table unsorted": (lambda: laws.Table([0, 2, 1, 3], [0, 1, 2, 3]), "TABLE_UNSORTED", "Table.x", "index 2 2 1 increasing"),
-    "table repeats": (lambda: laws.Table([0, 1, 1, 3], [0, 1, 2, 3]), "TABLE_DUPLICATE", "Table.x", "index 2 1 increasing"),
-    "table short": (lambda: laws.Table([0, 1, 2], [0, 1, 2]), "TABLE_SHORT", "Table.x", "3 points 4"),
-    "table ragged": (lambda: laws.Table([0, 1, 2, 3], [0, 1, 2]), "BAD_SHAPE", "Table.forces", "3 4"),
-    "table with a gap": (lambda: laws.Table([0, 1, 2, np.nan], [0, 1, 2, 3]), "NON_FINITE", "Table.x", "nan finite"),
-    "negative gap": (lambda: laws.Stop(gap=-0.01, stiffness=1.0), "NEGATIVE", "Stop.gap", "-0.01 m >= 0 free length"),
-    "stop without engagement": (lambda: laws.Stop(gap=0.0, stiffness=1.0, engagement=0), "NOT_POSITIVE", "Stop.engagement", "0 m > 0"),
-    "negative stop": (lambda: laws.Stop(gap=0.0, stiffness=-1.0), "NEGATIVE", "Stop.stiffness", "-1 N/m"),
-    "negative knee": (lambda: laws.Digressive(slow=1.0, fast=0.0, knee=-1.0), "NOT_POSITIVE", "Digressive.knee", "-1 m/s"),
-    "negative slow": (lambda: laws.Digressive(slow=-1.0, fast=0.0, knee=1.0), "NEGATIVE", "Digressive.slow", "-1 N s/m"),
-    "friction without velocity": (lambda: laws.Friction(level=1.0, velocity=0.0), "NOT_POSITIVE", "Friction.velocity", "0 m/s slides"),
-    "negative friction": (lambda: laws.Friction(level=-1.0, velocity=0.1), "NEGATIVE", "Friction.level", "-1 N"),
-    "negative rope": (lambda: laws.TensionOnly(-1.0), "NEGATIVE", "TensionOnly.stiffness", "-1 N/m"),
-    "negative pressure": (lambda: laws.AirSpring(pressure=-1, area=1, height=1), "NOT_POSITIVE", "AirSpring.pressure", "-1 Pa > 0"),
-    "no volume": (lambda: laws.AirSpring(pressure=1, area=1, height=0), "NOT_POSITIVE", "AirSpring.height", "0 m"),
-    "no law": (lambda: laws.TwoSided(bump="soft", rebound=1.0), "NOT_A_NUMBER", "TwoSided.bump", "soft number"),
-    "nothing": (lambda: laws.TwoSided(bump=None, rebound=1.0), "WRONG_KIND", "TwoSided.bump", "None"),
+    "negative stiffness": (
+        lambda: laws.Linear(-2.0),
+        "NEGATIVE",
+        "Linear.coefficient",
+        "-2 >= 0 Polynomial",
+    ),
+    "table falls": (
+        lambda: laws.Table([0, 1, 2, 3], [0, 2, 1, 3]),
+        "TABLE_FALLS",
+        "Table.forces",
+        "from 2 to 1 x = 1 2",
+    ),
+    "table unsorted": (
+        lambda: laws.Table([0, 2, 1, 3], [0, 1, 2, 3]),
+        "TABLE_UNSORTED",
+        "Table.x",
+        "index 2 2 1 increasing",
+    ),
+    "table repeats": (
+        lambda: laws.Table([0, 1, 1, 3], [0, 1, 2, 3]),
+        "TABLE_DUPLICATE",
+        "Table.x",
+        "index 2 1 increasing",
+    ),
+    "table short": (
+        lambda: laws.Table([0, 1, 2], [0, 1, 2]),
+        "TABLE_SHORT",
+        "Table.x",
+        "3 points 4",
+    ),
+    "table ragged": (
+        lambda: laws.Table([0, 1, 2, 3], [0, 1, 2]),
+        "BAD_SHAPE",
+        "Table.forces",
+        "3 4",
+    ),
+    "table with a gap": (
+        lambda: laws.Table([0, 1, 2, np.nan], [0, 1, 2, 3]),
+        "NON_FINITE",
+        "Table.x",
+        "nan finite",
+    ),
+    "negative gap": (
+        lambda: laws.Stop(gap=-0.01, stiffness=1.0),
+        "NEGATIVE",
+        "Stop.gap",
+        "-0.01 m >= 0 free length",
+    ),
+    "stop without engagement": (
+        lambda: laws.Stop(gap=0.0, stiffness=1.0, engagement=0),
+        "NOT_POSITIVE",
+        "Stop.engagement",
+        "0 m > 0",
+    ),
+    "negative stop": (
+        lambda: laws.Stop(gap=0.0, stiffness=-1.0),
+        "NEGATIVE",
+        "Stop.stiffness",
+        "-1 N/m",
+    ),
+    "negative knee": (
+        lambda: laws.Digressive(slow=1.0, fast=0.0, knee=-1.0),
+        "NOT_POSITIVE",
+        "Digressive.knee",
+        "-1 m/s",
+    ),
+    "negative slow": (
+        lambda: laws.Digressive(slow=-1.0, fast=0.0, knee=1.0),
+        "NEGATIVE",
+        "Digressive.slow",
+        "-1 N s/m",
+    ),
+    "friction without velocity": (
+        lambda: laws.Friction(level=1.0, velocity=0.0),
+        "NOT_POSITIVE",
+        "Friction.velocity",
+        "0 m/s slides",
+    ),
+    "negative friction": (
+        lambda: laws.Friction(level=-1.0, velocity=0.1),
+        "NEGATIVE",
+        "Friction.level",
+        "-1 N",
+    ),
+    "negative rope": (
+        lambda: laws.TensionOnly(-1.0),
+        "NEGATIVE",
+        "TensionOnly.stiffness",
+        "-1 N/m",
+    ),
+    "negative pressure": (
+        lambda: laws.AirSpring(pressure=-1, area=1, height=1),
+        "NOT_POSITIVE",
+        "AirSpring.pressure",
+        "-1 Pa > 0",
+    ),
+    "no volume": (
+        lambda: laws.AirSpring(pressure=1, area=1, height=0),
+        "NOT_POSITIVE",
+        "AirSpring.height",
+        "0 m",
+    ),
+    "no law": (
+        lambda: laws.TwoSided(bump="soft", rebound=1.0),
+        "NOT_A_NUMBER",
+        "TwoSided.bump",
+        "soft number",
+    ),
+    "nothing": (
+        lambda: laws.TwoSided(bump=None, rebound=1.0),
+        "WRONG_KIND",
+        "TwoSided.bump",
+        "None",
+    ),
     "empty": (lambda: laws.Polynomial([]), "BAD_SHAPE", "Polynomial.coefficients", "at least 1"),
-    "strut": (lambda: jb.SpringDamper(*ENDS, spring=-5.0), "NEGATIVE", "SpringDamper.spring", "-5 Polynomial"),
-    "strut's law": (lambda: jb.SpringDamper(*ENDS, damper="oil"), "NOT_A_NUMBER", "SpringDamper.damper", "oil number"),
-    "strut's length": (lambda: jb.SpringDamper(*ENDS, free_length=-1), "NEGATIVE_LENGTH", "SpringDamper.free_length", "-1 m"),
-    "torsion about nothing": (lambda: jb.Torsion("a", "b", axis=[0, 0, 0]), "ZERO_AXIS", "Torsion.axis", "zero"),
-    "tyre": (lambda: jb.Tyre("wheel", "road", stiffness=-1, radius=0.3), "NEGATIVE", "Tyre.stiffness", "-1 N/m"),
-    "tyre's radius": (lambda: jb.Tyre("wheel", "road", stiffness=1, radius=-0.3), "NEGATIVE", "Tyre.radius", "-0.3 m"),
-    "tyre on itself": (lambda: jb.Tyre("wheel", "wheel", stiffness=1, radius=0.3), "SELF_SPRING", "Tyre", "wheel different"),
-    "bar on itself": (lambda: jb.AntiRollBar("left", "right", "left"), "SELF_SPRING", "AntiRollBar", "two of its ends left"),
-    "contact": (lambda: jb.Contact(*ENDS, distance=0, stiffness=1), "NOT_POSITIVE", "Contact.distance", "0 m"),
-}  # fmt: skip
+    "strut": (
+        lambda: jb.SpringDamper(*ENDS, spring=-5.0),
+        "NEGATIVE",
+        "SpringDamper.spring",
+        "-5 Polynomial",
+    ),
+    "strut's law": (
+        lambda: jb.SpringDamper(*ENDS, damper="oil"),
+        "NOT_A_NUMBER",
+        "SpringDamper.damper",
+        "oil number",
+    ),
+    "strut's length": (
+        lambda: jb.SpringDamper(*ENDS, free_length=-1),
+        "NEGATIVE_LENGTH",
+        "SpringDamper.free_length",
+        "-1 m",
+    ),
+    "torsion about nothing": (
+        lambda: jb.Torsion("a", "b", axis=[0, 0, 0]),
+        "ZERO_AXIS",
+        "Torsion.axis",
+        "zero",
+    ),
+    "tyre": (
+        lambda: jb.Tyre("wheel", "road", stiffness=-1, radius=0.3),
+        "NEGATIVE",
+        "Tyre.stiffness",
+        "-1 N/m",
+    ),
+    "tyre's radius": (
+        lambda: jb.Tyre("wheel", "road", stiffness=1, radius=-0.3),
+        "NEGATIVE",
+        "Tyre.radius",
+        "-0.3 m",
+    ),
+    "tyre on itself": (
+        lambda: jb.Tyre("wheel", "wheel", stiffness=1, radius=0.3),
+        "SELF_SPRING",
+        "Tyre",
+        "wheel different",
+    ),
+    "bar on itself": (
+        lambda: jb.AntiRollBar("left", "right", "left"),
+        "SELF_SPRING",
+        "AntiRollBar",
+        "two of its ends left",
+    ),
+    "contact": (
+        lambda: jb.Contact(*ENDS, distance=0, stiffness=1),
+        "NOT_POSITIVE",
+        "Contact.distance",
+        "0 m",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -272,5 +494,12 @@ def test_bad_laws_and_elements_are_refused(name):
 
 def test_all_that_is_wrong_is_reported_at_once():
     with pytest.raises(jb.JaxbodyError) as refused:
-        jb.SpringDamper(("body", [0, 0]), ("world", [0, 0, 1]), free_length=-1.0, spring=-5.0, damper="oil")
-    assert {p.code for p in refused.value.problems} == {"BAD_SHAPE", "NEGATIVE_LENGTH", "NEGATIVE", "NOT_A_NUMBER"}
+        jb.SpringDamper(
+            ("body", [0, 0]), ("world", [0, 0, 1]), free_length=-1.0, spring=-5.0, damper="oil"
+        )
+    assert {p.code for p in refused.value.problems} == {
+        "BAD_SHAPE",
+        "NEGATIVE_LENGTH",
+        "NEGATIVE",
+        "NOT_A_NUMBER",
+    }

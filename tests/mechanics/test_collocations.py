@@ -1,4 +1,5 @@
-"""Long and stiff motions: Gauss collocation conserves energy, at its order and with derivatives; implicit solvers take long steps."""
+"""Long and stiff motions: Gauss collocation conserves energy, at its order and with derivatives;
+implicit solvers take long steps."""
 
 import diffrax
 import jax
@@ -19,7 +20,11 @@ def slider(stiffness=400.0):
     return jb.Model(
         bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
         joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
-        elements={"s": jb.Spring(("mass", [0, 0, 0]), ("world", [-1, 0, 0]), stiffness=stiffness, free_length=1.0)},
+        elements={
+            "s": jb.Spring(
+                ("mass", [0, 0, 0]), ("world", [-1, 0, 0]), stiffness=stiffness, free_length=1.0
+            )
+        },
     )
 
 
@@ -29,12 +34,15 @@ PUSHED = jb.State(jnp.array([0.1]), jnp.zeros(1))
 def moved(stages, dt0, stiffness=400.0, **options):
     solver = jb.Gauss(stages=stages)
     model = jb.replace(slider(), {"s.stiffness": stiffness})
-    return jb.simulate(model, TIMES, initial=PUSHED, solver=solver, stepsize_controller=STEPS, dt0=dt0, **options)
+    return jb.simulate(
+        model, TIMES, initial=PUSHED, solver=solver, stepsize_controller=STEPS, dt0=dt0, **options
+    )
 
 
 @pytest.mark.parametrize("stages", [1, 2, 3])
 def test_coefficients_are_integrals_of_polynomials_through_the_points_of_gauss(stages):
-    """c and b are NumPy's nodes and weights; sum_j a_ij c_j^k = c_i^(k + 1)/(k + 1), the integral to c_i of each power."""
+    """c and b are NumPy's nodes and weights; sum_j a_ij c_j^k = c_i^(k + 1)/(k + 1), the integral
+    to c_i of each power."""
     A, b, c = (np.array(x) for x in GAUSS[stages])
     nodes, weights = np.polynomial.legendre.leggauss(stages)
     np.testing.assert_allclose(c, (1 + nodes) / 2, rtol=1e-14)
@@ -61,10 +69,13 @@ def test_derivatives_pass_through_the_stages(mode):
     """dq/dk of 0.1 cos(sqrt(k) t) is -0.1 sin(20 t) t/40."""
     expected = -0.1 * np.sin(20 * TIMES) * TIMES / 40
     if mode == "forward":
-        slopes = jax.jacfwd(lambda k: moved(3, 0.01, k, adjoint=diffrax.ForwardMode()).state.q[:, 0])(400.0)
+        slopes = jax.jacfwd(
+            lambda k: moved(3, 0.01, k, adjoint=diffrax.ForwardMode()).state.q[:, 0]
+        )(400.0)
     else:
         slopes = jax.jacrev(lambda k: moved(3, 0.01, k, max_steps=256).state.q[:, 0])(400.0)
-    assert rigs.max_difference(slopes, expected) < 1e-9 * 0.1  # of the method at this step; by differences of 0.01 N/m 1e-7
+    # of the method at this step; by differences of 0.01 N/m 1e-7
+    assert rigs.max_difference(slopes, expected) < 1e-9 * 0.1
 
 
 @pytest.mark.long
@@ -82,21 +93,39 @@ def test_unknown_stages_are_refused():
 
 
 def vibrating(periods, samples=201):
-    """Relative energy above the equilibrium's of the plate swinging by 3 cm and 0.1 rad, over periods of its fastest mode."""
+    """Relative energy above the equilibrium's of the plate swinging by 3 cm and 0.1 rad, over
+    periods of its fastest mode."""
     model = rigs.plate()
     eq = jb.equilibrium(model)
     period = 1 / float(jb.modes(jb.linearize(model, eq)).frequency[-1])
-    start = jb.State(jb.retract(model, eq.state.q, jnp.array([0.02, -0.015, 0.02, 0.06, -0.05, 0.08])), jnp.zeros(6))
-    options = dict(solver=jb.Gauss(stages=3), stepsize_controller=STEPS, dt0=period / 10, max_steps=11 * periods)
-    result = jb.simulate(model, np.linspace(0, periods * period, samples), initial=start, adjoint=diffrax.ForwardMode(), **options)
+    start = jb.State(
+        jb.retract(model, eq.state.q, jnp.array([0.02, -0.015, 0.02, 0.06, -0.05, 0.08])),
+        jnp.zeros(6),
+    )
+    options = dict(
+        solver=jb.Gauss(stages=3),
+        stepsize_controller=STEPS,
+        dt0=period / 10,
+        max_steps=11 * periods,
+    )
+    result = jb.simulate(
+        model,
+        np.linspace(0, periods * period, samples),
+        initial=start,
+        adjoint=diffrax.ForwardMode(),
+        **options,
+    )
     assert result.ok
-    assert rigs.max_difference(np.linalg.norm(result.state.q[:, 3:], axis=1), np.ones(samples)) < 1e-12
+    assert (
+        rigs.max_difference(np.linalg.norm(result.state.q[:, 3:], axis=1), np.ones(samples)) < 1e-12
+    )
     energy = np.asarray(result.energies["total"]) - float(eq.energy)
     return energy / energy[0] - 1
 
 
 def has_no_trend(error):
-    """The slope of a line through it, over the record, is less than three of its standard errors or a tenth of the scatter."""
+    """The slope of a line through it, over the record, is less than three of its standard errors or
+    a tenth of the scatter."""
     x = np.linspace(-0.5, 0.5, len(error))
     slope = (x @ error) / (x @ x)
     scatter = np.std(error - slope * x)
@@ -123,18 +152,30 @@ CORNERS = np.array([[0.3, 0.2, 0], [-0.3, 0.2, 0], [-0.3, -0.2, 0], [0.3, -0.2, 
 
 
 def stiff():
-    """A box on springs of 100 N/m carries a mass on a spring a million times as stiff, critically damped."""
+    """A box on springs of 100 N/m carries a mass on a spring a million times as stiff,
+    critically damped."""
     legs = {
-        f"leg {i}": jb.Spring(("box", p), ("world", p - [0, 0, 0.5]), stiffness=100.0, free_length=0.5, damping=0.5)
+        f"leg {i}": jb.Spring(
+            ("box", p), ("world", p - [0, 0, 0.5]), stiffness=100.0, free_length=0.5, damping=0.5
+        )
         for i, p in enumerate(CORNERS)
     }
     k, m = 1e8, 0.1
     return jb.Model(
-        bodies={"box": jb.Body(mass=2.0, inertia=[0.02, 0.03, 0.04]), "bob": jb.Body(mass=m, inertia=[1, 1, 1], position=[0, 0, 0.2])},
+        bodies={
+            "box": jb.Body(mass=2.0, inertia=[0.02, 0.03, 0.04]),
+            "bob": jb.Body(mass=m, inertia=[1, 1, 1], position=[0, 0, 0.2]),
+        },
         joints={"box": jb.HeavePitchRoll("world"), "bob": jb.Guide("box", axis=[0, 0, 1])},
         elements={
             **legs,
-            "stiff": jb.Spring(("bob", [0, 0, 0]), ("box", [0, 0, 0]), stiffness=k, free_length=0.2, damping=2 * (k * m) ** 0.5),
+            "stiff": jb.Spring(
+                ("bob", [0, 0, 0]),
+                ("box", [0, 0, 0]),
+                stiffness=k,
+                free_length=0.2,
+                damping=2 * (k * m) ** 0.5,
+            ),
         },
         gravity=[0, 0, -9.81],
     )
@@ -142,7 +183,8 @@ def stiff():
 
 @pytest.mark.long
 def test_an_implicit_solver_steps_over_a_stiff_spring():
-    """At the default tolerance, with stiffnesses of ratio 1e6: the result of the explicit solver in fewer than a twentieth of its steps."""
+    """At the default tolerance, with stiffnesses of ratio 1e6: the result of the explicit solver in
+    fewer than a twentieth of its steps."""
     model, times = stiff(), np.linspace(0, 5, 51)
     start = jb.State(model.reference.q + jnp.array([0.05, 0.1, -0.08, 0.0]), model.reference.v)
     explicit = jb.simulate(model, times, initial=start)
@@ -151,27 +193,40 @@ def test_an_implicit_solver_steps_over_a_stiff_spring():
     print("stiff: steps", taken, "apart", rigs.max_difference(implicit.state.q, explicit.state.q))
     assert implicit.ok
     assert taken[1] < taken[0] / 20
-    assert rigs.max_difference(implicit.state.q, explicit.state.q) < 1e-7  # ten times rtol times 0.1 m, both errors grown over 5 s
+    # ten times rtol times 0.1 m, both errors grown over 5 s
+    assert rigs.max_difference(implicit.state.q, explicit.state.q) < 1e-7
 
 
 @pytest.mark.long
 def test_reverse_mode_over_a_hundred_thousand_steps_takes_little_memory():
-    """Steps of at most 1 ms for 100 s: the default adjoint keeps a number of checkpoints that does not depend on the record; the gradient
-    is that of forward mode."""
+    """Steps of at most 1 ms for 100 s: the default adjoint keeps a number of checkpoints that does
+    not depend on the record; the gradient is that of forward mode."""
     model, motion = rigs.rig(), {"base": jb.Harmonic(**rigs.SHAKING)}
     steps = diffrax.PIDController(rtol=1e-3, atol=1e-3, dtmax=1e-3)
 
     def loss(factor, **options):
         changed = jb.replace(model, {"s0.stiffness": factor * rigs.PARAMETERS["stiffness"][0]})
-        options = dict(stepsize_controller=steps, solver=diffrax.Tsit5(), max_steps=110_000, **options)
+        options = dict(
+            stepsize_controller=steps, solver=diffrax.Tsit5(), max_steps=110_000, **options
+        )
         result = jb.simulate(changed, jnp.array([0.0, 100.0]), motion=motion, dt0=1e-3, **options)
         return jnp.sum(result.state.q[-1] ** 2), result.statistics["num_accepted_steps"]
 
     program = jax.jit(jax.grad(loss, has_aux=True)).lower(1.0).compile()
     memory = program.memory_analysis().temp_size_in_bytes
     reverse, taken = program(1.0)
-    forward, _ = jax.jit(jax.jacfwd(lambda x: loss(x, adjoint=diffrax.ForwardMode()), has_aux=True))(1.0)
-    print("reverse: memory", memory, "bytes, steps", int(taken), "gradient", float(reverse), float(forward))
+    forward, _ = jax.jit(
+        jax.jacfwd(lambda x: loss(x, adjoint=diffrax.ForwardMode()), has_aux=True)
+    )(1.0)
+    print(
+        "reverse: memory",
+        memory,
+        "bytes, steps",
+        int(taken),
+        "gradient",
+        float(reverse),
+        float(forward),
+    )
     assert taken >= 100_000
     assert memory < 5e6
     assert abs(reverse / forward - 1) < 1e-9

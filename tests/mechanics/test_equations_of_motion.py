@@ -16,11 +16,13 @@ SAMPLES = 100
 jit_once = jb.jit  # compiling is the cost
 
 
-# Euler-Lagrange by automatic differentiation, in coordinates x: rotation vectors where the library has quaternions
+# Euler-Lagrange by automatic differentiation, in coordinates x: rotation vectors where the library
+# has quaternions
 
 
 def chart(model, x):
-    """q of x: a rotation vector for a ball, (position, rotation vector) for a free joint, the same numbers for all others."""
+    """q of x: a rotation vector for a ball, (position, rotation vector) for a free joint, the same
+    numbers for all others."""
     parts, i = [], 0
     for block in model.layout.blocks:
         part, i = x[i : i + block.nv], i + block.nv
@@ -60,10 +62,17 @@ def euler_lagrange(model, motions, t, x, x_dot):
     n = len(x)
 
     def imposed(t):
-        return jax.jvp(lambda t: jnp.concatenate([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),))
+        return jax.jvp(
+            lambda t: jnp.concatenate([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),)
+        )
 
     def value(function, y, y_dot):
-        return function(model, state_of(model, y[:n], y_dot[:n]), xi=y[n:].reshape(-1, 6), xi_dot=y_dot[n:].reshape(-1, 6))
+        return function(
+            model,
+            state_of(model, y[:n], y_dot[:n]),
+            xi=y[n:].reshape(-1, 6),
+            xi_dot=y_dot[n:].reshape(-1, 6),
+        )
 
     (xi, xi_dot), (_, xi_ddot) = jax.jvp(imposed, (t,), (jnp.ones_like(t),))
     y, y_dot = jnp.concatenate([x, xi]), jnp.concatenate([x_dot, xi_dot])
@@ -71,7 +80,9 @@ def euler_lagrange(model, motions, t, x, x_dot):
 
     def left(x_ddot):
         slopes = jax.grad(lambda y, y_dot: value(jb.lagrangian, y, y_dot), argnums=(0, 1))
-        (slope, _), (_, momentum_dot) = jax.jvp(slopes, (y, y_dot), (y_dot, jnp.concatenate([x_ddot, xi_ddot])))
+        (slope, _), (_, momentum_dot) = jax.jvp(
+            slopes, (y, y_dot), (y_dot, jnp.concatenate([x_ddot, xi_ddot]))
+        )
         return momentum_dot - slope + lost
 
     columns = jax.vmap(left)(jnp.concatenate([jnp.zeros((1, n)), jnp.eye(n)]))  # affine in x''
@@ -120,12 +131,15 @@ def shaking(rng, scale=0.3):
 
 def random_inertia(rng):
     A = rng.normal(size=(3, 3))
-    J = A @ A.T  # second moments of a mass distribution, so that no moment exceeds the sum of the others
+    # second moments of a mass distribution, so that no moment exceeds the sum of the others
+    J = A @ A.T
     return np.trace(J) * np.eye(3) - J
 
 
 def random_body(rng, **where):
-    return jb.Body(mass=rng.uniform(1, 3), inertia=random_inertia(rng), com=0.3 * rng.normal(size=3), **where)
+    return jb.Body(
+        mass=rng.uniform(1, 3), inertia=random_inertia(rng), com=0.3 * rng.normal(size=3), **where
+    )
 
 
 def random_quaternion(rng):
@@ -140,7 +154,11 @@ def floating_model(rng, names, springs, damping):
     for i, (one, other) in enumerate(springs):
         a, b = 0.4 * rng.normal(size=3), (5.0 if other == "base" else 0.4) * rng.normal(size=3)
         elements[f"s{i}"] = jb.Spring(
-            (one, a), (other, b), stiffness=rng.uniform(10, 40), free_length=rng.uniform(0.5, 1.5), damping=damping * rng.uniform(0.5, 2)
+            (one, a),
+            (other, b),
+            stiffness=rng.uniform(10, 40),
+            free_length=rng.uniform(0.5, 1.5),
+            damping=damping * rng.uniform(0.5, 2),
         )
     supports = {"base": jb.Support(position=[0.3, -0.2, 0.5], orientation=random_quaternion(rng))}
     return jb.Model(bodies=bodies, supports=supports, elements=elements, gravity=[0.7, -9.81, 0.4])
@@ -151,7 +169,8 @@ MODELS = {
     "one body on three springs": (["plate"], [("plate", "base")] * 3),
     "two bodies": (
         ["plate", "rotor"],
-        [("plate", "base")] * 3 + [("rotor", "plate"), ("plate", "rotor"), ("rotor", "base"), ("rotor", "world")],
+        [("plate", "base")] * 3
+        + [("rotor", "plate"), ("plate", "rotor"), ("rotor", "base"), ("rotor", "world")],
     ),
 }
 
@@ -164,7 +183,11 @@ def by_library(model, motions, times, states):
     def one(t, state):
         y = dynamics.pack(state)
         along = jax.jvp(dynamics.unpack, (y,), (dynamics.rate(t, y),))[1].v
-        tree = JointedBodies(model, motions).acceleration(t, state.q, state.v) if isinstance(dynamics, FreeBodies) else along
+        tree = (
+            JointedBodies(model, motions).acceleration(t, state.q, state.v)
+            if isinstance(dynamics, FreeBodies)
+            else along
+        )
         return along, tree, dynamics.reactions(t, state.q, state.v)
 
     return jax.vmap(one)(times, states)
@@ -172,7 +195,9 @@ def by_library(model, motions, times, states):
 
 @jit_once
 def by_lagrange(model, motions, times, x, x_dot):
-    return jax.vmap(lambda t, x, x_dot: euler_lagrange(model, motions, t, x, x_dot))(times, x, x_dot)
+    return jax.vmap(lambda t, x, x_dot: euler_lagrange(model, motions, t, x, x_dot))(
+        times, x, x_dot
+    )
 
 
 @jit_once
@@ -180,7 +205,9 @@ def states_of(model, x, x_dot):
     return jax.vmap(lambda x, x_dot: state_of(model, x, x_dot))(x, x_dot)
 
 
-@pytest.mark.parametrize("name", [pytest.param("one body on three springs", marks=pytest.mark.long), "two bodies"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("one body on three springs", marks=pytest.mark.long), "two bodies"]
+)
 def test_free_bodies_move_as_by_euler_lagrange_and_the_paper(name):
     rng = np.random.default_rng(1)
     names, springs = MODELS[name]
@@ -188,8 +215,14 @@ def test_free_bodies_move_as_by_euler_lagrange_and_the_paper(name):
     motions = (shaking(rng),)
     times = jnp.array(rng.uniform(0, 3, SAMPLES))
 
-    # the same motion in the paper's angles: q, q' drawn there, x and the library's state made from them
-    q = {name: np.concatenate([rng.normal(size=(SAMPLES, 3)), rng.uniform(-1.2, 1.2, (SAMPLES, 3))], 1) for name in names}
+    # the same motion in the paper's angles: q, q' drawn there, x and the library's state made
+    # from them
+    q = {
+        name: np.concatenate(
+            [rng.normal(size=(SAMPLES, 3)), rng.uniform(-1.2, 1.2, (SAMPLES, 3))], 1
+        )
+        for name in names
+    }
     q_dot = {name: rng.normal(size=(SAMPLES, 6)) for name in names}
     R = {name: paper.rotation(q[name][:, 3:]) for name in names}
     v = np.concatenate([paper.world_velocity(q[name], q_dot[name]) for name in names], 1)
@@ -197,7 +230,13 @@ def test_free_bodies_move_as_by_euler_lagrange_and_the_paper(name):
     x = jnp.concatenate([jnp.concatenate([q[name][:, :3], phi[name]], 1) for name in names], 1)
     J = [jax.vmap(angular_velocity_per_rate)(jnp.array(phi[name])) for name in names]
     x_dot = [
-        jnp.concatenate([v[:, 6 * i : 6 * i + 3], np.linalg.solve(J[i], v[:, 6 * i + 3 : 6 * i + 6, None])[..., 0]], 1)
+        jnp.concatenate(
+            [
+                v[:, 6 * i : 6 * i + 3],
+                np.linalg.solve(J[i], v[:, 6 * i + 3 : 6 * i + 6, None])[..., 0],
+            ],
+            1,
+        )
         for i in range(len(names))
     ]
     state = states_of(model, x, jnp.concatenate(x_dot, 1))
@@ -206,7 +245,9 @@ def test_free_bodies_move_as_by_euler_lagrange_and_the_paper(name):
     base = support_of_paper(model, motions[0], times)
     bodies = {}
     for body in names:
-        m, r_C, J_C = (np.asarray(getattr(model[body], field)) for field in ("mass", "com", "inertia"))
+        m, r_C, J_C = (
+            np.asarray(getattr(model[body], field)) for field in ("mass", "com", "inertia")
+        )
         bodies[body] = {"m": m, "r_C": r_C, "J_O": J_C - m * paper.skew(r_C) @ paper.skew(r_C)}
     ends = [model[f"s{i}"] for i in range(len(springs))]
     by_paper = [
@@ -215,7 +256,9 @@ def test_free_bodies_move_as_by_euler_lagrange_and_the_paper(name):
     ]
     frames = {"base": base, "world": (np.zeros(3), np.eye(3))}
     q_ddot = paper.accelerations(bodies, by_paper, np.asarray(model.gravity), q, q_dot, frames)
-    expected = np.concatenate([paper.world_acceleration(q[n], q_dot[n], q_ddot[n]) for n in names], 1)
+    expected = np.concatenate(
+        [paper.world_acceleration(q[n], q_dot[n], q_ddot[n]) for n in names], 1
+    )
 
     floating, tree, reactions = by_library(model, motions, times, state)
     lagrange, lagrange_reactions = by_lagrange(model, motions, times, x, jnp.concatenate(x_dot, 1))
@@ -228,7 +271,8 @@ def test_free_bodies_move_as_by_euler_lagrange_and_the_paper(name):
 
 
 def support_of_paper(model, motion, times):
-    """O2(t), R2(t) of the base: reference pose, then Xi(t); the turn about phi by Rodrigues' formula."""
+    """O2(t), R2(t) of the base: reference pose, then Xi(t); the turn about phi by
+    Rodrigues' formula."""
     support = model["base"]
     w, e = float(support.orientation[0]), np.asarray(support.orientation[1:])
     R0 = (w * w - e @ e) * np.eye(3) + 2 * np.outer(e, e) + 2 * w * paper.skew(e)
@@ -246,7 +290,8 @@ def test_dampers_act_on_free_bodies_as_by_euler_lagrange():
 
 
 def tree_model(rng, joints, *, bushing):
-    """Bodies anywhere on these joints, two supports, springs and perhaps a bushing, all with damping, across the tree."""
+    """Bodies anywhere on these joints, two supports, springs and perhaps a bushing, all with
+    damping, across the tree."""
 
     def somewhere():
         return dict(position=rng.normal(size=3), orientation=random_quaternion(rng))
@@ -265,7 +310,10 @@ def tree_model(rng, joints, *, bushing):
         return scale * (A @ A.T)
 
     order = sorted(joints)  # of no help to the tree
-    elements = {f"s{i}": spring(name, ["base", "stand", "world", order[0]][i % 4]) for i, name in enumerate(order[1:])}
+    elements = {
+        f"s{i}": spring(name, ["base", "stand", "world", order[0]][i % 4])
+        for i, name in enumerate(order[1:])
+    }
     if bushing:
         elements["mount"] = jb.Bushing(
             (order[-1], 0.3 * rng.normal(size=3)),
@@ -287,9 +335,13 @@ def tree_model(rng, joints, *, bushing):
 def assert_moves_as_by_euler_lagrange(model, motions, rng):
     x, x_dot = random_coordinates(model, rng, SAMPLES)
     times = jnp.array(rng.uniform(0, 3, SAMPLES))
-    floating_or_tree, tree, reactions = by_library(model, motions, times, states_of(model, x, x_dot))
+    floating_or_tree, tree, reactions = by_library(
+        model, motions, times, states_of(model, x, x_dot)
+    )
     expected, expected_reactions = by_lagrange(model, motions, times, x, x_dot)
-    for one, other in zip((floating_or_tree, tree, *reactions), (expected, expected, *expected_reactions), strict=True):
+    for one, other in zip(
+        (floating_or_tree, tree, *reactions), (expected, expected, *expected_reactions), strict=True
+    ):
         assert relative_difference(one, other) < 1e-10
 
 
@@ -300,7 +352,9 @@ def test_a_chain_of_hinge_ball_and_guide_moves_and_reacts_as_by_euler_lagrange()
         "knee": jb.Ball("arm", at=rng.normal(size=3)),
         "slider": jb.Guide("knee", axis=rng.normal(size=3)),
     }
-    assert_moves_as_by_euler_lagrange(tree_model(rng, joints, bushing=False), (shaking(rng), shaking(rng)), rng)
+    assert_moves_as_by_euler_lagrange(
+        tree_model(rng, joints, bushing=False), (shaking(rng), shaking(rng)), rng
+    )
 
 
 @pytest.mark.long
@@ -319,7 +373,9 @@ def test_every_joint_on_a_support_and_on_a_body_moves_and_reacts_as_by_euler_lag
         "piston": jb.Guide("bob", axis=rng.normal(size=3)),
         "dinghy": jb.Free("slider"),
         "wheel": jb.Hinge("car", axis=rng.normal(size=3), at=rng.normal(size=3)),
-        "tool": jb.Composite("knee", STEPS, directions=rng.normal(size=(4, 3)), points=rng.normal(size=(4, 3))),
+        "tool": jb.Composite(
+            "knee", STEPS, directions=rng.normal(size=(4, 3)), points=rng.normal(size=(4, 3))
+        ),
     }
     tree = tree_model(rng, on_supports | on_bodies, bushing=True)
     motions = (shaking(rng), shaking(rng))
@@ -346,18 +402,23 @@ class Varying(jb.Element):
 
 
 def with_inerters(model, *links):
-    """The model with an inerter, and an element of one's own with a kinetic energy, between each two of these."""
+    """The model with an inerter, and an element of one's own with a kinetic energy, between each
+    two of these."""
     rng, added = np.random.default_rng(6), {}
     for one, other in links:
         a, b = 0.4 * rng.normal(size=3), 4 * rng.normal(size=3)
         added[f"{one} {other}"] = jb.Inerter((one, a), (other, b), inertance=rng.uniform(1, 4))
-        added[f"own {one} {other}"] = Varying((one, other), jnp.array(a), jnp.array(b), jnp.array(rng.uniform(0.05, 0.2)))
+        added[f"own {one} {other}"] = Varying(
+            (one, other), jnp.array(a), jnp.array(b), jnp.array(rng.uniform(0.05, 0.2))
+        )
     layout = model.layout
     return jb.Model(
-        bodies={name: model[name] for name in layout.bodies}, supports={name: model[name] for name in layout.supports},
+        bodies={name: model[name] for name in layout.bodies},
+        supports={name: model[name] for name in layout.supports},
         joints={name: model.joint(name) for table in model.joints for name in table.names},
-        elements={name: model[name] for name in model.element_names} | added, gravity=model.gravity,
-    )  # fmt: skip
+        elements={name: model[name] for name in model.element_names} | added,
+        gravity=model.gravity,
+    )
 
 
 @pytest.mark.long
@@ -365,15 +426,24 @@ def with_inerters(model, *links):
 def test_elements_with_inertia_act_as_by_euler_lagrange(free):
     rng = np.random.default_rng(7)
     if free:
-        model, links = floating_model(rng, *MODELS["two bodies"], damping=3.0), [("plate", "base"), ("rotor", "plate")]
+        model, links = (
+            floating_model(rng, *MODELS["two bodies"], damping=3.0),
+            [("plate", "base"), ("rotor", "plate")],
+        )
     else:
         joints = {
             "arm": jb.Hinge("base", axis=rng.normal(size=3), at=rng.normal(size=3)),
             "knee": jb.Ball("arm", at=rng.normal(size=3)),
             "slider": jb.Guide("knee", axis=rng.normal(size=3)),
         }
-        model, links = tree_model(rng, joints, bushing=False), [("slider", "stand"), ("knee", "base"), ("arm", "slider")]
-    model, motions = with_inerters(model, *links), tuple(shaking(rng) for _ in model.layout.supports)
+        model, links = (
+            tree_model(rng, joints, bushing=False),
+            [("slider", "stand"), ("knee", "base"), ("arm", "slider")],
+        )
+    model, motions = (
+        with_inerters(model, *links),
+        tuple(shaking(rng) for _ in model.layout.supports),
+    )
     assert isinstance(dynamics_of(model, motions), JointedBodies)
     assert_moves_as_by_euler_lagrange(model, motions, rng)
 
@@ -391,11 +461,15 @@ def test_matrices_are_the_hessians_that_define_them(inerters):
         "wheel": jb.Hinge("car", axis=rng.normal(size=3), at=rng.normal(size=3)),
         "half": jb.HeavePitch("wheel"),
         "block": jb.Translation("half"),
-        "tool": jb.Composite("lump", STEPS, directions=rng.normal(size=(4, 3)), points=rng.normal(size=(4, 3))),
+        "tool": jb.Composite(
+            "lump", STEPS, directions=rng.normal(size=(4, 3)), points=rng.normal(size=(4, 3))
+        ),
     }
     tree = tree_model(rng, joints, bushing=False)
     if inerters:
-        tree = with_inerters(tree, ("raft", "base"), ("tool", "stand"), ("wheel", "tool"), ("car", "world"))
+        tree = with_inerters(
+            tree, ("raft", "base"), ("tool", "stand"), ("wheel", "tool"), ("car", "world")
+        )
     x, x_dot = random_coordinates(tree, rng, 10)
     states = states_of(tree, x, x_dot)
     n, nxi = tree.layout.nv, tree.layout.nxi
@@ -410,18 +484,33 @@ def test_matrices_are_the_hessians_that_define_them(inerters):
             return jb.dissipation(tree, jb.State(state.q, s[:n]), xi_dot=s[n:].reshape(2, 6))
 
         def potential(d):
-            return jb.potential_energy(tree, jb.State(Coordinates(tree).retract(state.q, d[:n]), state.v), xi=d[n:].reshape(2, 6))
+            return jb.potential_energy(
+                tree,
+                jb.State(Coordinates(tree).retract(state.q, d[:n]), state.v),
+                xi=d[n:].reshape(2, 6),
+            )
 
         speeds, still = jnp.concatenate([state.v, jnp.zeros(nxi)]), jnp.zeros(n + nxi)
-        return jax.hessian(kinetic)(speeds), jax.hessian(rayleigh)(speeds), jax.hessian(potential)(still)
+        return (
+            jax.hessian(kinetic)(speeds),
+            jax.hessian(rayleigh)(speeds),
+            jax.hessian(potential)(still),
+        )
 
     lin = jit_once(jax.vmap(lambda state: jb.linearize(tree, state)))(states)
     for letter, whole in zip("MCK", definition(states), strict=True):
-        for block, expected in (("", whole[:, :n, :n]), ("_tilde", -whole[:, :n, n:]), ("_bb", whole[:, n:, n:])):
-            assert relative_difference(getattr(lin, letter + block), expected) < 1e-12, letter + block
+        for block, expected in (
+            ("", whole[:, :n, :n]),
+            ("_tilde", -whole[:, :n, n:]),
+            ("_bb", whole[:, n:, n:]),
+        ):
+            assert relative_difference(getattr(lin, letter + block), expected) < 1e-12, (
+                letter + block
+            )
 
 
-# Two links in a plane: Spong, Hutchinson and Vidyasagar, Robot Modeling and Control, Wiley 2006, section 7.4, planar elbow manipulator
+# Two links in a plane: Spong, Hutchinson and Vidyasagar, Robot Modeling and Control, Wiley 2006,
+# section 7.4, planar elbow manipulator
 
 
 M1, M2, L1, LC1, LC2, I1, I2, G = 1.3, 0.7, 0.9, 0.4, 0.5, 0.11, 0.05, 9.81
@@ -433,7 +522,10 @@ def elbow():
 
     return jb.Model(
         bodies={"upper": link(M1, LC1, I1), "lower": link(M2, LC2, I2, position=[L1, 0, 0])},
-        joints={"upper": jb.Hinge("world", axis=[0, 0, 1]), "lower": jb.Hinge("upper", axis=[0, 0, 2], at=[L1, 0, 0])},
+        joints={
+            "upper": jb.Hinge("world", axis=[0, 0, 1]),
+            "lower": jb.Hinge("upper", axis=[0, 0, 2], at=[L1, 0, 0]),
+        },
         gravity=[0, -G, 0],
     )
 
@@ -475,4 +567,6 @@ def test_double_pendulum_of_hinges_has_the_matrices_of_the_textbook():
         for one, other in zip((M[i], C[i], g[i]), expected, strict=True):
             np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
         force = expected[1] @ v[i] + expected[2]
-        np.testing.assert_allclose(expected[0] @ v_dot[i] + force, 0, atol=1e-12 * np.abs(force).max())
+        np.testing.assert_allclose(
+            expected[0] @ v_dot[i] + force, 0, atol=1e-12 * np.abs(force).max()
+        )

@@ -1,4 +1,5 @@
-"""Energy, stiffness and its derivatives against the same formulas in fifty digits, down to the smallest rotations."""
+"""Energy, stiffness and its derivatives against the same formulas in fifty digits, down to the
+smallest rotations."""
 
 import functools
 
@@ -70,7 +71,10 @@ def energy(model, numbers, q, delta):
         if isinstance(element, jb.Spring):
             V += k * (norm(b - p - R @ a) - numbers[f"{name}.free_length"]) ** 2 / 2
             continue
-        R_A, R_B = R @ matrix(numbers[f"{name}.orientation"]), matrix(numbers[f"{name}.orientation_b"])
+        R_A, R_B = (
+            R @ matrix(numbers[f"{name}.orientation"]),
+            matrix(numbers[f"{name}.orientation_b"]),
+        )
         phi = log(R_A.T @ R_B)
         e = np.concatenate([translation_of_log(phi, R_A.T @ (b - p - R @ a)), phi])
         V += e @ k @ e / 2
@@ -80,7 +84,12 @@ def energy(model, numbers, q, delta):
 def numbers_of(model):
     """All numbers, exactly as they are in the model."""
     body = model["body"]
-    found = {"mass": exact(body.mass)[()], "com": exact(body.com), "inertia": exact(body.inertia), "gravity": exact(model.gravity)}
+    found = {
+        "mass": exact(body.mass)[()],
+        "com": exact(body.com),
+        "inertia": exact(body.inertia),
+        "gravity": exact(model.gravity),
+    }
     for name in model.element_names:
         for field in ("a", "b", "stiffness", "free_length", "orientation", "orientation_b"):
             if hasattr(model[name], field):
@@ -96,22 +105,40 @@ def turn(rng):
 
 
 def suspended(rng, together=False):
-    """A body on four springs and two bushings; `together`: with the frames of the bushings aligned."""
+    """A body on four springs and two bushings; `together`: with the frames of the
+    bushings aligned."""
 
     def bushing():
         A = rng.normal(size=(6, 6))
         away = {} if together else {"orientation": turn(rng), "orientation_b": turn(rng)}
         where = 0.3 * rng.normal(size=3)
-        return jb.Bushing(("body", where), ("world", where + 0.05 * rng.normal(size=3)), stiffness=100 * (A @ A.T + np.eye(6)), **away)
+        return jb.Bushing(
+            ("body", where),
+            ("world", where + 0.05 * rng.normal(size=3)),
+            stiffness=100 * (A @ A.T + np.eye(6)),
+            **away,
+        )
 
     springs = {
         f"s{i}": jb.Spring(
-            ("body", 0.3 * rng.normal(size=3)), ("world", rng.normal(size=3)), stiffness=10 ** rng.uniform(0, 3), free_length=0.5
+            ("body", 0.3 * rng.normal(size=3)),
+            ("world", rng.normal(size=3)),
+            stiffness=10 ** rng.uniform(0, 3),
+            free_length=0.5,
         )
         for i in range(4)
     }
-    body = jb.Body(mass=3.0, inertia=[0.2, 0.3, 0.4], com=0.1 * rng.normal(size=3), orientation=[1, 0, 0, 0] if together else turn(rng))
-    return jb.Model(bodies={"body": body}, elements=springs | {"m0": bushing(), "m1": bushing()}, gravity=[0.3, -0.2, -9.7])
+    body = jb.Body(
+        mass=3.0,
+        inertia=[0.2, 0.3, 0.4],
+        com=0.1 * rng.normal(size=3),
+        orientation=[1, 0, 0, 0] if together else turn(rng),
+    )
+    return jb.Model(
+        bodies={"body": body},
+        elements=springs | {"m0": bushing(), "m1": bushing()},
+        gravity=[0.3, -0.2, -9.7],
+    )
 
 
 def stiffness(model, numbers, q, digits=15):
@@ -122,20 +149,24 @@ def stiffness(model, numbers, q, digits=15):
     K = np.zeros((6, 6), object)
     for i in range(6):
         for j in range(i + 1):
-            K[i, j] = K[j, i] = (V(i, j, 1, 1) - V(i, j, 1, -1) - V(i, j, -1, 1) + V(i, j, -1, -1)) / (4 * h * h)
+            K[i, j] = K[j, i] = (
+                V(i, j, 1, 1) - V(i, j, 1, -1) - V(i, j, -1, 1) + V(i, j, -1, -1)
+            ) / (4 * h * h)
     return K
 
 
 @jb.jit
 def stiffness_and_slope(model, change, q):
-    """K, and its derivative where all numbers of elements and the center of mass grow in proportion to `change`."""
+    """K, and its derivative where all numbers of elements and the center of mass grow in proportion
+    to `change`."""
 
     def K(t):
         rows = [(m, name) for m in range(len(model.elements)) for name in ("a", "stiffness")]
         moved = eqx.tree_at(
             lambda m: [getattr(m.elements[i].rows, name) for i, name in rows] + [m.bodies.rows.com],
             model,
-            [getattr(model.elements[i].rows, name) * (1 + change * t) for i, name in rows] + [model.bodies.rows.com * (1 + change * t)],
+            [getattr(model.elements[i].rows, name) * (1 + change * t) for i, name in rows]
+            + [model.bodies.rows.com * (1 + change * t)],
         )
         return jb.linearize(moved, jb.State(q, jnp.zeros(6))).K
 
@@ -150,10 +181,17 @@ def test_stiffness_and_its_derivative(seed):
     q = np.array(jb.retract(model, model.reference.q, 0.1 * rng.normal(size=6)))
     K, slope = stiffness_and_slope(model, 0.7, q)
     numbers, h = numbers_of(model), mp.mpf(10) ** -9
-    np.testing.assert_allclose(K, stiffness(model, numbers, exact(q)).astype(float), rtol=0, atol=1e-12 * np.abs(K).max())
+    np.testing.assert_allclose(
+        K, stiffness(model, numbers, exact(q)).astype(float), rtol=0, atol=1e-12 * np.abs(K).max()
+    )
 
     def at(t):
-        moved = {k: x * (1 + mp.mpf(0.7) * t) if k == "com" or k.split(".")[-1] in ("a", "stiffness") else x for k, x in numbers.items()}
+        moved = {
+            k: x * (1 + mp.mpf(0.7) * t)
+            if k == "com" or k.split(".")[-1] in ("a", "stiffness")
+            else x
+            for k, x in numbers.items()
+        }
         return stiffness(model, moved, exact(q), digits=12)
 
     expected = ((at(h) - at(-h)) / (2 * h)).astype(float)
@@ -171,7 +209,10 @@ def frequency(model, numbers, q):
     h = mp.mpf(10) ** -20
     for _ in range(2):  # errors of 1e-12, 1e-24 and, by the accuracy of g, 1e-36
         V = [[energy(model, numbers, q, s * h * e) for s in (1, -1)] for e in exact(np.eye(6))]
-        K, g = mp.matrix(stiffness(model, numbers, q).tolist()), mp.matrix([(up - down) / (2 * h) for up, down in V])
+        K, g = (
+            mp.matrix(stiffness(model, numbers, q).tolist()),
+            mp.matrix([(up - down) / (2 * h) for up, down in V]),
+        )
         step = np.array(list(mp.lu_solve(K, -g)), object)
         q = np.concatenate([q[:3] + step[:3], quaternion(exp(step[3:]) @ matrix(q[3:]))])
     K, R, m = mp.matrix(stiffness(model, numbers, q).tolist()), matrix(q[3:]), numbers["mass"]
@@ -185,20 +226,36 @@ def frequency(model, numbers, q):
 def quaternion(R):
     """Of a turn by less than half a turn."""
     w = mp.sqrt(1 + R[0, 0] + R[1, 1] + R[2, 2]) / 2
-    return np.array([w, *(np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]], object) / (4 * w))], object)
+    return np.array(
+        [
+            w,
+            *(
+                np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]], object)
+                / (4 * w)
+            ),
+        ],
+        object,
+    )
 
 
 @pytest.mark.long
 def test_derivatives_of_a_frequency_by_every_kind_of_number(rng):
-    """Forward and reverse mode through equilibrium, stiffness and eigenvalue; the differences are exact to 1e-20."""
+    """Forward and reverse mode through equilibrium, stiffness and eigenvalue; the differences are
+    exact to 1e-20."""
     model, h = suspended(rng), mp.mpf(10) ** -12
     paths = {kind: kind if "." in kind or kind == "gravity" else f"body.{kind}" for kind in KINDS}
     values = jb.paths(model)
-    directions = {kind: rng.normal(size=values[path].shape) * np.abs(values[path]).max() for kind, path in paths.items()}
+    directions = {
+        kind: rng.normal(size=values[path].shape) * np.abs(values[path]).max()
+        for kind, path in paths.items()
+    }
     directions |= {kind: x + x.T for kind, x in directions.items() if x.ndim == 2}
 
     def first(t):
-        moved = {path: values[path] + t[i] * directions[kind] for i, (kind, path) in enumerate(paths.items())}
+        moved = {
+            path: values[path] + t[i] * directions[kind]
+            for i, (kind, path) in enumerate(paths.items())
+        }
         changed = jb.replace(model, moved)
         return jb.modes(jb.linearize(changed, jb.equilibrium(changed))).frequency[0]
 
@@ -207,7 +264,10 @@ def test_derivatives_of_a_frequency_by_every_kind_of_number(rng):
     np.testing.assert_allclose(first(t), float(frequency(model, numbers, q)), rtol=1e-13)
     expected = []
     for kind in KINDS:
-        up, down = (frequency(model, numbers | {kind: numbers[kind] + s * h * exact(directions[kind])}, q) for s in (1, -1))
+        up, down = (
+            frequency(model, numbers | {kind: numbers[kind] + s * h * exact(directions[kind])}, q)
+            for s in (1, -1)
+        )
         expected.append(float((up - down) / (2 * h)))
     for derivative in (jax.jacfwd, jax.grad):
         np.testing.assert_allclose(derivative(first)(t), expected, rtol=1e-11, err_msg=str(KINDS))
@@ -233,21 +293,30 @@ def slopes_along(model, q, direction):
 
 @pytest.mark.long
 def test_small_rotations(rng):
-    """Rotations from none to a tenth of a radian away from where two bushings are relaxed; the first to fourth derivatives of V."""
+    """Rotations from none to a tenth of a radian away from where two bushings are relaxed; the
+    first to fourth derivatives of V."""
     model = suspended(rng, together=True)
     numbers, axis, direction = numbers_of(model), rng.normal(size=3), rng.normal(size=6)
     axis = axis / np.linalg.norm(axis)
     for angle in ANGLES:
-        q = np.array(jb.retract(model, model.reference.q, np.concatenate([np.zeros(3), angle * axis])))
+        q = np.array(
+            jb.retract(model, model.reference.q, np.concatenate([np.zeros(3), angle * axis]))
+        )
         found = np.array(slopes_along(model, q, direction))
         f = lambda s, q=q: energy(model, numbers, exact(q), s * exact(direction))  # noqa: E731
         for order, limit in enumerate(LIMITS, 1):
             expected = float(differences(f, order))
-            assert abs(found[order - 1] - expected) <= limit * np.abs(found[: order + 1]).max(), (angle, order)
+            assert abs(found[order - 1] - expected) <= limit * np.abs(found[: order + 1]).max(), (
+                angle,
+                order,
+            )
 
 
 def differences(f, order):
-    """The derivative of an order at 0 by central differences, exact to 1e-15 of the next but one."""
+    """The derivative of an order at 0 by central differences, exact to 1e-15 of the next
+    but one."""
     weights = {1: (-1, 0, 1), 2: (1, -2, 1), 3: (-1, 2, 0, -2, 1), 4: (1, -4, 6, -4, 1)}[order]
     n, h = len(weights) // 2, mp.mpf(10) ** -8
-    return sum(w * f(i * h) for i, w in zip(range(-n, n + 1), weights, strict=True)) / (h**order * (2 if order % 2 else 1))
+    return sum(w * f(i * h) for i, w in zip(range(-n, n + 1), weights, strict=True)) / (
+        h**order * (2 if order % 2 else 1)
+    )

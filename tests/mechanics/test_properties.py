@@ -1,4 +1,5 @@
-"""Properties of the mechanics over a few random models; `benchmarks/properties.py` has thousands."""
+"""Properties of the mechanics over a few random models; `benchmarks/properties.py`
+has thousands."""
 
 import warnings
 
@@ -13,14 +14,19 @@ from random_mechanics import PLAIN, Structure
 import jaxbody as jb
 
 SEEDS = range(6)
-NEAR = (13, 14)  # four free bodies, bushings, inerters and hardening springs: over six decades, and a special layout
+# four free bodies, bushings, inerters and hardening springs: over six decades, and a special layout
+NEAR = (13, 14)
 RESTS = (8, 10)  # three bodies on joints and bushings
 REORDERED = [name for name in properties.LIMITS if name.startswith("T12")]
 HERE = [name for name in properties.LIMITS if name not in REORDERED]
 
 
 def joined(results):
-    return {name: np.concatenate([result[name] for result in results if name in result]) for result in results for name in result}
+    return {
+        name: np.concatenate([result[name] for result in results if name in result])
+        for result in results
+        for name in result
+    }
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +39,9 @@ def found(programs):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", jb.JaxbodyWarning)  # random numbers are implausible ones
         near = [properties.at_random_states(Structure(number), SEEDS, programs) for number in NEAR]
-        return joined(near + [properties.at_rest(Structure(number), SEEDS, programs)[0] for number in RESTS])
+        return joined(
+            near + [properties.at_rest(Structure(number), SEEDS, programs)[0] for number in RESTS]
+        )
 
 
 @pytest.mark.parametrize("name", HERE)
@@ -66,7 +74,9 @@ def test_loads_in_one_in_six_and_in_sixty_stages(seed):
     for stages in (1, 6, 60):
         start = rest.state
         for i in range(stages):
-            loads = {"push": jb.Force((model.layout.bodies[-1], point), force=(i + 1) / stages * force)}
+            loads = {
+                "push": jb.Force((model.layout.bodies[-1], point), force=(i + 1) / stages * force)
+            }
             eq = jb.equilibrium(model, start=start, loads=loads)
             assert eq.ok
             start = eq.state
@@ -78,7 +88,8 @@ def test_loads_in_one_in_six_and_in_sixty_stages(seed):
 
 @pytest.mark.long
 def test_motions_in_other_units_moved_and_turned():
-    """The same steps, within one, and the same motion: in other units to 1e-9, moved and turned to 100 times the tolerance."""
+    """The same steps, within one, and the same motion: in other units to 1e-9, moved and turned to
+    100 times the tolerance."""
     structure, seed, rtol = Structure(8), 0, 1e-9
     moved, scaled = properties.views(structure, seed)
     found = {}
@@ -89,7 +100,9 @@ def test_motions_in_other_units_moved_and_turned():
         for name, view in (("plain", PLAIN), ("moved", moved), ("scaled", scaled)):
             model = structure.model(seed, view)
             state = structure.state(seed, model, view, angle=0.1)
-            found[name] = jb.simulate(model, np.linspace(0, 10 * period * view.time, 11), initial=state, rtol=rtol)
+            found[name] = jb.simulate(
+                model, np.linspace(0, 10 * period * view.time, 11), initial=state, rtol=rtol
+            )
             assert found[name].ok
     size = structure.size(seed)
     steps = [int(trajectory.statistics["num_accepted_steps"]) for trajectory in found.values()]
@@ -99,13 +112,18 @@ def test_motions_in_other_units_moved_and_turned():
             p, R = found["plain"].poses[body].p, found["plain"].poses[body].R
             there = np.array([view.point(np.asarray(x)) for x in p])
             turn = rigs.turned(view.turn)
-            np.testing.assert_allclose(found[name].poses[body].p, there, rtol=0, atol=limit * size * view.length)
-            np.testing.assert_allclose(found[name].poses[body].R, turn @ np.asarray(R), rtol=0, atol=limit)
+            np.testing.assert_allclose(
+                found[name].poses[body].p, there, rtol=0, atol=limit * size * view.length
+            )
+            np.testing.assert_allclose(
+                found[name].poses[body].R, turn @ np.asarray(R), rtol=0, atol=limit
+            )
 
 
 @jax.jit
 def slopes_at_rest(model):
-    """The derivatives of the sum of the eigenvalues, which repeated ones have too, and the statuses of rest and modes."""
+    """The derivatives of the sum of the eigenvalues, which repeated ones have too, and the statuses
+    of rest and modes."""
 
     def total(model):
         eq = jb.equilibrium(model)

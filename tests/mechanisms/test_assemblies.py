@@ -1,4 +1,5 @@
-"""Assembly of closed loops: closed forms of linkages, redundant conditions, derivatives, and messages."""
+"""Assembly of closed loops: closed forms of linkages, redundant conditions, derivatives,
+and messages."""
 
 import dataclasses
 
@@ -19,8 +20,9 @@ from jaxbody.mechanisms.driven_positions import drives_of, position, positions
 BAR = jb.Body(mass=1.0, inertia=[1, 1, 1])
 CRANK, COUPLER, ROCKER, GROUND = 0.04, 0.12, 0.08, 0.1
 
-# crank, coupler and rocker angles [deg], rates [rad/s] and accelerations [rad/s2] of coupler and rocker where the crank turns at 25 rad/s
-# and 15 rad/s2: Freudenstein, after Norton, Design of Machinery; REFERENCES2 2.1
+# crank, coupler and rocker angles [deg], rates [rad/s] and accelerations [rad/s2] of coupler and
+# rocker where the crank turns at 25 rad/s and 15 rad/s2: Freudenstein, after Norton, Design of
+# Machinery; REFERENCES2 2.1
 OPEN = [
     (0, 36.33605751, 62.72038726, -16.66666667, -16.66666667, 348.116635, 934.125673),
     (40, 20.29788279, 57.32488007, -4.12091442, 6.99798524, 296.089193, 470.133530),
@@ -32,13 +34,16 @@ CROSSED = (40, -60.97796680, -98.00496408, -9.25877230, -20.37767196, 597.622400
 
 
 def four_bar(closure=None, crank=CRANK, coupler=COUPLER, rocker=ROCKER):
-    """Links along x in the drawing, so that angles are coordinates (that of the coupler relative to the crank); hinges about z."""
+    """Links along x in the drawing, so that angles are coordinates (that of the coupler relative to
+    the crank); hinges about z."""
     joints = {
         "crank": jb.Hinge("world", axis="z", at=[0, 0, 0]),
         "coupler": jb.Hinge("crank", axis="z", at=[crank, 0, 0]),
         "rocker": jb.Hinge("world", axis="z", at=[GROUND, 0, 0]),
     }
-    pin = closure or jb.closures.Hinge(("coupler", [crank + coupler, 0, 0]), ("rocker", [GROUND + rocker, 0, 0]), axis="z")
+    pin = closure or jb.closures.Hinge(
+        ("coupler", [crank + coupler, 0, 0]), ("rocker", [GROUND + rocker, 0, 0]), axis="z"
+    )
     return jb.Model(bodies=dict.fromkeys(joints, BAR), joints=joints, closures={"pin": pin})
 
 
@@ -48,7 +53,8 @@ def state(*degrees):
 
 @pytest.fixture(scope="module")
 def motion():
-    """Rates and accelerations of the coordinates for a rate and an acceleration of the crank, next to an assembled state."""
+    """Rates and accelerations of the coordinates for a rate and an acceleration of the crank, next
+    to an assembled state."""
     model = four_bar()
     drives = drives_of(model, {"crank": "crank.q"}, "test")
 
@@ -61,7 +67,9 @@ def motion():
 
 
 @pytest.mark.parametrize("crank, coupler, rocker, w3, w4, a3, a4", [*OPEN, CROSSED])
-def test_a_four_bar_linkage_moves_as_by_freudenstein(motion, crank, coupler, rocker, w3, w4, a3, a4):
+def test_a_four_bar_linkage_moves_as_by_freudenstein(
+    motion, crank, coupler, rocker, w3, w4, a3, a4
+):
     model, rates = motion
     rough = state(crank, coupler - crank + 10.0, rocker - 10.0)
     q = jb.assemble(model, start=rough, hold=["crank"]).state.q
@@ -82,7 +90,8 @@ def test_conditions_out_of_the_plane_are_redundant_and_do_no_harm():
 
 @pytest.mark.parametrize("name", ["Ball", "Rod", "Inline"])
 def test_other_closures_of_the_same_linkage_move_alike(name):
-    """A ball joint; a rod in place of the coupler; the point of the rocker on a line of the coupler and at its end's distance."""
+    """A ball joint; a rod in place of the coupler; the point of the rocker on a line of the coupler
+    and at its end's distance."""
     ends = ("coupler", [CRANK + COUPLER, 0, 0]), ("rocker", [GROUND + ROCKER, 0, 0])
     start = state(40.0, 20.0 - 40.0, 57.0)
     expected = jb.assemble(four_bar(), start=start, hold=["crank"]).state.q
@@ -95,7 +104,9 @@ def test_other_closures_of_the_same_linkage_move_alike(name):
         np.testing.assert_allclose(q[2], expected[2], atol=1e-12)
     else:
         line = jb.closures.Inline(("coupler", [CRANK, 0, 0]), ends[1], axis="x")
-        q = jb.assemble(four_bar(line), start=jb.State(expected, jnp.zeros(3)), hold=["crank"]).state.q
+        q = jb.assemble(
+            four_bar(line), start=jb.State(expected, jnp.zeros(3)), hold=["crank"]
+        ).state.q
         np.testing.assert_allclose(q, expected, atol=1e-12)
 
 
@@ -104,7 +115,11 @@ def test_guides_welds_and_equations_hold_what_they_say():
     box = jb.Body(mass=1.0, inertia=[1, 1, 1])
     ends = ("world", [0, 0, 0]), ("box", [0, 0, 0])
     equation = jb.closures.Equation(lambda A, B: B.p[0] * 2.0 - A.p[0], ("world", "box"))
-    kinds = {"guide": jb.closures.Guide(*ends, axis="x"), "weld": jb.closures.Weld(*ends), "rule": equation}
+    kinds = {
+        "guide": jb.closures.Guide(*ends, axis="x"),
+        "weld": jb.closures.Weld(*ends),
+        "rule": equation,
+    }
     model = jb.Model(bodies={"box": box}, closures=kinds)
     angle = 0.3
     q = jnp.array([0.5, 0.2, -0.1, np.cos(angle / 2), 0, 0, np.sin(angle / 2)])
@@ -122,32 +137,53 @@ def test_angles_of_closures_are_from_the_poses_as_they_are_drawn(rng):
     drawn_A, drawn_B, turned_A, turned_B = (Rotation.random(rng=rng) for _ in range(4))
     p_A, p_B, a, b, n = rng.normal(size=(5, 3))
     n = n / np.linalg.norm(n)
-    drawn, there = ((A.inv() * B).as_matrix() for A, B in ((drawn_A, drawn_B), (turned_A, turned_B)))
-    A, B = (Pose(jnp.asarray(p), jnp.asarray(R.as_matrix())) for p, R in ((p_A, turned_A), (p_B, turned_B)))
+    drawn, there = (
+        (A.inv() * B).as_matrix() for A, B in ((drawn_A, drawn_B), (turned_A, turned_B))
+    )
+    A, B = (
+        Pose(jnp.asarray(p), jnp.asarray(R.as_matrix()))
+        for p, R in ((p_A, turned_A), (p_B, turned_B))
+    )
     R = there @ drawn.T
     d = turned_A.inv().apply(p_B + turned_B.apply(b) - p_A - turned_A.apply(a))
     turn = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
     ends, rest = (("one", a), ("other", b)), Pose(jnp.zeros(3), jnp.asarray(drawn))
     weld, guide, hinge = (
-        closure.gap(A, B, rest) for closure in (jb.closures.Weld(*ends), jb.closures.Guide(*ends, axis=n), jb.closures.Hinge(*ends, axis=n))
+        closure.gap(A, B, rest)
+        for closure in (
+            jb.closures.Weld(*ends),
+            jb.closures.Guide(*ends, axis=n),
+            jb.closures.Hinge(*ends, axis=n),
+        )
     )
     np.testing.assert_allclose(weld, [*d, *turn], atol=1e-14)
-    np.testing.assert_allclose(np.linalg.norm(guide[:2]), np.linalg.norm(np.cross(n, d)), rtol=1e-13)
+    np.testing.assert_allclose(
+        np.linalg.norm(guide[:2]), np.linalg.norm(np.cross(n, d)), rtol=1e-13
+    )
     np.testing.assert_allclose(guide[2:], turn, atol=1e-14)
     np.testing.assert_allclose(hinge[:3], d, atol=1e-14)
-    np.testing.assert_allclose(np.linalg.norm(hinge[3:]), np.linalg.norm(np.cross(n, R @ n)), rtol=1e-13)
+    np.testing.assert_allclose(
+        np.linalg.norm(hinge[3:]), np.linalg.norm(np.cross(n, R @ n)), rtol=1e-13
+    )
 
 
 @pytest.mark.long
 def test_an_assembled_state_has_derivatives_by_lengths():
-    """The rocker's angle by the length of the crank: the law of cosines, differentiated by differences of the closed form."""
+    """The rocker's angle by the length of the crank: the law of cosines, differentiated by
+    differences of the closed form."""
 
     def rocker(crank):
-        return jb.assemble(four_bar(crank=crank), start=state(90.0, 0.0 - 90.0, 80.0), hold=["crank"]).state.q[2]
+        return jb.assemble(
+            four_bar(crank=crank), start=state(90.0, 0.0 - 90.0, 80.0), hold=["crank"]
+        ).state.q[2]
 
     def closed_form(crank):
         diagonal = np.hypot(GROUND, crank)
-        return np.pi - np.arctan2(crank, GROUND) - np.arccos((diagonal**2 + ROCKER**2 - COUPLER**2) / (2 * diagonal * ROCKER))
+        return (
+            np.pi
+            - np.arctan2(crank, GROUND)
+            - np.arccos((diagonal**2 + ROCKER**2 - COUPLER**2) / (2 * diagonal * ROCKER))
+        )
 
     rocker = jax.jit(rocker)
     assert float(rocker(CRANK)) == pytest.approx(closed_form(CRANK), abs=1e-12)
@@ -161,19 +197,32 @@ def test_an_assembled_state_has_derivatives_by_lengths():
 
 
 def test_the_reference_of_a_model_is_assembled_and_follows_lengths():
-    """A point between two rods a and b whose ends are d apart: x = (a^2 - b^2 + d^2)/(2 d), z = -sqrt(a^2 - x^2); drawn 1 cm too low.
-    Memory is relaxed there: a branch is as long as the spring."""
+    """A point between two rods a and b whose ends are d apart: x = (a^2 - b^2 + d^2)/(2 d),
+    z = -sqrt(a^2 - x^2); drawn 1 cm too low. Memory is relaxed there: a branch is as long as
+    the spring."""
     d, drawn = 1.2, np.array([0.5, -0.81])
-    plane = jb.Composite("world", ["move", "move"], directions=[[1, 0, 0], [0, 0, 1]], points=[[0, 0, 0]] * 2)
-    rods = {name: jb.closures.Rod(("world", [x, 0, 0]), ("bar", [0, 0, 0]), length=1.0) for name, x in (("left", 0.0), ("right", d))}
+    plane = jb.Composite(
+        "world", ["move", "move"], directions=[[1, 0, 0], [0, 0, 1]], points=[[0, 0, 0]] * 2
+    )
+    rods = {
+        name: jb.closures.Rod(("world", [x, 0, 0]), ("bar", [0, 0, 0]), length=1.0)
+        for name, x in (("left", 0.0), ("right", d))
+    }
     spring = jb.SpringDamper(
-        ("world", [0, 0, -2.0]), ("bar", [0, 0, 0]), free_length=1.0, spring=jb.laws.Maxwell(stiffness=1.0, relaxation_time=1.0)
+        ("world", [0, 0, -2.0]),
+        ("bar", [0, 0, 0]),
+        free_length=1.0,
+        spring=jb.laws.Maxwell(stiffness=1.0, relaxation_time=1.0),
     )
     bar = jb.Body(mass=1.0, inertia=[1, 1, 1], position=[drawn[0], 0, drawn[1]])
-    model = jb.Model(bodies={"bar": bar}, joints={"bar": plane}, closures=rods, elements={"s": spring})
+    model = jb.Model(
+        bodies={"bar": bar}, joints={"bar": plane}, closures=rods, elements={"s": spring}
+    )
 
     def place(lengths):
-        reference = jb.replace(model, {"left.length": lengths[0], "right.length": lengths[1]}).reference
+        reference = jb.replace(
+            model, {"left.length": lengths[0], "right.length": lengths[1]}
+        ).reference
         return jnp.append(reference.q + drawn, reference.z)
 
     lengths = jnp.array([1.05, 0.95])
@@ -190,18 +239,24 @@ def test_the_reference_of_a_model_is_assembled_and_follows_lengths():
 
 
 def test_a_start_off_the_closures_has_derivatives_by_the_point_that_sets_the_size():
-    """Least movement weighs turns by the size of the model: a slider-crank whose crank is its longest part."""
+    """Least movement weighs turns by the size of the model: a slider-crank whose crank is its
+    longest part."""
 
     @program
     def moved(crank):
         tip, slider = jnp.array([1.0, 0, 0]) * crank, jb.Guide("world", axis=[1, 0, 0])
         model = jb.Model(
-            bodies={"crank": BAR, "slider": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[0.5, 0, 0])},
+            bodies={
+                "crank": BAR,
+                "slider": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[0.5, 0, 0]),
+            },
             joints={"crank": jb.Hinge("world", axis="z"), "slider": slider},
             closures={"rod": jb.closures.Rod(("crank", tip), ("slider", [0, 0, 0.05]), length=0.4)},
         )
         coordinates = Coordinates(model)
-        return closed_on(coordinates, drawn(coordinates), coordinates.supports.at_rest(), jnp.array([0.6, -0.05]))
+        return closed_on(
+            coordinates, drawn(coordinates), coordinates.supports.at_rest(), jnp.array([0.6, -0.05])
+        )
 
     h = 1e-4
     slope, differences = jax.jacfwd(moved)(0.2), (moved(0.2 + h) - moved(0.2 - h)) / (2 * h)
@@ -220,8 +275,11 @@ def test_a_turn_of_the_crank_one_position_after_the_other():
     assert (np.asarray(status) == 0).all()
     for crank, coupler, rocker, *_ in OPEN:
         i = round(crank / 10)
-        np.testing.assert_allclose(np.rad2deg([each[i, 0] + each[i, 1], each[i, 2]]), [coupler, rocker], atol=1e-8)
-    np.testing.assert_allclose(each[-1] - each[0], [2 * np.pi, -2 * np.pi, 0.0], atol=1e-9)  # the coupler's is relative to the crank
+        np.testing.assert_allclose(
+            np.rad2deg([each[i, 0] + each[i, 1], each[i, 2]]), [coupler, rocker], atol=1e-8
+        )
+    # the coupler's is relative to the crank
+    np.testing.assert_allclose(each[-1] - each[0], [2 * np.pi, -2 * np.pi, 0.0], atol=1e-9)
 
 
 @pytest.mark.long
@@ -235,17 +293,30 @@ def test_bad_input():
     with pytest.raises(jb.JaxbodyError, match=r"closures.*is a Hinge"):
         jb.Model(bodies={"a": BAR}, closures={"pin": jb.Hinge("world", axis="z")})
     with pytest.raises(jb.JaxbodyError, match=r"closures\['pin'\].*UNKNOWN_BODY"):
-        jb.Model(bodies={"a": BAR}, closures={"pin": jb.closures.Ball(("b", [0, 0, 0]), ("a", [0, 0, 0]))})
+        jb.Model(
+            bodies={"a": BAR},
+            closures={"pin": jb.closures.Ball(("b", [0, 0, 0]), ("a", [0, 0, 0]))},
+        )
     with pytest.raises(jb.JaxbodyError, match="NOT_POSITIVE"):
         jb.closures.Rod(("a", [0, 0, 0]), ("world", [0, 0, 0]), length=0.0)
     with pytest.raises(jb.JaxbodyError, match="ZERO_AXIS"):
         jb.closures.Inline(("a", [0, 0, 0]), ("world", [0, 0, 0]), axis=[0, 0, 0])
     ends = ("b", [0, 0, 0]), ("world", [0, 0.1, 0])
     joints = {"a": jb.Fixed("world"), "b": jb.Fixed("a"), "c": jb.Hinge("b", axis="z")}
-    with pytest.raises(jb.JaxbodyError, match=r"closures\['pin'\]: joins 'b' and 'world', which are joined rigidly already.*RIGID"):
-        jb.Model(bodies=dict.fromkeys("abc", BAR), joints=joints, closures={"pin": jb.closures.Ball(*ends)})
+    with pytest.raises(
+        jb.JaxbodyError,
+        match=r"closures\['pin'\]: joins 'b' and 'world', which are joined rigidly already.*RIGID",
+    ):
+        jb.Model(
+            bodies=dict.fromkeys("abc", BAR),
+            joints=joints,
+            closures={"pin": jb.closures.Ball(*ends)},
+        )
     table = {"table": jb.Support(position=[0, 0.1, 0])}
-    with pytest.raises(jb.JaxbodyError, match=r"joins 'b' and 'table', neither of which moves but by imposed motion.*RIGID"):
+    with pytest.raises(
+        jb.JaxbodyError,
+        match=r"joins 'b' and 'table', neither of which moves but by imposed motion.*RIGID",
+    ):
         jb.Model(
             bodies=dict.fromkeys("ab", BAR),
             supports=table,
@@ -254,7 +325,11 @@ def test_bad_input():
         )
     point = jb.closures.Rod(("a", [0, 0, 0]), ("world", [0, 0, 0]))
     with pytest.raises(
-        jb.JaxbodyError, match=r"closures\['point'\]: has length 0 m in the reference pose.*To give it one, move.*ZERO_LENGTH"
+        jb.JaxbodyError,
+        match=(
+            r"closures\['point'\]: has length 0 m in the reference pose.*To give it "
+            r"one, move.*ZERO_LENGTH"
+        ),
     ):
         jb.Model(bodies={"a": BAR}, closures={"point": point})
     with pytest.raises(jb.JaxbodyError, match=r"has no closures.*NO_CLOSURE"):
@@ -266,28 +341,43 @@ def test_bad_input():
 @pytest.mark.nan
 def test_a_condition_without_slopes_is_refused():
     apart = jb.closures.Equation(lambda A, B: jnp.linalg.norm(A.p - B.p), ("a", "world"))
-    with pytest.raises(jb.JaxbodyError, match=r"closures\['apart'\]: has slopes that are not finite.*NON_FINITE"):
+    with pytest.raises(
+        jb.JaxbodyError, match=r"closures\['apart'\]: has slopes that are not finite.*NON_FINITE"
+    ):
         jb.Model(bodies={"a": BAR}, closures={"apart": apart})
 
 
 def two_arms(length=0.35):
-    """Arms that turn about z and about y, joined by a rod; drawn open, with one freedom when assembled."""
+    """Arms that turn about z and about y, joined by a rod; drawn open, with one freedom
+    when assembled."""
     place = np.array([0.25, 0.05, 0.1])
     joints = {"input": jb.Hinge("world", axis="z"), "output": jb.Hinge("world", axis="y", at=place)}
     rod = jb.closures.Rod(("input", [0.1, 0, 0]), ("output", [0.2, 0, 0]), length=length)
-    return jb.Model(bodies={"input": BAR, "output": jb.Body(1.0, [1, 1, 1], position=place)}, joints=joints, closures={"rod": rod})
+    return jb.Model(
+        bodies={"input": BAR, "output": jb.Body(1.0, [1, 1, 1], position=place)},
+        joints=joints,
+        closures={"rod": rod},
+    )
 
 
 def differences(function, x, h=1e-5):
     """Central, of fourth order."""
     steps = h * np.eye(len(x))
-    return np.stack([(8 * (function(x + s) - function(x - s)) - function(x + 2 * s) + function(x - 2 * s)) / (12 * h) for s in steps], -1)
+    return np.stack(
+        [
+            (8 * (function(x + s) - function(x - s)) - function(x + 2 * s) + function(x - 2 * s))
+            / (12 * h)
+            for s in steps
+        ],
+        -1,
+    )
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("hold", [(), ("input",)])
 def test_an_assembled_state_has_derivatives_by_its_start(hold):
-    """By a coordinate that is held, and by those of the least movement, which is far here; by a length too."""
+    """By a coordinate that is held, and by those of the least movement, which is far here; by a
+    length too."""
     model = two_arms()
 
     def assembled(x):
@@ -307,13 +397,22 @@ def test_an_assembled_state_has_derivatives_by_its_start(hold):
 @pytest.mark.long
 def test_the_reference_of_a_free_body_follows_where_it_is_drawn():
     ball = jb.closures.Ball(("world", [0, 0, 0]), ("bar", [0, 0.1, 0.4]))
-    model = jb.Model(bodies={"bar": jb.Body(1.0, [1, 1, 1], position=[0.1, 0.2, -0.5])}, closures={"ball": ball})
-    place, at = jnp.array([0.1, 0.2, -0.5]), lambda p: jb.replace(model, {"bar.position": p}).reference.q
+    model = jb.Model(
+        bodies={"bar": jb.Body(1.0, [1, 1, 1], position=[0.1, 0.2, -0.5])}, closures={"ball": ball}
+    )
+    place, at = (
+        jnp.array([0.1, 0.2, -0.5]),
+        lambda p: jb.replace(model, {"bar.position": p}).reference.q,
+    )
     for of in (jax.jacfwd, jax.jacrev):
-        np.testing.assert_allclose(jax.jit(of(at))(place), differences(at, place), rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(
+            jax.jit(of(at))(place), differences(at, place), rtol=1e-8, atol=1e-8
+        )
     open_, lengths = two_arms(), lambda x: jb.replace(two_arms(), {"rod.length": x[0]}).reference.q
     assert np.abs(open_.reference.q).max() > 0.2  # rad, far from the drawing
-    np.testing.assert_allclose(jax.jacfwd(lengths)(jnp.array([0.35])), differences(lengths, jnp.array([0.35])), rtol=1e-7)
+    np.testing.assert_allclose(
+        jax.jacfwd(lengths)(jnp.array([0.35])), differences(lengths, jnp.array([0.35])), rtol=1e-7
+    )
 
 
 @pytest.mark.nan
@@ -322,7 +421,11 @@ def test_what_cannot_be_assembled_is_nan_while_traced_and_stays_where_it_ended_o
     model, start = two_arms(), jb.State(jnp.array([0.5, 0.4]), jnp.zeros(2))
 
     def assembly(x):
-        return jb.assemble(jb.replace(model, {"rod.length": x[0]}), start=dataclasses.replace(start, q=x[1:]), hold=["input"])
+        return jb.assemble(
+            jb.replace(model, {"rod.length": x[0]}),
+            start=dataclasses.replace(start, q=x[1:]),
+            hold=["input"],
+        )
 
     def reference(x):
         return jb.replace(model, {"rod.length": x[0]}).reference.q
@@ -355,14 +458,27 @@ def test_loops_are_refused_in_float32():
             lambda: corner.curves(0.0),
         )
         for call in calls:
-            with pytest.raises(jb.JaxbodyError, match=r"cannot close loops in float32.*jax_enable_x64.*building the model\. \[FLOAT32\]"):
+            with pytest.raises(
+                jb.JaxbodyError,
+                match=(
+                    r"cannot close loops in float32.*jax_enable_x64.*building the "
+                    r"model\. \[FLOAT32\]"
+                ),
+            ):
                 call()
 
 
 def test_a_pin_of_a_planar_linkage_needs_no_conditions_out_of_its_plane():
-    """Inline along the axis of the hinges has two conditions, none of which follows from the others, and the same position."""
-    pin = jb.closures.Inline(("coupler", [CRANK + COUPLER, 0, 0]), ("rocker", [GROUND + ROCKER, 0, 0]), axis="z")
+    """Inline along the axis of the hinges has two conditions, none of which follows from the
+    others, and the same position."""
+    pin = jb.closures.Inline(
+        ("coupler", [CRANK + COUPLER, 0, 0]), ("rocker", [GROUND + ROCKER, 0, 0]), axis="z"
+    )
     start = state(40, -20, 50)
-    two, five = (jb.assemble(model, start=start, hold=["crank"]) for model in (four_bar(pin), four_bar()))
+    two, five = (
+        jb.assemble(model, start=start, hold=["crank"]) for model in (four_bar(pin), four_bar())
+    )
     np.testing.assert_allclose(two.state.q, five.state.q, atol=1e-9)
-    assert "implied" not in str(two) and "implied by the others: pin z, pin turn 1, pin turn 2" in str(five)
+    assert "implied" not in str(
+        two
+    ) and "implied by the others: pin z, pin turn 1, pin turn 2" in str(five)

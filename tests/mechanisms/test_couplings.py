@@ -1,4 +1,5 @@
-"""Couplings of coordinates: rack and pinion, gears, screws and cams in closed form, derivatives by the ratio, redundant ones, messages."""
+"""Couplings of coordinates: rack and pinion, gears, screws and cams in closed form, derivatives by
+the ratio, redundant ones, messages."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,8 @@ from scipy.optimize import brentq
 import jaxbody as jb
 
 G = 9.81
-MASS, ABOUT, RADIUS, STIFFNESS = 6.0, 0.02, 0.05, 8.0  # of the rack, of the pinion about its axis, and of the spring at the pinion
+# of the rack, of the pinion about its axis, and of the spring at the pinion
+MASS, ABOUT, RADIUS, STIFFNESS = 6.0, 0.02, 0.05, 8.0
 
 
 def part(mass=1.0, about=ABOUT):
@@ -35,11 +37,14 @@ def test_a_rack_hangs_on_the_spring_of_its_pinion():
     turn = MASS * G * RADIUS / STIFFNESS
     assert eq.ok and eq.stable
     np.testing.assert_allclose(eq.state.q, [RADIUS * turn, turn], rtol=1e-12)
-    assert float(eq.closure_reactions["mesh"]["move"]) == pytest.approx(MASS * G, rel=1e-12)  # it holds the rack
+    # it holds the rack
+    assert float(eq.closure_reactions["mesh"]["move"]) == pytest.approx(MASS * G, rel=1e-12)
     lin = jb.linearize(model, eq)
     assert len(lin.coordinates) == 1
     inertia = ABOUT + MASS * RADIUS**2
-    assert float(jb.modes(lin).frequency[0]) == pytest.approx(np.sqrt(STIFFNESS / inertia) / (2 * np.pi), rel=1e-12)
+    assert float(jb.modes(lin).frequency[0]) == pytest.approx(
+        np.sqrt(STIFFNESS / inertia) / (2 * np.pi), rel=1e-12
+    )
 
 
 @pytest.mark.long
@@ -54,7 +59,9 @@ def test_equilibrium_and_frequency_have_derivatives_by_the_ratio():
     inertia = ABOUT + MASS * RADIUS**2
     exact = [MASS * G / STIFFNESS, -np.sqrt(STIFFNESS) * MASS * RADIUS / inertia**1.5 / (2 * np.pi)]
     for derivative in (jax.jacfwd, jax.jacrev):
-        np.testing.assert_allclose(jax.jit(derivative(turn_and_frequency))(RADIUS), exact, rtol=1e-10)
+        np.testing.assert_allclose(
+            jax.jit(derivative(turn_and_frequency))(RADIUS), exact, rtol=1e-10
+        )
 
 
 @pytest.mark.long
@@ -67,13 +74,23 @@ def test_gears_turn_by_their_teeth_any_number_of_turns():
     }
     model = jb.Model(bodies=dict.fromkeys(joints, part()), joints=joints, closures=couplings)
     turned = 40.0  # rad
-    done = jb.assemble(model, start=jb.State(jnp.array([turned, -50.0, 25.0]), jnp.zeros(3)), hold=["first"])
+    done = jb.assemble(
+        model, start=jb.State(jnp.array([turned, -50.0, 25.0]), jnp.zeros(3)), hold=["first"]
+    )
     assert done.ok and done.freedoms == 1 and len(done.redundant) == 1
-    np.testing.assert_allclose(done.state.q, [turned, -23 / 17 * turned, 23 / 31 * turned], rtol=1e-14)
+    np.testing.assert_allclose(
+        done.state.q, [turned, -23 / 17 * turned, 23 / 31 * turned], rtol=1e-14
+    )
     assert done.redundant[0] in ("first pair turn", "second pair turn", "both pairs turn")
     slipped = jb.closures.Coupling("third.q", "first.q", function=lambda y: 23 / 31 * y + 0.2)
     with pytest.warns(jb.JaxbodyWarning, match=r"NOT_CLOSED.*pair"):
-        done = jb.assemble(jb.Model(bodies=dict.fromkeys(joints, part()), joints=joints, closures=couplings | {"both pairs": slipped}))
+        done = jb.assemble(
+            jb.Model(
+                bodies=dict.fromkeys(joints, part()),
+                joints=joints,
+                closures=couplings | {"both pairs": slipped},
+            )
+        )
     assert not done.ok
 
 
@@ -85,15 +102,24 @@ def test_a_nut_on_a_screw_has_the_frequency_of_both_motions():
         bodies={"nut": jb.Body(mass=mass, inertia=[1.0, 1.0, about])},
         joints={"nut": jb.Cylindrical("world", axis="z")},
         closures={"thread": jb.closures.Coupling("nut.q.0", "nut.q.1", ratio=r)},
-        elements={"spring": jb.Spring(("nut", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=k, free_length=1.0)},
+        elements={
+            "spring": jb.Spring(
+                ("nut", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=k, free_length=1.0
+            )
+        },
     )
     frequency = jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency
-    np.testing.assert_allclose(frequency, [np.sqrt(k / (mass + about / r**2)) / (2 * np.pi)], rtol=1e-10)
+    np.testing.assert_allclose(
+        frequency, [np.sqrt(k / (mass + about / r**2)) / (2 * np.pi)], rtol=1e-10
+    )
 
 
 LIFT, SPRING, REST = 0.03, 2.0, 0.6
 ANGLES = np.linspace(0.0, np.pi, 400)
-CAMS = {"function": lambda y: LIFT * (1 - jnp.cos(y)), "table": jb.laws.Table(ANGLES, LIFT * (1 - np.cos(ANGLES)))}
+CAMS = {
+    "function": lambda y: LIFT * (1 - jnp.cos(y)),
+    "table": jb.laws.Table(ANGLES, LIFT * (1 - np.cos(ANGLES))),
+}
 
 
 @pytest.mark.long
@@ -109,7 +135,9 @@ def test_a_cam_turns_until_its_spring_balances_the_follower(kind):
     )
     eq = jb.equilibrium(model, start=jb.State(jnp.array([0.0, 1.0]), jnp.zeros(2)))
     turn = brentq(lambda y: SPRING * (y - REST) - MASS * G * LIFT * np.sin(y), 0.6, 3.0, xtol=1e-14)
-    np.testing.assert_allclose(eq.state.q, [LIFT * (1 - np.cos(turn)), turn], atol=1e-11 if kind == "function" else 1e-4)
+    np.testing.assert_allclose(
+        eq.state.q, [LIFT * (1 - np.cos(turn)), turn], atol=1e-11 if kind == "function" else 1e-4
+    )
 
 
 @pytest.mark.long
@@ -118,15 +146,26 @@ def test_a_corner_is_steered_by_its_pinion():
     model = corner.model
     names, r = (*model.layout.bodies, "pinion"), 0.007
     bodies = {name: model[name] for name in model.layout.bodies} | {"pinion": part()}
-    joints = {name: model.joint(name) for name in model.layout.bodies} | {"pinion": jb.Hinge("world", axis="x")}
-    closures = {name: model[name] for name in model.closure_names} | {"mesh": jb.closures.Coupling("rack.q", "pinion.q", ratio=r)}
-    steered = jb.Model(bodies={n: bodies[n] for n in names}, joints=joints, closures=closures, elements={"spring": model["spring"]})
+    joints = {name: model.joint(name) for name in model.layout.bodies} | {
+        "pinion": jb.Hinge("world", axis="x")
+    }
+    closures = {name: model[name] for name in model.closure_names} | {
+        "mesh": jb.closures.Coupling("rack.q", "pinion.q", ratio=r)
+    }
+    steered = jb.Model(
+        bodies={n: bodies[n] for n in names},
+        joints=joints,
+        closures=closures,
+        elements={"spring": model["spring"]},
+    )
     turns = np.array([-2.0, 0.0, 4.0])
     by_pinion = jb.Corner(steered, corner.wheel, "pinion.q").curves(0.02, turns)
     by_rack = corner.curves(0.02, r * turns)
     for name in ("toe", "camber", "trail", "wheel rate"):
         np.testing.assert_allclose(by_pinion[name], by_rack[name], atol=1e-11, rtol=1e-9)
-    np.testing.assert_allclose(by_pinion.slopes["steering"]["toe"], r * by_rack.slopes["steering"]["toe"], rtol=1e-9)
+    np.testing.assert_allclose(
+        by_pinion.slopes["steering"]["toe"], r * by_rack.slopes["steering"]["toe"], rtol=1e-9
+    )
 
 
 def test_bad_input():
@@ -134,5 +173,8 @@ def test_bad_input():
         jb.closures.Coupling("rack.q", "pinion.q")
     joints = {"rack": jb.Guide("world", axis="z"), "pinion": jb.Ball("world")}
     coupling = jb.closures.Coupling("rack.q", "pinion.q", ratio=1.0)
-    with pytest.raises(jb.JaxbodyError, match=r"closures\['mesh'\].*pinion.q.*a coordinate of a joint.*UNKNOWN_NAME"):
+    with pytest.raises(
+        jb.JaxbodyError,
+        match=r"closures\['mesh'\].*pinion.q.*a coordinate of a joint.*UNKNOWN_NAME",
+    ):
         jb.Model(bodies=dict.fromkeys(joints, part()), joints=joints, closures={"mesh": coupling})

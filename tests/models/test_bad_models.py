@@ -1,4 +1,5 @@
-"""Messages for invalid models: the object, the value, the limit and the remedy, all problems in one error."""
+"""Messages for invalid models: the object, the value, the limit and the remedy, all problems in
+one error."""
 
 import re
 import warnings
@@ -28,11 +29,17 @@ def spring(a="engine", b="base", **changed):
 
 
 def composite(steps, **more):
-    return jb.Composite("base", steps, **{"directions": [[0, 0, 1]] * len(steps), "points": [[0, 0, 0]] * len(steps)} | more)
+    return jb.Composite(
+        "base",
+        steps,
+        **{"directions": [[0, 0, 1]] * len(steps), "points": [[0, 0, 0]] * len(steps)} | more,
+    )
 
 
 def bushing(**changed):
-    return jb.Bushing(("engine", [0, 0, 0]), ("base", [0, 0, 0]), **{"stiffness": [1.0, 1.0, 1.0]} | changed)
+    return jb.Bushing(
+        ("engine", [0, 0, 0]), ("base", [0, 0, 0]), **{"stiffness": [1.0, 1.0, 1.0]} | changed
+    )
 
 
 def model(**changed):
@@ -48,15 +55,52 @@ def changed(array, *index, to):
 SKEWED = changed(np.eye(6), 0, 1, to=0.5)
 INDEFINITE = np.diag([1.0, 1, 1, 1, 1, -2])
 
-# number in the table of bad inputs: what is done, code, where, value (None where it is not one number or word), words of the message
+# number in the table of bad inputs: what is done, code, where, value (None where it is not one
+# number or word), words of the message
 BAD = {
-    "1 unknown body": (lambda: model(elements={"m3": spring("enigne")}), "UNKNOWN_BODY", "elements['m3']", "enigne", "'engine' base"),
-    "1 unknown parent": (lambda: model(joints={"engine": jb.Fixed("bse")}), "UNKNOWN_BODY", "joints['engine']", "bse", "'base'"),
-    "1 joint of no body": (lambda: model(joints={"gear": jb.Fixed("base")}), "UNKNOWN_BODY", "joints['gear']", "gear", "engine"),
-    "2 body and support": (lambda: model(supports={"engine": SUPPORT}), "DUPLICATE_NAME", "supports['engine']", "engine", "bodies"),
-    "2 body and element": (lambda: model(elements={"engine": SPRING}), "DUPLICATE_NAME", "elements['engine']", "engine", "bodies"),
+    "1 unknown body": (
+        lambda: model(elements={"m3": spring("enigne")}),
+        "UNKNOWN_BODY",
+        "elements['m3']",
+        "enigne",
+        "'engine' base",
+    ),
+    "1 unknown parent": (
+        lambda: model(joints={"engine": jb.Fixed("bse")}),
+        "UNKNOWN_BODY",
+        "joints['engine']",
+        "bse",
+        "'base'",
+    ),
+    "1 joint of no body": (
+        lambda: model(joints={"gear": jb.Fixed("base")}),
+        "UNKNOWN_BODY",
+        "joints['gear']",
+        "gear",
+        "engine",
+    ),
+    "2 body and support": (
+        lambda: model(supports={"engine": SUPPORT}),
+        "DUPLICATE_NAME",
+        "supports['engine']",
+        "engine",
+        "bodies",
+    ),
+    "2 body and element": (
+        lambda: model(elements={"engine": SPRING}),
+        "DUPLICATE_NAME",
+        "elements['engine']",
+        "engine",
+        "bodies",
+    ),
     **{
-        f"3 name {name!r:.8}": (lambda name=name: model(supports={name: SUPPORT}), "BAD_NAME", f"supports[{name!r}]", name, "200")
+        f"3 name {name!r:.8}": (
+            lambda name=name: model(supports={name: SUPPORT}),
+            "BAD_NAME",
+            f"supports[{name!r}]",
+            name,
+            "200",
+        )
         for name in ("", "x" * 201, "a\n", "a\x00", "world", "a.b", "a*", "a?", "a[", "a]", 3)
     },
     "4 mass": (lambda: body(mass=-3), "BAD_MASS", "Body.mass", -3.0, "-3 kg > 0"),
@@ -66,10 +110,28 @@ BAD = {
     "5 text": (lambda: body(mass="nan"), "NOT_A_NUMBER", "Body.mass", "nan", "'nan' number"),
     "5 center of mass": (lambda: body(com=[0, INF, 0]), "NON_FINITE", "Body.com", None, "inf"),
     "5 inertia": (lambda: body(inertia=[1, NAN, 1]), "NON_FINITE", "Body.inertia", None, "nan"),
-    "5 position": (lambda: jb.Support(position=[NAN, 0, 0]), "NON_FINITE", "Support.position", None, "nan"),
-    "5 orientation": (lambda: body(orientation=[NAN, 0, 0, 0]), "NON_FINITE", "Body.orientation", None, "nan"),
+    "5 position": (
+        lambda: jb.Support(position=[NAN, 0, 0]),
+        "NON_FINITE",
+        "Support.position",
+        None,
+        "nan",
+    ),
+    "5 orientation": (
+        lambda: body(orientation=[NAN, 0, 0, 0]),
+        "NON_FINITE",
+        "Body.orientation",
+        None,
+        "nan",
+    ),
     "5 stiffness": (lambda: spring(stiffness=NAN), "NON_FINITE", "Spring.stiffness", NAN, "nan"),
-    "5 matrix": (lambda: bushing(stiffness=changed(np.eye(6), 2, 3, to=NAN)), "NON_FINITE", "Bushing.stiffness", None, "nan 2 3"),
+    "5 matrix": (
+        lambda: bushing(stiffness=changed(np.eye(6), 2, 3, to=NAN)),
+        "NON_FINITE",
+        "Bushing.stiffness",
+        None,
+        "nan 2 3",
+    ),
     "5 point": (
         lambda: jb.Spring(("engine", [NAN, 0, 0]), ("base", [0, 0, 0]), stiffness=1),
         "NON_FINITE",
@@ -79,17 +141,77 @@ BAD = {
     ),
     "5 gravity": (lambda: model(gravity=[0, 0, NAN]), "NON_FINITE", "gravity", None, "nan"),
     "5 axis": (lambda: jb.Hinge("base", axis=[0, NAN, 1]), "NON_FINITE", "Hinge.axis", None, "nan"),
-    "7 two moments": (lambda: body(inertia=[1, 1]), "BAD_SHAPE", "Body.inertia", (2,), "(2,) (3,) (6,) Ixy matrix"),
-    "7 one moment": (lambda: body(inertia=1.0), "BAD_SHAPE", "Body.inertia", (), "() (3,) (6,) Ixy matrix"),
-    "7 small matrix": (lambda: body(inertia=np.eye(2)), "BAD_SHAPE", "Body.inertia", (2, 2), "(2, 2) (3, 3)"),
-    "8 asymmetric": (lambda: body(inertia=changed(np.eye(3), 0, 1, to=2e-8)), "NOT_SYMMETRIC", "Body.inertia", None, "2e-08 3e-09 I'"),
-    "9 indefinite": (lambda: body(inertia=TURN @ np.diag([3, 3, -1]) @ TURN.T), "NOT_POSITIVE", "Body.inertia", None, "-1, 3, 3 signs"),
+    "7 two moments": (
+        lambda: body(inertia=[1, 1]),
+        "BAD_SHAPE",
+        "Body.inertia",
+        (2,),
+        "(2,) (3,) (6,) Ixy matrix",
+    ),
+    "7 one moment": (
+        lambda: body(inertia=1.0),
+        "BAD_SHAPE",
+        "Body.inertia",
+        (),
+        "() (3,) (6,) Ixy matrix",
+    ),
+    "7 small matrix": (
+        lambda: body(inertia=np.eye(2)),
+        "BAD_SHAPE",
+        "Body.inertia",
+        (2, 2),
+        "(2, 2) (3, 3)",
+    ),
+    "8 asymmetric": (
+        lambda: body(inertia=changed(np.eye(3), 0, 1, to=2e-8)),
+        "NOT_SYMMETRIC",
+        "Body.inertia",
+        None,
+        "2e-08 3e-09 I'",
+    ),
+    "9 indefinite": (
+        lambda: body(inertia=TURN @ np.diag([3, 3, -1]) @ TURN.T),
+        "NOT_POSITIVE",
+        "Body.inertia",
+        None,
+        "-1, 3, 3 signs",
+    ),
     "18 no sequence": (lambda: jb.Euler("", []), "BAD_SEQUENCE", "Euler.sequence", "", "ZYX yaw"),
-    "18 mixed sequence": (lambda: jb.Euler("Zyx", [0, 0, 0]), "BAD_SEQUENCE", "Euler.sequence", "Zyx", "Capitals small"),
-    "18 axis twice": (lambda: jb.Euler("ZZX", [0, 0, 0]), "BAD_SEQUENCE", "Euler.sequence", "ZZX", "twice"),
-    "18 two angles": (lambda: jb.Euler("ZYX", [0.1, 0.2]), "BAD_SHAPE", "Euler.angles", (2,), "(2,) (3,) letter"),
-    "61 degrees": (lambda: jb.Euler("ZYX", [30.0, 0, 0]), "DEGREES", "Euler.angles", None, "30 deg2rad"),
-    "no parts": (lambda: jb.Body.of_parts([]), "NO_PARTS", "Body.of_parts", None, "position orientation"),
+    "18 mixed sequence": (
+        lambda: jb.Euler("Zyx", [0, 0, 0]),
+        "BAD_SEQUENCE",
+        "Euler.sequence",
+        "Zyx",
+        "Capitals small",
+    ),
+    "18 axis twice": (
+        lambda: jb.Euler("ZZX", [0, 0, 0]),
+        "BAD_SEQUENCE",
+        "Euler.sequence",
+        "ZZX",
+        "twice",
+    ),
+    "18 two angles": (
+        lambda: jb.Euler("ZYX", [0.1, 0.2]),
+        "BAD_SHAPE",
+        "Euler.angles",
+        (2,),
+        "(2,) (3,) letter",
+    ),
+    "61 degrees": (
+        lambda: jb.Euler("ZYX", [30.0, 0, 0]),
+        "DEGREES",
+        "Euler.angles",
+        None,
+        "30 deg2rad",
+    ),
+    "no parts": (
+        lambda: jb.Body.of_parts([]),
+        "NO_PARTS",
+        "Body.of_parts",
+        None,
+        "position orientation",
+    ),
     "10 triangle": (
         lambda: body(inertia=TURN @ np.diag([1, 4, 2]) @ TURN.T),
         "TRIANGLE",
@@ -97,7 +219,13 @@ BAD = {
         None,
         "1, 2, 4 by 1 center units",
     ),
-    "10 of a plane": (lambda: body(inertia=[0, 0, 0.3]), "TRIANGLE", "Body.inertia", None, "0, 0, 0.3 plane 0.15, 0.15, 0.3."),
+    "10 of a plane": (
+        lambda: body(inertia=[0, 0, 0.3]),
+        "TRIANGLE",
+        "Body.inertia",
+        None,
+        "0, 0, 0.3 plane 0.15, 0.15, 0.3.",
+    ),
     "10 signs of products": (
         lambda: body(inertia=[2, 2, 2, 0.9, 0.9, 0.9]),
         "TRIANGLE",
@@ -105,11 +233,41 @@ BAD = {
         None,
         "1.1, 1.1, 3.8 by 1.6 signs",
     ),
-    "15 scaled": (lambda: body(orientation=1.1 * TURN), "BAD_ROTATION", "Body.orientation", None, "0.36 1.331 SVD"),
-    "15 mirrored": (lambda: jb.Support(orientation=-TURN), "BAD_ROTATION", "Support.orientation", None, "-1 right-handed"),
-    "15 rounded": (lambda: bushing(orientation=np.round(TURN, 8)), "BAD_ROTATION", "Bushing.orientation", None, "e-0 1e-12 SVD"),
-    "15 hardly wrong": (lambda: body(orientation=TURN * (1 + 2e-12)), "BAD_ROTATION", "Body.orientation", None, "e-12"),
-    "16 zero": (lambda: body(orientation=[0, 0, 0, 0]), "BAD_QUATERNION", "Body.orientation", None, "0 zero 1e-3"),
+    "15 scaled": (
+        lambda: body(orientation=1.1 * TURN),
+        "BAD_ROTATION",
+        "Body.orientation",
+        None,
+        "0.36 1.331 SVD",
+    ),
+    "15 mirrored": (
+        lambda: jb.Support(orientation=-TURN),
+        "BAD_ROTATION",
+        "Support.orientation",
+        None,
+        "-1 right-handed",
+    ),
+    "15 rounded": (
+        lambda: bushing(orientation=np.round(TURN, 8)),
+        "BAD_ROTATION",
+        "Bushing.orientation",
+        None,
+        "e-0 1e-12 SVD",
+    ),
+    "15 hardly wrong": (
+        lambda: body(orientation=TURN * (1 + 2e-12)),
+        "BAD_ROTATION",
+        "Body.orientation",
+        None,
+        "e-12",
+    ),
+    "16 zero": (
+        lambda: body(orientation=[0, 0, 0, 0]),
+        "BAD_QUATERNION",
+        "Body.orientation",
+        None,
+        "0 zero 1e-3",
+    ),
     "16 not unit": (
         lambda: bushing(orientation_b=[1, 0.1, 0, 0]),
         "BAD_QUATERNION",
@@ -117,11 +275,21 @@ BAD = {
         None,
         "1.00499 1e-3 w, x, y, z",
     ),
-    "16 angles": (lambda: body(orientation=[0, 0, 1.5]), "BAD_SHAPE", "Body.orientation", (3,), "(4,) (3, 3) w, x, y, z"),
+    "16 angles": (
+        lambda: body(orientation=[0, 0, 1.5]),
+        "BAD_SHAPE",
+        "Body.orientation",
+        (3,),
+        "(4,) (3, 3) w, x, y, z",
+    ),
     "19 no length": (
         lambda: model(
             bodies={"engine": body(position=[5, 0, 0])},
-            elements={"m": jb.Spring(("engine", [0, 0, 0]), ("base", [5, 0, 0]), stiffness=1, free_length=0.1)},
+            elements={
+                "m": jb.Spring(
+                    ("engine", [0, 0, 0]), ("base", [5, 0, 0]), stiffness=1, free_length=0.1
+                )
+            },
         ),
         "ZERO_LENGTH",
         "elements['m']",
@@ -142,15 +310,69 @@ BAD = {
         None,
         "180 179 orientation_b",
     ),
-    "22 stiffness": (lambda: spring(stiffness=-5), "NEGATIVE_STIFFNESS", "Spring.stiffness", -5.0, "-5 N/m >= 0 allow_negative"),
-    "22 bushing": (lambda: bushing(stiffness=[1, -5, 1]), "NEGATIVE_STIFFNESS", "Bushing.stiffness", None, "-5 >= 0 allow_negative"),
-    "22 free length": (lambda: spring(free_length=-1), "NEGATIVE_LENGTH", "Spring.free_length", -1.0, "-1 m >= 0"),
-    "23 damping": (lambda: spring(damping=-2), "NEGATIVE_DAMPING", "Spring.damping", -2.0, "-2 N s/m >= 0 allow_negative"),
-    "23 bushing": (lambda: bushing(damping=[1, -5, 1]), "NEGATIVE_DAMPING", "Bushing.damping", None, "-5 >= 0 allow_negative"),
-    "24 asymmetric": (lambda: bushing(stiffness=SKEWED), "NOT_SYMMETRIC", "Bushing.stiffness", None, "0.5 1e-09 (K + K')/2"),
-    "24 indefinite": (lambda: bushing(stiffness=INDEFINITE), "NEGATIVE_STIFFNESS", "Bushing.stiffness", None, "-2, 1, 1, 1, 1, 1 >= 0"),
-    "24 shape": (lambda: bushing(stiffness=np.eye(3)), "BAD_SHAPE", "Bushing.stiffness", (3, 3), "(3, 3) (6, 6)"),
-    "26 one body": (lambda: spring("engine", "engine"), "SELF_SPRING", "Spring", "engine", "both ends different"),
+    "22 stiffness": (
+        lambda: spring(stiffness=-5),
+        "NEGATIVE_STIFFNESS",
+        "Spring.stiffness",
+        -5.0,
+        "-5 N/m >= 0 allow_negative",
+    ),
+    "22 bushing": (
+        lambda: bushing(stiffness=[1, -5, 1]),
+        "NEGATIVE_STIFFNESS",
+        "Bushing.stiffness",
+        None,
+        "-5 >= 0 allow_negative",
+    ),
+    "22 free length": (
+        lambda: spring(free_length=-1),
+        "NEGATIVE_LENGTH",
+        "Spring.free_length",
+        -1.0,
+        "-1 m >= 0",
+    ),
+    "23 damping": (
+        lambda: spring(damping=-2),
+        "NEGATIVE_DAMPING",
+        "Spring.damping",
+        -2.0,
+        "-2 N s/m >= 0 allow_negative",
+    ),
+    "23 bushing": (
+        lambda: bushing(damping=[1, -5, 1]),
+        "NEGATIVE_DAMPING",
+        "Bushing.damping",
+        None,
+        "-5 >= 0 allow_negative",
+    ),
+    "24 asymmetric": (
+        lambda: bushing(stiffness=SKEWED),
+        "NOT_SYMMETRIC",
+        "Bushing.stiffness",
+        None,
+        "0.5 1e-09 (K + K')/2",
+    ),
+    "24 indefinite": (
+        lambda: bushing(stiffness=INDEFINITE),
+        "NEGATIVE_STIFFNESS",
+        "Bushing.stiffness",
+        None,
+        "-2, 1, 1, 1, 1, 1 >= 0",
+    ),
+    "24 shape": (
+        lambda: bushing(stiffness=np.eye(3)),
+        "BAD_SHAPE",
+        "Bushing.stiffness",
+        (3, 3),
+        "(3, 3) (6, 6)",
+    ),
+    "26 one body": (
+        lambda: spring("engine", "engine"),
+        "SELF_SPRING",
+        "Spring",
+        "engine",
+        "both ends different",
+    ),
     "26 bushing": (
         lambda: jb.Bushing(("a", [0, 0, 0]), ("a", [1, 0, 0]), stiffness=[1, 1, 1]),
         "SELF_SPRING",
@@ -160,18 +382,72 @@ BAD = {
     ),
     "44 object": (lambda: body(mass=object()), "NOT_A_NUMBER", "Body.mass", None, "object number"),
     "44 nothing": (lambda: body(mass=None), "NOT_A_NUMBER", "Body.mass", None, "None number"),
-    "44 ragged": (lambda: body(inertia=[[1, 0, 0], [0, 1], [0]]), "NOT_A_NUMBER", "Body.inertia", None, "[[1, 0, 0] number"),
-    "44 dates": (lambda: body(mass=np.datetime64("2011-06-19")), "NOT_A_NUMBER", "Body.mass", None, "2011-06-19 number"),
-    "44 masked": (lambda: body(mass=np.ma.masked_array(1.0, True)), "NON_FINITE", "Body.mass", NAN, "nan"),
+    "44 ragged": (
+        lambda: body(inertia=[[1, 0, 0], [0, 1], [0]]),
+        "NOT_A_NUMBER",
+        "Body.inertia",
+        None,
+        "[[1, 0, 0] number",
+    ),
+    "44 dates": (
+        lambda: body(mass=np.datetime64("2011-06-19")),
+        "NOT_A_NUMBER",
+        "Body.mass",
+        None,
+        "2011-06-19 number",
+    ),
+    "44 masked": (
+        lambda: body(mass=np.ma.masked_array(1.0, True)),
+        "NON_FINITE",
+        "Body.mass",
+        NAN,
+        "nan",
+    ),
     "45 mass": (lambda: body(mass=1 + 2j), "COMPLEX", "Body.mass", 1 + 2j, "complex real"),
-    "45 inertia": (lambda: body(inertia=np.eye(3) * 1j), "COMPLEX", "Body.inertia", None, "complex real"),
-    "45 bushing": (lambda: bushing(stiffness=np.eye(6) * 1j), "COMPLEX", "Bushing.stiffness", None, "complex real"),
+    "45 inertia": (
+        lambda: body(inertia=np.eye(3) * 1j),
+        "COMPLEX",
+        "Body.inertia",
+        None,
+        "complex real",
+    ),
+    "45 bushing": (
+        lambda: bushing(stiffness=np.eye(6) * 1j),
+        "COMPLEX",
+        "Bushing.stiffness",
+        None,
+        "complex real",
+    ),
     "45 gravity": (lambda: model(gravity=[0, 0, 1j]), "COMPLEX", "gravity", None, "complex real"),
-    "45 under jit": (lambda: jax.jit(lambda z: body(mass=z).mass)(1 + 2j), "COMPLEX", "Body.mass", None, "complex real"),
+    "45 under jit": (
+        lambda: jax.jit(lambda z: body(mass=z).mass)(1 + 2j),
+        "COMPLEX",
+        "Body.mass",
+        None,
+        "complex real",
+    ),
     "no body": (lambda: model(bodies={}), "NO_BODY", "bodies", None, "at least one"),
-    "no Body": (lambda: model(bodies={"engine": 3.0}), "WRONG_KIND", "bodies['engine']", 3.0, "float Body"),
-    "no end": (lambda: jb.Spring("engine", ("base", [0, 0, 0]), stiffness=1), "BAD_END", "Spring, first end", "engine", "'engine' point"),
-    "axis of no length": (lambda: jb.Guide("base", axis=[0, 0, 0]), "ZERO_AXIS", "Guide.axis", None, "zero > 0 direction"),
+    "no Body": (
+        lambda: model(bodies={"engine": 3.0}),
+        "WRONG_KIND",
+        "bodies['engine']",
+        3.0,
+        "float Body",
+    ),
+    "no end": (
+        lambda: jb.Spring("engine", ("base", [0, 0, 0]), stiffness=1),
+        "BAD_END",
+        "Spring, first end",
+        "engine",
+        "'engine' point",
+    ),
+    "axis of no length": (
+        lambda: jb.Guide("base", axis=[0, 0, 0]),
+        "ZERO_AXIS",
+        "Guide.axis",
+        None,
+        "zero > 0 direction",
+    ),
     "composite of nothing": (
         lambda: composite([], directions=np.zeros((0, 3)), points=np.zeros((0, 3))),
         "BAD_SHAPE",
@@ -179,9 +455,27 @@ BAD = {
         None,
         "empty Fixed",
     ),
-    "composite of a word": (lambda: composite(["slide"]), "UNKNOWN_NAME", "Composite.steps", "slide", "move turn"),
-    "composite of a number": (lambda: composite([3]), "UNKNOWN_NAME", "Composite.steps", 3, "move turn"),
-    "composite of other rows": (lambda: composite(["move"], points=[]), "BAD_SHAPE", "Composite.points", (0,), "(1, 3) row each step"),
+    "composite of a word": (
+        lambda: composite(["slide"]),
+        "UNKNOWN_NAME",
+        "Composite.steps",
+        "slide",
+        "move turn",
+    ),
+    "composite of a number": (
+        lambda: composite([3]),
+        "UNKNOWN_NAME",
+        "Composite.steps",
+        3,
+        "move turn",
+    ),
+    "composite of other rows": (
+        lambda: composite(["move"], points=[]),
+        "BAD_SHAPE",
+        "Composite.points",
+        (0,),
+        "(1, 3) row each step",
+    ),
     "composite without an axis": (
         lambda: composite(["move"], directions=[[0, 0, 0]]),
         "ZERO_AXIS",
@@ -228,32 +522,68 @@ def test_a_message_has_object_limit_remedy_and_code_and_no_word_of_the_machinery
     assert error.hint in message
     assert f"[{error.code}]" in message
     assert len(message.splitlines()) <= 12
-    assert not re.search(r"jax\b|tracer|xla|equinox|traceback", message.replace("jaxbody", ""), re.IGNORECASE)
+    assert not re.search(
+        r"jax\b|tracer|xla|equinox|traceback", message.replace("jaxbody", ""), re.IGNORECASE
+    )
 
 
 def test_all_problems_of_a_body_are_reported_at_once():
-    error = error_of(lambda: jb.Body(mass=-1, inertia=[1, 1, 3], com=[0, 0], position=[NAN, 0, 0], orientation=[0, 0, 0, 0]))
-    assert [problem.code for problem in error.problems] == ["BAD_MASS", "BAD_SHAPE", "TRIANGLE", "NON_FINITE", "BAD_QUATERNION"]
+    error = error_of(
+        lambda: jb.Body(
+            mass=-1, inertia=[1, 1, 3], com=[0, 0], position=[NAN, 0, 0], orientation=[0, 0, 0, 0]
+        )
+    )
+    assert [problem.code for problem in error.problems] == [
+        "BAD_MASS",
+        "BAD_SHAPE",
+        "TRIANGLE",
+        "NON_FINITE",
+        "BAD_QUATERNION",
+    ]
     assert all(str(problem) in str(error) for problem in error.problems)
 
 
 def test_all_problems_of_an_element_or_a_joint_are_reported_at_once():
     ends = ("engine", [0, NAN, 0]), ("engine", [0, 0])
-    codes = [problem.code for problem in error_of(lambda: jb.Spring(*ends, stiffness=-1, free_length=[1], damping=1j)).problems]
-    assert codes == ["NON_FINITE", "BAD_SHAPE", "SELF_SPRING", "BAD_SHAPE", "COMPLEX", "NEGATIVE_STIFFNESS"]
-    codes = [problem.code for problem in error_of(lambda: jb.Hinge("base", axis=[0, 0, 0], at=[1, 2])).problems]
+    codes = [
+        problem.code
+        for problem in error_of(
+            lambda: jb.Spring(*ends, stiffness=-1, free_length=[1], damping=1j)
+        ).problems
+    ]
+    assert codes == [
+        "NON_FINITE",
+        "BAD_SHAPE",
+        "SELF_SPRING",
+        "BAD_SHAPE",
+        "COMPLEX",
+        "NEGATIVE_STIFFNESS",
+    ]
+    codes = [
+        problem.code
+        for problem in error_of(lambda: jb.Hinge("base", axis=[0, 0, 0], at=[1, 2])).problems
+    ]
     assert codes == ["ZERO_AXIS", "BAD_SHAPE"]
 
 
 def test_all_problems_of_a_model_are_reported_at_once():
     error = error_of(
         lambda: jb.Model(
-            bodies={"engine": BODY, "gear": body(), "a.b": body(), "tank": 3.0, "left": body(), "right": body()},
+            bodies={
+                "engine": BODY,
+                "gear": body(),
+                "a.b": body(),
+                "tank": 3.0,
+                "left": body(),
+                "right": body(),
+            },
             supports={"base": SUPPORT, "gear": SUPPORT},
             elements={
                 "m1": spring("enigne"),
                 "m2": spring("engine", "floor"),
-                "m3": jb.Spring(("gear", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=1, free_length=1),
+                "m3": jb.Spring(
+                    ("gear", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=1, free_length=1
+                ),
             },
             joints={"left": jb.Fixed("right"), "right": jb.Ball("left"), "geer": jb.Fixed("base")},
             gravity=[0, 0, NAN],
@@ -291,7 +621,9 @@ def test_a_loop_of_joints_is_reported_by_its_bodies():
     assert "a on b on c on a" in str(error)
 
 
-@pytest.mark.parametrize(("one", "other"), [("Mount", "mount"), ("caf\u00e9", "cafe\u0301"), ("\ufb01n", "fin")])
+@pytest.mark.parametrize(
+    ("one", "other"), [("Mount", "mount"), ("caf\u00e9", "cafe\u0301"), ("\ufb01n", "fin")]
+)
 def test_names_that_look_alike_are_warned_of(one, other):
     with pytest.warns(jb.JaxbodyWarning, match="look alike") as caught:
         model(bodies={one: BODY}, supports={other: SUPPORT})
@@ -307,23 +639,36 @@ def test_elements_without_effect_and_tiny_masses_issue_warnings():
     with pytest.warns(jb.JaxbodyWarning, match="elements\\['m'\\]") as caught:
         model(elements={"m": jb.Spring(("world", [0, 0, 0]), ("base", [0, 0, 1]), stiffness=1.0)})
     assert [warning.message.code for warning in caught] == ["USELESS_SPRING"]
-    for tiny, what in ((body(mass=1e-13), "mass of 'speck'"), (body(inertia=[1e-13, 1e-13, 1e-13]), "inertia of 'speck'")):
+    for tiny, what in (
+        (body(mass=1e-13), "mass of 'speck'"),
+        (body(inertia=[1e-13, 1e-13, 1e-13]), "inertia of 'speck'"),
+    ):
         with pytest.warns(jb.JaxbodyWarning, match=what) as caught:
             model(bodies={"engine": BODY, "speck": tiny})
         assert [warning.message.code for warning in caught] == ["TINY_MASS"]
 
 
 def rods_and_plates(rng, n):
-    """Inertia tensors on the very boundary of the triangle inequality, turned: of rods, of plates, of points on a line or in a plane."""
+    """Inertia tensors on the very boundary of the triangle inequality, turned: of rods, of plates,
+    of points on a line or in a plane."""
     for _ in range(n):
         R = Rotation.random(rng=rng).as_matrix()
-        points = rng.normal(size=(rng.integers(2, 6), 3)) * rng.choice([[1, 0, 0], [1, 1, 0]]) * 10 ** rng.uniform(-3, 3)
+        points = (
+            rng.normal(size=(rng.integers(2, 6), 3))
+            * rng.choice([[1, 0, 0], [1, 1, 0]])
+            * 10 ** rng.uniform(-3, 3)
+        )
         masses = rng.uniform(0.1, 1, size=len(points))
         yield masses, points @ R.T
 
 
 def inertia(masses, points):
-    return np.einsum("n,nij->ij", masses, np.einsum("nk,nk,ij->nij", points, points, np.eye(3)) - points[:, :, None] * points[:, None])
+    return np.einsum(
+        "n,nij->ij",
+        masses,
+        np.einsum("nk,nk,ij->nij", points, points, np.eye(3))
+        - points[:, :, None] * points[:, None],
+    )
 
 
 def test_a_true_inertia_is_never_rejected_for_its_round_off(rng):
@@ -347,7 +692,14 @@ def test_an_inertia_beyond_round_off_is_rejected(rng):
 
 @pytest.mark.parametrize(
     "form",
-    [[2, 3, 4], np.array([2, 3, 4], dtype=np.int32), (2.0, 3.0, 4.0), [2, 3, 4, 0, 0, 0], np.diag([2, 3, 4]), jnp.array([2, 3, 4])],
+    [
+        [2, 3, 4],
+        np.array([2, 3, 4], dtype=np.int32),
+        (2.0, 3.0, 4.0),
+        [2, 3, 4, 0, 0, 0],
+        np.diag([2, 3, 4]),
+        jnp.array([2, 3, 4]),
+    ],
     ids=["list", "integers", "tuple", "six", "matrix", "jax"],
 )
 def test_every_form_of_an_inertia_is_the_same_matrix_of_floats(form):
@@ -357,23 +709,38 @@ def test_every_form_of_an_inertia_is_the_same_matrix_of_floats(form):
 
 
 def test_six_numbers_of_an_inertia_are_the_entries_of_the_matrix():
-    assert (body(inertia=[2, 3, 4, 0.1, 0.2, 0.3]).inertia == [[2, 0.1, 0.2], [0.1, 3, 0.3], [0.2, 0.3, 4]]).all()
+    assert (
+        body(inertia=[2, 3, 4, 0.1, 0.2, 0.3]).inertia
+        == [[2, 0.1, 0.2], [0.1, 3, 0.3], [0.2, 0.3, 4]]
+    ).all()
 
 
-@pytest.mark.parametrize("kind", ["quaternion", "scaled quaternion", "negative quaternion", "matrix"])
+@pytest.mark.parametrize(
+    "kind", ["quaternion", "scaled quaternion", "negative quaternion", "matrix"]
+)
 def test_every_form_of_an_orientation_is_the_same_unit_quaternion(kind, rng):
     half_turns = [Rotation.from_rotvec(np.pi * axis) for axis in np.eye(3)]
     for R in [Rotation.identity(), *half_turns, *Rotation.random(20, rng=rng)]:
         q = R.as_quat(scalar_first=True)
-        given = {"quaternion": q, "scaled quaternion": 1.0005 * q, "negative quaternion": -q, "matrix": R.as_matrix()}[kind]
+        given = {
+            "quaternion": q,
+            "scaled quaternion": 1.0005 * q,
+            "negative quaternion": -q,
+            "matrix": R.as_matrix(),
+        }[kind]
         result = body(orientation=given).orientation
         assert abs(np.linalg.norm(result) - 1) <= 1e-15
-        assert np.abs(Rotation.from_quat(result, scalar_first=True).as_matrix() - R.as_matrix()).max() <= 2e-15
+        assert (
+            np.abs(Rotation.from_quat(result, scalar_first=True).as_matrix() - R.as_matrix()).max()
+            <= 2e-15
+        )
 
 
 def test_whole_numbers_become_floats_and_what_was_given_is_not_changed():
     point = np.array([1, 2, 3])
-    built = jb.Spring(("engine", point), ("base", [0, 0, 0]), stiffness=np.int64(3), free_length=True)
+    built = jb.Spring(
+        ("engine", point), ("base", [0, 0, 0]), stiffness=np.int64(3), free_length=True
+    )
     assert built.a.dtype == built.stiffness.dtype == built.free_length.dtype == np.float64
     assert point.dtype.kind == "i" and not np.shares_memory(point, built.a)
     given = np.eye(3)
@@ -385,7 +752,10 @@ def test_whole_numbers_become_floats_and_what_was_given_is_not_changed():
 NEGATIVE = {
     "stiffness": (lambda: spring(stiffness=-5.0, allow_negative=True), "-5 N/m.*unstable"),
     "damping": (lambda: spring(damping=-2.0, allow_negative=True), "-2 N s/m.*gain energy"),
-    "bushing": (lambda: bushing(stiffness=INDEFINITE, allow_negative=True), "-2, 1, 1, 1, 1, 1.*unstable"),
+    "bushing": (
+        lambda: bushing(stiffness=INDEFINITE, allow_negative=True),
+        "-2, 1, 1, 1, 1, 1.*unstable",
+    ),
 }
 
 
@@ -398,17 +768,29 @@ def test_negative_coefficients_that_are_meant_are_warned_of(case):
 
 def test_special_cases_that_are_allowed():
     """Zero stiffness along an axis of a bushing (25), and no length without free length (20)."""
-    model(elements={"m": bushing(stiffness=[1, 0, 0]), "n": bushing(stiffness=np.diag([1.0, 0, 0, 0, 0, 0]))})
+    model(
+        elements={
+            "m": bushing(stiffness=[1, 0, 0]),
+            "n": bushing(stiffness=np.diag([1.0, 0, 0, 0, 0, 0])),
+        }
+    )
     built = model(bodies={"engine": body()}, elements={"m": spring()})
     assert program(lambda built: jb.potential_energy(built, built.reference))(built) == 0
 
 
 def test_a_body_is_built_from_traced_numbers_in_every_place():
-    """Lists that hold traced numbers, a traced rotation matrix, masses and moments under jit: as when not traced."""
+    """Lists that hold traced numbers, a traced rotation matrix, masses and moments under jit: as
+    when not traced."""
 
     def build(x):
         turned = jnp.array([[jnp.cos(x), -jnp.sin(x), 0], [jnp.sin(x), jnp.cos(x), 0], [0, 0, 1]])
-        return jb.Body(mass=x, inertia=[x, 1, 1, 0, 0, x / 10], com=[0, x, 0], position=[x, 1, 2], orientation=turned)
+        return jb.Body(
+            mass=x,
+            inertia=[x, 1, 1, 0, 0, x / 10],
+            com=[0, x, 0],
+            position=[x, 1, 2],
+            orientation=turned,
+        )
 
     traced, seen = jax.jit(build)(0.5), build(0.5)
     for a, b in zip(jax.tree.leaves(traced), jax.tree.leaves(seen), strict=True):
@@ -417,8 +799,12 @@ def test_a_body_is_built_from_traced_numbers_in_every_place():
 
 
 def test_angles_in_degrees_are_warned_of():
-    """Angles of more than one turn; for a wound spring of one and a half turns the user ignores the warning."""
-    with pytest.warns(jb.JaxbodyWarning, match=r"Torsion.free_angle is 30 rad, more than a turn.*np.deg2rad\(30\) \[UNIT\]"):
+    """Angles of more than one turn; for a wound spring of one and a half turns the user ignores
+    the warning."""
+    with pytest.warns(
+        jb.JaxbodyWarning,
+        match=r"Torsion.free_angle is 30 rad, more than a turn.*np.deg2rad\(30\) \[UNIT\]",
+    ):
         jb.Torsion("engine", "base", axis=[0, 0, 1], spring=30.0, free_angle=30.0)
     with pytest.warns(jb.JaxbodyWarning, match=r"Harmonic.rotation is 30 rad.*\[UNIT\]"):
         jb.Harmonic(frequency=1.0, rotation=[0, 0, 30])
@@ -429,12 +815,15 @@ def test_angles_in_degrees_are_warned_of():
 
 
 def test_products_with_the_other_sign_are_named_where_they_would_be_valid():
-    """Of masses at points: I_xy = -sum m x y. With the other sign the moments are no longer those of any body."""
+    """Of masses at points: I_xy = -sum m x y. With the other sign the moments are no longer those
+    of any body."""
     masses = np.ones(4)
     points = np.array([[1.0, 1, 1], [-1, -1, -1], [1.1, 0.9, 1], [-1.1, -0.9, -1]])
     right = inertia(masses, points)
     body(inertia=right)
-    with pytest.raises(jb.JaxbodyError, match=r"With the other signs it is valid: .* Ixy = -sum m x y"):
+    with pytest.raises(
+        jb.JaxbodyError, match=r"With the other signs it is valid: .* Ixy = -sum m x y"
+    ):
         body(inertia=2 * np.diag(np.diag(right)) - right)
     with pytest.raises(jb.JaxbodyError) as refused:
         body(inertia=[1, 1, 9])
@@ -445,9 +834,17 @@ def test_a_model_whose_matrices_exceed_the_memory_is_refused():
     """Ten matrices of 12 000 x 12 000 numbers of 8 bytes are 11.5 GB."""
     many = jb.Model(bodies={f"b{i}": BODY for i in range(2000)})
     state = jb.State(np.zeros(14000), np.zeros(12000))
-    for compute in (lambda: jb.linearize(many, state), lambda: jb.equilibrium(many), lambda: jb.find_equilibria(many)):
+    for compute in (
+        lambda: jb.linearize(many, state),
+        lambda: jb.equilibrium(many),
+        lambda: jb.find_equilibria(many),
+    ):
         with pytest.raises(
-            jb.JaxbodyError, match=r"12000 coordinates and 0 elements, whose matrices need about 11\.5 GB \(allowed: 8 GB\)"
+            jb.JaxbodyError,
+            match=(
+                r"12000 coordinates and 0 elements, whose matrices need about 11\.5 "
+                r"GB \(allowed: 8 GB\)"
+            ),
         ) as refused:
             compute()
         assert refused.value.code == "TOO_LARGE"
@@ -467,7 +864,10 @@ def test_responses_at_too_many_frequencies_are_refused(monkeypatch):
         lambda: jb.random_response(lin, frequencies, inputs, outputs, spectra),
     ):
         with pytest.raises(
-            jb.JaxbodyError, match=r"whose matrices at 1000000 frequencies need about 0\.16 GB.*Give fewer frequencies"
+            jb.JaxbodyError,
+            match=(
+                r"whose matrices at 1000000 frequencies need about 0\.16 GB.*Give fewer frequencies"
+            ),
         ) as refused:
             compute()
         assert refused.value.code == "TOO_LARGE"
@@ -494,5 +894,7 @@ def test_a_batch_of_models_is_refused_with_the_way(name):
 
 def test_a_row_of_a_tree_without_rows_is_named():
     norms = jax.tree.map(jnp.linalg.norm, CAR)
-    with pytest.raises(jb.JaxbodyError, match=r"model\['tyre'\]: has leaves without rows .*jb.paths\(model\)"):
+    with pytest.raises(
+        jb.JaxbodyError, match=r"model\['tyre'\]: has leaves without rows .*jb.paths\(model\)"
+    ):
         norms["tyre"]

@@ -1,4 +1,5 @@
-"""A layout asks only the blocks of its coordinates: a row of joints, and of an owner that is no joint and has states of its own."""
+"""A layout asks only the blocks of its coordinates: a row of joints, and of an owner that is no
+joint and has states of its own."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,15 +9,30 @@ from jaxbody.models.joints import Free
 from jaxbody.models.layouts import CoordinateBlock, Layout
 from jaxbody.models.states import State
 
-JOINTS = {"top": Ball("base"), "arm": Hinge("top", axis=[0, 0, 1]), "box": Free(), "sled": Guide("arm", axis=[1, 0, 0])}
-MOUNT = CoordinateBlock("mount", object, ("flow of the fluid",), ("m",), ("m/s",), states=("branch 1", "branch 2"))
+JOINTS = {
+    "top": Ball("base"),
+    "arm": Hinge("top", axis=[0, 0, 1]),
+    "box": Free(),
+    "sled": Guide("arm", axis=[1, 0, 0]),
+}
+MOUNT = CoordinateBlock(
+    "mount", object, ("flow of the fluid",), ("m",), ("m/s",), states=("branch 1", "branch 2")
+)
 LAYOUT = Layout(
-    tuple(JOINTS), ("base",), tuple(joint.parent for joint in JOINTS.values()), (*(j.block(name) for name, j in JOINTS.items()), MOUNT)
+    tuple(JOINTS),
+    ("base",),
+    tuple(joint.parent for joint in JOINTS.values()),
+    (*(j.block(name) for name, j in JOINTS.items()), MOUNT),
 )
 
 
 def test_sizes_slices_labels_and_units():
-    assert (LAYOUT.nq, LAYOUT.nv, LAYOUT.nz, LAYOUT.nxi) == (4 + 1 + 7 + 1 + 1, 3 + 1 + 6 + 1 + 1, 2, 6)
+    assert (LAYOUT.nq, LAYOUT.nv, LAYOUT.nz, LAYOUT.nxi) == (
+        4 + 1 + 7 + 1 + 1,
+        3 + 1 + 6 + 1 + 1,
+        2,
+        6,
+    )
     assert LAYOUT.q_slices["box"] == slice(5, 12) and LAYOUT.v_slices["mount"] == slice(11, 12)
     assert LAYOUT.q_units == ("",) * 4 + ("rad",) + ("m",) * 3 + ("",) * 4 + ("m", "m")
     assert LAYOUT.v_units == ("rad/s",) * 4 + ("m/s",) * 3 + ("rad/s",) * 3 + ("m/s", "m/s")
@@ -51,4 +67,8 @@ def test_frames_that_others_carry():
         name: [other for other, one in zip(LAYOUT.frames, row, strict=True) if one]
         for name, row in zip(LAYOUT.frames, LAYOUT.carries, strict=True)
     }
-    assert carried["base"] == ["base", "top", "arm", "sled"] and carried["arm"] == ["arm", "sled"] and carried["world"] == ["world", "box"]
+    assert (
+        carried["base"] == ["base", "top", "arm", "sled"]
+        and carried["arm"] == ["arm", "sled"]
+        and carried["world"] == ["world", "box"]
+    )

@@ -1,4 +1,5 @@
-"""Numbers that constructors and `replace` refuse where they are known: traced, they end in a status and NaN, with NaN as derivative."""
+"""Numbers that constructors and `replace` refuse where they are known: traced, they end in a status
+and NaN, with NaN as derivative."""
 
 import jax
 import jax.numpy as jnp
@@ -9,27 +10,53 @@ import jaxbody as jb
 
 SIX = np.diag([3.0, 3, 3, 1, 1, 1]) * 100
 GOOD = {
-    "mass": 2.0, "moments": [1.0, 2, 2.5], "com": [0.0, 0, 0], "turn": np.eye(3), "axis": [0.0, 0, 1], "matrix": SIX,
-    "coefficients": [30.0, 30, 30], "stiffness": 50.0, "damping": 1.0, "free_length": 0.2, "point": [0.0, 0, 0.3], "table": [-1.0, 0, 1, 2],
-    "forces": [-9.0, 0, 9, 20], "linear": 40.0,
-}  # fmt: skip
+    "mass": 2.0,
+    "moments": [1.0, 2, 2.5],
+    "com": [0.0, 0, 0],
+    "turn": np.eye(3),
+    "axis": [0.0, 0, 1],
+    "matrix": SIX,
+    "coefficients": [30.0, 30, 30],
+    "stiffness": 50.0,
+    "damping": 1.0,
+    "free_length": 0.2,
+    "point": [0.0, 0, 0.3],
+    "table": [-1.0, 0, 1, 2],
+    "forces": [-9.0, 0, 9, 20],
+    "linear": 40.0,
+}
 BAD = {  # numbers of the list of bad inputs
-    "4 mass": {"mass": -2.0}, "4 no mass": {"mass": 0.0}, "5 NaN": {"com": [0, np.nan, 0]}, "5 infinite": {"stiffness": np.inf},
-    "9 inertia": {"moments": [1.0, 2, -2.5]}, "10 triangle": {"moments": [1.0, 2, 3.5]}, "15 scaled": {"turn": 1.1 * np.eye(3)},
-    "15 mirrored": {"turn": np.diag([1.0, 1, -1])}, "22 stiffness": {"stiffness": -50.0}, "22 bushing": {"coefficients": [30.0, -30, 30]},
-    "22 law": {"linear": -40.0}, "23 damping": {"damping": -1.0}, "24 asymmetric": {"matrix": SIX + np.eye(6, k=1)},
-    "24 indefinite": {"matrix": SIX - 400 * np.eye(6)}, "28 table": {"table": [-1.0, 0, 0, 2]}, "28 falls": {"forces": [-9.0, 0, -1, 20]},
-    "free length": {"free_length": -0.2}, "axis": {"axis": [0.0, 0, 0]},
-}  # fmt: skip
+    "4 mass": {"mass": -2.0},
+    "4 no mass": {"mass": 0.0},
+    "5 NaN": {"com": [0, np.nan, 0]},
+    "5 infinite": {"stiffness": np.inf},
+    "9 inertia": {"moments": [1.0, 2, -2.5]},
+    "10 triangle": {"moments": [1.0, 2, 3.5]},
+    "15 scaled": {"turn": 1.1 * np.eye(3)},
+    "15 mirrored": {"turn": np.diag([1.0, 1, -1])},
+    "22 stiffness": {"stiffness": -50.0},
+    "22 bushing": {"coefficients": [30.0, -30, 30]},
+    "22 law": {"linear": -40.0},
+    "23 damping": {"damping": -1.0},
+    "24 asymmetric": {"matrix": SIX + np.eye(6, k=1)},
+    "24 indefinite": {"matrix": SIX - 400 * np.eye(6)},
+    "28 table": {"table": [-1.0, 0, 0, 2]},
+    "28 falls": {"forces": [-9.0, 0, -1, 20]},
+    "free length": {"free_length": -0.2},
+    "axis": {"axis": [0.0, 0, 0]},
+}
 
 
 def with_numbers(numbers):
-    """A body on a bushing of each kind and springs, and another on a slide, each number given in the constructor."""
+    """A body on a bushing of each kind and springs, and another on a slide, each number given in
+    the constructor."""
     n = {name: jnp.asarray(value, float) for name, value in numbers.items()}
     ends = ("block", [0, 0, 0]), ("base", [0, 0, 0])
     return jb.Model(
         bodies={
-            "block": jb.Body(mass=n["mass"], inertia=n["moments"], com=n["com"], orientation=n["turn"]),
+            "block": jb.Body(
+                mass=n["mass"], inertia=n["moments"], com=n["com"], orientation=n["turn"]
+            ),
             "slider": jb.Body(mass=1.0, position=[1, 0, 0]),
         },
         supports={"base": jb.Support()},
@@ -37,12 +64,23 @@ def with_numbers(numbers):
         elements={
             "six": jb.Bushing(*ends, stiffness=n["matrix"]),
             "three": jb.Bushing(*ends, stiffness=n["coefficients"], damping=[1.0, 1, 1]),
-            "spring": jb.Spring(("block", n["point"]), ("base", [0, 0, 0.7]), stiffness=n["stiffness"], damping=n["damping"],
-                                free_length=n["free_length"]),
-            "table": jb.SpringDamper(("slider", [0, 0, 0]), ("base", [1, 0, 1]), spring=jb.laws.Table(n["table"], n["forces"])),
-            "linear": jb.SpringDamper(("slider", [0, 0, 0]), ("base", [1, 0, -1]), spring=n["linear"]),
+            "spring": jb.Spring(
+                ("block", n["point"]),
+                ("base", [0, 0, 0.7]),
+                stiffness=n["stiffness"],
+                damping=n["damping"],
+                free_length=n["free_length"],
+            ),
+            "table": jb.SpringDamper(
+                ("slider", [0, 0, 0]),
+                ("base", [1, 0, 1]),
+                spring=jb.laws.Table(n["table"], n["forces"]),
+            ),
+            "linear": jb.SpringDamper(
+                ("slider", [0, 0, 0]), ("base", [1, 0, -1]), spring=n["linear"]
+            ),
         },
-    )  # fmt: skip
+    )
 
 
 def outcome(numbers):
@@ -92,10 +130,17 @@ def test_what_a_constructor_refuses_is_refused_when_it_is_known():
 
 
 PATHS = {
-    "block.mass": -2.0, "block.inertia": np.diag([1.0, 2, 3.5]), "spring.stiffness": -50.0, "spring.damping": -1.0,
-    "spring.free_length": -0.2, "six.stiffness": SIX - 400 * np.eye(6), "three.stiffness": np.array([30.0, -30, 30]),
-    "table.spring.x": np.array([-1.0, 0, 0, 2]), "linear.spring.coefficient": -40.0, "slider.axis": np.zeros(3),
-}  # fmt: skip
+    "block.mass": -2.0,
+    "block.inertia": np.diag([1.0, 2, 3.5]),
+    "spring.stiffness": -50.0,
+    "spring.damping": -1.0,
+    "spring.free_length": -0.2,
+    "six.stiffness": SIX - 400 * np.eye(6),
+    "three.stiffness": np.array([30.0, -30, 30]),
+    "table.spring.x": np.array([-1.0, 0, 0, 2]),
+    "linear.spring.coefficient": -40.0,
+    "slider.axis": np.zeros(3),
+}
 
 
 @pytest.mark.nan
@@ -105,7 +150,12 @@ def test_replace_under_jit_has_nan_where_it_refuses_known_numbers():
         with pytest.raises(jb.JaxbodyError):
             jb.replace(model, {path: value})
     known = jb.paths(model)
-    put = jax.jit(lambda values: {path: jb.paths(jb.replace(model, {path: value}), path)[path] for path, value in values.items()})
+    put = jax.jit(
+        lambda values: {
+            path: jb.paths(jb.replace(model, {path: value}), path)[path]
+            for path, value in values.items()
+        }
+    )
     for path, value in put({path: jnp.asarray(value) for path, value in PATHS.items()}).items():
         assert np.isnan(value).any(), path
     for path, value in put({path: jnp.asarray(known[path]) for path in PATHS}).items():

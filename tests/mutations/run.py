@@ -2,9 +2,11 @@
 
     python tests/mutations/run.py [names of bugs or tables ...] [--jobs 2] [--check] [--write]
 
-Each bug is in a table of `tests/mutations/bugs`: the file, its old text, which occurs once, the new text, what is wrong, and the tests that
-fail with it, which are those of CI. Without names all are run. `--check` only looks whether each old text occurs once and each new file is
-Python; `--write` writes into `results.md` what came of these. The checkout is only read: the tests import a copy of the package.
+Each bug is in a table of `tests/mutations/bugs`: the file, its old text, which occurs once, the new
+text, what is wrong, and the tests that fail with it, which are those of CI. Without names all are
+run. `--check` only looks whether each old text occurs once and each new file is Python; `--write`
+writes into `results.md` what came of these. The checkout is only read: the tests import a copy of
+the package.
 """
 
 from __future__ import annotations
@@ -53,7 +55,8 @@ class Bug:
     tests: tuple[str, ...]
 
     def planted(self) -> str:
-        """The text of the file with the bug. Error: ValueError where the old text does not occur once."""
+        """The text of the file with the bug. Error: ValueError where the old text does not
+        occur once."""
         text = (PACKAGE / self.file).read_text()
         if (times := text.count(self.old)) != 1:
             raise ValueError(f"{self.name}: the old text occurs {times} times in {self.file}")
@@ -85,11 +88,14 @@ def check(chosen: list[Bug]) -> list[str]:
             if not file.exists() or (name and f"def {name}(" not in file.read_text()):
                 problems.append(f"{bug.name}: there is no tests/{test}")
     names = [bug.name for bug in chosen]
-    return problems + [f"{name}: named twice" for name in sorted({name for name in names if names.count(name) > 1})]
+    return problems + [
+        f"{name}: named twice" for name in sorted({name for name in names if names.count(name) > 1})
+    ]
 
 
 def run(bug: Bug, programs: str) -> tuple[str, str, float]:
-    """What became of it ("killed", "SURVIVED" or why nothing is known), the test that failed, and the seconds that took."""
+    """What became of it ("killed", "SURVIVED" or why nothing is known), the test that failed, and
+    the seconds that took."""
     begin = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="jaxbody-bug-") as folder:
         copy, report = Path(folder) / "jaxbody", Path(folder) / "report.xml"
@@ -98,12 +104,40 @@ def run(bug: Bug, programs: str) -> tuple[str, str, float]:
         for compiled in (copy / bug.file).parent.glob(f"__pycache__/{Path(bug.file).stem}.*"):
             compiled.unlink()  # it may have the size and the second of the new file
         names = [str(ROOT / "tests" / test) for test in bug.tests]
-        options = ["-n", "0", "-x", "-p", "no:cacheprovider", "--tb=no", f"--junitxml={report}", f"--rootdir={ROOT}"]
-        variables = {"PYTHONPATH": folder, "JAX_COMPILATION_CACHE_DIR": programs, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+        options = [
+            "-n",
+            "0",
+            "-x",
+            "-p",
+            "no:cacheprovider",
+            "--tb=no",
+            f"--junitxml={report}",
+            f"--rootdir={ROOT}",
+        ]
+        variables = {
+            "PYTHONPATH": folder,
+            "JAX_COMPILATION_CACHE_DIR": programs,
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        }
         variables |= {"JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1", "PYTEST_ADDOPTS": ""}
-        command = [sys.executable, "-c", IMPORTED, folder, f"--config-file={ROOT / 'pyproject.toml'}", *options, *names]
+        command = [
+            sys.executable,
+            "-c",
+            IMPORTED,
+            folder,
+            f"--config-file={ROOT / 'pyproject.toml'}",
+            *options,
+            *names,
+        ]
         try:
-            done = subprocess.run(command, cwd=folder, env=os.environ | variables, capture_output=True, text=True, timeout=LONGEST)
+            done = subprocess.run(
+                command,
+                cwd=folder,
+                env=os.environ | variables,
+                capture_output=True,
+                text=True,
+                timeout=LONGEST,
+            )
         except subprocess.TimeoutExpired:
             return "NO END", "", time.monotonic() - begin
         failed = [
@@ -122,7 +156,9 @@ def run(bug: Bug, programs: str) -> tuple[str, str, float]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", help="of bugs or of their tables")
     parser.add_argument("--jobs", type=int, default=1, help="bugs at a time")
     parser.add_argument("--check", action="store_true", help="only check the tables")
@@ -136,11 +172,19 @@ def main() -> int:
         print(*problems, f"{len(chosen)} bugs, {len(problems)} problems", sep="\n")
         return int(bool(problems))
     rows, counts = {}, {"killed": 0}
-    with tempfile.TemporaryDirectory(prefix="jaxbody-programs-") as programs, ThreadPoolExecutor(asked.jobs) as pool:
-        for bug, (outcome, test, seconds) in zip(chosen, pool.map(lambda bug: run(bug, programs), chosen), strict=True):
+    with (
+        tempfile.TemporaryDirectory(prefix="jaxbody-programs-") as programs,
+        ThreadPoolExecutor(asked.jobs) as pool,
+    ):
+        for bug, (outcome, test, seconds) in zip(
+            chosen, pool.map(lambda bug: run(bug, programs), chosen), strict=True
+        ):
             counts[outcome] = counts.get(outcome, 0) + 1
             rows[bug.name] = test if outcome == "killed" else outcome
-            print(f"{bug.group:10} {bug.name:40} {outcome:8} {seconds:5.0f} s  {test or bug.wrong}", flush=True)
+            print(
+                f"{bug.group:10} {bug.name:40} {outcome:8} {seconds:5.0f} s  {test or bug.wrong}",
+                flush=True,
+            )
     print(f"{len(rows)} bugs: " + ", ".join(f"{n} {outcome}" for outcome, n in counts.items()))
     if asked.write:
         RESULTS.write_text(page(written() | rows))
@@ -149,7 +193,9 @@ def main() -> int:
 
 def written() -> dict[str, str]:
     """{bug: the test that killed it} of the page as it is."""
-    cells = [line.split(" | ") for line in RESULTS.read_text().splitlines()] if RESULTS.exists() else []
+    cells = (
+        [line.split(" | ") for line in RESULTS.read_text().splitlines()] if RESULTS.exists() else []
+    )
     return {row[0].removeprefix("| "): row[-1].removesuffix(" |") for row in cells if len(row) == 4}
 
 
@@ -157,18 +203,30 @@ def page(found: dict[str, str]) -> str:
     """The results of all bugs of the tables that were run."""
     known = [bug for bug in bugs() if bug.name in found]
     killed = sum("::" in found[bug.name] for bug in known)
-    versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("jax", "diffrax", "equinox", "numpy", "scipy"))
+    versions = ", ".join(
+        f"{name} {metadata.version(name)}"
+        for name in ("jax", "diffrax", "equinox", "numpy", "scipy")
+    )
     lines = [
         "# Planted bugs",
         "",
-        f"By `tests/mutations/run.py --write`, {datetime.date.today()}, Python {platform.python_version()}, {versions}:",
-        f"{len(known)} bugs, {killed} killed. Each is planted alone in a copy of the package; the test is the first that fails of",
+        (
+            f"By `tests/mutations/run.py --write`, {datetime.date.today()}, Python "
+            f"{platform.python_version()}, {versions}:"
+        ),
+        (
+            f"{len(known)} bugs, {killed} killed. Each is planted alone in a copy of the package; "
+            "the test is the first that fails of"
+        ),
         "those that its table names, which CI runs with every commit.",
         "",
         "| bug | in | what is wrong | killed by |",
         "|---|---|---|---|",
     ]
-    lines += [f"| {bug.name} | {bug.file} | {bug.wrong.replace('|', '&#124;')} | {found[bug.name]} |" for bug in known]
+    lines += [
+        f"| {bug.name} | {bug.file} | {bug.wrong.replace('|', '&#124;')} | {found[bug.name]} |"
+        for bug in known
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -1,4 +1,5 @@
-"""Other devices than the CPU: programs are lowered for them, and what JAX lacks on one is said with the line to set. None was run there."""
+"""Other devices than the CPU: programs are lowered for them, and what JAX lacks on one is said with
+the line to set. None was run there."""
 
 import jax
 import numpy as np
@@ -11,7 +12,9 @@ def model():
     body = jb.Body(mass=2.0, inertia=[0.1, 0.2, 0.3])
     mounts = [([0.2, 0.1, 0], 1e3), ([-0.2, 0.1, 0], 2e3), ([0, -0.3, 0], 3e3)]
     bushings = {
-        f"mount {i}": jb.Bushing(("body", point), ("world", point), stiffness=[k, k, 2 * k], damping=[3.0, 3.0, 5.0])
+        f"mount {i}": jb.Bushing(
+            ("body", point), ("world", point), stiffness=[k, k, 2 * k], damping=[3.0, 3.0, 5.0]
+        )
         for i, (point, k) in enumerate(mounts)
     }
     return jb.Model(bodies={"body": body}, elements=bushings, gravity=[0, 0, -9.81])

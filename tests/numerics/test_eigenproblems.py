@@ -1,4 +1,5 @@
-"""Natural modes against SciPy, poles against the roots of a polynomial, and the derivatives of both."""
+"""Natural modes against SciPy, poles against the roots of a polynomial, and the derivatives
+of both."""
 
 import jax
 import jax.numpy as jnp
@@ -16,20 +17,27 @@ def matrices(rng):
     return A @ A.T + np.diag([1.0, 30, 5, 60, 12]), B @ B.T + np.eye(5), dK + dK.T, dM + dM.T
 
 
-def test_they_are_scipys_ascending_with_unit_modal_mass_and_the_largest_component_positive(matrices):
+def test_they_are_scipys_ascending_with_unit_modal_mass_and_the_largest_component_positive(
+    matrices,
+):
     K, M, *_ = matrices
     values, shapes = jax.jit(natural)(K, M)
     expected, vectors = scipy.linalg.eigh(K, M)
     np.testing.assert_allclose(values, expected, rtol=1e-12)
     largest = np.abs(vectors).argmax(0)
-    np.testing.assert_allclose(shapes, vectors * np.sign(vectors[largest, range(5)]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        shapes, vectors * np.sign(vectors[largest, range(5)]), rtol=0, atol=1e-12
+    )
 
 
 def test_their_derivatives_are_those_of_differences(matrices):
-    """By stiffness and by mass, of values and of shapes; differences of SciPy's with an error of the order of h^2."""
+    """By stiffness and by mass, of values and of shapes; differences of SciPy's with an error of
+    the order of h^2."""
     K, M, dK, dM = matrices
     h = 1e-5
-    derivatives = jax.jit(lambda K, M: jax.jvp(natural, (K, M), (jnp.asarray(dK), jnp.asarray(dM)))[1])(K, M)
+    derivatives = jax.jit(
+        lambda K, M: jax.jvp(natural, (K, M), (jnp.asarray(dK), jnp.asarray(dM)))[1]
+    )(K, M)
     ends = []
     for sign in (1, -1):
         values, vectors = scipy.linalg.eigh(K + sign * h * dK, M + sign * h * dM)
@@ -39,7 +47,8 @@ def test_their_derivatives_are_those_of_differences(matrices):
 
 
 def test_derivatives_of_poles_are_those_of_the_characteristic_polynomial():
-    """s^2 + c s + k = 0, ds/dk = -1/(2 s + c), ds/dc = -s/(2 s + c), for a pair and for two real poles."""
+    """s^2 + c s + k = 0, ds/dk = -1/(2 s + c), ds/dc = -s/(2 s + c), for a pair and for two
+    real poles."""
 
     def of(p):
         return poles(jnp.array([[0.0, 1.0], [-p[0], -p[1]]]))[0]
@@ -48,4 +57,8 @@ def test_derivatives_of_poles_are_those_of_the_characteristic_polynomial():
         p = jnp.array([k, c])
         s = np.asarray(of(p))
         np.testing.assert_allclose(s**2 + c * s + k, 0.0, atol=1e-12)
-        np.testing.assert_allclose(jax.jit(jax.jacfwd(of))(p), np.stack([-1 / (2 * s + c), -s / (2 * s + c)], 1), rtol=1e-12)
+        np.testing.assert_allclose(
+            jax.jit(jax.jacfwd(of))(p),
+            np.stack([-1 / (2 * s + c), -s / (2 * s + c)], 1),
+            rtol=1e-12,
+        )

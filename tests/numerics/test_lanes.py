@@ -1,4 +1,5 @@
-"""Rewriting for lanes against jax.vmap: every kind of operation, loops, batches of batches, derivatives."""
+"""Rewriting for lanes against jax.vmap: every kind of operation, loops, batches of
+batches, derivatives."""
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,9 @@ pytestmark = pytest.mark.everywhere
 
 def batches(test):
     """Both ways, which are both quick here."""
-    return pytest.mark.usefixtures("batches")(pytest.mark.parametrize("batches", ["in lanes", "by vmap"], indirect=True)(test))
+    return pytest.mark.usefixtures("batches")(
+        pytest.mark.parametrize("batches", ["in lanes", "by vmap"], indirect=True)(test)
+    )
 
 
 def vectors(x, a):
@@ -24,12 +27,21 @@ def vectors(x, a):
     M = jnp.stack([x, x[::-1], jnp.cross(x, a)])
     rows = M[jnp.array([2, 0, 0])]
     padded = jnp.pad(M @ a, (1, 2)).reshape(2, 3).T
-    return jnp.where(x[0] > 0, rows.sum(1), jnp.clip(x, -0.5, 0.5)), padded, M.argmax(0), jnp.cumsum(x), jnp.max(rows, (0, 1))
+    return (
+        jnp.where(x[0] > 0, rows.sum(1), jnp.clip(x, -0.5, 0.5)),
+        padded,
+        M.argmax(0),
+        jnp.cumsum(x),
+        jnp.max(rows, (0, 1)),
+    )
 
 
 def loops(x, a):
-    """A while loop that ends when each has ended, one that does not know of lanes, a scan, a branch, a linear system."""
-    grown, n = jax.lax.while_loop(lambda c: jnp.sum(c[0]) < 10.0, lambda c: (c[0] + jnp.abs(x) + 0.1, c[1] + 1), (x, 0))
+    """A while loop that ends when each has ended, one that does not know of lanes, a scan, a
+    branch, a linear system."""
+    grown, n = jax.lax.while_loop(
+        lambda c: jnp.sum(c[0]) < 10.0, lambda c: (c[0] + jnp.abs(x) + 0.1, c[1] + 1), (x, 0)
+    )
     fixed = jax.lax.fori_loop(0, 3, lambda i, y: y.at[i].set(y[i] * x[i] + i), a)
     end, ys = jax.lax.scan(lambda c, r: (c * 0.9 + r, jnp.sin(c)), x, jnp.outer(a, x))
     branch = jax.lax.cond(x[0] > 0, jnp.sin, jnp.cos, x)
@@ -56,28 +68,44 @@ def sums_of_what_is_kept(x, a):
 
 
 def while_carrying_lanes_alone(x, a):
-    """As `until_all_have`, all that is carried different in each lane: such a loop is not left to jax.vmap."""
+    """As `until_all_have`, all that is carried different in each lane: such a loop is not left
+    to jax.vmap."""
     go = lambda c: jnp.where(c[0] < 4.0, c + 1.0, c)  # noqa: E731
     return jax.lax.while_loop(lambda c: any_of_batch(c[0] < 4.0), go, x)
 
 
 def tables(x, a):
-    """Operations that JAX replaces by others before it compiles: from version 0.12 on, searchsorted, alone and in a loop."""
+    """Operations that JAX replaces by others before it compiles: from version 0.12 on,
+    searchsorted, alone and in a loop."""
     between = jnp.interp(x, jnp.sort(a), jnp.array([1.0, -2.0, 0.5]))
-    return jax.lax.fori_loop(0, 2, lambda i, y: y + jnp.searchsorted(jnp.cumsum(jnp.abs(x)), y), between)
+    return jax.lax.fori_loop(
+        0, 2, lambda i, y: y + jnp.searchsorted(jnp.cumsum(jnp.abs(x)), y), between
+    )
 
 
 @pytest.mark.long
 @batches
-@pytest.mark.parametrize("function", [vectors, loops, until_all_have, sums_of_what_is_kept, while_carrying_lanes_alone, tables])
+@pytest.mark.parametrize(
+    "function",
+    [vectors, loops, until_all_have, sums_of_what_is_kept, while_carrying_lanes_alone, tables],
+)
 def test_lanes_are_vmap(function):
     x = jax.random.normal(jax.random.key(0), (LANES + 5, 3))
     a = jnp.array([0.3, -1.0, 2.0])
     for batch in (x, x[:4]):  # several chunks, less than one
-        ours, theirs = (jax.jit(jax.vmap(f, in_axes=(0, None)))(batch, a) for f in (in_lanes(function), function))
-        jax.tree.map(lambda p, q: np.testing.assert_allclose(p, q, rtol=1e-13, atol=1e-13), ours, theirs)
+        ours, theirs = (
+            jax.jit(jax.vmap(f, in_axes=(0, None)))(batch, a)
+            for f in (in_lanes(function), function)
+        )
+        jax.tree.map(
+            lambda p, q: np.testing.assert_allclose(p, q, rtol=1e-13, atol=1e-13), ours, theirs
+        )
     alone = jax.jit(in_lanes(function))(x[0], a)
-    jax.tree.map(lambda p, q: np.testing.assert_allclose(p, q, rtol=1e-14, atol=1e-14), alone, jax.jit(function)(x[0], a))
+    jax.tree.map(
+        lambda p, q: np.testing.assert_allclose(p, q, rtol=1e-14, atol=1e-14),
+        alone,
+        jax.jit(function)(x[0], a),
+    )
 
 
 @pytest.mark.long
@@ -87,16 +115,25 @@ def test_derivatives_forward_and_batches_of_batches():
     a = jnp.array([0.3, -1.0, 2.0])
 
     def energy(function):
-        return lambda x: sum(jnp.sum(y**2) for y in jax.tree.leaves(function(x, a)) if jnp.issubdtype(y.dtype, jnp.inexact))
+        return lambda x: sum(
+            jnp.sum(y**2)
+            for y in jax.tree.leaves(function(x, a))
+            if jnp.issubdtype(y.dtype, jnp.inexact)
+        )
 
     for function in (vectors, loops, sums_of_what_is_kept, tables):
-        ours, theirs = (jax.jit(jax.vmap(jax.vmap(jax.jacfwd(energy(f)))))(x) for f in (in_lanes(function), function))
+        ours, theirs = (
+            jax.jit(jax.vmap(jax.vmap(jax.jacfwd(energy(f)))))(x)
+            for f in (in_lanes(function), function)
+        )
         np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
 
 @batches
 def test_results_that_do_not_depend_on_the_lane_are_given_to_all():
-    ours = jax.vmap(in_lanes(lambda x, a: (x + 1, a * 2)), in_axes=(0, None))(jnp.arange(3.0), jnp.ones(2))
+    ours = jax.vmap(in_lanes(lambda x, a: (x + 1, a * 2)), in_axes=(0, None))(
+        jnp.arange(3.0), jnp.ones(2)
+    )
     assert ours[0].shape == (3,) and ours[1].shape == (3, 2)
     last = vmap_last(lambda t: (jnp.sin(t), jnp.ones(2)))(jnp.arange(4.0))
     assert last[0].shape == (4,) and last[1].shape == (2, 4)
@@ -111,13 +148,18 @@ def test_derivatives_in_reverse_of_sums_and_of_what_is_kept():
         over = jax.vmap(function, in_axes=(0, None))
         return lambda x: sum(jnp.sum(y**2) for y in over(x, a))
 
-    ours, theirs = (jax.jit(jax.grad(energy(f)))(x) for f in (in_lanes(sums_of_what_is_kept), sums_of_what_is_kept))
+    ours, theirs = (
+        jax.jit(jax.grad(energy(f)))(x)
+        for f in (in_lanes(sums_of_what_is_kept), sums_of_what_is_kept)
+    )
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
 
 def test_a_loop_of_all_lanes_keeps_them_last():
     x = jnp.zeros((5, 3))
-    text = str(jax.make_jaxpr(jax.vmap(in_lanes(while_carrying_lanes_alone), in_axes=(0, None)))(x, x[0]))
+    text = str(
+        jax.make_jaxpr(jax.vmap(in_lanes(while_carrying_lanes_alone), in_axes=(0, None)))(x, x[0])
+    )
     assert "while" in text and "f64[3,5]" in text.split("while", 1)[1]
 
 
@@ -133,7 +175,11 @@ def test_jitted_functions_are_kept_and_what_is_not_needed_is_left_out():
     batch = jax.vmap(in_lanes(lambda x, a: chain(x, a)[0]))
     traced = jax.make_jaxpr(batch)(np.ones((5, 3)), np.ones((5, 3))).jaxpr
     names = [eqn.primitive.name for eqn in traced.eqns]
-    assert sum(name in ("jit", "pjit") for name in names) == 3 and "mul" not in names and "exp" not in names
+    assert (
+        sum(name in ("jit", "pjit") for name in names) == 3
+        and "mul" not in names
+        and "exp" not in names
+    )
     x, a = np.random.default_rng(0).normal(size=(2, 5, 3))
     expected = 8 * np.cross(np.cross(np.cross(x, a), a), a)
     np.testing.assert_allclose(batch(x, a), expected, rtol=1e-14, atol=1e-14)
@@ -147,7 +193,9 @@ def test_a_yes_or_no_takes_no_part_in_derivatives():
 
     x = jnp.array([[1.0, 2.0, 3.0], [-1.0, -2.0, -3.0]])
     for function in (of_positive, jax.jit(of_positive)):
-        np.testing.assert_allclose(jax.vmap(jax.grad(function))(x), [2 * x[0], 0 * x[0]], rtol=1e-15)
+        np.testing.assert_allclose(
+            jax.vmap(jax.grad(function))(x), [2 * x[0], 0 * x[0]], rtol=1e-15
+        )
         np.testing.assert_allclose(jax.grad(function)(x[0]), 2 * x[0], rtol=1e-15)
 
 
@@ -167,10 +215,15 @@ def test_what_lanes_cannot_take_is_done_by_vmap_and_shown(why, monkeypatch):
     if why == "switched off":
         lanes.SWITCHED_OFF.reset(token)
     theirs = jax.vmap(loops, in_axes=(0, None))(x, a)
-    jax.tree.map(lambda p, q: np.testing.assert_allclose(p, q, rtol=1e-13, atol=1e-13), ours, theirs)
+    jax.tree.map(
+        lambda p, q: np.testing.assert_allclose(p, q, rtol=1e-13, atol=1e-13), ours, theirs
+    )
     np.testing.assert_allclose(last, np.sin(a), rtol=1e-15)
     (reason,) = times.left_to_vmap.values()
-    assert "test_lanes.loops" in repr(times) and {"a rule fails": "_scan", "switched off": "switched off", "a GPU": "gpu"}[why] in reason
+    assert (
+        "test_lanes.loops" in repr(times)
+        and {"a rule fails": "_scan", "switched off": "switched off", "a GPU": "gpu"}[why] in reason
+    )
 
 
 def test_an_operation_without_a_rule_is_shown():
@@ -185,13 +238,23 @@ def test_batches_of_drivers_stay_in_lanes():
     """Nothing of them is left to jax.vmap by a rule that fails: a new version of JAX shows here."""
 
     def all_of(k):
-        spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 2.0, 0]), stiffness=k, free_length=2.0)
-        model = jb.Model(bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, elements={"spring": spring}, gravity=[0, -9.81, 0])
+        spring = jb.Spring(
+            ("mass", [0, 0, 0]), ("world", [0, 2.0, 0]), stiffness=k, free_length=2.0
+        )
+        model = jb.Model(
+            bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+            elements={"spring": spring},
+            gravity=[0, -9.81, 0],
+        )
         equilibrium = jb.equilibrium(model)
-        return jb.modes(jb.linearize(model, equilibrium)).frequency, jb.simulate(model, jnp.linspace(0, 0.1, 3)).state.q
+        return jb.modes(jb.linearize(model, equilibrium)).frequency, jb.simulate(
+            model, jnp.linspace(0, 0.1, 3)
+        ).state.q
 
     with jb.compile_times() as times:
-        jax.jit(jax.vmap(lambda k: (all_of(k), jax.jacfwd(all_of)(k)))).trace(jnp.array([40.0, 50.0]))
+        jax.jit(jax.vmap(lambda k: (all_of(k), jax.jacfwd(all_of)(k)))).trace(
+            jnp.array([40.0, 50.0])
+        )
     assert times.left_to_vmap == {}, times
 
 
@@ -210,7 +273,8 @@ def _(primals, tangents):
 
 @jax.custom_jvp
 def held(x):
-    """A constant, with the derivative of the identity: what a lane does not know of moves with it."""
+    """A constant, with the derivative of the identity: what a lane does not know of moves
+    with it."""
     return jnp.ones_like(x) * 2.0
 
 
@@ -232,7 +296,8 @@ turned_back.defvjp(lambda x: (x**2, x), lambda x, c: (3 * x**2 * c,))
 @batches
 @pytest.mark.parametrize("reversible", [False, True])
 def test_a_rule_of_ones_own_is_kept_when_a_batch_is_differentiated(reversible):
-    """Forward, reverse, second order, in a loop, and next to an operation that JAX replaces: against the rule by hand."""
+    """Forward, reverse, second order, in a loop, and next to an operation that JAX replaces:
+    against the rule by hand."""
     x, n = jnp.array([0.5, -1.0, 2.0]), jnp.array([1, 2, 3])
     in_lane = lambda f: in_lanes(f, reversible=reversible)  # noqa: E731
 
@@ -245,14 +310,28 @@ def test_a_rule_of_ones_own_is_kept_when_a_batch_is_differentiated(reversible):
         y, dy = change(lambda x: jax.jvp(over, (x,), (jnp.ones(3),)))(x)
         np.testing.assert_allclose(y, x**2 * (n + 1), rtol=1e-15)
         np.testing.assert_allclose(dy, slope, rtol=1e-15)
-        np.testing.assert_allclose(change(jax.grad(lambda x: jnp.sum(over(x))))(x), slope, rtol=1e-15)
-        np.testing.assert_allclose(change(jax.jacfwd(jax.jacrev(lambda x: jnp.sum(over(x)))))(x), np.diag(n * 6 * x * (n + 1)), rtol=1e-14)
-    in_loop = jax.vmap(in_lane(lambda x: jax.lax.fori_loop(0, 2, lambda i, y: powers(y, i + 1)[0], x)))
-    np.testing.assert_allclose(jax.jvp(in_loop, (x,), (jnp.ones(3),))[1], 2 * 3 * x**4 * 3 * x**2, rtol=1e-15)
+        np.testing.assert_allclose(
+            change(jax.grad(lambda x: jnp.sum(over(x))))(x), slope, rtol=1e-15
+        )
+        np.testing.assert_allclose(
+            change(jax.jacfwd(jax.jacrev(lambda x: jnp.sum(over(x)))))(x),
+            np.diag(n * 6 * x * (n + 1)),
+            rtol=1e-14,
+        )
+    in_loop = jax.vmap(
+        in_lane(lambda x: jax.lax.fori_loop(0, 2, lambda i, y: powers(y, i + 1)[0], x))
+    )
+    np.testing.assert_allclose(
+        jax.jvp(in_loop, (x,), (jnp.ones(3),))[1], 2 * 3 * x**4 * 3 * x**2, rtol=1e-15
+    )
     np.testing.assert_allclose(jax.jvp(jax.vmap(in_lane(held)), (x,), (x,))[1], x, rtol=1e-15)
-    with_tables = jax.vmap(in_lane(lambda x: powers(jnp.interp(x, jnp.arange(-3.0, 3.0), jnp.arange(-3.0, 3.0)), 1)[0]))
+    with_tables = jax.vmap(
+        in_lane(lambda x: powers(jnp.interp(x, jnp.arange(-3.0, 3.0), jnp.arange(-3.0, 3.0)), 1)[0])
+    )
     np.testing.assert_allclose(jax.jvp(with_tables, (x,), (jnp.ones(3),))[1], 3 * x**2, rtol=1e-15)
-    np.testing.assert_allclose(jax.grad(lambda x: jnp.sum(jax.vmap(in_lane(turned_back))(x)))(x), 3 * x**2, rtol=1e-15)
+    np.testing.assert_allclose(
+        jax.grad(lambda x: jnp.sum(jax.vmap(in_lane(turned_back))(x)))(x), 3 * x**2, rtol=1e-15
+    )
 
 
 @jax.custom_jvp
@@ -267,7 +346,8 @@ def _(primals, tangents):
 
 
 class Ruled(jb.laws.Law):
-    """A linear spring, of which a rule says that its force changes seven times as much with k as it does, and its stiffness five times."""
+    """A linear spring, of which a rule says that its force changes seven times as much with k as it
+    does, and its stiffness five times."""
 
     k: jax.Array
 
@@ -287,21 +367,34 @@ class Ruled(jb.laws.Law):
 @pytest.mark.long
 @pytest.mark.usefixtures("batches")
 def test_a_rule_of_a_law_of_ones_own_is_kept_in_batches_of_drivers():
-    """The derivative of a batch is the batch of derivatives, of the equilibrium, of matrices and of a simulation."""
+    """The derivative of a batch is the batch of derivatives, of the equilibrium, of matrices and of
+    a simulation."""
 
     def drivers(k):
-        spring = jb.SpringDamper(("mass", [0, 0, 0]), ("world", [0, 2.0, 0]), spring=Ruled(k), free_length=2.0)
-        bodies, joints = {"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, {"mass": jb.Guide("world", axis=[0, 1, 0])}
-        model = jb.Model(bodies=bodies, joints=joints, elements={"spring": spring}, gravity=[0, -9.81, 0])
+        spring = jb.SpringDamper(
+            ("mass", [0, 0, 0]), ("world", [0, 2.0, 0]), spring=Ruled(k), free_length=2.0
+        )
+        bodies, joints = (
+            {"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+            {"mass": jb.Guide("world", axis=[0, 1, 0])},
+        )
+        model = jb.Model(
+            bodies=bodies, joints=joints, elements={"spring": spring}, gravity=[0, -9.81, 0]
+        )
         result = jb.equilibrium(model)
-        return result.state.q[0], jb.linearize(model, result).K[0, 0], jb.simulate(model, jnp.linspace(0, 0.1, 3)).state.q[-1, 0]
+        return (
+            result.state.q[0],
+            jb.linearize(model, result).K[0, 0],
+            jb.simulate(model, jnp.linspace(0, 0.1, 3)).state.q[-1, 0],
+        )
 
     k = jnp.array([40.0, 50.0])
     _, after = jax.jit(lambda k: jax.jvp(jax.vmap(drivers), (k,), (jnp.ones(2),)))(k)
     inside = jax.jit(jax.vmap(jax.jacfwd(drivers)))(k)
     np.testing.assert_allclose(after, inside, rtol=1e-9)
     sag = 2.0 * 9.81 / k
-    np.testing.assert_allclose(after[0], 7 * sag / k, rtol=1e-6)  # dF = k dx + 7 x dk = 0, sag dk/k being the spring's own
+    # dF = k dx + 7 x dk = 0, sag dk/k being the spring's own
+    np.testing.assert_allclose(after[0], 7 * sag / k, rtol=1e-6)
     np.testing.assert_allclose(after[1], 5.0, rtol=1e-6)
 
 
@@ -311,4 +404,8 @@ def test_what_is_not_needed_of_a_function_in_lanes_is_removed():
     program = jax.make_jaxpr(lambda x, y: both(x, 1.5 * y)[0])(0.5, 2.0)
     part = only_what_is_needed(program)
     assert "exp" in str(program) and not {"exp", "mul"} & set(str(part).split()), part
-    np.testing.assert_allclose(jax.vmap(jaxpr_as_fun(part), (0, None))(jnp.arange(3.0), 2.0)[0], np.sin(np.arange(3.0)), rtol=1e-7)
+    np.testing.assert_allclose(
+        jax.vmap(jaxpr_as_fun(part), (0, None))(jnp.arange(3.0), 2.0)[0],
+        np.sin(np.arange(3.0)),
+        rtol=1e-7,
+    )

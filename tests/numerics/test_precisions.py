@@ -70,7 +70,7 @@ for x64 in (word == "64" for word in sys.argv[1:]):
     print(results() < (1e-4 if x64 else 1e-3))
     tables.append(of_a_table())
 print(np.abs(tables[0] - tables[1]).max() < 1e-3, of_the_user._cache_size())
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.long
@@ -78,18 +78,30 @@ print(np.abs(tables[0] - tables[1]).max() < 1e-3, of_the_user._cache_size())
 @pytest.mark.parametrize("order", [("32", "64"), ("64", "32")])
 def test_precision_may_be_switched_either_way_within_a_process(order):
     environment = {**os.environ, "JAX_ENABLE_X64": "0", "PYTHONWARNINGS": "ignore"}
-    run = subprocess.run([sys.executable, "-c", SWITCHED, *order], capture_output=True, text=True, env=environment, timeout=600)
-    assert run.stdout.split() == ["True"] * 3 + ["2"], run.stderr  # and both programs of the user's are kept
+    run = subprocess.run(
+        [sys.executable, "-c", SWITCHED, *order],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=600,
+    )
+    # and both programs of the user's are kept
+    assert run.stdout.split() == ["True"] * 3 + ["2"], run.stderr
 
 
-@pytest.mark.parametrize("call", [lambda m, s: jb.simulate(m, [0.0, 1.0], initial=s), lambda m, s: jb.equilibrium(m, start=s)])
+@pytest.mark.parametrize(
+    "call",
+    [lambda m, s: jb.simulate(m, [0.0, 1.0], initial=s), lambda m, s: jb.equilibrium(m, start=s)],
+)
 def test_a_state_of_the_other_precision_is_refused_with_what_to_do(call):
     model = jb.presets.quarter_car(damping=1500.0)
     single = jb.State(np.zeros(2, np.float32), np.zeros(2, np.float32))
     with pytest.raises(jb.JaxbodyError) as raised, jb.compile_times() as times:
         call(model, single)
     assert [problem.code for problem in raised.value.problems] == ["X64_CHANGED"] * 2
-    assert "q: is float32, the model float64" in str(raised.value) and "numpy.asarray(state.q, 'float64')" in str(raised.value)
+    assert "q: is float32, the model float64" in str(
+        raised.value
+    ) and "numpy.asarray(state.q, 'float64')" in str(raised.value)
     assert "integrate" not in times.programs and "equilibrium_of" not in times.programs
 
 
@@ -118,7 +130,7 @@ with warnings.catch_warnings(record=True) as warned:
     cut = jb.simulate(slider, [0.0, 100.0], initial=jb.State(slider.reference.q, np.array([1.0])), max_steps=100)
 print(sorted({w.message.code for w in warned}))
 print(cut.report())
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.long
@@ -126,16 +138,24 @@ def test_float32_by_itself_ends_well_as_float64_does_and_advises_it_where_it_doe
     runs = []
     for x64 in ("0", "1"):
         environment = {**os.environ, "JAX_ENABLE_X64": x64}
-        run = subprocess.run([sys.executable, "-c", ALONE], capture_output=True, text=True, env=environment, timeout=600)
+        run = subprocess.run(
+            [sys.executable, "-c", ALONE],
+            capture_output=True,
+            text=True,
+            env=environment,
+            timeout=600,
+        )
         assert run.returncode == 0, run.stderr
         runs.append(run.stdout.splitlines())
     single, double = runs
     for line in (0, 2):
-        assert single[line].split()[:5] == ["0"] * 5 == double[line].split()[:5]  # equilibria, motion, responses
+        # equilibria, motion, responses
+        assert single[line].split()[:5] == ["0"] * 5 == double[line].split()[:5]
         assert single[line].split()[5:] == ["True", "True"]
     for line in (1, 3):
         numbers = [np.array(lines[line].split(), float) for lines in runs]
-        assert np.abs(numbers[0] - numbers[1]).max() < 1e-4  # of 1 in responses; motions of 0.01 m, by an rtol of 1.5e-4
+        # of 1 in responses; motions of 0.01 m, by an rtol of 1.5e-4
+        assert np.abs(numbers[0] - numbers[1]).max() < 1e-4
     assert single[4] == "['FLOAT32', 'MAX_STEPS']" and double[4] == "['MAX_STEPS']"
     assert "jax_enable_x64" in single[5] and "max_steps" not in single[5]
     assert "jax_enable_x64" not in double[5] and "larger max_steps" in double[5]

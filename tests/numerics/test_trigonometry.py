@@ -1,4 +1,5 @@
-"""Sine and cosine against the C library's in extended precision, for difficult arguments; derivatives of any order."""
+"""Sine and cosine against the C library's in extended precision, for difficult arguments;
+derivatives of any order."""
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +25,9 @@ ARGUMENTS = {
 @pytest.mark.parametrize("where", ARGUMENTS)
 def test_within_one_unit_in_the_last_place(where):
     x = ARGUMENTS[where]
-    for ours, exact in zip(compiled(x), (np.sin(np.longdouble(x)), np.cos(np.longdouble(x))), strict=True):
+    for ours, exact in zip(
+        compiled(x), (np.sin(np.longdouble(x)), np.cos(np.longdouble(x))), strict=True
+    ):
         units = np.abs(np.asarray(ours) - exact) / np.spacing(np.abs(exact).astype(float))
         assert units.max() < 1.1  # of the exact value rounded itself 0.5
 
@@ -32,8 +35,12 @@ def test_within_one_unit_in_the_last_place(where):
 def test_beyond_a_million_no_worse_than_the_rounding_of_the_argument():
     x = 10.0 ** RNG.uniform(6, 15, 100_000)
     s, c = (np.asarray(y) for y in compiled(x))
-    np.testing.assert_array_less(np.maximum(abs(s - np.sin(x)), abs(c - np.cos(x))), np.spacing(x) + 1e-15)
-    np.testing.assert_array_less(np.abs(np.array(compiled(jnp.array([1e17, 1e100, 1e300])))), 1 + 1e-15)
+    np.testing.assert_array_less(
+        np.maximum(abs(s - np.sin(x)), abs(c - np.cos(x))), np.spacing(x) + 1e-15
+    )
+    np.testing.assert_array_less(
+        np.abs(np.array(compiled(jnp.array([1e17, 1e100, 1e300])))), 1 + 1e-15
+    )
 
 
 def test_what_is_not_finite_is_nan():

@@ -1,4 +1,5 @@
-"""Every picture of the gallery: no texts overlap or leave the figure, axes have units, files are small."""
+"""Every picture of the gallery: no texts overlap or leave the figure, axes have units, files
+are small."""
 
 import runpy
 from pathlib import Path
@@ -70,6 +71,10 @@ def test_what_overlaps_or_leaves_the_figure_is_found():
     for text, at in (("one", 0.5), ("other", 0.52), ("beyond", 1.2)):
         ax.text(at, 0.5, text)
     wrong = overlaps(figure)
-    assert any({"one", "other"} == {name.split(": ")[1] for name in pair} for pair in wrong if isinstance(pair, tuple))
+    assert any(
+        {"one", "other"} == {name.split(": ")[1] for name in pair}
+        for pair in wrong
+        if isinstance(pair, tuple)
+    )
     assert any(name.endswith("beyond") for name in wrong if isinstance(name, str))
     assert without_unit(figure) == ["time"]

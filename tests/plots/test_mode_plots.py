@@ -28,7 +28,10 @@ def test_energies_are_a_heat_map(energies, kind, rows):
     columns = np.asarray(image.get_array()).sum(0)
     np.testing.assert_allclose(columns, 100.0, atol=1e-9)
     named = [label.get_text() for label in ax.get_yticklabels()]
-    assert named[0] == {"kinetic": "body bounce", "strain": "front spring", "dissipation": "front spring"}[kind]
+    assert (
+        named[0]
+        == {"kinetic": "body bounce", "strain": "front spring", "dissipation": "front spring"}[kind]
+    )
     bounce = float(energies.kinetic["body"][2, 0])
     texts = [text.get_text() for text in ax.texts]
     assert kind != "kinetic" or f"{bounce:.1f}" in texts
@@ -43,14 +46,30 @@ def test_an_unknown_kind_is_refused(energies):
 @pytest.mark.long
 def test_branches_have_gaps_where_they_were_lost():
     status = jnp.array([0, 0, Status.LOST_BRANCH, 0])
-    frequency, quality = jnp.array([[1.0, 2.0], [1.1, 2.1], [1.2, 2.2], [1.3, 2.3]]), jnp.ones((4, 2)).at[2, 1].set(0.3)
+    frequency, quality = (
+        jnp.array([[1.0, 2.0], [1.1, 2.1], [1.2, 2.2], [1.3, 2.3]]),
+        jnp.ones((4, 2)).at[2, 1].set(0.3),
+    )
     ax = Figure().subplots()
     plots.plot_branches(
-        SimpleNamespace(values=jnp.arange(4.0), frequency=frequency, mac=quality, status=status, names=("body bounce", "body roll")),
+        SimpleNamespace(
+            values=jnp.arange(4.0),
+            frequency=frequency,
+            mac=quality,
+            status=status,
+            names=("body bounce", "body roll"),
+        ),
         parameter="stiffness [N/m]",
         ax=ax,
     )
     lines = {line.get_label(): line.get_xydata() for line in ax.lines}
-    np.testing.assert_allclose(lines["1: body bounce"], np.stack([np.arange(4), frequency[:, 0]], -1))
-    assert np.isnan(lines["2: body roll"][2]).all() and np.isfinite(lines["2: body roll"][[0, 1, 3, 4]]).all()
-    assert ax.get_xlabel() == "stiffness [N/m]" and ax.lines[-1].get_xydata().tolist() == [[2.0, float(frequency[2, 1])]]
+    np.testing.assert_allclose(
+        lines["1: body bounce"], np.stack([np.arange(4), frequency[:, 0]], -1)
+    )
+    assert (
+        np.isnan(lines["2: body roll"][2]).all()
+        and np.isfinite(lines["2: body roll"][[0, 1, 3, 4]]).all()
+    )
+    assert ax.get_xlabel() == "stiffness [N/m]" and ax.lines[-1].get_xydata().tolist() == [
+        [2.0, float(frequency[2, 1])]
+    ]

@@ -1,4 +1,5 @@
-"""Drawn models: labels do not overlap, tyres are round, the drawing fills the frame, and oblique views have no axis numbers."""
+"""Drawn models: labels do not overlap, tyres are round, the drawing fills the frame, and oblique
+views have no axis numbers."""
 
 import itertools
 import time
@@ -25,22 +26,41 @@ def figure():
 @pytest.fixture(scope="module")
 def on_tyres():
     bodies = {"car": jb.Body(mass=1000.0, inertia=[400, 1400, 1500], position=[0, 0, 0.6])}
-    bodies |= {name: jb.Body(mass=40.0, inertia=[1, 1, 1], position=[x, y, 0.3]) for name, (x, y) in CORNERS.items()}
-    joints = {"car": jb.HeavePitchRoll("world")} | dict.fromkeys(CORNERS, jb.Guide("world", axis=[0, 0, 1]))
+    bodies |= {
+        name: jb.Body(mass=40.0, inertia=[1, 1, 1], position=[x, y, 0.3])
+        for name, (x, y) in CORNERS.items()
+    }
+    joints = {"car": jb.HeavePitchRoll("world")} | dict.fromkeys(
+        CORNERS, jb.Guide("world", axis=[0, 0, 1])
+    )
     elements = {}
     for name, (x, y) in CORNERS.items():
-        elements[f"tyre {name}"] = jb.Tyre((name, [0, 0, 0]), ("road", [x, y, 0]), stiffness=2e5, radius=0.31)
-        elements[f"spring {name}"] = jb.Spring(("car", [x, y, 0.1]), (name, [0, 0, 0]), stiffness=2e4, free_length=0.4)
-    return jb.Model(bodies=bodies, supports={"road": jb.Support()}, joints=joints, elements=elements, gravity=[0, 0, -9.81])
+        elements[f"tyre {name}"] = jb.Tyre(
+            (name, [0, 0, 0]), ("road", [x, y, 0]), stiffness=2e5, radius=0.31
+        )
+        elements[f"spring {name}"] = jb.Spring(
+            ("car", [x, y, 0.1]), (name, [0, 0, 0]), stiffness=2e4, free_length=0.4
+        )
+    return jb.Model(
+        bodies=bodies,
+        supports={"road": jb.Support()},
+        joints=joints,
+        elements=elements,
+        gravity=[0, 0, -9.81],
+    )
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("preset", ["full_car", "half_car", "engine_on_mounts", "stewart_table", "isolated_table"])
+@pytest.mark.parametrize(
+    "preset", ["full_car", "half_car", "engine_on_mounts", "stewart_table", "isolated_table"]
+)
 def test_names_do_not_overprint(figure, preset):
     model = getattr(jb.presets, preset)()
     ax = plots.draw_model(model, ax=figure.subplots())
     figure.canvas.draw()
-    named = [text for text in ax.texts if text.get_text() in (*model.layout.bodies, *model.element_names)]
+    named = [
+        text for text in ax.texts if text.get_text() in (*model.layout.bodies, *model.element_names)
+    ]
     assert len(named) == len(model.layout.bodies) + len(model.element_names)
     boxes = {}
     for text in named:
@@ -52,14 +72,20 @@ def test_names_do_not_overprint(figure, preset):
 
 def test_a_name_stays_near_what_it_names(figure):
     ax = plots.draw_model(jb.presets.full_car(), ax=figure.subplots())
-    far = {text.get_text(): np.hypot(*text.get_position()) for text in ax.texts if hasattr(text, "xyann")}
+    far = {
+        text.get_text(): np.hypot(*text.get_position())
+        for text in ax.texts
+        if hasattr(text, "xyann")
+    }
     assert max(far.values()) < 72  # points
 
 
 def test_tyres_are_circles_of_their_radius(figure, on_tyres):
     ax = plots.draw_model(on_tyres, view="xz", ax=figure.subplots())
     wheels = [patch for patch in ax.patches if isinstance(patch, Circle) and not patch.get_fill()]
-    assert sorted(tuple(np.round(wheel.center, 12).tolist()) for wheel in wheels) == sorted((x, 0.3) for x, _ in CORNERS.values())
+    assert sorted(tuple(np.round(wheel.center, 12).tolist()) for wheel in wheels) == sorted(
+        (x, 0.3) for x, _ in CORNERS.values()
+    )
     assert {float(wheel.radius) for wheel in wheels} == {0.31}
     seen_from_above = plots.draw_model(on_tyres, view="xy", ax=Figure().subplots())
     assert all(patch.get_fill() for patch in seen_from_above.patches)
@@ -69,15 +95,29 @@ def test_an_oblique_view_has_its_axes_and_a_length_in_place_of_ticks(figure):
     model = jb.presets.full_car()
     ax = plots.draw_model(model, ax=figure.subplots())
     assert not ax.axison and ax.get_xlabel() == ""
-    axes = {line.get_gid(): line.get_xydata() for line in ax.lines if (line.get_gid() or "").startswith("axis")}
-    (length,) = [float(text.get_text().removesuffix(" m")) for text in ax.texts if text.get_text().endswith(" m")]
-    scene = model_plots.Scene(model, model_plots._poses_at(model, model.reference.q, None, np.zeros((4, 6))))
+    axes = {
+        line.get_gid(): line.get_xydata()
+        for line in ax.lines
+        if (line.get_gid() or "").startswith("axis")
+    }
+    (length,) = [
+        float(text.get_text().removesuffix(" m"))
+        for text in ax.texts
+        if text.get_text().endswith(" m")
+    ]
+    scene = model_plots.Scene(
+        model, model_plots._poses_at(model, model.reference.q, None, np.zeros((4, 6)))
+    )
     look = model_plots.projection(None, model, [scene])
     for i, name in enumerate("xyz"):
         start, end = axes[f"axis {name}"]
         np.testing.assert_allclose(end - start, length * look[:, i], atol=1e-12)
     wheels = [scene.centers[name] for name in ("rl", "fl")]  # 2.6 m apart along x
-    np.testing.assert_allclose((wheels[1] - wheels[0]) @ look.T, 2.6 / length * np.diff(axes["axis x"], axis=0)[0], atol=1e-12)
+    np.testing.assert_allclose(
+        (wheels[1] - wheels[0]) @ look.T,
+        2.6 / length * np.diff(axes["axis x"], axis=0)[0],
+        atol=1e-12,
+    )
 
 
 @pytest.mark.parametrize("view", ["xz", None])
@@ -89,7 +129,8 @@ def test_the_frame_is_filled(figure, view):
     shares = np.ptp(ax.dataLim.get_points(), axis=0) / sides
     assert shares.max() > 0.8 and shares.min() > 0.5
     box = ax.get_window_extent()
-    assert box.height / box.width == pytest.approx(sides[1] / sides[0], rel=1e-6)  # one scale for both
+    # one scale for both
+    assert box.height / box.width == pytest.approx(sides[1] / sides[0], rel=1e-6)
 
 
 def test_a_joint_that_moves_along_axes_has_no_pivot_on_the_ground(figure):
@@ -103,12 +144,21 @@ def test_a_joint_that_moves_along_axes_has_no_pivot_on_the_ground(figure):
 
 @pytest.mark.long
 def test_names_of_hundreds_of_springs_take_seconds(figure):
-    """20 bodies on 200 springs: 15 s of the processor when every label looked at everything that is drawn."""
+    """20 bodies on 200 springs: 15 s of the processor when every label looked at everything that
+    is drawn."""
     rng = np.random.default_rng(0)
-    bodies = {f"b{i}": jb.Body(1.0, [0.1, 0.1, 0.1], position=p) for i, p in enumerate(rng.uniform(-1, 1, (20, 3)))}
+    bodies = {
+        f"b{i}": jb.Body(1.0, [0.1, 0.1, 0.1], position=p)
+        for i, p in enumerate(rng.uniform(-1, 1, (20, 3)))
+    }
     pairs = [rng.choice(20, 2, replace=False) for _ in range(200)]
-    ends = [((f"b{a}", rng.uniform(-0.1, 0.1, 3)), (f"b{b}", rng.uniform(-0.1, 0.1, 3))) for a, b in pairs]
-    springs = {f"s{i}": jb.Spring(*each, stiffness=10.0, free_length=0.5) for i, each in enumerate(ends)}
+    ends = [
+        ((f"b{a}", rng.uniform(-0.1, 0.1, 3)), (f"b{b}", rng.uniform(-0.1, 0.1, 3)))
+        for a, b in pairs
+    ]
+    springs = {
+        f"s{i}": jb.Spring(*each, stiffness=10.0, free_length=0.5) for i, each in enumerate(ends)
+    }
     model = jb.Model(bodies=bodies, elements=springs)
     plots.draw_model(model, names=False, ax=figure.subplots())
     before = time.process_time()

@@ -1,4 +1,5 @@
-"""Every result draws itself, by the function of its class; new pictures show the result's numbers."""
+"""Every result draws itself, by the function of its class; new pictures show the
+result's numbers."""
 
 import importlib
 import inspect
@@ -29,24 +30,36 @@ def result_classes():
     classes = set()
     for module in NAMED:
         imported = importlib.import_module(f"jaxbody.{module}")
-        classes |= {x for x in vars(imported).values() if inspect.isclass(x) and issubclass(x, Printed) and not inspect.isabstract(x)}
+        classes |= {
+            x
+            for x in vars(imported).values()
+            if inspect.isclass(x) and issubclass(x, Printed) and not inspect.isabstract(x)
+        }
     return sorted(classes, key=lambda x: x.__name__)
 
 
 def test_every_result_has_a_plot():
     classes = result_classes()
-    assert {"Trajectory", "Fit", "Linearization", "SpinLinearization", "Record", "Model"} <= {x.__name__ for x in classes}
+    assert {"Trajectory", "Fit", "Linearization", "SpinLinearization", "Record", "Model"} <= {
+        x.__name__ for x in classes
+    }
     assert {x.__name__ for x in classes if not hasattr(x, "plot")} == WITHOUT_PLOT
 
 
 def test_every_public_function_returns_something_that_is_among_them():
     """By its annotation: a new result class cannot be missed because nothing imports it."""
-    returned = {str(inspect.signature(getattr(jb, name)).return_annotation) for name in jb.__all__ if inspect.isfunction(getattr(jb, name))}
+    returned = {
+        str(inspect.signature(getattr(jb, name)).return_annotation)
+        for name in jb.__all__
+        if inspect.isfunction(getattr(jb, name))
+    }
     results = {x.__name__ for x in result_classes()}
     assert len(returned & results) > 25
 
 
-@pytest.mark.parametrize("draw", [picture.draw for picture in PICTURES.values()], ids=lambda draw: draw.__name__)
+@pytest.mark.parametrize(
+    "draw", [picture.draw for picture in PICTURES.values()], ids=lambda draw: draw.__name__
+)
 def test_a_plot_takes_axes_by_keyword_and_is_public(draw):
     parameter = inspect.signature(draw).parameters["ax"]
     assert parameter.default is None and parameter.kind is parameter.KEYWORD_ONLY
@@ -55,7 +68,9 @@ def test_a_plot_takes_axes_by_keyword_and_is_public(draw):
 
 def test_the_method_is_the_function_with_the_result():
     record = jb.Record([0.0, 0.1, 0.2], {"x": ([1.0, 2.0, 3.0], "mm")})
-    assert record.plot.__func__ is plots.plot_record and list(inspect.signature(record.plot).parameters) == ["channels", "ax"]
+    assert record.plot.__func__ is plots.plot_record and list(
+        inspect.signature(record.plot).parameters
+    ) == ["channels", "ax"]
     assert jb.Tuning.plot is plots.plot_tuning and jb.Experiment.plot is plots.plot_measurement
     assert picture_of(type("Own", (LinearSystem,), {})).draw is plots.plot_matrix
     with pytest.raises(AttributeError, match="has no plot"):
@@ -69,11 +84,19 @@ def test_the_method_is_the_function_with_the_result():
 
 @pytest.fixture(scope="module")
 def model():
-    spring = jb.Spring(("mass", [0, 0, 0]), ("base", [0, -1, 0]), stiffness=STIFFNESS, damping=DAMPING, free_length=1.0)
+    spring = jb.Spring(
+        ("mass", [0, 0, 0]),
+        ("base", [0, -1, 0]),
+        stiffness=STIFFNESS,
+        damping=DAMPING,
+        free_length=1.0,
+    )
     return jb.Model(
-        bodies={"mass": jb.Body(mass=MASS, inertia=[1, 1, 1])}, supports={"base": jb.Support()}, elements={"mount": spring},
+        bodies={"mass": jb.Body(mass=MASS, inertia=[1, 1, 1])},
+        supports={"base": jb.Support()},
+        elements={"mount": spring},
         joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")
@@ -90,16 +113,26 @@ def lin(model):
 
 @pytest.mark.long
 def test_the_energy_balance_is_flat(run):
-    """To the accuracy of a cubic spline through 100 samples a period: (2 pi/100)^4/384 = 4e-8 of the energies, and of the integration."""
+    """To the accuracy of a cubic spline through 100 samples a period: (2 pi/100)^4/384 = 4e-8 of
+    the energies, and of the integration."""
     ax = plots.plot_energies(run, ax=Figure().subplots())
     *parts, total = ax.lines
-    assert [line.get_label() for line in parts] == ["kinetic", "potential", "dissipated", "work of the supports"]
+    assert [line.get_label() for line in parts] == [
+        "kinetic",
+        "potential",
+        "dissipated",
+        "work of the supports",
+    ]
     assert total.get_label() == "kinetic + potential + dissipated - work"
     y = {line.get_label(): line.get_ydata() for line in ax.lines}
     assert np.ptp(total.get_ydata()) < 1e-6 * max(np.abs(x).max() for x in y.values())
-    np.testing.assert_allclose(y["kinetic"], 0.5 * MASS * np.asarray(run.state.v)[:, 0] ** 2, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(
+        y["kinetic"], 0.5 * MASS * np.asarray(run.state.v)[:, 0] ** 2, rtol=1e-12, atol=1e-15
+    )
     per_cycle = np.diff(np.interp([5.0, 5.5], run.times, y["dissipated"]))[0]
-    assert per_cycle == pytest.approx(np.pi * DAMPING * 2 * np.pi * FREQUENCY * stroke() ** 2, rel=1e-6)
+    assert per_cycle == pytest.approx(
+        np.pi * DAMPING * 2 * np.pi * FREQUENCY * stroke() ** 2, rel=1e-6
+    )
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("time [s]", "energy [J]")
 
 
@@ -120,14 +153,17 @@ def test_without_damping_and_supports_energy_is_kinetic_and_potential():
 
 @pytest.mark.long
 def test_a_loop_encloses_what_a_damper_dissipates(run):
-    """pi c w X^2 in a cycle; the polygon through n samples of an ellipse is smaller by sin(2 pi/n)/(2 pi/n)."""
+    """pi c w X^2 in a cycle; the polygon through n samples of an ellipse is smaller by sin(2
+    pi/n)/(2 pi/n)."""
     ax = plots.plot_force_strokes(run, start=5.0, ax=Figure().subplots())
     (loop,) = ax.lines
     e, f = loop.get_xydata().T
     assert len(e) == 201 and loop.get_label() == "mount"
     area = abs(np.sum((f[1:] + f[:-1]) / 2 * np.diff(e))) / 2  # of two cycles
     n = 2 * np.pi / 100
-    assert area == pytest.approx(np.pi * DAMPING * 2 * np.pi * FREQUENCY * stroke() ** 2 * np.sin(n) / n, rel=1e-6)
+    assert area == pytest.approx(
+        np.pi * DAMPING * 2 * np.pi * FREQUENCY * stroke() ** 2 * np.sin(n) / n, rel=1e-6
+    )
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("elongation [m]", "force, tension positive [N]")
     with pytest.raises(jb.JaxbodyError, match="NO_DATA"):
         plots.plot_force_strokes(run, start=7.0)
@@ -139,8 +175,12 @@ def test_a_loop_encloses_what_a_damper_dissipates(run):
 def test_a_phase_portrait_shows_rates_over_values(run):
     ax = plots.plot_phases(run, ax=Figure().subplots())
     portrait, start = ax.lines
-    np.testing.assert_allclose(portrait.get_xydata().T, [np.asarray(run.state.q)[:, 0], np.asarray(run.state.v)[:, 0]])
-    assert portrait.get_label() == "mass move along its guide" and start.get_xydata().tolist() == [portrait.get_xydata()[0].tolist()]
+    np.testing.assert_allclose(
+        portrait.get_xydata().T, [np.asarray(run.state.q)[:, 0], np.asarray(run.state.v)[:, 0]]
+    )
+    assert portrait.get_label() == "mass move along its guide" and start.get_xydata().tolist() == [
+        portrait.get_xydata()[0].tolist()
+    ]
     with pytest.raises(jb.JaxbodyError, match="UNKNOWN_NAME"):
         plots.plot_phases(run, coordinates=("mass turn",))
 
@@ -156,7 +196,9 @@ def test_a_free_body_has_a_portrait_in_meters_and_one_in_radians():
     (below,) = (axes for axes in ax.figure.axes if axes is not ax)
     assert units(ax.figure) == ["m/s", "rad/s"]
     np.testing.assert_allclose(ax.lines[0].get_xdata(), np.linspace(0, 0.5, 11), atol=1e-9)
-    np.testing.assert_allclose(below.lines[0].get_xydata().T, [np.linspace(0, 4, 11), np.full(11, 4.0)], atol=1e-6)
+    np.testing.assert_allclose(
+        below.lines[0].get_xydata().T, [np.linspace(0, 4, 11), np.full(11, 4.0)], atol=1e-6
+    )
 
 
 F = np.geomspace(0.5, 20, 30)
@@ -164,17 +206,30 @@ F = np.geomspace(0.5, 20, 30)
 
 @pytest.mark.long
 def test_the_dynamic_stiffness_of_a_spring_and_damper(lin):
-    outputs = {"force": jb.LoadCell("mount"), "stroke": jb.Elongation("mount"), "y": jb.Position("mass", axis="y")}
-    response = jb.frequency_response(lin, F, {"pull": jb.PointForce("mass", direction="y")}, outputs)
-    ax = plots.plot_dynamic_stiffness(response, pairs={"mount": ("force", "stroke"), "point": ("pull", "y")}, ax=Figure().subplots())
+    outputs = {
+        "force": jb.LoadCell("mount"),
+        "stroke": jb.Elongation("mount"),
+        "y": jb.Position("mass", axis="y"),
+    }
+    response = jb.frequency_response(
+        lin, F, {"pull": jb.PointForce("mass", direction="y")}, outputs
+    )
+    ax = plots.plot_dynamic_stiffness(
+        response,
+        pairs={"mount": ("force", "stroke"), "point": ("pull", "y")},
+        ax=Figure().subplots(),
+    )
     below = ax.figure.axes[-1]
     w = 2 * np.pi * F
     mount, point = STIFFNESS + 1j * w * DAMPING, STIFFNESS - MASS * w**2 + 1j * w * DAMPING
     for i, exact in enumerate((mount, point)):
         np.testing.assert_allclose(ax.lines[i].get_ydata(), np.abs(exact) / 1e3, rtol=1e-9)
-        np.testing.assert_allclose(below.lines[i].get_ydata(), np.rad2deg(np.angle(exact)), rtol=1e-9)
+        np.testing.assert_allclose(
+            below.lines[i].get_ydata(), np.rad2deg(np.angle(exact)), rtol=1e-9
+        )
     assert units(ax.figure) == ["N/mm", "degrees"] and set(lines(ax)) == {"mount", "point"}
-    other = plots.plot_dynamic_stiffness(response, ax=Figure().subplots())  # of all that are m over N
+    # of all that are m over N
+    other = plots.plot_dynamic_stiffness(response, ax=Figure().subplots())
     np.testing.assert_allclose(lines(other)["y"].get_ydata(), np.abs(point) / 1e3, rtol=1e-9)
     with pytest.raises(jb.JaxbodyError, match=r"force \[N\] over pull \[N\].*BAD_UNIT"):
         plots.plot_dynamic_stiffness(response, pairs={"x": ("force", "pull")})
@@ -184,8 +239,11 @@ def test_the_dynamic_stiffness_of_a_spring_and_damper(lin):
 
 @pytest.mark.long
 def test_a_force_opposed_to_the_motion_of_the_base_is_a_positive_stiffness(lin):
-    """The mount pulls the base back: F/u = -(...) at low frequency, whose magnitude and sign are those of a mass on the mount."""
-    response = jb.frequency_response(lin, F, {"base": jb.BaseMotion("base", "y")}, {"pull": jb.LoadCell("mount")})
+    """The mount pulls the base back: F/u = -(...) at low frequency, whose magnitude and sign are
+    those of a mass on the mount."""
+    response = jb.frequency_response(
+        lin, F, {"base": jb.BaseMotion("base", "y")}, {"pull": jb.LoadCell("mount")}
+    )
     ax = plots.plot_dynamic_stiffness(response, ax=Figure().subplots())
     w = 2 * np.pi * F
     k = STIFFNESS + 1j * w * DAMPING
@@ -195,7 +253,10 @@ def test_a_force_opposed_to_the_motion_of_the_base_is_a_positive_stiffness(lin):
 
 
 def test_a_state_space_has_the_response_of_its_system(lin):
-    ports = {"push": jb.PointForce("mass", direction="y")}, {"y": jb.Position("mass", axis="y"), "force": jb.LoadCell("mount")}
+    ports = (
+        {"push": jb.PointForce("mass", direction="y")},
+        {"y": jb.Position("mass", axis="y"), "force": jb.LoadCell("mount")},
+    )
     ax = plots.plot_state_space(lin.state_space(*ports), frequencies=F, ax=Figure().subplots())
     exact = jb.frequency_response(lin, F, *ports)
     np.testing.assert_allclose(lines(ax)["y"].get_ydata(), np.abs(exact["y", "push"]), rtol=1e-9)
@@ -227,17 +288,27 @@ def test_a_matrix_is_drawn_as_coupling():
 @pytest.mark.long
 def test_backbones_are_drawn_to_five_percent():
     bob = jb.Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
-    pendulum = jb.Model(bodies={"bob": bob}, joints={"bob": jb.Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81])
+    pendulum = jb.Model(
+        bodies={"bob": bob},
+        joints={"bob": jb.Hinge("world", axis=[0, 1, 0])},
+        gravity=[0, 0, -9.81],
+    )
     ax = jb.backbones(jb.linearize(pendulum, pendulum.reference)).plot(ax=Figure().subplots())
     a, change = ax.lines[0].get_xydata().T
     np.testing.assert_allclose(change, -100 * a**2 / 16, atol=1e-9)
-    assert change[-1] == pytest.approx(-5.0) and (ax.get_xlabel(), ax.get_ylabel()) == ("amplitude [rad]", "change of frequency [%]")
+    assert change[-1] == pytest.approx(-5.0) and (ax.get_xlabel(), ax.get_ylabel()) == (
+        "amplitude [rad]",
+        "change of frequency [%]",
+    )
 
 
 @pytest.mark.long
 def test_load_cases_are_drawn_by_unit():
     engine = jb.presets.engine_on_mounts(gravity=9.81)
-    cases = jb.load_cases(engine, {"up": jb.LoadCase(acceleration=[0, 0, 3]), "left": jb.LoadCase(acceleration=[0, 1, 0])})
+    cases = jb.load_cases(
+        engine,
+        {"up": jb.LoadCase(acceleration=[0, 0, 3]), "left": jb.LoadCase(acceleration=[0, 1, 0])},
+    )
     ax = cases.plot(ax=Figure().subplots())
     assert units(ax.figure) == ["m", "N", "rad"]
     places = [text.get_text() for text in ax.figure.axes[-1].get_xticklabels()]
@@ -251,8 +322,17 @@ def test_load_cases_are_drawn_by_unit():
 
 
 def test_spectral_densities_have_a_panel_for_each_unit(lin):
-    base, outputs = {"base": jb.BaseMotion("base", "y")}, {"y": jb.Position("mass", axis="y"), "pull": jb.LoadCell("mount")}
-    ride = jb.random_response(lin, jb.Band(0.5, 20.0), base, outputs, {"base": jb.PSD([0.5, 20.0], [1e-6, 1e-6], unit="m2/Hz")})
+    base, outputs = (
+        {"base": jb.BaseMotion("base", "y")},
+        {"y": jb.Position("mass", axis="y"), "pull": jb.LoadCell("mount")},
+    )
+    ride = jb.random_response(
+        lin,
+        jb.Band(0.5, 20.0),
+        base,
+        outputs,
+        {"base": jb.PSD([0.5, 20.0], [1e-6, 1e-6], unit="m2/Hz")},
+    )
     ax = ride.plot(ax=Figure().subplots())
     assert units(ax.figure) == ["m$^2$/Hz", "N$^2$/Hz"]
     np.testing.assert_array_equal(ax.figure.axes[1].lines[0].get_ydata(), ride.psd[1])
@@ -261,7 +341,10 @@ def test_spectral_densities_have_a_panel_for_each_unit(lin):
 @pytest.mark.long
 def test_elastic_axes_go_on_the_drawing_of_their_model():
     corners = [[1, 1, -0.2], [1, -1, -0.2], [-1, 1, -0.2], [-1, -1, -0.2]]
-    legs = {f"leg{i}": jb.Bushing(("box", at), ("world", at), stiffness=[1e4, 2e4, 3e4]) for i, at in enumerate(corners)}
+    legs = {
+        f"leg{i}": jb.Bushing(("box", at), ("world", at), stiffness=[1e4, 2e4, 3e4])
+        for i, at in enumerate(corners)
+    }
     box = jb.Model(bodies={"box": jb.Body(mass=50.0, inertia=[4, 5, 6])}, elements=legs)
     lin = jb.linearize(box, box.reference)
     ax = jb.elastic_axes(lin, "box").plot(view="xz", ax=box.plot(view="xz", ax=Figure().subplots()))
@@ -276,8 +359,16 @@ def test_elastic_axes_go_on_the_drawing_of_their_model():
 
 @pytest.mark.long
 def test_a_batch_is_refused_with_a_remedy(model):
-    runs = jax.vmap(lambda k: jb.simulate(jb.replace(model, {"mount.stiffness": k}), jnp.linspace(0, 0.1, 5)))(jnp.array([700.0, 800.0]))
-    for draw in (plots.plot_trajectory, plots.plot_forces, plots.plot_energies, plots.plot_phases, plots.plot_force_strokes):
+    runs = jax.vmap(
+        lambda k: jb.simulate(jb.replace(model, {"mount.stiffness": k}), jnp.linspace(0, 0.1, 5))
+    )(jnp.array([700.0, 800.0]))
+    for draw in (
+        plots.plot_trajectory,
+        plots.plot_forces,
+        plots.plot_energies,
+        plots.plot_phases,
+        plots.plot_force_strokes,
+    ):
         with pytest.raises(jb.JaxbodyError, match=r"batch of 2.*x\[0\]"):
             draw(runs)
     one = jax.tree.map(lambda x: x[0], runs)
@@ -286,20 +377,42 @@ def test_a_batch_is_refused_with_a_remedy(model):
 
 # Colors
 
-LEAST_LIGHTNESS, LEAST_DISTANCE = 12.0, 15.0  # of two lines of one dash pattern in gray print, L*; of any two colors in CIELAB
-DEFICIENT = {  # linear RGB seen without one kind of cones (Machado, Oliveira, Fernandes, IEEE TVCG 15 (2009) 1291)
+# of two lines of one dash pattern in gray print, L*; of any two colors in CIELAB
+LEAST_LIGHTNESS, LEAST_DISTANCE = 12.0, 15.0
+# linear RGB seen without one kind of cones (Machado, Oliveira, Fernandes, IEEE TVCG 15 (2009) 1291)
+DEFICIENT = {
     "none": np.eye(3),
-    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
-    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
-    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+    "protanopia": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "deuteranopia": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "tritanopia": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
 }
-XYZ = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]])  # of sRGB
+XYZ = np.array(
+    [
+        [0.4124564, 0.3575761, 0.1804375],
+        [0.2126729, 0.7151522, 0.0721750],
+        [0.0193339, 0.1191920, 0.9503041],
+    ]
+)  # of sRGB
 
 
 def cielab(colors, seen=DEFICIENT["none"]):
     """L*, a*, b* of "#rrggbb" (IEC 61966-2-1 and CIE 15)."""
     rgb = np.array([[int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)] for color in colors])
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ np.array(seen).T
+    linear = (
+        np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ np.array(seen).T
+    )
     x = np.clip(linear, 0, 1) @ XYZ.T / XYZ.sum(1)
     f = np.where(x > 216 / 24389, np.cbrt(x), (24389 / 27 * x + 16) / 116)
     return np.stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], -1)
@@ -314,7 +427,10 @@ def least(values):
 def test_eight_lines_differ_in_gray_print_and_all_are_dark_enough():
     looks = [canvases.style(i) for i in range(8)]
     for dashes in {str(look["ls"]) for look in looks}:
-        assert least(cielab([look["color"] for look in looks if str(look["ls"]) == dashes])[:, :1]) > LEAST_LIGHTNESS
+        assert (
+            least(cielab([look["color"] for look in looks if str(look["ls"]) == dashes])[:, :1])
+            > LEAST_LIGHTNESS
+        )
     assert cielab(canvases.COLORS)[:, 0].max() < 77  # on white
 
 

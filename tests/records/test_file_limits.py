@@ -1,4 +1,5 @@
-"""Files that expand too much, refer to other files, never end or have huge headings are refused before they are read, or read quickly."""
+"""Files that expand too much, refer to other files, never end or have huge headings are refused
+before they are read, or read quickly."""
 
 import os
 import threading
@@ -38,7 +39,8 @@ def refused(code, *words, peak=40e6):
 def packed_hdf5(path):
     h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w") as file:
-        file.create_dataset("a", (MANY,), "f8", chunks=(1_000_000,), compression="gzip")  # never written: zeros by default
+        # never written: zeros by default
+        file.create_dataset("a", (MANY,), "f8", chunks=(1_000_000,), compression="gzip")
 
 
 def packed_hdf5_in_one_chunk(path):
@@ -58,11 +60,16 @@ def packed_mat73(path):
 
 def packed_mat5(path):
     """Forty arrays, each of them within the limit."""
-    savemat(path, {f"x{i}": np.zeros(100_000) for i in range(40)} | {"a": np.zeros(10)}, do_compression=True)
+    savemat(
+        path,
+        {f"x{i}": np.zeros(100_000) for i in range(40)} | {"a": np.zeros(10)},
+        do_compression=True,
+    )
 
 
 def mat5_of_bytes(path):
-    """A double array whose zeros are stored as bytes, eight times as many numbers as bytes would hold."""
+    """A double array whose zeros are stored as bytes, eight times as many numbers as bytes
+    would hold."""
     write_mat5(path, 6, 900_000, tagged(2, bytes(900_000)))
 
 
@@ -74,7 +81,11 @@ def mat5_of_empty_cells(path):
 def write_mat5(path, kind, count, content):
     savemat(path, {"a": np.zeros(10)})
     head = path.read_bytes()[:128]
-    parts = [(6, np.array([kind, 0], "<u4").tobytes()), (5, np.array([count, 1], "<i4").tobytes()), (1, b"a")]
+    parts = [
+        (6, np.array([kind, 0], "<u4").tobytes()),
+        (5, np.array([count, 1], "<i4").tobytes()),
+        (1, b"a"),
+    ]
     packed = zlib.compress(tagged(14, b"".join(tagged(*part) for part in parts) + content))
     path.write_bytes(head + np.array([15, len(packed)], "<u4").tobytes() + packed)
 
@@ -84,7 +95,9 @@ def tagged(kind, data):
 
 
 def packed_parquet(path):
-    pa = pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'jaxbody[files]'")
+    pa = pytest.importorskip(
+        "pyarrow", reason="pyarrow is not installed: pip install 'jaxbody[files]'"
+    )
     import pyarrow.parquet as pq
 
     pq.write_table(pa.table({"a": np.zeros(MANY // 10)}), path, compression="gzip")
@@ -92,13 +105,17 @@ def packed_parquet(path):
 
 def packed_tdms(path):
     """One byte each in the file, eight as a number."""
-    nptdms = pytest.importorskip("nptdms", reason="npTDMS is not installed: pip install 'jaxbody[files]'")
+    nptdms = pytest.importorskip(
+        "nptdms", reason="npTDMS is not installed: pip install 'jaxbody[files]'"
+    )
     with nptdms.TdmsWriter(path) as file:
         file.write_segment([nptdms.ChannelObject("run", "a", np.zeros(200_000, np.uint8))])
 
 
 def packed_mdf(path):
-    asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'jaxbody[mdf]'")
+    asammdf = pytest.importorskip(
+        "asammdf", reason="asammdf is not installed: pip install 'jaxbody[mdf]'"
+    )
     with asammdf.MDF(version="4.10") as file:
         zeros = np.zeros(MANY // 30)
         file.append([asammdf.Signal(zeros, np.arange(len(zeros)) * 0.0, name="a", unit="g")])
@@ -130,11 +147,19 @@ def test_the_limit_is_of_the_numbers_in_a_file_before_they_are_read(kind, tmp_pa
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("filters", [{}, {"shuffle": True, "fletcher32": True}, {"scaleoffset": 3, "dtype": "i4"}, "twice"], ids=str)
+@pytest.mark.parametrize(
+    "filters",
+    [{}, {"shuffle": True, "fletcher32": True}, {"scaleoffset": 3, "dtype": "i4"}, "twice"],
+    ids=str,
+)
 def test_a_chunk_that_inflates_beyond_what_the_file_states_is_refused(filters, tmp_path):
-    """A thousand numbers, 8 kB as stated, that are 100 MB of zeros in truth; the same chunk, honest and as large as can be, passes."""
+    """A thousand numbers, 8 kB as stated, that are 100 MB of zeros in truth; the same chunk, honest
+    and as large as can be, passes."""
     h5py = pytest.importorskip("h5py")
-    twice, options = filters == "twice", {"compression": "gzip"} | (filters if isinstance(filters, dict) else {})
+    twice, options = (
+        filters == "twice",
+        {"compression": "gzip"} | (filters if isinstance(filters, dict) else {}),
+    )
     plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     plan.set_chunk((1000,))
     for _ in range(1 + twice):
@@ -142,7 +167,9 @@ def test_a_chunk_that_inflates_beyond_what_the_file_states_is_refused(filters, t
     for name in ("honest.h5", "bomb.h5"):
         with h5py.File(tmp_path / name, "w") as file:
             if twice:
-                h5py.h5d.create(file.id, b"a", h5py.h5t.NATIVE_DOUBLE, h5py.h5s.create_simple((1000,)), plan)
+                h5py.h5d.create(
+                    file.id, b"a", h5py.h5t.NATIVE_DOUBLE, h5py.h5s.create_simple((1000,)), plan
+                )
             else:
                 file.create_dataset("a", (1000,), **({"dtype": "f8"} | options), chunks=(1000,))
             file["a"][:] = np.random.default_rng(0).integers(0, 1000, 1000)
@@ -150,7 +177,9 @@ def test_a_chunk_that_inflates_beyond_what_the_file_states_is_refused(filters, t
         packed = zlib.compress(bytes(100_000_000), 9)
         packed = zlib.compress(packed, 9) if twice else packed
         file["a"].id.write_direct_chunk((0,), packed + bytes(4) * ("fletcher32" in options))
-    read = lambda name, **options: jb.read_record(tmp_path / name, channels={"a": ("a", "g")}, rate=100.0, **options)  # noqa: E731
+    read = lambda name, **options: jb.read_record(  # noqa: E731
+        tmp_path / name, channels={"a": ("a", "g")}, rate=100.0, **options
+    )
     with refused("TOO_LARGE", "bomb.h5", "'/a'", "inflates"):
         read("bomb.h5", largest=LARGEST)
     assert len(read("honest.h5", largest=LARGEST)["a"]) == 1000
@@ -163,7 +192,14 @@ def test_a_limit_above_the_numbers_lets_them_pass(tmp_path):
         file["a"] = np.arange(30_000, dtype="i4") % 7
     with refused("TOO_LARGE", "2.4e+05 bytes of numbers (3e+04)"):
         jb.read_record(tmp_path / "run.h5", channels={"a": ("a", "g")}, rate=100.0, largest=239_999)
-    assert len(jb.read_record(tmp_path / "run.h5", channels={"a": ("a", "m")}, rate=100.0, largest=240_000)["a"]) == 30_000
+    assert (
+        len(
+            jb.read_record(
+                tmp_path / "run.h5", channels={"a": ("a", "m")}, rate=100.0, largest=240_000
+            )["a"]
+        )
+        == 30_000
+    )
 
 
 @pytest.mark.parametrize("way", ["external storage", "external link", "virtual dataset"])
@@ -194,7 +230,8 @@ def test_hdf5_that_points_to_other_files_is_refused(way, tmp_path):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are of POSIX")
 def test_a_named_pipe_is_refused_by_every_reader(tmp_path):
-    """None of them may open it: opening blocks until someone writes. A thread that would free them fails the test."""
+    """None of them may open it: opening blocks until someone writes. A thread that would free them
+    fails the test."""
     path = tmp_path / "pipe.csv"
     os.mkfifo(path)
     blocked = []
@@ -221,7 +258,8 @@ def test_a_named_pipe_is_refused_by_every_reader(tmp_path):
         jb.read_record("/dev/zero", channels={"a": ("a", "g")}, rate=100.0, format="text")
 
 
-# Work that grows with the square of a length would take hours at these; no time is asserted, it ends or it does not.
+# Work that grows with the square of a length would take hours at these; no time is asserted, it
+# ends or it does not.
 
 LONG = 1_000_000
 
@@ -283,7 +321,8 @@ def test_units_in_headings(head, parts):
 
 
 def test_a_curve_may_have_another_separator_and_decimal_commas(tmp_path):
-    """Written as a program in German does, with a unit line below the names; the same numbers as with commas and points."""
+    """Written as a program in German does, with a unit line below the names; the same numbers as
+    with commas and points."""
     path = tmp_path / "feder.csv"
     path.write_bytes("Weg;Kraft\nmm;kN\n-2,5;-1,0\n0;0\n1,5;0,5\n3;1,25\nEnde;\n".encode("utf-16"))
     law = laws.Table.read(path, decimal=",", encoding="utf-16", footer=1)
@@ -296,11 +335,26 @@ def test_a_curve_may_have_another_separator_and_decimal_commas(tmp_path):
 @pytest.mark.parametrize(
     ("text", "options", "code", "words"),
     [
-        ("a [mm];b [kN]\n0;1,5\n1;2,5\n2;3,5\n3;4,5\n", {}, "DECIMAL_COMMA", ["curve.csv:2", 'decimal=","']),
+        (
+            "a [mm];b [kN]\n0;1,5\n1;2,5\n2;3,5\n3;4,5\n",
+            {},
+            "DECIMAL_COMMA",
+            ["curve.csv:2", 'decimal=","'],
+        ),
         ("a [mm]|b [kN]\n0|1\n1|2\n", {}, "NO_NUMBERS", ["separated by"]),
-        ("a [mm],b [kN]\n" + "0,1\n" * 40, {"largest": 100}, "TOO_LARGE", ["174 bytes", "allowed: 100 bytes"]),
+        (
+            "a [mm],b [kN]\n" + "0,1\n" * 40,
+            {"largest": 100},
+            "TOO_LARGE",
+            ["174 bytes", "allowed: 100 bytes"],
+        ),
         ("a [mm],b [kN],c [N]\n0,1,2\n1,2,3\n", {}, "BAD_SHAPE", ["3 columns", "allowed: two"]),
-        ("a [kN],b [mm]\n0,1\n1,2\n", {}, "WRONG_DIMENSION", ["'a' in 'kN'", "'b' in 'mm'", "First elongation"]),
+        (
+            "a [kN],b [mm]\n0,1\n1,2\n",
+            {},
+            "WRONG_DIMENSION",
+            ["'a' in 'kN'", "'b' in 'mm'", "First elongation"],
+        ),
         ("a,b [kN]\n0,1\n1,2\n", {}, "NO_UNIT", ["column 'a'"]),
     ],
 )
@@ -314,8 +368,16 @@ def test_what_is_wrong_with_a_curve_is_named(text, options, code, words, tmp_pat
 @pytest.mark.parametrize(
     ("text", "code", "words"),
     [
-        ("angle [deg], force [N]\n-2,-2\n-1,-1\n0,0\n1,1\n", "WRONG_DIMENSION", "an angle with a force"),
-        ("stroke [mm], moment [N m]\n-2,-2\n-1,-1\n0,0\n1,1\n", "WRONG_DIMENSION", "a length with a moment"),
+        (
+            "angle [deg], force [N]\n-2,-2\n-1,-1\n0,0\n1,1\n",
+            "WRONG_DIMENSION",
+            "an angle with a force",
+        ),
+        (
+            "stroke [mm], moment [N m]\n-2,-2\n-1,-1\n0,0\n1,1\n",
+            "WRONG_DIMENSION",
+            "a length with a moment",
+        ),
         ("stroke [mm], force [N]\n-2,-2\n-1,-1\n0,0\n1_0,1\n", "BAD_LINE", "'1_0'"),
     ],
 )

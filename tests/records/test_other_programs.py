@@ -1,4 +1,5 @@
-"""Files as other programs write them: LabVIEW's text, cells and structs of MATLAB, dates as times."""
+"""Files as other programs write them: LabVIEW's text, cells and structs of MATLAB, dates
+as times."""
 
 import numpy as np
 import pytest
@@ -57,12 +58,23 @@ def lvm(path, columns, mark, table):
 
 def test_text_of_labview_has_the_units_and_times_of_its_headings(tmp_path):
     """Without times, decimal commas; times for each channel; times once, without units."""
-    record = jb.read_record(lvm(tmp_path / "a.lvm", "No", ",", NO_TIMES), channels={"f": "Force (Trigger)", "a": "Top"})
+    record = jb.read_record(
+        lvm(tmp_path / "a.lvm", "No", ",", NO_TIMES), channels={"f": "Force (Trigger)", "a": "Top"}
+    )
     np.testing.assert_allclose(record.times, [0.5, 0.5025, 0.505], rtol=1e-15)
-    assert record["f"].tolist() == [10.5, 20.5, 30.5] and record.stated == {"f": "Newtons", "a": "g"}
+    assert record["f"].tolist() == [10.5, 20.5, 30.5] and record.stated == {
+        "f": "Newtons",
+        "a": "g",
+    }
     np.testing.assert_allclose(record["a"], 9.80665 * np.array([0.1, -0.2, 0.4]), rtol=1e-15)
-    record = jb.read_record(lvm(tmp_path / "b.lvm", "Multi", ".", PAIRS), channels={"x": "x", "a": "a"})
-    assert record.times.tolist() == [0.5, 0.502, 0.504] and record["x"].tolist() == [0.001, 0.003, 0.004]
+    record = jb.read_record(
+        lvm(tmp_path / "b.lvm", "Multi", ".", PAIRS), channels={"x": "x", "a": "a"}
+    )
+    assert record.times.tolist() == [0.5, 0.502, 0.504] and record["x"].tolist() == [
+        0.001,
+        0.003,
+        0.004,
+    ]
     path = lvm(tmp_path / "c.lvm", "One", ".", ONE)
     for time in (None, ("X_Value", "s")):
         record = jb.read_record(path, channels={"y": ("y", "m")}, time=time)
@@ -72,14 +84,25 @@ def test_text_of_labview_has_the_units_and_times_of_its_headings(tmp_path):
 def test_what_is_not_one_table_over_time_is_refused(tmp_path):
     path = tmp_path / "a.lvm"
     for columns, table, words in (
-        ("One", ONE.replace("Time\tTime", "Frequency\tTime"), r"a.lvm\['x'\]: is over 'Hz', not over time.*NOT_A_RECORD"),
+        (
+            "One",
+            ONE.replace("Time\tTime", "Frequency\tTime"),
+            r"a.lvm\['x'\]: is over 'Hz', not over time.*NOT_A_RECORD",
+        ),
         ("One", ONE + "\n" + ONE, r"has 2 segments.*WRONG_FORMAT"),
         ("One", ONE.replace("X_Value", "Zeit"), r"no table below .*X_Value.*NO_NUMBERS"),
-        ("No", NO_TIMES.replace("Delta_X\t2,5E-3", "Delta_X\t"), r"states no times.*rate=.*NO_TIME"),
+        (
+            "No",
+            NO_TIMES.replace("Delta_X\t2,5E-3", "Delta_X\t"),
+            r"states no times.*rate=.*NO_TIME",
+        ),
         ("One", ONE.replace("0.6\t2", "0.6\tOK"), r"a.lvm:17: has 'OK' in column 2.*BAD_LINE"),
     ):
         with pytest.raises(jb.JaxbodyError, match=words):
-            jb.read_record(lvm(path, columns, "," if columns == "No" else ".", table), channels={"x": (1, "N" if columns == "No" else "m")})
+            jb.read_record(
+                lvm(path, columns, "," if columns == "No" else ".", table),
+                channels={"x": (1, "N" if columns == "No" else "m")},
+            )
 
 
 DATES = {
@@ -94,7 +117,10 @@ DATES = {
 @pytest.mark.parametrize("kind", DATES)
 def test_dates_as_times_are_named_as_such(kind, tmp_path):
     (tmp_path / "run.csv").write_text(DATES[kind])
-    with pytest.raises(jb.JaxbodyError, match=r"' is a date or a time of day: write seconds in its place, .*pandas.read_csv"):
+    with pytest.raises(
+        jb.JaxbodyError,
+        match=r"' is a date or a time of day: write seconds in its place, .*pandas.read_csv",
+    ):
         jb.read_record(tmp_path / "run.csv", time=("t", "s"), channels={"a": ("a", "m")})
 
 
@@ -107,12 +133,29 @@ def cells(*values):
 def test_cells_and_structs_of_matlab_are_read_by_the_names_they_have_there(tmp_path):
     path, a, b = tmp_path / "run.mat", np.arange(4.0), np.arange(4.0) ** 2
     run = np.array([(a, 1.0), (b, 2.0)], [("acc", "O"), ("fs", "O")])
-    savemat(path, {
-        "data": cells(a, b, "text"), "run": run, "grid": cells(a, b, a, b).reshape(2, 2),
-        "nested": {"part": cells(cells(a, b), "x")}, "note": "text", "z": 1j * a, "empty": cells("a", "b"),
-    })  # fmt: skip
-    for name, values in (("data{1}", a), ("data{2}", b), ("run(2).acc", b), ("grid{1,2}", b), ("nested.part{1}{2}", b)):
-        assert jb.read_record(path, rate=10.0, channels={"a": (name, "m")})["a"].tolist() == values.tolist()
+    savemat(
+        path,
+        {
+            "data": cells(a, b, "text"),
+            "run": run,
+            "grid": cells(a, b, a, b).reshape(2, 2),
+            "nested": {"part": cells(cells(a, b), "x")},
+            "note": "text",
+            "z": 1j * a,
+            "empty": cells("a", "b"),
+        },
+    )
+    for name, values in (
+        ("data{1}", a),
+        ("data{2}", b),
+        ("run(2).acc", b),
+        ("grid{1,2}", b),
+        ("nested.part{1}{2}", b),
+    ):
+        assert (
+            jb.read_record(path, rate=10.0, channels={"a": (name, "m")})["a"].tolist()
+            == values.tolist()
+        )
     for name, words in (
         ("data", r"'data' is a cell array.*such as 'data\{1\}'"),
         ("run", r"'run' is a struct array.*such as 'run\(1\).acc'"),

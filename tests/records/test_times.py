@@ -1,4 +1,5 @@
-"""Times of records: even ones are even in few digits, a stated rate moves them, what is no time is named."""
+"""Times of records: even ones are even in few digits, a stated rate moves them, what is no time
+is named."""
 
 import datetime
 from fractions import Fraction
@@ -41,32 +42,49 @@ def test_a_printed_record_has_the_spectra_of_the_exact_one():
     printed = np.round(EVEN, 6)
     exact, rounded = (jb.PSD.from_record(t, A, unit="m/s2") for t in (EVEN, printed))
     np.testing.assert_allclose(rounded.values, exact.values, rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(jb.weighted_signal(printed, A, "Wk").rms, jb.weighted_signal(EVEN, A, "Wk").rms, rtol=1e-6)
+    np.testing.assert_allclose(
+        jb.weighted_signal(printed, A, "Wk").rms, jb.weighted_signal(EVEN, A, "Wk").rms, rtol=1e-6
+    )
     with Problems() as problems:
-        _, step = checked_samples(jb.Record(printed, {"a": (A, "m/s2")}), "m/s2", "here", problems) or (None, None)
+        _, step = checked_samples(
+            jb.Record(printed, {"a": (A, "m/s2")}), "m/s2", "here", problems
+        ) or (None, None)
     assert step == pytest.approx(1 / 256, rel=1e-7)
 
 
 def test_times_that_are_uneven_are_refused_with_remedies_that_exist():
-    with pytest.raises(jb.JaxbodyError, match=r"steps from 0.00390625 to 0.0078125 s.*rate=.*fill=.*CubicSpline.*NOT_UNIFORM"):
+    with pytest.raises(
+        jb.JaxbodyError,
+        match=r"steps from 0.00390625 to 0.0078125 s.*rate=.*fill=.*CubicSpline.*NOT_UNIFORM",
+    ):
         jb.PSD.from_record(np.delete(EVEN, 9), np.delete(A, 9), unit="m/s2")
 
 
 def test_a_rate_beside_times_moves_them_to_its_steps():
-    """Stamps 30 % of a step late or early and two rows missing: whole steps of the rate, the missing ones still missing, and a note."""
+    """Stamps 30 % of a step late or early and two rows missing: whole steps of the rate, the
+    missing ones still missing, and a note."""
     late = EVEN + 0.3 / 256 * np.sin(K)
     late, a = np.delete(late, [7, 3000]), np.delete(A, [7, 3000])
     with pytest.raises(jb.JaxbodyError, match=r"rate= if it was sampled evenly.*JITTER"):
         jb.Record(late, {"a": (a, "m/s2")})
     record = jb.Record(late, {"a": (a, "m/s2")}, rate=256.0)
     np.testing.assert_allclose(record.times, np.delete(EVEN, [7, 3000]), rtol=0, atol=1e-14)
-    assert record.sampling.missing == 2 and "moved times by up to 0.0012 s, to whole steps of 256 Hz" in str(record)
+    assert (
+        record.sampling.missing == 2
+        and "moved times by up to 0.0012 s, to whole steps of 256 Hz" in str(record)
+    )
     assert jb.Record(EVEN, {"a": (A, "m/s2")}, rate=256.0).notes == ()
 
 
 def test_a_rate_from_which_times_drift_is_refused():
     """256.1 Hz is 0.04 % off, half a step after 1280 steps, at 5 s."""
-    with pytest.raises(jb.JaxbodyError, match=r"leaves the steps of the stated 256.1 Hz at (4.99|5.00)\d* s.*half a step.*RATE_MISMATCH"):
+    with pytest.raises(
+        jb.JaxbodyError,
+        match=(
+            r"leaves the steps of the stated 256.1 Hz at (4.99|5.00)\d* s.*half a "
+            r"step.*RATE_MISMATCH"
+        ),
+    ):
         jb.Record(EVEN, {"a": (A, "m/s2")}, rate=256.1)
     jb.Record(EVEN[:1000], {"a": (A[:1000], "m/s2")}, rate=256.1)
 

@@ -1,4 +1,5 @@
-"""Compliance of a wheel: toe and camber per force, against a closed form and against equilibria under small loads."""
+"""Compliance of a wheel: toe and camber per force, against a closed form and against equilibria
+under small loads."""
 
 import jax
 import numpy as np
@@ -19,10 +20,13 @@ def ideal():
 def elastic(ideal):
     """The corner with an elastic tie rod, whose rack and height of the wheel are held."""
     model, center = ideal.model, np.asarray(ideal.wheel.center)
-    held = jb.closures.Equation(lambda A, B: B.point(jax.numpy.asarray(center))[2] - center[2], ("world", "upright"))
+    held = jb.closures.Equation(
+        lambda A, B: B.point(jax.numpy.asarray(center))[2] - center[2], ("world", "upright")
+    )
     still = jb.Model(
         bodies={name: model[name] for name in model.layout.bodies},
-        joints={name: model.joint(name) for name in model.layout.bodies} | {"rack": jb.Fixed("world")},
+        joints={name: model.joint(name) for name in model.layout.bodies}
+        | {"rack": jb.Fixed("world")},
         closures={name: model[name] for name in model.closure_names} | {"height": held},
     )
     return jb.compliant(still, {"tie rod": jb.Compliance(stiffness=K_ROD)})
@@ -35,16 +39,22 @@ def compliance(ideal, elastic):
 
 @pytest.mark.long
 def test_an_elastic_tie_rod_gives_toe_by_a_side_force(ideal, compliance):
-    """dtoe/dF = T Y/(k u_y^2), where T and Y are the changes of toe and of the contact's y by the rack, whose motion changes the distance
-    of the rod's ends by u_y; likewise for other loads and readings."""
+    """dtoe/dF = T Y/(k u_y^2), where T and Y are the changes of toe and of the contact's y by
+    the rack, whose motion changes the distance of the rod's ends by u_y; likewise for other
+    loads and readings."""
     slopes = ideal.curves(0.0, 0.0).slopes["steering"]
     rod = ideal.model["tie rod"]
     u = np.asarray(rod.b - rod.a)
     soft = K_ROD * (u[1] / np.linalg.norm(u)) ** 2
-    for load, moved in (("force y", "contact y"), ("force x", "contact x"), ("force x at the center", "wheel x")):
+    for load, moved in (
+        ("force y", "contact y"),
+        ("force x", "contact x"),
+        ("force x at the center", "wheel x"),
+    ):
         for reading in ("toe", "camber", "wheel y"):
             expected = float(slopes[reading][0] * _of_point(ideal, slopes, moved)) / soft
-            assert float(compliance[reading, load]) == pytest.approx(expected, rel=1e-6, abs=1e-15)  # of differences
+            # of differences
+            assert float(compliance[reading, load]) == pytest.approx(expected, rel=1e-6, abs=1e-15)
     assert abs(float(compliance["wheel z", "force y"])) < 1e-18  # it is held
     assert "deg" in str(compliance) and "1 kN force y" in str(compliance)
     with pytest.raises(jb.JaxbodyError, match=r"'to' is unknown.*Did you mean 'toe'"):
@@ -52,7 +62,8 @@ def test_an_elastic_tie_rod_gives_toe_by_a_side_force(ideal, compliance):
 
 
 def _of_point(ideal, slopes, moved):
-    """The motion of the point of the upright that is at the contact, or at the center, by the rack."""
+    """The motion of the point of the upright that is at the contact, or at the center, by
+    the rack."""
     if moved.startswith("wheel"):
         return slopes[moved][0]
     at = "xyz".index(moved[-1])
@@ -63,7 +74,12 @@ def _contact_by_rack(ideal):
     """By differences of the poses of the upright."""
     step = 1e-4
     curves = ideal.curves(0.0, [-step, 0.0, step])
-    frames = [Coordinates(ideal.model).at_rest(q)[ideal.model.layout.frame("upright")].pose() for q in np.asarray(curves.q)]
+    frames = [
+        Coordinates(ideal.model).at_rest(q)[ideal.model.layout.frame("upright")].pose()
+        for q in np.asarray(curves.q)
+    ]
     at = np.array([curves[f"contact {x}"][1] for x in "xyz"])
     contact = np.asarray(frames[1].R).T @ (at - np.asarray(frames[1].p))
-    return (np.asarray(frames[2].point(contact)) - np.asarray(frames[0].point(contact))) / (2 * step)
+    return (np.asarray(frames[2].point(contact)) - np.asarray(frames[0].point(contact))) / (
+        2 * step
+    )

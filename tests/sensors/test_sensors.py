@@ -1,4 +1,5 @@
-"""Readings of sensors on a rotated body over a moving support, computed by hand; noise; bad input of an experiment."""
+"""Readings of sensors on a rotated body over a moving support, computed by hand; noise; bad input
+of an experiment."""
 
 import warnings
 
@@ -17,7 +18,12 @@ RANDOM = np.random.default_rng(11)
 AXIS, AT = np.array([0.6, 0.0, 0.8]), np.array([0.1, 0.2, -0.1])
 BASE = {"position": np.array([0.3, -0.2, 0.5]), "orientation": np.array([0.8, 0.0, 0.6, 0.0])}
 ARM = {"position": np.array([0.4, 0.1, 0.9]), "orientation": np.array([0.5, 0.5, -0.5, 0.5])}
-SHAKING = {"frequency": 1.3, "translation": [0.1, -0.05, 0.2], "rotation": [0.3, 0.5, -0.2], "rotation_phase": 0.4}
+SHAKING = {
+    "frequency": 1.3,
+    "translation": [0.1, -0.05, 0.2],
+    "rotation": [0.3, 0.5, -0.2],
+    "rotation_phase": 0.4,
+}
 END, POINT = np.array([1.0, 0.5, 0.2]), np.array([0.2, -0.3, 0.4])
 
 
@@ -25,12 +31,19 @@ END, POINT = np.array([1.0, 0.5, 0.2]), np.array([0.2, -0.3, 0.4])
 def model():
     """An arm on a hinge of a turned base, tied to it and to a free body."""
     return jb.Model(
-        bodies={"arm": jb.Body(mass=1.0, inertia=[0.2, 0.2, 0.3], **ARM), "ball": jb.Body(mass=2.0, inertia=[1, 1, 1], position=[1, 1, 1])},
+        bodies={
+            "arm": jb.Body(mass=1.0, inertia=[0.2, 0.2, 0.3], **ARM),
+            "ball": jb.Body(mass=2.0, inertia=[1, 1, 1], position=[1, 1, 1]),
+        },
         supports={"base": jb.Support(**BASE)},
         joints={"arm": jb.Hinge("base", axis=AXIS, at=AT)},
         elements={
-            "tie": jb.Spring(("arm", POINT), ("base", END), stiffness=20.0, free_length=0.3, damping=0.1),
-            "cord": jb.Spring(("ball", [0, 0, 0]), ("arm", [0, 0, 0.1]), stiffness=30.0, free_length=0.5),
+            "tie": jb.Spring(
+                ("arm", POINT), ("base", END), stiffness=20.0, free_length=0.3, damping=0.1
+            ),
+            "cord": jb.Spring(
+                ("ball", [0, 0, 0]), ("arm", [0, 0, 0.1]), stiffness=30.0, free_length=0.5
+            ),
         },
     )
 
@@ -57,10 +70,15 @@ def by_hand():
     t, q = 0.37, 2.1
     phase = 2 * np.pi * SHAKING["frequency"] * t
     xi = np.array(SHAKING["translation"]) * np.cos(phase)
-    R_base = Rotation.from_rotvec(np.array(SHAKING["rotation"]) * np.cos(phase + 0.4)) * rotation(BASE["orientation"])
+    R_base = Rotation.from_rotvec(np.array(SHAKING["rotation"]) * np.cos(phase + 0.4)) * rotation(
+        BASE["orientation"]
+    )
     p_base = BASE["position"] + xi
     rest = rotation(BASE["orientation"]).inv()
-    p_rest, R_rest = rest.apply(ARM["position"] - BASE["position"]), rest * rotation(ARM["orientation"])
+    p_rest, R_rest = (
+        rest.apply(ARM["position"] - BASE["position"]),
+        rest * rotation(ARM["orientation"]),
+    )
     turn = Rotation.from_rotvec(q * AXIS)
     R_arm, p_arm = R_base * turn * R_rest, p_base + R_base.apply(AT + turn.apply(p_rest - AT))
     point, anchor = p_arm + R_arm.apply(POINT), p_base + R_base.apply(END)
@@ -92,8 +110,16 @@ def test_readings_of_a_turned_arm_on_a_moving_base_are_those_by_hand(model, by_h
 @pytest.fixture(scope="module")
 def trajectory(model):
     """Long enough for statistics."""
-    initial = jb.State(jnp.concatenate([jnp.array([0.5]), BALL]), jnp.array([1.0, 0.1, 0.2, 0.3, 2.0, 1.0, -1.5]))
-    return jb.simulate(model, jnp.linspace(0, 4, 4001), motion={"base": jb.Harmonic(**SHAKING)}, initial=initial, rtol=1e-6)
+    initial = jb.State(
+        jnp.concatenate([jnp.array([0.5]), BALL]), jnp.array([1.0, 0.1, 0.2, 0.3, 2.0, 1.0, -1.5])
+    )
+    return jb.simulate(
+        model,
+        jnp.linspace(0, 4, 4001),
+        motion={"base": jb.Harmonic(**SHAKING)},
+        initial=initial,
+        rtol=1e-6,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -104,9 +130,15 @@ def clean(trajectory):
 @pytest.mark.long
 def test_measuring_without_noise_gives_what_the_trajectory_has(trajectory, clean):
     arm, base = trajectory.poses["arm"], trajectory.poses["base"]
-    np.testing.assert_allclose(clean["point"], arm.p + np.asarray(arm.R) @ POINT, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(clean["anchor"], base.p + np.asarray(base.R) @ END, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(clean["along"], clean["point"] @ np.array([0, 0.6, 0.8]), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        clean["point"], arm.p + np.asarray(arm.R) @ POINT, rtol=0, atol=1e-14
+    )
+    np.testing.assert_allclose(
+        clean["anchor"], base.p + np.asarray(base.R) @ END, rtol=0, atol=1e-14
+    )
+    np.testing.assert_allclose(
+        clean["along"], clean["point"] @ np.array([0, 0.6, 0.8]), rtol=0, atol=1e-14
+    )
     np.testing.assert_allclose(clean["pose"][:, :3], arm.p, rtol=0, atol=1e-14)
     np.testing.assert_allclose(turned(clean["pose"][:, 3:]), arm.R, rtol=0, atol=1e-13)
     for name in ("tie", "cord"):
@@ -114,7 +146,8 @@ def test_measuring_without_noise_gives_what_the_trajectory_has(trajectory, clean
 
 
 def is_white(z, level):
-    """Independent normal numbers of this standard deviation: each statistic is within four of its standard deviations."""
+    """Independent normal numbers of this standard deviation: each statistic is within four of its
+    standard deviations."""
     z = np.asarray(z).reshape(len(z), -1) / level
     n = z.size
     assert abs(z.mean()) < 4 / np.sqrt(n) and abs(z.std() - 1) < 4 / np.sqrt(2 * n)
@@ -131,13 +164,19 @@ def test_noise_is_white_of_the_stated_level_for_each_sensor(trajectory, clean):
         is_white(noisy[name] - clean[name], levels[name])
     for name in ("anchor", "cord", "floor"):
         np.testing.assert_allclose(noisy[name], clean[name], rtol=0, atol=1e-15)
-    a, b = (np.asarray(noisy[name] - clean[name]).ravel() / levels[name] for name in ("along", "tie"))
+    a, b = (
+        np.asarray(noisy[name] - clean[name]).ravel() / levels[name] for name in ("along", "tie")
+    )
     assert abs(np.mean(a * b)) < 4 / np.sqrt(len(a))
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("level", "meters", "radians"), [(2e-3, 2e-3, 2e-3), ([1e-4, 0.3], 1e-4, 0.3)])
-def test_noise_on_a_pose_keeps_quaternions_unit_and_is_white_in_meters_and_radians(trajectory, clean, level, meters, radians):
+@pytest.mark.parametrize(
+    ("level", "meters", "radians"), [(2e-3, 2e-3, 2e-3), ([1e-4, 0.3], 1e-4, 0.3)]
+)
+def test_noise_on_a_pose_keeps_quaternions_unit_and_is_white_in_meters_and_radians(
+    trajectory, clean, level, meters, radians
+):
     noisy = jb.measure(trajectory, SENSORS, noise={"pose": level}, key=jax.random.key(5))["pose"]
     np.testing.assert_allclose(np.linalg.norm(noisy[:, 3:], axis=1), 1, rtol=0, atol=1e-15)
     residual = SENSORS["pose"].residual(clean["pose"], noisy)
@@ -158,14 +197,29 @@ def test_the_same_key_gives_the_same_noise_and_another_key_another(trajectory):
 @pytest.mark.long
 def test_a_batch_of_trajectories_is_measured_one_by_one(trajectory):
     two = [jax.tree.map(lambda x, s=s: x * s, trajectory.state) for s in (1.0, 1.1)]
-    runs = [type(trajectory)(trajectory.times, state, trajectory.status, trajectory.statistics, trajectory.end, trajectory.model,
-                             trajectory.motions) for state in two]  # fmt: skip
+    runs = [
+        type(trajectory)(
+            trajectory.times,
+            state,
+            trajectory.status,
+            trajectory.statistics,
+            trajectory.end,
+            trajectory.model,
+            trajectory.motions,
+        )
+        for state in two
+    ]
     batch = jax.tree.map(lambda *x: jnp.stack(x), *runs)
     result = jb.measure(batch, SENSORS)
     for name in SENSORS:
         for i, run in enumerate(runs):
-            np.testing.assert_allclose(result[name][i], jb.measure(run, SENSORS)[name], rtol=0, atol=1e-14)
-    noise = jb.measure(batch, {"tie": SENSORS["tie"]}, noise=1e-3, key=jax.random.key(0))["tie"] - result["tie"]
+            np.testing.assert_allclose(
+                result[name][i], jb.measure(run, SENSORS)[name], rtol=0, atol=1e-14
+            )
+    noise = (
+        jb.measure(batch, {"tie": SENSORS["tie"]}, noise=1e-3, key=jax.random.key(0))["tie"]
+        - result["tie"]
+    )
     assert noise.shape == (2, 4001) and abs(np.corrcoef(noise)[0, 1]) < 4 / np.sqrt(4001)
     is_white(noise.T, 1e-3)
 
@@ -177,8 +231,12 @@ def test_the_residual_of_a_pose_is_the_turn_from_the_measured_to_the_read_orient
         R, turn = Rotation.random(random_state=RANDOM), angle * np.array([0.48, 0.6, -0.64])
         q, read_q = (x.as_quat()[[3, 0, 1, 2]] for x in (R, Rotation.from_rotvec(turn) * R))
         for sign in (1, -1):  # q and -q are one orientation
-            result = residual(jnp.array([1.0, 2, 3, *read_q]), jnp.array([0.5, 2, 3.25, *(sign * q)]))
-            np.testing.assert_allclose(result, [0.5, 0, -0.25, *turn], rtol=0, atol=1e-15 * max(1, 10 * angle))
+            result = residual(
+                jnp.array([1.0, 2, 3, *read_q]), jnp.array([0.5, 2, 3.25, *(sign * q)])
+            )
+            np.testing.assert_allclose(
+                result, [0.5, 0, -0.25, *turn], rtol=0, atol=1e-15 * max(1, 10 * angle)
+            )
     rounded = residual(jnp.array([0.0, 0, 0, *read_q]), jnp.array([0.0, 0, 0, *(1.0004 * read_q)]))
     np.testing.assert_allclose(rounded, 0, atol=1e-15)
 
@@ -187,28 +245,47 @@ def test_the_residual_of_a_pose_has_its_derivative_where_it_vanishes():
     pose, q = jb.BodyPose("arm"), np.array([0.1, 0.7, -0.5, 0.5])
 
     def residual(turn):
-        half = jnp.concatenate([jnp.ones(1), turn / 2])  # exp to first order, and that is what is asked
+        # exp to first order, and that is what is asked
+        half = jnp.concatenate([jnp.ones(1), turn / 2])
         w, v = half[0], half[1:]
-        read = jnp.concatenate([jnp.array([w * q[0] - v @ q[1:]]), w * q[1:] + q[0] * v + jnp.cross(v, q[1:])])
-        return pose.residual(jnp.concatenate([jnp.zeros(3), read / jnp.linalg.norm(read)]), jnp.array([0.0, 0, 0, *q]))[3:]
+        read = jnp.concatenate(
+            [jnp.array([w * q[0] - v @ q[1:]]), w * q[1:] + q[0] * v + jnp.cross(v, q[1:])]
+        )
+        return pose.residual(
+            jnp.concatenate([jnp.zeros(3), read / jnp.linalg.norm(read)]),
+            jnp.array([0.0, 0, 0, *q]),
+        )[3:]
 
-    for slope in jax.jit(lambda x: (jax.jacfwd(residual)(x), jax.jacrev(residual)(x)))(jnp.zeros(3)):
+    for slope in jax.jit(lambda x: (jax.jacfwd(residual)(x), jax.jacrev(residual)(x)))(
+        jnp.zeros(3)
+    ):
         np.testing.assert_allclose(slope, np.eye(3), atol=1e-14)
 
 
 @pytest.mark.nan
 def test_residuals_of_missing_samples_are_zero_with_zero_derivatives():
-    measured = np.array([[0.1, np.nan, 0.3, 1, 0, 0, 0], [0.1, 0.2, 0.3, 1, 0, np.nan, 0], np.full(7, np.nan)])
+    measured = np.array(
+        [[0.1, np.nan, 0.3, 1, 0, 0, 0], [0.1, 0.2, 0.3, 1, 0, np.nan, 0], np.full(7, np.nan)]
+    )
     pose, reading = jb.BodyPose("arm"), jnp.array([1.0, 2, 3, 0.8, 0.6, 0, 0])
     expected = [[0.9, 0, 2.7, 2 * np.arccos(0.8), 0, 0], [0.9, 1.8, 2.7, 0, 0, 0], np.zeros(6)]
-    residual = jax.jit(jax.vmap(lambda x, y: (pose.residual(x, y), jax.jacfwd(pose.residual)(x, y)), (None, 0)))
+    residual = jax.jit(
+        jax.vmap(lambda x, y: (pose.residual(x, y), jax.jacfwd(pose.residual)(x, y)), (None, 0))
+    )
     result, slopes = residual(reading, measured)
     np.testing.assert_allclose(result, expected, atol=1e-15)
     there = [[1, 0, 1, 1, 1, 1], [1, 1, 1, 0, 0, 0], np.zeros(6)]
     np.testing.assert_array_equal(~pose.missing(measured), np.array(there, bool))
-    assert np.isfinite(slopes).all() and not slopes[2].any() and not slopes[1, 3:].any() and slopes[0, 3:].any()
+    assert (
+        np.isfinite(slopes).all()
+        and not slopes[2].any()
+        and not slopes[1, 3:].any()
+        and slopes[0, 3:].any()
+    )
     point = jb.Position("arm")
-    np.testing.assert_array_equal(point.residual(jnp.array([1.0, 2, 3]), jnp.array([0.5, np.nan, 3])), [0.5, 0, 0])
+    np.testing.assert_array_equal(
+        point.residual(jnp.array([1.0, 2, 3]), jnp.array([0.5, np.nan, 3])), [0.5, 0, 0]
+    )
 
 
 def problems_of(function, *arguments, **options):
@@ -224,7 +301,14 @@ def test_measure_reports_all_that_is_wrong_at_once(trajectory):
     assert "'arm'" in result[0].hint and "tie, cord" in result[1].hint
     levels = {"point": -1.0, "tie": [1.0, 2.0], "along": np.nan, "cordd": 1.0, "pose": [1e-3, -1]}
     result = problems_of(jb.measure, trajectory, SENSORS, noise=levels)
-    assert [problem.code for problem in result] == ["BAD_NOISE", "BAD_SHAPE", "NON_FINITE", "UNKNOWN_NAME", "BAD_NOISE", "NO_KEY"]
+    assert [problem.code for problem in result] == [
+        "BAD_NOISE",
+        "BAD_SHAPE",
+        "NON_FINITE",
+        "UNKNOWN_NAME",
+        "BAD_NOISE",
+        "NO_KEY",
+    ]
     assert "'cord'" in result[3].hint
     assert problems_of(jb.measure, trajectory, SENSORS, noise=1e-3)[0].code == "NO_KEY"
 
@@ -232,11 +316,18 @@ def test_measure_reports_all_that_is_wrong_at_once(trajectory):
 def test_a_sensor_reports_what_is_wrong_with_its_numbers():
     assert problems_of(jb.Position, "arm", [0, 0])[0].code == "BAD_SHAPE"
     assert problems_of(jb.Position, "arm", axis=[0, 0, 0])[0].code == "ZERO_AXIS"
-    assert [p.code for p in problems_of(jb.Position, "arm", [0, np.inf, 0], axis=[0, 0, 1, 2])] == ["NON_FINITE", "BAD_SHAPE"]
+    assert [p.code for p in problems_of(jb.Position, "arm", [0, np.inf, 0], axis=[0, 0, 1, 2])] == [
+        "NON_FINITE",
+        "BAD_SHAPE",
+    ]
 
 
 TIMES = np.linspace(0, 1, 6)
-GOOD = {"point": np.arange(18.0).reshape(6, 3), "tie": np.arange(6.0), "pose": np.tile([0, 0, 0, 1.0, 0, 0, 0], (6, 1))}
+GOOD = {
+    "point": np.arange(18.0).reshape(6, 3),
+    "tie": np.arange(6.0),
+    "pose": np.tile([0, 0, 0, 1.0, 0, 0, 0], (6, 1)),
+}
 GOOD["pose"][:, 0] = np.arange(6.0)
 
 
@@ -249,13 +340,21 @@ def test_an_experiment_takes_lists_masked_arrays_and_gaps():
     gaps = np.ma.masked_array(np.arange(6.0), mask=[0, 1, 0, 0, 0, 0])
     run = experiment(list(TIMES), tie=gaps, point=np.arange(18.0).reshape(6, 3).tolist())
     np.testing.assert_array_equal(run.measured["tie"], [0, np.nan, 2, 3, 4, 5])
-    assert run.measured["point"].shape == (6, 3) and run.measured["point"].dtype == jnp.float64 and run.noise is None
+    assert (
+        run.measured["point"].shape == (6, 3)
+        and run.measured["point"].dtype == jnp.float64
+        and run.noise is None
+    )
     assert experiment(noise={"pose": [1e-3, 1e-2], "tie": 2}, **GOOD).noise["pose"].shape == (2,)
 
 
 def test_a_transposed_record_is_reported_to_be_one():
     (problem,) = problems_of(experiment, point=np.zeros((3, 6)))
-    assert (problem.code, problem.limit) == ("BAD_SHAPE", "(6, 3)") and "measured.T" in problem.hint and "point" in problem.where
+    assert (
+        (problem.code, problem.limit) == ("BAD_SHAPE", "(6, 3)")
+        and "measured.T" in problem.hint
+        and "point" in problem.where
+    )
     (problem,) = problems_of(experiment, point=np.zeros((6, 2)))
     assert problem.code == "BAD_SHAPE" and "Position" in problem.hint and ".T" not in problem.hint
     (problem,) = problems_of(experiment, tie=np.zeros((6, 1)))
@@ -299,17 +398,39 @@ def test_an_experiment_reports_all_that_is_wrong_at_once():
     result = problems_of(
         jb.Experiment,
         [0.0, 1, 1],
-        sensors={"a.b": jb.Position("arm"), "base": jb.Elongation("tie"), "c": None, "lost": jb.Position("arm")},
-        measured={"a.b": [[1j] * 3] * 3, "base": np.zeros(3), "c": np.zeros(3), "spare": np.zeros(3)},
+        sensors={
+            "a.b": jb.Position("arm"),
+            "base": jb.Elongation("tie"),
+            "c": None,
+            "lost": jb.Position("arm"),
+        },
+        measured={
+            "a.b": [[1j] * 3] * 3,
+            "base": np.zeros(3),
+            "c": np.zeros(3),
+            "spare": np.zeros(3),
+        },
         motion={"base": jb.AtRest()},
         noise={"base": 0.0, "b": 1.0},
     )
     codes = [problem.code for problem in result]
-    assert codes == ["DUPLICATE_TIME", "UNKNOWN_NAME", "UNKNOWN_NAME", "COMPLEX", "WRONG_KIND", "BAD_NOISE", "UNKNOWN_NAME",
-                     "DUPLICATE_NAME", "BAD_NAME"]  # fmt: skip
+    assert codes == [
+        "DUPLICATE_TIME",
+        "UNKNOWN_NAME",
+        "UNKNOWN_NAME",
+        "COMPLEX",
+        "WRONG_KIND",
+        "BAD_NOISE",
+        "UNKNOWN_NAME",
+        "DUPLICATE_NAME",
+        "BAD_NAME",
+    ]
     assert result[-2].message == "is the name of a support too"
     result = problems_of(experiment, point=np.full((6, 3), np.inf), pose=pose)
-    assert [problem.code for problem in result] == ["NON_FINITE", "BAD_QUATERNION"] and "row 3" in result[1].message
+    assert [problem.code for problem in result] == [
+        "NON_FINITE",
+        "BAD_QUATERNION",
+    ] and "row 3" in result[1].message
 
 
 @pytest.mark.parametrize("noise", [0.0, -1e-3, np.nan, {"tie": 0.0}])
@@ -325,9 +446,14 @@ def test_a_dead_or_saturated_channel_of_an_experiment_is_warned_of():
     def run(values, sensor=place):
         return jb.Experiment(times, sensors={"z": sensor}, measured={"z": values})
 
-    with pytest.warns(jb.JaxbodyWarning, match=r"measured\['z'\] is 0.3 m throughout, 0 to 1 s \[DEAD\]"):
+    with pytest.warns(
+        jb.JaxbodyWarning, match=r"measured\['z'\] is 0.3 m throughout, 0 to 1 s \[DEAD\]"
+    ):
         run(np.full(101, 0.3))
-    with pytest.warns(jb.JaxbodyWarning, match=r"measured\['z'\] stays at 0.8 m for \d+ of 101 samples: .*\[SATURATED\]"):
+    with pytest.warns(
+        jb.JaxbodyWarning,
+        match=r"measured\['z'\] stays at 0.8 m for \d+ of 101 samples: .*\[SATURATED\]",
+    ):
         run(np.clip(wave, -2, 0.8))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -1,4 +1,5 @@
-"""Maxima by spectra: the five-storey frame of Chopra, isolated equipment, one mode as its history, missing mass, several directions."""
+"""Maxima by spectra: the five-storey frame of Chopra, isolated equipment, one mode as its history,
+missing mass, several directions."""
 
 import itertools
 
@@ -20,11 +21,16 @@ def frame(n=5, mass=45000.0, stiffness=54.82e5):
     """A shear frame of n storeys, its floors on guides along x."""
     along, names = {"axis": [1, 0, 0]}, [str(i) for i in range(n + 1)]
     return jb.Model(
-        bodies={name: jb.Body(mass, [1, 1, 1], position=[float(i + 1), 0, 0]) for i, name in enumerate(names[1:])},
+        bodies={
+            name: jb.Body(mass, [1, 1, 1], position=[float(i + 1), 0, 0])
+            for i, name in enumerate(names[1:])
+        },
         supports={"0": jb.Support()},
         joints={name: jb.Guide("world", **along) for name in names[1:]},
         elements={
-            f"storey {b}": jb.Spring((b, [0, 0, 0]), (a, [0, 0, 0]), stiffness=stiffness, free_length=1.0)
+            f"storey {b}": jb.Spring(
+                (b, [0, 0, 0]), (a, [0, 0, 0]), stiffness=stiffness, free_length=1.0
+            )
             for a, b in itertools.pairwise(names)
         },
     )
@@ -44,25 +50,40 @@ def record():
 
 
 DAMPED = np.hypot(1, 2 * 0.05)  # absolute over pseudo-acceleration of a harmonic motion
-OUTPUTS = {"base shear": jb.LoadCell("storey 1"), "roof": jb.Position("5", axis="x"), "roof acceleration": jb.Acceleration("5", axis="x")}
+OUTPUTS = {
+    "base shear": jb.LoadCell("storey 1"),
+    "roof": jb.Position("5", axis="x"),
+    "roof acceleration": jb.Acceleration("5", axis="x"),
+}
 
 
 def test_a_five_storey_frame(five, record):
     """Chopra's example 13.8; D at the samples with the frame's own periods, of structdyn 0.8.0."""
     f = jb.modes(five).frequency
-    np.testing.assert_allclose(1 / f, [2.00002963, 0.6851796, 0.43464798, 0.33834496, 0.29665032], rtol=2e-8)
+    np.testing.assert_allclose(
+        1 / f, [2.00002963, 0.6851796, 0.43464798, 0.33834496, 0.29665032], rtol=2e-8
+    )
     spectrum = jb.shock_spectrum(record, f, kind="relative")
-    np.testing.assert_allclose(spectrum.values[0], [0.13646859, 0.0656516, 0.03800461, 0.02199561, 0.01634553], rtol=3e-7)
+    np.testing.assert_allclose(
+        spectrum.values[0], [0.13646859, 0.0656516, 0.03800461, 0.02199561, 0.01634553], rtol=3e-7
+    )
     by = {
-        how: jb.spectrum_response(five, {"0": {"x": spectrum}}, OUTPUTS, combine=how, damping=0.05) for how in ("SRSS", "CQC", "absolute")
+        how: jb.spectrum_response(five, {"0": {"x": spectrum}}, OUTPUTS, combine=how, damping=0.05)
+        for how in ("SRSS", "CQC", "absolute")
     }
     shears = [266534.084, 108288.690, 43271.154, 12816.223, 2586.303]
     np.testing.assert_allclose(np.abs(by["SRSS"].modal[0, 0]), shears, rtol=1e-6)
-    np.testing.assert_allclose([by[how]["base shear"] for how in by], [291221.90, 293156.7, 433496.0], rtol=2e-6)
-    np.testing.assert_allclose([by[how]["roof"] for how in ("SRSS", "CQC")], [0.17257569, 0.1723879], rtol=1e-6)
+    np.testing.assert_allclose(
+        [by[how]["base shear"] for how in by], [291221.90, 293156.7, 433496.0], rtol=2e-6
+    )
+    np.testing.assert_allclose(
+        [by[how]["roof"] for how in ("SRSS", "CQC")], [0.17257569, 0.1723879], rtol=1e-6
+    )
     np.testing.assert_allclose(by["CQC"].total_mass, 5 * 45000.0, rtol=1e-12)
     np.testing.assert_allclose(by["CQC"].shares.sum(1), 1.0, rtol=1e-12)
-    np.testing.assert_allclose(by["SRSS"].shares[0, :5], np.square(shears) / 291221.90**2, rtol=2e-6)
+    np.testing.assert_allclose(
+        by["SRSS"].shares[0, :5], np.square(shears) / 291221.90**2, rtol=2e-6
+    )
     assert "base shear" in str(by["CQC"]) and "mass, 0 x" in str(by["CQC"])
 
 
@@ -87,14 +108,24 @@ def one_mode():
         bodies={"mass": jb.Body(2.0, [1, 1, 1], position=[1, 0, 0])},
         supports={"base": jb.Support()},
         joints={"mass": jb.Guide("world", axis="x")},
-        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=600.0, free_length=1.0, damping=9.0)},
+        elements={
+            "spring": jb.Spring(
+                ("mass", [0, 0, 0]),
+                ("base", [0, 0, 0]),
+                stiffness=600.0,
+                free_length=1.0,
+                damping=9.0,
+            )
+        },
     )
 
 
 ONE = {
-    "force": jb.LoadCell("spring"), "stroke": jb.Elongation("spring"), "acceleration": jb.Acceleration("mass", axis="x"),
+    "force": jb.LoadCell("spring"),
+    "stroke": jb.Elongation("spring"),
+    "acceleration": jb.Acceleration("mass", axis="x"),
     "reaction": jb.Reaction("base", component=0),
-}  # fmt: skip
+}
 
 
 def peak_of(times, y):
@@ -106,14 +137,19 @@ def peak_of(times, y):
 
 @pytest.mark.long
 def test_one_mode_equals_its_history(rng):
-    """Of every output: SciPy's linear simulation, exact for straight lines, at 400 points in each of them."""
+    """Of every output: SciPy's linear simulation, exact for straight lines, at 400 points in each
+    of them."""
     model = one_mode()
     lin = jb.linearize(model, model.reference)
     times, a = noise_record(rng, duration=5.0, rate=50.0)
     response = jb.spectrum_response(lin, {"base": {"x": (times, a)}}, ONE)
     system = lin.state_space({"base": jb.BaseMotion("base", "x", kind="acceleration")}, ONE)
     fine = np.linspace(0, times[-1], 400 * (len(times) - 1) + 1)
-    y = lsim(tuple(map(np.asarray, (system.A, system.B, system.C, system.D))), np.interp(fine, times, a), fine)[1]
+    y = lsim(
+        tuple(map(np.asarray, (system.A, system.B, system.C, system.D))),
+        np.interp(fine, times, a),
+        fine,
+    )[1]
     for name, row in zip(ONE, y.T, strict=True):
         np.testing.assert_allclose(response[name], peak_of(fine, row), rtol=1e-8)
 
@@ -124,11 +160,18 @@ def test_a_spectrum_gives_what_its_record_gives_for_strokes(rng):
     lin = jb.linearize(model, model.reference)
     times, a = noise_record(rng, duration=5.0, rate=50.0)
     modes = jb.modes(lin)
-    spectrum = jb.shock_spectrum((times, a), modes.frequency, damping=modes.damping_ratio, kind="pseudo", peaks="continuous")
-    by_record, by_spectrum = (jb.spectrum_response(lin, {"base": {"x": given}}, ONE) for given in ((times, a), spectrum))
+    spectrum = jb.shock_spectrum(
+        (times, a), modes.frequency, damping=modes.damping_ratio, kind="pseudo", peaks="continuous"
+    )
+    by_record, by_spectrum = (
+        jb.spectrum_response(lin, {"base": {"x": given}}, ONE) for given in ((times, a), spectrum)
+    )
     np.testing.assert_allclose(by_spectrum["stroke"], by_record["stroke"], rtol=1e-12)
-    zeta = float(modes.damping_ratio[0])  # the force of spring and damper in phase quadrature: what a spectrum alone knows
-    np.testing.assert_allclose(by_spectrum["force"], 600.0 * by_spectrum["stroke"] * np.hypot(1, 2 * zeta), rtol=1e-12)
+    # the force of spring and damper in phase quadrature: what a spectrum alone knows
+    zeta = float(modes.damping_ratio[0])
+    np.testing.assert_allclose(
+        by_spectrum["force"], 600.0 * by_spectrum["stroke"] * np.hypot(1, 2 * zeta), rtol=1e-12
+    )
     np.testing.assert_allclose(by_spectrum["force"], 2.0 * by_spectrum["acceleration"], rtol=1e-12)
     np.testing.assert_allclose(by_spectrum["force"], by_record["force"], rtol=0.05)
 
@@ -145,14 +188,23 @@ class Plateau(jb.ResponseSpectrum):
 
 def test_a_spectrum_of_ones_own_states_its_values_and_what_it_covers(five):
     level, other = Plateau(), jb.DesignSpectrum([0.1, 50.0], [3.0, 3.0])
-    mine, theirs = (jb.spectrum_response(five, {"0": {"x": each}}, OUTPUTS, damping=0.05) for each in (level, other))
+    mine, theirs = (
+        jb.spectrum_response(five, {"0": {"x": each}}, OUTPUTS, damping=0.05)
+        for each in (level, other)
+    )
     np.testing.assert_allclose(mine.values, theirs.values, rtol=1e-12)
-    assert [line.split() for line in str(level).splitlines()] == [["Plateau"], ["value"], ["lowest", "0.1", "Hz"], ["highest", "50", "Hz"]]
+    assert [line.split() for line in str(level).splitlines()] == [
+        ["Plateau"],
+        ["value"],
+        ["lowest", "0.1", "Hz"],
+        ["highest", "50", "Hz"],
+    ]
     assert float(level.rigid()) == 3.0
 
 
 def test_modes_above_a_frequency_move_with_the_base(five):
-    """All modes rigid: each floor has the acceleration of the ground, and the base shear is the mass times it."""
+    """All modes rigid: each floor has the acceleration of the ground, and the base shear is the
+    mass times it."""
     level = jb.DesignSpectrum([0.1, 50.0], [3.0, 2.0])
     rigid = jb.spectrum_response(five, {"0": {"x": level}}, OUTPUTS, damping=0.05, highest=0.1)
     np.testing.assert_allclose(rigid["base shear"], 5 * 45000 * 2.0, rtol=1e-10)
@@ -164,18 +216,25 @@ def test_modes_above_a_frequency_move_with_the_base(five):
 
 
 def test_a_body_that_its_joint_carries_along_has_the_acceleration_of_its_support():
-    """A guide on a base along z, which moves along x too; the coordinates are relative: M~ is not zero."""
+    """A guide on a base along z, which moves along x too; the coordinates are relative: M~ is
+    not zero."""
     model = jb.Model(
         bodies={"mass": jb.Body(2.0, [1, 1, 1], position=[0, 0, 1])},
         supports={"base": jb.Support()},
         joints={"mass": jb.Guide("base", axis="z")},
-        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=600.0, free_length=1.0)},
+        elements={
+            "spring": jb.Spring(
+                ("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=600.0, free_length=1.0
+            )
+        },
     )
     lin, level = jb.linearize(model, model.reference), jb.DesignSpectrum([0.1, 50.0], [3.0, 1.5])
     outputs = {"a": jb.Acceleration("mass"), "force": jb.LoadCell("spring")}
     response = jb.spectrum_response(lin, {"base": {"x": level, "z": level}}, outputs, damping=0.05)
     at_mode = float(level(jb.modes(lin).frequency[0]))
-    np.testing.assert_allclose(response.by_excitation, [[1.5, 0, 0, 0], [0, 0, DAMPED * at_mode, 2 * at_mode]], atol=1e-12)
+    np.testing.assert_allclose(
+        response.by_excitation, [[1.5, 0, 0, 0], [0, 0, DAMPED * at_mode, 2 * at_mode]], atol=1e-12
+    )
     np.testing.assert_allclose(response.total_mass, [0, 2.0], atol=1e-12)
 
 
@@ -187,7 +246,12 @@ def test_supports_that_move_together_and_apart():
         bodies={"mass": jb.Body(2.0, [1, 1, 1])},
         supports={name: jb.Support(position=at) for name, at in ends.items()},
         joints={"mass": jb.Guide("world", axis="x")},
-        elements={f"{name} spring": jb.Spring(("mass", [0, 0, 0]), (name, [0, 0, 0]), stiffness=300.0, free_length=1.0) for name in ends},
+        elements={
+            f"{name} spring": jb.Spring(
+                ("mass", [0, 0, 0]), (name, [0, 0, 0]), stiffness=300.0, free_length=1.0
+            )
+            for name in ends
+        },
     )
     lin, level, out = (
         jb.linearize(model, model.reference),
@@ -195,38 +259,65 @@ def test_supports_that_move_together_and_apart():
         {"a": jb.Acceleration("mass", axis="x")},
     )
     together = jb.spectrum_response(lin, {("left", "right"): {"x": level}}, out, damping=0.05)
-    apart = jb.spectrum_response(lin, {"left": {"x": level}, "right": {"x": level}}, out, damping=0.05)
-    np.testing.assert_allclose([together["a"], apart["a"]], [DAMPED * 3.0, DAMPED * 3.0 / np.sqrt(2)], rtol=1e-12)
+    apart = jb.spectrum_response(
+        lin, {"left": {"x": level}, "right": {"x": level}}, out, damping=0.05
+    )
+    np.testing.assert_allclose(
+        [together["a"], apart["a"]], [DAMPED * 3.0, DAMPED * 3.0 / np.sqrt(2)], rtol=1e-12
+    )
     assert together.excitations == ("left and right x",) and np.allclose(apart.mass, 0.5)
-    bound = jb.spectrum_response(lin, {"left": {"x": level}, "right": {"x": level}}, out, damping=0.05, combine="absolute")
+    bound = jb.spectrum_response(
+        lin, {"left": {"x": level}, "right": {"x": level}}, out, damping=0.05, combine="absolute"
+    )
     np.testing.assert_allclose(bound["a"], DAMPED * 3.0, rtol=1e-12)
 
 
 @pytest.mark.long
 def test_coinciding_modes_are_one_whatever_their_basis():
-    """A mass on equal springs along x and y, shaken along a diagonal; SRSS of one of its bases would differ."""
+    """A mass on equal springs along x and y, shaken along a diagonal; SRSS of one of its bases
+    would differ."""
     model = jb.Model(
         bodies={"mass": jb.Body(2.0, [1, 1, 1])},
         supports={"base": jb.Support()},
         joints={"mass": jb.Translation("world")},
-        elements={"mount": jb.Bushing(("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=np.diag([600.0, 600, 900, 1, 1, 1]))},
+        elements={
+            "mount": jb.Bushing(
+                ("mass", [0, 0, 0]),
+                ("base", [0, 0, 0]),
+                stiffness=np.diag([600.0, 600, 900, 1, 1, 1]),
+            )
+        },
     )
     lin, level = jb.linearize(model, model.reference), jb.DesignSpectrum([0.1, 50.0], [3.0, 3.0])
-    out = {"along": jb.Acceleration("mass", axis=[1, 0, 0]), "diagonal": jb.Acceleration("mass", axis=[1, 1, 0])}
+    out = {
+        "along": jb.Acceleration("mass", axis=[1, 0, 0]),
+        "diagonal": jb.Acceleration("mass", axis=[1, 1, 0]),
+    }
     for combine in ("SRSS", "CQC", "absolute"):
-        response = jb.spectrum_response(lin, {"base": {"x": level}}, out, damping=0.05, combine=combine)
-        np.testing.assert_allclose(response.values, [DAMPED * 3.0, DAMPED * 3.0 / np.sqrt(2)], rtol=1e-10)
+        response = jb.spectrum_response(
+            lin, {"base": {"x": level}}, out, damping=0.05, combine=combine
+        )
+        np.testing.assert_allclose(
+            response.values, [DAMPED * 3.0, DAMPED * 3.0 / np.sqrt(2)], rtol=1e-10
+        )
 
 
 @pytest.mark.long
 def test_isolated_equipment_in_el_centro():
-    """Concentric isolators, stiff vertically: the reference is the peak stretch and acceleration at eight steps a sample."""
+    """Concentric isolators, stiff vertically: the reference is the peak stretch and acceleration at
+    eight steps a sample."""
     level, upright = np.diag([1e4, 1e4, 1e8, 0, 0, 0]), np.diag([800.0, 800, 0, 0, 0, 0])
     isolators = {
-        f"isolator {i}": jb.Bushing(("cabinet", [x, y, 0]), ("floor", [x, y, 0]), stiffness=level, damping=upright)
+        f"isolator {i}": jb.Bushing(
+            ("cabinet", [x, y, 0]), ("floor", [x, y, 0]), stiffness=level, damping=upright
+        )
         for i, (x, y) in enumerate([(0.6, 0.4), (-0.6, 0.4), (0.6, -0.4), (-0.6, -0.4)])
     }
-    model = jb.Model(bodies={"cabinet": jb.Body(1000.0, [80, 80, 120])}, supports={"floor": jb.Support()}, elements=isolators)
+    model = jb.Model(
+        bodies={"cabinet": jb.Body(1000.0, [80, 80, 120])},
+        supports={"floor": jb.Support()},
+        elements=isolators,
+    )
     lin, a = jb.linearize(model, model.reference), 9.81 * el_centro_in_g()
     outputs = {
         "stretch": jb.Position("cabinet", axis="x", relative_to="floor"),
@@ -234,10 +325,17 @@ def test_isolated_equipment_in_el_centro():
         "force": jb.LoadCell("isolator 1", component=0),
     }
     response = jb.spectrum_response(lin, {"floor": {"x": (0.02 * np.arange(len(a)), a)}}, outputs)
-    np.testing.assert_allclose(response.frequency[:3], [1.00658424, 1.00658424, 2.09537219], rtol=2e-8)
-    np.testing.assert_allclose(response.damping_ratio[:3], [0.25298221, 0.25298221, 0.52662447], rtol=2e-8)
-    np.testing.assert_allclose([response["stretch"], response["acceleration"] / 9.81], [0.04192605, 0.20508677], rtol=1e-4)
-    np.testing.assert_allclose(response["force"], 250.0 * response["acceleration"], rtol=1e-9)  # a quarter of the mass on each
+    np.testing.assert_allclose(
+        response.frequency[:3], [1.00658424, 1.00658424, 2.09537219], rtol=2e-8
+    )
+    np.testing.assert_allclose(
+        response.damping_ratio[:3], [0.25298221, 0.25298221, 0.52662447], rtol=2e-8
+    )
+    np.testing.assert_allclose(
+        [response["stretch"], response["acceleration"] / 9.81], [0.04192605, 0.20508677], rtol=1e-4
+    )
+    # a quarter of the mass on each
+    np.testing.assert_allclose(response["force"], 250.0 * response["acceleration"], rtol=1e-9)
 
 
 @pytest.mark.long
@@ -247,28 +345,52 @@ def test_derivatives_by_the_model_agree_with_differences(five):
     def shear(k):
         model = jb.replace(frame(3), {"storey 1.stiffness": k})
         lin = jb.linearize(model, model.reference)
-        return jb.spectrum_response(lin, {"0": {"x": level}}, {"shear": jb.LoadCell("storey 1")}, damping=0.05)["shear"]
+        return jb.spectrum_response(
+            lin, {"0": {"x": level}}, {"shear": jb.LoadCell("storey 1")}, damping=0.05
+        )["shear"]
 
     k, h = 54.82e5, 50.0
-    np.testing.assert_allclose(jax.grad(shear)(k), (shear(k + h) - shear(k - h)) / (2 * h), rtol=1e-6)
+    np.testing.assert_allclose(
+        jax.grad(shear)(k), (shear(k + h) - shear(k - h)) / (2 * h), rtol=1e-6
+    )
 
 
 @pytest.mark.long
 def test_bad_input_is_refused_all_at_once(five):
     level = jb.DesignSpectrum([1.0, 2.0], [3.0, 3.0], damping=0.02)
-    with pytest.raises(jb.JaxbodyError, match=r"'0 x': does not cover modes 1 .0\.499993 Hz.*damping ratios 0\.02 to 0\.02.*NOT_COVERED"):
+    with pytest.raises(
+        jb.JaxbodyError,
+        match=(
+            r"'0 x': does not cover modes 1 .0\.499993 Hz.*damping ratios 0\.02 "
+            r"to 0\.02.*NOT_COVERED"
+        ),
+    ):
         jb.spectrum_response(five, {"0": {"x": level}}, OUTPUTS, damping=0.05)
     with pytest.raises(jb.JaxbodyError) as raised:
         jb.spectrum_response(
-            five, {"roof": {"x": 3.0}, "0": {"u": level}}, {"a": jb.Acceleration("six")}, combine="sum", damping=5.0, highest=-1
+            five,
+            {"roof": {"x": 3.0}, "0": {"u": level}},
+            {"a": jb.Acceleration("six")},
+            combine="sum",
+            damping=5.0,
+            highest=-1,
         )
-    codes = {"UNKNOWN_NAME", "WRONG_KIND", "BAD_DIRECTION", "BAD_OPTION", "NOT_A_FRACTION", "BAD_FREQUENCY"}
+    codes = {
+        "UNKNOWN_NAME",
+        "WRONG_KIND",
+        "BAD_DIRECTION",
+        "BAD_OPTION",
+        "NOT_A_FRACTION",
+        "BAD_FREQUENCY",
+    }
     assert {p.code for p in raised.value.problems} == codes
     absolute = jb.shock_spectrum((np.arange(100) / 20, np.ones(100)), [1.0, 2.0])
     with pytest.raises(jb.JaxbodyError, match="BAD_KIND"):
         jb.spectrum_response(five, {"0": {"x": absolute}}, OUTPUTS)
     with pytest.raises(jb.JaxbodyError, match="BAD_CHAIN"):
-        jb.spectrum_response(five, {"0": {"x": level}}, {"a": jb.Acceleration("5", axis="x", lag=0.1)})
+        jb.spectrum_response(
+            five, {"0": {"x": level}}, {"a": jb.Acceleration("5", axis="x", lag=0.1)}
+        )
 
 
 @pytest.mark.long
@@ -279,13 +401,24 @@ def test_two_masses_that_a_rod_joins_respond_as_one():
         bodies={"frame": body(3.0, 0.0), "box": body(2.0, 0.5)},
         supports={"base": jb.Support()},
         joints=dict.fromkeys(("frame", "box"), jb.Guide("world", axis="x")),
-        elements={"s": jb.Spring(("frame", [0, 0, 0]), ("base", [1, 0, 1]), stiffness=800.0, free_length=1.0, damping=4.0)},
+        elements={
+            "s": jb.Spring(
+                ("frame", [0, 0, 0]),
+                ("base", [1, 0, 1]),
+                stiffness=800.0,
+                free_length=1.0,
+                damping=4.0,
+            )
+        },
         closures={"rod": jb.closures.Rod(("frame", [0, 0, 0]), ("box", [0, 0, 0]))},
     )
     lin, level = jb.linearize(model, jb.equilibrium(model)), jb.Eurocode8(2.0)
     w, zeta = np.sqrt(800.0 / 5), 4.0 / (2 * np.sqrt(800.0 * 5))
-    peaks = jb.spectrum_response(lin, {"base": {"x": level}}, {"force": jb.Elongation("s", gain=800.0)})
+    peaks = jb.spectrum_response(
+        lin, {"base": {"x": level}}, {"force": jb.Elongation("s", gain=800.0)}
+    )
     np.testing.assert_allclose(peaks["force"], 5 * float(level(w / (2 * np.pi), zeta)), rtol=1e-10)
     np.testing.assert_allclose(peaks.total_mass, [5.0], rtol=1e-12)
     floor = jb.floor_spectrum(lin, {"base": {"x": level}}, jb.Acceleration("box", axis="x"), [1e4])
-    np.testing.assert_allclose(floor.values, [[peaks["force"] / 5]], rtol=1e-5)  # stiff equipment moves with the box
+    # stiff equipment moves with the box
+    np.testing.assert_allclose(floor.values, [[peaks["force"] / 5]], rtol=1e-5)

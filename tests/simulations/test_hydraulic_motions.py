@@ -8,7 +8,14 @@ import rigs
 
 import jaxbody as jb
 
-MOUNT = {"stiffness": 2e5, "damping": 100.0, "upper_stiffness": 3e5, "lower_stiffness": 4e4, "fluid_mass": 60.0, "fluid_damping": 1500.0}
+MOUNT = {
+    "stiffness": 2e5,
+    "damping": 100.0,
+    "upper_stiffness": 3e5,
+    "lower_stiffness": 4e4,
+    "fluid_mass": 60.0,
+    "fluid_damping": 1500.0,
+}
 LINEAR = jb.laws.Hydraulic(**MOUNT)
 WHOLE = jb.laws.Hydraulic(**MOUNT, quadratic_damping=4e4, gap=2e-4)
 
@@ -27,12 +34,14 @@ def oscillator(spring, mass=200.0, joint=None, gravity=0.0):
 
 @pytest.mark.long
 def test_dynamic_stiffness_in_the_steady_state():
-    """kr + cr s + k1 (m s^2 + c s + k2)/(m s^2 + c s + k1 + k2) from the force under an imposed motion."""
+    """kr + cr s + k1 (m s^2 + c s + k2)/(m s^2 + c s + k1 + k2) from the force under an
+    imposed motion."""
     held = oscillator(LINEAR, joint=jb.Fixed("world"))
 
     @jax.jit
     def measured(frequency):
-        """First harmonics of force and deformation over a period after 1.5 s, when the start has died out by e^-18."""
+        """First harmonics of force and deformation over a period after 1.5 s, when the start has
+        died out by e^-18."""
         t = 1.5 + jnp.arange(64) / 64 / frequency
         moved = {"base": jb.Harmonic(frequency=frequency, translation=[1e-3, 0, 0])}
         run = jb.simulate(held, jnp.concatenate([jnp.zeros(1), t]), motion=moved, rtol=1e-9)
@@ -48,8 +57,12 @@ def test_dynamic_stiffness_in_the_steady_state():
 
 @pytest.mark.long
 def test_the_balance_of_energies_over_a_random_run():
-    """Work of the base = stored + kinetic energy of mass and fluid + lost, with decoupler, quadratic loss and a branch."""
-    model, rng = oscillator(WHOLE + jb.laws.Maxwell(stiffness=1e4, relaxation_time=0.1)), np.random.default_rng(4)
+    """Work of the base = stored + kinetic energy of mass and fluid + lost, with decoupler,
+    quadratic loss and a branch."""
+    model, rng = (
+        oscillator(WHOLE + jb.laws.Maxwell(stiffness=1e4, relaxation_time=0.1)),
+        np.random.default_rng(4),
+    )
     t = np.linspace(0, 1, 4001)
     parts = zip(rng.normal(size=8) * 1e-3, rng.uniform(1, 12, 8), rng.uniform(0, 6, 8), strict=True)
     road = sum(a * np.sin(2 * np.pi * f * t + p) for a, f, p in parts)
@@ -61,21 +74,35 @@ def test_the_balance_of_energies_over_a_random_run():
     power = np.asarray(run.powers["supports"]) - np.asarray(run.powers["damping"])
     h = t[1] - t[0]
     slopes = np.gradient(power, h, edge_order=2)
-    pieces = (power[1:] + power[:-1]) / 2 * h - (slopes[1:] - slopes[:-1]) * h**2 / 12  # of fourth order but at kinks
+    # of fourth order but at kinks
+    pieces = (power[1:] + power[:-1]) / 2 * h - (slopes[1:] - slopes[:-1]) * h**2 / 12
     work = np.concatenate([[0], np.cumsum(pieces)])
     assert np.abs(total - total[0] - work).max() < 1e-6 * np.sum(np.abs(power)) * h
     fluid = 0.5 * 60.0 * np.asarray(run.state.z[:, 1]) ** 2
-    np.testing.assert_allclose(run.energies["kinetic"], 0.5 * 200.0 * np.asarray(run.state.v[:, 0]) ** 2 + fluid, rtol=1e-12)
+    np.testing.assert_allclose(
+        run.energies["kinetic"],
+        0.5 * 200.0 * np.asarray(run.state.v[:, 0]) ** 2 + fluid,
+        rtol=1e-12,
+    )
 
 
 @pytest.mark.long
 def test_free_motion_of_the_fluid():
     """A held mount whose fluid is released: an oscillator of k1 + k2, in closed form."""
     held = oscillator(LINEAR, joint=jb.Fixed("world"))
-    run = jb.simulate(held, np.linspace(0, 0.3, 7), initial=jb.State(np.zeros(0), np.zeros(0), np.array([1e-3, 0.0])), rtol=1e-10)
+    run = jb.simulate(
+        held,
+        np.linspace(0, 0.3, 7),
+        initial=jb.State(np.zeros(0), np.zeros(0), np.array([1e-3, 0.0])),
+        rtol=1e-10,
+    )
     w0, decay = np.sqrt(3.4e5 / 60), 1500 / 120
     w = np.sqrt(w0**2 - decay**2)
-    y = 1e-3 * np.exp(-decay * run.times) * (np.cos(w * run.times) + decay / w * np.sin(w * run.times))
+    y = (
+        1e-3
+        * np.exp(-decay * run.times)
+        * (np.cos(w * run.times) + decay / w * np.sin(w * run.times))
+    )
     np.testing.assert_allclose(run.state.z[:, 0], y, atol=1e-8 * 1e-3)
     np.testing.assert_allclose(run.forces["s"], -3e5 * y, atol=1e-8 * 300)
 
@@ -92,13 +119,19 @@ def test_rest_and_load_cases():
     assert eq.stable and int(eq.status) == 0
     run = jb.simulate(model, [0.0, 0.2, 0.5], initial=eq.state)
     assert np.abs(run.state.q - eq.state.q).max() < 1e-9
-    cases = jb.load_cases(model, {"more": jb.LoadCase(loads={"push": jb.Force("m", force=[-1000.0, 0, 0])})})
-    np.testing.assert_allclose(cases.state.q[0], -(weight + 1000 + series * 2e-4) / (2e5 + series), rtol=1e-9)
+    cases = jb.load_cases(
+        model, {"more": jb.LoadCase(loads={"push": jb.Force("m", force=[-1000.0, 0, 0])})}
+    )
+    np.testing.assert_allclose(
+        cases.state.q[0], -(weight + 1000 + series * 2e-4) / (2e5 + series), rtol=1e-9
+    )
 
 
 def travel(model, values):
     names = ("upper_stiffness", "fluid_mass", "fluid_damping", "quadratic_damping")
-    model = jb.replace(model, {f"s.spring.{name}": x for name, x in zip(names, values, strict=True)})
+    model = jb.replace(
+        model, {f"s.spring.{name}": x for name, x in zip(names, values, strict=True)}
+    )
     moved = {"base": jb.Harmonic(frequency=9.0, translation=[2e-3, 0, 0])}
     run = jb.simulate(model, np.linspace(0, 0.2, 5), motion=moved, rtol=1e-11)
     return jnp.sum(run.state.q**2) * 1e4 + 1e2 * jnp.sum(run.state.z**2)
@@ -115,9 +148,22 @@ def test_derivatives_of_a_motion_and_a_batch():
 
 
 def test_a_mount_with_a_fluid_has_paths_words_and_a_file(tmp_path):
-    mount = jb.Mount(("engine", [0.1, 0, 0]), ("frame", [0.1, 0, 0]), x=1e5, y=1e5, z=WHOLE, rx=50.0, ry=50.0, rz=50.0)
+    mount = jb.Mount(
+        ("engine", [0.1, 0, 0]),
+        ("frame", [0.1, 0, 0]),
+        x=1e5,
+        y=1e5,
+        z=WHOLE,
+        rx=50.0,
+        ry=50.0,
+        rz=50.0,
+    )
     body = jb.Body(mass=200.0, inertia=[3, 4, 5])
-    model = jb.Model(bodies={"engine": body}, supports={"frame": jb.Support()}, elements={"engine mount A": mount})
+    model = jb.Model(
+        bodies={"engine": body},
+        supports={"frame": jb.Support()},
+        elements={"engine mount A": mount},
+    )
     assert model.layout.states == ("engine mount A, fluid", "engine mount A, rate of fluid")
     assert "engine mount A.z.fluid_mass" in jb.paths(model)
     jb.write_model(model, tmp_path / "engine.toml")
@@ -127,4 +173,6 @@ def test_a_mount_with_a_fluid_has_paths_words_and_a_file(tmp_path):
     with pytest.raises(jb.JaxbodyError, match="NEGATIVE"):
         jb.replace(model, {"engine mount A.z.gap": -1e-3})
     with pytest.raises(jb.JaxbodyError, match="BAD_SHAPE"):
-        jb.simulate(model, [0.0, 1.0], initial=jb.State(model.reference.q, model.reference.v, np.zeros(1)))
+        jb.simulate(
+            model, [0.0, 1.0], initial=jb.State(model.reference.q, model.reference.v, np.zeros(1))
+        )

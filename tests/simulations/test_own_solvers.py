@@ -21,18 +21,33 @@ def solved(f, state, args, solver=None, rtol=1e-10, **options):
     options = {"saveat": diffrax.SaveAt(ts=TIMES)} | options
     steps = diffrax.PIDController(rtol=rtol, atol=rtol / 100)
     return diffrax.diffeqsolve(
-        f if isinstance(f, diffrax.ODETerm) else diffrax.ODETerm(f), solver or diffrax.Tsit5(), TIMES[0], TIMES[-1], 0.01, state, args=args,
-        stepsize_controller=steps, max_steps=100_000, **options,
-    )  # fmt: skip
+        f if isinstance(f, diffrax.ODETerm) else diffrax.ODETerm(f),
+        solver or diffrax.Tsit5(),
+        TIMES[0],
+        TIMES[-1],
+        0.01,
+        state,
+        args=args,
+        stepsize_controller=steps,
+        max_steps=100_000,
+        **options,
+    )
 
 
 def assert_same(states, trajectory, limit):
     for name in ("q", "v", "z"):
         found, expected = getattr(states, name), getattr(trajectory.state, name)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=limit * max(1.0, float(jnp.abs(expected).max(initial=0.0))))
+        np.testing.assert_allclose(
+            found,
+            expected,
+            rtol=0,
+            atol=limit * max(1.0, float(jnp.abs(expected).max(initial=0.0))),
+        )
 
 
-@pytest.mark.parametrize("solver", [diffrax.Tsit5(), pytest.param(diffrax.Kvaerno5(), marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "solver", [diffrax.Tsit5(), pytest.param(diffrax.Kvaerno5(), marks=pytest.mark.long)]
+)
 def test_a_plate_moves_as_by_simulate(solver):
     """Errors of a motion are some hundred times the tolerance of a step."""
     start = jb.equilibrium(PLATE).state
@@ -51,7 +66,9 @@ def test_an_event_ends_a_motion_at_a_threshold():
     f = jb.equations_of_motion(PLATE, motion=MOTION)
     event = diffrax.Event(lambda t, y, args, **_: y.q[0] - 0.005, optimistix.Newton(1e-10, 1e-10))
     start = jb.equilibrium(PLATE).state
-    done = jb.jit(lambda model: solved(f, start, model, event=event, saveat=diffrax.SaveAt(t1=True)))(PLATE)
+    done = jb.jit(
+        lambda model: solved(f, start, model, event=event, saveat=diffrax.SaveAt(t1=True))
+    )(PLATE)
     assert done.result == diffrax.RESULTS.event_occurred
     ends = np.array([0.0, float(done.ts[0])])
     at_end = jb.simulate(PLATE, ends, motion=MOTION, initial=start, rtol=1e-11).state.q[-1]
@@ -60,7 +77,8 @@ def test_an_event_ends_a_motion_at_a_threshold():
 
 @pytest.mark.long
 def test_derivatives_by_the_adjoint_of_the_user():
-    """BacksolveAdjoint takes the numbers to differentiate by, as models hold empty tuples, which diffrax 0.7 does not take there."""
+    """BacksolveAdjoint takes the numbers to differentiate by, as models hold empty tuples, which
+    diffrax 0.7 does not take there."""
     start, motion = jb.equilibrium(PLATE).state, MOTION
     f = jb.equations_of_motion(PLATE, motion=motion)
     term = diffrax.ODETerm(lambda t, y, numbers: f(t, y, jb.replace(PLATE, numbers)))
@@ -70,12 +88,16 @@ def test_derivatives_by_the_adjoint_of_the_user():
 
     def by_simulate(k):
         model = jb.replace(PLATE, {"s0.stiffness": k})
-        return jnp.sum(jb.simulate(model, TIMES, motion=motion, initial=start, rtol=1e-11).state.q[-1, :3])
+        return jnp.sum(
+            jb.simulate(model, TIMES, motion=motion, initial=start, rtol=1e-11).state.q[-1, :3]
+        )
 
     k = PLATE["s0"].stiffness
     expected = jb.jit(jax.grad(by_simulate))(k)
     for adjoint in (diffrax.RecursiveCheckpointAdjoint(), diffrax.BacksolveAdjoint()):
-        np.testing.assert_allclose(jb.jit(jax.grad(lambda k, a=adjoint: end(k, a)))(k), expected, rtol=1e-6)
+        np.testing.assert_allclose(
+            jb.jit(jax.grad(lambda k, a=adjoint: end(k, a)))(k), expected, rtol=1e-6
+        )
 
 
 @pytest.mark.long
@@ -84,16 +106,27 @@ def test_memory_and_closures_move_as_by_simulate(kind):
     """Closures drift by the errors of the solver: simulate projects its steps onto them."""
     if kind == "closures":
         model, limit = rigs.slider_crank({}), 1e-6
-        initial = jb.State(model.reference.q, jnp.array([3.0]) @ np.asarray(jb.linearize(model, model.reference).dependent.N).T)
+        initial = jb.State(
+            model.reference.q,
+            jnp.array([3.0]) @ np.asarray(jb.linearize(model, model.reference).dependent.N).T,
+        )
     else:
         law = jb.laws.Linear(400.0) + jb.laws.Maxwell(stiffness=300.0, relaxation_time=0.3)
         model = jb.Model(
-            bodies={"arm": jb.Body(2.0, [0.1, 0.1, 0.1], com=[0.4, 0, 0])}, supports={"base": jb.Support()}, gravity=[0, 0, -9.81],
+            bodies={"arm": jb.Body(2.0, [0.1, 0.1, 0.1], com=[0.4, 0, 0])},
+            supports={"base": jb.Support()},
+            gravity=[0, 0, -9.81],
             joints={"arm": jb.Hinge("base", axis=[0, 1, 0])},
-            elements={"strut": jb.SpringDamper(("arm", [0.5, 0, 0]), ("base", [0.5, 0, 0.6]), spring=law, free_length=0.5)},
-        )  # fmt: skip
+            elements={
+                "strut": jb.SpringDamper(
+                    ("arm", [0.5, 0, 0]), ("base", [0.5, 0, 0.6]), spring=law, free_length=0.5
+                )
+            },
+        )
         initial, limit = model.reference, 1e-8
-    motion = {name: jb.Harmonic(frequency=0.8, translation=[0, 0, 0.02]) for name in model.layout.supports}
+    motion = {
+        name: jb.Harmonic(frequency=0.8, translation=[0, 0, 0.02]) for name in model.layout.supports
+    }
     f = jb.equations_of_motion(model, motion=motion)
     states = jb.jit(lambda model: solved(f, initial, model).ys)(model)
     done = jb.simulate(model, TIMES, motion=motion, initial=initial, rtol=1e-11)

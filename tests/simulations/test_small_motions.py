@@ -1,4 +1,5 @@
-"""Models without extent, one body on springs of zero length: motions of 1 m, 1 nm, 1 pm and 1 fm are equally accurate, by closed forms."""
+"""Models without extent, one body on springs of zero length: motions of 1 m, 1 nm, 1 pm and 1 fm
+are equally accurate, by closed forms."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +31,13 @@ CASES = {
     "gravity": (lambda a: {"gravity": [a * W**2, 0, 0]}, 1 - FREE),
     "load": (lambda a: {"loads": {"f": jb.Force("m", force=[K * a, 0, 0])}}, 1 - FREE),
     "base": (
-        lambda a: {"motion": {"b": jb.Harmonic(frequency=W / 4 / np.pi, translation=[a, 0, 0], translation_phase=-np.pi / 2)}},
+        lambda a: {
+            "motion": {
+                "b": jb.Harmonic(
+                    frequency=W / 4 / np.pi, translation=[a, 0, 0], translation_phase=-np.pi / 2
+                )
+            }
+        },
         shaken(),
     ),
 }
@@ -41,7 +48,9 @@ def run(gravity=(0, 0, 0), **options):
         bodies={"m": jb.Body(M)},
         supports={"b": jb.Support()},
         joints={"m": jb.Guide("world", axis="x")},
-        elements={"s": jb.Bushing(("m", [0, 0, 0]), ("b", [0, 0, 0]), stiffness=[K] * 3, damping=[C] * 3)},
+        elements={
+            "s": jb.Bushing(("m", [0, 0, 0]), ("b", [0, 0, 0]), stiffness=[K] * 3, damping=[C] * 3)
+        },
         gravity=gravity,
     )
     return jb.simulate(model, TIMES, **options)

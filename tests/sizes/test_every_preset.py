@@ -1,4 +1,5 @@
-"""Every preset computes outside and inside a jit, in a vmap and in a grad, with the same numbers, and ends no process."""
+"""Every preset computes outside and inside a jit, in a vmap and in a grad, with the same numbers,
+and ends no process."""
 
 import pytest
 from size_jobs import OUTSIDE_AND_INSIDE, PRESETS, WAYS, failures, jobs
@@ -12,4 +13,6 @@ ALONE = {"full_car_on_double_wishbones", "hydraulic_engine_mounts", "rubber_isol
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset(name):
     ways = WAYS if name == "coupled_gliders" else ("",) if name in ALONE else OUTSIDE_AND_INSIDE
-    assert failures([*jobs(name, "equilibrium linearize modes simulate", ways), f"{name}: fit"]) == []
+    assert (
+        failures([*jobs(name, "equilibrium linearize modes simulate", ways), f"{name}: fit"]) == []
+    )

@@ -1,4 +1,5 @@
-"""Equilibria of models with closures: virtual work in closed form, reactions, stability, derivatives, and failures by name."""
+"""Equilibria of models with closures: virtual work in closed form, reactions, stability,
+derivatives, and failures by name."""
 
 import warnings
 
@@ -12,15 +13,22 @@ import jaxbody as jb
 from jaxbody.joints.element_tables import frames_of
 
 G = 9.81
-CRANK, GROUND, OFFSET = 0.5, 0.3, 0.1  # of the parallelogram: its cranks are drawn hanging, with pins OFFSET to the right of their hinges
+# of the parallelogram: its cranks are drawn hanging, with pins OFFSET to the right of their hinges
+CRANK, GROUND, OFFSET = 0.5, 0.3, 0.1
 MASSES = {"left": 1.0, "right": 2.0, "coupler": 3.0}
-PARTS = {"left": [0.0, -CRANK / 2, 0], "right": [GROUND, -CRANK / 2, 0], "coupler": [GROUND / 2, -CRANK, 0]}
-PULL, ANCHOR, FREE = 100.0, 1.0, 0.8  # stiffness, place and free length of the spring that pulls the coupler to the right
+PARTS = {
+    "left": [0.0, -CRANK / 2, 0],
+    "right": [GROUND, -CRANK / 2, 0],
+    "coupler": [GROUND / 2, -CRANK, 0],
+}
+# stiffness, place and free length of the spring that pulls the coupler to the right
+PULL, ANCHOR, FREE = 100.0, 1.0, 0.8
 CUTS = ["right pin", "left pin", "right hinge", "left hinge"]
 
 
 def parallelogram(cut="right pin", *, spring=True, gravity=(0, -G, 0), base="world", supports=None):
-    """Two cranks of equal length that carry a coupler, as hinges in space; one of the four is a closure."""
+    """Two cranks of equal length that carry a coupler, as hinges in space; one of the four is
+    a closure."""
     ends = {
         "left hinge": (base, "left", [0, 0, 0]),
         "left pin": ("left", "coupler", [0, -CRANK, 0]),
@@ -34,8 +42,13 @@ def parallelogram(cut="right pin", *, spring=True, gravity=(0, -G, 0), base="wor
             for parent, body in ((one, other), (other, one)):
                 if parent in carried and body not in carried:
                     joints[body], carried = jb.Hinge(parent, axis="z", at=point), carried | {body}
-    bodies = {name: jb.Body(mass=MASSES[name], inertia=[0.02, 0.03, 0.04], com=com) for name, com in PARTS.items()}
-    pull = jb.Spring(("coupler", [0, -CRANK, 0]), (base, [ANCHOR, -CRANK, 0]), stiffness=PULL, free_length=FREE)
+    bodies = {
+        name: jb.Body(mass=MASSES[name], inertia=[0.02, 0.03, 0.04], com=com)
+        for name, com in PARTS.items()
+    }
+    pull = jb.Spring(
+        ("coupler", [0, -CRANK, 0]), (base, [ANCHOR, -CRANK, 0]), stiffness=PULL, free_length=FREE
+    )
     return jb.Model(
         bodies=bodies,
         joints=joints,
@@ -53,7 +66,10 @@ def pulled_angle(pull=PULL, anchor=ANCHOR):
     def slope(angle):
         d = np.array([anchor - CRANK * np.sin(angle), -CRANK + CRANK * np.cos(angle)])
         length = np.hypot(*d)
-        return CRANK * weight * np.sin(angle) - pull * (length - FREE) * CRANK * (d @ [np.cos(angle), np.sin(angle)]) / length
+        return (
+            CRANK * weight * np.sin(angle)
+            - pull * (length - FREE) * CRANK * (d @ [np.cos(angle), np.sin(angle)]) / length
+        )
 
     return brentq(slope, 0.0, 1.0, xtol=1e-15, rtol=1e-15)
 
@@ -67,39 +83,50 @@ def turn_of(model, state, body):
 @pytest.mark.long
 @pytest.mark.parametrize("cut", CUTS)
 def test_a_parallelogram_cut_at_any_joint_is_at_rest_where_virtual_work_is_zero(cut):
-    """Four hinges in space: three of the five conditions of each closure are implied, and these have no unique reaction."""
+    """Four hinges in space: three of the five conditions of each closure are implied, and these
+    have no unique reaction."""
     model = parallelogram(cut)
     eq = jb.equilibrium(model)
     angle = pulled_angle()
     assert eq.ok and eq.stable
-    np.testing.assert_allclose([turn_of(model, eq.state, name) for name in PARTS], [angle, angle, 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        [turn_of(model, eq.state, name) for name in PARTS], [angle, angle, 0.0], atol=1e-12
+    )
     np.testing.assert_allclose(eq.residual, 0, atol=1e-12)
     assert set(eq.redundant) == {"cut z", "cut turn 1", "cut turn 2"}
     reaction = eq.closure_reactions["cut"]
     assert all(np.isnan(reaction[row]) for row in ("z", "turn 1", "turn 2"))
     assert "not unique: cut z" in repr(eq)
-    if cut == "right pin":  # the crank at the right carries its share by its own moments; half of the coupler hangs on it
+    # the crank at the right carries its share by its own moments; half of the coupler hangs on it
+    if cut == "right pin":
         c, s = np.cos(angle), np.sin(angle)
         across = -MASSES["right"] * G * s / 2  # moments about its hinge
-        assert float(reaction["x"]) * c + float(reaction["y"]) * s == pytest.approx(across, abs=1e-12)
+        assert float(reaction["x"]) * c + float(reaction["y"]) * s == pytest.approx(
+            across, abs=1e-12
+        )
 
 
 def test_an_arm_that_hangs_on_a_rod_pulls_it_with_half_its_weight():
     arm = jb.Body(mass=3.0, inertia=[0.01, 0.1, 0.1], com=[0.5, 0, 0])
     rod = jb.closures.Rod(("world", [1.0, 0.7, 0]), ("arm", [1.0, 0, 0]))
     model = jb.Model(
-        bodies={"arm": arm}, joints={"arm": jb.Hinge("world", axis="z", at=[0, 0, 0])}, closures={"rod": rod}, gravity=[0, -G, 0]
+        bodies={"arm": arm},
+        joints={"arm": jb.Hinge("world", axis="z", at=[0, 0, 0])},
+        closures={"rod": rod},
+        gravity=[0, -G, 0],
     )
     eq = jb.equilibrium(model)
     assert eq.ok and eq.redundant == ()
     assert float(eq.closure_reactions["rod"]["length"]) == pytest.approx(1.5 * G, rel=1e-12)
 
 
-ARM, ANGLE, LIFT, LOAD = 1.2, 0.6, 20000.0, 80.0  # scissor lift: length and angle of its arms, stiffness of the spring, mass on top
+# scissor lift: length and angle of its arms, stiffness of the spring, mass on top
+ARM, ANGLE, LIFT, LOAD = 1.2, 0.6, 20000.0, 80.0
 
 
 def scissor_lift(angle=0.5, *, all_pins=False):
-    """Two arms crossed at their middle; the spring between their feet balances the platform at ANGLE."""
+    """Two arms crossed at their middle; the spring between their feet balances the platform
+    at ANGLE."""
     free = ARM * np.cos(ANGLE) - LOAD * G * np.cos(ANGLE) / (LIFT * np.sin(ANGLE))
     c, s = ARM * np.cos(angle), ARM * np.sin(angle)
     light = jb.Body(mass=1e-9, inertia=[1e-9, 1e-9, 1e-9], com=[c / 2, s / 2, 0])
@@ -114,25 +141,45 @@ def scissor_lift(angle=0.5, *, all_pins=False):
     }
     if all_pins:
         closures["pin"] = jb.closures.Ball(("platform", [0, s, 0]), ("falling", [0, s, 0]))
-        closures["slot"] = jb.closures.Inline(("platform", [0, s, 0]), ("rising", [c, s, 0]), axis="x")
-    spring = jb.Spring(("falling", [c, 0, 0]), ("world", [0, 0, 0]), stiffness=LIFT, free_length=free)
-    bodies = {"rising": light, "falling": light, "platform": jb.Body(mass=LOAD, inertia=[1, 1, 1], com=[c / 2, s, 0])}
-    return jb.Model(bodies=bodies, joints=joints, closures=closures, elements={"spring": spring}, gravity=[0, -G, 0])
+        closures["slot"] = jb.closures.Inline(
+            ("platform", [0, s, 0]), ("rising", [c, s, 0]), axis="x"
+        )
+    spring = jb.Spring(
+        ("falling", [c, 0, 0]), ("world", [0, 0, 0]), stiffness=LIFT, free_length=free
+    )
+    bodies = {
+        "rising": light,
+        "falling": light,
+        "platform": jb.Body(mass=LOAD, inertia=[1, 1, 1], com=[c / 2, s, 0]),
+    }
+    return jb.Model(
+        bodies=bodies,
+        joints=joints,
+        closures=closures,
+        elements={"spring": spring},
+        gravity=[0, -G, 0],
+    )
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("all_pins", [False, True])
 def test_a_scissor_lift_is_balanced_by_virtual_work(all_pins):
-    """m g L cos a = k (L cos a - l) L sin a, with light arms; pins that repeat what others hold change nothing."""
+    """m g L cos a = k (L cos a - l) L sin a, with light arms; pins that repeat what others hold
+    change nothing."""
     eq = jb.equilibrium(scissor_lift(all_pins=all_pins))
     assert eq.ok and eq.stable
     np.testing.assert_allclose(eq.state.q[0] + 0.5, ANGLE, atol=1e-11)  # arms of 1e-9 kg
     np.testing.assert_allclose(eq.state.q[2], ARM * (np.sin(ANGLE) - np.sin(0.5)), atol=1e-11)
-    heads = [value for row, value in eq.closure_reactions["head"].items() if row.startswith("across")]
+    heads = [
+        value for row, value in eq.closure_reactions["head"].items() if row.startswith("across")
+    ]
     if all_pins:
         assert np.isnan(heads).all() and len(eq.redundant) > 2
     else:
-        assert np.nanmax(np.abs(heads)) == pytest.approx(LOAD * G, rel=1e-10) and len(eq.redundant) == 2
+        assert (
+            np.nanmax(np.abs(heads)) == pytest.approx(LOAD * G, rel=1e-10)
+            and len(eq.redundant) == 2
+        )
 
 
 RADIUS, ROD = 0.1, 0.35
@@ -148,16 +195,24 @@ def slider_crank(angle):
     }
     return jb.Model(
         bodies=bodies,
-        joints={"crank": jb.Hinge("world", axis="z", at=[0, 0, 0]), "slider": jb.Guide("world", axis="x")},
+        joints={
+            "crank": jb.Hinge("world", axis="z", at=[0, 0, 0]),
+            "slider": jb.Guide("world", axis="x"),
+        },
         closures={"rod": jb.closures.Rod(("crank", pin), ("slider", [x, 0, 0]), length=ROD)},
-        elements={"return": jb.Spring(("slider", [x, 0, 0]), ("world", [2.0, 0, 0]), stiffness=600.0, free_length=2.0 - x)},
+        elements={
+            "return": jb.Spring(
+                ("slider", [x, 0, 0]), ("world", [2.0, 0, 0]), stiffness=600.0, free_length=2.0 - x
+            )
+        },
         gravity=[0, -G, 0],
     )
 
 
 @pytest.mark.long
 def test_a_slider_crank_holds_a_load():
-    """F x'(angle) = m g r cos(angle) + k (x - x_0) x'(angle), and the rod carries what the slider does not balance."""
+    """F x'(angle) = m g r cos(angle) + k (x - x_0) x'(angle), and the rod carries what the slider
+    does not balance."""
     model, angle, drawn = slider_crank(-1.2), -0.9, -1.2
     place = lambda a: RADIUS * np.cos(a) + np.sqrt(ROD**2 - (RADIUS * np.sin(a)) ** 2)  # noqa: E731
     root = np.sqrt(ROD**2 - (RADIUS * np.sin(angle)) ** 2)
@@ -167,12 +222,15 @@ def test_a_slider_crank_holds_a_load():
     eq = jb.equilibrium(model, loads={"load": jb.Force("slider", force=[load, 0, 0])})
     assert eq.ok and eq.stable and float(eq.load_factor) == 1.0
     np.testing.assert_allclose(eq.state.q, [angle - drawn, place(angle) - place(drawn)], atol=1e-12)
-    assert float(eq.closure_reactions["rod"]["length"]) == pytest.approx((load - spring) * ROD / root, rel=1e-11)
+    assert float(eq.closure_reactions["rod"]["length"]) == pytest.approx(
+        (load - spring) * ROD / root, rel=1e-11
+    )
 
 
 @pytest.mark.parametrize("height, negative", [(-0.8, 0), (0.8, 2)])
 def test_a_bob_on_a_rod_is_stable_below_its_pivot_alone(height, negative):
-    """In its straight coordinates neither weight nor rod have a stiffness: all of it, m g/L both ways, is of the curved path."""
+    """In its straight coordinates neither weight nor rod have a stiffness: all of it, m g/L both
+    ways, is of the curved path."""
     model = jb.Model(
         bodies={"bob": jb.Body(2.0, [1, 1, 1], position=[0, 0, height])},
         joints={"bob": jb.Translation("world")},
@@ -184,21 +242,30 @@ def test_a_bob_on_a_rod_is_stable_below_its_pivot_alone(height, negative):
         rest = jb.equilibrium(model)
     assert jb.Status(int(rest.status)).name == ("UNSTABLE" if negative else "OK")
     assert int(rest.negative) == negative and bool(rest.stable) == (not negative)
-    np.testing.assert_allclose(float(rest.closure_reactions["rod"]["length"]), -np.sign(height) * 2.0 * G, rtol=1e-10)
+    np.testing.assert_allclose(
+        float(rest.closure_reactions["rod"]["length"]), -np.sign(height) * 2.0 * G, rtol=1e-10
+    )
 
 
 def test_a_closure_that_holds_a_body_upright_bears_the_moment_of_its_weight():
-    """A body beside a vertical guide, on a spring along it, exerts the moment r x W on the guide, whatever the size of the model."""
+    """A body beside a vertical guide, on a spring along it, exerts the moment r x W on the guide,
+    whatever the size of the model."""
     mass, r = 3.0, np.array([0.4, -0.7, 0.2])
     model = jb.Model(
         bodies={"lift": jb.Body(mass, [1, 1, 1], com=r)},
         closures={"rail": jb.closures.Guide(("world", [0, 0, 0]), ("lift", [0, 0, 0]), axis="z")},
-        elements={"cable": jb.Spring(("lift", [0, 0, 0]), ("world", [0, 0, 5]), stiffness=2e3, free_length=4.9)},
+        elements={
+            "cable": jb.Spring(
+                ("lift", [0, 0, 0]), ("world", [0, 0, 5]), stiffness=2e3, free_length=4.9
+            )
+        },
         gravity=[0, 0, -G],
     )
     reaction = jb.equilibrium(model).closure_reactions["rail"]
     moment = np.cross(r, [0, 0, -mass * G])
-    np.testing.assert_allclose([reaction[f"turn {axis}"] for axis in "xyz"], moment, rtol=1e-10, atol=1e-8)
+    np.testing.assert_allclose(
+        [reaction[f"turn {axis}"] for axis in "xyz"], moment, rtol=1e-10, atol=1e-8
+    )
     np.testing.assert_allclose([reaction["across 1"], reaction["across 2"]], 0, atol=1e-8)
 
 
@@ -215,10 +282,18 @@ def test_supports_carry_what_closures_hand_to_them():
 @pytest.mark.long
 def test_load_cases_tilt_the_linkage_as_gravity_tilts():
     model = parallelogram(spring=False)
-    cases = jb.load_cases(model, {"corner": jb.LoadCase(acceleration=[0.4, 0, 0]), "bump": jb.LoadCase(acceleration=[0, 2.0, 0])})
+    cases = jb.load_cases(
+        model,
+        {
+            "corner": jb.LoadCase(acceleration=[0.4, 0, 0]),
+            "bump": jb.LoadCase(acceleration=[0, 2.0, 0]),
+        },
+    )
     assert np.asarray(cases.ok).all()
     side = 0.4 * 9.80665
-    np.testing.assert_allclose(cases.state.q[0], np.array([-1, -1, 1]) * np.arctan2(side, G), atol=1e-12)
+    np.testing.assert_allclose(
+        cases.state.q[0], np.array([-1, -1, 1]) * np.arctan2(side, G), atol=1e-12
+    )
     np.testing.assert_allclose(cases.state.q[1], 0, atol=1e-12)
 
 
@@ -236,7 +311,14 @@ def test_equilibria_have_derivatives_by_stiffness_and_by_points():
     model = parallelogram()
 
     def angle(x):
-        changed = jb.replace(model, {"pull.stiffness": x[0], "pull.b": jnp.array([x[1], -CRANK, 0]), "cut.b": jnp.array([x[2], -CRANK, 0])})
+        changed = jb.replace(
+            model,
+            {
+                "pull.stiffness": x[0],
+                "pull.b": jnp.array([x[1], -CRANK, 0]),
+                "cut.b": jnp.array([x[2], -CRANK, 0]),
+            },
+        )
         eq = jb.equilibrium(changed)
         return jnp.stack([eq.state.q[0], eq.state.q[1], eq.closure_reactions["cut"]["y"]])
 
@@ -247,7 +329,9 @@ def test_equilibria_have_derivatives_by_stiffness_and_by_points():
     for i, h in enumerate([1e-3, 1e-5, 1e-5]):
         step = jnp.zeros(3).at[i].set(h)
         difference = (value(x + step) - value(x - step)) / (2 * h)
-        np.testing.assert_allclose(forward[:, i], difference, rtol=1e-6, atol=1e-6 * np.abs(forward[:, i]).max())
+        np.testing.assert_allclose(
+            forward[:, i], difference, rtol=1e-6, atol=1e-6 * np.abs(forward[:, i]).max()
+        )
     exact = (pulled_angle(PULL + 1e-2) - pulled_angle(PULL - 1e-2)) / 2e-2
     assert float(forward[0, 0]) == pytest.approx(exact, rel=1e-8)
     bends = jax.jit(jax.jacfwd(lambda k: jax.jacrev(angle)(x.at[0].set(k))[0, 0]))(PULL)
@@ -259,7 +343,9 @@ def test_equilibria_have_derivatives_by_stiffness_and_by_points():
 def test_failures_are_named():
     with pytest.warns(jb.JaxbodyWarning, match="SINGULAR_K.*free to move together"):
         assert not jb.equilibrium(parallelogram(spring=False, gravity=(0, 0, 0))).ok
-    with pytest.warns(jb.JaxbodyWarning, match=r"NOT_CLOSED.*'cut . stays|NOT_CLOSED.*'cut .' stays"):
+    with pytest.warns(
+        jb.JaxbodyWarning, match=r"NOT_CLOSED.*'cut . stays|NOT_CLOSED.*'cut .' stays"
+    ):
         open_ = jb.replace(parallelogram(), {"cut.b": jnp.array([3.0, -CRANK, 0])})
         assert jb.equilibrium(open_).report().startswith("NOT_CLOSED")
     flat = parallelogram(spring=False, gravity=(G, 0, 0))

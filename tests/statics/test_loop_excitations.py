@@ -1,4 +1,5 @@
-"""The generalized force of displaced supports on a closed loop: by hand for a slider-crank, and to first order as K~ Xi."""
+"""The generalized force of displaced supports on a closed loop: by hand for a slider-crank, and to
+first order as K~ Xi."""
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,8 @@ import jaxbody as jb
 
 G = 9.81
 CRANK, COUPLER = 0.2, 0.3
-WEIGHT, TORQUE, ANGLE = 4.0 * G, 30.0, 0.6  # of both links, whose centers are at half the height of the pin; of the spring at the crank
+# of both links, whose centers are at half the height of the pin; of the spring at the crank
+WEIGHT, TORQUE, ANGLE = 4.0 * G, 30.0, 0.6
 
 
 def slider_crank():
@@ -20,10 +22,14 @@ def slider_crank():
 
 
 def closed(height, turn):
-    """The turn b of the coupler relative to the crank: its end is on the line through (0, h) with slope tan(turn)."""
+    """The turn b of the coupler relative to the crank: its end is on the line through (0, h) with
+    slope tan(turn)."""
 
     def gap(b):
-        x, y = CRANK * np.cos(ANGLE) + COUPLER * np.cos(ANGLE + b), CRANK * np.sin(ANGLE) + COUPLER * np.sin(ANGLE + b)
+        x, y = (
+            CRANK * np.cos(ANGLE) + COUPLER * np.cos(ANGLE + b),
+            CRANK * np.sin(ANGLE) + COUPLER * np.sin(ANGLE + b),
+        )
         return np.cos(turn) * (y - height) - np.sin(turn) * x
 
     low, high = -np.pi / 2 - ANGLE, np.pi / 2 - ANGLE
@@ -39,7 +45,8 @@ def slope(height, turn):
     e = np.array([-np.sin(turn), np.cos(turn)])
     of_pin, of_end = (np.array([-np.sin(x), np.cos(x)]) for x in (ANGLE, ANGLE + b))
     follows = -(CRANK * e @ of_pin + COUPLER * e @ of_end) / (COUPLER * e @ of_end)
-    rise = CRANK * np.cos(ANGLE) + COUPLER / 2 * np.cos(ANGLE + b) * (1 + follows)  # of the coupler's center
+    # of the coupler's center
+    rise = CRANK * np.cos(ANGLE) + COUPLER / 2 * np.cos(ANGLE + b) * (1 + follows)
     return TORQUE * ANGLE + G * CRANK / 2 * np.cos(ANGLE) + 3.0 * G * rise
 
 
@@ -53,7 +60,9 @@ def test_the_excitation_of_a_slider_crank_is_the_change_of_its_slope():
     for height, turn in ((0.03, 0.0), (0.0, 0.2), (-0.05, -0.3)):
         found = force(jnp.array([0, height, 0, 0, 0, turn]))
         np.testing.assert_allclose(found, [slope(0.0, 0.0) - slope(height, turn)], rtol=1e-10)
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(force))(jnp.zeros(6)), lin.K_tilde, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        jax.jit(jax.jacfwd(force))(jnp.zeros(6)), lin.K_tilde, rtol=1e-9, atol=1e-9
+    )
     assert np.isnan(force(jnp.array([0, 0.6, 0, 0, 0, 0]))).all()  # beyond reach
 
 

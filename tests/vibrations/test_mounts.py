@@ -1,7 +1,9 @@
-"""Which of the twelve stiffnesses of four parallel three-axis mounts the natural motions of a rigid body determine.
+"""Which of the twelve stiffnesses of four parallel three-axis mounts the natural motions of a rigid
+body determine.
 
-The motions determine at most the 6 x 6 stiffness matrix. For mounts at the corners of a rectangle, 8 combinations of the stiffnesses are
-determined; for another plane quadrilateral 9; for four points in general position all 12.
+The motions determine at most the 6 x 6 stiffness matrix. For mounts at the corners of a rectangle,
+8 combinations of the stiffnesses are determined; for another plane quadrilateral 9; for four points
+in general position all 12.
 """
 
 import jax.numpy as jnp
@@ -35,17 +37,25 @@ def natural_motions(model: jb.Model, times) -> dict[str, jb.Experiment]:
         q = jb.retract(model, model.reference.q, AMPLITUDE * shape)
         initial = jb.State(q, model.reference.v)
         measured = jb.measure(jb.simulate(model, times, initial=initial, rtol=1e-11), sensors)
-        runs[f"mode{i + 1}"] = jb.Experiment(times, initial=initial, sensors=sensors, measured=measured)
+        runs[f"mode{i + 1}"] = jb.Experiment(
+            times, initial=initial, sensors=sensors, measured=measured
+        )
     return runs
 
 
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
-@pytest.mark.parametrize("points, rank", [(RECTANGLE, 8), (QUADRILATERAL, 9), (GENERAL, 12)], ids=["rectangle", "plane", "general"])
+@pytest.mark.parametrize(
+    "points, rank",
+    [(RECTANGLE, 8), (QUADRILATERAL, 9), (GENERAL, 12)],
+    ids=["rectangle", "plane", "general"],
+)
 def test_the_rank_is_that_of_the_geometry(points, rank):
     model = mounted(points)
     start = jb.replace(model, {"*.stiffness": STIFFNESS * np.array([1.1, 0.92, 1.07])})
-    fit = jb.fit(start, natural_motions(model, np.linspace(0, 0.12, 13)), free=["*.stiffness"], rtol=1e-11)
+    fit = jb.fit(
+        start, natural_motions(model, np.linspace(0, 0.12, 13)), free=["*.stiffness"], rtol=1e-11
+    )
     assert int(np.sum(fit.singular_values > 1e-6 * fit.singular_values[0])) == rank
     assert len(fit.unidentified) == 12 - rank
     errors = np.stack([fit.standard_errors[f"mount{i}.stiffness"] for i in range(1, 5)])

@@ -1,4 +1,5 @@
-"""Closures in views and drawings: what is drawn is where the poses of the model are, in every frame."""
+"""Closures in views and drawings: what is drawn is where the poses of the model are, in
+every frame."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -24,15 +25,24 @@ def corner(curves):
 
 
 def linkage(**closures):
-    """A parallelogram of a crank and a rocker, hung from the world, with these closures between the ends of both and a bar."""
+    """A parallelogram of a crank and a rocker, hung from the world, with these closures between the
+    ends of both and a bar."""
     joints = {
         "crank": jb.Hinge("world", axis="z"),
         "rocker": jb.Hinge("world", axis="z", at=[2 * L, 0, 0]),
         "bar": jb.Hinge("crank", axis="z", at=[0, -L, 0]),
     }
     body = jb.Body(mass=0.5, inertia=[1e-3, 1e-3, 1e-3], com=[0, -L / 2, 0])
-    spring = jb.Spring(("crank", [0, -L, 0]), ("world", [-2 * L, -L, 0]), stiffness=50.0, free_length=2 * L)
-    return jb.Model(bodies=dict.fromkeys(joints, body), joints=joints, elements={"spring": spring}, closures=closures, gravity=[0, -G, 0])
+    spring = jb.Spring(
+        ("crank", [0, -L, 0]), ("world", [-2 * L, -L, 0]), stiffness=50.0, free_length=2 * L
+    )
+    return jb.Model(
+        bodies=dict.fromkeys(joints, body),
+        joints=joints,
+        elements={"spring": spring},
+        closures=closures,
+        gravity=[0, -G, 0],
+    )
 
 
 PIN = jb.closures.Hinge(("bar", [2 * L, -L, 0]), ("rocker", [2 * L, -L, 0]), axis="z")
@@ -52,7 +62,8 @@ def length_as_drawn(part):
 
 @pytest.mark.long
 def test_a_suspension_moves_over_its_travel(curves, corner):
-    """The wheel has the travel of each row, the rod its length, and balls are where both bodies are."""
+    """The wheel has the travel of each row, the rod its length, and balls are where both
+    bodies are."""
     animation, model = corner.animation, curves.model
     assert len(animation.seconds) == 5 and animation.clock[0] == "travel -60.0 mm, steering 0.0 mm"
     wheel = animation.part("wheels", "upright")
@@ -61,9 +72,14 @@ def test_a_suspension_moves_over_its_travel(curves, corner):
     camber = -np.arctan2(wheel.R[:, 2, 2], wheel.R[:, 1, 2])
     np.testing.assert_allclose(camber, curves["camber"], atol=1e-9)
     rod = model["tie rod"]
-    drawn = np.linalg.norm(np.asarray(rod.b) - np.asarray(rod.a))  # all bodies have the axes of the car
-    np.testing.assert_allclose(length_as_drawn(animation.part("closures", "tie rod", "rod")), drawn, atol=1e-6)
-    np.testing.assert_allclose(animation.part("closures", "tie rod", "a").p, np.tile(np.asarray(rod.a), (5, 1)), atol=1e-9)
+    # all bodies have the axes of the car
+    drawn = np.linalg.norm(np.asarray(rod.b) - np.asarray(rod.a))
+    np.testing.assert_allclose(
+        length_as_drawn(animation.part("closures", "tie rod", "rod")), drawn, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        animation.part("closures", "tie rod", "a").p, np.tile(np.asarray(rod.a), (5, 1)), atol=1e-9
+    )
     upright = animation.part("bodies", "upright", "solid")
     on_upright = upright.p + upright.R @ np.asarray(model["upper ball"].b)
     np.testing.assert_allclose(animation.part("closures", "upper ball").p, on_upright, atol=1e-6)
@@ -86,9 +102,17 @@ def test_rows_beyond_reach_are_left_out(curves):
 @pytest.mark.long
 def test_a_motion_moves_pins_and_rods():
     rod = jb.closures.Rod(("crank", [0, -L, 0]), ("rocker", [2 * L, -L, 0]))
-    joints = {"crank": jb.Hinge("world", axis="z"), "rocker": jb.Hinge("world", axis="z", at=[2 * L, 0, 0])}
-    both = jb.Model(bodies=dict.fromkeys(joints, BAR), joints=joints, closures={"rod": rod}, gravity=[0, -G, 0])
-    for model, name, path in ((linkage(pin=PIN), "pin", ("closures", "pin")), (both, "rod", ("closures", "rod", "b"))):
+    joints = {
+        "crank": jb.Hinge("world", axis="z"),
+        "rocker": jb.Hinge("world", axis="z", at=[2 * L, 0, 0]),
+    }
+    both = jb.Model(
+        bodies=dict.fromkeys(joints, BAR), joints=joints, closures={"rod": rod}, gravity=[0, -G, 0]
+    )
+    for model, name, path in (
+        (linkage(pin=PIN), "pin", ("closures", "pin")),
+        (both, "rod", ("closures", "rod", "b")),
+    ):
         v = np.zeros(model.layout.nv)
         v[:] = 2.0
         if name == "pin":
@@ -96,13 +120,22 @@ def test_a_motion_moves_pins_and_rods():
         run = jb.simulate(model, np.linspace(0.0, 0.2, 6), initial=jb.State(model.reference.q, v))
         animation, closure = jb.view(run, speed=0.1).animation, model[name]
         shown = [int(np.argmin(np.abs(np.asarray(run.times) - t))) for t in animation.seconds * 0.1]
-        ends = [place(run.poses[frame], point)[shown] for frame, point in zip(closure.between, closure.points, strict=True)]
+        ends = [
+            place(run.poses[frame], point)[shown]
+            for frame, point in zip(closure.between, closure.points, strict=True)
+        ]
         assert np.ptp(ends[0][:, 0]) > 0.3 * L
-        np.testing.assert_allclose(animation.part(*path).p, ends[0 if name == "pin" else 1], atol=1e-6)
+        np.testing.assert_allclose(
+            animation.part(*path).p, ends[0 if name == "pin" else 1], atol=1e-6
+        )
         if name == "rod":
-            np.testing.assert_allclose(length_as_drawn(animation.part("closures", "rod", "rod")), 2 * L, atol=1e-6)
+            np.testing.assert_allclose(
+                length_as_drawn(animation.part("closures", "rod", "rod")), 2 * L, atol=1e-6
+            )
         else:
-            np.testing.assert_allclose(animation.part(*path).R[:, :, 2], np.tile([0.0, 0, 1], (len(shown), 1)), atol=1e-9)
+            np.testing.assert_allclose(
+                animation.part(*path).R[:, :, 2], np.tile([0.0, 0, 1], (len(shown), 1)), atol=1e-9
+            )
             np.testing.assert_allclose(ends[0], ends[1], atol=1e-6)
 
 
@@ -140,11 +173,23 @@ def test_every_closure_is_drawn_where_it_is():
     model = jb.Model(bodies={"box": BAR}, closures=kinds | rule)
     drawn = drawn_reference(model)  # these closures contradict each other
     animation = animation_of(still(model, drawn))
-    assert {part.path[1] for part in animation.parts if part.path[0] == "closures"} == set(kinds)  # a rule has no place
+    # a rule has no place
+    assert {part.path[1] for part in animation.parts if part.path[0] == "closures"} == set(kinds)
     a, b = (np.array(point) for _, point in ends)
-    for path, at in ((("ball",), a), (("hinge",), a), (("weld",), a), (("inline", "b"), b), (("guide", "b"), b), (("rod", "a"), a)):
+    for path, at in (
+        (("ball",), a),
+        (("hinge",), a),
+        (("weld",), a),
+        (("inline", "b"), b),
+        (("guide", "b"), b),
+        (("rod", "a"), a),
+    ):
         np.testing.assert_allclose(animation.part("closures", *path).p[0], at, atol=1e-12)
-    for path, axis in ((("hinge",), [0, 1, 0]), (("guide", "rail"), [0.5**0.5, 0.5**0.5, 0]), (("inline", "rail"), [1, 0, 0])):
+    for path, axis in (
+        (("hinge",), [0, 1, 0]),
+        (("guide", "rail"), [0.5**0.5, 0.5**0.5, 0]),
+        (("inline", "rail"), [1, 0, 0]),
+    ):
         np.testing.assert_allclose(animation.part("closures", *path).R[0, :, 2], axis, atol=1e-12)
     rail = animation.part("closures", "inline", "rail").at(0).vertices
     assert rail[:, 0].min() < a[0] < b[0] < rail[:, 0].max()

@@ -1,4 +1,5 @@
-"""A view that is served: its controls as the browser uses them, through viser's handles, and in a browser."""
+"""A view that is served: its controls as the browser uses them, through viser's handles, and in
+a browser."""
 
 import time
 
@@ -51,14 +52,25 @@ def test_the_sliders_change_mode_amplitude_and_phase(live, modes):
     """What the browser is sent is what a view made with these numbers draws."""
     controls = live.controls
     assert list(controls) == ["play", "speed", "mode", "amplitude", "phase"]
-    assert (controls["mode"].value, controls["mode"].max) == (2, 6) and controls["phase"].value == pytest.approx(90.0)
-    for name, value, argument in (("mode", 1, {"number": 1}), ("amplitude", 0.2, {"amplitude": 0.2}), ("phase", 0.0, {"phase": 0.0})):
+    assert (controls["mode"].value, controls["mode"].max) == (2, 6) and controls[
+        "phase"
+    ].value == pytest.approx(90.0)
+    for name, value, argument in (
+        ("mode", 1, {"number": 1}),
+        ("amplitude", 0.2, {"amplitude": 0.2}),
+        ("phase", 0.0, {"phase": 0.0}),
+    ):
         controls[name].value = value
-        now = {"number": controls["mode"].value, "amplitude": controls["amplitude"].value, "phase": np.deg2rad(controls["phase"].value)}
+        now = {
+            "number": controls["mode"].value,
+            "amplitude": controls["amplitude"].value,
+            "phase": np.deg2rad(controls["phase"].value),
+        }
         expected = jb.view(modes, **now | argument).animation
         path = next(path for path in live.stage.handles if path[:2] == ("bodies", "plate"))
         np.testing.assert_allclose(live.animation.part(*path).p, expected.part(*path).p, atol=1e-12)
-        np.testing.assert_allclose(places(live)[1], expected.part(*path).p[0], atol=1e-5)  # rounded for the page
+        # rounded for the page
+        np.testing.assert_allclose(places(live)[1], expected.part(*path).p[0], atol=1e-5)
     assert "mode 1," in live.title.content
 
 
@@ -70,7 +82,8 @@ def test_a_view_that_does_not_play_shows_the_phase_of_the_slider(live):
     path = next(path for path in live.stage.handles if path[:2] == ("bodies", "plate"))
     np.testing.assert_allclose(places(live)[1], live.animation.part(*path).p[0], atol=1e-5)
     rest = jb.view(plate(), at=at_rest).animation.part(*path).p[0]
-    np.testing.assert_allclose(places(live)[1], rest, atol=1e-5)  # a quarter of a period from the extreme position
+    # a quarter of a period from the extreme position
+    np.testing.assert_allclose(places(live)[1], rest, atol=1e-5)
     assert live.frame == 0
 
 
@@ -100,7 +113,9 @@ def test_a_motion_has_a_slider_of_time():
         live.controls["time"].value = 1.5
         assert abs(live.animation.seconds[live.frame] - 1.5) < 0.03
         path = next(path for path in live.stage.handles if path[:2] == ("bodies", "plate"))
-        np.testing.assert_allclose(live.stage.handles[path].position, view.animation.part(*path).p[live.frame], atol=1e-5)
+        np.testing.assert_allclose(
+            live.stage.handles[path].position, view.animation.part(*path).p[live.frame], atol=1e-5
+        )
         assert repr(live).startswith("View at http://127.0.0.1:")
     finally:
         live.stop()

@@ -1,4 +1,5 @@
-"""Triangles to pixels: areas, the nearest in front in perspective, translucent colors, no cracks between neighbors."""
+"""Triangles to pixels: areas, the nearest in front in perspective, translucent colors, no cracks
+between neighbors."""
 
 import numpy as np
 import pytest
@@ -19,7 +20,9 @@ def colored(picture, color):
 
 def test_a_triangle_covers_its_area_and_stays_in_the_picture():
     raster = Raster(80, 100)
-    corners = np.array([[[10.0, 10.0], [90.0, 20.0], [30.0, 70.0]], [[-50.0, -50.0], [5.0, -50.0], [-50.0, 5.0]]])
+    corners = np.array(
+        [[[10.0, 10.0], [90.0, 20.0], [30.0, 70.0]], [[-50.0, -50.0], [5.0, -50.0], [-50.0, 5.0]]]
+    )
     raster.draw(corners, np.ones((2, 3)), np.repeat(RED, 2, 0))
     (ax, ay), (bx, by) = corners[0, 1] - corners[0, 0], corners[0, 2] - corners[0, 0]
     assert colored(raster.picture(), RED).sum() == pytest.approx((ax * by - ay * bx) / 2, rel=0.01)
@@ -34,11 +37,15 @@ def test_the_first_row_is_the_top():
 
 @pytest.mark.parametrize("swap", [False, True])
 def test_the_nearest_is_seen_whatever_the_order_and_planes_cut_each_other_where_they_meet(swap):
-    """A wall at the depth 2 and one from 1 to 4: in perspective they are equally deep where 1/depth is 1/2: a third across."""
+    """A wall at the depth 2 and one from 1 to 4: in perspective they are equally deep where 1/depth
+    is 1/2: a third across."""
     raster = Raster(60, 90)
     wall, slanted = square(0, 90, 0, 60), square(0, 90, 0, 60)
     depths = np.where(slanted[..., 0] > 0, 4.0, 1.0)
-    both = [(wall, np.full((2, 3), 2.0), np.repeat(RED, 2, 0)), (slanted, depths, np.repeat(BLUE, 2, 0))]
+    both = [
+        (wall, np.full((2, 3), 2.0), np.repeat(RED, 2, 0)),
+        (slanted, depths, np.repeat(BLUE, 2, 0)),
+    ]
     for corners, depth, colors in both[::-1] if swap else both:
         raster.draw(corners, depth, colors)
     near = (1.0 - 0.5) / (1.0 - 0.25)  # across, where 1/depth falls linearly from 1 to 1/4
@@ -52,7 +59,9 @@ def test_neighbors_leave_no_cracks(rng):
     points = np.stack([x, y], -1)
     points[1:-1, 1:-1] += rng.uniform(-1.5, 1.5, (n - 2, n - 2, 2))
     a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
-    corners = np.concatenate([np.stack([a, b, c], 2).reshape(-1, 3, 2), np.stack([a, c, d], 2).reshape(-1, 3, 2)])
+    corners = np.concatenate(
+        [np.stack([a, b, c], 2).reshape(-1, 3, 2), np.stack([a, c, d], 2).reshape(-1, 3, 2)]
+    )
     raster = Raster(100, 100)
     raster.draw(corners, np.ones((len(corners), 3)), np.repeat(RED, len(corners), 0))
     assert colored(raster.picture(), RED).all()

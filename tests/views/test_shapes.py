@@ -17,7 +17,11 @@ def as_trimesh(mesh):
     "mesh, volume, tolerance",
     [
         (meshes.box([1.0, 2.0, 3.0]), 6.0, 1e-12),
-        (meshes.hull(np.random.default_rng(3).permutation(meshes.box([1.0, 2.0, 3.0]).vertices)), 6.0, 1e-6),
+        (
+            meshes.hull(np.random.default_rng(3).permutation(meshes.box([1.0, 2.0, 3.0]).vertices)),
+            6.0,
+            1e-6,
+        ),
         (meshes.cylinder(0.5, -1.0, 1.0, sides=200), np.pi / 2, 1e-3),
         (meshes.sphere(0.5, sides=100), np.pi / 6, 3e-3),
         (meshes.ring(0.3, 0.5, 0.0, 2.0), 2 * np.pi * (0.25 - 0.09), 0.02),
@@ -37,11 +41,19 @@ def test_a_coil_reaches_from_0_to_1_and_its_wire_is_as_long_as_a_helix():
     stretched = meshes.Mesh(coil.vertices * [1, 1, 0.8], coil.faces)
     a, b, c = np.moveaxis(stretched.vertices[stretched.faces], 1, 0)
     length = np.sum(a * np.cross(b, c)) / 6 / (np.pi * 0.01**2)
-    helix = 5.0 * np.hypot(2 * np.pi * 0.1, 0.84 * 0.8 / 6) + 0.3  # five full turns; half a turn at each end goes to the axis
+    # five full turns; half a turn at each end goes to the axis
+    helix = 5.0 * np.hypot(2 * np.pi * 0.1, 0.84 * 0.8 / 6) + 0.3
     assert length == pytest.approx(helix, rel=0.25)
 
 
-@pytest.mark.parametrize("mesh, count", [(meshes.box([1, 1, 1]), 12), (meshes.cylinder(1.0, sides=24), 48), (meshes.sphere(1.0, 24), 0)])
+@pytest.mark.parametrize(
+    "mesh, count",
+    [
+        (meshes.box([1, 1, 1]), 12),
+        (meshes.cylinder(1.0, sides=24), 48),
+        (meshes.sphere(1.0, 24), 0),
+    ],
+)
 def test_only_sharp_edges_are_drawn(mesh, count):
     edges, owners = mesh.edges()
     assert len(edges) == count and owners.shape == (count, 2)
@@ -49,11 +61,20 @@ def test_only_sharp_edges_are_drawn(mesh, count):
 
 def test_shapes_are_where_they_are_placed():
     box = jb.Shape.box([2, 1, 1], center=[1, 0, 0], orientation=jb.Euler("z", [np.pi / 2]))
-    np.testing.assert_allclose([box.mesh.vertices.min(0), box.mesh.vertices.max(0)], [[0.5, -1, -0.5], [1.5, 1, 0.5]], atol=1e-12)
+    np.testing.assert_allclose(
+        [box.mesh.vertices.min(0), box.mesh.vertices.max(0)],
+        [[0.5, -1, -0.5], [1.5, 1, 0.5]],
+        atol=1e-12,
+    )
     rod = jb.Shape.cylinder(0.1, 2.0, axis=[1, 0, 0], center=[0, 0, 3])
-    assert np.ptp(rod.mesh.vertices[:, 0]) == pytest.approx(2.0) and rod.mesh.vertices[:, 2].mean() == pytest.approx(3.0)
+    assert np.ptp(rod.mesh.vertices[:, 0]) == pytest.approx(2.0) and rod.mesh.vertices[
+        :, 2
+    ].mean() == pytest.approx(3.0)
     ball = jb.Shape.sphere(0.5, center=[0, 1, 0], color="red")
-    assert np.linalg.norm(ball.mesh.vertices - [0, 1, 0], axis=1) == pytest.approx(0.5) and ball.color == "#ff0000"
+    assert (
+        np.linalg.norm(ball.mesh.vertices - [0, 1, 0], axis=1) == pytest.approx(0.5)
+        and ball.color == "#ff0000"
+    )
     assert len(jb.Shape.hull(np.eye(4, 3)).mesh.faces) == 4
 
 
@@ -64,7 +85,11 @@ def test_a_mesh_from_a_file_is_drawn_in_meters(tmp_path):
     np.testing.assert_allclose(np.ptp(shape.mesh.vertices, axis=0), [0.1, 0.2, 0.3], atol=1e-9)
     animation = jb.view(plate(), shapes={"plate": [shape, jb.Shape.sphere(0.2)]}).animation
     assert animation.part("bodies", "plate", "shape 1").mesh is shape.mesh
-    assert {part.path[2] for part in animation.parts if part.path[:2] == ("bodies", "plate")} == {"shape 1", "shape 2", "ends"}
+    assert {part.path[2] for part in animation.parts if part.path[:2] == ("bodies", "plate")} == {
+        "shape 1",
+        "shape 2",
+        "ends",
+    }
 
 
 def test_shapes_do_not_enter_the_physics():

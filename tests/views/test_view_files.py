@@ -1,4 +1,5 @@
-"""Views in files: what they hold, their sizes, that nothing is asked from a network, and that a browser plays them."""
+"""Views in files: what they hold, their sizes, that nothing is asked from a network, and that a
+browser plays them."""
 
 import base64
 import json
@@ -27,14 +28,18 @@ def motion():
 
 @pytest.fixture(scope="module")
 def page(motion, tmp_path_factory):
-    return jb.view(motion, trails={"corner": ("plate", [3 * L, L, 0])}, forces=True).save(tmp_path_factory.mktemp("page") / "plate.html")
+    return jb.view(motion, trails={"corner": ("plate", [3 * L, L, 0])}, forces=True).save(
+        tmp_path_factory.mktemp("page") / "plate.html"
+    )
 
 
 def messages_of(path):
     """(time, message) of the recording in a page, decoded here."""
     text = path.read_text()
     data = base64.b64decode(re.search(r'__VISER_EMBED_DATA__="([^"]*)"', text)[1])
-    inner = zstandard.ZstdDecompressor().decompress(data[8:], max_output_size=int.from_bytes(data[:8], "little"))
+    inner = zstandard.ZstdDecompressor().decompress(
+        data[8:], max_output_size=int.from_bytes(data[:8], "little")
+    )
     length = int.from_bytes(inner[:8], "little")
     return msgspec.msgpack.decode(inner[8 : 8 + length])
 
@@ -47,7 +52,8 @@ def test_a_page_needs_no_network_and_is_small(page):
 
 @pytest.mark.long
 def test_coils_in_a_page_have_the_length_of_the_springs(page, motion):
-    """Decoded from the file and compared with the trajectory, at the times of the model that the page shows."""
+    """Decoded from the file and compared with the trajectory, at the times of the model that the
+    page shows."""
     recording = messages_of(page)
     scales, clock, shown = {}, None, []
     for moment, message in recording["messages"]:
@@ -59,18 +65,30 @@ def test_coils_in_a_page_have_the_length_of_the_springs(page, motion):
         elif message["type"] == "SceneNodeUpdateMessage" and "scale" in message["updates"]:
             scales[message["name"]] = message["updates"]["scale"]
     times = np.asarray(motion.times)
-    np.testing.assert_allclose([clock for clock, _ in shown], [moment for _, moment in shown], atol=1e-6)  # in real time
+    np.testing.assert_allclose(
+        [clock for clock, _ in shown], [moment for _, moment in shown], atol=1e-6
+    )  # in real time
     assert recording["durationSeconds"] == pytest.approx(3.04, abs=0.05)
     for name, elongation in motion.elongations.items():
-        expected = np.asarray(elongation)[np.argmin(np.abs(times - clock))] + float(motion.model[name].free_length)
-        assert scales[f"/elements/{name}/coil"][2] == pytest.approx(expected, abs=2e-6)  # rounded in the file, to 1e-6 of the size of 5 m
+        expected = np.asarray(elongation)[np.argmin(np.abs(times - clock))] + float(
+            motion.model[name].free_length
+        )
+        # rounded in the file, to 1e-6 of the size of 5 m
+        assert scales[f"/elements/{name}/coil"][2] == pytest.approx(expected, abs=2e-6)
 
 
 def test_the_tree_of_a_page_has_the_names_of_the_model(page):
     messages = [message for _, message in messages_of(page)["messages"]]
     names = {message["name"] for message in messages if message["type"] == "MeshMessage"}
-    assert {"/bodies/plate/solid", "/supports/base/board", "/elements/AB/damper", "/forces/EF/on plate"} <= names
-    assert {message["props"]["text"] for message in messages if message["type"] == "LabelMessage"} >= {"plate", "base", "AB"}
+    assert {
+        "/bodies/plate/solid",
+        "/supports/base/board",
+        "/elements/AB/damper",
+        "/forces/EF/on plate",
+    } <= names
+    assert {
+        message["props"]["text"] for message in messages if message["type"] == "LabelMessage"
+    } >= {"plate", "base", "AB"}
 
 
 def test_a_name_with_a_slash_is_no_level_of_the_tree():
@@ -92,7 +110,10 @@ def test_a_minute_of_a_car_is_a_small_page(car, most, tmp_path):
     model = getattr(jb.presets, car)(**({"damping": 1500.0} if car == "quarter_car" else {}))
     profile = _rough()
     places = {name: float(model[name].position[0]) for name in model.layout.supports}
-    motion = {name: jb.Road(*profile, speed=10.0, position=x + 5.0, footprint=0.2) for name, x in places.items()}
+    motion = {
+        name: jb.Road(*profile, speed=10.0, position=x + 5.0, footprint=0.2)
+        for name, x in places.items()
+    }
     run = jb.simulate(model, jnp.linspace(0.0, 60.0, 1501), motion=motion, rtol=1e-4)
     path = jb.view(run).save(tmp_path / "car.html")
     assert path.stat().st_size < most
@@ -107,9 +128,13 @@ def _rough():
 @pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
 def test_a_browser_plays_a_page(page, tmp_path):
-    """It starts by itself, its slider and its pause work, it asks for nothing outside, and it has no errors."""
+    """It starts by itself, its slider and its pause work, it asks for nothing outside, and it has
+    no errors."""
     with opened(page, tmp_path / "profile") as shown:
-        shown.wait_for("document.querySelectorAll('input').length > 1 && parseFloat(document.querySelector('input').value) > 0.2")
+        shown.wait_for(
+            "document.querySelectorAll('input').length > 1 && "
+            "parseFloat(document.querySelector('input').value) > 0.2"
+        )
         one = shown.drawn()
         time.sleep(0.5)
         other = shown.picture()
@@ -117,16 +142,27 @@ def test_a_browser_plays_a_page(page, tmp_path):
         shown.click(*_place(shown, "button:has(.tabler-icon-player-pause-filled)", 0.5))
         shown.wait_for("document.querySelector('.tabler-icon-player-pause-filled') === null")
         shown.click(*_place(shown, "[class*=Slider-track]", 0.75))
-        shown.wait_for("Math.abs(parseFloat(document.querySelector('input').value) - 0.75 * 3.04) < 0.06")
+        shown.wait_for(
+            "Math.abs(parseFloat(document.querySelector('input').value) - 0.75 * 3.04) < 0.06"
+        )
         still, same = shown.picture(), shown.picture()
         assert difference(still, same) < 1e-3 < difference(one[:500], still[:500])
         assert shown.errors == []
-        assert [url for url in shown.requests if not url.startswith(("data:", "blob:")) and url != page.as_uri()] == []
+        assert [
+            url
+            for url in shown.requests
+            if not url.startswith(("data:", "blob:")) and url != page.as_uri()
+        ] == []
 
 
 def _place(shown, selector, share):
     """Where to click on an element, this share of its width from its left edge."""
-    box = json.loads(shown.value(f"JSON.stringify(document.querySelector({json.dumps(selector)}).getBoundingClientRect())"))
+    box = json.loads(
+        shown.value(
+            f"JSON.stringify(document.querySelector({json.dumps(selector)}"
+            ").getBoundingClientRect())"
+        )
+    )
     return box["x"] + share * box["width"], box["y"] + box["height"] / 2
 
 
@@ -158,14 +194,18 @@ def test_an_mp4_moves(half, tmp_path):
     path = half.save(tmp_path / "plate.mp4", width=240)
     reader = imageio_ffmpeg.read_frames(str(path))
     about = next(reader)
-    frames = [np.frombuffer(frame, np.uint8).reshape(*about["size"][::-1], 3) / 255 for frame in reader]
+    frames = [
+        np.frombuffer(frame, np.uint8).reshape(*about["size"][::-1], 3) / 255 for frame in reader
+    ]
     assert about["fps"] == 30 and len(frames) == pytest.approx(30 * 0.5, abs=2)
     assert difference(frames[0], frames[-1]) > 0.002
 
 
 def test_a_picture_has_the_colors_of_what_it_shows(half, tmp_path):
     """The plate is blue in the middle; of a wide picture the width is as asked for."""
-    image = np.asarray(Image.open(half.save(tmp_path / "plate.png", width=400)).convert("RGB"), float)
+    image = np.asarray(
+        Image.open(half.save(tmp_path / "plate.png", width=400)).convert("RGB"), float
+    )
     assert image.shape[1] == 400
     blue = (image[..., 2] > 1.3 * image[..., 0]) & (image[..., 2] > 90)
     assert 0.02 < blue.mean() < 0.5
@@ -190,7 +230,9 @@ def test_names_in_a_picture_do_not_overprint():
             boxes.append(Text.get_window_extent(text))
         assert not any(a.overlaps(b) for a, b in combinations(boxes, 2)), name
         width, height = painter.canvas.get_width_height(physical=True)
-        assert all(box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height for box in boxes), name
+        assert all(
+            box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height for box in boxes
+        ), name
 
 
 @pytest.mark.long

@@ -1,4 +1,5 @@
-"""What is drawn of a model: lengths, positions and shapes against the model's own numbers, or against an independent computation."""
+"""What is drawn of a model: lengths, positions and shapes against the model's own numbers, or
+against an independent computation."""
 
 import hypothesis.strategies as st
 import jax.numpy as jnp
@@ -13,16 +14,28 @@ from jaxbody.plots.canvases import COLORS
 from jaxbody.scenes.pose_sequences import still
 from jaxbody.scenes.scenes import animation_of
 
-PRESETS = [name for name in dir(jb.presets) if isinstance(getattr(jb.presets, name), type(lambda: 0))]
+PRESETS = [
+    name for name in dir(jb.presets) if isinstance(getattr(jb.presets, name), type(lambda: 0))
+]
 L = 0.7
 
 
 def plate():
     """The paper's plate: gravity along -y."""
     k, L0 = 3.0 * 9.81 / L / L, 2 * 2**0.5 * L - L * 2**0.5 / 2
-    ends = {"AB": ([-3 * L, L, 0], [-5 * L, 7 * L, 0]), "CD": ([3 * L, L, 0], [5 * L, 7 * L, 0]), "EF": ([0, -L, 0], [0, L, 0])}
+    ends = {
+        "AB": ([-3 * L, L, 0], [-5 * L, 7 * L, 0]),
+        "CD": ([3 * L, L, 0], [5 * L, 7 * L, 0]),
+        "EF": ([0, -L, 0], [0, L, 0]),
+    }
     springs = {
-        name: jb.Spring(("plate", a), ("base", b), stiffness=k, free_length=2 * L if name == "EF" else L0, damping=1.0)
+        name: jb.Spring(
+            ("plate", a),
+            ("base", b),
+            stiffness=k,
+            free_length=2 * L if name == "EF" else L0,
+            damping=1.0,
+        )
         for name, (a, b) in ends.items()
     }
     return jb.Model(
@@ -47,7 +60,8 @@ def seen(motion):
 
 
 def length_as_drawn(part):
-    """The extent of each frame's drawn mesh along the line that its ends make, from its vertices in world axes."""
+    """The extent of each frame's drawn mesh along the line that its ends make, from its vertices in
+    world axes."""
     placed = np.stack([part.at(i).vertices for i in range(len(part.p))])
     ends = placed[:, [-2, -1]]  # the middles of the two caps of a wire
     return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
@@ -77,12 +91,17 @@ def test_springs_dampers_and_points_meet_the_bodies_that_move(motion, seen):
     rows = [int(np.argmin(np.abs(np.asarray(motion.times) - t))) for t in seen.animation.seconds]
     for name in motion.model.element_names:
         element = motion.model[name]
-        at = [_place(motion, frame, x)[rows] for frame, x in zip(element.between, element.points, strict=True)]
+        at = [
+            _place(motion, frame, x)[rows]
+            for frame, x in zip(element.between, element.points, strict=True)
+        ]
         coil = seen.animation.part("elements", name, "coil")
         placed = np.stack([coil.at(i).vertices[[-2, -1]] for i in range(len(coil.p))])
         np.testing.assert_allclose(placed, np.stack(at, 1), atol=1e-9)
         for piece, end in (("piston", at[0]), ("damper", at[1])):
-            np.testing.assert_allclose(seen.animation.part("elements", name, piece).p, end, atol=1e-9)
+            np.testing.assert_allclose(
+                seen.animation.part("elements", name, piece).p, end, atol=1e-9
+            )
     corner = _place(motion, "plate", np.array([3 * L, L, 0]))[rows]
     np.testing.assert_allclose(seen.animation.trails[0].points, corner, atol=1e-9)
 
@@ -90,7 +109,9 @@ def test_springs_dampers_and_points_meet_the_bodies_that_move(motion, seen):
 @pytest.mark.long
 def test_arrows_have_the_forces_of_the_trajectory_to_one_scale(motion, seen):
     rows = [int(np.argmin(np.abs(np.asarray(motion.times) - t))) for t in seen.animation.seconds]
-    drawn = {name: seen.animation.part("forces", name, "on plate").scale[:, 2] for name in motion.forces}
+    drawn = {
+        name: seen.animation.part("forces", name, "on plate").scale[:, 2] for name in motion.forces
+    }
     expected = {name: np.abs(np.asarray(force))[rows] for name, force in motion.forces.items()}
     scale = max(map(np.max, drawn.values())) / max(map(np.max, expected.values()))
     for name, length in drawn.items():
@@ -104,7 +125,8 @@ def test_arrows_have_the_forces_of_the_trajectory_to_one_scale(motion, seen):
 
 
 def points_by_frame(model):
-    """{frame: points of its elements and centers of mass}, gathered here from the elements themselves."""
+    """{frame: points of its elements and centers of mass}, gathered here from the
+    elements themselves."""
     points = {name: [np.asarray(model[name].com)] for name in model.layout.bodies}
     for name in model.element_names:
         for frame, point in zip(model[name].between, model[name].points, strict=True):
@@ -116,36 +138,57 @@ def check_drawn(model):
     """Each body's points lie inside its shape; each line element has the distance of its ends."""
     animation = animation_of(still(model))
     size = animation.size
-    tyres = {model[name].between[0]: model[name] for name in model.element_names if isinstance(model[name], jb.Tyre)}
+    tyres = {
+        model[name].between[0]: model[name]
+        for name in model.element_names
+        if isinstance(model[name], jb.Tyre)
+    }
     for body, points in points_by_frame(model).items():
         if body not in model.layout.bodies:
             continue
-        solids = [part for part in animation.parts if part.path[:2] == ("bodies", body) and part.path[2] in ("solid", "hub")]
+        solids = [
+            part
+            for part in animation.parts
+            if part.path[:2] == ("bodies", body) and part.path[2] in ("solid", "hub")
+        ]
         assert len(solids) == 1
         vertices = solids[0].mesh.vertices
         assert np.isfinite(vertices).all()
         if solids[0].path[2] == "hub":
-            assert (np.linalg.norm(np.array(points) - np.asarray(tyres[body].a), axis=-1) < 1.2 * float(tyres[body].radius)).all()
+            assert (
+                np.linalg.norm(np.array(points) - np.asarray(tyres[body].a), axis=-1)
+                < 1.2 * float(tyres[body].radius)
+            ).all()
         else:
             scale = np.ptp(vertices, axis=0).max()
-            inside = Delaunay(vertices / scale, qhull_options="QJ").find_simplex(np.array(points) / scale, tol=1e-9)
+            inside = Delaunay(vertices / scale, qhull_options="QJ").find_simplex(
+                np.array(points) / scale, tol=1e-9
+            )
             assert (inside >= 0).all()
     poses = {name: pose for name, pose in zip(model.layout.frames, _poses(model), strict=True)}
     for name in model.element_names:
         element = model[name]
         coils = [part for part in animation.parts if part.path == ("elements", name, "coil")]
         if coils:
-            a, b = (p + R @ np.asarray(x) for (p, R), x in zip((poses[f] for f in element.between), element.points, strict=True))
+            a, b = (
+                p + R @ np.asarray(x)
+                for (p, R), x in zip(
+                    (poses[f] for f in element.between), element.points, strict=True
+                )
+            )
             assert abs(coils[0].scale[0, 2] - np.linalg.norm(b - a)) <= 1e-6 * max(size, 1.0)
     for part in animation.parts:
         R = part.R
-        np.testing.assert_allclose(R @ np.swapaxes(R, -1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-6)
+        np.testing.assert_allclose(
+            R @ np.swapaxes(R, -1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-6
+        )
         assert (np.linalg.det(R) > 0).all()
     return animation
 
 
 def _poses(model):
-    """(p, R) of all frames in the reference pose, from the positions and orientations that the model was given."""
+    """(p, R) of all frames in the reference pose, from the positions and orientations that the
+    model was given."""
     from scipy.spatial.transform import Rotation
 
     yield np.zeros(3), np.eye(3)
@@ -159,14 +202,24 @@ def _poses(model):
 def test_ready_models_are_drawn(name):
     model = getattr(jb.presets, name)()
     animation = check_drawn(model)
-    assert {part.path[1] for part in animation.parts if part.path[0] == "bodies"} == set(model.layout.bodies)
-    assert {part.path[1] for part in animation.parts if part.path[0] in ("elements", "tyres")} == set(model.element_names)
+    assert {part.path[1] for part in animation.parts if part.path[0] == "bodies"} == set(
+        model.layout.bodies
+    )
+    assert {
+        part.path[1] for part in animation.parts if part.path[0] in ("elements", "tyres")
+    } == set(model.element_names)
 
 
 def check_random_models(count):
     built = 0
 
-    @settings(max_examples=count, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=count,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
     @given(models(st.floats(-10, 10)))
     def check(parts):
         nonlocal built
@@ -207,7 +260,11 @@ def test_a_mode_swings_about_the_state_with_its_amplitude_and_phase():
     assert body.p[0, 2] == pytest.approx(at_rest, abs=1e-9)  # phase 90 degrees: at the middle
     heave, pitch = np.asarray(modes.shapes)[:, 1]
     ends = [np.array([x, 0, 0]) for x in (1.0, -1.5)]
-    largest = max(np.linalg.norm(end - moved) for end in ends for moved in [_moved(body, end, i) - _rest(body, at_rest) for i in range(40)])
+    largest = max(
+        np.linalg.norm(end - moved)
+        for end in ends
+        for moved in [_moved(body, end, i) - _rest(body, at_rest) for i in range(40)]
+    )
     assert largest == pytest.approx(0.05, rel=0.02)  # to first order in the turn
     turned = np.arctan2(body.R[:, 0, 2], body.R[:, 0, 0])
     np.testing.assert_allclose((body.p[:, 2] - at_rest) * pitch, turned * heave, atol=1e-9)
@@ -247,9 +304,19 @@ def test_joints_of_several_lines_are_drawn_along_them():
         "yoke": jb.Universal("puck", first="x", second="z", at=at),
         "shaft": jb.Cylindrical("yoke", axis="z", at=at),
     }
-    parts = jb.view(jb.Model(bodies=dict.fromkeys(joints, jb.Body(1.0, [1, 1, 1], com=[0, 0, 0.5])), joints=joints)).animation.parts
-    drawn = {part.path[1:]: (part.p[0], part.R[0, :, 2]) for part in parts if part.path[0] == "joints"}
-    lines = {"puck": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "yoke": [[1, 0, 0], [0, 0, 1]], "shaft": [[0, 0, 1]] * 2}
+    parts = jb.view(
+        jb.Model(
+            bodies=dict.fromkeys(joints, jb.Body(1.0, [1, 1, 1], com=[0, 0, 0.5])), joints=joints
+        )
+    ).animation.parts
+    drawn = {
+        part.path[1:]: (part.p[0], part.R[0, :, 2]) for part in parts if part.path[0] == "joints"
+    }
+    lines = {
+        "puck": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        "yoke": [[1, 0, 0], [0, 0, 1]],
+        "shaft": [[0, 0, 1]] * 2,
+    }
     for name, directions in lines.items():
         for i, n in enumerate(directions):
             p, axis = drawn[name, str(i + 1)]
@@ -260,24 +327,34 @@ def test_joints_of_several_lines_are_drawn_along_them():
 @pytest.fixture(scope="module")
 def driven():
     car = jb.Model(
-        bodies={"car": jb.Body(300.0, [1, 1, 1], position=[0, 0, 0.7]), "wheel": jb.Body(30.0, [1, 1, 1], position=[0, 0, 0.3])},
+        bodies={
+            "car": jb.Body(300.0, [1, 1, 1], position=[0, 0, 0.7]),
+            "wheel": jb.Body(30.0, [1, 1, 1], position=[0, 0, 0.3]),
+        },
         supports={"road": jb.Support()},
         joints={name: jb.Guide("world", axis=[0, 0, 1]) for name in ("car", "wheel")},
         elements={
-            "strut": jb.SpringDamper(("car", [0, 0, 0]), ("wheel", [0, 0, 0]), spring=2e4, damper=1e3, free_length=0.55),
+            "strut": jb.SpringDamper(
+                ("car", [0, 0, 0]), ("wheel", [0, 0, 0]), spring=2e4, damper=1e3, free_length=0.55
+            ),
             "tyre": jb.Tyre("wheel", "road", stiffness=2e5, radius=0.32),
         },
         gravity=[0, 0, -9.81],
-    )  # fmt: skip
+    )
     road = jb.Road([0.0, 5.0, 5.5, 20.0], [0.0, 0.0, 0.08, 0.08], speed=8.0, position=1.0)
-    return jb.simulate(car, jnp.linspace(0.0, 2.0, 101), motion={"road": road}, initial=jb.equilibrium(car).state), road
+    return jb.simulate(
+        car, jnp.linspace(0.0, 2.0, 101), motion={"road": road}, initial=jb.equilibrium(car).state
+    ), road
 
 
 @pytest.mark.long
 def test_a_road_passes_under_its_wheel(driven):
     run, road = driven
     animation = jb.view(run).animation
-    surface, tyre = animation.part("roads", "tyre", "surface"), animation.part("tyres", "tyre", "tyre")
+    surface, tyre = (
+        animation.part("roads", "tyre", "surface"),
+        animation.part("tyres", "tyre", "tyre"),
+    )
     for i in (0, 10, 30, len(animation.seconds) - 1):
         t = animation.seconds[i]
         top = surface.at(i).vertices
@@ -286,9 +363,12 @@ def test_a_road_passes_under_its_wheel(driven):
         top = top[np.argsort(top[:, 0])]
         height = np.interp(0.0, top[:, 0], top[:, 2])
         assert height == pytest.approx(float(road(jnp.asarray(t))[2]), abs=1e-6)
-        assert np.linalg.norm(tyre.at(i).vertices[:, [0, 2]] - tyre.p[i][[0, 2]], axis=1).max() == pytest.approx(0.32, abs=1e-9)
+        assert np.linalg.norm(
+            tyre.at(i).vertices[:, [0, 2]] - tyre.p[i][[0, 2]], axis=1
+        ).max() == pytest.approx(0.32, abs=1e-9)
     turned = np.unwrap(np.arctan2(tyre.R[:, 0, 0], tyre.R[:, 2, 0]))
-    np.testing.assert_allclose(turned - turned[0], 8.0 / 0.32 * animation.seconds, atol=1e-6)  # forwards: the top of the wheel runs ahead
+    # forwards: the top of the wheel runs ahead
+    np.testing.assert_allclose(turned - turned[0], 8.0 / 0.32 * animation.seconds, atol=1e-6)
 
 
 def test_designs_stand_side_by_side(motion):
@@ -299,8 +379,13 @@ def test_designs_stand_side_by_side(motion):
         if part.path[0] in ("before", "after") and part.framed:
             boxes.setdefault(part.path[0], []).append(part.at(0).vertices)
     right = view.animation.right
-    assert max((x @ right).max() for x in boxes["before"]) < min((x @ right).min() for x in boxes["after"])
-    assert [label.text for label in view.animation.labels if label.kind == "title"] == ["before", "after"]
+    assert max((x @ right).max() for x in boxes["before"]) < min(
+        (x @ right).min() for x in boxes["after"]
+    )
+    assert [label.text for label in view.animation.labels if label.kind == "title"] == [
+        "before",
+        "after",
+    ]
     assert len(view.animation.seconds) == 75 and "75 frames" in repr(view)
 
 
@@ -308,10 +393,14 @@ def test_motions_side_by_side_are_shown_at_the_same_times(motion):
     import dataclasses
 
     rows = np.r_[0:76:5]
-    coarse = dataclasses.replace(motion, times=motion.times[rows], state=jb.State(motion.state.q[rows], motion.state.v[rows]))
+    coarse = dataclasses.replace(
+        motion, times=motion.times[rows], state=jb.State(motion.state.q[rows], motion.state.v[rows])
+    )
     animation = jb.view({"coarse": coarse, "fine": motion}).animation
     assert len(animation.seconds) == 75
-    lengths = [animation.part(group, "elements", "AB", "coil").scale[:, 2] for group in ("coarse", "fine")]
+    lengths = [
+        animation.part(group, "elements", "AB", "coil").scale[:, 2] for group in ("coarse", "fine")
+    ]
     before = np.searchsorted(np.asarray(coarse.times), animation.seconds + 1e-9, side="right") - 1
     expected = np.asarray(coarse.elongations["AB"])[before] + float(motion.model["AB"].free_length)
     np.testing.assert_allclose(lengths[0], expected, atol=1e-6)
@@ -320,20 +409,35 @@ def test_motions_side_by_side_are_shown_at_the_same_times(motion):
 
 def test_trails_and_names_of_a_model_at_rest_are_written(tmp_path):
     view = jb.view(plate(), trails=["plate"], names=False)
-    assert view.save(tmp_path / "plate.html").stat().st_size > 5e5 and view.save(tmp_path / "plate.png", width=200).exists()
+    assert (
+        view.save(tmp_path / "plate.html").stat().st_size > 5e5
+        and view.save(tmp_path / "plate.png", width=200).exists()
+    )
 
 
 def test_a_tuning_shows_the_model_before_and_after():
     car = jb.presets.half_car(front_damping=1000.0, rear_damping=1000.0)
     place = {"front spring.a": (np.array([0.6, -0.1, -0.1]), np.array([1.4, 0.1, 0.1]))}
-    tuned = jb.tune(car, lambda m: {"arm": (m["front spring"].a[0] - 1.3) ** 2}, free=["front spring.a"], bounds=place, minimize="arm")
+    tuned = jb.tune(
+        car,
+        lambda m: {"arm": (m["front spring"].a[0] - 1.3) ** 2},
+        free=["front spring.a"],
+        bounds=place,
+        minimize="arm",
+    )
     view = jb.view(tuned)
-    ends = [view.animation.part(group, "elements", "front spring", "coil").p[0] for group in ("before", "after")]
+    ends = [
+        view.animation.part(group, "elements", "front spring", "coil").p[0]
+        for group in ("before", "after")
+    ]
     assert (ends[1] - ends[0]) @ view.animation.right > 0.3
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seconds, speed, played", [(0.05, 0.01, 5.0), (1.5, 0.2, 7.5), (10.0, 1.0, 10.0), (600.0, 10.0, 60.0)])
+@pytest.mark.parametrize(
+    "seconds, speed, played",
+    [(0.05, 0.01, 5.0), (1.5, 0.2, 7.5), (10.0, 1.0, 10.0), (600.0, 10.0, 60.0)],
+)
 def test_short_motions_are_slowed_and_long_ones_quickened(seconds, speed, played):
     """The pendulum is not integrated for this: its motion is stretched in time."""
     import dataclasses
@@ -348,17 +452,25 @@ def test_short_motions_are_slowed_and_long_ones_quickened(seconds, speed, played
 def test_a_motion_that_failed_is_shown_until_then(motion):
     import dataclasses
 
-    broken = dataclasses.replace(motion, state=jb.State(motion.state.q.at[40:].set(jnp.nan), motion.state.v))
-    assert float(jb.view(broken, speed=1.0).animation.seconds[-1]) == pytest.approx(float(motion.times[39]))
+    broken = dataclasses.replace(
+        motion, state=jb.State(motion.state.q.at[40:].set(jnp.nan), motion.state.v)
+    )
+    assert float(jb.view(broken, speed=1.0).animation.seconds[-1]) == pytest.approx(
+        float(motion.times[39])
+    )
     with pytest.raises(jb.JaxbodyError, match="NONFINITE"):
-        jb.view(dataclasses.replace(motion, state=jb.State(motion.state.q * jnp.nan, motion.state.v)))
+        jb.view(
+            dataclasses.replace(motion, state=jb.State(motion.state.q * jnp.nan, motion.state.v))
+        )
 
 
 def test_what_cannot_be_viewed_is_named_all_at_once():
     model = plate()
     with pytest.raises(jb.JaxbodyError) as error:
         shapes = {"plat": jb.Shape.sphere(1.0), "plate": 3.0}
-        jb.view(model, shapes=shapes, trails=["corner"], amplitude=-1.0, speed=0.0, direction=[0, 0, 0])
+        jb.view(
+            model, shapes=shapes, trails=["corner"], amplitude=-1.0, speed=0.0, direction=[0, 0, 0]
+        )
     assert [p.code for p in error.value.problems] == [
         "UNKNOWN_NAME", "WRONG_KIND", "UNKNOWN_NAME", "ZERO_AXIS", "BAD_NUMBER", "BAD_NUMBER"
     ]  # fmt: skip

@@ -1,4 +1,5 @@
-"""Stores: chunks written once, found again, never mixed with those of another call; disks that are full and folders that are closed."""
+"""Stores: chunks written once, found again, never mixed with those of another call; disks that are
+full and folders that are closed."""
 
 import json
 import os
@@ -17,8 +18,19 @@ ARRAYS = {"mass": ((), "float64"), "f": ((2,), "float64"), "n": ((), "int64")}
 
 
 def store_at(path, plan=None, size=4, any_size=False, arrays=ARRAYS, count=10):
-    inputs, results = ({name: kind for name, kind in arrays.items() if (name == "mass") == given} for given in (True, False))
-    return ChunkStore(path, plan or {"over": "abc", "jax": "0.10"}, inputs, results, count=count, size=size, any_size=any_size)
+    inputs, results = (
+        {name: kind for name, kind in arrays.items() if (name == "mass") == given}
+        for given in (True, False)
+    )
+    return ChunkStore(
+        path,
+        plan or {"over": "abc", "jax": "0.10"},
+        inputs,
+        results,
+        count=count,
+        size=size,
+        any_size=any_size,
+    )
 
 
 def chunk(i, size=4, count=10):
@@ -48,7 +60,10 @@ def test_a_chunk_without_its_status_is_not_complete(tmp_path):
     store.write(1, chunk(1))
     os.remove(tmp_path / "s.zarr" / "status" / "c" / "1")
     again = store_at(tmp_path / "s.zarr")
-    assert again.complete() == set() and (again.opened("sweep")["status"] == jb.Status.INTERRUPTED).all()
+    assert (
+        again.complete() == set()
+        and (again.opened("sweep")["status"] == jb.Status.INTERRUPTED).all()
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,7 +98,9 @@ def test_a_folder_or_file_of_something_else_is_refused_and_left_alone(tmp_path, 
         (path / "zarr.json").write_text(content)
     with pytest.raises(jb.JaxbodyError, match="is no store of jaxbody") as error:
         store_at(path)
-    assert error.value.code == "OTHER_STORE" and (path.read_text() if content is None else (path / "zarr.json").read_text()) in (
+    assert error.value.code == "OTHER_STORE" and (
+        path.read_text() if content is None else (path / "zarr.json").read_text()
+    ) in (
         content,
         "mine",
     )
@@ -136,11 +153,19 @@ def test_a_full_disk_is_reported_and_what_is_complete_stays(small_disk, rng):
     count, size = 40_000, 1000
     store = store_at(small_disk / "s.zarr", count=count, size=size)
     for i in range(count // size):
-        values = {"mass": rng.normal(size=size), "f": rng.normal(size=(size, 2)), "n": np.arange(size)}
+        values = {
+            "mass": rng.normal(size=size),
+            "f": rng.normal(size=(size, 2)),
+            "n": np.arange(size),
+        }
         try:
             store.write(i, values)
         except jb.JaxbodyError as error:
-            assert error.code == "NOT_SAVED" and "No space left" in str(error) and "the same call continues" in error.hint
+            assert (
+                error.code == "NOT_SAVED"
+                and "No space left" in str(error)
+                and "the same call continues" in error.hint
+            )
             break
         last = values["f"]
     again = store_at(small_disk / "s.zarr", count=count, size=size)

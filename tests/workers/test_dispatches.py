@@ -1,4 +1,5 @@
-"""Chunks sent, lost and sent again: every rule with executors that do as they are told, without processes."""
+"""Chunks sent, lost and sent again: every rule with executors that do as they are told,
+without processes."""
 
 import concurrent.futures as futures
 from concurrent.futures import BrokenExecutor, Executor, Future
@@ -14,7 +15,8 @@ from jaxbody.workers.executors import Crew
 
 
 class Scripted(Executor):
-    """Computes when asked whether anything is done; `fate(chunk, others under way)` says how: a result, or an exception to raise."""
+    """Computes when asked whether anything is done; `fate(chunk, others under way)` says how: a
+    result, or an exception to raise."""
 
     def __init__(self, fate, log):
         self.fate, self.log, self.sent, self.broken = fate, log, {}, False
@@ -98,8 +100,17 @@ def test_a_chunk_whose_worker_is_lost_runs_again_and_its_neighbors_with_it(run):
         return done()
 
     answers, log, made = run(fate)
-    assert all(isinstance(answer, ComputedChunk) for answer in answers.values()) and len(answers) == 20
-    assert len(made) == 2 and log[:9] + sorted(log[9:13]) + log[13:] == [*range(9), 5, 6, 7, 8, *range(9, 20)]
+    assert (
+        all(isinstance(answer, ComputedChunk) for answer in answers.values()) and len(answers) == 20
+    )
+    assert len(made) == 2 and log[:9] + sorted(log[9:13]) + log[13:] == [
+        *range(9),
+        5,
+        6,
+        7,
+        8,
+        *range(9, 20),
+    ]
 
 
 def test_a_chunk_that_ends_every_process_is_given_up_alone_and_no_other(run):
@@ -112,20 +123,35 @@ def test_a_chunk_that_ends_every_process_is_given_up_alone_and_no_other(run):
         return done()
 
     answers, _, made = run(fate)
-    assert sorted(answers) == list(range(20)) and [i for i, answer in answers.items() if isinstance(answer, FailedChunk)] == [7]
+    assert sorted(answers) == list(range(20)) and [
+        i for i, answer in answers.items() if isinstance(answer, FailedChunk)
+    ] == [7]
     assert len(company) == 3 and company[0] and company[1] and company[2] == [] and len(made) == 4
     assert answers[7].message == "BrokenExecutor: a process ended"
 
 
-@pytest.mark.parametrize("error", [MemoryError("too large"), futures.CancelledError(), FailedChunk("ValueError: x"), TimeoutError()])
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("too large"),
+        futures.CancelledError(),
+        FailedChunk("ValueError: x"),
+        TimeoutError(),
+    ],
+)
 def test_an_error_costs_its_own_chunk_only(run, error):
     answers, log, made = run(lambda chunk, others: error if chunk == 3 else done())
-    assert [i for i, answer in answers.items() if isinstance(answer, FailedChunk)] == [3] and len(answers) == 20
+    assert [i for i, answer in answers.items() if isinstance(answer, FailedChunk)] == [3] and len(
+        answers
+    ) == 20
     assert log.count(3) == 3 and log[-1] == 3 and len(log) == 22 and len(made) == 1
 
 
 def test_where_the_first_chunks_all_fail_the_call_fails(run):
-    with pytest.raises(jb.JaxbodyError, match="none of the first 4 chunks could be computed; the last one: KeyError: 'x'") as error:
+    with pytest.raises(
+        jb.JaxbodyError,
+        match="none of the first 4 chunks could be computed; the last one: KeyError: 'x'",
+    ) as error:
         run(lambda chunk, others: KeyError("x"), range(10**9))
     assert error.value.code == "LOST"
 

@@ -1,5 +1,5 @@
-"""Results by way of a store: tolerances and starts continued where they stopped, computed in parts, equal to those in memory; lost chunks
-tried again."""
+"""Results by way of a store: tolerances and starts continued where they stopped, computed in parts,
+equal to those in memory; lost chunks tried again."""
 
 import os
 
@@ -48,12 +48,17 @@ def failing(monkeypatch):
 
 @pytest.mark.nan
 def test_tolerances_in_parts_are_those_of_one_call(tmp_path):
-    """Two jobs with every second of seven chunks; the last one is short. What is there is not computed again."""
+    """Two jobs with every second of seven chunks; the last one is short. What is there is not
+    computed again."""
     out, whole = tmp_path / "t.zarr", tolerances()
     with pytest.warns(jb.JaxbodyWarning, match="INTERRUPTED"):
         part = tolerances(out=out, chunks=range(0, 7, 2))
     done = np.isfinite(part.samples[:, 0])
-    assert part.status == jb.Status.INTERRUPTED and done.sum() == 8 * 3 + 2 and (part.samples[done] == whole.samples[done]).all()
+    assert (
+        part.status == jb.Status.INTERRUPTED
+        and done.sum() == 8 * 3 + 2
+        and (part.samples[done] == whole.samples[done]).all()
+    )
     before = flags(out)
     assert sorted(before) == [0, 2, 4, 6]
     rest = tolerances(out=out, chunks=range(1, 7, 2))
@@ -65,7 +70,8 @@ def test_tolerances_in_parts_are_those_of_one_call(tmp_path):
 
 
 def test_a_lost_chunk_is_tried_again_by_the_same_call(tmp_path, failing):
-    """It is recorded, the call returns; once it can be computed the store is complete. Five that are lost again are no error."""
+    """It is recorded, the call returns; once it can be computed the store is complete. Five that
+    are lost again are no error."""
     out, masses = tmp_path / "s.zarr", np.arange(300.0, 400.0, 4.0)
 
     def swept(chunks=None):
@@ -74,14 +80,22 @@ def test_a_lost_chunk_is_tried_again_by_the_same_call(tmp_path, failing):
     failing |= {300.0, 332.0, 348.0, 364.0, 380.0}
     swept(range(1, 2))  # something is computed
     for _ in range(2):
-        with pytest.warns(jb.JaxbodyWarning, match="5 of 7 chunks failed three times, rows 0 to 4, 8 to 12, 12 to 16"):
+        with pytest.warns(
+            jb.JaxbodyWarning,
+            match="5 of 7 chunks failed three times, rows 0 to 4, 8 to 12, 12 to 16",
+        ):
             data = swept()
-        assert np.count_nonzero(data["status"] == jb.Status.LOST) == 20 and np.isnan(data["frequency"]).sum() == 20
+        assert (
+            np.count_nonzero(data["status"] == jb.Status.LOST) == 20
+            and np.isnan(data["frequency"]).sum() == 20
+        )
     before = flags(out)
     failing.clear()
     data = swept()
     assert (data["status"] == 0).all() and not os.listdir(out / "status" / "lost")
-    np.testing.assert_allclose(data["frequency"], np.sqrt(float(CAR["suspension"].stiffness) / masses), rtol=1e-15)
+    np.testing.assert_allclose(
+        data["frequency"], np.sqrt(float(CAR["suspension"].stiffness) / masses), rtol=1e-15
+    )
     assert {i for i, at in flags(out).items() if at != before[i]} == {0, 2, 3, 4, 5}
 
 
@@ -93,8 +107,13 @@ def test_a_program_is_made_once_for_other_numbers(tmp_path, monkeypatch):
     def own(model):
         return quick(model)
 
-    for i, (model, samples) in enumerate(((CAR, 40), (jb.replace(CAR, {"body.mass": 200.0}), 40), (CAR, 41))):
-        one, two = (jb.tolerances(model, own, SCATTER, samples=samples, chunk=8, out=out) for out in (None, tmp_path / f"{i}.zarr"))
+    for i, (model, samples) in enumerate(
+        ((CAR, 40), (jb.replace(CAR, {"body.mass": 200.0}), 40), (CAR, 41))
+    ):
+        one, two = (
+            jb.tolerances(model, own, SCATTER, samples=samples, chunk=8, out=out)
+            for out in (None, tmp_path / f"{i}.zarr")
+        )
         assert (one.samples == two.samples).all()
     assert len(made) == 2
 
@@ -110,8 +129,14 @@ def test_starts_continue_where_they_stopped(tmp_path):
     before = flags(out)
     both = jb.multistart(model, runs, **options, out=out)
     assert flags(out)[1] == before[1] and sorted(flags(out)) == [0, 1, 2]
-    assert both.starts == whole.starts == 41 and both.failures == whole.failures and (both.hits == whole.hits).all()
-    assert (both.cost == whole.cost).all() and (both.estimates["spring.stiffness"] == whole.estimates["spring.stiffness"]).all()
+    assert (
+        both.starts == whole.starts == 41
+        and both.failures == whole.failures
+        and (both.hits == whole.hits).all()
+    )
+    assert (both.cost == whole.cost).all() and (
+        both.estimates["spring.stiffness"] == whole.estimates["spring.stiffness"]
+    ).all()
 
 
 @pytest.mark.parametrize(

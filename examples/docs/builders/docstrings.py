@@ -9,7 +9,8 @@ LABELS = ("Errors", "Error", "Warns", "Source", "Sources")
 
 
 def to_rst(text: str) -> list[str]:
-    """The lines of a docstring: prose escaped, names and codes linked, formulas and examples as they stand, arguments as a list."""
+    """The lines of a docstring: prose escaped, names and codes linked, formulas and examples as
+    they stand, arguments as a list."""
     lines: list[str] = []
     for block in _blocks(text.splitlines()):
         if block[0].lstrip().startswith(">>>"):
@@ -19,7 +20,11 @@ def to_rst(text: str) -> list[str]:
         elif block[0] in ("Args:", "Arguments:"):
             lines += _arguments(block[1:])
         elif block[0].startswith("- "):
-            lines += [part for item in re.split(r"\n(?=- )", "\n".join(block)) for part in ["- " + _prose(item[2:]), ""]]
+            lines += [
+                part
+                for item in re.split(r"\n(?=- )", "\n".join(block))
+                for part in ["- " + _prose(item[2:]), ""]
+            ]
         else:
             lines += _paragraphs(" ".join(line.strip() for line in block))
         lines.append("")
@@ -27,7 +32,8 @@ def to_rst(text: str) -> list[str]:
 
 
 def _blocks(lines: list[str]) -> list[list[str]]:
-    """Parts of a docstring between blank lines; an example and a list begin a new part, and a list of arguments has no blank lines."""
+    """Parts of a docstring between blank lines; an example and a list begin a new part, and a list
+    of arguments has no blank lines."""
     blocks: list[list[str]] = [[]]
     for line in lines:
         last = blocks[-1]
@@ -50,7 +56,11 @@ def _arguments(lines: list[str]) -> list[str]:
             entries[-1][1] += " " + line.strip()
     result = ["**Arguments**", ""]
     for names, text in entries:
-        result += [", ".join(f"``{name.strip()}``" for name in names.split(",")), f"   {_prose(text)}", ""]
+        result += [
+            ", ".join(f"``{name.strip()}``" for name in names.split(",")),
+            f"   {_prose(text)}",
+            "",
+        ]
     return result
 
 
@@ -61,12 +71,16 @@ def _paragraphs(text: str) -> list[str]:
     for part in filter(None, (part.strip() for part in parts)):
         label = re.match(rf"({'|'.join(LABELS)})(:|,[^:]*:)? ", part)
         rest = part[label.end() :] if label else part
-        result += [(f"**{label[1]}{(label[2] or '').rstrip(':')}** " if label else "") + _prose(rest), ""]
+        result += [
+            (f"**{label[1]}{(label[2] or '').rstrip(':')}** " if label else "") + _prose(rest),
+            "",
+        ]
     return result
 
 
 def _prose(text: str) -> str:
-    """Text with its special characters escaped; code in backquotes stays code, an error code links to its entry."""
+    """Text with its special characters escaped; code in backquotes stays code, an error code links
+    to its entry."""
     parts = re.split(r"(`[^`]+`)", text)
     return "".join(f"`{part}`" if part[0] == "`" else _words(part) for part in parts if part)
 

@@ -1,4 +1,5 @@
-"""Pages of the gallery: every picture of examples/images with the script that makes it, every example, every notebook."""
+"""Pages of the gallery: every picture of examples/images with the script that makes it, every
+example, every notebook."""
 
 import ast
 import re
@@ -22,26 +23,54 @@ def pages(root: Path) -> dict[str, str]:
 
 
 def _gallery(root: Path, scripts: list[Path], notebooks: list[Path]) -> str:
-    lines = [*WIDE, "# Gallery", "", "Every picture with the script that makes it; then all examples and notebooks.", ""]
-    for image in sorted(path for path in (root / "examples" / "images").iterdir() if path.suffix in (".png", ".gif", ".jpg", ".svg")):
+    lines = [
+        *WIDE,
+        "# Gallery",
+        "",
+        "Every picture with the script that makes it; then all examples and notebooks.",
+        "",
+    ]
+    for image in sorted(
+        path
+        for path in (root / "examples" / "images").iterdir()
+        if path.suffix in (".png", ".gif", ".jpg", ".svg")
+    ):
         script = maker(root, image.name)
         made = "`jaxbody demo`" if str(script) == DEMO else f"[{script}](examples/{script.stem}.md)"
         if is_notebook(root / script):
             made = f"[{script}](notebooks/{script.stem}.ipynb)"
         about = first_paragraph(root / script)
-        lines += [f"```{{figure}} ../../images/{image.name}", f":alt: {about}", "", f"{about} Made by {made}.", "```", ""]
+        lines += [
+            f"```{{figure}} ../../images/{image.name}",
+            f":alt: {about}",
+            "",
+            f"{about} Made by {made}.",
+            "```",
+            "",
+        ]
     lines += [
         "## Plots of results",
         "",
-        "What `.plot()` of each result, and `jb.plots`, show; drawn by [gallery.py](examples/gallery.md).",
+        (
+            "What `.plot()` of each result, and `jb.plots`, show; drawn by "
+            "[gallery.py](examples/gallery.md)."
+        ),
         "",
     ]
     plots = sorted((root / "examples" / "images" / "gallery").glob("*.png"))
     lines += [f"![{path.stem}](../../images/gallery/{path.name}){{width=32%}}" for path in plots]
-    lines += ["", "## Examples", "", *(f"- [{path.stem}](examples/{path.stem}.md): {first_paragraph(path)}" for path in scripts), ""]
+    lines += [
+        "",
+        "## Examples",
+        "",
+        *(f"- [{path.stem}](examples/{path.stem}.md): {first_paragraph(path)}" for path in scripts),
+        "",
+    ]
     lines += ["## Notebooks", "", "Scripts that Jupyter opens as notebooks with jupytext.", ""]
     lines += [*(f"- [{title(path)}](notebooks/{path.stem}.ipynb)" for path in notebooks), ""]
-    listing = [f"examples/{path.stem}" for path in scripts] + [f"notebooks/{path.stem}" for path in notebooks]
+    listing = [f"examples/{path.stem}" for path in scripts] + [
+        f"notebooks/{path.stem}" for path in notebooks
+    ]
     return "\n".join([*lines, "```{toctree}", ":hidden:", "", *listing, "```", ""])
 
 
@@ -54,9 +83,14 @@ def maker(root: Path, image: str) -> Path:
     """The script that makes a picture: the one that names it, or has its name."""
     stem = Path(image).stem
     for path in [*sorted((root / "examples").rglob("*.py")), root / DEMO]:
-        if path.stem == stem or re.search(rf"\b{re.escape(image)}\b|/ \"{re.escape(image)}\"", path.read_text()):
+        if path.stem == stem or re.search(
+            rf"\b{re.escape(image)}\b|/ \"{re.escape(image)}\"", path.read_text()
+        ):
             return path.relative_to(root)
-    raise LookupError(f"no script in examples/ names {image}: write its name into the docstring of the script that makes it")
+    raise LookupError(
+        f"no script in examples/ names {image}: write its name into the docstring of the "
+        "script that makes it"
+    )
 
 
 def title(path: Path) -> str:
@@ -73,11 +107,15 @@ def _example(path: Path) -> str:
     about = ast.get_docstring(ast.parse(path.read_text())) or ""
     text = re.sub(r"(?m)^    .*(?:\n    .*)*$", lambda found: f"```text\n{found[0]}\n```", about)
     source = f"```{{literalinclude}} ../../../{path.name}\n:start-at: import\n```"
-    return f"---\nhide-toc: true\n---\n\n# {path.name}\n\n{text}\n\nTo run it: `python examples/{path.name}`\n\n{source}\n"
+    return (
+        f"---\nhide-toc: true\n---\n\n# {path.name}\n\n{text}\n\n"
+        f"To run it: `python examples/{path.name}`\n\n{source}\n"
+    )
 
 
 def _notebook(root: Path, path: Path) -> str:
-    """The notebook with its results, if `out/notebooks` has a run of it as it is now; without results otherwise."""
+    """The notebook with its results, if `out/notebooks` has a run of it as it is now; without
+    results otherwise."""
     notebook = jupytext.read(path)
     run = root / "out" / "notebooks" / f"{path.stem}.ipynb"
     if run.exists():

@@ -1,4 +1,5 @@
-"""Pages of the reference: one for every public name, in the order of the packages, from docstrings and fields."""
+"""Pages of the reference: one for every public name, in the order of the packages, from docstrings
+and fields."""
 
 import dataclasses
 import inspect
@@ -13,23 +14,44 @@ from jaxbody.geometry.fields import Kind
 
 from .docstrings import _prose, to_rst
 
-PACKAGES = re.findall(r"^    (\w+) +(\S.*)$", jb.__doc__ or "", re.M)  # with their purposes, from the ground up
-FAMILIES = ("Element", "Joint", "Sensor", "Load", "Motion", "closures.Closure", "signals.Signal", "laws.Law")  # members share methods
-OPEN = {name: module.split(".")[0] for name, module in jb._MODULES.items()}  # public modules, with their packages
+# with their purposes, from the ground up
+PACKAGES = re.findall(r"^    (\w+) +(\S.*)$", jb.__doc__ or "", re.M)
+FAMILIES = (
+    "Element",
+    "Joint",
+    "Sensor",
+    "Load",
+    "Motion",
+    "closures.Closure",
+    "signals.Signal",
+    "laws.Law",
+)  # members share methods
+# public modules, with their packages
+OPEN = {name: module.split(".")[0] for name, module in jb._MODULES.items()}
 
 
 def public_names() -> dict[str, list[str]]:
-    """The public names of each package as they follow `jb.`, those of open modules with the name of the module."""
+    """The public names of each package as they follow `jb.`, those of open modules with the name of
+    the module."""
     names: dict[str, list[str]] = {package: [] for package, _ in PACKAGES}
     for module, public in jb._NAMES.items():
         names[module.split(".")[0]] += public
     for module, package in OPEN.items():
         inside = getattr(jb, module)
-        names[package] += [f"{module}.{name}" for name in dir(inside) if getattr(inside, name) is not getattr(jb, name, None)]
+        names[package] += [
+            f"{module}.{name}"
+            for name in dir(inside)
+            if getattr(inside, name) is not getattr(jb, name, None)
+        ]
     return {package: sorted(found, key=str.lower) for package, found in names.items() if found}
 
 
-TWINS = {name for names in public_names().values() for name in names if name[0].isupper() and name.lower() in jb.__all__}  # Fit and fit
+TWINS = {
+    name
+    for names in public_names().values()
+    for name in names
+    if name[0].isupper() and name.lower() in jb.__all__
+}  # Fit and fit
 
 
 def place(name: str) -> str:
@@ -50,9 +72,17 @@ def result_of(name: str) -> type | None:
     if inspect.isclass(found):
         return None
     annotation = getattr(found, "__annotations__", {}).get("return")
-    kind = getattr(inspect.getmodule(found), annotation, None) if isinstance(annotation, str) and annotation.isidentifier() else None
+    kind = (
+        getattr(inspect.getmodule(found), annotation, None)
+        if isinstance(annotation, str) and annotation.isidentifier()
+        else None
+    )
     ours = inspect.isclass(kind) and kind.__module__.startswith("jaxbody")
-    return kind if ours and kind not in [thing(name) for names in public_names().values() for name in names] else None
+    return (
+        kind
+        if ours and kind not in [thing(name) for names in public_names().values() for name in names]
+        else None
+    )
 
 
 def _title(text: str) -> list[str]:
@@ -61,7 +91,8 @@ def _title(text: str) -> list[str]:
 
 
 def page(name: str, described: set[type]) -> str:
-    """The page of a name, as reStructuredText; the class of a result is described on the first page whose function returns it."""
+    """The page of a name, as reStructuredText; the class of a result is described on the first page
+    whose function returns it."""
     found, full = thing(name), f"jaxbody.{name}"
     lines = _title(name)
     if inspect.isclass(found):
@@ -72,28 +103,52 @@ def page(name: str, described: set[type]) -> str:
     if kind and kind not in described:
         described.add(kind)
         title, where = f"Result: {kind.__name__}", f"{kind.__module__}.{kind.__name__}"
-        lines += [title, "-" * len(title), "", f".. autoclass:: {where}", "   :no-index-entry:", "", *_members(kind, where)]
+        lines += [
+            title,
+            "-" * len(title),
+            "",
+            f".. autoclass:: {where}",
+            "   :no-index-entry:",
+            "",
+            *_members(kind, where),
+        ]
     elif kind:
         lines += [f"The result is a :py:class:`~{kind.__module__}.{kind.__name__}`.", ""]
     return "\n".join(lines)
 
 
 def _members(kind: type, where: str) -> list[str]:
-    """A table of the fields, then properties and methods with their docstrings; those of jaxbody alone."""
+    """A table of the fields, then properties and methods with their docstrings; those of
+    jaxbody alone."""
     lines = _fields(kind)
     own = [base for base in kind.__mro__ if base.__module__.startswith("jaxbody")]
-    family = next((name for name in FAMILIES if issubclass(kind, thing(name)) and kind is not thing(name)), None)
+    family = next(
+        (name for name in FAMILIES if issubclass(kind, thing(name)) and kind is not thing(name)),
+        None,
+    )
     if family:
         own, inherited = own[:1], {name for base in own[1:] for name in vars(base)}
         lines += [f"Its methods are those of :py:class:`{family} <jaxbody.{family}>`.", ""]
     else:
         inherited = set()
-    hidden = inherited | {name for base in kind.__mro__ for name, x in vars(base).items() if name.startswith("_") or x is None}
-    names = [name for base in own for name, x in vars(base).items() if name not in hidden and _is_member(kind, name, x)]
+    hidden = inherited | {
+        name
+        for base in kind.__mro__
+        for name, x in vars(base).items()
+        if name.startswith("_") or x is None
+    }
+    names = [
+        name
+        for base in own
+        for name, x in vars(base).items()
+        if name not in hidden and _is_member(kind, name, x)
+    ]
     for name in sorted(set(names), key=names.index):
         found = inspect.getattr_static(kind, name)
         lines += (
-            _property(where, name, found) if isinstance(found, property) else [f".. automethod:: {where}.{name}", "   :no-index-entry:", ""]
+            _property(where, name, found)
+            if isinstance(found, property)
+            else [f".. automethod:: {where}.{name}", "   :no-index-entry:", ""]
         )
     return lines
 
@@ -102,28 +157,59 @@ def _property(where: str, name: str, found: property) -> list[str]:
     """A property with the type as it is written in the code."""
     module, _, owner = where.rpartition(".")
     kind = getattr(found.fget, "__annotations__", {}).get("return", "")
-    options = [f"   :module: {module}", *([f"   :type: {kind}"] if isinstance(kind, str) and kind else []), "   :no-index-entry:"]
+    options = [
+        f"   :module: {module}",
+        *([f"   :type: {kind}"] if isinstance(kind, str) and kind else []),
+        "   :no-index-entry:",
+    ]
     text = to_rst(inspect.cleandoc(found.__doc__ or ""))
-    return [f".. py:property:: {owner}.{name}", *options, "", *(f"   {line}" if line else "" for line in text), ""]
+    return [
+        f".. py:property:: {owner}.{name}",
+        *options,
+        "",
+        *(f"   {line}" if line else "" for line in text),
+        "",
+    ]
 
 
 def _is_member(kind: type, name: str, found: Any) -> bool:
     function = found.fget if isinstance(found, property) else getattr(found, "__func__", found)
-    return bool(inspect.getdoc(inspect.getattr_static(kind, name))) and (callable(function) and not inspect.isclass(function))
+    return bool(inspect.getdoc(inspect.getattr_static(kind, name))) and (
+        callable(function) and not inspect.isclass(function)
+    )
 
 
 def _fields(kind: type) -> list[str]:
     """The fields of a class: kind and shape, unit, allowed values."""
-    found = [each for each in (dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()) if not each.name.startswith("_")]
+    found = [
+        each
+        for each in (dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ())
+        if not each.name.startswith("_")
+    ]
     if not found:
         return []
     kinds = [each.metadata.get("kind", Kind()) for each in found]
     stated = any(each.unit or each.domain != "any" for each in kinds)
-    lines = ["**Fields**", "", ".. list-table::", "   :header-rows: 1", "", "   * - field", "     - kind and shape"]
+    lines = [
+        "**Fields**",
+        "",
+        ".. list-table::",
+        "   :header-rows: 1",
+        "",
+        "   * - field",
+        "     - kind and shape",
+    ]
     lines += ["     - unit", "     - allowed"] if stated else []
     for each, about in zip(found, kinds, strict=True):
         lines += [f"   * - ``{each.name}``", f"     - {_shape(each.type)}"]
-        lines += [f"     - {_prose(about.unit)}", f"     - {_prose('' if about.domain == 'any' else about.domain)}"] if stated else []
+        lines += (
+            [
+                f"     - {_prose(about.unit)}",
+                f"     - {_prose('' if about.domain == 'any' else about.domain)}",
+            ]
+            if stated
+            else []
+        )
     return [*lines, ""]
 
 
@@ -143,7 +229,9 @@ def _shape(annotation: Any) -> str:
 def short_types(text: str) -> str:
     """Types of a signature by their short names; an array that may be of JAX or of NumPy once."""
     text = re.sub(r"<class '([\w.]+)'>", r"\1", text).replace("~", "")
-    text = re.sub(r"\b(?:jaxbody|jaxtyping|jaxlib|jax|numpy|np|typing|diffrax)\.(?:\w+\.)*(?=\w)", "", text)
+    text = re.sub(
+        r"\b(?:jaxbody|jaxtyping|jaxlib|jax|numpy|np|typing|diffrax)\.(?:\w+\.)*(?=\w)", "", text
+    )
     array = r"(\w+\[Array, (['\"].*?['\"])\])"
     text = re.sub(rf"Union\[{array}, \w+\[ndarray, \2\]\]", r"\1", text)
     text = re.sub(rf"Union\[{array}, \w+\[ndarray, \2\], NoneType\]", r"\1 | None", text)
@@ -158,16 +246,42 @@ def first_sentence(text: str | None) -> str:
 def package_page(package: str, purpose: str, names: list[str]) -> str:
     lines = [*_title(package), _prose(purpose), "", ".. list-table::", "   :widths: 25 75", ""]
     for name in names:
-        lines += [f"   * - :doc:`{name} <{place(name)}>`", f"     - {_prose(first_sentence(inspect.getdoc(thing(name))))}"]
-    return "\n".join([*lines, "", ".. toctree::", "   :hidden:", "", *(f"   {place(name)}" for name in names), ""])
+        lines += [
+            f"   * - :doc:`{name} <{place(name)}>`",
+            f"     - {_prose(first_sentence(inspect.getdoc(thing(name))))}",
+        ]
+    return "\n".join(
+        [
+            *lines,
+            "",
+            ".. toctree::",
+            "   :hidden:",
+            "",
+            *(f"   {place(name)}" for name in names),
+            "",
+        ]
+    )
 
 
 def codes_page() -> str:
     """The table of error codes, each with an anchor."""
-    lines = [*_title("Error codes"), *to_rst(CODES_TEXT), ".. list-table::", "   :header-rows: 1", "   :widths: 26 37 37", ""]
+    lines = [
+        *_title("Error codes"),
+        *to_rst(CODES_TEXT),
+        ".. list-table::",
+        "   :header-rows: 1",
+        "   :widths: 26 37 37",
+        "",
+    ]
     lines += ["   * - code", "     - what it means", "     - what to do"]
     for code, (meaning, remedy) in CODES.items():
-        lines += [f"   * - .. _code-{code.lower()}:", "", f"       ``{code}``", f"     - {_prose(meaning)}", f"     - {_prose(remedy)}"]
+        lines += [
+            f"   * - .. _code-{code.lower()}:",
+            "",
+            f"       ``{code}``",
+            f"     - {_prose(meaning)}",
+            f"     - {_prose(remedy)}",
+        ]
     return "\n".join([*lines, ""])
 
 
@@ -177,24 +291,43 @@ CODES_TEXT = textwrap.dedent("""\
     member of a batch; it warns where the status is not OK, and `raise_if_failed()` turns that into an error.
 
     `print(jb.codes())` prints this table.
-    """)
+    """)  # noqa: E501
 
 
 def pages() -> dict[str, str]:
     """All pages of the reference by path."""
     names, described = public_names(), set()
-    found = {f"reference/{place(name)}.rst": page(name, described) for package in names.values() for name in package}
+    found = {
+        f"reference/{place(name)}.rst": page(name, described)
+        for package in names.values()
+        for name in package
+    }
     purposes = dict(PACKAGES)
     for package, inside in names.items():
         found[f"reference/{package}_package.rst"] = package_page(package, purposes[package], inside)
     listing = [f"   reference/{package}_package" for package in names]
     table: list[str] = []
     for package in names:
-        table += [f"   * - :doc:`{package} <reference/{package}_package>`", f"     - {_prose(purposes[package])}"]
+        table += [
+            f"   * - :doc:`{package} <reference/{package}_package>`",
+            f"     - {_prose(purposes[package])}",
+        ]
     found["reference.rst"] = "\n".join(
-        [*_title("Reference"), *to_rst(REFERENCE_TEXT), ".. list-table::", "   :widths: 20 80", "", *table, "",
-         ".. toctree::", "   :hidden:", "", *listing, ""]
-    )  # fmt: skip
+        [
+            *_title("Reference"),
+            *to_rst(REFERENCE_TEXT),
+            ".. list-table::",
+            "   :widths: 20 80",
+            "",
+            *table,
+            "",
+            ".. toctree::",
+            "   :hidden:",
+            "",
+            *listing,
+            "",
+        ]
+    )
     found["codes.rst"] = codes_page()
     return found
 
@@ -212,11 +345,12 @@ REFERENCE_TEXT = textwrap.dedent("""\
     - nt: sample times
     - nf: frequencies
     - n, m, k: counts that the text explains
-    """)
+    """)  # noqa: E501
 
 
 def write(folder: Path, found: dict[str, str]) -> None:
-    """Write pages that changed and delete those that no longer exist, so that a second build reads only what is new."""
+    """Write pages that changed and delete those that no longer exist, so that a second build reads
+    only what is new."""
     for path in folder.rglob("*"):
         if path.is_file() and str(path.relative_to(folder)) not in found:
             path.unlink()

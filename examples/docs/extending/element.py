@@ -13,7 +13,8 @@ jax.config.update("jax_enable_x64", True)
 
 
 class Rope(jb.Element):
-    """An elastic rope from `a` on the first frame over a small pulley at `b` on the second to `anchor`, also on the first."""
+    """An elastic rope from `a` on the first frame over a small pulley at `b` on the second to
+    `anchor`, also on the first."""
 
     anchor: jax.Array = jb.field("m")
     stiffness: jax.Array = jb.field("N/m", "positive")
@@ -21,7 +22,10 @@ class Rope(jb.Element):
 
     def deformation(self, A, B):
         pulley = B.point(self.b)
-        return sum(jnp.linalg.norm(A.point(end) - pulley) for end in (self.a, self.anchor)) - self.free_length
+        return (
+            sum(jnp.linalg.norm(A.point(end) - pulley) for end in (self.a, self.anchor))
+            - self.free_length
+        )
 
     def energy(self, e):
         return 0.5 * self.stiffness * e**2
@@ -30,9 +34,17 @@ class Rope(jb.Element):
         return jnp.zeros_like(e)
 
 
-# A load of 5 kg hangs on its pulley from two points of the ceiling, 2 c apart; the rope is longer than 2 c by far
+# A load of 5 kg hangs on its pulley from two points of the ceiling, 2 c apart; the rope is longer
+# than 2 c by far
 c, k, l0, m, g = 0.3, 8000.0, 2.0, 5.0, 9.81
-rope = Rope(("world", "load"), jnp.array([-c, 0, 0]), jnp.zeros(3), jnp.array([c, 0, 0]), jnp.array(k), jnp.array(l0))
+rope = Rope(
+    ("world", "load"),
+    jnp.array([-c, 0, 0]),
+    jnp.zeros(3),
+    jnp.array([c, 0, 0]),
+    jnp.array(k),
+    jnp.array(l0),
+)
 model = jb.Model(
     bodies={"load": jb.Body(mass=m, inertia=[0.01, 0.01, 0.01], position=[0, 0, -1.0])},
     joints={"load": jb.Guide("world", axis=[0, 0, 1])},
@@ -45,7 +57,10 @@ print(eq)
 # By hand: each half has length h, 2 T z/h = m g with T = k (2 h - l0), z = sqrt(h^2 - c^2)
 h = (float(eq.elongations["rope"]) + l0) / 2
 z = np.sqrt(h**2 - c**2)
-print(f"tension {k * (2 * h - l0):.6g} N carries {2 * k * (2 * h - l0) * z / h:.6g} N; the weight is {m * g:.6g} N")
+print(
+    f"tension {k * (2 * h - l0):.6g} N carries {2 * k * (2 * h - l0) * z / h:.6g} N; the "
+    f"weight is {m * g:.6g} N"
+)
 assert abs(2 * k * (2 * h - l0) * z / h - m * g) < 1e-8
 assert abs(float(eq.state.q[0]) - (1.0 - z)) < 1e-9
 

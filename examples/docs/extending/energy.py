@@ -1,4 +1,5 @@
-"""An energy of one's own: a magnet pulls an iron ball that hangs on a spring. A stronger one softens its motion."""
+"""An energy of one's own: a magnet pulls an iron ball that hangs on a spring. A stronger one
+softens its motion."""
 
 import equinox as eqx
 import jax
@@ -24,12 +25,17 @@ model = jb.Model(
     bodies={"ball": jb.Body(mass=0.2)},
     supports={"base": jb.Support(position=[0, 0, -0.1])},
     joints={"ball": jb.Guide("world", axis=[0, 0, 1])},
-    elements={"spring": jb.Spring(("ball", [0, 0, 0]), ("world", [0, 0, 0.3]), stiffness=200.0, free_length=0.3)},
+    elements={
+        "spring": jb.Spring(
+            ("ball", [0, 0, 0]), ("world", [0, 0, 0.3]), stiffness=200.0, free_length=0.3
+        )
+    },
     energies={"magnet": Pull(2e-5)},
 )
 print(model)
 
-# F = A/d^4 = k x at rest, with d = 0.1 - x; K = k - 4 A/d^5, the motion of the base acts by K~ = -4 A/d^5
+# F = A/d^4 = k x at rest, with d = 0.1 - x; K = k - 4 A/d^5, the motion of the base acts by
+# K~ = -4 A/d^5
 eq = jb.equilibrium(model)
 lin = jb.linearize(model, eq)
 x = -float(eq.state.q[0])
@@ -39,7 +45,8 @@ np.testing.assert_allclose(lin.K, [[200.0 - 4 * 2e-5 / d**5]], rtol=1e-12)
 np.testing.assert_allclose(lin.K_tilde[:, 2], [-4 * 2e-5 / d**5], rtol=1e-12)
 print(f"the ball is {1e3 * x:.3f} mm lower; K = {float(lin.K[0, 0]):.3f} N/m")
 
-# K = 0 where x = d/4 = 0.02: a stronger magnet than A = k x d^4 there has no equilibrium, and the ball snaps to it
+# K = 0 where x = d/4 = 0.02: a stronger magnet than A = k x d^4 there has no equilibrium, and the
+# ball snaps to it
 limit = 200.0 * 0.02 * 0.08**4
 nearly = jb.replace(model, {"magnet.strength": 0.99 * limit})
 softest = jb.linearize(nearly, jb.equilibrium(nearly)).K

@@ -22,7 +22,8 @@ class Screw(jb.Joint):
 
     def axes(self, q, parent, body):
         n = parent.R[:, 2]
-        return self.lead * n[None], n[None]  # velocity of O and angular velocity, per unit of the speed
+        # velocity of O and angular velocity, per unit of the speed
+        return self.lead * n[None], n[None]
 
 
 mass, inertia, lead, g = 0.3, 2e-5, 0.01, 9.81

@@ -1,4 +1,5 @@
-"""A motion of your own: a sweep of a shaking table, whose frequency rises in time; velocity and acceleration are its derivatives."""
+"""A motion of your own: a sweep of a shaking table, whose frequency rises in time; velocity and
+acceleration are its derivatives."""
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +28,11 @@ model = jb.Model(
     bodies={"mass": jb.Body(mass=m, inertia=[1, 1, 1])},
     supports={"table": jb.Support(position=[0, 0, -1])},
     joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
-    elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("table", [0, 0, 0]), stiffness=k, free_length=1.0, damping=c)},
+    elements={
+        "spring": jb.Spring(
+            ("mass", [0, 0, 0]), ("table", [0, 0, 0]), stiffness=k, free_length=1.0, damping=c
+        )
+    },
 )
 sweep = Chirp(jnp.array(1e-3), jnp.array(1.0), jnp.array(0.5))
 times = np.linspace(0.0, 8.0, 401)
@@ -35,7 +40,8 @@ z = jb.simulate(model, times, motion={"table": sweep}).poses["mass"].p[:, 2]
 print("largest motion of the mass", f"{float(jnp.abs(z).max()) * 1e3:.3f} mm for 1 mm of the table")
 
 
-# The same equation by SciPy: m x'' + c x' + k x = k z + c z'; the damper sees the velocity of the table
+# The same equation by SciPy: m x'' + c x' + k x = k z + c z'; the damper sees the velocity of
+# the table
 def pushed(t, y):
     phase, rate = 2 * np.pi * (t + t**2 / 4), 2 * np.pi * (1 + t / 2)
     force = 1e-3 * (k * np.sin(phase) + c * rate * np.cos(phase))
@@ -46,7 +52,8 @@ known = solve_ivp(pushed, (0, 8), [0, 0], "DOP853", times, rtol=1e-10, atol=1e-1
 assert np.abs(z - known).max() < 1e-8
 
 
-# A function of time will do where nothing of it is to be fitted; made once, as a new function is compiled anew
+# A function of time will do where nothing of it is to be fitted; made once, as a new function is
+# compiled anew
 def shake(t):
     return jnp.zeros(6).at[2].set(1e-3 * jnp.sin(2 * jnp.pi * (t + 0.25 * t**2)))
 
