@@ -14,7 +14,7 @@ import numpy as np
 
 import jaxbody as jb
 from jaxbody import laws
-from jaxbody.plots.canvases import style, tidy
+from jaxbody.views.plots.canvases import style, tidy
 
 jax.config.update("jax_enable_x64", True)
 if __name__ == "__main__":  # the process is this script's

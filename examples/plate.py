@@ -24,7 +24,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxbody as jb
-from jaxbody.plots import draw_model
+from jaxbody.views.plots import draw_model
 
 jax.config.update("jax_enable_x64", True)
 

@@ -19,7 +19,7 @@ import scipy.optimize
 
 import jaxbody as jb
 from jaxbody import plots
-from jaxbody.plots.canvases import COLORS
+from jaxbody.views.plots.canvases import COLORS
 
 jax.config.update("jax_enable_x64", True)
 if __name__ == "__main__":  # the process is this script's

@@ -27,26 +27,26 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Float, shaped
+from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import axial, dot, rotate, rotate_back
-from jaxbody.inputs.loads import Load
-from jaxbody.joints.closure_tables import drawn, gaps_from, rank
-from jaxbody.joints.element_tables import (
+from jaxbody.model.inputs.loads import Load
+from jaxbody.model.joints.closure_tables import drawn, gaps_from, rank
+from jaxbody.model.joints.element_tables import (
     completed,
     each_element,
     inertial_tables,
     of_table,
     state_rates,
 )
-from jaxbody.joints.kinematics import Coordinates, displacements, frames_displaced, imposed
-from jaxbody.laws.memories import InState, memories
-from jaxbody.models.memories import apart, holding
-from jaxbody.models.models import Model, refuse_batch
-from jaxbody.models.preconditions import check_state
-from jaxbody.models.states import State
+from jaxbody.model.joints.kinematics import Coordinates, displacements, frames_displaced, imposed
+from jaxbody.model.laws.memories import InState, memories
+from jaxbody.model.memories import apart, holding
+from jaxbody.model.models import Model, refuse_batch
+from jaxbody.model.preconditions import check_state
+from jaxbody.model.states import State
 from jaxbody.numerics.small_systems import saddle_point
 
 # T, V and R of the frames of a model whose laws with memory know their states

@@ -5,18 +5,18 @@ what a user sees.
 Where it says "no ...", jaxbody has no such message, for the reason given.
 """
 
-BAD = "models/test_bad_models.py"
-TRACED = "models/test_traced_numbers.py"
-STATICS = "statics/test_statics.py"
-MOTIONS = "inputs/test_motions.py"
-SIMULATIONS = "simulations/test_simulations.py"
+BAD = "model/test_bad_models.py"
+TRACED = "model/test_traced_numbers.py"
+STATICS = "mechanics/test_statics.py"
+MOTIONS = "model/inputs/test_motions.py"
+SIMULATIONS = "motion/test_simulations.py"
 CAUSES = "mechanics/test_failure_causes.py"
-LOADS = "inputs/test_loads.py"
+LOADS = "model/inputs/test_loads.py"
 RECORDS = "records/test_records.py"
-DIAGNOSES = "experiments/test_diagnoses.py"
+DIAGNOSES = "fitting/experiments/test_diagnoses.py"
 SENSORS = "sensors/test_sensors.py"
-FITS = "identification/test_identification.py"
-LOSSES = "identification/test_losses.py"
+FITS = "fitting/test_identification.py"
+LOSSES = "fitting/test_losses.py"
 FILES = "files/test_model_files.py"
 DOCUMENTS = "files/test_documents.py"
 
@@ -52,7 +52,7 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
     12: (
         "inertia of a rod or a point",
         (
-            "models/test_bodies.py: "
+            "model/test_bodies.py: "
             "test_what_may_turn_without_inertia_is_reported_when_a_model_is_built"
         ),
     ),
@@ -100,8 +100,8 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
     ),
     28: (
         "bad tables of forces",
-        "laws/test_laws.py: TABLE_SHORT, TABLE_UNSORTED, TABLE_DUPLICATE, TABLE_FALLS",
-        "simulations/test_suspensions.py: test_a_motion_that_leaves_a_table_reports_which_and_when",
+        "model/laws/test_laws.py: TABLE_SHORT, TABLE_UNSORTED, TABLE_DUPLICATE, TABLE_FALLS",
+        "motion/test_suspensions.py: test_a_motion_that_leaves_a_table_reports_which_and_when",
         f"{TRACED}: 28 table, 28 falls",
     ),
     29: (
@@ -196,7 +196,7 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
         "times outside a motion",
         f"{SIMULATIONS}: test_times_outside_a_sampled_motion_are_refused",
         (
-            "experiments/test_experiments.py: "
+            "fitting/experiments/test_experiments.py: "
             "test_a_motion_that_ends_before_the_record_is_refused_before_a_model_is_there"
         ),
     ),
@@ -215,7 +215,7 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
     54: (
         "a support that jumps",
         f"{MOTIONS}: test_a_sampled_motion_that_jumps_is_warned_of",
-        "inputs/test_base_motions.py: test_a_jump_of_the_base_issues_a_warning",
+        "model/inputs/test_base_motions.py: test_a_jump_of_the_base_issues_a_warning",
     ),
     55: ("a support that turns too far between samples", f"{MOTIONS}: jump"),
     56: ("a low sampling rate", f"{RECORDS}: few samples for what matters, too few samples"),
@@ -285,7 +285,7 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
     79: (
         "a start at a bound",
         f"{FITS}: START_ON_BOUND",
-        "identification/test_domains.py: test_from_zero_a_fit_says_what_to_do",
+        "fitting/test_domains.py: test_from_zero_a_fit_says_what_to_do",
     ),
     80: (
         "a fit that ends at a bound",
@@ -361,7 +361,7 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
     96: (
         "recompilation",
         (
-            "compilation/test_recompilations.py: "
+            "core/compilation/test_recompilations.py: "
             "test_what_makes_a_function_compile_again_and_again_is_named_once"
         ),
     ),

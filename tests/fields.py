@@ -9,7 +9,7 @@ import pkgutil
 import jaxbody
 import jaxbody as jb
 from jaxbody.geometry.fields import Kind
-from jaxbody.inputs.signals import Signal
+from jaxbody.model.inputs.signals import Signal
 
 OWNERS = (
     jb.Element,

@@ -37,14 +37,24 @@ NAMED = [module for module in MODULES if not module.endswith("__init__")]
 OPEN = {"closures", "laws", "objectives", "plots", "presets", "signals", "units"}
 EXPORTED = sorted(set(dir(jb)) - OPEN)
 MOST_LINES = 600
+INSIDE = {  # packages within packages and the files beside them, from the ground up
+    "core": ("core", "core.compilation", "core.workers"),
+    "model": ("model.laws", "model.inputs", "model.elements", "model"),
+    "suspension": ("suspension", "suspension.presets"),
+    "fitting": ("fitting.statistics", "fitting.parameters", "fitting.experiments", "fitting"),
+    "files": ("files", "files.studies", "files.interchange"),
+    "views": ("views.plots", "views.scenes", "views"),
+}
+MUTUAL = {"model.joints"}  # belongs to the place around it: it has a base class that `model` needs
+PLACES = [place for package in ORDER for place in INSIDE.get(package, (package,))]
 NO_MECHANICS = {  # and what they may import
     "core": set(),
-    "compilation": {"core"},
-    "workers": {"core", "compilation"},
-    "numerics": {"core", "compilation"},
-    "statistics": {"core", "compilation", "numerics"},
+    "core.compilation": {"core"},
+    "core.workers": {"core", "core.compilation"},
+    "numerics": {"core", "core.compilation"},
+    "fitting.statistics": {"core", "core.compilation", "numerics"},
 }
-APART = {"designs", "identification"}
+APART = {"design", "fitting"}
 
 
 def path_of(module: str) -> Path:
@@ -87,22 +97,28 @@ def imported_modules(tree: ast.AST) -> dict[str, int]:
     return result
 
 
+def place_of(module: str) -> str:
+    """The innermost of the places that a module is in; its first name where it is in none."""
+    inside = [place for place in PLACES if f"{module}.".startswith(f"{place}.")]
+    return max(inside, key=len, default=module.split(".")[0])
+
+
 def misplaced(module: str, imports: dict[str, int]) -> list[str]:
     """What a file may not import, and where the thing belongs."""
-    home, text = module.split(".")[0], []
+    home, text = place_of(module), []
     for other, line in imports.items():
         package, place = (
-            other.split(".")[0],
+            place_of(other),
             f"jaxbody/{module.replace('.', '/')}.py:{line} imports",
         )
         if other == "a relative import":
             text.append(f"{place} relatively: write the full name")
             continue
         place += f" jaxbody.{other}"
-        if package not in ORDER:
+        if package not in PLACES:
             if home not in ("__init__", "app"):
                 text.append(f"{place}: import the module that defines it, not the public name")
-        elif home in ORDER and ORDER.index(package) > ORDER.index(home):
+        elif home in PLACES and PLACES.index(package) > PLACES.index(home):
             text.append(
                 f"{place}: {package} comes after {home}. What both need belongs into a package "
                 f"before {package}; what needs both, after it"
@@ -114,15 +130,17 @@ def misplaced(module: str, imports: dict[str, int]) -> list[str]:
             )
         elif {home, package} == APART:
             text.append(
-                f"{place}: what tuning and fitting share belongs into parameters or numerics"
+                f"{place}: what tuning and fitting share belongs into fitting.parameters or "
+                f"numerics"
             )
     return text
 
 
 def test_every_package_has_its_place_in_the_order():
-    assert sorted(ORDER) == sorted(
-        ["lagrange", *(path.parent.name for path in PACKAGE.glob("*/__init__.py"))]
-    )
+    packages = {
+        ".".join(path.parent.relative_to(PACKAGE).parts) for path in PACKAGE.rglob("*/__init__.py")
+    }
+    assert sorted([*PLACES, *MUTUAL]) == sorted(["lagrange", *packages])
 
 
 @pytest.mark.parametrize("module", MODULES)
@@ -132,33 +150,32 @@ def test_imports_go_down_only(module):
 
 def test_an_import_that_is_misplaced_would_be_found_and_its_place_is_said():
     source = (
-        "def f():\n    from jaxbody.simulations.simulations import simulate\n\n"
-        "from jaxbody.core import units\nfrom jaxbody import statics\nfrom . import x\n"
-        "plots = import_module('jaxbody.plots.pictures')\n"
+        "def f():\n    from jaxbody.motion.simulations import simulate\n\n"
+        "from jaxbody.core import units\nfrom jaxbody import mechanics\nfrom . import x\n"
+        "plots = import_module('jaxbody.views.plots.pictures')\n"
     )
     imports = imported_modules(ast.parse(source))
     assert imports == {
-        "simulations.simulations": 2,
+        "motion.simulations": 2,
         "core.units": 4,
-        "statics": 5,
+        "mechanics": 5,
         "a relative import": 6,
-        "plots.pictures": 7,
+        "views.plots.pictures": 7,
     }
-    text = "\n".join(misplaced("models.models", imports))
+    text = "\n".join(misplaced("model.models", imports))
     assert (
-        "jaxbody/models/models.py:2 imports jaxbody.simulations.simulations: "
-        "simulations comes after models."
+        "jaxbody/model/models.py:2 imports jaxbody.motion.simulations: motion comes after model."
     ) in text
     assert (
-        "models.py:5 imports jaxbody.statics: statics comes after models" in text
+        "models.py:5 imports jaxbody.mechanics: mechanics comes after model" in text
         and "models.py:6 imports relatively" in text
     )
     assert "core.units" not in text
     assert (
         "knows no mechanics"
-        in misplaced("statistics.noises", {"core.errors": 1, "geometry.frames": 2})[0]
+        in misplaced("fitting.statistics.noises", {"core.errors": 1, "geometry.frames": 2})[0]
     )
-    assert "parameters" in misplaced("designs.fronts", {"identification.fits": 3})[0]
+    assert "parameters" in misplaced("design.fronts", {"fitting.fits": 3})[0]
 
 
 def test_the_plan_has_no_circle_of_files():
@@ -333,15 +350,16 @@ def test_what_is_not_used_is_not_imported():
         [sys.executable, "-c", USED], capture_output=True, text=True, timeout=300, check=True
     )
     ours, others = done.stdout.splitlines()
-    packages = {name.split(".")[1] for name in ours.split()}
-    assert "simulations" in packages and packages <= set(ORDER[: ORDER.index("simulations") + 1])
+    packages = {place_of(name.removeprefix("jaxbody.")) for name in ours.split()}
+    before = set(PLACES[: PLACES.index("motion")]) - {"suspension.presets"}
+    assert "motion" in packages and packages <= before | {"motion"}
     assert "jaxbody.records.records" not in ours.split()
     assert others == ""
 
 
 def test_no_function_has_the_name_of_a_module():
     """Importing the module would put it in the function's place."""
-    last = {module.rpartition(".")[2] for module in NAMED} | set(ORDER)
+    last = {part for module in NAMED for part in module.split(".")}
     assert set(dir(jb)) & last == OPEN
     assert not any(inspect.ismodule(getattr(jb, name)) for name in EXPORTED)
 
@@ -350,7 +368,7 @@ def test_public_names_are_there_however_they_are_asked_for():
     everything: dict[str, object] = {}
     exec(
         "from jaxbody import *\nfrom jaxbody import Spring as S, laws as l\n"
-        "import jaxbody.elements.springs as e",
+        "import jaxbody.model.elements.springs as e",
         everything,
     )
     assert set(EXPORTED) <= set(everything) and everything["laws"] is everything["l"] is jb.laws
@@ -383,7 +401,7 @@ FROM_A_ZIP = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import jaxbody as jb
-import jaxbody.presets
+import jaxbody.suspension.presets
 assert jb.__file__.startswith(sys.argv[1])
 jb.simulate(jb.presets.quarter_car(), [0.0, 0.01])
 [getattr(jb, name) for name in dir(jb)]
@@ -412,7 +430,7 @@ def test_a_public_module_lists_what_it_offers_and_nothing_else(name):
     no helpers."""
     public = getattr(jb, name)
     home = public.__name__.removeprefix("jaxbody.")
-    sources = [module for module in NAMED if module.split(".")[0] == home] or [home]
+    sources = [module for module in NAMED if module.startswith(f"{home}.")] or [home]
     offered = set()
     for source in sources:
         imported = importlib.import_module(f"jaxbody.{source}")

@@ -211,7 +211,7 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
         _prepare()
     import numpy as np
 
-    from jaxbody.studies.study_files import study_of
+    from jaxbody.files.studies.study_files import study_of
 
     study = study_of(
         document, values, options.file.parent, options.allow, measured=command.measured

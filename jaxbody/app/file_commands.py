@@ -13,7 +13,7 @@ import jaxbody as jb
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 
 if TYPE_CHECKING:
-    from jaxbody.studies.study_files import Study
+    from jaxbody.files.studies.study_files import Study
 
 QUANTITIES = {"displacement": ("Position", "Rotation")}
 QUANTITIES |= {name.lower(): (name, f"Angular{name}") for name in ("Velocity", "Acceleration")}

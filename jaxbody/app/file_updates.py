@@ -20,8 +20,8 @@ from jaxbody.files.documents import Document, EntryPath
 from jaxbody.files.kinds import arguments_of, class_of
 from jaxbody.files.quantities import NUMBERS, UnitSystem, times, unit_system
 from jaxbody.files.writers import numbers_of
-from jaxbody.models.bodies import Body
-from jaxbody.parameters.spaces import Space, units_of
+from jaxbody.fitting.parameters.spaces import Space, units_of
+from jaxbody.model.bodies import Body
 
 POINT = "point"  # of an end, the last step to its place
 

@@ -33,7 +33,7 @@ def densities(response: Any) -> PrintedTable:
 
 def by_case(cases: Any) -> PrintedTable:
     """A row for each case, a column for each number."""
-    from jaxbody.plots.motion_plots import components, forces_and_moments  # slow to import
+    from jaxbody.views.plots.motion_plots import components, forces_and_moments  # slow to import
 
     (strokes, turns), (forces, moments) = (
         forces_and_moments(cases.unloaded.model, x, "") for x in (cases.strokes, cases.forces)

@@ -16,16 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody import plots
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.source_files import check_file, writing
 from jaxbody.core.tables import Printed, PrintedTable, in_numpy, number
-from jaxbody.identification.fits import Fit
-from jaxbody.inference.validations import Validation
-from jaxbody.plots.pictures import picture_of
-from jaxbody.simulations.trajectories import Trajectory
-from jaxbody.vibrations.linearizations import Linearization
-from jaxbody.vibrations.natural_modes import modes
+from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.validations import Validation
+from jaxbody.motion.trajectories import Trajectory
+from jaxbody.vibration.linearizations import Linearization
+from jaxbody.vibration.natural_modes import modes
+from jaxbody.views import plots
+from jaxbody.views.plots.pictures import picture_of
 
 Pictures = Iterable[tuple[str, Any]]  # captions and axes; a text without axes is a note
 MOST_MODES = 6  # that are drawn

@@ -1,2 +1,1 @@
-"""Foundations of all packages: errors and statuses, checks of arguments, printed results, units.
-No mechanics."""
+"""Foundations: errors, checks of arguments, printed results, units; JAX, workers. No mechanics."""

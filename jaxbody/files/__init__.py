@@ -1,1 +1,1 @@
-"""Model files: text to checked SI numbers without JAX, and to models and back."""
+"""Files of models, of studies and of others: text to checked SI numbers, to models and back."""

@@ -18,7 +18,6 @@ import numpy as np
 
 from jaxbody.core import units
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.elements.elements import Element
 from jaxbody.files.coordinate_units import by_name, owner, words_of_coupling
 from jaxbody.files.documents import Document, EntryPath, shown
 from jaxbody.files.kinds import (
@@ -37,14 +36,15 @@ from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.fields import in_domain, kind_of
 from jaxbody.geometry.orientations import Euler
 from jaxbody.geometry.places import direction
-from jaxbody.inputs.base_motions import base_motion
-from jaxbody.inputs.loads import Load
-from jaxbody.inputs.motions import Motion, Sampled
-from jaxbody.inputs.signals import Samples, Signal
-from jaxbody.laws.laws import Law, Linear, Sum
-from jaxbody.laws.measured_curves import Table
-from jaxbody.models.joints import Joint
-from jaxbody.models.models import Model
+from jaxbody.model.elements.elements import Element
+from jaxbody.model.inputs.base_motions import base_motion
+from jaxbody.model.inputs.loads import Load
+from jaxbody.model.inputs.motions import Motion, Sampled
+from jaxbody.model.inputs.signals import Samples, Signal
+from jaxbody.model.joints.joints import Joint
+from jaxbody.model.laws.laws import Law, Linear, Sum
+from jaxbody.model.laws.measured_curves import Table
+from jaxbody.model.models import Model
 from jaxbody.records.record_files import read_record
 from jaxbody.records.records import Record
 from jaxbody.sensors.sensors import Sensor

@@ -10,27 +10,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, cast
 
-from jaxbody.elements.bushings import Bushing
-from jaxbody.elements.contacts import Contact, Tyre
-from jaxbody.elements.inerters import Inerter
-from jaxbody.elements.mounts import Mount
-from jaxbody.elements.springs import Spring, SpringDamper
-from jaxbody.elements.torsions import AntiRollBar, Torsion
 from jaxbody.geometry import closures
 from jaxbody.geometry.fields import Kind
 from jaxbody.geometry.places import DIRECTIONS
-from jaxbody.inputs.base_motions import base_motion
-from jaxbody.inputs.loads import EngineTorque, Force, Load, Unbalance
-from jaxbody.inputs.motions import AtRest, Harmonic, Sampled
-from jaxbody.inputs.port_inputs import BaseMotion, PointForce
-from jaxbody.inputs.pulses import HalfSine, PulseMotion, Sawtooth, Trapezoid, Triangle
-from jaxbody.inputs.roads import Road
-from jaxbody.inputs.signals import Samples, Sine
-from jaxbody.joints.combined_joints import Cylindrical, Planar, Universal
-from jaxbody.joints.composite_joints import Composite
-from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
-from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
-from jaxbody.laws import (
+from jaxbody.model.bodies import Body, Support
+from jaxbody.model.elements.bushings import Bushing
+from jaxbody.model.elements.contacts import Contact, Tyre
+from jaxbody.model.elements.inerters import Inerter
+from jaxbody.model.elements.mounts import Mount
+from jaxbody.model.elements.springs import Spring, SpringDamper
+from jaxbody.model.elements.torsions import AntiRollBar, Torsion
+from jaxbody.model.inputs.base_motions import base_motion
+from jaxbody.model.inputs.loads import EngineTorque, Force, Load, Unbalance
+from jaxbody.model.inputs.motions import AtRest, Harmonic, Sampled
+from jaxbody.model.inputs.port_inputs import BaseMotion, PointForce
+from jaxbody.model.inputs.pulses import HalfSine, PulseMotion, Sawtooth, Trapezoid, Triangle
+from jaxbody.model.inputs.roads import Road
+from jaxbody.model.inputs.signals import Samples, Sine
+from jaxbody.model.joints.combined_joints import Cylindrical, Planar, Universal
+from jaxbody.model.joints.composite_joints import Composite
+from jaxbody.model.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.model.joints.joints import Fixed, Free
+from jaxbody.model.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
+from jaxbody.model.laws import (
     damper_laws,
     hydraulic_mounts,
     hysteresis_laws,
@@ -39,8 +41,6 @@ from jaxbody.laws import (
     rubber_laws,
     spring_laws,
 )
-from jaxbody.models.bodies import Body, Support
-from jaxbody.models.joints import Fixed, Free
 from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
 from jaxbody.sensors.sensors import Sensor
 

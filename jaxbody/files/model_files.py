@@ -14,7 +14,7 @@ from jaxbody.files.builders import Builder
 from jaxbody.files.documents import LARGEST, read_document
 from jaxbody.files.schemas import checked_values
 from jaxbody.files.writers import toml_of, values_of
-from jaxbody.models.models import Model
+from jaxbody.model.models import Model
 
 
 def read_model(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST) -> Model:

@@ -15,8 +15,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxbody.compilation.plain_data import Unnamed, text_of, value_of
 from jaxbody.core.arrays import is_concrete
+from jaxbody.core.compilation.plain_data import Unnamed, text_of, value_of
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.source_files import check_file, check_size, replacing, writing
 

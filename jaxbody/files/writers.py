@@ -15,7 +15,6 @@ import tomlkit
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import si_words
-from jaxbody.elements.bushings import FramePair
 from jaxbody.files.coordinate_units import coordinate_units, words_of_coupling
 from jaxbody.files.kinds import (
     CLOSURES,
@@ -31,10 +30,11 @@ from jaxbody.files.quantities import dimension
 from jaxbody.files.schemas import VERSION, schema
 from jaxbody.geometry.closures import Equation
 from jaxbody.geometry.orientations import IDENTITY
-from jaxbody.laws.laws import Function, Law, Linear, Sum
-from jaxbody.models.joints import Free
-from jaxbody.models.layouts import WORLD
-from jaxbody.models.models import Model, refuse_batch
+from jaxbody.model.elements.bushings import FramePair
+from jaxbody.model.joints.joints import Free
+from jaxbody.model.laws.laws import Function, Law, Linear, Sum
+from jaxbody.model.layouts import WORLD
+from jaxbody.model.models import Model, refuse_batch
 
 IN_LINE = 8  # items
 SMALL = 3  # rows of a matrix in one line

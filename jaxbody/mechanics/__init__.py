@@ -1,1 +1,1 @@
-"""T, V and R, their derivatives, and the equations of motion."""
+"""T, V and R, their derivatives, the equations of motion; equilibria, load cases, preload."""

@@ -25,21 +25,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Bool, Float
+from jaxbody.core.compilation.compile_options import program
 from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.frames import Frame, Instant, Pose
-from jaxbody.inputs.loads import Load
-from jaxbody.joints.closure_tables import drawn, each_closure, gaps_from, moving_slides, rank
-from jaxbody.joints.element_tables import completed, inertial_tables, state_rates
-from jaxbody.joints.kinematics import Motions, jacobian
 from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on
 from jaxbody.mechanics.dynamics import Dynamics, FreeBodies, JointedBodies, all_free, generalized
 from jaxbody.mechanics.free_motions import FreeMotions
-from jaxbody.models.memories import holding
-from jaxbody.models.models import Model
-from jaxbody.models.sizes import scale_of, size_of
-from jaxbody.models.states import State
+from jaxbody.model.inputs.loads import Load
+from jaxbody.model.joints.closure_tables import drawn, each_closure, gaps_from, moving_slides, rank
+from jaxbody.model.joints.element_tables import completed, inertial_tables, state_rates
+from jaxbody.model.joints.kinematics import Motions, jacobian
+from jaxbody.model.memories import holding
+from jaxbody.model.models import Model
+from jaxbody.model.sizes import scale_of, size_of
+from jaxbody.model.states import State
 from jaxbody.numerics.small_systems import SaddlePoint, saddle_point
 
 STEPS = 3  # of the projection: each takes the gap times the error of a step

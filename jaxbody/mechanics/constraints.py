@@ -22,16 +22,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Bool, Float, is_concrete, nan_unless
+from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import warn
 from jaxbody.geometry.frames import Frame, Pose
-from jaxbody.joints.closure_tables import gaps_at, gaps_from
-from jaxbody.joints.element_tables import completed
-from jaxbody.joints.kinematics import Chart, Coordinates
-from jaxbody.models.models import Model
-from jaxbody.models.sizes import scale_of, size_of
-from jaxbody.models.states import State
+from jaxbody.model.joints.closure_tables import gaps_at, gaps_from
+from jaxbody.model.joints.element_tables import completed
+from jaxbody.model.joints.kinematics import Chart, Coordinates
+from jaxbody.model.models import Model
+from jaxbody.model.sizes import scale_of, size_of
+from jaxbody.model.states import State
 from jaxbody.numerics.precisions import in_float64
 
 # F of the model, of other numbers and of q

@@ -31,23 +31,23 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
-from jaxbody.inputs.loads import Load
-from jaxbody.joints.element_tables import (
+from jaxbody.lagrange import kinetic
+from jaxbody.mechanics.element_inertias import element_inertia, inertial_wrenches
+from jaxbody.model.inputs.loads import Load
+from jaxbody.model.joints.element_tables import (
     each_element,
     inertial_tables,
     state_rates,
     state_scales,
     wrenches,
 )
-from jaxbody.joints.kinematics import Coordinates, Motions, jacobian, with_world
-from jaxbody.lagrange import kinetic
-from jaxbody.mechanics.element_inertias import element_inertia, inertial_wrenches
-from jaxbody.models.joints import Free
-from jaxbody.models.layouts import WORLD, Layout
-from jaxbody.models.memories import apart, holding, rest_states
-from jaxbody.models.models import Model
-from jaxbody.models.sizes import size_of
-from jaxbody.models.states import State
+from jaxbody.model.joints.joints import Free
+from jaxbody.model.joints.kinematics import Coordinates, Motions, jacobian, with_world
+from jaxbody.model.layouts import WORLD, Layout
+from jaxbody.model.memories import apart, holding, rest_states
+from jaxbody.model.models import Model
+from jaxbody.model.sizes import size_of
+from jaxbody.model.states import State
 from jaxbody.numerics.small_systems import solve_spd
 
 SAMPLES = 128  # of motions and loads, at most, that tell how far a model without extent moves

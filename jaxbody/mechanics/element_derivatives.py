@@ -9,18 +9,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbody.compilation.compile_options import program
-from jaxbody.elements.elements import Element
-from jaxbody.elements.own_energies import OfFrames
-from jaxbody.elements.second_derivatives import damping_matrix, potential_derivatives
+from jaxbody.core.compilation.compile_options import program
 from jaxbody.geometry.frames import Frame
-from jaxbody.joints.element_tables import each_element, end_rows
-from jaxbody.joints.kinematics import Coordinates, frames_displaced
 from jaxbody.lagrange import gravity_energy
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists
-from jaxbody.models.models import Model
-from jaxbody.models.states import State
-from jaxbody.models.storage import KindTable
+from jaxbody.model.elements.elements import Element
+from jaxbody.model.elements.own_energies import OfFrames
+from jaxbody.model.elements.second_derivatives import damping_matrix, potential_derivatives
+from jaxbody.model.joints.element_tables import each_element, end_rows
+from jaxbody.model.joints.kinematics import Coordinates, frames_displaced
+from jaxbody.model.models import Model
+from jaxbody.model.states import State
+from jaxbody.model.storage import KindTable
 
 
 class ElementDerivatives(NamedTuple):

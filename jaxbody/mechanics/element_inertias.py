@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 
 from jaxbody.core.arrays import Array, Float
-from jaxbody.elements.elements import Element
 from jaxbody.geometry.frames import Frame, Instant
-from jaxbody.joints.element_tables import end_rows, inertial_tables, of_table
-from jaxbody.models.models import Model
-from jaxbody.models.storage import KindTable
+from jaxbody.model.elements.elements import Element
+from jaxbody.model.joints.element_tables import end_rows, inertial_tables, of_table
+from jaxbody.model.models import Model
+from jaxbody.model.storage import KindTable
 from jaxbody.numerics.xla_workarounds import sums, take
 
 

@@ -9,17 +9,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Bool, Float, time_text
-from jaxbody.elements.second_derivatives import second_order
-from jaxbody.inputs.loads import Load
-from jaxbody.joints.closure_tables import names_of_rows, rank
-from jaxbody.joints.element_tables import each_element
-from jaxbody.joints.kinematics import Coordinates, Motions, frames_at_time
+from jaxbody.core.compilation.compile_options import program
 from jaxbody.mechanics.closed_loops import ClosedLoops, acceleration
-from jaxbody.models.memories import holding, relaxed
-from jaxbody.models.models import Model
-from jaxbody.models.states import State
+from jaxbody.model.elements.second_derivatives import second_order
+from jaxbody.model.inputs.loads import Load
+from jaxbody.model.joints.closure_tables import names_of_rows, rank
+from jaxbody.model.joints.element_tables import each_element
+from jaxbody.model.joints.kinematics import Coordinates, Motions, frames_at_time
+from jaxbody.model.memories import holding, relaxed
+from jaxbody.model.models import Model
+from jaxbody.model.states import State
 
 # relative to the time since the first sample, or to a second where that is longer
 AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)

@@ -19,11 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.joints.closure_tables import gaps, gaps_at
-from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.constraints import CLOSED, RANK, closed, how_open, values_and_slopes
-from jaxbody.models.models import Model
-from jaxbody.models.sizes import scale_of, scaled, size_of
+from jaxbody.model.joints.closure_tables import gaps, gaps_at
+from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.models import Model
+from jaxbody.model.sizes import scale_of, scaled, size_of
 
 # a multiplier that changes by less than this while the others of one share a force is unique
 UNIQUE = 1e-6

@@ -27,26 +27,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import program
 from jaxbody.core.arrays import Array, Float
-from jaxbody.elements.second_derivatives import (
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.geometry.frames import Frame
+from jaxbody.geometry.vectors import cross, product, rotate, skew
+from jaxbody.lagrange import potential
+from jaxbody.mechanics.dynamics import all_free
+from jaxbody.mechanics.element_inertias import element_inertia
+from jaxbody.model.elements.second_derivatives import (
     Block,
     PairBlocks,
     dissipation_hessian,
     second_order,
     turning,
 )
-from jaxbody.geometry.frames import Frame
-from jaxbody.geometry.vectors import cross, product, rotate, skew
-from jaxbody.joints.element_tables import completed, each_element, inertial_tables, wrenches
-from jaxbody.joints.kinematics import Coordinates, jacobian
-from jaxbody.lagrange import potential
-from jaxbody.mechanics.dynamics import all_free
-from jaxbody.mechanics.element_inertias import element_inertia
-from jaxbody.models.layouts import Layout
-from jaxbody.models.memories import apart
-from jaxbody.models.models import Model
-from jaxbody.models.states import State
+from jaxbody.model.joints.element_tables import completed, each_element, inertial_tables, wrenches
+from jaxbody.model.joints.kinematics import Coordinates, jacobian
+from jaxbody.model.layouts import Layout
+from jaxbody.model.memories import apart
+from jaxbody.model.models import Model
+from jaxbody.model.states import State
 from jaxbody.numerics.xla_workarounds import sums, take
 
 Vector = Float[Array, "n"]

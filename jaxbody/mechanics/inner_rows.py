@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float
-from jaxbody.joints.element_tables import of_table
-from jaxbody.laws.memories import Apart, memories
 from jaxbody.mechanics.element_derivatives import deformation_slopes, on_coordinates
 from jaxbody.mechanics.hessians import Configuration, Square, damping, expansion, frame_twists, mass
+from jaxbody.model.joints.element_tables import of_table
+from jaxbody.model.laws.memories import Apart, memories
 
 
 class InnerRows(NamedTuple):

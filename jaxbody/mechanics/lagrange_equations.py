@@ -9,7 +9,7 @@ from jaxbody import lagrange
 from jaxbody.core.arrays import Array, Float
 from jaxbody.mechanics.closed_loops import ClosedLoops
 from jaxbody.mechanics.dynamics import Dynamics, JointedBodies
-from jaxbody.models.states import State
+from jaxbody.model.states import State
 
 
 class LagrangeBodies(JointedBodies):

@@ -22,8 +22,9 @@ import numpy as np
 from jax import lax
 from jax.dtypes import float0
 
-from jaxbody.compilation.compilations import note_left_to_vmap
-from jaxbody.compilation.dependencies import (
+from jaxbody.core.arrays import Array
+from jaxbody.core.compilation.compilations import note_left_to_vmap
+from jaxbody.core.compilation.dependencies import (
     CALLS,
     fixpoint,
     parts_of_scan,
@@ -31,7 +32,6 @@ from jaxbody.compilation.dependencies import (
     reach_of,
     reach_of_while,
 )
-from jaxbody.core.arrays import Array
 from jaxbody.core.jax_internals import (
     ClosedJaxpr,  # pyright: ignore[reportPrivateImportUsage]
     Literal,

@@ -54,29 +54,29 @@ numerics/step_blocks.py
 numerics/runge_kutta_steps.py
     _sum [jnp.tensordot]              a sum over stages is not a vector instruction: with drives of
                                       all stages at once T3 49 to 31
-elements/second_derivatives.py
+model/elements/second_derivatives.py
     Block [6 x 6 matrices]            sums of parts instead of joined blocks: T4 1.6 to 1.4
     whole [jnp.block]                 joined parts are copied one number after another: with kept
                                       solutions T4 0.75 to 0.50
-statics/descents.py
+mechanics/descents.py
     2 * LANES [LANES]                 for up to six coordinates calls of fusions take longer than
                                       memory: equilibria of T4 72 to 48 ms
-vibrations/damped_modes.py
+vibration/damped_modes.py
     _complex_modes                    LAPACK may run forever on NaN
-responses/dynamic_matrices.py
+vibration/dynamic_matrices.py
     _eliminated [lu_solve]            LAPACK solves one frequency after another
-inputs/motions.py
+model/inputs/motions.py
     Harmonic [a sine for each row]    one sine and cosine where frequencies are equal: T3 31 to 28
-compilation/compile_options.py
+core/compilation/compile_options.py
     fast_loops                        small loops as one function: T1 3.5 to 0.9 ms, before jaxlib
                                       0.12; wide vectors: T3 6.8 to 5.0
     OPTIMIZED                         compiling a motion 1.3 to 0.7 s; jaxlib 0.12 has no such
                                       option
     QUICK                             first frequencies 3.9 to 2.4 s
-workers/chunk_programs.py
+core/workers/chunk_programs.py
     one_at_a_time                     two programs with LAPACK in one process may wait for each
                                       other for ever, jaxlib 0.10
-workers/executors.py
+core/workers/executors.py
     processes                         the same, for executors of threads
 
 One workaround replaced by the plain form, all others kept: processor time in ms, 640 members of T3

@@ -14,8 +14,8 @@ from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.geometry.places import direction, ends
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
-from jaxbody.models.layouts import WORLD
-from jaxbody.models.models import Model, pose_at_reference
+from jaxbody.model.layouts import WORLD
+from jaxbody.model.models import Model, pose_at_reference
 from jaxbody.sensors.sensors import Chain, Sensor
 
 GRAZING = 1e-6  # smallest cosine between the beam and the normal of the surface at which they meet

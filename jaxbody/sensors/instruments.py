@@ -10,16 +10,16 @@ import jax.numpy as jnp
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, concrete, vector
 from jaxbody.core.errors import Problem, Problems, unknown
-from jaxbody.elements.elements import Element
-from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.places import direction
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
-from jaxbody.models.joints import Free
-from jaxbody.models.models import Model
+from jaxbody.model.elements.elements import Element
+from jaxbody.model.elements.torsions import Torsion
+from jaxbody.model.joints.joints import Free
+from jaxbody.model.models import Model
 from jaxbody.sensors.sensors import Chain, Sensor
 
 

@@ -29,8 +29,8 @@ from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.places import direction
 from jaxbody.geometry.vectors import cross, dot, product, rotate_back
-from jaxbody.models.layouts import WORLD
-from jaxbody.models.models import Model, pose_at_reference
+from jaxbody.model.layouts import WORLD
+from jaxbody.model.models import Model, pose_at_reference
 from jaxbody.sensors.sensors import Chain, Sensor
 
 

@@ -15,7 +15,7 @@ from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.geometry.frames import Instant
 from jaxbody.geometry.vectors import to_rank
-from jaxbody.models.models import Model
+from jaxbody.model.models import Model
 from jaxbody.sensors import delays_and_lags
 from jaxbody.sensors.channels import Channel
 

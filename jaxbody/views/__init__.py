@@ -1,1 +1,1 @@
-"""Views in three dimensions: a scene in a browser, in a notebook, in pictures."""
+"""Views: pictures with matplotlib; scenes in a browser, in a notebook, in one HTML file."""

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core.errors import import_extra
-from jaxbody.scenes.animations import Animation, DrawnPart
-from jaxbody.scenes.meshes import Mesh
 from jaxbody.views.cameras import ANGLE, Camera
+from jaxbody.views.scenes.animations import Animation, DrawnPart
+from jaxbody.views.scenes.meshes import Mesh
 
 # relative to the size of the model: positions are rounded to about this, which makes the
 # file smaller

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxbody.scenes.animations import Animation
+from jaxbody.views.scenes.animations import Animation
 
 ANGLE = np.deg2rad(28.0)  # of view, vertical
 ASPECT = 1.5  # width over height of the picture for which the distance is chosen

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.plots.canvases import GRAY, INK, Label, annotate
-from jaxbody.scenes.animations import Animation, DrawnPart, NameLabel
-from jaxbody.scenes.meshes import Mesh
 from jaxbody.views.cameras import Camera
+from jaxbody.views.plots.canvases import GRAY, INK, Label, annotate
 from jaxbody.views.rasters import Raster
+from jaxbody.views.scenes.animations import Animation, DrawnPart, NameLabel
+from jaxbody.views.scenes.meshes import Mesh
 
 LIGHT_FROM = np.array([-0.40, 0.80, 0.45])  # right, up, toward the camera
 DARKEST, BRIGHTEST = 0.45, 1.08  # of a face turned away from the light, and of one turned to it

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxbody.scenes.animations import Animation
-from jaxbody.scenes.pose_sequences import SWING
 from jaxbody.views.browser_pages import Stage, server_at, silent
 from jaxbody.views.cameras import Camera
+from jaxbody.views.scenes.animations import Animation
+from jaxbody.views.scenes.pose_sequences import SWING
 
 STILL = 0.1  # s between looks at the controls while nothing plays
 SPEEDS = (0.1, 3.0)

@@ -11,8 +11,8 @@ import numpy as np
 from jaxbody.core.errors import import_extra
 from jaxbody.core.progress_lines import working
 from jaxbody.core.source_files import writing
-from jaxbody.scenes.animations import Animation
 from jaxbody.views.drawn_frames import BRIGHTEST, DARKEST, Painter
+from jaxbody.views.scenes.animations import Animation
 
 RATES = {".gif": 20, ".mp4": 30}  # frames per second of playing
 MOST = 600  # frames

@@ -18,23 +18,23 @@ from jaxbody.core.arrays import checked, concrete, vector
 from jaxbody.core.errors import Problems, unknown
 from jaxbody.core.source_files import writing
 from jaxbody.core.tables import Printed, PrintedTable, counted
-from jaxbody.designs.tunings import Tuning
-from jaxbody.mechanisms.alignment_curves import SuspensionCurves
-from jaxbody.models.models import Model
-from jaxbody.models.states import State
-from jaxbody.scenes.animations import Animation
-from jaxbody.scenes.pose_sequences import PoseSequence, along, over_travel, still, vibrating
-from jaxbody.scenes.scenes import animation_of, side_by_side, with_ground
-from jaxbody.scenes.shapes import Shape
-from jaxbody.simulations.trajectories import Trajectory
-from jaxbody.statics.equilibria import Equilibrium
-from jaxbody.vibrations.linearizations import LinearSystem
-from jaxbody.vibrations.natural_modes import ModalResult
+from jaxbody.design.tunings import Tuning
+from jaxbody.mechanics.equilibria import Equilibrium
+from jaxbody.model.models import Model
+from jaxbody.model.states import State
+from jaxbody.motion.trajectories import Trajectory
+from jaxbody.suspension.alignment_curves import SuspensionCurves
+from jaxbody.vibration.linearizations import LinearSystem
+from jaxbody.vibration.natural_modes import ModalResult
 from jaxbody.views.browser_pages import page_of
 from jaxbody.views.cameras import Camera, camera_for
 from jaxbody.views.drawn_frames import Painter
 from jaxbody.views.live_views import LiveView, Vibration
 from jaxbody.views.picture_files import save_gif, save_mp4, save_png
+from jaxbody.views.scenes.animations import Animation
+from jaxbody.views.scenes.pose_sequences import PoseSequence, along, over_travel, still, vibrating
+from jaxbody.views.scenes.scenes import animation_of, side_by_side, with_ground
+from jaxbody.views.scenes.shapes import Shape
 
 FORMATS = (".html", ".png", ".gif", ".mp4")
 HEIGHT = 480  # pixels in a notebook

@@ -13,7 +13,7 @@ import jaxbody as jb
 from jaxbody.app.file_updates import update
 from jaxbody.files.documents import read_document
 from jaxbody.files.writers import toml_of, values_of
-from jaxbody.models.leaf_paths import leaves_of
+from jaxbody.model.leaf_paths import leaves_of
 
 BOX = """# a box
 jaxbody = 1

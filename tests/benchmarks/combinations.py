@@ -18,7 +18,7 @@ import scipy.linalg
 from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-sys.path.insert(0, str(Path(__file__).parents[1] / "shocks"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "shock"))
 from accelerograms import noise_record
 
 import jaxbody as jb

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-sys.path.insert(0, str(Path(__file__).parents[1] / "shocks"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "shock"))
 from accelerograms import el_centro
 
 import jaxbody as jb

@@ -32,11 +32,11 @@ from random_mechanics import Structure  # noqa: E402
 
 import jaxbody as jb  # noqa: E402
 from jaxbody.core.units import GRAVITY  # noqa: E402
-from jaxbody.joints.kinematics import Chart  # noqa: E402
+from jaxbody.fitting.parameters.spaces import units_of  # noqa: E402
 from jaxbody.lagrange import potential  # noqa: E402
-from jaxbody.models.leaf_paths import leaves_of  # noqa: E402
-from jaxbody.models.sizes import scale_of, size_of  # noqa: E402
-from jaxbody.parameters.spaces import units_of  # noqa: E402
+from jaxbody.model.joints.kinematics import Chart  # noqa: E402
+from jaxbody.model.leaf_paths import leaves_of  # noqa: E402
+from jaxbody.model.sizes import scale_of, size_of  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 BATCH, STRUCTURES = 500, 52

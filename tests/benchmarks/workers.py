@@ -27,10 +27,10 @@ import plate
 import psutil
 
 import jaxbody as jb
-from jaxbody.workers.chunk_programs import ComputedChunk
-from jaxbody.workers.chunk_stores import ChunkStore
-from jaxbody.workers.dispatches import dispatched
-from jaxbody.workers.executors import Crew
+from jaxbody.core.workers.chunk_programs import ComputedChunk
+from jaxbody.core.workers.chunk_stores import ChunkStore
+from jaxbody.core.workers.dispatches import dispatched
+from jaxbody.core.workers.executors import Crew
 
 TIMES = np.linspace(0.0, 1.0, 3)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.simulations.trajectories import Trajectory
+from jaxbody.motion.trajectories import Trajectory
 
 
 @pytest.fixture(scope="module")

@@ -13,20 +13,20 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.core.results import Result
-from jaxbody.identification.multistarts import Multistart
-from jaxbody.inference.coverages import Coverage
-from jaxbody.mechanisms.alignment_curves import SuspensionCurves
-from jaxbody.mechanisms.assemblies import Assembly
-from jaxbody.mechanisms.driven_positions import Drive
-from jaxbody.responses.dynamic_stiffnesses import DynamicStiffness
-from jaxbody.responses.wheel_compliances import WheelCompliance
-from jaxbody.shocks.matched_records import MatchedRecord
-from jaxbody.statics.cases import LoadCases
-from jaxbody.statics.equilibrium_searches import Equilibria
-from jaxbody.statics.load_paths import Path
-from jaxbody.vibrations.backbone_curves import Backbones
-from jaxbody.vibrations.mode_branches import Branches
-from jaxbody.vibrations.spins import SpinLinearization
+from jaxbody.fitting.coverages import Coverage
+from jaxbody.fitting.multistarts import Multistart
+from jaxbody.mechanics.cases import LoadCases
+from jaxbody.mechanics.equilibrium_searches import Equilibria
+from jaxbody.mechanics.load_paths import Path
+from jaxbody.shock.matched_records import MatchedRecord
+from jaxbody.suspension.alignment_curves import SuspensionCurves
+from jaxbody.suspension.assemblies import Assembly
+from jaxbody.suspension.driven_positions import Drive
+from jaxbody.vibration.backbone_curves import Backbones
+from jaxbody.vibration.dynamic_stiffnesses import DynamicStiffness
+from jaxbody.vibration.mode_branches import Branches
+from jaxbody.vibration.spins import SpinLinearization
+from jaxbody.vibration.wheel_compliances import WheelCompliance
 
 TIMES = np.linspace(0, 1, 21)
 SWING = np.cos(2 * np.pi * TIMES) + 0.02 * np.cos(300 * TIMES**2)

@@ -25,8 +25,8 @@ from jaxbody.files.kinds import (
     TYPES,
 )
 from jaxbody.files.schemas import SCHEMA_FILE
-from jaxbody.laws.laws import Law
-from jaxbody.studies.schema_sections import schema
+from jaxbody.files.studies.schema_sections import schema
+from jaxbody.model.laws.laws import Law
 
 PRESETS = [
     name for name in dir(jb.presets) if isinstance(getattr(jb.presets, name), type(lambda: 0))
@@ -414,7 +414,7 @@ def test_what_has_no_text_is_named(tmp_path):
 
 def test_the_schema_is_that_of_the_fields():
     assert json.loads(SCHEMA_FILE.read_text()) == schema(), (
-        "run write_schema() of studies/schema_sections.py"
+        "run write_schema() of files/studies/schema_sections.py"
     )
 
 

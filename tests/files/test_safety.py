@@ -10,7 +10,7 @@ import jaxbody as jb
 
 PACKAGE = Path(jb.__file__).parent
 STARTING = {"mjcf_compiled": {"subprocess"}}  # a program of the package, to which the file is data
-READERS = ("files", "studies", "interchange", "records")
+READERS = ("files", "files/studies", "files/interchange", "records")
 REFUSED = {
     "eval",
     "exec",

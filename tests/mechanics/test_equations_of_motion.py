@@ -8,9 +8,9 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.geometry import rotations
-from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.closed_loops import acceleration, dynamics_of
 from jaxbody.mechanics.dynamics import FreeBodies, JointedBodies
+from jaxbody.model.joints.kinematics import Coordinates
 
 SAMPLES = 100
 jit_once = jb.jit  # compiling is the cost

@@ -13,8 +13,8 @@ mp = pytest.importorskip("mpmath", reason="needs mpmath: pip install 'jaxbody[ju
 mp.dps = 60
 
 import jaxbody as jb  # noqa: E402
-from jaxbody.joints.kinematics import Chart, Coordinates  # noqa: E402
 from jaxbody.lagrange import potential  # noqa: E402
+from jaxbody.model.joints.kinematics import Chart, Coordinates  # noqa: E402
 
 
 def exact(x):

@@ -15,9 +15,9 @@ from test_collocations import STEPS, has_no_trend
 
 import jaxbody as jb
 from jaxbody.geometry import rotations
-from jaxbody.joints.kinematics import Coordinates
 from jaxbody.mechanics.closed_loops import dynamics_of
-from jaxbody.simulations.canonical_equations import Canonical
+from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.motion.canonical_equations import Canonical
 
 
 def chain():

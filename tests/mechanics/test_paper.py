@@ -12,8 +12,8 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.geometry import rotations
-from jaxbody.joints.element_tables import each_element, frames_of
-from jaxbody.joints.kinematics import Coordinates
+from jaxbody.model.joints.element_tables import each_element, frames_of
+from jaxbody.model.joints.kinematics import Coordinates
 
 SPRINGS = ("AB", "CD", "EF")
 jit_once = jb.jit  # compiling is the cost

@@ -40,9 +40,9 @@ def test_a_bug_is_killed_by_a_test_that_fails_and_not_by_one_that_cannot_run(
 ):
     """Nor by a change without effect."""
     script = runpy.run_path(str(SCRIPT))
-    test = "elements/test_elements.py::test_the_wrenches_are_those_of_the_definition"
+    test = "model/elements/test_elements.py::test_the_wrenches_are_those_of_the_definition"
     found = script["run"](
-        script["Bug"]("elements", "one", "elements/springs.py", old, new, "", (test,)),
+        script["Bug"]("elements", "one", "model/elements/springs.py", old, new, "", (test,)),
         str(tmp_path),
     )
     assert found[0] == outcome, found

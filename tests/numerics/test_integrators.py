@@ -10,8 +10,8 @@ import scipy.linalg
 
 import jaxbody as jb
 from jaxbody.mechanics.closed_loops import dynamics_of
+from jaxbody.motion.simulations import motions_of
 from jaxbody.numerics import step_blocks
-from jaxbody.simulations.simulations import motions_of
 
 pytestmark = pytest.mark.everywhere
 

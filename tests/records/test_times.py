@@ -10,7 +10,7 @@ import pytest
 import jaxbody as jb
 from jaxbody.core.errors import Problems
 from jaxbody.records.samplings import evenly_spaced
-from jaxbody.shocks.accelerograms import checked_samples
+from jaxbody.shock.accelerograms import checked_samples
 
 K = np.arange(4000)
 EVEN = K / 256

@@ -15,11 +15,11 @@ from rigs import turned
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody.parameters.spaces import space_of
+from jaxbody.fitting.parameters.spaces import space_of
+from jaxbody.motion.readings import read, readings
+from jaxbody.motion.trajectories import Trajectory
 from jaxbody.sensors import delays_and_lags
 from jaxbody.sensors.sensors import check_sensors
-from jaxbody.simulations.readings import read, readings
-from jaxbody.simulations.trajectories import Trajectory
 
 G = 9.81
 RANDOM = np.random.default_rng(7)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.models.models import drawn_reference
-from jaxbody.scenes.pose_sequences import CYCLE, still
-from jaxbody.scenes.scenes import animation_of
+from jaxbody.model.models import drawn_reference
+from jaxbody.views.scenes.pose_sequences import CYCLE, still
+from jaxbody.views.scenes.scenes import animation_of
 
 BAR = jb.Body(mass=0.5, inertia=[1e-3, 2e-3, 2e-3])
 G, L = 9.81, 0.1

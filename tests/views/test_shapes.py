@@ -6,7 +6,7 @@ import trimesh
 from test_views import plate
 
 import jaxbody as jb
-from jaxbody.scenes import meshes
+from jaxbody.views.scenes import meshes
 
 
 def as_trimesh(mesh):

@@ -10,9 +10,9 @@ from random_models import models
 from scipy.spatial import Delaunay
 
 import jaxbody as jb
-from jaxbody.plots.canvases import COLORS
-from jaxbody.scenes.pose_sequences import still
-from jaxbody.scenes.scenes import animation_of
+from jaxbody.views.plots.canvases import COLORS
+from jaxbody.views.scenes.pose_sequences import still
+from jaxbody.views.scenes.scenes import animation_of
 
 PRESETS = [
     name for name in dir(jb.presets) if isinstance(getattr(jb.presets, name), type(lambda: 0))

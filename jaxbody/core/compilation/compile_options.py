@@ -1,0 +1,205 @@
+"""One way to compile: a function of models and arrays as one program, compiled quickly by itself
+and a part of others inside them."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable
+from importlib.metadata import version
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from jaxbody.core.compilation.array_functions import ARRAYS, ArrayFunction, joined
+from jaxbody.core.compilation.compilations import Compiled
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.jax_internals import outermost, started, without_manual_axes
+
+Options = tuple[tuple[str, Any], ...]  # of XLA, names and values
+F = TypeVar("F", bound=Callable[..., Any])
+
+HOLDER = "--xla_backend_extra_options="
+OPTION = "xla_cpu_small_while_loop_byte_threshold"
+# in bits, 512 for all that the processor has; XLA's default is 256
+WIDTH = "--xla_cpu_prefer_vector_width="
+# without them programs compile in two thirds of the time and run as fast
+EMITTERS = "xla_cpu_use_fusion_emitters"
+VERSION = tuple(map(int, version("jaxlib").split(".")[:2]))
+HAS_EMITTERS = VERSION < (0, 11)  # later ones always use them
+# one function for each loop slows later ones: T1 0.82 to 1.04 of C, T2 1.8 to 2.6, T4 0.64 to 0.79
+HAS_SLOW_LOOPS = VERSION < (0, 12)
+OPTIMIZED: Options = ((EMITTERS, False),) if HAS_EMITTERS else ()
+WIDE: Options = ((EMITTERS, True),) if HAS_EMITTERS else ()
+# loops over a thousand numbers or so run in two thirds of the time
+WIDE += (("xla_cpu_prefer_vector_width", 512),)
+# compiles in half the time of OPTIMIZED; programs take up to three times as long
+QUICK: Options = (
+    *OPTIMIZED,
+    ("xla_backend_optimization_level", 0),
+    # parts of a program that LLVM compiles one by one, for which so little work does not pay
+    ("xla_cpu_parallel_codegen_split_count", 1),
+)
+STRUCTURES = 4096  # of arguments that a function keeps programs for
+
+
+def jit(function: F) -> F:
+    """jax.jit for functions of models and arrays, with options of XLA with which they
+    compile quickly.
+
+    Arrays and Python floats, anywhere in the arguments, are arguments of the program, so that new
+    values compile nothing; all else (names, functions, integers) is fixed in it. Results may hold
+    anything. Put it around whatever you differentiate, batch or repeat:
+
+        first = lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
+        slopes = jb.jit(jax.grad(first))
+
+    What is lost: such a program runs up to three times slower; take `jax.jit` for what is called
+    thousands of times. Inside another `jit`, or inside a `grad`, `vmap` or `scan` that is in none,
+    where JAX takes no options, it is an ordinary `jax.jit`.
+
+    >>> import jax
+    >>> import jaxbody as jb
+    >>> car = jb.presets.quarter_car()
+    >>> first = lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
+    >>> slope = jb.jit(jax.grad(first))(car)
+    >>> print(f"{slope['suspension'].stiffness:.2e} Hz per N/m")
+    1.69e-05 Hz per N/m
+    """
+    name = getattr(function, "__name__", type(function).__name__)
+    programs = _Programs(lambda args, named: function(*args, **named), name, QUICK)
+
+    @functools.wraps(function)
+    def call(*args, **named):
+        given = jax.tree.map(
+            lambda x: jnp.asarray(x) if isinstance(x, float | complex) else x, (args, named)
+        )
+        return programs.alone(*given) if outermost() else programs.inside(*given)
+
+    return call  # pyright: ignore[reportReturnType]
+
+
+def program(function: F) -> F:
+    """A driver: `jit` for jaxbody's own functions that take milliseconds, whose Python numbers are
+    fixed in the program."""
+    return program_with(QUICK)(function)
+
+
+def program_with(options: Options | Callable[..., Options]) -> Callable[[F], F]:
+    """A decorator: a driver with these options, or with those that a function of its arguments
+    chooses from their shapes."""
+
+    def driver_of(function):
+        compiled, inner = Compiled(function), without_manual_axes(function)
+
+        def noted(*args):
+            compiled.begin()
+            return inner(*args)
+
+        programs = _Programs(noted, function.__name__, options)
+
+        @functools.wraps(function)
+        def driver(*args):
+            if not outermost():
+                return programs.inside(*args)
+            with compiled.watched(args):
+                return programs.alone(*args)
+
+        return driver
+
+    return driver_of  # pyright: ignore[reportReturnType]
+
+
+class _Programs:
+    """The programs of a function, one for each structure of its arguments with all in it that is
+    no array."""
+
+    def __init__(
+        self, function: Callable[..., Any], name: str, options: Options | Callable[..., Options]
+    ):
+        self.options = options if callable(options) else lambda *args: options
+        self.of_arrays = functools.lru_cache(STRUCTURES)(
+            lambda x64, *fixed: ArrayFunction(function, name, *fixed)
+        )
+        self.jitted = functools.lru_cache(STRUCTURES)(
+            lambda function, options: jax.jit(function, compiler_options=dict(options) or None)
+        )
+
+    def alone(self, *args: Any) -> Any:
+        """A program of its own, with the options."""
+        return self.result(args, self.options(*args))
+
+    def inside(self, *args: Any) -> Any:
+        """A part of another program, or of a derivative or batch, for which JAX takes
+        no options."""
+        return self.result(args, ())
+
+    def result(self, args: tuple[Any, ...], options: Options) -> Any:
+        leaves, tree = jax.tree.flatten(args)
+        arrays = [x for x in leaves if isinstance(x, ARRAYS)]
+        # JAX keeps NumPy's constants of a function as they were in its first trace
+        x64 = jax.config.read("jax_enable_x64")
+        function = self.of_arrays(
+            x64, tree, tuple(None if isinstance(x, ARRAYS) else (type(x), x) for x in leaves)
+        )
+        return joined(*self.jitted(function, options)(*arrays))
+
+
+def fast_loops() -> bool:
+    """Let XLA before jaxlib 0.12 compile every loop on a CPU into one function; simulations of
+    small models then run 2 to 5 times as fast.
+
+    From jaxlib 0.12 on it does nothing and returns False: loops are fast there, and the option
+    slows them by a fifth.
+
+    Without it such a jaxlib makes one function only of loops that carry less than 1024 bytes. The
+    widest vector instructions are enabled too. The options apply to all that JAX compiles in this
+    process and its child processes, so jaxbody sets them only when you call this function. Call it
+    before the first computation; other options in `XLA_FLAGS` are kept. Results change by rounding
+    only. Loops over long vectors become slower, because they then run on one core: 100 steps on a
+    vector of 1e6 took twice the time on two cores.
+
+    Errors: TOO_LATE where JAX has already looked for devices, unless the option is set.
+
+    >>> done = fast_loops()  # doctest: +SKIP
+    """
+    flags = os.environ.get("XLA_FLAGS", "").split()
+    if any(OPTION in flag for flag in flags):
+        return True
+    if not HAS_SLOW_LOOPS:
+        return False
+    if started():
+        hint = "Call jaxbody.fast_loops() before any array is made."
+        raise JaxbodyError(
+            Problem(
+                "TOO_LATE",
+                "fast_loops",
+                "JAX has already started on its devices, so the option has no effect",
+                hint=hint,
+            )
+        )
+    others = [flag for flag in flags if not flag.startswith(HOLDER)]
+    # XLA uses only the last of several
+    held = [flag.removeprefix(HOLDER) for flag in flags if flag.startswith(HOLDER)]
+    width = [] if any(flag.startswith(WIDTH) for flag in flags) else [WIDTH + "512"]
+    os.environ["XLA_FLAGS"] = " ".join(
+        [*others, *width, HOLDER + ",".join([*held[-1:], f"{OPTION}=100000000"])]
+    )
+    return True
+
+
+def quick_options() -> dict[str, Any]:
+    """Options for `jax.jit` with which your own programs compile in two thirds of the time or less
+    on a CPU.
+
+    jaxbody's own functions already use them. Simulations and frequencies run just as fast; a
+    training step of a neural network took 1.4 times as long. The options are empty where XLA does
+    not have them: jaxlib 0.10 does, 0.12 does not.
+
+    >>> import jax
+    >>> free_fall = jax.jit(lambda t: 9.81 * t**2 / 2, compiler_options=quick_options())
+    >>> float(free_fall(2.0))
+    19.62
+    """
+    return dict(OPTIMIZED)

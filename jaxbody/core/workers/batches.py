@@ -1,0 +1,418 @@
+"""A batch of independent rows as chunks: how long one is, who computes it, and where its results
+are kept, in memory or in a store."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import weakref
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxbody.core.arrays import device_array
+from jaxbody.core.compilation.compile_options import quick_options
+from jaxbody.core.errors import Problems, Status, warn
+from jaxbody.core.workers.chunk_programs import (
+    ChunkProgram,
+    ComputedChunk,
+    FailedChunk,
+    Types,
+    exported,
+    filled,
+    types_of,
+)
+from jaxbody.core.workers.chunk_stores import ChunkStore, hash_of
+from jaxbody.core.workers.dispatches import dispatched
+from jaxbody.core.workers.executors import Crew, check_workers
+
+BUSY = 2.0  # time for which a chunk should keep a worker busy [s]
+FEWEST = 16  # chunks in a batch, so that workers end at about the same time
+LARGEST = 2**26  # results of a chunk [bytes]
+KEPT = 16  # programs of one function that are kept
+TRIED = 4  # times the width that a worker computes to find out how long it takes
+
+Report = Callable[[int, int], None]  # rows that are done, workers
+
+
+@dataclasses.dataclass(frozen=True)
+class ChunkedBatch:
+    """`count` rows and the program that computes them, in chunks of `size`."""
+
+    program: ChunkProgram
+    shared: list[np.ndarray]
+    rows: Callable[[int, int], list[np.ndarray]]  # from the first up to the last
+    count: int
+    size: int
+    function: Callable[..., Any] | None = None  # as in `compute_chunk`
+    types: Types | None = None  # of its results; by default those of the program
+
+    @property
+    def chunks(self) -> int:
+        return -(-self.count // self.size)
+
+    @property
+    def results(self) -> Types:
+        return self.program.results if self.types is None else self.types
+
+    def ends(self, chunk: int) -> tuple[int, int]:
+        return chunk * self.size, min((chunk + 1) * self.size, self.count)
+
+    def arguments(self, chunk: int) -> tuple[Any, ...]:
+        return self.program, self.shared, self.rows(*self.ends(chunk)), self.function
+
+
+def arrays_apart(
+    function: Callable[..., Any], tree: Any
+) -> tuple[Callable[..., Any], list[Any], Any]:
+    """function(tree, *rows) as a function of two lists of arrays, (shared, rows); the arrays of the
+    tree, which are `shared`; and what else the tree is, which is part of the program."""
+    numbers, rest = eqx.partition(tree, lambda x: isinstance(x, jax.Array | np.ndarray))
+    shared, structure = jax.tree.flatten(numbers)
+
+    def apart(shared, rows):
+        return function(eqx.combine(jax.tree.unflatten(structure, shared), rest), *rows)
+
+    return apart, shared, (structure, tuple(jax.tree.leaves(rest)))
+
+
+def kept(owner: Any, place: Any, make: Callable[[], Any]) -> Any:
+    """What `make` returns, kept by the function that it is made of, as long as this lives, and a
+    place among what else it depends on."""
+    known = programs.setdefault(owner, {})
+    if place not in known:
+        while len(known) >= KEPT:
+            known.pop(next(iter(known)))
+        known[place] = make()
+    return known[place]
+
+
+programs: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
+
+
+def computed_here(
+    function: Callable[..., Any],
+    tree: Any,
+    rows: Callable[[int, int], list[np.ndarray]],
+    count: int,
+    *,
+    width: int,
+    owner: Any,
+    place: Any = (),
+    memory: float | None = None,
+) -> Iterator[dict[str, np.ndarray]]:
+    """The results by function(tree, *rows) of `width` rows at a time, in their order, by this
+    process and without workers; arguments as in `batch_of`. The program is that of workers but not
+    made data, so that the numbers are the same, and callbacks are possible."""
+    apart, shared, rest = arrays_apart(function, tree)
+    one, width = rows(0, 1), min(width, count)
+
+    def compiled(width: int) -> Any:
+        given = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in one]
+        return jax.jit(apart, compiler_options=quick_options()).lower(shared, given).compile()
+
+    def fitting() -> tuple[Any, int]:
+        program = compiled(width)
+        taken = getattr(program.memory_analysis(), "temp_size_in_bytes", 0)
+        if memory is not None and taken > memory and width > 1:
+            narrow = max(1, int(width * memory / taken))
+            return compiled(narrow), narrow
+        return program, width
+
+    shapes = tuple((x.shape, x.dtype) for x in [*shared, *one])
+    program, width = kept(
+        owner,
+        ("here", place, rest, shapes, width, memory, jax.config.read("jax_enable_x64")),
+        fitting,
+    )
+    for first in range(0, count, width):
+        last = min(first + width, count)
+        results = program(shared, [device_array(filled(x, 0, width)) for x in rows(first, last)])
+        yield {name: np.asarray(x)[: last - first] for name, x in results.items()}
+
+
+def checked_chunks(
+    where: str, workers: Any, out: Any, chunks: Any, problems: Problems, *, fixed: bool
+) -> list[int] | None:
+    """The numbers of the chunks that a call computes, None for all; `fixed`: whether the size of
+    chunks is that of every call.
+
+    Problems: BAD_WORKERS, MISSING_EXTRA, WRONG_KIND, BAD_CHUNK."""
+    problems.gather(lambda: check_workers(workers, f"{where}.workers"))
+    if out is not None and not isinstance(out, str | os.PathLike):
+        problems.add(
+            "WRONG_KIND",
+            f"{where}.out",
+            f"is {out!r:.60}",
+            value=out,
+            limit="a path",
+            hint='Give out="results.zarr".',
+        )
+    if chunks is None:
+        return None
+    if out is None or not fixed:
+        hint = "Give out=, where the chunks meet" + (
+            ", and chunk=, the size to which the numbers refer." if not fixed else "."
+        )
+        message = "are given without out=" + (" or chunk=" if not fixed else "")
+        problems.add("BAD_CHUNK", f"{where}.chunks", message, value=chunks, hint=hint)
+    try:
+        numbers = [int(i) for i in chunks]
+    except (TypeError, ValueError):
+        numbers = [-1]
+    if min(numbers, default=0) < 0:
+        limit = "whole numbers from 0, such as range(0, n, 8)"
+        problems.add(
+            "BAD_CHUNK", f"{where}.chunks", f"are {chunks!r:.60}", value=chunks, limit=limit
+        )
+    return numbers
+
+
+def batch_of(
+    function: Callable[..., Any],
+    tree: Any,
+    rows: Callable[[int, int], list[np.ndarray]],
+    count: int,
+    *,
+    width: int,
+    where: str,
+    crew: Crew,
+    owner: Any,
+    place: Any = (),
+    memory: float | None = None,
+) -> ChunkedBatch:
+    """A batch by function(tree, *rows); its program and the size of its chunks are `kept` for
+    other numbers.
+
+    Args:
+        function: returns {name: array of `width` rows} for a tree and arrays of `width` rows.
+        tree: what all rows share.
+        rows: (first, last) -> arrays of these rows.
+        count: number of rows.
+        width: number of rows that are computed at a time.
+        where: the place in the call, for messages.
+        crew: the workers.
+        owner, place: as in `kept`: what `function` is made of.
+        memory: temporary memory that these may take [bytes], or fewer are computed at a time; a
+            chunk is then so long that it keeps a worker busy for BUSY, as a worker finds out. By
+            default a chunk has `width` rows.
+
+    Errors: NOT_SENT, OTHER_WORKER, BAD_WORKERS.
+    """
+    apart, arrays, rest = arrays_apart(function, tree)
+    shared, width = [np.asarray(x) for x in arrays], min(width, count)
+
+    def of_width(width: int) -> ChunkedBatch:
+        return ChunkedBatch(
+            exported(apart, shared, rows(0, 1), width, where), shared, rows, count, width
+        )
+
+    shapes = tuple((x.shape, x.dtype) for x in [*shared, *rows(0, 1)])
+    place = "batch", place, rest, shapes, count, width, memory, jax.config.read("jax_enable_x64")
+    made = kept(owner, place, lambda: _without_rows(_sized(of_width, width, crew, memory, where)))
+    return dataclasses.replace(made, shared=shared, rows=rows)
+
+
+def _without_rows(batch: ChunkedBatch) -> ChunkedBatch:
+    """The batch as it is kept: it must not hold what its rows are made of."""
+    return dataclasses.replace(batch, shared=[], rows=lambda first, last: [])
+
+
+def _sized(
+    of_width: Callable[[int], ChunkedBatch],
+    width: int,
+    crew: Crew,
+    memory: float | None,
+    where: str,
+) -> ChunkedBatch:
+    """The batch with as many rows in a program as memory allows and in a chunk as keep a worker
+    busy, as it finds out; `memory` None: one program, one chunk."""
+
+    def tried(batch: ChunkedBatch) -> ComputedChunk | FailedChunk:
+        trial = batch.program, batch.shared, batch.rows(0, min(TRIED * batch.size, batch.count))
+        return next(answer for _, answer in dispatched(crew, [0], lambda _: trial, where))
+
+    batch = of_width(width)
+    answer = None if memory is None else tried(batch)
+    if (
+        memory is not None
+        and isinstance(answer, ComputedChunk)
+        and answer.memory > memory
+        and width > 1
+    ):
+        width = max(1, int(width * memory / answer.memory))
+        batch = of_width(width)
+        answer = tried(batch)
+    if not isinstance(answer, ComputedChunk):  # what fails is found out in its turn
+        return batch
+    times = min(TRIED * width, batch.count) / width
+    most = min(
+        BUSY * times / answer.seconds,
+        LARGEST * times / sum(x.nbytes for x in answer.results.values()),
+        batch.count / width / FEWEST,
+    )
+    return dataclasses.replace(batch, size=width * max(1, round(most)))
+
+
+def computed(
+    batch: ChunkedBatch,
+    crew: Crew,
+    chunks: Iterable[int],
+    where: str,
+    report: Report,
+    *,
+    continued: bool = False,
+) -> Iterator[tuple[int, ComputedChunk | None]]:
+    """(chunk, its results, None if it is lost) as they finish; `continued` as in `dispatched`.
+    Warns LOST at the end, with the rows."""
+    lost: list[tuple[int, str]] = []
+    done = 0
+    for chunk, answer in dispatched(crew, chunks, batch.arguments, where, continued=continued):
+        if not isinstance(answer, ComputedChunk):
+            lost.append((chunk, answer.message))
+        yield chunk, answer if isinstance(answer, ComputedChunk) else None
+        first, last = batch.ends(chunk)
+        done += last - first
+        report(done, len(crew.seen))
+    if lost:
+        rows = ", ".join("{} to {}".format(*batch.ends(chunk)) for chunk, _ in sorted(lost)[:8]) + (
+            ", ..." if len(lost) > 8 else ""
+        )
+        warn(
+            "LOST",
+            f"{where}: {len(lost)} of {batch.chunks} chunks failed three times, rows "
+            f"{rows}; {lost[0][1]}",
+        )
+
+
+def store_of(
+    batch: ChunkedBatch,
+    out: Any,
+    plan: dict[str, Any],
+    inputs: Sequence[str],
+    dimension: str,
+    *,
+    any_size: bool,
+) -> ChunkStore:
+    """The store of a batch, which keeps its rows, too.
+
+    Args:
+        out: its path.
+        plan: what identifies the rows.
+        inputs: names of the arrays of the rows.
+        dimension: what a row is, such as "design".
+        any_size: whether a store that exists may have chunks of another size.
+
+    Errors: those of `ChunkStore`.
+    """
+    program = batch.program
+    plan = plan | {
+        "model": hash_of(*batch.shared),
+        "width": program.width,
+        **dict(program.versions),
+    }
+    plan |= {"x64": program.x64, "fast_loops": program.fast, "program": program.name[:16]}
+    given = types_of(dict(zip(inputs, batch.rows(0, 1), strict=True)), 1)
+    return ChunkStore(
+        Path(out),
+        plan,
+        given,
+        batch.results,
+        dimension=dimension,
+        count=batch.count,
+        size=batch.size,
+        any_size=any_size,
+    )
+
+
+def gathered(
+    batch: ChunkedBatch,
+    crew: Crew,
+    where: str,
+    report: Report,
+    store: ChunkStore | None = None,
+    chunks: Iterable[int] | None = None,
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """All results in memory, NaN where there are none, and the status of each row, by way of a
+    store if there is one.
+
+    Ctrl-C returns what is done. Warns INTERRUPTED, LOST."""
+    if store is not None:
+        stored(batch, store, chunks, crew, where, report)
+        return store.read(batch.results)
+    results = {
+        name: empty((batch.count, *shape), dtype) for name, (shape, dtype) in batch.results.items()
+    }
+    status = np.full(batch.count, Status.INTERRUPTED.value)
+    try:
+        for chunk, answer in computed(batch, crew, range(batch.chunks), where, report):
+            rows = slice(*batch.ends(chunk))
+            status[rows] = Status.LOST.value if answer is None else Status.OK.value
+            for name, part in ({} if answer is None else answer.results).items():
+                results[name][rows] = part
+    except KeyboardInterrupt:
+        warn(
+            "INTERRUPTED",
+            f"{where}: {int((status == Status.INTERRUPTED).sum())} of {batch.count} "
+            "rows were not computed",
+        )
+    return results, status
+
+
+def empty(shape: tuple[int, ...], dtype: str) -> np.ndarray:
+    """An array of NaN, or of zeros if it is one of whole numbers."""
+    return np.full(shape, np.nan if np.dtype(dtype).kind == "f" else 0, dtype)
+
+
+def stored(
+    batch: ChunkedBatch,
+    store: ChunkStore,
+    chunks: Iterable[int] | None,
+    crew: Crew,
+    where: str,
+    report: Report,
+) -> None:
+    """Compute the chunks that the store lacks, of those that are asked for, and write each with its
+    rows as it comes.
+
+    Those that were lost before are tried once more, last. Ctrl-C ends it. Warns INTERRUPTED, LOST.
+    Errors: those of `dispatched`, NOT_SAVED."""
+    # rows that are sent and not written yet, as it may be costly to make them again
+    made: dict[tuple[int, int], list[np.ndarray]] = {}
+
+    def rows(first: int, last: int) -> list[np.ndarray]:
+        if (first, last) not in made:
+            made[first, last] = given_rows(first, last)
+        return made[first, last]
+
+    given_rows, batch = batch.rows, dataclasses.replace(batch, size=store.size, rows=rows)
+    complete, lost = store.complete(), store.lost()
+    missing = [
+        i
+        for i in (range(batch.chunks) if chunks is None else chunks)
+        if i < batch.chunks and i not in complete
+    ]
+    try:
+        for chunk, answer in computed(
+            batch,
+            crew,
+            sorted(missing, key=lost.__contains__),
+            where,
+            report,
+            continued=bool(complete),
+        ):
+            given = dict(zip(store.inputs, rows(*batch.ends(chunk)), strict=True))
+            del made[batch.ends(chunk)]
+            store.write(
+                chunk, given | ({} if answer is None else answer.results), lost=answer is None
+            )
+    except KeyboardInterrupt:
+        warn(
+            "INTERRUPTED",
+            f"{where}: {store.path} has {len(store.complete())} of {batch.chunks} chunks; "
+            "the same call continues",
+        )

@@ -1,0 +1,309 @@
+"""Programs as data: what one process has traced for a batch of one width, any other loads, keeps by
+its name, and runs on chunks of rows.
+
+`jax.export` writes the program with all that it depends on but its arguments, so that neither
+functions of the user nor JAX's own objects are sent. A chunk has any number of rows; the program
+computes `width` of them at a time, on each device of the process.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
+from importlib import metadata, resources
+from typing import Any
+
+import jax
+import jax.export
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import AxisType, PartitionSpec
+
+from jaxbody.core.compilation.compile_options import OPTION, fast_loops, quick_options
+from jaxbody.core.errors import JaxbodyError, Problem
+
+KEPT = 16  # programs that a worker keeps
+WORD = r'(?:"(?:[^"\\]|\\.)*"|[^()"])*'
+CUSTOM_CALL = re.compile(r"stablehlo\.custom_call @(\w+)")
+# lines of the source, in the text of a program
+LOCATION = re.compile(rf"^#loc.*\n| loc\({WORD}(?:\({WORD}\))?\)", re.M)
+
+# because with jaxlib 0.10 two programs with LAPACK in one process may wait for each other for ever
+one_at_a_time = threading.Lock()
+
+Types = dict[str, tuple[tuple[int, ...], str]]  # {name: shape and type of an array}
+
+
+@dataclass(frozen=True)
+class ChunkProgram:
+    """A program: (arrays that all rows share, arrays of `width` rows) -> {name: array of
+    `width` results}."""
+
+    # a hash of the program, without lines of the source, and of what follows the data: the same in
+    # every process
+    name: str
+    data: bytes
+    width: int
+    results: Types  # of one row
+    options: tuple[tuple[str, Any], ...]  # of compilation
+    x64: bool
+    fast: bool  # whether `fast_loops` is set
+    versions: tuple[tuple[str, str], ...]
+
+    def __call__(
+        self, shared: Sequence[np.ndarray], rows: Sequence[np.ndarray]
+    ) -> dict[str, np.ndarray]:
+        """The results of a chunk of rows; the last `width` of them is filled up with its last row.
+        Error: OTHER_WORKER."""
+        loaded, count, parts = self.loaded(), len(rows[0]), []
+        with one_at_a_time, precision(self.x64):
+            for first in range(0, count, loaded.width):
+                given = [filled(x, first, loaded.width) for x in rows]
+                parts.append(
+                    {name: np.asarray(y) for name, y in loaded.call(shared, given).items()}
+                )
+        results = {
+            name: np.concatenate([part[name] for part in parts])[:count] for name in parts[0]
+        }
+        if types_of(results, 1) != self.results:
+            raise other_worker(f"returns {types_of(results, 1)}", self.results)
+        return results
+
+    def loaded(self) -> LoadedProgram:
+        """The program compiled, kept in this process by its name. Error: OTHER_WORKER if this
+        process would not compute the same numbers as the caller."""
+        with one_at_a_time, precision(self.x64):
+            self._check()
+            if self.name not in _loaded:
+                while len(_loaded) >= KEPT:
+                    _loaded.pop(next(iter(_loaded)))
+                _loaded[self.name] = _compiled(self)
+            return _loaded[self.name]
+
+    def _check(self) -> None:
+        if self.fast and not _fast():
+            with suppress(JaxbodyError):  # JAX has started already
+                fast_loops()
+        if self.fast and not _fast():
+            raise other_worker("has started JAX without fast_loops", "fast_loops")
+        if _fast() and not self.fast:
+            raise other_worker("has fast_loops set", "JAX without it")
+        for (name, own), (_, wanted) in zip(versions(), self.versions, strict=True):
+            if own != wanted:
+                raise other_worker(f"has {name} {own}", f"{name} {wanted}")
+        own, wanted = str(jnp.result_type(float)), "float64" if self.x64 else "float32"
+        if own != wanted:
+            raise other_worker(f"computes in {own}", wanted)
+
+
+@dataclass(frozen=True)
+class LoadedProgram:
+    """A program that is compiled for the devices of this process, which compute `width` rows at a
+    time together."""
+
+    call: Callable[..., dict[str, jax.Array]]
+    width: int
+    memory: int  # temporary memory of a device [bytes]
+
+
+def exported(
+    function: Callable[..., Any], shared: Sequence[Any], rows: Sequence[Any], width: int, where: str
+) -> ChunkProgram:
+    """function(shared, rows), which returns {name: array of `width` rows}, as data.
+
+    Args:
+        function: a function of two lists of arrays.
+        shared: arrays that all rows share.
+        rows: arrays over the rows, any number of them.
+        width: number of rows that are computed at a time.
+        where: the place in the call, for messages.
+
+    Error: NOT_SENT.
+    """
+    given = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in rows]
+    program = jax.jit(function)
+    # errors of the user's own functions are raised as they are
+    results = types_of(jax.eval_shape(program, list(shared), given), 1)
+    given = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in shared], given
+    try:
+        made = _export(program, given)
+        data, text = bytes(made.serialize()), LOCATION.sub("", made.mlir_module())
+    except Exception as error:  # a callback, or an operation that this version of JAX cannot export
+        hint = (
+            "Leave out callbacks, such as jax.debug.print and pure_callback, or compute "
+            "without workers= and out=."
+        )
+        message = f"cannot be sent to workers: {str(error).splitlines()[0]:.200}"
+        raise JaxbodyError(
+            Problem("NOT_SENT", where, message, limit="a program without callbacks", hint=hint)
+        ) from error
+    x64: bool = jax.config.read("jax_enable_x64")
+    rest: Any = (width, results, tuple(quick_options().items()), x64, _fast(), versions())
+    return ChunkProgram(hashlib.sha256(f"{text} {rest}".encode()).hexdigest(), data, *rest)
+
+
+def _export(program: Any, given: tuple[Any, ...]) -> jax.export.Exported:
+    """Export a program with calls of LAPACK or a device's library that other versions of jaxlib may
+    lack; workers have the same one."""
+    try:
+        return jax.export.export(program)(*given)
+    except ValueError as error:
+        names = set(CUSTOM_CALL.findall(str(error)))
+        if not names or any("callback" in name for name in names):
+            raise
+        return jax.export.export(
+            program, disabled_checks=list(map(jax.export.DisabledSafetyCheck.custom_call, names))
+        )(*given)
+
+
+def filled(x: np.ndarray, first: int, width: int) -> np.ndarray:
+    """`width` rows from the first, filled up with the last one."""
+    return x[np.minimum(np.arange(first, first + width), len(x) - 1)]
+
+
+def types_of(arrays: dict[str, Any], axes: int = 0) -> Types:
+    """Shapes, without leading `axes`, and types of arrays."""
+    return {name: (tuple(x.shape[axes:]), str(x.dtype)) for name, x in arrays.items()}
+
+
+@functools.cache
+def hash_of_source() -> str:
+    """A hash of all files of jaxbody."""
+    source = hashlib.sha256()
+    for file in sorted(_sources(resources.files("jaxbody")), key=str):
+        source.update(file.read_bytes())
+    return source.hexdigest()
+
+
+def _sources(folder: Any) -> list[Any]:
+    return [
+        file
+        for x in folder.iterdir()
+        for file in (_sources(x) if x.is_dir() else [x] if x.name.endswith(".py") else [])
+    ]
+
+
+@functools.cache
+def versions() -> tuple[tuple[str, str], ...]:
+    """What the numbers depend on: jaxbody with a hash of its source, JAX and its compiler, and the
+    kind of device."""
+    libraries = [(name, metadata.version(name)) for name in ("jax", "jaxlib")]
+    return (
+        ("jaxbody", f"{metadata.version('jaxbody')} of source {hash_of_source()[:8]}"),
+        *libraries,
+        ("device", jax.default_backend()),
+    )
+
+
+def _fast() -> bool:
+    return OPTION in os.environ.get("XLA_FLAGS", "")
+
+
+def precision(x64: bool) -> AbstractContextManager:
+    """A context of float64, or of float32, for what this thread computes."""
+    if hasattr(jax, "enable_x64"):
+        return jax.enable_x64(x64)
+    from jax.experimental import enable_x64  # pyright: ignore  before version 0.8
+
+    return enable_x64(x64)
+
+
+def worker_name() -> str:
+    """This process, as messages name it."""
+    return f"{socket.gethostname()}:{os.getpid()}"
+
+
+def other_worker(message: str, wanted: Any) -> JaxbodyError:
+    """The error of a worker that differs from the caller."""
+    hint = (
+        "Install the same versions for the caller and all workers, and set the same "
+        "options before JAX starts."
+    )
+    return JaxbodyError(
+        Problem(
+            "OTHER_WORKER",
+            f"worker {worker_name()}",
+            message,
+            limit=f"{wanted}, as the caller",
+            hint=hint,
+        )
+    )
+
+
+_loaded: dict[str, LoadedProgram] = {}
+
+
+def _compiled(program: ChunkProgram) -> LoadedProgram:
+    """Each device runs the same program on its own rows, so that numbers do not depend on how many
+    there are."""
+    # jaxlib then knows where LAPACK is
+    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), jnp.result_type(float)))
+    exported = jax.export.deserialize(bytearray(program.data))
+    devices = (
+        [] if b"lapack" in program.data and jax.default_backend() == "cpu" else jax.local_devices()
+    )  # see `one_at_a_time`
+    width, call = program.width, exported.call
+    if len(devices) > 1:
+        mesh = jax.make_mesh(
+            (len(devices),), ("device",), axis_types=(AxisType.Auto,), devices=devices
+        )
+        here, apart = PartitionSpec(), PartitionSpec("device")
+        call = jax.shard_map(
+            call, mesh=mesh, in_specs=(here, apart), out_specs=apart, check_vma=False
+        )
+        width *= len(devices)
+
+    (shared, rows), _ = jax.tree.unflatten(exported.in_tree, exported.in_avals)
+    wide = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in rows]
+    same = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in shared]
+    compiled = jax.jit(call, compiler_options=dict(program.options)).lower(same, wide).compile()
+    return LoadedProgram(
+        compiled, width, getattr(compiled.memory_analysis(), "temp_size_in_bytes", 0)
+    )
+
+
+@dataclass(frozen=True)
+class ComputedChunk:
+    """Results of a chunk, the worker, the time that they took [s], without that to load the
+    program, and its memory [bytes]."""
+
+    results: dict[str, np.ndarray]
+    worker: str
+    seconds: float
+    memory: int
+
+
+@dataclass(frozen=True)
+class FailedChunk:
+    """Why a chunk has no results; `refused` if this worker cannot compute any. (Not an exception,
+    as some cannot be sent.)"""
+
+    message: str
+    refused: Problem | None = None
+
+
+def compute_chunk(
+    program: ChunkProgram,
+    shared: Sequence[np.ndarray],
+    rows: Sequence[np.ndarray],
+    function: Callable[..., Any] | None = None,
+) -> ComputedChunk | FailedChunk:
+    """Compute a chunk, by the program or by a function of jaxbody that calls it: function(program,
+    shared, rows) -> results."""
+    try:
+        memory = program.loaded().memory
+        begin = time.perf_counter()
+        results = program(shared, rows) if function is None else function(program, shared, rows)
+        return ComputedChunk(results, worker_name(), time.perf_counter() - begin, memory)
+    except JaxbodyError as error:
+        return FailedChunk(str(error), error.problems[0])
+    except Exception as error:
+        return FailedChunk(f"{type(error).__name__}: {error!s:.200}")

@@ -1,0 +1,229 @@
+"""Results of a batch in a Zarr store: an array for each quantity with the chunks of the batch, and
+`status`, written last, as their flag.
+
+    store.zarr/zarr.json      with the plan of the batch: hashes and sizes that a call must
+                              have in common with the one that made it
+              frequency/c/7/0  the results of chunk 7
+              status/c/7       chunk 7 is complete: 0 for each row, or LOST
+              status/lost/7    chunk 7 has no results: its rows are LOST
+
+Chunks are written by the caller, several at a time if each has its own chunks: no file is written
+by two, so there are no locks.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem, Status, import_extra
+from jaxbody.core.workers.chunk_programs import Types
+
+PLAN, STATUS, LOST = "jaxbody", "status", "lost"
+FORMAT = 1
+
+
+def hash_of(*things: Any) -> str:
+    """A short hash of arrays and words."""
+    made = hashlib.sha256()
+    for thing in things:
+        array = np.asarray(thing) if isinstance(thing, np.ndarray | jax.Array) else None
+        made.update(
+            repr(thing).encode()
+            if array is None
+            else f"{array.shape} {array.dtype}".encode() + array.tobytes()
+        )
+    return made.hexdigest()[:16]
+
+
+class ChunkStore:
+    """A store on disk.
+
+    Args:
+        path: its folder, made if there is none.
+        plan: {word: text or number} that identifies the call.
+        inputs, results: {name: (shape of a row, type)} of what the rows are, and of what
+            is computed.
+        dimension: name of the dimension over the rows.
+        count: number of rows.
+        size: number of rows in a chunk; a store that exists keeps its own if `any_size`.
+        any_size: whether the call leaves the size open.
+
+    Errors: OTHER_STORE, NOT_SAVED, BAD_NAME, MISSING_EXTRA.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        plan: dict[str, Any],
+        inputs: Types,
+        results: Types,
+        *,
+        dimension: str = "design",
+        count: int,
+        size: int,
+        any_size: bool,
+    ):
+        self.zarr = import_extra("zarr", "out")
+        self.path, self.inputs, self.dimension, self.count = path, tuple(inputs), dimension, count
+        plan, arrays = (
+            {"format": FORMAT, **plan, f"{dimension}s": count, "chunk": size},
+            inputs | results,
+        )
+        for name in [*inputs, *results]:
+            if (
+                "/" in name
+                or name.startswith("__")
+                or name in ("", ".", "..", STATUS)
+                or name in inputs.keys() & results.keys()
+            ):
+                hint, limit = (
+                    "Rename the quantity: names are folders of the store.",
+                    "no '/'; not 'status', nor the name of an input",
+                )
+                raise JaxbodyError(
+                    Problem("BAD_NAME", "out", f"cannot have an array {name!r}", name, limit, hint)
+                )
+        if not path.exists():
+            self._make(plan, arrays)
+        self.size: int = self._checked(plan, any_size)["chunk"]
+        root = self._written(lambda: self.zarr.open_group(path, mode="r+"))
+        self.arrays = {name: root[name] for name in [*arrays, STATUS]}
+
+    def _make(self, plan: dict[str, Any], arrays: Types) -> None:
+        """Make it elsewhere and rename it, so that of several processes that do so one succeeds and
+        all see a whole one."""
+        new = self.path.with_name(f"{self.path.name}.{secrets.token_hex(4)}.new")
+        size = plan["chunk"]
+
+        def make():
+            root = self.zarr.open_group(new, mode="w-", attributes={PLAN: plan})
+            for name, (shape, dtype) in {**arrays, STATUS: ((), "int8")}.items():
+                fill = (
+                    Status.INTERRUPTED.value
+                    if name == STATUS
+                    else np.nan
+                    if np.dtype(dtype).kind == "f"
+                    else 0
+                )
+                names = [self.dimension, *(f"{name}_{i}" for i in range(len(shape)))]
+                whole, chunk = (self.count, *shape), (size, *(max(n, 1) for n in shape))
+                root.create_array(
+                    name,
+                    shape=whole,
+                    chunks=chunk,
+                    dtype=dtype,
+                    fill_value=fill,
+                    dimension_names=names,
+                )
+
+        try:
+            self._written(make)
+            try:
+                new.rename(self.path)
+            except OSError:
+                if not self.path.exists():
+                    raise
+        except OSError as error:
+            raise self._not_saved(error) from None
+        finally:
+            shutil.rmtree(new, ignore_errors=True)
+
+    def _checked(self, plan: dict[str, Any], any_size: bool) -> dict[str, Any]:
+        """The plan of the store, which must be that of the call."""
+        try:
+            found = json.loads((self.path / "zarr.json").read_text())["attributes"][PLAN]
+        except (OSError, ValueError, KeyError, TypeError):
+            hint = "Name a folder that does not exist yet."
+            raise JaxbodyError(
+                Problem(
+                    "OTHER_STORE", str(self.path), "is no store of jaxbody", self.path, hint=hint
+                )
+            ) from None
+        differing = [
+            word
+            for word in {**plan, **found}
+            if plan.get(word) != found.get(word) and not (any_size and word == "chunk")
+        ]
+        if differing:
+            each = [f"{word} {found.get(word)} there, {plan.get(word)} here" for word in differing]
+            hint = "Repeat the call that it is from, or name another folder."
+            raise JaxbodyError(
+                Problem(
+                    "OTHER_STORE",
+                    str(self.path),
+                    f"is of another call: {'; '.join(each)}",
+                    self.path,
+                    hint=hint,
+                )
+            )
+        return found
+
+    def complete(self) -> set[int]:
+        """The chunks with results, whose files of `status` exist."""
+        return self._numbered("c") - self.lost()
+
+    def lost(self) -> set[int]:
+        """The chunks that were given up."""
+        return self._numbered(LOST)
+
+    def _numbered(self, folder: str) -> set[int]:
+        try:
+            return {int(name) for name in os.listdir(self.path / STATUS / folder) if name.isdigit()}
+        except FileNotFoundError:
+            return set()
+
+    def write(self, chunk: int, arrays: dict[str, np.ndarray], *, lost: bool = False) -> None:
+        """Write the rows of a chunk, without results if it is lost, and then its status.
+        Error: NOT_SAVED."""
+        rows = slice(chunk * self.size, min((chunk + 1) * self.size, self.count))
+        mark = self.path / STATUS / LOST / str(chunk)
+
+        def write():
+            if lost:
+                mark.parent.mkdir(exist_ok=True)
+                mark.touch()
+            for name, values in arrays.items():
+                self.arrays[name][rows] = values
+            self.arrays[STATUS][rows] = np.int8(Status.LOST if lost else Status.OK)
+            if not lost:
+                mark.unlink(missing_ok=True)
+
+        self._written(write)
+
+    def read(self, names: Iterable[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Arrays of all rows in memory, NaN or zero where there is nothing, and the status of
+        each row."""
+        return {name: self.arrays[name][:] for name in names}, self.arrays[STATUS][:].astype(int)
+
+    def _written(self, write: Any) -> Any:
+        try:
+            return write()
+        except OSError as error:
+            raise self._not_saved(error) from None
+
+    def _not_saved(self, error: OSError) -> JaxbodyError:
+        message = f"cannot be written: {error.strerror or error}"
+        hint = (
+            "Its complete chunks are kept: with room or permission to write, the "
+            "same call continues."
+        )
+        return JaxbodyError(Problem("NOT_SAVED", str(self.path), message, self.path, hint=hint))
+
+    def opened(self, title: str) -> Any:
+        """The store as an xarray.Dataset that reads what is asked for."""
+        xarray = import_extra("xarray", "out")
+        return (
+            xarray.open_zarr(self.path, consolidated=False, chunks=None)
+            .set_coords(list(self.inputs))
+            .assign_attrs(title=title)
+        )

@@ -1,0 +1,211 @@
+"""Who computes a batch: this process, a number of processes of this machine by loky, or any
+executor of processes that the user gives."""
+
+from __future__ import annotations
+
+import functools
+import os
+import signal
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import jax
+
+from jaxbody.core.arguments import kind_of
+from jaxbody.core.errors import JaxbodyError, Problem, import_extra
+from jaxbody.core.workers.chunk_programs import worker_name
+
+IDLE = 300  # time after which idle processes end [s]
+ONE_THREAD = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+FEWEST = 4  # chunks that are sent before any has come back
+
+
+class ThisProcess(Executor):
+    """An executor that computes at once, in this process."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*args, **options))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class Crew:
+    """The workers of one call.
+
+    `executor`: where chunks are sent; `make` makes another in place of one that is broken; `most`:
+    largest number of chunks that are sent and have not come back, None if it follows from the
+    number of workers that have answered.
+    """
+
+    def __init__(
+        self,
+        executor: Executor,
+        make: Callable[[], Executor] | None = None,
+        most: int | None = None,
+        close: Any = None,
+    ):
+        self.executor, self.make, self.most, self.close = (
+            executor,
+            make,
+            most,
+            close or (lambda executor, at_once: None),
+        )
+        self.seen: set[str] = set()  # workers that have answered
+
+    def room(self, sent: int) -> bool:
+        """Whether another chunk may be sent: enough to keep all workers busy, few enough that they
+        need little memory."""
+        return sent < (self.most or 4 * max(FEWEST, len(self.seen)))
+
+    def renew(self, where: str) -> None:
+        """Replace a broken executor. Error: BAD_WORKERS if it is the user's, of a kind that cannot
+        be made again."""
+        if self.make is None:
+            hint = (
+                "Give workers= a number of processes, which are started again; "
+                "what is stored is kept."
+            )
+            raise JaxbodyError(
+                Problem(
+                    "BAD_WORKERS",
+                    where,
+                    "is broken: one of its processes has ended",
+                    self.executor,
+                    hint=hint,
+                )
+            )
+        self.close(self.executor, True)
+        self.executor = self.make()
+
+
+@contextmanager
+def crew_of(workers: Any, where: str) -> Iterator[Crew]:
+    """The workers that the user asks for, during a `with` block. At Ctrl-C and errors processes
+    that were started here end at once.
+
+    Args:
+        workers: None, a number of processes, or an executor.
+        where: the place in the call, for messages.
+
+    Errors: BAD_WORKERS, MISSING_EXTRA.
+    """
+    crew = _crew(workers, where)
+    try:
+        yield crew
+    except BaseException:
+        crew.close(crew.executor, True)
+        raise
+    crew.close(crew.executor, False)
+
+
+def check_workers(workers: Any, where: str) -> None:
+    """Check `workers` before anything is computed. Errors: BAD_WORKERS, MISSING_EXTRA."""
+    limit = "None, a number of processes above 0, or an executor of processes"
+    if workers is None:
+        return
+    if isinstance(workers, int) and not isinstance(workers, bool):
+        if workers < 1:
+            hint = f"This machine has {os.cpu_count()} cores; None computes in this process."
+            raise JaxbodyError(Problem("BAD_WORKERS", where, f"is {workers}", workers, limit, hint))
+        import_extra("loky", where)
+        return
+    if isinstance(workers, ThreadPoolExecutor):
+        hint = (
+            "Programs of one process compute one after the other, as LAPACK in two threads may "
+            "never end: give a number of processes."
+        )
+        raise JaxbodyError(
+            Problem("BAD_WORKERS", where, "is an executor of threads", workers, limit, hint)
+        )
+    if not isinstance(workers, Executor):
+        hint = (
+            "Of a Dask client, give client.get_executor(pure=False)."
+            if hasattr(workers, "get_executor")
+            else "Give workers=2."
+        )
+        raise JaxbodyError(
+            Problem("BAD_WORKERS", where, f"is {kind_of(workers)}", workers, limit, hint)
+        )
+    try:
+        workers.submit(int)
+    except RuntimeError as error:  # a broken executor raises a kind of it
+        hint = "Open it with a `with` block round the call."
+        raise JaxbodyError(
+            Problem("BAD_WORKERS", where, f"takes no work: {error}", workers, limit, hint)
+        ) from None
+
+
+def _crew(workers: Any, where: str) -> Crew:
+    if workers is None:
+        return Crew(ThisProcess(), most=1)
+    if isinstance(workers, int):
+        return Crew(
+            _processes(workers, where),
+            lambda: _processes(workers, where),
+            2 * workers,
+            _close_processes,
+        )
+    if type(workers) is not ProcessPoolExecutor:
+        return Crew(workers)
+
+    def make() -> Executor:
+        kind: Any = workers  # its arguments have no public names
+        return ProcessPoolExecutor(
+            kind._max_workers,
+            kind._mp_context,
+            initializer=kind._initializer,
+            initargs=kind._initargs,
+        )
+
+    return Crew(
+        workers,
+        make,
+        close=lambda executor, _: (
+            None if executor is workers else executor.shutdown(wait=False, cancel_futures=True)
+        ),
+    )
+
+
+def _processes(number: int, where: str) -> Executor:
+    """Processes of this machine, one thread each, which later calls find with their programs until
+    they have been idle for a while."""
+    loky = import_extra("loky", where)
+    environment = dict.fromkeys(ONE_THREAD, "1") | _cache()
+    executor = loky.get_reusable_executor(
+        max_workers=number, timeout=IDLE, initializer=_ignore_interrupts, env=environment
+    )
+    for _ in range(number):
+        executor.submit(worker_name)  # imports JAX, while the caller traces
+    return executor
+
+
+def _close_processes(executor: Any, at_once: bool) -> None:
+    if at_once:
+        executor.shutdown(wait=True, kill_workers=True)
+
+
+def _ignore_interrupts() -> None:
+    """Ctrl-C on a terminal reaches all of its processes; the caller alone decides."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _cache() -> dict[str, str]:
+    """The folder in which processes share compiled programs: that of JAX or `keep_programs`, if
+    any, or a temporary one."""
+    folder = jax.config.jax_compilation_cache_dir or _temporary_folder().name  # pyright: ignore[reportAttributeAccessIssue]
+    return {
+        "JAX_COMPILATION_CACHE_DIR": str(folder),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    }
+
+
+@functools.cache
+def _temporary_folder() -> tempfile.TemporaryDirectory:
+    return tempfile.TemporaryDirectory(prefix="jaxbody-programs-")  # removed when this process ends

@@ -1,0 +1,148 @@
+"""Sensitivities of quantities to parameters: exact slopes, and the values after a decrease or an
+increase of each parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import Float, Int
+from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.design.programs import Evaluate, Program
+from jaxbody.design.searches import one_thread
+from jaxbody.fitting.parameters.spaces import space_of
+from jaxbody.model.models import Model
+from jaxbody.model.preconditions import check_precision
+
+SHOWN = 5  # parameters printed for each quantity
+
+
+class Sensitivities(Result):
+    """Result of `sensitivities`: `nominal` values of the `quantities`, their `slopes` d q/d x
+    (quantities, parameters), and their values `low` and `high` with each of the `parameters`
+    lower and higher by the relative `change`. `ranked(quantity)` lists the parameters, the
+    strongest first."""
+
+    nominal: Float[np.ndarray, "m"]
+    slopes: Float[np.ndarray, "m n"]
+    low: Float[np.ndarray, "m n"]
+    high: Float[np.ndarray, "m n"]
+    status: Int[np.ndarray, ""]
+    quantities: tuple[str, ...]
+    parameters: tuple[str, ...]
+    change: float
+
+    def row(self, quantity: str) -> int:
+        if quantity not in self.quantities:
+            raise JaxbodyError(unknown(quantity, "sensitivities", self.quantities))
+        return self.quantities.index(quantity)
+
+    def ranked(self, quantity: str) -> tuple[str, ...]:
+        return tuple(self.parameters[i] for i in self.order(quantity))
+
+    def order(self, quantity: str) -> np.ndarray:
+        row = self.row(quantity)
+        return np.argsort(
+            -np.maximum(
+                abs(self.low[row] - self.nominal[row]), abs(self.high[row] - self.nominal[row])
+            ),
+            kind="stable",
+        )
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        rows = []
+        for row, name in enumerate(self.quantities):
+            for k, i in enumerate(self.order(name)[:SHOWN]):
+                first = (name, self.nominal[row]) if not k else ("", "")
+                rows.append(
+                    (
+                        *first,
+                        self.parameters[i],
+                        self.slopes[row, i],
+                        self.low[row, i],
+                        self.high[row, i],
+                    )
+                )
+        heads = (
+            "quantity",
+            "value",
+            "parameter",
+            "slope",
+            f"{100 * self.change:g} % less",
+            f"{100 * self.change:g} % more",
+        )
+        return [
+            tables.PrintedTable("Sensitivities, the strongest first", heads, rows, self.failure)
+        ]
+
+
+def sensitivities(
+    model: Model,
+    evaluate: Evaluate,
+    *,
+    free: str | Iterable[str],
+    change: float = 0.1,
+    progress: bool | None = None,
+) -> Sensitivities:
+    """How quantities depend on parameters, changed one at a time from their values in the model.
+
+        d q/d x exactly;   q(x (1 - change)),   q(x (1 + change))
+
+    Args:
+        model, evaluate, free, progress: as in `tune`.
+        change: relative change of each parameter. Parameters without a scale, such as a
+            coordinate that is 0, change by this fraction of the model's size, orientations by
+            `change` radians.
+
+    Errors: those of `tune` about these arguments, BAD_CHANGE. Warns NONFINITE.
+
+    >>> def sag(model):
+    ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
+    >>> result = sensitivities(
+    ...     jb.presets.quarter_car(),
+    ...     sag,
+    ...     free=["suspension.stiffness", "body.mass", "tyre.stiffness"],
+    ... )
+    >>> result.ranked("sag")
+    ('suspension.stiffness', 'body.mass', 'tyre.stiffness')
+    """
+    check_precision("sensitivities", model)
+    if not 0 < change < 1:
+        raise JaxbodyError(
+            Problem(
+                "BAD_CHANGE",
+                "sensitivities.change",
+                f"is {change}",
+                change,
+                "between 0 and 1",
+                "0.1 is ten percent.",
+            )
+        )
+    space = space_of(model, free, "sensitivities")
+    up, down = (
+        np.concatenate([parameter.form.changed(part) for parameter in space.parameters])
+        for part in (change, -change)
+    )
+    U = np.concatenate([np.zeros((1, space.size)), np.diag(down), np.diag(up)])
+    # the program of `tune` from one start
+    program = Program(space, evaluate, "", {}, width=1, progress=progress)
+    with one_thread(), working("sensitivities", progress) as program.line:
+        values, slopes = program(U)
+    low, high = np.split(values[1:].T, 2, axis=1)
+    bad = not (np.isfinite(values).all() and np.isfinite(slopes[0]).all())
+    return warn_if_failed(
+        Sensitivities(
+            values[0],
+            slopes[0] / space.numbers(U[0])[1],
+            low,
+            high,
+            np.asarray(Status.NONFINITE.value if bad else 0),
+            tuple(program.labels()),
+            tuple(space.labels),
+            change,
+        )
+    )

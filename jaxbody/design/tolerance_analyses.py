@@ -1,0 +1,393 @@
+"""Tolerances: the scatter of a design's quantities due to scatter of its parameters, to first and
+second order and by sampling.
+
+x + s xi, xi normal and independent:   first order    mean f,             variance sum (f_i s_i)^2
+                                       second order   mean f + sum f_ii s_i^2/2,
+                                       variance the same + sum (f_ij s_i s_j)^2/2
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
+from jaxbody.core.arrays import Array, Float, Int, concrete, device_array, float_array, module_of
+from jaxbody.core.compilation.compile_options import OPTIMIZED, program_with
+from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.workers.batches import (
+    Report,
+    batch_of,
+    checked_chunks,
+    computed_here,
+    gathered,
+    store_of,
+)
+from jaxbody.core.workers.chunk_stores import hash_of
+from jaxbody.core.workers.executors import crew_of
+from jaxbody.design.programs import (
+    Evaluate,
+    Flat,
+    Quantities,
+    labels_of,
+    split,
+    value_and_forward_slopes,
+)
+from jaxbody.fitting.parameters.spaces import Parameter, Space
+from jaxbody.fitting.parameters.transforms import Shifted
+from jaxbody.model.leaf_paths import leaves_of, matching
+from jaxbody.model.models import Model
+from jaxbody.model.preconditions import check_precision
+
+CHUNK = 256  # samples per batch
+SHOWN = 3  # parameters printed for each quantity
+
+Scatter = dict[str, Any]
+
+
+class Tolerances(Result):
+    """Result of `tolerances`, for each of m `quantities`: `nominal` values; standard deviations to
+    `first` order; `mean` and standard `deviation` to second order; `sampled_mean` and
+    `sampled_deviation` of all `samples` (n, m); `shares` (m, k) of the `parameters` in the variance
+    to first order."""
+
+    nominal: Float[Array, "m"]
+    first: Float[Array, "m"]
+    mean: Float[Array, "m"]
+    deviation: Float[Array, "m"]
+    samples: Float[Array, "n m"]
+    shares: Float[Array, "m k"]
+    status: Int[Array, ""]
+    quantities: tuple[str, ...] = eqx.field(static=True)
+    parameters: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def sampled_mean(self) -> Float[Array, "m"]:
+        return module_of(self.samples).nanmean(self.samples, 0)
+
+    @property
+    def sampled_deviation(self) -> Float[Array, "m"]:
+        return module_of(self.samples).nanstd(self.samples, 0, ddof=1)
+
+    def row(self, quantity: str) -> int:
+        if quantity not in self.quantities:
+            raise JaxbodyError(unknown(quantity, "tolerances", self.quantities))
+        return self.quantities.index(quantity)
+
+    def explain(self) -> str:
+        return (
+            f"{int(np.sum(~np.isfinite(self.samples).all(-1)))} of {len(self.samples)} "
+            "samples are not finite"
+        )
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        columns = (
+            self.nominal,
+            self.first,
+            self.mean,
+            self.deviation,
+            self.sampled_mean,
+            self.sampled_deviation,
+        )
+        most = [np.argsort(-np.asarray(share))[:SHOWN] for share in self.shares]
+        strongest = [
+            ", ".join(
+                f"{self.parameters[i]} {100 * float(share[i]):.0f} %"
+                for i in order
+                if share[i] > 0.005
+            )
+            for order, share in zip(most, self.shares, strict=True)
+        ]
+        rows = [
+            (name, *numbers, words)
+            for name, *numbers, words in zip(self.quantities, *columns, strongest, strict=True)
+        ]
+        heads = (
+            "quantity",
+            "nominal",
+            "sigma, first order",
+            "mean, second",
+            "sigma, second",
+            "mean, sampled",
+            "sigma, sampled",
+            "most of it from",
+        )
+        return [
+            tables.PrintedTable(
+                "Tolerances", heads, rows, f"{len(self.samples)} samples; {self.report()}"
+            )
+        ]
+
+
+def tolerances(
+    model: Model,
+    evaluate: Evaluate,
+    scatter: Scatter,
+    *,
+    samples: int = 1000,
+    key: Any = None,
+    chunk: int | None = None,
+    workers: Any = None,
+    out: Any = None,
+    chunks: Iterable[int] | None = None,
+    progress: bool | None = None,
+) -> Tolerances:
+    """The scatter of quantities due to independent, normal scatter of parameters.
+
+    Args:
+        model, evaluate: as in `tune`.
+        scatter: {path or pattern: standard deviation}, in the parameter's unit, one number or an
+            array of the parameter's shape.
+        samples: number of Monte Carlo samples.
+        key: random key for these samples; None takes jax.random.key(0).
+        chunk: number of samples evaluated at a time, and with `workers` or `out` sent and stored at
+            a time; None evaluates 256 at a time, and sends as many as take about two seconds.
+        workers: None, a number of processes, or an executor, as in `sweep`; the numbers are
+            the same.
+        out: path of a Zarr store to which each chunk of samples is written when it is done, as in
+            `sweep`: the same call continues an interrupted one.
+        chunks: numbers of the chunks that this call computes, as in `sweep`; None: all.
+        progress: None shows a line after five seconds on a terminal or in a notebook, False
+            is silent.
+
+    Ctrl-C returns the samples that are done.
+
+    Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER, WRONG_KIND for a key, BAD_CHUNK, BAD_WORKERS,
+    NOT_SENT, OTHER_WORKER, OTHER_STORE, NOT_SAVED. Warns NONFINITE if samples are not finite, LOST
+    and INTERRUPTED, where they are NaN.
+
+    >>> def sag(model):
+    ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
+    >>> result = tolerances(jb.presets.quarter_car(), sag, {"suspension.stiffness": 1750.0})  # 5 %
+    >>> (
+    ...     round(float(result.first[0] / result.nominal[0]), 4),
+    ...     round(float(result.mean[0] / result.nominal[0]), 4),
+    ... )
+    (0.05, 1.0025)
+    """
+    check_precision("tolerances", model)
+    with Problems() as problems:
+        samples = whole_number(samples, "tolerances.samples", problems, least=2, code="BAD_SCATTER")
+        check_key(key, "tolerances.key", problems)
+        space = problems.gather(lambda: scattering(model, scatter, "tolerances.scatter"))
+        chunk = (
+            None
+            if chunk is None
+            else whole_number(chunk, "tolerances.chunk", problems, code="BAD_CHUNK")
+        )
+        chunks = checked_chunks(
+            "tolerances", workers, out, chunks, problems, fixed=chunk is not None
+        )
+    key = jax.random.key(0) if key is None else key
+    with working("tolerances", progress) as line:
+        line(f"derivatives and {samples} samples")
+        (*moments, shares), labels = jax.block_until_ready(_to_second_order(space, evaluate))
+        deviations = np.asarray(_deviations(samples, space.size, key))
+        report = lambda done, _: line(f"{done} of {samples} samples")  # noqa: E731
+        width = min(chunk or CHUNK, samples)
+        if workers is None and out is None:
+            drawn, status = (
+                _sampled(space, evaluate, deviations, width, report),
+                np.zeros(samples, int),
+            )
+        else:
+            drawn, status = _sampled_by_workers(
+                space, evaluate, deviations, width, chunk, workers, out, chunks, report
+            )
+    worst = status.max(initial=Status.OK.value)
+    code = (
+        worst if worst else Status.OK.value if np.isfinite(drawn).all() else Status.NONFINITE.value
+    )
+    result = Tolerances(
+        **dict(zip(("nominal", "first", "mean", "deviation"), moments, strict=True)),
+        samples=device_array(drawn),
+        shares=shares,
+        status=jnp.asarray(code),
+        quantities=labels,
+        parameters=tuple(space.labels),
+    )
+    return warn_if_failed(result)
+
+
+def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Evaluate:
+    """Quantities for a design that allows for tolerances: tune(model, robust(evaluate,
+    scatter), ...).
+
+        "name high", "name low" = mean + k sigma, mean - k sigma,
+        both to second order, k = `sigmas`;
+        "name" unchanged
+
+    evaluate, scatter: as in `tolerances`. Errors, raised when it is evaluated: UNKNOWN_PATH,
+    LISTED_TWICE, BAD_SCATTER.
+
+    >>> def sag(model):
+    ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
+    >>> quantities = robust(sag, {"suspension.stiffness": 1750.0})(jb.presets.quarter_car())
+    >>> [round(float(quantities[name]), 4) for name in ("sag", "sag high", "sag low")]
+    [0.1051, 0.1212, 0.0896]
+    """
+
+    with Problems() as problems:
+        positive_number(sigmas, "robust.sigmas", problems)
+
+    def with_scatter(model: Model) -> Quantities:
+        flat = Flat(scattering(model, scatter, "robust.scatter"), evaluate)
+        f, J, H = _expanded(flat)
+        mean, deviation = _moments(f, J, H)
+        high, low = (
+            split(mean + sigmas * deviation, flat.shapes),
+            split(mean - sigmas * deviation, flat.shapes),
+        )
+        nominal = split(f, flat.shapes)
+        return (
+            nominal
+            | {f"{name} high": x for name, x in high.items()}
+            | {f"{name} low": x for name, x in low.items()}
+        )
+
+    return with_scatter
+
+
+def scattering(model: Model, scatter: Scatter, where: str) -> Space:
+    """The space of the parameters that scatter, as functions x + s xi of standardized
+    deviations xi."""
+    parameters, arrays = [], jax.tree.leaves(model)
+    with Problems() as problems:
+        scatter = checked_dict(scatter, where, "path: standard deviation", problems)
+        for pattern, matches in matching(leaves_of(model), scatter, where, problems).items():
+            given = problems.gather(
+                lambda pattern=pattern: float_array(scatter[pattern], f"{where}[{pattern!r}]")
+            )
+            if given is None:
+                continue
+            for leaf in matches:
+                shape, known = leaf.shape(arrays), concrete(given)
+                if given.shape not in ((), shape) or (
+                    known is not None and not ((known >= 0).all() and np.isfinite(known).all())
+                ):
+                    at, limit, hint = (
+                        f"{where}['{leaf.path}']",
+                        f"one number >= 0, or of shape {shape}",
+                        "Give standard deviations.",
+                    )
+                    problems.add(
+                        "BAD_SCATTER",
+                        at,
+                        f"is {scatter[pattern]!r:.60}",
+                        value=given,
+                        limit=limit,
+                        hint=hint,
+                    )
+                    continue
+                if leaf.path in (parameter.path for parameter in parameters):
+                    problems.add("LISTED_TWICE", where, f"names {leaf.path} twice", value=pattern)
+                form = Shifted(leaf.read(arrays), jnp.broadcast_to(jnp.asarray(given), shape))
+                parameters.append(Parameter((("", leaf),), (1.0,), form, *form.unbounded()))
+        if not parameters and not problems.collected:
+            problems.add(
+                "BAD_SCATTER",
+                where,
+                "is empty",
+                limit="at least one path",
+                hint="Give {path: standard deviation}.",
+            )
+    return Space(model, tuple(parameters))
+
+
+def _expanded(flat: Flat) -> tuple[Array, Array, Array]:
+    """f, its Jacobian and its second derivatives at zero."""
+    size = flat.space.size
+
+    def first(xi):
+        f, J = value_and_forward_slopes(flat, xi)
+        return jnp.concatenate([f[:, None], J], 1).ravel()
+
+    both, slopes = value_and_forward_slopes(first, jnp.zeros(size))
+    both, slopes = both.reshape(-1, 1 + size), slopes.reshape(-1, 1 + size, size)
+    return both[:, 0], both[:, 1:], slopes[:, 1:]
+
+
+def _moments(f, J, H) -> tuple[Array, Array]:
+    """Mean and standard deviation to second order."""
+    variance = jnp.sum(J**2, 1) + jnp.sum(H**2, (1, 2)) / 2
+    some = variance > 0
+    return f + jnp.trace(H, axis1=1, axis2=2) / 2, jnp.where(
+        some, jnp.sqrt(jnp.where(some, variance, 1.0)), 0.0
+    )
+
+
+@program_with(OPTIMIZED)
+def _to_second_order(space: Space, evaluate: Evaluate):
+    """The moments and shares, and the names of the quantities."""
+    flat = Flat(space, evaluate)
+    f, J, H = _expanded(flat)
+    variance = jnp.sum(J**2, 1)
+    shares = J**2 / jnp.where(variance > 0, variance, 1.0)[:, None]
+    return (f, jnp.sqrt(variance), *_moments(f, J, H), shares), tuple(labels_of(flat.shapes))
+
+
+@program_with(OPTIMIZED)
+def _deviations(samples: int, size: int, key: Any):
+    return jax.random.normal(key, (samples, size))
+
+
+def _samples(space: Space, evaluate: Evaluate, xi: np.ndarray) -> dict[str, Any]:
+    """The batch of the samples with these deviations: for each the values of its quantities."""
+
+    def values(space, xi):
+        return {"values": jax.vmap(Flat(space, evaluate))(xi)}
+
+    rows = lambda i, j: [xi[i:j]]  # noqa: E731
+    return dict(
+        function=values, tree=space, rows=rows, count=len(xi), owner=evaluate, place="tolerances"
+    )
+
+
+def _sampled(
+    space: Space, evaluate: Evaluate, xi: np.ndarray, width: int, report: Report
+) -> np.ndarray:
+    """The quantities of each sample, in batches of one width."""
+    done = []
+    for part in computed_here(**_samples(space, evaluate, xi), width=width):
+        done.append(part["values"])
+        report(sum(map(len, done)), 1)
+    return np.concatenate(done)
+
+
+def _sampled_by_workers(
+    space: Space,
+    evaluate: Evaluate,
+    xi: np.ndarray,
+    width: int,
+    chunk: int | None,
+    workers: Any,
+    out: Any,
+    chunks: Any,
+    report: Report,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The quantities of each sample and its status."""
+
+    with crew_of(workers, "tolerances.workers") as crew:
+        options: Any = dict(
+            width=width,
+            where="tolerances.evaluate",
+            crew=crew,
+            memory=np.inf if chunk is None else None,
+        )
+        batch = batch_of(**_samples(space, evaluate, xi), **options)
+        plan = {"deviations": hash_of(xi)}
+        store = (
+            None
+            if out is None
+            else store_of(batch, out, plan, ["deviations"], "sample", any_size=chunk is None)
+        )
+        results, status = gathered(batch, crew, "tolerances", report, store, chunks)
+    return results["values"], status

@@ -1,0 +1,403 @@
+"""Design optimization: choose the free parameters of a model to minimize one quantity within limits
+on others, by exact gradients.
+
+    minimize f(x),   lower <= c(x) <= upper,   x between bounds,
+    f and c any JAX functions of the model
+
+One function of the model returns all quantities; they and their exact derivatives are one compiled
+program, for one start or a batch.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
+from jaxbody.core.arrays import device_array, float_array, is_concrete
+from jaxbody.core.compilation.compile_options import OPTIMIZED, program_with
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import warn_if_failed
+from jaxbody.core.workers.executors import check_workers
+from jaxbody.design.programs import (
+    Evaluate,
+    Program,
+    check_slopes,
+    check_start,
+    evaluated,
+    limits_of,
+    search_by_workers,
+)
+from jaxbody.design.searches import MET, METHODS, Search, one_thread, run, run_in_lockstep, scales
+from jaxbody.design.tunings import Tuning, tuning_of
+from jaxbody.fitting.parameters.spaces import Space, model_of, space_of
+from jaxbody.fitting.parameters.starts import drawn
+from jaxbody.model.leaf_paths import matching
+from jaxbody.model.models import Model
+from jaxbody.model.preconditions import check_precision
+from jaxbody.suspension.suspensions import Suspension
+
+BATCH = 16  # starts that are evaluated together
+# largest number of catalogue parameters for which all combinations of neighbors are tried
+MOST_NEIGHBORS = 6
+
+
+def tune(
+    model: Model | Suspension,
+    evaluate: Evaluate,
+    *,
+    free: str | Iterable[str],
+    minimize: str = "objective",
+    limits: dict[str, Any] | None = None,
+    bounds: dict[str, tuple[Any, Any]] | None = None,
+    catalogues: dict[str, Iterable[float]] | None = None,
+    starts: int = 1,
+    key: Any = None,
+    method: Any = "slsqp",
+    max_iterations: int = 200,
+    tolerance: float = 1e-10,
+    reverse: bool | None = None,
+    workers: Any = None,
+    progress: bool | None = None,
+) -> Tuning:
+    """The design with the smallest objective within limits, by exact gradients.
+
+    Args:
+        model: the initial design; a `Suspension` has its hard points as parameters by their names,
+            free=["lower outer"], in meters.
+        evaluate: model, or suspension -> {name: number or array} by JAX functions, or one number,
+            then called "objective".
+        free: paths or patterns of independent parameters; "spring fl.stiffness = spring
+            fr.stiffness" ties parameters, "left.a = right.a * [1, -1, 1]" with factors.
+        minimize: name of the objective.
+        limits: {name: (lower, upper)}, either may be None, or {name: number} for equality; for an
+            array they apply to each element.
+        bounds: {path or pattern: (lower, upper)}, in the units of the parameter, never violated.
+        catalogues: {path or pattern: available values}; all neighbors of the optimum are tried,
+            with the other parameters tuned again.
+        starts: number of initial designs: the model, and others drawn between the bounds; all are
+            evaluated in batches.
+        key: random key for the drawn designs and for stochastic objectives; None
+            takes jax.random.key(0).
+        method: "slsqp" or "trust-constr" (SciPy), "ipopt" (needs jaxbody[ipopt]), restarted while
+            they improve, or an optax optimizer for large or stochastic objectives without limits,
+            where `evaluate` may take a key as its second argument.
+        max_iterations: largest number of iterations from each start; the number of steps
+            with optax.
+        tolerance: tolerance of the objective, relative to its value at the start.
+        reverse: derivatives by reverse mode; None uses forward mode for up to thirty free numbers.
+        workers: None, a number of processes, or an executor, as in `sweep`, for several starts with
+            a method of SciPy or ipopt; starts are searched in batches of 16 in either case, so that
+            the numbers are the same.
+        progress: None shows progress after five seconds, False is silent, True prints every
+            evaluation to stderr.
+
+    Stiffness, damping and mass vary by factors, orientations by rotations. If limits are violated,
+    the violation is minimized first. A trial that is not finite is a rejected step. Where
+    derivatives do not exist, as with equal natural frequencies, those of a nearby point are used;
+    smooth quantities (`objectives`) avoid this.
+
+    Errors: UNKNOWN_PATH, UNKNOWN_NAME, WRONG_KIND for a key, LISTED_TWICE, NOTHING_FREE,
+    TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS,
+    BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE, NONFINITE_START, MISSING_EXTRA, TRACED, FLOAT32,
+    BAD_WORKERS, NOT_SENT, OTHER_WORKER. Warns INFEASIBLE, with the violated limits, NOT_CONVERGED,
+    and LOST.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> def sag(model):
+    ...     return {
+    ...         "sag": model["body"].mass * 9.81 / model["suspension"].stiffness,
+    ...         "stiffness": model["suspension"].stiffness,
+    ...     }
+    >>> design = tune(
+    ...     car,
+    ...     sag,
+    ...     free=["suspension.stiffness"],
+    ...     minimize="stiffness",
+    ...     limits={"sag": (None, 0.1)},
+    ... )
+    >>> round(float(design.values["suspension.stiffness"]), 1), design.active
+    (36787.5, ('sag <= 0.1',))
+    """
+    check_precision("tune", model_of(model), allow_float32=None)
+    if not is_concrete(model):
+        raise JaxbodyError(
+            Problem(
+                "TRACED",
+                "tune.model",
+                "is being traced",
+                hint="Tune outside of jit, vmap and grad.",
+            )
+        )
+    with Problems() as problems:
+        catalogues = checked_dict(catalogues, "tune.catalogues", "path: [values]", problems)
+        whole_number(starts, "tune.starts", problems, code="BAD_STARTS")
+        max_iterations = whole_number(max_iterations, "tune.max_iterations", problems)
+        positive_number(tolerance, "tune.tolerance", problems)
+        check_key(key, "tune.key", problems)
+        problems.gather(lambda: check_workers(workers, "tune.workers"))
+        if workers is not None and not isinstance(method, str):
+            problems.add(
+                "BAD_WORKERS",
+                "tune.workers",
+                "are for methods of SciPy and ipopt",
+                value=workers,
+                hint="Leave it out.",
+            )
+        limited = problems.gather(lambda: limits_of(limits or {}))
+        space = problems.gather(lambda: space_of(model, free, "tune", bounds=bounds, between=True))
+    low, high = space.bounds
+    catalogs = _catalogs(space, catalogues, low, high)
+    _check_options(method, limited, catalogs)
+    U = drawn(space, low, high, starts, key, "tune.bounds")
+    if key is None and not isinstance(method, str):
+        key = jax.random.key(0)
+    stochastic = not isinstance(method, str) and len(inspect.signature(evaluate).parameters) > 1
+    program = Program(
+        space,
+        evaluate,
+        minimize,
+        limited,
+        width=min(starts, BATCH),
+        reverse=reverse,
+        key=key if stochastic else None,
+        progress=progress,
+    )
+    with working("tune", progress) as program.line:
+        program.line("first evaluation, compiling")
+        check_start(program, U)
+        with one_thread():
+            searches = [Search(u, low, high, program.rows) for u in U]
+            if isinstance(method, str):
+                _run_scipy(program, searches, method, max_iterations, tolerance, workers)
+            else:
+                _run_optax(program, searches, method, max_iterations, key)
+            best = _best(searches)
+            if catalogs:
+                searches = _neighbors(program.space, best, catalogs)
+                _run_scipy(program, searches, method, max_iterations, tolerance, workers)
+                best = _best(searches)
+    if not best.finite:
+        check_slopes(program, best)
+    return warn_if_failed(tuning_of(program, searches, best, max_iterations))
+
+
+def _catalogs(
+    space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np.ndarray
+) -> dict[int, np.ndarray]:
+    """The available values {group: u}; the bounds `low` and `high` are narrowed to them."""
+    catalogs = {}
+    with Problems() as problems:
+        owner = {
+            leaf: i for i, parameter in enumerate(space.parameters) for _, leaf in parameter.places
+        }
+        for pattern, leaves in matching(list(owner), catalogues, "tune.catalogues").items():
+            values = problems.gather(
+                lambda path=pattern: _values(catalogues[path], f"tune.catalogues['{path}']")
+            )
+            if values is None:
+                continue
+            for i in dict.fromkeys(owner[leaf] for leaf in leaves):
+                (parameter, at), where = (
+                    space.parts[i],
+                    f"tune.catalogues['{space.parameters[i].path}']",
+                )
+                form: Any = parameter.form
+                if (
+                    form.start.ndim
+                    or values.ndim != 1
+                    or not values.size
+                    or not np.isfinite(values).all()
+                    or (values <= 0).any()
+                ):
+                    problems.add(
+                        "BAD_CATALOGUE",
+                        where,
+                        f"is {values.tolist()}",
+                        value=values,
+                        limit="positive numbers, for one number",
+                    )
+                    continue
+                catalog = np.array([form.inverse(x)[0] for x in values])
+                inside = (catalog >= low[at] - 1e-12) & (catalog <= high[at] + 1e-12)
+                if not inside.any():
+                    problems.add(
+                        "BAD_CATALOGUE",
+                        where,
+                        "has no value within the bounds",
+                        value=values,
+                        hint="Widen the bounds.",
+                    )
+                    continue
+                catalogs[i] = catalog[inside]
+                low[at], high[at] = min(catalog[inside].min(), 0.0), max(catalog[inside].max(), 0.0)
+    return catalogs
+
+
+def _values(given: Any, where: str) -> np.ndarray:
+    """Available values, sorted."""
+    values = float_array(list(given) if isinstance(given, Iterable) else given, where)
+    return np.sort(values) if values.ndim == 1 else values  # pyright: ignore
+
+
+def _check_options(method: Any, limits: dict[str, Any], catalogs: dict[int, Any]) -> None:
+    with Problems() as problems:
+        if isinstance(method, optax.GradientTransformation):
+            if limits or catalogs:
+                problems.add(
+                    "BAD_METHOD",
+                    "tune.method",
+                    "is an optax optimizer, which has no limits or catalogues",
+                    value=method,
+                    limit=" ".join(METHODS),
+                )
+        elif method not in METHODS:
+            problems.add(
+                "BAD_METHOD",
+                "tune.method",
+                f"is {method!r:.60}",
+                value=method,
+                limit=" ".join(METHODS) + " or an optax optimizer",
+            )
+        elif method == "ipopt":
+            import_extra("casadi", "tune.method")
+
+
+def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> list[Search]:
+    """Starts at all combinations of neighbors in the catalogues; of more than MOST_NEIGHBORS
+    parameters, only those between two values that are about equally near try both."""
+    places = [space.parts[i][1].start for i in catalogs]
+    pairs = [
+        _neighbors_of(catalog, best.u[at])
+        for at, catalog in zip(places, catalogs.values(), strict=True)
+    ]
+    clear = [
+        abs(np.diff(np.abs(pair - best.u[at])).sum()) if len(pair) > 1 else np.inf
+        for at, pair in zip(places, pairs, strict=True)
+    ]
+    trial = np.argsort(clear)[:MOST_NEIGHBORS]
+    choices = [pair if i in trial else pair[:1] for i, pair in enumerate(pairs)]
+    searches = []
+    for chosen in np.stack([x.ravel() for x in np.meshgrid(*choices, indexing="ij")], -1):
+        u, low, high = best.u.copy(), best.low.copy(), best.high.copy()
+        for x in (u, low, high):
+            x[places] = chosen
+        searches.append(Search(u, low, high, best.rows))
+    return searches
+
+
+def _neighbors_of(catalog: np.ndarray, u) -> np.ndarray:
+    """The catalogue values next to u, one below and one above, with the nearer one first."""
+    above = int(np.searchsorted(catalog, u))
+    pair = catalog[max(above - 1, 0) : above + 1]
+    return pair[np.argsort(np.abs(pair - u), kind="stable")]
+
+
+def _run_scipy(
+    program: Program,
+    searches: list[Search],
+    method: str,
+    iterations: int,
+    tolerance: float,
+    workers: Any,
+) -> None:
+    if workers is None or program.width == 1:
+        run_in_lockstep(
+            program, searches, lambda search: run(search, method, iterations, tolerance)
+        )
+    else:
+        search_by_workers(
+            program, searches, workers, method=method, iterations=iterations, tolerance=tolerance
+        )
+
+
+def _run_optax(
+    program: Program,
+    searches: list[Search],
+    method: optax.GradientTransformation,
+    steps: int,
+    key: Any,
+) -> None:
+    """Run an optax optimizer from all starts in one program; u is clipped to the bounds after
+    each step."""
+    U = device_array(np.stack([search.start for search in searches]))
+    low, high = device_array(searches[0].low), device_array(searches[0].high)
+    ends, history = _descend(
+        program.space,
+        program.evaluate,
+        program.minimize,
+        method,
+        steps,
+        program.key is not None,
+        U,
+        low,
+        high,
+        key,
+    )
+    program.count += steps
+    values, slopes = program(np.asarray(ends))
+    for i, search in enumerate(searches):
+        search.keep(np.asarray(ends[i]), values[i], slopes[i])
+        search.iterations = steps
+        search.finite = bool(np.isfinite(values[i, program.rows.objective]))
+        search.history = [(float(f), 0.0) for f in history[i]]
+        search.size = abs(float(history[i, 0])) or 1.0
+
+
+@program_with(OPTIMIZED)
+def _descend(
+    space: Space,
+    evaluate: Evaluate,
+    minimize: str,
+    method,
+    steps: int,
+    stochastic: bool,
+    U,
+    low,
+    high,
+    key,
+):
+    optimizer = optax.with_extra_args_support(method)
+
+    def one(u, key):
+        def value(u, key):
+            return evaluated(evaluate, space.designed(u)[0], *((key,) if stochastic else ()))[
+                minimize
+            ]
+
+        def step(carry, key):
+            u, state = carry
+            f, g = jax.value_and_grad(value)(u, key)
+            g = jnp.where(jnp.isfinite(g), g, 0.0)
+            change, state = optimizer.update(
+                g, state, u, value=f, grad=g, value_fn=lambda u: value(u, key)
+            )
+            trial = jnp.clip(u + change, low, high)
+            return (jnp.where(jnp.isfinite(trial), trial, u), state), f
+
+        (u, _), history = jax.lax.scan(step, (u, optimizer.init(u)), jax.random.split(key, steps))
+        return u, history
+
+    return jax.vmap(one)(U, jax.random.split(key, len(U)))
+
+
+def _best(searches: list[Search]) -> Search:
+    """The feasible search with the lowest objective, otherwise the one with the
+    smallest violation."""
+
+    def rank(search: Search):
+        if not search.finite:
+            return 2, 0.0
+        violation = search.rows.violation(search.values, scales(search.rows, search.values))
+        return (
+            (0, search.values[search.rows.objective]) if violation <= 10 * MET else (1, violation)
+        )
+
+    return min(searches, key=rank)

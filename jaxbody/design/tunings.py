@@ -1,0 +1,364 @@
+"""Result of a tuning: parameters and quantities before and after, active constraints and their
+shadow prices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Float, Int, device_array, indices
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import Status
+from jaxbody.core.results import Result
+from jaxbody.design.kinks import at_kinks, jumping
+from jaxbody.design.programs import NamedLimits, Program, Quantities, variables_over
+from jaxbody.design.searches import (
+    ACTIVE,
+    CONVERGED,
+    MET,
+    Multipliers,
+    Rows,
+    Search,
+    multipliers,
+    scales,
+)
+from jaxbody.fitting.parameters.spaces import Space, model_of
+from jaxbody.fitting.parameters.transforms import Positive
+from jaxbody.model.models import Model
+from jaxbody.suspension.suspensions import Suspension
+
+DUST = 1e-12  # values below this, relative to the value before, print as zero
+FAR = 12.0  # distance in u, a factor of 160 000, that shows a parameter to be unbounded
+BOUND, CHOSEN, UNBOUNDED = "at its bound", "from its catalogue", "unbounded"
+
+
+class Runs(eqx.Module):
+    """Results of all starts: `objective`, `violation` (the largest, relative to its limit),
+    `status`, `values` {path: (n, ...)} and `quantities` {name: (n, ...)}."""
+
+    objective: Float[np.ndarray, "n"]
+    violation: Float[np.ndarray, "n"]
+    status: Int[np.ndarray, "n"]
+    values: dict[str, Array]
+    quantities: Quantities
+
+
+class Tuning(Labeled, Result):
+    """A tuned design: `model`, the `suspension` that it is of if one was tuned, `values` {path:
+    value}, quantities `before` and `after` {name: value}, `active` constraints as text,
+    `multipliers` {limited quantity or parameter at its bound: shadow price, d objective/d limit},
+    `words`, the effect of one percent more of each limit, `history` (evaluations, 2) of the
+    objective and the violation of limits, `evaluations`, all starts in `runs`, `places` {parameter:
+    "at its bound", "from its catalogue" or "unbounded"}. `status` INFEASIBLE if limits are
+    violated, listed in `unmet`, or NOT_CONVERGED, with a `remedy`.
+
+    >>> import inspect
+    >>> inspect.signature(tune).return_annotation  # tune returns one
+    'Tuning'
+    """
+
+    index = "start"
+    model: Model
+    values: dict[str, Array]
+    before: Quantities
+    after: Quantities
+    multipliers: dict[str, float]
+    active: tuple[str, ...]
+    words: tuple[str, ...]
+    places: dict[str, str] = eqx.field(static=True)
+    unmet: tuple[str, ...]
+    history: Float[np.ndarray, "k 2"]
+    evaluations: int
+    runs: Runs
+    status: Int[np.ndarray, ""]
+    space: Space
+    minimize: str = eqx.field(static=True)
+    limits: NamedLimits = eqx.field(static=True)
+    remedy: str = eqx.field(static=True)
+    suspension: Suspension | None = None
+
+    def explain(self) -> str:
+        if int(self.status) == Status.INFEASIBLE:
+            return "with the smallest violation of the limits, " + "; ".join(self.unmet)
+        if int(self.status) == Status.NOT_CONVERGED:
+            unbounded = [name for name, where in self.places.items() if where == UNBOUNDED]
+            if unbounded:
+                change = (
+                    f"changed by more than a factor of {np.exp(FAR):.0f} without reaching a limit"
+                )
+                return f"{', '.join(unbounded)} {change}; add bounds or limits"
+            return f"after {self.evaluations} evaluations; the best iterate is kept; {self.remedy}"
+        return ""
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset over `start`: objective, violation, status, and every quantity
+        and parameter."""
+        runs = self.runs
+        all_starts = {
+            "objective": runs.objective,
+            "violation": runs.violation,
+            "status": runs.status,
+        }
+        variables = variables_over("start", {**runs.values, **runs.quantities, **all_starts})
+        return dataset(
+            variables,
+            {"start": np.arange(len(runs.status))},
+            f"design with the least {self.minimize}",
+        )
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        rows = []
+        for parameter in self.space.parameters:
+            numbers = _each(
+                parameter.path, parameter.name(2), parameter.form.start, self.values[parameter.path]
+            )
+            units = self.space.units(parameter)
+            rows += [
+                (label, *pair, unit, self.places.get(name, ""))
+                for (name, label, *pair), unit in zip(numbers, units, strict=True)
+            ]
+        quantities = [
+            (name, label, *pair, _limit(self.limits.get(name)), self.multipliers.get(label, ""))
+            for name, before in self.before.items()
+            for _, label, *pair in _each(name, name, before, self.after[name])
+        ]
+        note = "\n".join(
+            [
+                *self.words,
+                (
+                    f"{self.evaluations} evaluations, best of {len(self.runs.status)} "
+                    f"starts; {self.report()}"
+                ),
+            ]
+        )
+        heads = ("", "before", "after", "limit", f"{self.minimize} per unit of the limit")
+        return [
+            tables.PrintedTable(
+                f"Design with the least {self.minimize}",
+                ("parameter", "before", "after", "unit", ""),
+                rows,
+            ),
+            tables.PrintedTable("", heads, [row[1:] for row in quantities], note),
+        ]
+
+
+def _each(path: str, label: str, before: Any, after: Any) -> list[tuple[str, str, float, float]]:
+    """A row for each number of a scalar or an array."""
+    before, after = np.asarray(before), np.asarray(after)
+    after = np.where(np.abs(after) < DUST * np.abs(before), 0.0, after)
+    return [
+        (path + i, label + i, float(a), float(b))
+        for i, a, b in zip(indices(before.shape), before.ravel(), after.ravel(), strict=True)
+    ]
+
+
+def _limit(limit: tuple[float, float] | None) -> str:
+    if limit is None:
+        return ""
+    lower, upper = limit
+    if lower == upper:
+        return f"= {lower:.6g}"
+    return (
+        f"<= {upper:.6g}"
+        if lower == -np.inf
+        else f">= {lower:.6g}"
+        if upper == np.inf
+        else f"{lower:.6g} to {upper:.6g}"
+    )
+
+
+def _places(space: Space, search: Search) -> dict[str, str]:
+    """Parameters at a bound, from a catalogue, or unbounded; a number of a row in order, "[2]", at
+    the number before."""
+    at = np.minimum(np.abs(search.u - search.low), np.abs(search.u - search.high)) <= ACTIVE
+    positive = np.concatenate(
+        [
+            np.full(parameter.form.size, isinstance(parameter.form, Positive))
+            for parameter in space.parameters
+        ]
+    )
+    ended = space.ended(search.u) != ""
+    far = (np.abs(search.u) > FAR) & np.isinf(np.where(search.u < 0, search.low, search.high))
+    words = np.select(
+        [search.low == search.high, at | (far & ended & ~positive), far & positive],
+        [CHOSEN, BOUND, UNBOUNDED],
+        "",
+    )
+    return {
+        name.partition(" - [")[0]: str(word)
+        for name, word in zip(space.labels, words, strict=True)
+        if word
+    }
+
+
+def _status_and_multipliers(
+    search: Search, rows: Rows, space: Space
+) -> tuple[int, Multipliers | None]:
+    """The status of a search and its multipliers, by the conditions of optimality rather than the
+    optimizer's own report."""
+    if not search.finite:
+        return Status.NONFINITE.value, None
+    lambdas = multipliers(search)
+    if rows.violation(search.values, scales(rows, search.values)) > 10 * MET:
+        return Status.INFEASIBLE.value, lambdas
+    converged = lambdas.remaining <= CONVERGED and UNBOUNDED not in _places(space, search).values()
+    return (Status.OK.value if converged else Status.NOT_CONVERGED.value), lambdas
+
+
+def _remedy(program: Program, best: Search, iterations: int, model: Model) -> str:
+    """Advice for a search that has not converged: more iterations if it has used them all; or
+    bounds, if a derivative jumps at its end."""
+    rows, labels = program.rows, program.labels()
+    along = np.where(best.low < best.high, best.slopes[rows.objective], 0.0)
+    jumps = jumping(
+        lambda U: program(np.clip(U, best.low, best.high))[1][:, rows.requested], best.u, along
+    )
+    if jumps.any():
+        names = ", ".join(
+            dict.fromkeys(labels[i] for i, jump in zip(rows.requested, jumps, strict=True) if jump)
+        )
+        stops = [f"'{name}'" for name in at_kinks(model)]
+        cause = (
+            (
+                f", because {', '.join(stops)} rests at a kink of its law, like a "
+                "stop that just touches"
+            )
+            if stops
+            else ""
+        )
+        return (
+            f"derivatives of {names} jump there{cause}; this may be the optimum: check with bounds "
+            "that exclude one side of the kink"
+        )
+    if best.iterations >= iterations:
+        return "increase max_iterations"
+    return (
+        f"no further step improved the design, after {best.iterations} of {iterations} iterations; "
+        "try more starts or another method"
+    )
+
+
+def tuning_of(program: Program, searches: list[Search], best: Search, iterations: int) -> Tuning:
+    """The result of searches from all starts.
+
+    Args:
+        program: the quantities and their derivatives.
+        searches: all searches, after they have ended.
+        best: the best of them.
+        iterations: the largest number that each was allowed.
+    """
+    rows, space, quantities = program.rows, program.space, program.quantities
+    U, values = (
+        np.stack([getattr(search, name) for search in searches]) for name in ("u", "values")
+    )
+    codes = np.array([_status_and_multipliers(search, rows, space)[0] for search in searches])
+    violation = rows.violation(values, scales(rows, best.values))
+    design, values_of, values_of_runs = placed(space, device_array(best.u), device_array(U))
+    runs = Runs(values[:, rows.objective], violation, codes, values_of_runs, quantities(values))
+    status, prices = _status_and_multipliers(best, rows, space)
+    constraints = (
+        []
+        if prices is None or status == Status.INFEASIBLE
+        else _active_constraints(program, best, prices)
+    )
+    return Tuning(
+        model=model_of(design),
+        suspension=design if isinstance(design, Suspension) else None,
+        values=values_of,
+        before=quantities(program.origin),
+        after=quantities(best.values),
+        multipliers={constraint.name: constraint.price for constraint in constraints},
+        active=tuple(map(str, constraints)),
+        words=tuple(
+            constraint.effect(program.minimize, best.values[rows.objective])
+            for constraint in constraints
+        ),
+        places=_places(space, best),
+        unmet=_unmet(program, best.values),
+        history=np.array(best.history).reshape(-1, 2),
+        evaluations=program.count,
+        runs=runs,
+        status=np.asarray(status),
+        space=space,
+        minimize=program.minimize,
+        limits=program.limits,
+        remedy=_remedy(program, best, iterations, model_of(design))
+        if status == Status.NOT_CONVERGED
+        else "",
+    )
+
+
+@program
+def placed(space: Space, u: Float[Array, "n"], U: Float[Array, "b n"]):
+    """The design at u and its parameters, and those at each of U."""
+    return space.designed(u)[0], space.values(u), jax.vmap(space.values)(U)
+
+
+@dataclass(frozen=True)
+class ActiveConstraint:
+    """An active limit or bound with its shadow `price`, d objective/d limit."""
+
+    name: str
+    at: float
+    price: float
+    sign: str
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.sign} {self.at:.6g}"
+
+    def effect(self, objective: str, f: float) -> str:
+        """The effect of one percent more of the limit, as text."""
+        if not self.at or not f:
+            return f"{self}: one unit more changes {objective} by {self.price:.3g}"
+        return (
+            f"{self}: 1 % more ({0.01 * self.at:.3g}) changes {objective} by "
+            f"{self.price * self.at / f:+.3g} %"
+        )
+
+
+def _active_constraints(
+    program: Program, best: Search, prices: Multipliers
+) -> list[ActiveConstraint]:
+    rows, space, labels = program.rows, program.space, program.labels()
+    constraints = []
+    for row, lower, upper, price in zip(
+        rows.limited, rows.lower, rows.upper, prices.limits, strict=True
+    ):
+        if price:
+            sign = "=" if lower == upper else ">=" if price > 0 else "<="
+            constraints.append(
+                ActiveConstraint(
+                    labels[row], float(lower if price > 0 else upper), float(price), sign
+                )
+            )
+    numbers, slopes = space.numbers(best.u)
+    for name, x, slope, price, chosen in zip(
+        space.labels, numbers, slopes, prices.bounds, best.low == best.high, strict=True
+    ):
+        if price and not chosen:
+            constraints.append(
+                ActiveConstraint(name, float(x), float(price / slope), ">=" if price > 0 else "<=")
+            )
+    return constraints
+
+
+def _unmet(program: Program, values: np.ndarray) -> tuple[str, ...]:
+    """Violated limits, and by how much."""
+    rows, labels, messages = program.rows, program.labels(), []
+    for row, lower, upper, scale in zip(
+        rows.limited, rows.lower, rows.upper, scales(rows, values), strict=True
+    ):
+        x = values[row]
+        if max(lower - x, x - upper) > 10 * MET * scale:
+            end = lower if x < lower else upper
+            messages.append(
+                f"{labels[row]} is {x:.6g}, {'below' if x < lower else 'above'} {end:.6g} "
+                f"by {abs(x - end):.3g}"
+            )
+    return tuple(messages)

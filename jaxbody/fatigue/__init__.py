@@ -1,1 +1,0 @@
-"""Peaks of random responses, level crossings, and fatigue damage from densities and records."""

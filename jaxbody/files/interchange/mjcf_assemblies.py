@@ -1,0 +1,306 @@
+"""What is made of an MJCF file, by either reader: frames with their joints and masses, springs of
+joints and tendons, as a model."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.files.interchange.mjcf_documents import MjcfDocument
+from jaxbody.files.interchange.mjcf_geometry import ORIGIN, Place, about, from_z_to, product
+from jaxbody.model.bodies import Body, Support
+from jaxbody.model.elements.bushings import Bushing
+from jaxbody.model.elements.elements import Element
+from jaxbody.model.elements.springs import Spring, SpringDamper
+from jaxbody.model.elements.torsions import Torsion
+from jaxbody.model.joints.composite_joints import Composite
+from jaxbody.model.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.model.joints.joints import Fixed, Free, Joint
+from jaxbody.model.laws.spring_laws import TensionOnly
+from jaxbody.model.layouts import WORLD
+
+READ = ("compiler", "option", "default", "worldbody", "tendon")  # sections
+MEDIUM = ("density", "viscosity", "wind", "magnetic")
+PASSIVE = ("passive", "spring", "damper")
+STEPS = {"slide": "move", "hinge": "turn"}
+SEVERAL = "springs and dampers of several joints of one body that turns"
+LARGE_TURNS = "damping of ball joints at large turns, where it is that of the rotation vector"
+
+
+@dataclass(frozen=True, eq=False)
+class JointOfBody:
+    """A joint as the file states it: its kind (slide, hinge, ball or free), and in the axes of its
+    body its point and axis; `relaxed`: the displacement or angle from the pose in the file at which
+    its spring exerts no force."""
+
+    name: str
+    where: str
+    kind: str
+    at: np.ndarray
+    axis: np.ndarray
+    stiffness: float
+    damping: float
+    relaxed: float
+
+    def motion_to_relaxed(self) -> Place:
+        """The motion from the pose in the file to where its spring exerts no force."""
+        if self.kind == "slide":
+            return Place(self.relaxed * self.axis, ORIGIN.q)
+        turn = Place(np.zeros(3), about(self.axis, self.relaxed if self.kind == "hinge" else 0.0))
+        return Place(self.at - turn.point(self.at), turn.q)
+
+
+def joint_of(joints: list[JointOfBody], parent: str, on_parent: Place) -> Joint:
+    """The joint that carries a body, in the parent's frame. Error: WRONG_KIND."""
+    first = joints[0]
+    if len(joints) == 1 and first.kind == "free":
+        if parent != WORLD:
+            raise JaxbodyError(
+                Problem(
+                    "WRONG_KIND",
+                    first.where,
+                    f"is free on '{parent}'",
+                    parent,
+                    WORLD,
+                    "A free body has no parent.",
+                )
+            )
+        return Free()
+    at = [on_parent.point(joint.at) for joint in joints]
+    if len(joints) == 1 and first.kind == "ball":
+        return Ball(parent, at=at[0] if first.at.any() else None)
+    axes = [on_parent.R @ joint.axis for joint in joints]
+    if len(joints) > 1:
+        for joint in joints:
+            if joint.kind not in STEPS:
+                message = f"is a {joint.kind} joint, one of several of its body"
+                hint = "Put a body with a small mass between them."
+                raise JaxbodyError(
+                    Problem("WRONG_KIND", joint.where, message, joint.kind, ", ".join(STEPS), hint)
+                )
+        return Composite(
+            parent, [STEPS[joint.kind] for joint in joints], directions=axes, points=at
+        )
+    if first.kind == "slide":
+        return Guide(parent, axis=axes[0])
+    return Hinge(parent, axis=axes[0], at=at[0] if first.at.any() else None)
+
+
+def spring_of(
+    joint: JointOfBody, joints: list[JointOfBody], body: str, parent: str, on_parent: Place
+) -> Element | str:
+    """The spring and damper of one of a body's joints, or why there is none.
+
+    A turn is read from the poses if it is the body's only one, a slide if the body does not turn:
+    from the displacement d on the parent, q_i = n*_i . d, where n*_i . n_j is 1 for i = j, else 0.
+    """
+    at = (parent, on_parent.point(joint.at)), (body, joint.at)
+    turns = [other for other in joints if other.kind != "slide"]
+    if joint.kind == "free":
+        return "springs and dampers of free joints"
+    if joint.kind == "ball":
+        k, c = (np.diag([0, 0, 0, x, x, x]) for x in (joint.stiffness, joint.damping))
+        return Bushing(*at, stiffness=k, damping=c, orientation=on_parent.q)
+    if joint.kind == "hinge":
+        laws = {"spring": joint.stiffness or None, "damper": joint.damping or None}
+        return (
+            Torsion(*at, axis=joint.axis, free_angle=joint.relaxed, orientation=on_parent.q, **laws)
+            if len(turns) == 1
+            else SEVERAL
+        )
+    if turns:
+        return SEVERAL
+    along = np.linalg.pinv(np.stack([other.axis for other in joints]))[:, joints.index(joint)]
+    q = from_z_to(along)
+    k, c = (np.array([0, 0, x * (along @ along)]) for x in (joint.stiffness, joint.damping))
+    relaxed = parent, on_parent.point(joint.at + joint.relaxed * joint.axis)
+    return Bushing(
+        relaxed, at[1], stiffness=k, damping=c, orientation=product(on_parent.q, q), orientation_b=q
+    )
+
+
+@dataclass
+class Carried:
+    """A frame of the model: what carries it, where it is there and in the world, its joints, and
+    parts that make up its mass. One that does not move is a support."""
+
+    where: str
+    parent: str
+    on_parent: Place
+    place: Place
+    moves: bool
+    joints: list[JointOfBody]
+    parts: list[Body] = field(default_factory=list)
+
+
+class FramesOfFile(ABC):
+    """The frames, masses, joints and springs of a file, and what of it is left out."""
+
+    def __init__(self, document: MjcfDocument):
+        self.document, self.problems = document, document.problems
+        self.carried: dict[str, Carried] = {}
+        self.elements: dict[str, Element] = {}
+        self.left_out: dict[str, tuple[str, int]] = {}
+
+    def leave_out(self, what: str, where: str, times: int = 1) -> None:
+        first, count = self.left_out.get(what, (where, 0))
+        self.left_out[what] = first, count + times
+
+    def gather(self, where: str, make: Callable[[], Any]) -> Any:
+        """What `make` returns; None with its problems, at their line, where it fails."""
+        try:
+            return make()
+        except JaxbodyError as error:
+            self.problems.collected += [
+                Problem(x.code, f"{where} {x.where}", x.message, x.value, x.limit, x.hint)
+                for x in error.problems
+            ]
+            return None
+
+    def leave_out_sections(self) -> None:
+        """What the file says besides bodies, joints and tendons."""
+        for node in self.document.sections if self.document.root == "mujoco" else []:
+            if node.tag not in READ:
+                for child in node.children:
+                    self.leave_out(f"{node.tag} {child.tag}", child.where)
+            elif node.tag == "option":
+                for name in MEDIUM:
+                    if set(node.attributes.get(name, "0").split()) != {"0"}:
+                        self.leave_out(f"{name} of the medium", node.where)
+                for flag in node.all("flag"):
+                    for name in PASSIVE:
+                        if flag.attributes.get(name) == "disable":
+                            self.leave_out(f"flag that disables {name}", flag.where)
+
+    def carry(
+        self,
+        where: str,
+        name: str,
+        owner: str,
+        place: Place,
+        joints: list[JointOfBody],
+        own: Body | None,
+    ) -> tuple[str, Place]:
+        """Add a body of the file at a place on its owner; returns the frame of the model that it
+        becomes or is a part of, and its place there."""
+        carrier = self.carried.get(owner)
+        if joints or carrier is None or not carrier.moves or (own and carrier.parts):
+            whole = carrier.place @ place if carrier else place
+            name = self.name_of(name, f"body {len(self.carried) + 1}", self.carried, where)
+            moves = bool(joints) or (carrier is not None and carrier.moves)
+            self.carried[name] = carrier = Carried(where, owner, place, whole, moves, joints)
+            owner, place = name, ORIGIN
+        if own:
+            moved = self.gather(
+                where, lambda: Body.of_parts([own], position=place.p, orientation=place.q)
+            )
+            carrier.parts += [moved] if moved else []
+        return owner, place
+
+    def name_of(self, name: str, default: str, taken: Any, where: str) -> str:
+        """A name that a model accepts; one of the file's that it does not accept is in the list of
+        what was left out."""
+        allowed = "".join("_" if letter in ".*?[]" else letter for letter in name or default)
+        while allowed in taken or allowed == WORLD:
+            allowed += "_" if name else " 2"
+        if name not in (allowed, ""):
+            self.leave_out(f"the name '{name}', here '{allowed}'", where)
+        return allowed
+
+    def parts(self, scale: float, gravity: np.ndarray) -> dict[str, Any]:
+        """The arguments of the model, with all masses times `scale`."""
+        moving = {name: each for name, each in self.carried.items() if each.moves}
+        bodies = {
+            name: self.gather(each.where, lambda each=each: _body(each, scale))
+            for name, each in moving.items()
+        }
+        joints = {
+            name: self.gather(each.where, lambda each=each: _joint(each))
+            for name, each in moving.items()
+        }
+        supports = {
+            name: Support(each.place.p, each.place.q)
+            for name, each in self.carried.items()
+            if not each.moves
+        }
+        self.springs(moving)
+        self.tendons()
+        return {
+            "bodies": bodies,
+            "supports": supports,
+            "joints": joints,
+            "elements": self.elements,
+            "gravity": gravity,
+        }
+
+    @abstractmethod
+    def tendons(self) -> None:
+        """Add the springs of tendons."""
+
+    def springs(self, moving: dict[str, Carried]) -> None:
+        """The springs and dampers of joints."""
+        for body, each in moving.items():
+            for joint in each.joints:
+                if joint.stiffness or joint.damping:
+                    spring = self.gather(
+                        joint.where,
+                        lambda: spring_of(joint, each.joints, body, each.parent, each.on_parent),  # noqa: B023
+                    )
+                    taken = joint.name in self.carried
+                    self.add(
+                        spring,
+                        f"{joint.name} spring" if taken else joint.name,
+                        f"{body} spring",
+                        joint.where,
+                    )
+                if joint.kind == "ball" and joint.damping:
+                    self.leave_out(LARGE_TURNS, joint.where)
+
+    def add(self, spring: Element | str | None, name: str, default: str, where: str) -> None:
+        """An element of the model, or why there is none."""
+        if isinstance(spring, Element):
+            self.elements[self.name_of(name, default, {**self.carried, **self.elements}, where)] = (
+                spring
+            )
+        elif spring:
+            self.leave_out(spring, where)
+
+
+def tendon(
+    ends: list[tuple[str, np.ndarray]], k: float, c: float, low: float, high: float
+) -> Element | str:
+    """The spring of a tendon between two places on frames, without force from the one length to the
+    other; or why there is none."""
+    if not (k or c):
+        return "tendons without stiffness and damping"
+    if low == high:
+        return Spring(*ends, stiffness=k, damping=c, free_length=high)
+    if low > 0:
+        return "tendons with a dead band above zero"
+    return SpringDamper(*ends, spring=TensionOnly(k), damper=c or None, free_length=high)
+
+
+def _body(each: Carried, scale: float) -> Body:
+    """A body of the model from its parts."""
+    if not each.parts:
+        hint = "Give it a geom or an inertial element."
+        raise JaxbodyError(
+            Problem("BAD_MASS", "body", "has joints and no mass", limit="> 0", hint=hint)
+        )
+    whole = Body.of_parts(each.parts)
+    return Body(
+        scale * whole.mass,
+        scale * whole.inertia,
+        com=whole.com,
+        position=each.place.p,
+        orientation=each.place.q,
+    )
+
+
+def _joint(each: Carried) -> Joint:
+    return joint_of(each.joints, each.parent, each.on_parent) if each.joints else Fixed(each.parent)

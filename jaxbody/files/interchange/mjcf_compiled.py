@@ -1,0 +1,237 @@
+"""MJCF and URDF by MuJoCo's own compiler: the arrays of the model that it makes of a file say what
+the file means."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from jaxbody.files.interchange.mjcf_assemblies import FramesOfFile, JointOfBody, tendon
+from jaxbody.files.interchange.mjcf_documents import MjcfDocument, Node
+from jaxbody.files.interchange.mjcf_geometry import ORIGIN, Place
+from jaxbody.model.bodies import Body
+from jaxbody.model.layouts import WORLD
+
+LONGEST = 300.0  # s, of a compilation
+KINDS = ("free", "ball", "slide", "hinge")  # by MuJoCo's numbers
+# of what the tag of an element states
+KIND = {"freejoint": "joint", "spatial": "tendon", "fixed": "tendon", "link": "body"}
+SITE = 3  # MuJoCo's number of a site of a tendon
+LOOKS = ("visual", "collision")  # of links of URDF, whose masses are stated
+
+
+def compiled(path: Path, document: MjcfDocument) -> tuple[dict[str, np.ndarray] | None, str | None]:
+    """The arrays of the model that MuJoCo compiles; None where it is not installed, or refuses the
+    file, with its message. It would read files that this one names, wherever they are: one that
+    names others than those in its folder is not given to it."""
+    if importlib.util.find_spec("mujoco") is None:
+        return None, None
+    outside = [
+        name
+        for name in named_files(document)
+        if not (path.parent / name).resolve().is_relative_to(path.parent.resolve())
+    ]
+    if outside:
+        return None, f"it names '{outside[0]}', which is not in its folder"
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = path.resolve(), Path(folder, "arrays.npz")
+        if document.root == "robot":
+            source = _without_looks(path, Path(folder, "robot.urdf"))
+        command = [
+            sys.executable,
+            "-P",
+            str(Path(__file__).with_name("mujoco_process.py")),
+            str(source),
+            str(target),
+        ]
+        try:
+            run = subprocess.run(
+                command,
+                cwd=folder,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=LONGEST,
+            )
+        except subprocess.TimeoutExpired:
+            return None, f"its compilation takes more than {LONGEST:g} s"
+        if run.returncode or not target.exists():
+            said = (
+                " ".join(run.stderr.split()[-40:])
+                if run.returncode == 1
+                else f"its compilation ended with the exit code {run.returncode}"
+            )
+            return None, said or "its compilation failed"
+        with np.load(target) as arrays:
+            return dict(arrays), None
+
+
+def named_files(document: MjcfDocument) -> Iterator[str]:
+    """The files and folders that the elements of an MJCF document name; a model in another file,
+    which may name any, counts as outside."""
+    for node in nodes_of(document.sections if document.root == "mujoco" else []):
+        for name, value in node.attributes.items():
+            if name.startswith("file") or name.endswith("dir"):
+                yield value if node.tag != "model" else f"../{value}"
+
+
+def nodes_of(nodes: list[Node]) -> Iterator[Node]:
+    """The nodes, and all that are in them."""
+    for node in nodes:
+        yield node
+        yield from nodes_of(node.children)
+
+
+def _without_looks(path: Path, target: Path) -> Path:
+    """A copy of a URDF without shapes and the files that they name."""
+    tree = ElementTree.parse(path)
+    for link in tree.iter("link"):
+        for child in [child for child in link if child.tag in LOOKS]:
+            link.remove(child)
+    tree.write(target)
+    return target
+
+
+class CompiledReader(FramesOfFile):
+    """Makes the model of MuJoCo's arrays."""
+
+    def __init__(self, path: Path, document: MjcfDocument, arrays: dict[str, np.ndarray]):
+        super().__init__(document)
+        self.file, self.arrays = path.name, arrays
+        self.lines = {
+            (KIND.get(each.tag, each.tag), each.attributes.get("name")): each.where
+            for each in nodes_of(document.sections)
+        }
+        # of each body on a frame of the model
+        self.places: list[tuple[str, Place]] = [(WORLD, ORIGIN)]
+
+    def __getattr__(self, name: str) -> Any:
+        """An array by MuJoCo's name."""
+        if name in self.__dict__.get("arrays", {}):
+            return self.arrays[name]
+        raise AttributeError(name)
+
+    def where(self, kind: str, i: int) -> str:
+        """The line of a body, joint or tendon, if it has a name there."""
+        return self.lines.get((kind, str(self.arrays[f"{kind}_names"][i])), self.file)
+
+    def world(self) -> None:
+        """Collect all frames, with their joints and parts."""
+        self.leave_out_sections()
+        self.leave_out_effects()
+        for node in nodes_of(self.document.sections if self.document.root == "robot" else []):
+            if node.tag == "collision":
+                self.leave_out("contact of geoms", node.where)
+        for i in range(1, len(self.body_parentid)):
+            owner, at = self.places[self.body_parentid[i]]
+            first = self.body_jntadr[i]
+            joints = [self.joint(j) for j in range(first, first + self.body_jntnum[i])]
+            own = (
+                self.gather(self.where("body", i), lambda i=i: self.solid(i))
+                if self.body_mass[i]
+                else None
+            )
+            place = at @ Place(self.body_pos[i], self.body_quat[i])
+            self.places.append(
+                self.carry(
+                    self.where("body", i), str(self.body_names[i]), owner, place, joints, own
+                )
+            )
+
+    def solid(self, i: int) -> Body:
+        return Body(
+            self.body_mass[i],
+            self.body_inertia[i],
+            position=self.body_ipos[i],
+            orientation=self.body_iquat[i],
+        )
+
+    def joint(self, j: int) -> JointOfBody:
+        kind, q = KINDS[self.jnt_type[j]], self.jnt_qposadr[j]
+        relaxed = float(self.qpos_spring[q] - self.qpos0[q]) if kind in ("slide", "hinge") else 0.0
+        numbers = (
+            float(x) for x in (self.jnt_stiffness[j], self.dof_damping[self.jnt_dofadr[j]], relaxed)
+        )
+        return JointOfBody(
+            str(self.joint_names[j]),
+            self.where("joint", j),
+            kind,
+            self.jnt_pos[j],
+            self.jnt_axis[j],
+            *numbers,
+        )
+
+    def leave_out_effects(self) -> None:
+        """What has an effect in MuJoCo and none here."""
+        joints, tendons = "joints", "tendons"
+        touching = (self.geom_contype != 0) | (self.geom_conaffinity != 0)
+        effects = [
+            ("contact of geoms", touching),
+            ("fluidshape of geoms", self.geom_fluid.any(-1)),
+            ("gravcomp of bodies", self.body_gravcomp),
+        ]
+        effects += [
+            ("camera", np.ones(self.ncam)),
+            ("light", np.ones(self.nlight)),
+            ("flex", np.ones(self.nflex)),
+        ]
+        for owner, of in ((joints, "dof"), (tendons, "tendon")):
+            effects += [
+                (f"{what} of {owner}", self.arrays.get(f"{of}_{what}", ()))
+                for what in ("armature", "frictionloss")
+            ]
+            effects += [
+                (f"limits of {owner}", self.jnt_limited if owner == joints else self.tendon_limited)
+            ]
+        for what, of, owner in (
+            ("stiffness", "jnt", joints),
+            ("damping", "dof", joints),
+            ("stiffness", "tendon", tendons),
+            ("damping", "tendon", tendons),
+        ):
+            effects.append(
+                (
+                    f"higher powers of {what} of {owner}",
+                    np.asarray(self.arrays.get(f"{of}_{what}poly", np.zeros((1, 1)))).any(-1),
+                )
+            )
+        for what, numbers in effects:
+            if times := int(np.count_nonzero(numbers)):
+                self.leave_out(what, self.file, times)
+
+    def made(self) -> dict[str, Any]:
+        """The arguments of the model."""
+        return self.parts(1.0, self.gravity)
+
+    def tendons(self) -> None:
+        for i, (first, count) in enumerate(zip(self.tendon_adr, self.tendon_num, strict=True)):
+            where, wraps = self.where("tendon", i), slice(first, first + count)
+            if count != 2 or (self.wrap_type[wraps] != SITE).any():
+                self.leave_out("tendons other than between two sites", where)
+                continue
+            ends = []
+            for site in self.wrap_objid[wraps]:
+                owner, place = self.places[self.site_bodyid[site]]
+                ends.append((owner, place.point(self.site_pos[site])))
+            numbers = (
+                float(x)
+                for x in (
+                    self.tendon_stiffness[i],
+                    self.tendon_damping[i],
+                    *self.tendon_lengthspring[i],
+                )
+            )
+            self.add(
+                self.gather(where, lambda: tendon(ends, *numbers)),  # noqa: B023
+                str(self.tendon_names[i]),
+                "tendon",
+                where,
+            )

@@ -1,0 +1,418 @@
+"""Models from MJCF, the files of MuJoCo: bodies, inertias, joints, springs of joints and tendons,
+and a list of what was left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.errors import JaxbodyError, Problem, unknown
+from jaxbody.files.documents import LARGEST
+from jaxbody.files.interchange.mjcf_assemblies import FramesOfFile, JointOfBody, tendon
+from jaxbody.files.interchange.mjcf_compiled import CompiledReader, compiled
+from jaxbody.files.interchange.mjcf_documents import (
+    MAIN,
+    Attributes,
+    MjcfDocument,
+    Node,
+    read_document,
+)
+from jaxbody.files.interchange.mjcf_geometry import ORIGIN, Place, place_of, solid
+from jaxbody.model.bodies import Body
+from jaxbody.model.elements.elements import Element
+from jaxbody.model.layouts import WORLD
+from jaxbody.model.models import Model
+
+EARTH = (0, 0, -9.81)
+OF_JOINTS = (
+    "name",
+    "class",
+    "type",
+    "pos",
+    "axis",
+    "stiffness",
+    "damping",
+    "springref",
+    "ref",
+    "group",
+    "user",
+)
+OF_TENDONS = (
+    "name",
+    "class",
+    "stiffness",
+    "damping",
+    "springlength",
+    "group",
+    "user",
+    "width",
+    "rgba",
+    "material",
+)
+OF_LIMITS = (
+    "limited",
+    "margin",
+    "solreflimit",
+    "solimplimit",
+    "solreffriction",
+    "solimpfriction",
+    "actuatorfrcrange",
+    "actuatorfrclimited",
+)
+WITHOUT_EFFECT = ("0", "0 0", "false", "none", "auto")
+IN_BODIES = ("body", "frame", "inertial", "joint", "freejoint", "geom", "site", "camera", "light")
+BY_MUJOCO = "MuJoCo's own compiler reads it: pip install 'jaxbody[mujoco]'."
+
+
+class LeftOut(NamedTuple):
+    """Something of an MJCF file that is not in the model: where it is first, what, and
+    how often."""
+
+    where: str
+    what: str
+    times: int
+
+
+@dataclass(frozen=True, repr=False)
+class MjcfModel(tables.Printed):
+    """A model from an MJCF file, and what the file says besides."""
+
+    model: Model
+    left_out: tuple[LeftOut, ...]
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        rows = [(each.what, each.times, each.where) for each in self.left_out] or [
+            ("nothing", 0, "")
+        ]
+        return [
+            *self.model._tables(),
+            tables.PrintedTable("Left out", ("what", "times", "first in"), rows),
+        ]
+
+
+def read_mjcf(path: Any, *, largest: float = LARGEST) -> MjcfModel:
+    """The model in an MJCF or URDF file, and what was left out of it.
+
+    Where the package mujoco is installed (`jaxbody[mujoco]`), MuJoCo's own compiler says what the
+    file means, in a process of its own, and masses are those of its meshes, too; it reads no file
+    out of the folder of this one. Without it, and where it refuses the file, as one whose meshes
+    are missing, jaxbody reads MJCF by itself, and refuses what it does not know in bodies.
+
+    A body with joints becomes a body: one joint becomes a Free, Ball, Hinge or Guide, several
+    become a Composite. A body without joints becomes a support if it stands in the world, else it
+    is Fixed to its parent, or a part of it where one of the two has no mass. Springs and dampers of
+    joints become torsions and bushings, those of tendons between two sites springs. Coordinates
+    count from the pose in the file.
+
+    Args:
+        path: path of the file, .xml; the files that it includes are in its folder
+        largest: largest size of each file [bytes]
+
+    Errors, all at once with their lines: those of files, SYNTAX, ENCODING, WRONG_FORMAT,
+    WRONG_KIND, OUTSIDE_FOLDER, LOOP, UNKNOWN_NAME, NOT_A_NUMBER, MISSING_ENTRY for an inertia that
+    only a mesh would tell, MISSING_EXTRA for a URDF without mujoco, and those of bodies, joints
+    and elements.
+
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "pendulum.xml")
+    >>> _ = path.write_text('''<mujoco><worldbody><body name="bob" pos="0 0 1">
+    ...   <joint name="pivot" axis="0 1 0" damping="0.1" armature="0.01"/>
+    ...   <geom type="sphere" size="0.1" mass="2" pos="0 0 -0.5"/>
+    ... </body></worldbody></mujoco>''')
+    >>> read = read_mjcf(path)
+    >>> read.model["bob"].com.tolist(), sorted(each.what for each in read.left_out)
+    ([0.0, 0.0, -0.5], ['armature of joints', 'contact of geoms'])
+    """
+    path = Path(path)
+    document = read_document(path, largest)
+    arrays, refusal = compiled(path, document)
+    reader: Any = (
+        MjcfReader(path, document) if arrays is None else CompiledReader(path, document, arrays)
+    )
+    if document.root == "robot" and arrays is None:
+        hint = BY_MUJOCO if refusal is None else "It is read by MuJoCo's compiler alone."
+        code, message = (
+            ("MISSING_EXTRA", "is a URDF")
+            if refusal is None
+            else ("WRONG_FORMAT", f"is a URDF that MuJoCo refuses: {refusal}")
+        )
+        raise JaxbodyError(Problem(code, path.name, message, limit="a file of MuJoCo", hint=hint))
+    try:
+        with reader.problems:
+            reader.world()
+        with reader.problems:
+            parts = reader.made()
+    except JaxbodyError as error:
+        said = (
+            [
+                Problem(
+                    "UNREADABLE", path.name, f"is not read by MuJoCo's compiler either: {refusal}"
+                )
+            ]
+            if refusal
+            else []
+        )
+        raise JaxbodyError(*error.problems, *said) from None
+    return MjcfModel(
+        Model(**parts),
+        tuple(LeftOut(where, what, count) for what, (where, count) in reader.left_out.items()),
+    )
+
+
+class MjcfReader(FramesOfFile):
+    """Reads one document, without MuJoCo."""
+
+    def __init__(self, path: Path, document: MjcfDocument):
+        super().__init__(document)
+        self.compiler = Attributes(
+            self.document.settings("compiler"), f"{path.name} compiler", self.problems
+        )
+        self.option = Attributes(
+            self.document.settings("option"), f"{path.name} option", self.problems
+        )
+        self.degrees = self.compiler.text("angle", "degree") != "radian"
+        self.sites: dict[str, tuple[str, np.ndarray]] = {}  # on a frame, in its axes
+        self.total = 0.0  # mass [kg] of the file
+
+    def place(self, a: Attributes) -> Place:
+        return place_of(a, self.degrees, self.sequence)
+
+    @property
+    def sequence(self) -> str:
+        return self.compiler.text("eulerseq", "xyz")
+
+    def world(self) -> None:
+        """Collect all frames, with their joints and parts."""
+        if len(self.sequence) != 3 or set(self.sequence.lower()) - set("xyz"):
+            where = f"{self.compiler.where} eulerseq"
+            self.problems.add(
+                "BAD_SEQUENCE",
+                where,
+                f"is '{self.sequence}'",
+                value=self.sequence,
+                limit="three of x y z X Y Z",
+            )
+            self.problems.raise_if_any()
+        if self.compiler.text("coordinate", "local") != "local":
+            hint = "Let an older MuJoCo save it with local ones."
+            self.problems.add(
+                "WRONG_KIND",
+                self.compiler.where,
+                "has global coordinates",
+                limit="coordinate='local'",
+                hint=hint,
+            )
+        self.leave_out_sections()
+        for node in self.document.all("worldbody"):
+            for child, place, kind in self.contents(
+                node, ORIGIN, node.attributes.get("childclass", MAIN)
+            ):
+                self.thing(child, WORLD, place, kind)
+        if self.compiler.flag("balanceinertia"):
+            self.leave_out("balanceinertia", self.compiler.where)
+
+    def contents(self, node: Node, place: Place, kind: str) -> Iterator[tuple[Node, Place, str]]:
+        """The elements in a body, each with the place of the frame around it, and the class of
+        elements without one."""
+        for child in node.children:
+            if child.tag == "frame":
+                own = place @ self.place(
+                    Attributes(child.attributes, f"{child.where} frame", self.problems)
+                )
+                yield from self.contents(child, own, child.attributes.get("childclass", kind))
+            else:
+                yield child, place, kind
+
+    def thing(self, node: Node, owner: str, around: Place, kind: str) -> None:
+        """An element in the world or a body: `around` is the place, on its owner, of the frame in
+        which it is stated."""
+        if node.tag == "body":
+            self.body(node, owner, around, node.attributes.get("childclass", kind))
+        elif node.tag == "site":
+            a = self.document.attributes(node, kind)
+            self.sites[a.text("name")] = owner, (around @ self.place(a)).p
+        elif node.tag == "geom":
+            a = self.document.attributes(node, kind)
+            if a.text("contype", "1") != "0" or a.text("conaffinity", "1") != "0":
+                self.leave_out("contact of geoms", node.where)
+            if a.text("fluidshape", "none") != "none":
+                self.leave_out("fluidshape of geoms", node.where)
+        elif node.tag in ("camera", "light"):
+            self.leave_out(node.tag, node.where)
+        elif node.tag not in ("inertial", "joint", "freejoint"):
+            message = f"is an element '{node.tag:.60}', which may have mass"
+            self.problems.add(
+                "UNKNOWN_NAME",
+                node.where,
+                message,
+                value=node.tag,
+                limit=", ".join(IN_BODIES),
+                hint=BY_MUJOCO,
+            )
+
+    def body(self, node: Node, owner: str, around: Place, kind: str) -> None:
+        a = Attributes(node.attributes, f"{node.where} body", self.problems)
+        place = around @ self.place(a)
+        inside = list(self.contents(node, ORIGIN, kind))
+        joints = [
+            self.joint(child, frame, of)
+            for child, frame, of in inside
+            if child.tag in ("joint", "freejoint")
+        ]
+        own = self.solid(node, inside)
+        if a.text("gravcomp", "0") not in WITHOUT_EFFECT:
+            self.leave_out("gravcomp of bodies", node.where)
+        owner, place = self.carry(node.where, a.text("name"), owner, place, joints, own)
+        for child, frame, of in inside:
+            self.thing(child, owner, place @ frame, of)
+
+    def solid(self, node: Node, inside: list[tuple[Node, Place, str]]) -> Body | None:
+        """The mass and inertia of a body of the file, in its frame; None without mass."""
+        source, inertial = (
+            self.compiler.text("inertiafromgeom", "auto"),
+            next(node.all("inertial"), None),
+        )
+        if inertial and source != "true":
+            parts = [self.gather(inertial.where, lambda: self.stated(inertial))]
+        elif source == "false":
+            parts = []
+        else:
+            low, high = self.compiler.row("inertiagrouprange", [0, 5], (2,))
+            geoms = [
+                (self.document.attributes(child, kind), frame)
+                for child, frame, kind in inside
+                if child.tag == "geom"
+            ]
+            chosen = [(a, frame) for a, frame in geoms if low <= a.number("group") <= high]
+            parts = [
+                self.gather(a.where, lambda a=a, frame=frame: solid(a, frame @ self.place(a)))
+                for a, frame in chosen
+            ]
+        parts = [part for part in parts if part is not None]
+        whole = (
+            self.gather(node.where, lambda: self.bounded(Body.of_parts(parts))) if parts else None
+        )
+        self.total += float(whole.mass) if whole else 0.0
+        return whole
+
+    def stated(self, node: Node) -> Body | None:
+        a = Attributes(node.attributes, f"{node.where} inertial", self.problems)
+        place, mass = self.place(a), a.number("mass")
+        inertia = (
+            a.row("fullinertia", np.zeros(6), (6,))
+            if "fullinertia" in a
+            else a.vector("diaginertia")
+        )
+        return Body(mass, inertia, position=place.p, orientation=place.q) if mass else None
+
+    def bounded(self, body: Body) -> Body:
+        """A body with at least the mass and the principal moments that the compiler's settings
+        ask for."""
+        mass, least = (
+            max(float(body.mass), self.compiler.number("boundmass")),
+            self.compiler.number("boundinertia"),
+        )
+        if mass == float(body.mass) and not least:
+            return body
+        moments, axes = np.linalg.eigh(body.inertia)
+        return Body(mass, axes @ np.diag(np.maximum(moments, least)) @ axes.T, com=body.com)
+
+    def joint(self, node: Node, frame: Place, kind: str) -> JointOfBody:
+        a = self.document.attributes(node, kind)
+        sort = "free" if node.tag == "freejoint" else a.text("type", "hinge")
+        if sort not in ("free", "ball", "slide", "hinge"):
+            self.problems.add(
+                "WRONG_KIND",
+                a.where,
+                f"has the type '{sort:.60}'",
+                value=sort,
+                limit="free, ball, slide, hinge",
+            )
+        self.leave_out_attributes(a, node.where, OF_JOINTS, "joints")
+        axis = a.vector("axis", (0, 0, 1))
+        if not axis.any():
+            self.problems.add(
+                "ZERO_AXIS",
+                f"{a.where} axis",
+                "has length zero",
+                value=axis,
+                limit="> 0",
+                hint="Give a direction.",
+            )
+            axis = np.array([0, 0, 1.0])
+        unit = np.pi / 180 if self.degrees and sort == "hinge" else 1.0
+        relaxed = unit * (a.number("springref") - a.number("ref"))
+        k, c = (self.coefficient(a, name, "joints") for name in ("stiffness", "damping"))
+        axis = frame.R @ (axis / np.linalg.norm(axis))
+        return JointOfBody(
+            a.text("name"), node.where, sort, frame.point(a.vector("pos")), axis, k, c, relaxed
+        )
+
+    def coefficient(self, a: Attributes, name: str, owners: str) -> float:
+        """The linear coefficient; MuJoCo also has polynomials."""
+        row = a.row(name, [0.0])
+        if row[1:].any():
+            self.leave_out(f"higher powers of {name} of {owners}", a.where.partition(" ")[0])
+        return float(row[0]) if len(row) else 0.0
+
+    def leave_out_attributes(
+        self, a: Attributes, where: str, known: tuple[str, ...], owners: str
+    ) -> None:
+        """What has an effect in MuJoCo and none here."""
+        for name, value in a.values.items():
+            if (
+                name == "range"
+                and value not in WITHOUT_EFFECT
+                and a.text("limited", "auto") != "false"
+            ):
+                self.leave_out(f"limits of {owners}", where)
+            elif name not in (*known, *OF_LIMITS, "range") and value not in WITHOUT_EFFECT:
+                self.leave_out(f"{name} of {owners}", where)
+
+    def made(self) -> dict[str, Any]:
+        """The arguments of the model."""
+        stated = self.compiler.number("settotalmass")
+        flags = [flag for option in self.document.all("option") for flag in option.all("flag")]
+        weightless = any(flag.attributes.get("gravity") == "disable" for flag in flags)
+        gravity = np.zeros(3) if weightless else self.option.vector("gravity", EARTH)
+        return self.parts(stated / self.total if stated > 0 and self.total > 0 else 1.0, gravity)
+
+    def tendons(self) -> None:
+        """The springs and dampers of tendons."""
+        for node in (node for section in self.document.all("tendon") for node in section.children):
+            a = self.document.attributes(node, MAIN)
+            spring = self.gather(node.where, lambda: self.tendon(node, a))  # noqa: B023
+            if isinstance(spring, Element):
+                self.leave_out_attributes(a, node.where, OF_TENDONS, "tendons")
+            self.add(spring, a.text("name"), "tendon", node.where)
+
+    def relaxed(self, name: str) -> Place:
+        """The place of a frame in the world where the springs of all joints exert no force: there,
+        free lengths of tendons are measured."""
+        if name == WORLD:
+            return ORIGIN
+        each = self.carried[name]
+        place = self.relaxed(each.parent) @ each.on_parent
+        for joint in each.joints:
+            place = place @ joint.motion_to_relaxed()
+        return place
+
+    def tendon(self, node: Node, a: Attributes) -> Element | str:
+        """The spring of a tendon between two sites, or why there is none."""
+        sites = [child.attributes.get("site") for child in node.children]
+        if node.tag != "spatial" or len(sites) != 2 or None in sites:
+            return "tendons other than between two sites"
+        for site in sites:
+            if site not in self.sites:
+                raise JaxbodyError(unknown(str(site), "site", tuple(self.sites)))
+        ends = [self.sites[str(site)] for site in sites]
+        there, here = (self.relaxed(name).point(p) for name, p in ends)
+        stated = a.row("springlength", [-1.0], (1, 2))
+        low, high = np.where(stated < 0, np.linalg.norm(there - here), stated)[[0, -1]]
+        k, c = (self.coefficient(a, name, "tendons") for name in ("stiffness", "damping"))
+        return tendon(ends, k, c, low, high)

@@ -1,0 +1,410 @@
+"""Models as MJCF, for MuJoCo: the same bodies, joints, springs and dampers, to compare motions from
+rest or from an initial state."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from jaxbody.core.arrays import is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.source_files import writing
+from jaxbody.files.interchange.mjcf_geometry import ORIGIN, Place
+from jaxbody.geometry.orientations import matrix
+from jaxbody.model.elements.bushings import Bushing
+from jaxbody.model.elements.springs import Spring, SpringDamper
+from jaxbody.model.elements.torsions import Torsion
+from jaxbody.model.joints.combined_joints import Combined
+from jaxbody.model.joints.composite_joints import Composite
+from jaxbody.model.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.model.joints.joints import Fixed, Free, Joint
+from jaxbody.model.joints.series_joints import Series
+from jaxbody.model.laws.laws import Law, Linear
+from jaxbody.model.laws.spring_laws import TensionOnly
+from jaxbody.model.layouts import WORLD
+from jaxbody.model.models import Model
+
+CLOSE = 1e-9  # of axes and rotations that must coincide
+LEAST = 1e-15  # kg m2, of a moving body
+KINDS = {True: "hinge", False: "slide"}
+ON_JOINTS = (
+    "It can be written along the axes of a joint that moves its body, about that of a hinge, or "
+    "the same about all axes of a ball."
+)
+TENDONS = "Springs between two points with linear laws, or ropes, can be written."
+
+
+def write_mjcf(model: Model, path: Any) -> None:
+    """Write a model to an MJCF file, to simulate it with MuJoCo, or to look at it there.
+
+    Supports become bodies that stand still. Springs become tendons between two sites; torsions, and
+    bushings on bodies that only move or are on a ball joint, become springs and dampers of joints.
+    The coordinates of joints count from the reference pose, as here; the speeds of free bodies and
+    ball joints turn about the axes of the body there, of the parent here. Base motions are not
+    written: MuJoCo moves bodies by position alone, so that dampers do not feel their velocity.
+
+    Args:
+        model: the model; the file replaces one of the same name
+        path: path of the file, .xml
+
+    Errors, all at once: WRONG_KIND for elements, laws and joints that MJCF does not have,
+    NOT_POSITIVE for a moving body without inertia, UNKNOWN_FORMAT, BAD_SHAPE for a batch of models,
+    TRACED, NOT_SAVED.
+
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "car.xml")
+    >>> write_mjcf(jb.presets.quarter_car(), path)
+    >>> float(read_mjcf(path).model["tyre"].stiffness)
+    193000.0
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".xml":
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_FORMAT",
+                path.name,
+                f"has the extension '{path.suffix}'",
+                path.suffix,
+                ".xml",
+            )
+        )
+    if model.closures:
+        message, hint = (
+            f"has closures ({', '.join(model.closure_names)})",
+            "It takes trees of joints; stiff bushings may close loops.",
+        )
+        raise JaxbodyError(
+            Problem("CLOSED_LOOPS", "write_mjcf.model", message, limit="no closures", hint=hint)
+        )
+    if not is_concrete(model):
+        hint = "Write the result of the program."
+        raise JaxbodyError(
+            Problem("TRACED", "write_mjcf", "cannot be called inside jit, vmap or grad", hint=hint)
+        )
+    if model.gravity.ndim > 1:
+        hint = "Write one of them: jax.tree.map(lambda x: x[0], models)."
+        raise JaxbodyError(
+            Problem(
+                "BAD_SHAPE",
+                "write_mjcf",
+                f"is a batch of {len(model.gravity)} models",
+                limit="one model",
+                hint=hint,
+            )
+        )
+    root = MjcfWriter(model).root()
+    ElementTree.indent(root)
+    with writing(path):
+        path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
+
+
+class MjcfWriter:
+    """Makes the XML of a model."""
+
+    def __init__(self, model: Model):
+        self.model, self.problems = model, Problems()
+        layout = model.layout
+        frames = {name: model[name] for name in (*layout.supports, *layout.bodies)}
+        self.places = {WORLD: ORIGIN} | {
+            name: Place(np.asarray(x.position), np.asarray(x.orientation))
+            for name, x in frames.items()
+        }
+        self.joints = {name: model.joint(name) for name in layout.bodies}
+        self.parents = dict.fromkeys(layout.supports, WORLD) | {
+            name: joint.parent for name, joint in self.joints.items()
+        }
+        self.nodes: dict[str, Any] = {}  # of frames
+        self.steps: dict[str, list[Any]] = {}  # nodes of the joints of each body
+
+    def root(self) -> Any:
+        root = ElementTree.Element("mujoco")
+        ElementTree.SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
+        option = ElementTree.SubElement(
+            root, "option", gravity=_row(self.model.gravity), integrator="RK4", timestep="0.0005"
+        )
+        ElementTree.SubElement(option, "flag", contact="disable")
+        self.nodes[WORLD] = ElementTree.SubElement(root, "worldbody")
+        for name in sorted(self.parents, key=lambda name: len(self.model.layout.chains[name])):
+            self.frame(name)
+        tendons = ElementTree.Element("tendon")
+        for name in self.model.element_names:
+            element = self.model[name]
+            if isinstance(element, Spring | SpringDamper):
+                self.tendon(tendons, name, element)
+            elif isinstance(element, Bushing | Torsion):
+                self.on_joint(name, element)
+            else:
+                self.refuse(name, f"has the type {type(element).__name__}", TENDONS)
+        if len(tendons):
+            root.append(tendons)
+        self.problems.raise_if_any()
+        return root
+
+    def refuse(self, element: str, message: str, hint: str) -> None:
+        self.problems.add(
+            "WRONG_KIND",
+            f"elements['{element}']",
+            f"{message}, which MJCF does not have",
+            limit="what MJCF has",
+            hint=hint,
+        )
+
+    def frame(self, name: str) -> None:
+        """A support or body in its parent, with its joints and inertia."""
+        parent, joint = self.parents[name], self.joints.get(name)
+        place = self.places[parent].inverse() @ self.places[name]
+        node = ElementTree.SubElement(
+            self.nodes[parent], "body", name=name, pos=_row(place.p), quat=_row(place.q)
+        )
+        self.nodes[name], self.steps[name] = node, []
+        if joint is None:
+            return
+        for i, (kind, axis, at) in enumerate(self.lines(name, joint, place)):
+            given = {"name": f"{name} {i + 1}" if i else name, "type": kind}
+            given |= ({} if axis is None else {"axis": _row(axis)}) | (
+                {} if kind == "free" else {"pos": _row(at)}
+            )
+            self.steps[name].append(ElementTree.SubElement(node, "joint", given))
+        body = self.model[name]
+        moments = np.linalg.eigvalsh(body.inertia)
+        if self.steps[name] and moments[0] < LEAST:
+            hint = "Give it a small inertia, also where it does not turn."
+            message = (
+                f"has the smallest principal moment {moments[0]:.3g} kg m2, and MuJoCo needs "
+                "one of each moving body"
+            )
+            self.problems.add(
+                "NOT_POSITIVE",
+                f"bodies['{name}']",
+                message,
+                value=moments[0],
+                limit=f">= {LEAST}",
+                hint=hint,
+            )
+        six = np.asarray(body.inertia)[
+            *np.array(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))).T
+        ]
+        ElementTree.SubElement(
+            node, "inertial", pos=_row(body.com), mass=_row(body.mass), fullinertia=_row(six)
+        )
+
+    def lines(self, name: str, joint: Joint, place: Place) -> list[tuple[str, Any, np.ndarray]]:
+        """The kind, axis and point of each joint, in the axes of the body."""
+        back = place.inverse()
+        if isinstance(joint, Free) and joint.parent == WORLD:
+            return [("free", None, np.zeros(3))]
+        if isinstance(joint, Fixed):
+            return []
+        at = np.zeros(3) if joint.at is None else back.point(np.asarray(joint.at))
+        if isinstance(joint, Ball):
+            return [("ball", None, at)]
+        if isinstance(joint, Guide | Hinge):
+            return [
+                (
+                    "slide" if isinstance(joint, Guide) else "hinge",
+                    back.R @ np.asarray(joint.axis),
+                    at,
+                )
+            ]
+        if isinstance(joint, Series):
+            steps = [
+                (KINDS[turn], np.eye(3)[axis], place.p)
+                for axis, turn in zip(joint.steps, joint.turns, strict=True)
+            ]
+        elif isinstance(joint, Combined):
+            through = place.p if joint.at is None else np.asarray(joint.at)
+            steps = [
+                (KINDS[turn], n, through)
+                for turn, n in zip(joint.turns, np.asarray(joint.directions), strict=True)
+            ]
+        elif isinstance(joint, Composite):
+            steps = list(
+                zip(
+                    [KINDS[turn] for turn in joint.turns],
+                    np.asarray(joint.directions),
+                    np.asarray(joint.points),
+                    strict=True,
+                )
+            )
+        else:
+            what = (
+                f"Free on '{joint.parent}'"
+                if isinstance(joint, Free)
+                else f"of the type {type(joint).__name__}"
+            )
+            hint = (
+                "Free bodies are in the world there; hinges, guides and balls "
+                "may be on other bodies."
+            )
+            self.problems.add(
+                "WRONG_KIND",
+                f"joints['{name}']",
+                f"is {what}",
+                value=joint,
+                limit="what MJCF has",
+                hint=hint,
+            )
+            return []
+        return [(kind, back.R @ axis, back.point(at)) for kind, axis, at in steps]
+
+    def tendon(self, tendons: Any, name: str, element: Spring | SpringDamper) -> None:
+        """A spring as a tendon between two sites."""
+        if isinstance(element, Spring):
+            k, c, rope = element.stiffness, element.damping, False
+        else:
+            rope = isinstance(element.spring, TensionOnly)
+            k, c = (
+                element.spring.stiffness
+                if isinstance(element.spring, TensionOnly)
+                else _coefficient(element.spring),
+                _coefficient(element.damper),
+            )
+        if k is None or c is None:
+            self.refuse(name, "has a law that is not linear", TENDONS)
+            return
+        length = float(element.free_length)
+        given = {
+            "stiffness": _row(k),
+            "damping": _row(c),
+            "springlength": _row([0.0, length] if rope and length else length),
+        }
+        node = ElementTree.SubElement(tendons, "spatial", {"name": name} | given)
+        for letter, end, point in zip("ab", element.between, element.points, strict=True):
+            ElementTree.SubElement(
+                self.nodes[end], "site", name=f"{name} {letter}", pos=_row(point)
+            )
+            ElementTree.SubElement(node, "site", site=f"{name} {letter}")
+
+    def on_joint(self, name: str, element: Bushing | Torsion) -> None:
+        """A torsion or bushing as springs and dampers of the joint between its ends."""
+        body = next(
+            (end for end in element.between if self.parents.get(end) in element.between), ""
+        )
+        found = self.springs(element, body) if self.steps.get(body) else None
+        if found is None:
+            self.refuse(
+                name, f"is a {type(element).__name__} that is no spring of a joint", ON_JOINTS
+            )
+            return
+        acting = [
+            (node, *numbers)
+            for node, numbers in zip(self.steps[body], found, strict=True)
+            if numbers[0] or numbers[1]
+        ]
+        for i, (node, k, c, relaxed) in enumerate(acting):
+            if "stiffness" in node.attrib:
+                self.refuse(name, "is a second spring of a joint", "Put both into one.")
+            node.attrib.update(
+                name=f"{name} {i + 1}" if i else name,
+                stiffness=_row(k),
+                damping=_row(c),
+                springref=_row(relaxed),
+            )
+
+    def springs(
+        self, element: Bushing | Torsion, body: str
+    ) -> list[tuple[float, float, float]] | None:
+        """Stiffness, damping and relaxed coordinate of each joint of the body for an element
+        between it and its parent; None if these do not say what the element does."""
+        place = self.places[self.parents[body]].inverse() @ self.places[body]
+        ends = [place if end == body else ORIGIN for end in element.between]
+        R_A, R_B = (
+            end.R @ matrix(q)
+            for end, q in zip(ends, (element.orientation, element.orientation_b), strict=True)
+        )
+        C, sign = R_A.T @ R_B, 1 if element.between[1] == body else -1
+        kinds, axes, points = zip(*self.lines(body, self.joints[body], place), strict=True)
+        N = (
+            sign
+            * R_A.T
+            @ place.R
+            @ np.stack([np.zeros(3) if axis is None else axis for axis in axes], -1)
+        )
+        if isinstance(element, Torsion):
+            return _twists(element, kinds, N, C)
+        a, b = (end.point(np.asarray(x)) for end, x in zip(ends, element.points, strict=True))
+        if np.abs(C - np.eye(3)).max() > CLOSE:
+            return None
+        if set(kinds) == {"slide"}:
+            return _slides(element, N, R_A.T @ (b - a))
+        apart = np.abs(np.stack([a, b]) - place.point(points[0])).max()
+        return _ball(element) if kinds == ("ball",) and apart < CLOSE else None
+
+
+def _twists(
+    element: Torsion, kinds: tuple[str, ...], N: np.ndarray, C: np.ndarray
+) -> list[tuple[float, float, float]] | None:
+    """e = +-q + c - e0 for the one turn of a joint about the axis of the torsion."""
+    turns, n, (k, c) = (
+        [i for i, kind in enumerate(kinds) if kind != "slide"],
+        np.asarray(element.axis),
+        map(_coefficient, _laws(element)),
+    )
+    if (
+        len(turns) != 1
+        or kinds[turns[0]] != "hinge"
+        or k is None
+        or c is None
+        or np.abs(C @ n - n).max() > CLOSE
+    ):
+        return None
+    along = float(n @ N[:, turns[0]])
+    if abs(abs(along) - 1) > CLOSE:
+        return None
+    w = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
+    relaxed = np.sign(along) * (float(element.free_angle) - 2 * np.arctan2(n @ w, 1 + np.trace(C)))
+    return [
+        (float(k), float(c), relaxed) if i in turns else (0.0, 0.0, 0.0) for i in range(len(kinds))
+    ]
+
+
+def _slides(
+    element: Bushing, N: np.ndarray, p: np.ndarray
+) -> list[tuple[float, float, float]] | None:
+    """V = 1/2 (p + N q)' K (p + N q), if each q is by itself."""
+    K, C = (
+        np.diag(x) if x.ndim == 1 else x[:3, :3]
+        for x in map(np.asarray, (element.stiffness, element.damping))
+    )
+    (k, coupled), (c, also) = (
+        (np.diag(A), A - np.diag(np.diag(A))) for A in (N.T @ K @ N, N.T @ C @ N)
+    )
+    if (
+        np.abs(coupled).max() > CLOSE * np.abs(k).max()
+        or np.abs(also).max() > CLOSE * np.abs(c).max()
+    ):
+        return None
+    force = N.T @ K @ p
+    return [
+        (float(x), float(y), float(-f / x) if x else 0.0)
+        for x, y, f in zip(k, c, force, strict=True)
+    ]
+
+
+def _ball(element: Bushing) -> list[tuple[float, float, float]] | None:
+    """The same stiffness about all axes; dampers differ at large turns."""
+    if element.stiffness.shape == (3,):
+        return None
+    K = np.asarray(element.stiffness)[3:, 3:]
+    return (
+        None
+        if np.asarray(element.damping)[3:, 3:].any() or np.abs(K - K[0, 0] * np.eye(3)).max()
+        else [(float(K[0, 0]), 0.0, 0.0)]
+    )
+
+
+def _laws(element: Torsion | SpringDamper) -> tuple[Law | None, Law | None]:
+    return element.spring, element.damper
+
+
+def _row(numbers: Any) -> str:
+    """Numbers with all their digits."""
+    return " ".join(repr(float(x)) for x in np.ravel(numbers))
+
+
+def _coefficient(law: Law | None) -> Any:
+    """The coefficient of a linear law, 0 without a law, None for others."""
+    return 0.0 if law is None else law.coefficient if isinstance(law, Linear) else None

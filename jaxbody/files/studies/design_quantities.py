@@ -1,0 +1,180 @@
+"""Quantities of a design in a file: what `tune` minimizes and limits, each a function of the model
+at its equilibrium, with its unit."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from jaxbody.core.arrays import Array
+from jaxbody.design import objectives
+from jaxbody.mechanics.equilibria import Equilibrium, equilibrium
+from jaxbody.model.inputs.port_inputs import BaseMotion
+from jaxbody.model.leaf_paths import paths
+from jaxbody.model.models import Model
+from jaxbody.sensors.sensors import Sensor
+from jaxbody.vibration.damped_modes import complex_modes
+from jaxbody.vibration.linearizations import Linearization, linearize
+from jaxbody.vibration.natural_modes import Modes, modes
+from jaxbody.vibration.random_responses import RandomResponse, random_response
+from jaxbody.vibration.road_spectra import Unevenness
+from jaxbody.vibration.spectra import Band, Spectrum
+
+
+@dataclass
+class Design:
+    """A model, and on demand its equilibrium, its small motions and its ride: `roads` {support:
+    (class of ISO 8608, speed [m/s])}."""
+
+    model: Model
+    sensors: dict[str, Sensor]
+    roads: dict[str, tuple[str, float]]
+    band: tuple[float, float]
+
+    @cached_property
+    def equilibrium(self) -> Equilibrium:
+        return equilibrium(self.model)
+
+    @cached_property
+    def linearization(self) -> Linearization:
+        return linearize(self.model, self.equilibrium)
+
+    @cached_property
+    def modes(self) -> Modes:
+        return modes(self.linearization)
+
+    @cached_property
+    def ride(self) -> RandomResponse:
+        inputs = {name: BaseMotion(name, "z") for name in self.roads}
+        spectra: dict[str, Spectrum] = {
+            name: Unevenness.iso(kind).at_speed(speed) for name, (kind, speed) in self.roads.items()
+        }
+        return random_response(self.linearization, Band(*self.band), inputs, self.sensors, spectra)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A kind of quantity: the function of a design, what else it is a function of, its unit where
+    that is known, whether it needs roads."""
+
+    of: Callable[..., Any]
+    stated: tuple[str, ...]
+    unit: str
+    on_roads: bool
+
+    @property
+    def about(self) -> str:
+        return self.of.__doc__ or ""
+
+
+QUANTITIES: dict[str, Quantity] = {}
+
+
+def quantity(unit: str = "", on_roads: bool = False) -> Callable[[Any], Any]:
+    """A decorator of functions that are quantities of designs by their name."""
+
+    def added(of: Any) -> Any:
+        QUANTITIES[of.__name__] = Quantity(
+            of, tuple(inspect.signature(of).parameters)[1:], unit, on_roads
+        )
+        return of
+
+    return added
+
+
+@quantity()
+def value(at: Design, path: str) -> Array:
+    """A number of the model."""
+    return paths(at.model, path)[path]
+
+
+@quantity("Hz")
+def frequency(at: Design, mode: int) -> Array:
+    """A natural frequency."""
+    return at.modes.frequency[mode - 1]
+
+
+@quantity()
+def damping_ratio(at: Design, mode: int) -> Array:
+    """The damping ratio of a complex mode."""
+    return complex_modes(at.linearization).damping_ratio[mode - 1]
+
+
+@quantity("m")
+def deflection(at: Design, element: str) -> Array:
+    """The elongation of a spring at rest."""
+    return at.equilibrium.elongations[element]
+
+
+@quantity()
+def coupling_of_modes(at: Design) -> Array:
+    """How far modes move several bodies or directions: 0 for not at all."""
+    return objectives.coupling_of_modes(at.linearization)
+
+
+@quantity()
+def band_intrusion(at: Design, band: list[float]) -> Array:
+    """A penalty on natural frequencies in a band."""
+    return objectives.band_intrusion(at.modes.frequency, (band[0], band[1]))
+
+
+@quantity(on_roads=True)
+def rms(at: Design, sensor: str) -> Array:
+    """The rms of what a sensor reads on the roads."""
+    return at.ride[sensor]
+
+
+@quantity("m", on_roads=True)
+def stroke(at: Design, sensor: str) -> Array:
+    """Three times the rms of an elongation on the roads."""
+    return objectives.stroke(at.ride, sensor)
+
+
+@quantity("m/s2", on_roads=True)
+def comfort(at: Design, weights: dict[str, str]) -> Array:
+    """The vibration total value of accelerations on the roads, by ISO 2631-1."""
+    return objectives.comfort(at.ride, weights)
+
+
+def own_quantity(of: Callable[..., Any], unit: str) -> Quantity:
+    """A function of the user's as a quantity: of the model, and by keyword of what the file states
+    beside it."""
+    return Quantity(
+        lambda at, **options: of(at.model, **options),
+        tuple(inspect.signature(of).parameters)[1:],
+        unit,
+        on_roads=False,
+    )
+
+
+class Evaluation:
+    """The quantities of a design as a function of the model, as `tune` takes it. `quantities`: each
+    kind, and what it is a function of."""
+
+    def __init__(
+        self,
+        quantities: dict[str, tuple[Quantity, dict[str, Any]]],
+        sensors: dict[str, Sensor],
+        roads: Any,
+        band: Any,
+    ):
+        self.quantities, self.sensors, self.roads, self.band = quantities, sensors, roads, band
+
+    def __call__(self, model: Model) -> dict[str, Array]:
+        design = Design(model, self.sensors, self.roads, self.band)
+        return {
+            name: kind.of(design, **options) for name, (kind, options) in self.quantities.items()
+        }
+
+
+def sensors_of(stated: Iterable[dict[str, Any]]) -> set[str]:
+    """The names of the sensors that quantities are about."""
+    return {
+        name
+        for options in stated
+        for name in (options.get("sensor"), *options.get("weights", {}))
+        if name
+    }

@@ -1,0 +1,291 @@
+"""Builders of measured modes and responses: numbers of the document, or columns of a file
+beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core import units
+from jaxbody.core.arrays import float_array
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
+from jaxbody.files.builders import Builder
+from jaxbody.files.documents import EntryPath
+from jaxbody.files.studies.measured_sections import OF_FILES
+from jaxbody.fitting.experiments.measured_modes import UNITS, MeasuredModes
+from jaxbody.fitting.experiments.measured_responses import MeasuredResponse, response_unit
+from jaxbody.model.models import Model
+from jaxbody.records.readers import read_columns
+from jaxbody.records.record_files import agreed_unit
+from jaxbody.records.response_files import read_responses
+from jaxbody.sensors.sensors import Sensor
+from jaxbody.vibration.ports import component_units
+
+PAIRS = (("real", "imaginary"), ("magnitude", "phase"))
+
+
+@dataclass
+class MeasurementBuilder:
+    """Makes measured modes and responses of the values at a path of a document. Problems are
+    collected by the builder of the document."""
+
+    builder: Builder
+    model: Model
+    sensors: dict[str, Sensor]
+    values: dict[str, Any]
+    path: EntryPath
+
+    def __post_init__(self) -> None:
+        self.before = len(self.builder.problems.collected)
+
+    @property
+    def failed(self) -> bool:
+        """Whether this entry has problems already, so that the constructor need not be called."""
+        return len(self.builder.problems.collected) > self.before
+
+    def where(self, *parts: str) -> str:
+        return self.builder.document.where((*self.path, *parts))
+
+    def add(self, code: str, message: str, limit: str, *parts: str) -> None:
+        self.builder.problems.add(code, self.where(*parts), message, limit=limit)
+
+    def modes(self) -> MeasuredModes | None:
+        """The result of a modal test."""
+        given = {
+            name: self.numbers(self.values[name], unit, name)
+            for name, unit in UNITS.items()
+            if name in self.values
+        }
+        given |= {
+            name: self.values[name]
+            for name in ("number", "pairing", "noise")
+            if name in self.values
+        }
+        given["sensors"] = {
+            name: self.sensors[name]
+            for name in self.values.get("sensors", ())
+            if name in self.sensors
+        }
+        return self.made(MeasuredModes, given)
+
+    def response(self) -> MeasuredResponse | None:
+        """Measured frequency responses."""
+        inputs = {name: self.input(value, name) for name, value in self.values["inputs"].items()}
+        of_outputs = component_units(self.sensors, self.model)
+        pairs: dict[tuple[str, str], dict[str, Any]] = {}
+        for section in ("measured", "noise"):
+            for output, by_input in self.values.get(section, {}).items():
+                self.known(output, of_outputs, section, output)
+                for name in by_input:
+                    self.known(name, inputs, section, output, name)
+        if self.failed or None in inputs.values():
+            return None
+        pairs = {
+            (y, u): value
+            for y, by_input in self.values["measured"].items()
+            for u, value in by_input.items()
+        }
+        unit = {pair: response_unit(of_outputs[pair[0]], inputs[pair[1]].unit) for pair in pairs}
+        frequencies, measured = (
+            self.of_universal_file(pairs)
+            if self.in_universal_file(pairs)
+            else self.of_numbers(pairs, unit)
+        )
+        outputs = {
+            name: self.sensors[name]
+            for name in self.sensors
+            if any(self.sensor_of(y) == name for y, _ in pairs)
+        }
+        given: dict[str, Any] = {
+            "frequencies": frequencies,
+            "inputs": inputs,
+            "outputs": outputs,
+            "measured": measured,
+        }
+        if "noise" in self.values:
+            given["noise"] = {
+                (y, u): self.builder.quantity(
+                    level, unit.get((y, u), ""), (*self.path, "noise", y, u)
+                )
+                for y, by_input in self.values["noise"].items()
+                for u, level in by_input.items()
+            }
+        if "loss_factor" in self.values:
+            given["loss_factor"] = self.values["loss_factor"]
+        return self.made(MeasuredResponse, given)
+
+    def made(self, kind: Any, given: dict[str, Any]) -> Any:
+        """The measurement, if it fits the model."""
+        if self.failed:
+            return None
+        measured = self.builder.gather(self.path, kind.__name__, lambda: kind(**given))
+        if measured is not None:
+            self.builder.gather(self.path, "", lambda: measured.check(self.model, ""))
+        return measured
+
+    def known(self, name: str, names: Any, *parts: str) -> None:
+        if name not in names:
+            self.builder.problems.collected.append(unknown(name, self.where(*parts), tuple(names)))
+
+    def sensor_of(self, output: str) -> str:
+        """The sensor of an output, which may be a component of its reading, "acc.x"."""
+        return output if output in self.sensors else output.rpartition(".")[0]
+
+    def input(self, value: dict[str, Any], name: str) -> Any:
+        """A force on a body, or the motion of a support, of the model."""
+        path = (*self.path, "inputs", name)
+        made = self.builder.thing(value, None, path, {})
+        problem = (
+            None
+            if made is None
+            else made.problem(self.model, self.builder.document.where((*path, "on")))
+        )
+        if problem is not None:
+            self.builder.problems.collected.append(problem)
+        return made
+
+    def in_universal_file(self, pairs: dict[tuple[str, str], dict[str, Any]]) -> bool:
+        return any("response" in value for value in pairs.values())
+
+    def of_universal_file(self, pairs: dict[tuple[str, str], dict[str, Any]]) -> tuple[Any, Any]:
+        """Frequencies and responses of a universal file."""
+        for (y, u), value in pairs.items():
+            if "response" not in value:
+                self.add(
+                    "MISSING_ENTRY",
+                    "has no 'response'",
+                    "as the other pairs have",
+                    "measured",
+                    y,
+                    u,
+                )
+        if "frequencies" in self.values:
+            self.add(
+                "UNKNOWN_NAME",
+                "is stated, and the file has its own",
+                "none with 'response'",
+                "frequencies",
+            )
+        if "file" not in self.values:
+            self.add("MISSING_ENTRY", "has no 'file'", 'file = "plate.uff"')
+        file = (
+            None if self.failed else self.builder.beside(self.values["file"], (*self.path, "file"))
+        )
+        asked = {
+            pair: (value.get("response"), *value.get("units", (None, None)))
+            for pair, value in pairs.items()
+        }
+        problems = Problems()
+        read = file and problems.gather(lambda: read_responses(file, asked))
+        for problem in problems.collected:
+            stated = (
+                replace(problem, hint='Write units = ["m/s2", "N"] beside the response.')
+                if problem.code == "NO_UNIT"
+                else problem
+            )
+            self.builder.problems.collected.append(
+                self.builder.placed(stated, (*self.path, "file"), "")
+            )
+        return read or (None, None)
+
+    def of_numbers(
+        self, pairs: dict[tuple[str, str], dict[str, Any]], unit: dict[tuple[str, str], str]
+    ) -> tuple[Any, Any]:
+        """Frequencies and responses of numbers or columns."""
+        if "frequencies" not in self.values:
+            self.add("MISSING_ENTRY", "has no 'frequencies'", "one for each measured number")
+        frequencies = self.numbers(self.values.get("frequencies", []), "Hz", "frequencies")
+        measured = {
+            (y, u): self.complex(value, unit[y, u], "measured", y, u)
+            for (y, u), value in pairs.items()
+        }
+        return frequencies, measured
+
+    def complex(self, value: dict[str, Any], unit: str, *parts: str) -> Any:
+        """Complex numbers by two real ones."""
+        chosen = next((names for names in PAIRS if set(names) == set(value)), None)
+        if chosen is None:
+            self.add(
+                "MISSING_ENTRY",
+                f"has {', '.join(value) or 'no entries'}",
+                "real and imaginary, or magnitude and phase",
+                *parts,
+            )
+            return None
+        first, second = (
+            self.numbers(value[name], "rad", *parts, name)
+            if name == "phase"
+            else self.numbers(value[name], unit, *parts, name, own=True)
+            for name in chosen
+        )
+        if first is None or second is None:
+            return None
+        if first.shape != second.shape:
+            self.add(
+                "BAD_SHAPE",
+                f"has {first.size} and {second.size} numbers",
+                "as many of both",
+                *parts,
+            )
+            return None
+        return first + 1j * second if chosen[0] == "real" else first * np.exp(1j * second)
+
+    def numbers(self, value: Any, unit: str, *parts: str, own: bool = False) -> Any:
+        """Numbers in SI that stand in the document, or in columns of the file. `own`: in a unit
+        that the schema does not know."""
+        path = (*self.path, *parts)
+        if isinstance(value, dict):
+            return (
+                None
+                if self.columns is None
+                else self.builder.gather(path, "", lambda: self.of_columns(value, unit))
+            )
+        numbers = self.builder.quantity(value, unit, path) if own else value
+        return self.builder.gather(path, "", lambda: np.atleast_1d(float_array(numbers, "")))
+
+    def of_columns(self, value: dict[str, Any], unit: str) -> np.ndarray:
+        """One column, or several side by side. Errors: NO_UNIT, UNIT_CONFLICT, WRONG_DIMENSION."""
+        names = value["columns"] if isinstance(value["columns"], list) else [value["columns"]]
+        found = [self.columns[name] for name in names]
+        hint = 'State it: {columns = "f", unit = "Hz"}, or "1" for numbers without a unit.'
+        with Problems() as problems:
+            stated = agreed_unit(
+                value.get("unit"), {column.unit for column in found}, "", problems, [], hint
+            )
+        factor, expected = units.parse(stated, ""), units.parse(unit or "1", "").dimension
+        if factor.dimension != expected:
+            limit = f"a unit such as {units.si_words(expected)}"
+            raise JaxbodyError(
+                Problem(
+                    "WRONG_DIMENSION", "", f"is in {stated}", stated, limit, "Name another column."
+                )
+            )
+        table = np.stack([column.values * factor.factor for column in found], -1)
+        return table if isinstance(value["columns"], list) else table[:, 0]
+
+    @cached_property
+    def columns(self) -> Any:
+        """All columns of the file that are named; None where they cannot be read."""
+        if "file" not in self.values:
+            self.add("MISSING_ENTRY", "names columns, but no 'file'", 'file = "measured.csv"')
+            return None
+        file = self.builder.beside(self.values["file"], (*self.path, "file"))
+        names = list(dict.fromkeys(_columns_in(self.values)))
+        options = {name: self.values[name] for name in OF_FILES if name in self.values}
+        contents = file and self.builder.gather(
+            (*self.path, "file"), "", lambda: read_columns(file, names, **options)
+        )
+        return contents.columns if contents else None
+
+
+def _columns_in(values: dict[str, Any]) -> Iterator[Any]:
+    """The names of all columns in tables."""
+    for name, value in values.items():
+        if name == "columns":
+            yield from value if isinstance(value, list) else [value]
+        elif isinstance(value, dict):
+            yield from _columns_in(value)

@@ -1,0 +1,307 @@
+"""Builders of studies: records, sensors, loads, motions and experiments of a document, and what is
+free in a fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from jaxbody.core.arrays import device_array, shaped
+from jaxbody.core.errors import Problems, unknown
+from jaxbody.files.builders import Builder
+from jaxbody.files.documents import EntryPath
+from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.parameters.ties import ties
+from jaxbody.model.inputs.loads import Load, loads_of
+from jaxbody.model.inputs.motions import Motion
+from jaxbody.model.leaf_paths import Leaf, leaves_of, matching
+from jaxbody.model.models import Model
+from jaxbody.model.states import State
+from jaxbody.sensors.sensors import Sensor
+
+
+@dataclass
+class StudyBuilder:
+    """Makes what a study states beside its model; objects by the builder of the document, which
+    collects the problems."""
+
+    builder: Builder
+    model: Model
+
+    @property
+    def values(self) -> dict[str, Any]:
+        return self.builder.values
+
+    def named(
+        self, section: str, make: Any, values: dict[str, Any] | None = None, path: EntryPath = ()
+    ) -> dict[str, Any]:
+        """The objects of a section, or of a table at a path."""
+        given = self.values.get(section, {}) if values is None else values
+        return {
+            name: made
+            for name, value in given.items()
+            if (made := make(value, (*path, section, name))) is not None
+        }
+
+    def motions(
+        self, values: dict[str, Any] | None = None, path: EntryPath = ()
+    ) -> dict[str, Motion]:
+        """The motions of supports."""
+        motions = self.named("motion", self.builder.motion, values, path)
+        known = self.model.layout.supports
+        for name in set(motions) - set(known):
+            where = self.builder.document.where((*path, "motion", name))
+            self.builder.problems.collected.append(unknown(name, where, known))
+        return {name: motion for name, motion in motions.items() if name in known}
+
+    def loads(self, values: dict[str, Any] | None = None, path: EntryPath = ()) -> dict[str, Load]:
+        make = lambda value, at: self.builder.thing(value, None, at, {})  # noqa: E731
+        placed, bodies = {}, self.model.layout.bodies
+        for name, load in self.named("loads", make, values, path).items():
+            at, check = (
+                (*path, "loads", name),
+                lambda name=name, load=load: loads_of({name: load}, bodies),
+            )
+            placed |= (
+                {name: load}
+                if self.builder.gather(at, f"loads[{name!r}]", check) is not None
+                else {}
+            )
+        return placed
+
+    def sensors(self) -> dict[str, Sensor]:
+        return self.named("sensors", self.sensor)
+
+    def sensor(self, values: dict[str, Any], path: EntryPath) -> Sensor | None:
+        """A sensor on a model, which determines the unit of its bias and start."""
+        own = {name: values[name] for name in ("bias", "start") if name in values}
+        sensor = self.builder.thing(
+            {name: value for name, value in values.items() if name not in own}, None, path, {}
+        )
+        if sensor is not None and not isinstance(sensor, Sensor):
+            message = f"is a {type(sensor).__name__}"
+            self.builder.problems.add(
+                "WRONG_KIND",
+                self.builder.document.where(path),
+                message,
+                value=sensor,
+                limit="a sensor",
+            )
+            return None
+        problem = None if sensor is None else sensor.problem(self.model, "")
+        if problem is not None:
+            self.builder.problems.collected.append(
+                replace(problem, where=self.builder.document.where(path))
+            )
+        if sensor is None or problem is not None or not own:
+            return sensor
+        stated = {
+            name: self.builder.quantity(value, sensor.unit_on(self.model), (*path, name))
+            for name, value in own.items()
+        }
+        return self.builder.thing(values | stated, None, path, {})
+
+    def experiments(
+        self, motion: dict[str, Motion], loads: dict[str, Load], sensors: dict[str, Sensor]
+    ) -> dict[str, Measurement]:
+        """The experiments, with the motions, loads and sensors of the study where they
+        state none."""
+        return self.named(
+            "experiments",
+            lambda values, path: self.experiment(values, path, motion, loads, sensors),
+        )
+
+    def held_out(self) -> list[str]:
+        """The experiments that validate the fit, and are not part of it."""
+        return [
+            name
+            for name, values in self.values.get("experiments", {}).items()
+            if values.get("validate")
+        ]
+
+    def experiment(
+        self,
+        values: dict[str, Any],
+        path: EntryPath,
+        motion: Any,
+        loads: Any,
+        sensors: dict[str, Sensor],
+    ) -> Any:
+        kind = values.get("type", "Experiment")
+        if kind != "Experiment":
+            # slow to import, and many files have none
+            from jaxbody.files.studies.measurement_builders import MeasurementBuilder
+
+            measured = MeasurementBuilder(self.builder, self.model, sensors, values, path)
+            known = {"MeasuredModes": measured.modes, "MeasuredResponse": measured.response}
+            if kind in known:
+                return known[kind]()
+            self.builder.problems.collected.append(
+                unknown(kind, self.builder.document.where((*path, "type")), ("Experiment", *known))
+            )
+            return None
+        from jaxbody.fitting.experiments.experiments import Experiment  # likewise
+
+        record, before = self.builder.record(values["record"]), len(self.builder.problems.collected)
+        channels = self.builder.values["records"][values["record"]]["channels"]
+        chosen = values.get(
+            "sensors", [name for name in self.values.get("sensors", {}) if name in channels]
+        )
+        given: dict[str, Any] = {
+            "sensors": {name: sensors[name] for name in chosen if name in sensors},
+            "measured": record,
+        }
+        given["motion"] = self.motions(values["motion"], path) if "motion" in values else motion
+        given["loads"] = self.loads(values["loads"], path) if "loads" in values else loads
+        if "initial" in values:
+            given["initial"] = self.initial(values["initial"], (*path, "initial"))
+        if "noise" in values:
+            given["noise"] = {
+                name: self.level(name, x, given["sensors"], (*path, "noise", name))
+                for name, x in values["noise"].items()
+            }
+        if "leave_out" in values:
+            given["leave_out"] = values["leave_out"]
+        failed = (
+            record is None
+            or set(chosen) - set(sensors)
+            or len(self.builder.problems.collected) > before
+        )
+        # with problems of its parts; the constructor would report what follows from these
+        if failed:
+            return None
+        experiment = self.builder.gather(path, "Experiment", lambda: Experiment(**given))
+        if experiment is not None:
+            self.builder.gather(path, "", lambda: experiment.check(self.model, ""))
+        return experiment
+
+    def level(self, name: str, value: Any, sensors: dict[str, Sensor], path: EntryPath) -> Any:
+        """The noise of a sensor; an unknown name is left to `Experiment`."""
+        return (
+            self.builder.quantity(value, sensors[name].unit_on(self.model), path)
+            if name in sensors
+            else value
+        )
+
+    def initial(self, value: Any, path: EntryPath) -> State | str | None:
+        if isinstance(value, str):
+            return value
+        layout = self.model.layout
+        rows = {"q": layout.q_units, "v": layout.v_units} | (
+            {"z": layout.z_units} if "z" in value else {}
+        )
+        numbers = {
+            name: self.builder.quantity(value[name], ", ".join(row), (*path, name))
+            for name, row in rows.items()
+        }
+
+        def state() -> State:
+            with Problems() as problems:
+                parts = [
+                    shaped(_row(numbers[name]), (len(row),), f".{name}", problems)
+                    for name, row in rows.items()
+                ]
+            return State(*map(device_array, parts))
+
+        return self.builder.gather(path, "", state)
+
+    def fit(self, experiments: dict[str, Any]) -> dict[str, Any]:
+        """The arguments of `fit`. The unit of a bound or a prior is that of its parameter."""
+        given = dict(self.values.get("fit", {}))
+        leaves = [
+            *leaves_of(self.model),
+            *(leaf for name, run in experiments.items() for leaf in leaves_of(run, f"{name}.")),
+        ]
+        self.check_free(given, leaves, ("fit",), self.failed(experiments))
+        numbers = {}
+        for name in [name for name in ("bounds", "priors") if name in given]:
+            known = {
+                path: x
+                for path, x in given[name].items()
+                if not self.about(path, self.failed(experiments))
+            }
+            numbers[name] = self.of_parameters(known, leaves, ("fit", name))
+        return given | numbers
+
+    def failed(self, experiments: dict[str, Any]) -> list[str]:
+        """The experiments to fit that could not be made."""
+        return [
+            name
+            for name in self.values.get("experiments", {})
+            if name not in experiments and name not in self.held_out()
+        ]
+
+    @staticmethod
+    def about(path: str, failed: list[str]) -> bool:
+        """Whether a path, pattern or tie may be about an experiment that could not be made."""
+        return bool(failed) and (
+            "*" in path or "?" in path or any(f"{name}." in path for name in failed)
+        )
+
+    def check_free(
+        self,
+        given: dict[str, Any],
+        leaves: list[Leaf],
+        path: EntryPath,
+        failed: list[str] | None = None,
+    ) -> None:
+        """Check that what is free are parameters; without what may be of experiments
+        that failed."""
+        free = given.get("free", [])
+        free = [
+            each
+            for each in ([free] if isinstance(free, str) else free)
+            if not self.about(each, failed or [])
+        ]
+
+        def check() -> None:
+            with Problems() as problems:
+                ties(leaves, free, "", problems)
+
+        if free:
+            self.builder.gather((*path, "free"), "", check)
+
+    def of_parameters(
+        self, given: dict[str, Any], leaves: list[Leaf], path: EntryPath
+    ) -> dict[str, Any]:
+        """Numbers by the path or pattern of parameters, in their units."""
+        rows = {"configuration": self.model.layout.q_units, "speeds": self.model.layout.v_units}
+        numbers = {}
+        for pattern, value in given.items():
+            at = (*path, pattern)
+            found = self.builder.gather(
+                at, "", lambda pattern=pattern: matching(leaves, [pattern], "")[pattern]
+            )
+            if found:
+                kind = found[0].kind
+                unit = ", ".join(rows[kind.domain]) if kind.domain in rows else kind.unit
+                numbers[pattern] = (
+                    tuple(self.builder.quantity(x, unit, at) for x in value)
+                    if isinstance(value, list)
+                    else self.builder.quantity(value, unit, at)
+                )
+        return numbers
+
+    def designs(self, sensors: dict[str, Sensor]) -> dict[str, dict[str, Any]]:
+        return self.named("designs", lambda values, path: self.design(values, path, sensors))
+
+    def design(
+        self, values: dict[str, Any], path: EntryPath, sensors: dict[str, Sensor]
+    ) -> dict[str, Any]:
+        """The arguments of `tune` beside the model."""
+        # slow to import, and many files have none
+        from jaxbody.files.studies.design_builders import DesignBuilder
+
+        leaves = leaves_of(self.model)
+        self.check_free(values, leaves, path)
+        numbers = {
+            name: self.of_parameters(values[name], leaves, (*path, name))
+            for name in ("bounds", "catalogues")
+            if name in values
+        }
+        return DesignBuilder(self.builder, self.model, sensors, values, path).design() | numbers
+
+
+def _row(numbers: Any) -> Any:
+    """A row of numbers, also of "5 mm"."""
+    return [numbers] if isinstance(numbers, float) else numbers

@@ -1,0 +1,1 @@
+"""Fits: parameters, experiments, residuals, searches, results; uncertainty, validation."""

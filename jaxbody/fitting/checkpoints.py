@@ -1,0 +1,157 @@
+"""Checkpoints of a fit: files with the best u so far, the noise levels, and the name of
+each number."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.arrays import device_array
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.source_files import replacing
+from jaxbody.fitting.residuals import Levels, Task
+
+RESTART = "Leave out resume= to start again."
+
+
+def _names(task: Task) -> list[str]:
+    """The names of all numbers of a checkpoint, in order."""
+    return [
+        *task.space.names,
+        *(f"noise of {run}.{name}" for run, levels in task.noise.items() for name in levels),
+    ]
+
+
+def save(path: str | os.PathLike, task: Task, u: np.ndarray) -> None:
+    """Write a checkpoint to a temporary file and rename it, so that a crash or a full disk leaves
+    the old checkpoint intact."""
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise JaxbodyError(
+            Problem(
+                "NOT_SAVED",
+                str(path),
+                "exists and is not a regular file",
+                hint="Choose another path.",
+            )
+        )
+    levels = [np.asarray(level) for each in task.noise.values() for level in each.values()]
+    arrays = {
+        "names": np.array(_names(task)),
+        "u": np.asarray(u),
+        **{f"noise{i}": level for i, level in enumerate(levels)},
+    }
+    try:
+        with replacing(path) as new, new.open("wb") as file:
+            np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        needed = sum(a.nbytes for a in arrays.values())
+        message = f"cannot be written: {error.strerror or error}; {needed} bytes are needed"
+        raise JaxbodyError(
+            Problem(
+                "NOT_SAVED", str(path), message, hint="An earlier checkpoint there is unchanged."
+            )
+        ) from None
+
+
+def load(path: str | os.PathLike, task: Task) -> tuple[np.ndarray, Levels]:
+    """u and the noise levels from a checkpoint of the same task. Errors:
+    NO_CHECKPOINT, OTHER_FIT."""
+    where = str(path)
+    if not Path(path).is_file():
+        raise JaxbodyError(Problem("NO_CHECKPOINT", where, "is not a regular file", hint=RESTART))
+    try:
+        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+    except Exception:
+        # damaged files raise many kinds of exceptions, some with the advice to allow pickles
+        raise JaxbodyError(
+            Problem(
+                "NO_CHECKPOINT",
+                where,
+                "cannot be read: it is damaged or not a checkpoint",
+                hint=RESTART,
+            )
+        ) from None
+    if missing := [name for name in ("names", "u") if name not in arrays]:
+        raise JaxbodyError(
+            Problem(
+                "NO_CHECKPOINT",
+                where,
+                f"is not a checkpoint: it lacks {', '.join(missing)}",
+                hint=RESTART,
+            )
+        )
+    check_same(np.ravel(arrays["names"]).tolist(), task, where)
+    noise: Levels = {run: {} for run in task.noise}
+    for i, (run, name) in enumerate(
+        (run, name) for run, levels in task.noise.items() for name in levels
+    ):
+        level = _numbers(
+            arrays.get(f"noise{i}"),
+            np.shape(task.noise[run][name]),
+            f"{where}: noise of {run}.{name}",
+            positive=True,
+        )
+        noise[run][name] = device_array(level)
+    return _numbers(arrays["u"], (task.space.size,), f"{where}: u"), noise
+
+
+def _numbers(
+    value: Any, shape: tuple[int, ...], where: str, *, positive: bool = False
+) -> np.ndarray:
+    """The array, if it holds finite numbers and has this shape. Error: NO_CHECKPOINT."""
+    limit = f"{'positive' if positive else 'finite'} numbers of shape {shape}"
+    if value is None or value.dtype.kind != "f" or value.shape != shape:
+        message = (
+            "is missing" if value is None else f"has shape {value.shape} of {value.dtype.name}"
+        )
+        raise JaxbodyError(Problem("NO_CHECKPOINT", where, message, value, limit, RESTART))
+    if not np.isfinite(value).all() or (positive and not (value > 0).all()):
+        raise JaxbodyError(
+            Problem("NO_CHECKPOINT", where, f"is {value.tolist()!r:.60}", value, limit, RESTART)
+        )
+    return value
+
+
+def check_same(names: list[str], task: Task, where: str) -> None:
+    """Check that a checkpoint is from a fit of the same parameters to the same channels.
+    Error: OTHER_FIT."""
+    own = _names(task)
+    if names != own:
+        differences = [
+            f"'{name}'" for name in [*names, *own] if (name in names) != (name in own)
+        ] or ["the order of names"]
+        message = f"is from another fit: they differ in {', '.join(differences[:3])}"
+        raise JaxbodyError(
+            Problem(
+                "OTHER_FIT",
+                where,
+                message,
+                hint="Resume with the same free parameters and experiments.",
+            )
+        )
+
+
+def resumed(earlier, task: Task) -> tuple[np.ndarray, Levels]:
+    """u and the noise levels of an earlier fit or a checkpoint file. Errors: WRONG_KIND,
+    NO_CHECKPOINT, OTHER_FIT."""
+    if isinstance(earlier, str | os.PathLike):
+        return load(earlier, task)
+    if not isinstance(getattr(earlier, "task", None), Task):
+        limit, hint = (
+            "a fit, or the path of its checkpoint",
+            "Give the result of fit(...) or the path given as checkpoint=.",
+        )
+        raise JaxbodyError(
+            Problem(
+                "WRONG_KIND", "fit.resume", f"is a {type(earlier).__name__}", earlier, limit, hint
+            )
+        )
+    check_same(_names(earlier.task), task, "fit.resume")
+    return _numbers(np.asarray(earlier.u), (task.space.size,), "fit.resume: u"), earlier.task.noise

@@ -1,0 +1,171 @@
+"""Confidence bands: the uncertainty of a fit carried over to any result of the fitted model, such
+as a frequency or a response.
+
+    v = G C G',    G = df/du
+
+to first order, with the covariance C of u and Student's t; or by random draws of u.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import check_key
+from jaxbody.core.arrays import Array, Float, PRNGKeyArray
+from jaxbody.core.compilation.compile_options import jit
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.intervals import widening
+from jaxbody.fitting.statistics.quantiles import check_level, quantile
+from jaxbody.model.models import Model
+
+
+class Bands(Result):
+    """The `value` of a function of the fitted model, its `standard_error`, and the bounds `lower`
+    and `upper` at `level`.
+
+    All are arrays of one shape, as are the `degrees_of_freedom` of Student's t, infinite for draws.
+    Bounds are infinite where the data do not determine the value. `status` is NONFINITE if the
+    value or its derivatives are not finite.
+    """
+
+    value: np.ndarray
+    standard_error: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    degrees_of_freedom: np.ndarray
+    level: float
+    status: np.ndarray
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        columns = (np.ravel(x) for x in (self.value, self.standard_error, self.lower, self.upper))
+        rows = [tuple(map(float, row)) for row in zip(*columns, strict=True)]
+        heads = ("value", "standard error", "lower", "upper")
+        freedoms = self.degrees_of_freedom[np.isfinite(self.standard_error)]
+        notes = [self.report(), *filter(None, [widening(freedoms, self.level)])]
+        return [
+            tables.PrintedTable(f"Bands, {100 * self.level:g} %", heads, rows, "\n".join(notes))
+        ]
+
+
+def bands(
+    fit: Fit,
+    function: Callable[[Model], Any],
+    *,
+    level: float = 0.95,
+    samples: int | None = None,
+    key: PRNGKeyArray | None = None,
+) -> Bands:
+    """Value, standard error and confidence interval of a JAX function of the fitted model.
+
+    Args:
+        fit: the result of `fit`.
+        function: model -> array of real numbers of any shape.
+        level: confidence level of the interval.
+        samples: number of random draws of the parameters, to be used instead of derivatives if the
+            function is nonlinear within the interval; the bounds are then quantiles of the draws.
+            By default derivatives are used.
+        key: random key of the draws, for instance jax.random.key(0).
+
+    Equal natural frequencies have no derivatives one by one: use their sum or mean, a response,
+    or draws.
+
+    Errors: WRONG_KIND for a function that does not return an array of real numbers,
+    BAD_LEVEL, NO_KEY, UNDETERMINED for draws if the data do not determine all parameters,
+    TRACED. Warns NONFINITE.
+
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     elements={"spring": spring},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ... )
+    >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
+    >>> track = Experiment(
+    ...     times,
+    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
+    ... )
+    >>> result = fit(model, {"track": track}, free=["spring.stiffness"])
+    >>> frequency = bands(
+    ...     result,
+    ...     lambda model: jnp.sqrt(model["spring"].stiffness / model["mass"].mass) / (2 * jnp.pi),
+    ... )
+    >>> bool(frequency.lower < 1.0 < frequency.upper), bool(frequency.standard_error < 0.02)
+    (True, True)
+    """
+    check_level(level, "bands.level")
+    with Problems() as problems:
+        check_key(key, "bands.key", problems, "" if samples is None else "Draws need")
+    uncertainty = fit._assessed()
+    f = jit(lambda u: function(fit.task.space.place(u)[0]))
+    value = f(fit.u)
+    if not isinstance(value, jax.Array | np.ndarray) or jnp.iscomplexobj(value):
+        hint = (
+            "Return one array; for complex numbers, magnitude and phase or real "
+            "and imaginary parts."
+        )
+        kind = "complex numbers" if jnp.iscomplexobj(value) else f"a {type(value).__name__}"
+        raise JaxbodyError(
+            Problem(
+                "WRONG_KIND",
+                "bands.function",
+                f"returns {kind}",
+                value,
+                "an array of real numbers",
+                hint,
+            )
+        )
+    value = np.asarray(value, float)
+    if samples is not None:
+        error, low, high, finite = _drawn(fit, f, level, samples, key)
+        freedom = np.full(value.shape, np.inf)
+    else:
+        G = np.asarray(jit(jax.jacfwd(f))(fit.u)).reshape(value.size, len(fit.u))
+        finite = np.isfinite(G).all(1).reshape(value.shape)
+        error, freedom = (x.reshape(value.shape) for x in uncertainty.spread(np.nan_to_num(G)))
+        error = np.where(finite, error, np.inf)
+        half_width = quantile(level, freedom) * error
+        low, high = value - half_width, value + half_width
+    ok = finite.all() and np.isfinite(value).all()
+    return warn_if_failed(
+        Bands(
+            value=value,
+            standard_error=error,
+            lower=np.asarray(low),
+            upper=np.asarray(high),
+            degrees_of_freedom=freedom,
+            level=level,
+            status=np.asarray(Status.OK if ok else Status.NONFINITE),
+        )
+    )
+
+
+def _drawn(fit: Fit, f: Callable, level: float, samples: int, key):
+    """Standard deviation and quantiles over draws of u from its normal distribution."""
+    uncertainty = fit._assessed()
+    if uncertainty.rank < len(fit.u):
+        message = "has parameters that are not determined: " + "; ".join(
+            [*uncertainty.words, *fit.at_bound]
+        )
+        hint = (
+            "Fix some of them, or leave out samples=: then results that the data "
+            "determine still have bands."
+        )
+        raise JaxbodyError(Problem("UNDETERMINED", "fit", message, hint=hint))
+    values, vectors = np.linalg.eigh(uncertainty.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    u: Float[Array, "samples n"] = (
+        jnp.asarray(fit.u)[None] + jax.random.normal(key, (samples, len(values))) @ root.T
+    )
+    drawn = np.asarray(jax.lax.map(f, u, batch_size=min(samples, 64)))
+    finite = np.isfinite(drawn).all(0)
+    low, high = np.nanquantile(drawn, [(1 - level) / 2, (1 + level) / 2], axis=0)
+    return drawn.std(0, ddof=1), low, high, finite

@@ -1,0 +1,364 @@
+"""Coverage: how often intervals contain the parameters that a record was made with, by fits of many
+simulated records.
+
+    minimize |r(u) - r(u*) - e|^2 over u,    e normal and independent
+
+u* are the estimates of a fit: each replicate has the residuals of a record that they predict, with
+new noise e.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+import optimistix
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import check_key, whole_number
+from jaxbody.core.arrays import Float, Int, device_array
+from jaxbody.core.errors import Problems, Status
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.workers.batches import batch_of, checked_chunks, gathered, store_of
+from jaxbody.core.workers.chunk_programs import ChunkProgram
+from jaxbody.core.workers.chunk_stores import hash_of
+from jaxbody.core.workers.executors import crew_of
+from jaxbody.fitting.experiments.residual_series import records_of
+from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.intervals import interval_of_u
+from jaxbody.fitting.residuals import residual_and_jacobian
+from jaxbody.fitting.statistics.noises import ResidualSeries
+from jaxbody.fitting.statistics.quantiles import check_level
+from jaxbody.fitting.statistics.uncertainties import assess, decomposed
+from jaxbody.fitting.traced_fits import solve
+
+BATCH = 16  # replicates in one program
+CLOSE = 1e-6  # tolerance of its search, after which `assessed` takes one more step
+
+
+class Coverage(Result):
+    """Result of `coverage`, for each of n `parameters`: the share of replicates whose intervals at
+    `level` `contained` the value that the records were made with, its `standard_error`, the `bias`
+    of the estimates relative to their standard deviation, and the `ratio` of this deviation to the
+    standard error that the fit states.
+
+    `u` (N, n), the estimates of the replicates in the coordinates of the fit, zero at its initial
+    guess, with the ends `lower` and `upper` of their intervals; `truth` (n,), the u of the fit;
+    `stated` (n,), its standard errors; `status` (N,) of each replicate.
+
+    >>> import inspect
+    >>> inspect.signature(coverage).return_annotation  # the result of coverage
+    'Coverage'
+    """
+
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    level: float
+    u: Float[np.ndarray, "N n"]
+    lower: Float[np.ndarray, "N n"]
+    upper: Float[np.ndarray, "N n"]
+    truth: Float[np.ndarray, "n"]
+    stated: Float[np.ndarray, "n"]
+    status: Int[np.ndarray, "N"]
+
+    @property
+    def contained(self) -> Float[np.ndarray, "n"]:
+        inside = (self.lower <= self.truth) & (self.truth <= self.upper)
+        return inside[self.ok].mean(0) if self.ok.any() else np.full(len(self.truth), np.nan)
+
+    @property
+    def standard_error(self) -> Float[np.ndarray, "n"]:
+        """Of a share that is `level`."""
+        return np.full(
+            len(self.truth), np.sqrt(self.level * (1 - self.level) / max(self.ok.sum(), 1))
+        )
+
+    @property
+    def deviation(self) -> Float[np.ndarray, "n"]:
+        """Standard deviations of u over the replicates."""
+        return (
+            self.u[self.ok].std(0, ddof=1)
+            if self.ok.sum() > 1
+            else np.full(len(self.truth), np.nan)
+        )
+
+    @property
+    @np.errstate(divide="ignore", invalid="ignore")  # of records without noise
+    def bias(self) -> Float[np.ndarray, "n"]:
+        return (
+            (self.u[self.ok].mean(0) - self.truth) / self.deviation
+            if self.ok.any()
+            else self.deviation
+        )
+
+    @property
+    @np.errstate(divide="ignore", invalid="ignore")
+    def ratio(self) -> Float[np.ndarray, "n"]:
+        return self.deviation / self.stated
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        share = [
+            f"{100 * x:.1f} +- {100 * e:.1f}"
+            for x, e in zip(self.contained, self.standard_error, strict=True)
+        ]
+        columns = (share, self.bias, self.ratio)
+        rows = [
+            (name, one, float(b), float(s))
+            for name, one, b, s in zip(self.parameters, *columns, strict=True)
+        ]
+        heads = ("parameter", "contained, %", "bias over deviation", "deviation over stated")
+        note = f"{len(self.status)} replicates: {self.report()}"
+        return [
+            tables.PrintedTable(f"Coverage of {100 * self.level:g} % intervals", heads, rows, note)
+        ]
+
+
+def coverage(
+    fit: Fit,
+    *,
+    replicates: int = 200,
+    level: float = 0.95,
+    key: Any = None,
+    max_evaluations: int = 200,
+    workers: Any = None,
+    out: Any = None,
+    chunks: Iterable[int] | None = None,
+    progress: bool | None = None,
+) -> Coverage:
+    """How often the intervals of a fit would contain the true parameters, if the model were right
+    and its estimates the truth.
+
+    Records are made with the estimates and new noise, white and as strong as stated, or else as the
+    residuals of the fit, and fitted again from the estimates by the Levenberg-Marquardt method,
+    with noise levels and intervals estimated as `fit` does. Intervals that are too narrow, because
+    the problem is nonlinear or samples are few, contain less than they state.
+
+    Args:
+        fit: the result of `fit`, with status OK.
+        replicates: number of records; a share of 95 % of 200 has a standard error of 1.5 %.
+        level: confidence level of the intervals.
+        key: random key of the noise; None takes jax.random.key(0).
+        max_evaluations: largest number of steps of each fit.
+        workers: None, a number of processes, or an executor, as in `sweep`; the numbers are
+            the same.
+        out: path of a Zarr store to which each 16 replicates are written when they are done, as in
+            `sweep`: the same call continues an interrupted one.
+        chunks: numbers of the 16 replicates that this call computes, such as range(i, n, k) for job
+            i of k; None: all.
+        progress: None shows a line after five seconds on a terminal or in a notebook, False
+            is silent.
+
+    Bounds do not act in the replicates. Ctrl-C returns the replicates that are done.
+
+    Errors: UNDETERMINED for a fit with another status than OK, BAD_OPTION for one with a robust
+    loss, TRACED, BAD_NUMBER, BAD_LEVEL, WRONG_KIND for a key, BAD_CHUNK, BAD_WORKERS, NOT_SENT,
+    OTHER_WORKER, OTHER_STORE, NOT_SAVED. Warns of replicates that do not converge, LOST and
+    INTERRUPTED; they do not count.
+
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     elements={"spring": spring},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ... )
+    >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
+    >>> track = Experiment(
+    ...     times,
+    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
+    ... )
+    >>> result = coverage(fit(model, {"track": track}, free=["spring.stiffness"]), replicates=64)
+    >>> bool(abs(result.contained[0] - 0.95) < 3 * result.standard_error[0]), result.parameters
+    (True, ('spring.stiffness',))
+    """
+    check_level(level, "coverage.level")
+    uncertainty = fit._assessed()
+    with Problems() as problems:
+        replicates = whole_number(replicates, "coverage.replicates", problems, least=2)
+        max_evaluations = whole_number(max_evaluations, "coverage.max_evaluations", problems)
+        check_key(key, "coverage.key", problems)
+        chunks = checked_chunks("coverage", workers, out, chunks, problems, fixed=True)
+        if not fit.ok:
+            hint = "Free only what the data determine, and let no bound be active."
+            problems.add(
+                "UNDETERMINED",
+                "coverage.fit",
+                f"has the status {Status(int(fit.status)).name}",
+                value=fit.status,
+                hint=hint,
+            )
+        if fit.task.loss is not None:
+            message = f"has the loss {fit.task.loss!r}, for which the noise is not known"
+            problems.add(
+                "BAD_OPTION",
+                "coverage.fit",
+                message,
+                value=fit.task.loss,
+                hint="Fit by least squares.",
+            )
+    key = jax.random.key(0) if key is None else key
+    keys, u = np.asarray(jax.random.key_data(jax.random.split(key, replicates))), np.asarray(fit.u)
+    how: Any = dict(
+        level=level, keys=keys, kind=jax.random.key_impl(key), max_steps=max_evaluations
+    )
+    with working("coverage", progress) as line, crew_of(workers, "coverage.workers") as crew:
+        line("compiling")
+        batch = _batch(fit, crew, **how)
+        store = (
+            None
+            if out is None
+            else store_of(
+                batch,
+                out,
+                {"noise": hash_of(keys), "level": level},
+                ["key"],
+                "replicate",
+                any_size=False,
+            )
+        )
+        results, status = gathered(
+            batch,
+            crew,
+            "coverage",
+            lambda done, _: line(f"{done} of {replicates} replicates"),
+            store,
+            chunks,
+        )
+    return warn_if_failed(
+        Coverage(
+            parameters=tuple(fit.task.space.labels),
+            level=level,
+            u=results["u"],
+            lower=results["lower"],
+            upper=results["upper"],
+            truth=u,
+            stated=uncertainty.spread(np.eye(len(u)))[0],
+            status=np.where(status == Status.OK, results["end"], status),
+        )
+    )
+
+
+def _batch(
+    fit: Fit, crew: Any, *, level: float, keys: np.ndarray, kind: Any, max_steps: int
+) -> Any:
+    """Replicates as a batch: fitted by a program, assessed by NumPy in the same process."""
+    records, space = records_of(fit.task.experiments), fit.task.space
+    stated = {
+        record.name: _channel(record) in (fit.task.experiments[record.run].noise or {})
+        for record in records
+    }
+    r, J, _ = residual_and_jacobian(fit.task, fit.u)
+    priors = sum(
+        parameter.form.start.size for parameter in space.parameters if parameter.prior is not None
+    )
+    levels = _levels(np.asarray(r), np.asarray(J), records, stated, priors)
+    tree = fit.task, fit.u, r, device_array(levels)
+
+    def fitted(tree, keys):
+        task, start, r, level = tree
+
+        def one(data):
+            e = level * jax.random.normal(jax.random.wrap_key_data(data, impl=kind), r.shape)
+            replicate = eqx.tree_at(
+                lambda task: task.offset, task, r + e, is_leaf=lambda x: x is None
+            )
+            u, end, _ = solve(
+                replicate, start, optimistix.LevenbergMarquardt(rtol=CLOSE, atol=CLOSE), max_steps
+            )
+            r_end, J, _ = residual_and_jacobian(replicate, u)
+            return {"u": u, "end": end, "r": r_end, "J": J}
+
+        return jax.vmap(one)(keys)
+
+    owner: Any = dict(owner=assessed, place=(max_steps, kind))
+    batch = batch_of(
+        fitted,
+        tree,
+        lambda i, j: [keys[i:j]],
+        len(keys),
+        width=BATCH,
+        where="coverage",
+        crew=crew,
+        **owner,
+    )
+    real = batch.program.results["u"][1]
+    types = {name: ((space.size,), real) for name in ("u", "lower", "upper")} | {
+        "end": batch.program.results["end"]
+    }
+    by = partial(assessed, names=space.names, records=records, stated=stated, level=level)
+    return dataclasses.replace(batch, function=by, types=types)
+
+
+def _channel(record: ResidualSeries) -> str:
+    return record.group.rsplit(" ", 1)[0]
+
+
+def _levels(
+    r: np.ndarray,
+    J: np.ndarray,
+    records: list[ResidualSeries],
+    stated: dict[str, bool],
+    priors: int,
+) -> np.ndarray:
+    """The standard deviation of each residual: 1 where the noise is stated, and of the last ones,
+    those of priors; otherwise that of its group, without bias; 0 for missing samples."""
+    U, _, _, known = decomposed(J)
+    level = np.zeros(len(r))
+    level[len(r) - priors :] = 1.0
+    for rows in _groups(records).values():
+        level[rows] = np.sqrt(
+            np.sum(r[rows] ** 2) / max(len(rows) - float(np.sum(U[rows][:, known] ** 2)), 1.0)
+        )
+    for record in records:
+        if stated[record.name]:
+            level[record.rows] = 1.0
+    return level
+
+
+def _groups(records: list[ResidualSeries]) -> dict[str, np.ndarray]:
+    """The rows of all records of one noise level."""
+    names = dict.fromkeys(record.group for record in records)
+    return {
+        name: np.concatenate([record.rows for record in records if record.group == name])
+        for name in names
+    }
+
+
+def assessed(
+    program: ChunkProgram,
+    shared: list[np.ndarray],
+    rows: list[np.ndarray],
+    *,
+    names: list[str],
+    records: list[ResidualSeries],
+    stated: dict[str, bool],
+    level: float,
+) -> dict[str, np.ndarray]:
+    """In a worker: estimates and intervals of replicates.
+
+    As in a fit, each group of records whose noise is not stated has the weight of its residuals;
+    one more step is taken with these weights.
+    """
+    ended, groups = (
+        program(shared, rows),
+        _groups([record for record in records if not stated[record.name]]),
+    )
+    estimates = []
+    for u, end, r, J in zip(*(ended[name] for name in ("u", "end", "r", "J")), strict=True):
+        if end != Status.OK:
+            estimates.append((u, *np.full((2, len(u)), np.nan)))
+            continue
+        weights = np.ones(len(r))
+        for own in groups.values():
+            weights[own] = 1 / np.sqrt(np.mean(r[own] ** 2))
+        r, J = r * weights, J * weights[:, None]
+        step = np.linalg.lstsq(J, -r, rcond=None)[0]
+        low, high = interval_of_u(u + step, assess(r + J @ step, J, [], [], names, records), level)
+        estimates.append((u + step, low, high))
+    u, lower, upper = map(np.array, zip(*estimates, strict=True))
+    return {"u": u, "lower": lower, "upper": upper, "end": ended["end"]}

@@ -1,0 +1,587 @@
+"""Likely errors of measurements, by comparison with a model: units, signs, delays, offsets, wrapped
+angles, swapped channels, left-handed axes, conjugated responses.
+
+    measured(t) ~ offset + gain reading(t - delay),    measured ~ gain reading for what is not a
+                                                       record in time
+
+for every channel, by least squares. Use it before a fit, with a model that is roughly right; the
+estimates of a fit would hide such errors.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Int, indices, time_text
+from jaxbody.core.errors import Status, warn
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import Result
+from jaxbody.fitting.experiments.correlations import best_shift, centered, correlation
+from jaxbody.fitting.experiments.experiments import Experiment, check_measurements
+from jaxbody.fitting.experiments.measured_responses import small_motions
+from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.statistics.autocorrelations import whiteness
+from jaxbody.model.models import Model
+from jaxbody.motion.readings import measure
+from jaxbody.motion.simulations import simulate
+from jaxbody.sensors.instruments import Accelerometer
+
+FACTORS = {
+    1000.0: "is it in thousandths of the sensor's unit (mm instead of m)?",
+    1e-3: "is it in thousands of the sensor's unit (m instead of mm, s instead of ms)?",
+    180 / np.pi: "is it in degrees?",
+    np.pi / 180: "is it in radians instead of degrees?",
+    9.80665: "is it in m/s2 instead of g?",
+    1 / 9.80665: "is it in g?",
+    0.0254: "is it in meters instead of inches?",
+    1 / 0.0254: "is it in inches?",
+    100.0: "is it in percent, or in hundredths of the sensor's unit?",
+    0.01: "is it in hundreds of the sensor's unit?",
+}
+OF_MODES = {
+    2 * np.pi: "is it in rad/s instead of Hz?",
+    1 / (2 * np.pi): "is it in Hz instead of rad/s?",
+    60.0: "is it per minute?",
+}
+TURNS = {"360 degrees": 360.0, "2 pi": 2 * np.pi}  # of an angle that starts again after each turn
+TURN = 0.3  # largest difference of a jump from a turn, and of the prediction beside it, in turns
+# offset of a record, relative to what is left without it, from which it is reported; it is also
+# larger than the variation
+ASIDE = 3.0
+OFFSETS = {
+    "Position": "is it a displacement? Use Displacement",
+    "Displacement": "is it a place? Use Position",
+}
+ROUNDED = 1e-9  # offset relative to the record that is rounding
+# ratio of the highest to the lowest frequency from which a power of the frequency is looked for
+SPAN = 3.0
+OWN = ("WRAPPED", "GAIN_FACTOR")  # which explain an offset or a low correlation
+FAULTS = (
+    "GAIN_FACTOR",
+    "WRAPPED",
+    "SWAPPED",
+    "LEFT_HANDED",
+    "OFFSET",
+    "CONJUGATED",
+    "OTHER_RESPONSE",
+)
+# correlation of real or imaginary parts of responses that is reported if its sign is wrong
+AGREED = 0.5
+POWERS = {
+    2: "an acceleration",
+    1: "a velocity",
+    -1: "a velocity for an acceleration",
+    -2: "a displacement for an acceleration",
+}
+CLOSE = 0.05  # largest difference of the logarithms of a gain and a factor
+CORRELATED = 0.8  # smallest correlation for which gain and delay are considered
+LATE = 0.05  # smallest delay that is reported, in samples
+SIGNIFICANT = 4.0  # and in standard errors
+# smallest predicted mean of an accelerometer, relative to gravity, for which gravity is checked
+HEAVY = 0.3
+LIGHT = 0.2  # measured mean, relative to the predicted one, below which gravity counts as missing
+# smallest singular value of prediction and derivative, relative to the largest, for which there is
+# a delay
+ALIKE = 1e-6
+# share of the variation of a record that its prediction explains, r2, below which it is reported
+EXPLAINED = 0.5
+# unless the rest is white noise, of which this is the p-value at four standard errors
+UNLIKELY = 6e-5
+EARTH = (9.7, 9.9)  # m/s2
+BETTER = 0.7  # relative cost below which another arrangement of channels or axes is reported
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Comparison of one component of a channel with the prediction; without delays for what is not
+    a record in time."""
+
+    name: str
+    gain: float
+    correlation: float
+    delay: float
+    delay_error: float
+    residual: float
+
+
+class Diagnosis(Result):
+    """Result of `diagnose`: `channels`, for each component gain, correlation, delay in samples with
+    its standard error, and residual relative to the signal; `words`, likely errors."""
+
+    status: Int[Array, ""]
+    channels: tuple[Compared, ...] = eqx.field(static=True)
+    words: tuple[str, ...] = eqx.field(static=True)
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        rows = [
+            (c.name, c.gain, c.correlation, c.delay, c.delay_error, f"{100 * c.residual:.3g} %")
+            for c in self.channels
+        ]
+        heads = ("channel", "gain", "correlation", "delay [samples]", "+-", "residual")
+        return [
+            tables.PrintedTable("Diagnosis", heads, rows, "\n".join(self.words) or "no remarks")
+        ]
+
+
+def diagnose(
+    model: Model,
+    experiments: dict[str, Measurement],
+    *,
+    progress: bool | None = None,
+    **options: Any,
+) -> Diagnosis:
+    """Likely errors of measured channels, from a comparison with the predictions of the model
+    without a fit.
+
+    Args:
+        model: a model with parameters that are roughly right.
+        experiments: {name: Experiment, MeasuredResponse, MeasuredModes, MeasuredStiffness
+            or MeasuredCurves}.
+        progress: None shows progress on a terminal or in a notebook after five seconds, False
+            is silent.
+        options: those of `simulate`.
+
+    Warns GAIN_FACTOR for a gain near 1000, 100, 57.3, 9.81, 39.4 or their inverses, or negative;
+    WRAPPED for an angle that jumps by whole turns where the prediction does not; OFFSET for a
+    record that is off by more than its variation and three times the rest; CONJUGATED for responses
+    with phases of the other sign; OTHER_RESPONSE for those of another derivative, such as
+    accelerances; DELAY for a delay of more than 0.05 samples and 4 standard errors of white noise;
+    SWAPPED for two channels whose cost is 30 % lower when exchanged; LEFT_HANDED for three axes
+    that agree with the model only after a reflection; UNCORRELATED for a prediction that explains
+    less than half of the variation of the record, r2 < 0.5, where the difference of both is no
+    white noise: in a noisy record of a small motion it is; GRAVITY for an accelerometer's record
+    without gravity, or with gravity that the model does not have.
+    Errors: those of `simulate`, WRONG_KIND, NO_DATA.
+
+    >>> times = jnp.linspace(0, 1, 50)
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=40.0)
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     elements={"spring": spring},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ... )
+    >>> run = Experiment(
+    ...     times,
+    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     measured={"x": jnp.cos(40**0.5 * times)},
+    ... )
+    >>> diagnose(model, {"run": run}).words
+    ()
+    """
+    check_measurements(experiments, "diagnose.experiments").raise_if_any()
+    compared, words = [], []
+    with working("diagnose", progress) as line:
+        for name, experiment in experiments.items():
+            line(f"'{name}'")
+            of_run, remarks = likely_errors(
+                model, name, experiment, _predicted(model, experiment, options)
+            )
+            compared += of_run
+            words += remarks
+    for code, message in words:
+        warn(code, message)
+    return Diagnosis(
+        jnp.asarray(Status.OK), tuple(compared), tuple(message for _, message in words)
+    )
+
+
+def _predicted(model: Model, experiment: Measurement, options: dict[str, Any]) -> dict[str, Any]:
+    if not isinstance(experiment, Experiment):
+        return experiment.readings(model, None, small_motions(model) if experiment.linear else None)
+    run = simulate(
+        model,
+        experiment.times,
+        motion=experiment.motion,
+        loads=experiment.loads,
+        initial=experiment.initial,
+        **options,
+    )
+    return measure(run, experiment.sensors)
+
+
+def likely_errors(
+    model: Model, name: str, experiment: Measurement, predicted: dict[str, Any]
+) -> tuple[list[Compared], list[tuple[str, str]]]:
+    """The comparison of each component of a measurement with its prediction, and the codes and
+    words of likely errors."""
+    readings = {key: np.asarray(x) for key, x in predicted.items()}
+    if not isinstance(experiment, Experiment):
+        return _of_numbers(name, experiment, readings)
+    compared, words = [], []
+    channels, times = _components(name, experiment, readings), np.asarray(experiment.times)
+    step = np.median(np.diff(times))
+    for key, (y, p, unit) in channels.items():
+        compared.append(_compared(key, times, y, p, step))
+        kind = type(experiment.sensors[key.removeprefix(f"{name}.").partition("[")[0]]).__name__
+        own = _wrapped(key, times, y, p, unit) or _remarks(compared[-1])
+        words += own if any(code in OWN for code, _ in own) else own + _aside(key, y, p, unit, kind)
+    arranged = _swapped(channels) + _mirrored(name, experiment, readings)
+    named = arranged + [remark for remark in words if remark[0] in OWN]
+    return compared, words + arranged + _unrelated(channels, named, step) + _without_gravity(
+        name, model, experiment, readings
+    )
+
+
+def faults(errors: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Those with which a fit cannot be right."""
+    return [error for error in errors if error[0] in FAULTS]
+
+
+def _wrapped(
+    name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, unit: str
+) -> list[tuple[str, str]]:
+    """A remark on an angle that starts again after each turn."""
+    valid = np.flatnonzero(np.isfinite(y) & np.isfinite(p))
+    for label, turn in TURNS.items() if unit == "rad" else ():
+        steps = np.abs(np.diff(y[valid])) / turn
+        jumps = (np.abs(steps - 1) < TURN) & (np.abs(np.diff(p[valid])) < TURN * 2 * np.pi)
+        if jumps.any() and (steps[~jumps] < TURN).all():
+            first = time_text(times[valid[1 + np.argmax(jumps)]], times)
+            message = (
+                f"{name} jumps by about {label} {jumps.sum()} times, first at t = {first} s, and "
+                "its prediction does not: "
+            )
+            return [
+                (
+                    "WRAPPED",
+                    message
+                    + f"add up its turns, np.unwrap(x{', period=360' if turn == 360 else ''})",
+                )
+            ]
+    return []
+
+
+def _aside(name: str, y: np.ndarray, p: np.ndarray, unit: str, kind: str) -> list[tuple[str, str]]:
+    """A remark on a record with a constant offset; not on an accelerometer, which may
+    lack gravity."""
+    off = (y - p)[np.isfinite(y) & np.isfinite(p)]
+    if not off.size or kind == "Accelerometer":
+        return []
+    offset = float(np.mean(off))
+    if abs(offset) <= max(ASIDE * np.std(off), np.nanstd(y)) or abs(offset) < ROUNDED * np.nanmax(
+        np.abs(y)
+    ):
+        return []
+    remedy = OFFSETS.get(kind, "subtract it, or free its bias in the fit")
+    return [
+        (
+            "OFFSET",
+            (
+                f"{name} is {abs(offset):.4g} {unit} {'above' if offset > 0 else 'below'} the "
+                f"prediction throughout: {remedy}"
+            ),
+        )
+    ]
+
+
+def _of_numbers(
+    run: str, measurement: Measurement, readings: dict[str, np.ndarray]
+) -> tuple[list[Compared], list[tuple[str, str]]]:
+    """The same for what is not a record in time: responses, modes, stiffnesses and curves, which
+    vary about zero."""
+    compared, words = [], []
+    for name in measurement.channels:
+        y, p = np.asarray(measurement.measured[name]), readings[name]
+        for label, column in zip(indices(y.shape[1:]), np.ndindex(*y.shape[1:]), strict=True):
+            own, other = (x[(slice(None), *column)] for x in (y, p))
+            valid = np.isfinite(own) & np.isfinite(other)
+            own, other, key = own[valid], other[valid], f"{run}.{name}{label}"
+            size = float(np.sqrt(np.vdot(own, own).real * np.vdot(other, other).real))
+            if not size:
+                continue
+            product, residual = (
+                float(np.vdot(other, own).real),
+                np.linalg.norm(own - other) / np.linalg.norm(own),
+            )
+            gain = product / float(np.vdot(other, other).real)
+            compared.append(Compared(key, gain, product / size, np.nan, np.nan, float(residual)))
+            turned = (
+                _turned(key, np.asarray(measurement.axis(name)[1])[valid], own, other)
+                if np.iscomplexobj(y)
+                else []
+            )
+            words += turned or _remarks(compared[-1], FACTORS | OF_MODES)
+    return compared, words
+
+
+def _turned(
+    name: str, frequencies: np.ndarray, y: np.ndarray, p: np.ndarray
+) -> list[tuple[str, str]]:
+    """A remark on responses of another derivative or with phases of another sign, by their phases
+    alone: resonances of a guess are elsewhere, where its magnitudes tell nothing."""
+    if len(y) < 8 or not (np.abs(y) * np.abs(p)).all():
+        return []
+    powers = (
+        np.polyfit(np.log(frequencies), np.log(np.abs(y) / np.abs(p)), 1)[0]
+        if frequencies.min() > 0
+        else 0.0
+    )
+    if (
+        frequencies.max() > SPAN * frequencies.min()
+        and round(powers) in POWERS
+        and abs(powers - round(powers)) < 0.25
+    ):
+        message = (
+            f"{name} grows as f^{round(powers)} relative to the prediction: is it "
+            f"{POWERS[round(powers)]}? Use a sensor that reads it"
+        )
+        return [("OTHER_RESPONSE", message)]
+    real, imaginary = (
+        correlation(a, b)
+        for a, b in (((y / abs(y)).real, (p / abs(p)).real), ((y / abs(y)).imag, (p / abs(p)).imag))
+    )
+    if min(abs(real), abs(imaginary)) < AGREED or min(real, imaginary) > 0:
+        return []
+    if real < 0 and imaginary < 0:
+        return [
+            (
+                "GAIN_FACTOR",
+                f"{name} is the negative of the prediction: is its sign or its axis reversed?",
+            )
+        ]
+    what = "the conjugate" if real > 0 else "the negative conjugate"
+    return [
+        (
+            "CONJUGATED",
+            (
+                f"{name} is {what} of the prediction: its phases are those of exp(-i 2 pi f "
+                "t); give np.conj of it"
+            ),
+        )
+    ]
+
+
+def _components(
+    run: str, experiment: Experiment, readings: dict[str, np.ndarray]
+) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
+    """{name: (measured, predicted, unit)} of every component of channels that are scalars or
+    vectors, not of poses."""
+    components = {}
+    for name, sensor in experiment.sensors.items():
+        y, p = np.asarray(experiment.measured[name]), readings[name]
+        if y.ndim == 1:
+            components[f"{run}.{name}"] = (y, p, sensor.unit)
+        elif y.shape[1] <= 3:
+            components |= {
+                f"{run}.{name}[{k}]": (y[:, k], p[:, k], sensor.unit) for k in range(y.shape[1])
+            }
+    return components
+
+
+def _fit(columns: list[np.ndarray], y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Coefficients, their standard errors for white noise, and the rms residual."""
+    A = np.stack(columns, 1)
+    c, _, rank, _ = np.linalg.lstsq(A, y, rcond=ALIKE)
+    residual = y - A @ c
+    s2 = residual @ residual / max(len(y) - A.shape[1], 1)
+    e = (
+        np.sqrt(s2 * np.diag(np.linalg.pinv(A.T @ A)))
+        if rank == A.shape[1]
+        else np.full(len(c), np.inf)
+    )
+    return c, e, float(np.sqrt(np.mean(residual**2)))
+
+
+def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: float) -> Compared:
+    """Gain g and delay d of y relative to p, by iterated linear fits of y ~ c0 + g (p - d p')."""
+    from scipy.interpolate import CubicSpline
+
+    valid = np.isfinite(y) & np.isfinite(p)
+    spread = np.std(y[valid])
+    if valid.sum() < 8 or not np.ptp(p[valid]) or not spread:
+        return Compared(
+            name,
+            np.nan,
+            np.nan,
+            np.nan,
+            np.nan,
+            float(np.sqrt(np.mean((y - p)[valid] ** 2)) / spread) if spread else np.nan,
+        )
+    spline, delay, error, gain = CubicSpline(times[valid], p[valid]), 0.0, np.inf, 1.0
+    for _ in range(3):
+        t = np.clip(times[valid] - delay, times[valid][0], times[valid][-1])
+        c, e, _ = _fit([np.ones(len(t)), spline(t), -spline(t, 1)], y[valid])
+        gain = c[1]
+        if not gain or abs(c[2] / gain) > 0.1 * (times[-1] - times[0]):
+            break
+        delay, error = delay + c[2] / gain, e[2] / abs(gain)
+    residual = np.sqrt(np.mean((y - p)[valid] ** 2)) / spread
+    return Compared(
+        name,
+        float(gain),
+        float(np.corrcoef(y[valid], p[valid])[0, 1]),
+        float(delay / step),
+        float(error / step),
+        float(residual),
+    )
+
+
+def _remarks(c: Compared, factors: dict[float, str] = FACTORS) -> list[tuple[str, str]]:
+    remarks = []
+    if abs(c.correlation) > CORRELATED:
+        near = next((f for f in factors if abs(np.log(abs(c.gain) / f)) < CLOSE), None)
+        if near is not None:
+            remarks.append(
+                ("GAIN_FACTOR", f"{c.name} is {c.gain:.4g} times the prediction: {factors[near]}")
+            )
+        elif c.gain < 0:
+            remarks.append(
+                (
+                    "GAIN_FACTOR",
+                    (
+                        f"{c.name} is {c.gain:.4g} times the prediction: is its sign "
+                        "or its axis reversed?"
+                    ),
+                )
+            )
+        if abs(c.delay) > max(LATE, SIGNIFICANT * c.delay_error):
+            late = "later" if c.delay > 0 else "earlier"
+            remarks.append(
+                (
+                    "DELAY",
+                    (
+                        f"{c.name} is {abs(c.delay):.3g} samples {late} than the prediction: free "
+                        "its delay in the fit"
+                    ),
+                )
+            )
+    return remarks
+
+
+def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, str]]) -> list[tuple[str, str]]:
+    """Remarks on pairs of channels of one unit that fit better when exchanged."""
+    remarks = []
+    for (a, (y, p, unit)), (b, (z, q, other)) in itertools.combinations(channels.items(), 2):
+        valid = np.isfinite(y) & np.isfinite(z)
+        if unit != other or not valid.any():
+            continue
+        y, z, p, q = (x[valid] - x[valid].mean() for x in (y, z, p, q))
+        recorded, exchanged = (
+            np.sum((y - p) ** 2 + (z - q) ** 2),
+            np.sum((y - q) ** 2 + (z - p) ** 2),
+        )
+        if exchanged < BETTER * recorded:
+            lower = 100 * (1 - exchanged / recorded)
+            remarks.append(
+                (
+                    "SWAPPED",
+                    (
+                        f"{a} and {b} fit better when exchanged, with {lower:.0f} % lower cost: "
+                        "are their cables swapped?"
+                    ),
+                )
+            )
+    return remarks
+
+
+def _mirrored(
+    run: str, experiment: Experiment, readings: dict[str, np.ndarray]
+) -> list[tuple[str, str]]:
+    """Remarks on vectors that a reflection aligns with the prediction much better than any rotation
+    (Kabsch algorithm)."""
+    remarks = []
+    for name, p in readings.items():
+        y = np.asarray(experiment.measured[name])
+        if y.ndim != 2 or y.shape[1] != 3:
+            continue
+        valid = np.isfinite(y).all(1)
+        y, p = y[valid] - y[valid].mean(0), p[valid] - p[valid].mean(0)
+        U, S, Vt = np.linalg.svd(y.T @ p)
+        power = np.sum(y**2) + np.sum(p**2)
+        rotated, mirrored = (
+            power - 2 * (S[0] + S[1] + S[2] * np.sign(np.linalg.det(U @ Vt))),
+            power - 2 * S.sum(),
+        )
+        if np.linalg.det(U @ Vt) < 0 and mirrored < BETTER * rotated and rotated > ROUNDED * power:
+            remarks.append(
+                (
+                    "LEFT_HANDED",
+                    (
+                        f"{run}.{name} agrees with the model only when mirrored: are "
+                        "its axes left-handed?"
+                    ),
+                )
+            )
+    return remarks
+
+
+def _unrelated(
+    channels: dict[str, Any], arranged: list[tuple[str, str]], step: float
+) -> list[tuple[str, str]]:
+    """Remarks on channels that hardly follow their prediction, with what they follow instead; not
+    on those that are arranged otherwise.
+
+    In a record of a small motion in much noise a correlation is low too; its difference from the
+    prediction then is white noise."""
+    remarks = []
+    without_means = {name: centered(y, p) for name, (y, p, _) in channels.items()}
+    for name, (y, p, valid) in without_means.items():
+        test, r = whiteness((y - p)[valid]), correlation(y, p)
+        known = any(name.partition("[")[0] in message for _, message in arranged)
+        if known or r**2 >= EXPLAINED or test is None or test.p > UNLIKELY:
+            continue
+        message = (
+            f"{name} hardly follows the prediction, correlation {r:.2g}, R2 {r**2:.2g}: is it the "
+            "right channel, with the right sign, unit "
+        )
+        message += "and times, or is the guess far off?"
+        near = max(
+            (other for other in without_means if other != name),
+            key=lambda other: correlation(y, without_means[other][1]) ** 2,
+            default=name,
+        )
+        alike, (late, of_shift) = correlation(y, without_means[near][1]), best_shift(y, p)
+        if abs(alike) > CORRELATED:
+            message += f" It follows that of {near}, correlation {alike:.2g}."
+        elif abs(of_shift) > CORRELATED:
+            message += (
+                f" It follows it {abs(late) * step:.3g} s {'later' if late > 0 else 'earlier'}, "
+                f"correlation {of_shift:.2g}."
+            )
+        remarks.append(("UNCORRELATED", message))
+    return remarks
+
+
+def _without_gravity(
+    run: str, model: Model, experiment: Experiment, readings: dict[str, np.ndarray]
+) -> list[tuple[str, str]]:
+    """Remarks on accelerometers whose record lacks gravity, or has gravity that the model does
+    not have."""
+    remarks, g = [], float(np.linalg.norm(model.gravity))
+    for name, sensor in experiment.sensors.items():
+        if not isinstance(sensor, Accelerometer):
+            continue
+        y, p = np.asarray(experiment.measured[name]), readings[name]
+        mean, expected = (
+            float(
+                np.linalg.norm(
+                    np.mean(x[np.isfinite(y) & np.isfinite(p)].reshape(-1, *y.shape[1:]), 0)
+                )
+            )
+            for x in (y, p)
+        )
+        if expected > HEAVY * g > 0 and mean < LIGHT * expected:
+            hint = (
+                "was gravity removed from the record? Add it again, or remove gravity and the sag "
+                "that it causes from the model"
+            )
+            remarks.append(
+                (
+                    "GRAVITY",
+                    (
+                        f"{run}.{name} is {mean:.3g} m/s2 on average, but an accelerometer reads "
+                        f"{expected:.4g}: {hint}"
+                    ),
+                )
+            )
+        if not g and EARTH[0] <= mean <= EARTH[1]:
+            hint = "it reads gravity, but the model has none; give it gravity="
+            remarks.append(("GRAVITY", f"{run}.{name} is {mean:.4g} m/s2 on average: {hint}"))
+    return remarks

@@ -1,0 +1,140 @@
+"""Measured dynamic stiffness of an element for fits: magnitude and loss angle by frequency, as a
+mount's data sheet gives them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from jaxbody.core.arrays import Array, Float, device_array, float_array, scalar
+from jaxbody.core.errors import Problems, unknown
+from jaxbody.fitting.experiments.measurements import Measurement, check_rows, noise_of
+from jaxbody.sensors.channels import Channel
+from jaxbody.vibration.dynamic_stiffnesses import dynamic_stiffness
+from jaxbody.vibration.frequency_responses import check_frequencies
+
+
+class StiffnessChannel(Channel):
+    """Magnitude or loss angle of a dynamic stiffness."""
+
+    shape = ()
+    unit: str = eqx.field(static=True, default=("N/m"))  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
+class MeasuredStiffness(Measurement):
+    """The measured dynamic stiffness of one element, by itself: the model has no part in it but
+    this element.
+
+    Args:
+        element: name of the element
+        frequencies: [Hz] (nf,)
+        magnitude: |K| (nf,) [N/m, N m/rad], NaN for frequencies to leave out
+        loss_angle: angle of K (nf,) [rad], likewise; at least one of the two is needed
+        amplitude: of the deformation [m, rad], as in `dynamic_stiffness`; by default small
+        preload: static force [N, N m]
+        direction: of a Mount: x, y, z, rx, ry or rz
+        noise: {"magnitude": standard deviation, "loss_angle": ...}, each one number or one for each
+            frequency; by default estimated
+
+    Errors, all at once: NO_DATA, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE, ALL_NAN,
+    BAD_NOISE, UNKNOWN_NAME.
+
+    >>> sheet = MeasuredStiffness(
+    ...     "mount",
+    ...     [5.0, 10.0],
+    ...     magnitude=[3.0e4, 4.6e4],
+    ...     loss_angle=jnp.deg2rad(jnp.array([34.0, 36.0])),
+    ... )
+    >>> list(sheet.channels)
+    ['magnitude', 'loss_angle']
+    """
+
+    element: str = eqx.field(static=True)
+    frequencies: Float[Array, "nf"]
+    amplitude: Float[Array, ""] | None
+    preload: Float[Array, ""]
+    direction: str | None = eqx.field(static=True)
+    measured: dict[str, Float[Array, "nf"]]
+    noise: dict[str, Float[Array, "..."]] | None
+
+    def __init__(
+        self,
+        element: str,
+        frequencies,
+        *,
+        magnitude=None,
+        loss_angle=None,
+        amplitude=None,
+        preload=0.0,
+        direction=None,
+        noise=None,
+    ):
+        with Problems() as problems:
+            checked = problems.gather(
+                lambda: check_frequencies(frequencies, "MeasuredStiffness.frequencies")
+            )
+            shape = np.shape(frequencies if checked is None else checked)
+            given = {"magnitude": magnitude, "loss_angle": loss_angle}
+            arrays = {
+                name: float_array(x, f"MeasuredStiffness.{name}")
+                for name, x in given.items()
+                if x is not None
+            }
+            if not arrays:
+                problems.add(
+                    "NO_DATA", "MeasuredStiffness", "has no data", limit="magnitude= or loss_angle="
+                )
+            for name, array in arrays.items():
+                check_rows(
+                    array, shape, f"MeasuredStiffness.{name}", "frequencies", str(shape), problems
+                )
+            levels = noise_of(noise or {}, arrays, "MeasuredStiffness.noise", problems)
+            size = (
+                None
+                if amplitude is None
+                else scalar(amplitude, "MeasuredStiffness.amplitude", problems)
+            )
+            force = scalar(preload, "MeasuredStiffness.preload", problems)
+        self.element, self.direction = str(element), direction
+        self.frequencies = checked  # pyright: ignore[reportAttributeAccessIssue]
+        self.amplitude = None if size is None else device_array(size)
+        self.preload = device_array(force)
+        self.measured = {name: device_array(array) for name, array in arrays.items()}
+        self.noise = levels or None
+
+    @property
+    def channels(self):
+        units = {"magnitude": "N/m", "loss_angle": "rad"}
+        return {name: StiffnessChannel(unit=units[name]) for name in self.measured}  # pyright: ignore[reportCallIssue]
+
+    def check(self, model, where):
+        with Problems() as problems:
+            if self.element not in model.element_names:
+                problems.collected.append(unknown(self.element, where, model.element_names))
+            else:
+                problems.gather(lambda: self._predicted(model))
+
+    def _predicted(self, model) -> Any:
+        element = model[self.element]
+        return dynamic_stiffness(
+            element,
+            self.frequencies,
+            preload=self.preload,
+            amplitude=self.amplitude,
+            direction=self.direction,
+        )
+
+    def readings(self, model, integration, lin):
+        predicted = self._predicted(model)
+        return {name: getattr(predicted, name) for name in self.measured}
+
+    def explain(self, model, integration):
+        return self._predicted(model).report()
+
+    def axis(self, channel):
+        return "frequency", self.frequencies, "Hz"
+
+    def place(self, row):
+        return f"{float(self.frequencies[row]):.6g} Hz", float(self.frequencies[row])

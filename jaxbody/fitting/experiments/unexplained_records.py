@@ -1,0 +1,137 @@
+"""Records that a fitted model does not explain: residuals that are not clearly smaller than the
+variation of the record itself.
+
+    rms(y - p) > UNEXPLAINED rms(y - mean y)
+
+for one component of a channel, unless its residuals may be noise: as large as stated, or white and
+not correlated with the prediction, as in a noisy record of a small motion. Frequency responses,
+modes and curves vary about zero, not about their mean.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxbody.core.arrays import indices
+from jaxbody.fitting.experiments.experiments import Experiment
+from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.statistics.autocorrelations import whiteness
+
+# rms of residuals relative to the variation of the record; noise of 30 % of the motion leaves 0.29
+UNEXPLAINED = 0.5
+# variation or residual relative to that of the largest component of the same unit, below which one
+# does not count
+SMALL = 0.1
+SHORT = 2.0  # as UNEXPLAINED, for records that are too short to tell noise from motion
+STATED = 2.0  # residuals relative to the stated noise up to which they are noise
+UNLIKELY = 6e-5  # p-value of white noise, at four standard errors
+SIGNIFICANT = 4.0  # correlation of residuals and prediction, in standard errors
+# residuals beyond so many standard deviations do not count where a robust loss was chosen
+OUTLIERS = 5.0
+
+
+class Component(NamedTuple):
+    """Residuals r = p - y of one component of a channel, of both parts if it is complex; v, those
+    of a prediction without motion; the stated noise, zero if it is not stated; whether it is a
+    record in time."""
+
+    name: str
+    unit: str
+    r: np.ndarray
+    v: np.ndarray
+    noise: float
+    in_time: bool
+
+
+def unexplained(
+    experiments: dict[str, Measurement],
+    residuals: dict[str, dict[str, Any]],
+    robust: bool,
+    least: float,
+) -> list[str]:
+    """A sentence on each such record.
+
+    Args:
+        experiments: the measurements
+        residuals: {measurement: {channel: predicted minus measured}}, in their units
+        robust: whether outliers do not count
+        least: rms of residuals that is integration error
+    """
+    sentences = []
+    for run, experiment in experiments.items():
+        components = [
+            c
+            for name in experiment.channels
+            for c in _components(run, name, experiment, np.asarray(residuals[run][name]))
+        ]
+        for c in components:
+            kept = np.abs(c.r) <= (OUTLIERS * 1.4826 * np.median(np.abs(c.r)) if robust else np.inf)
+            size, variation, largest = (
+                _rms(c.r[kept]),
+                _rms(c.v[kept]),
+                max(_rms(other.v) for other in components if other.unit == c.unit),
+            )
+            test = whiteness(c.r) if c.in_time else None
+            limit = SHORT if c.in_time and test is None else UNEXPLAINED
+            noisy = size <= STATED * c.noise or (
+                test is not None and test.p > UNLIKELY and not _related(c.r, c.r - c.v)
+            )
+            if (
+                variation > 0
+                and size > max(limit * variation, SMALL * largest, least)
+                and not noisy
+            ):
+                sizes = [f"{x:.3g} {c.unit}".rstrip() for x in (size, variation)]
+                sentences.append(
+                    f"the residuals of {c.name} have a rms of {sizes[0]}, where the record itself "
+                    f"varies by {sizes[1]}"
+                )
+    return sentences
+
+
+def _components(run: str, name: str, experiment: Measurement, r: np.ndarray) -> list[Component]:
+    channel, measured, in_time = (
+        experiment.channels[name],
+        np.asarray(experiment.measured[name]),
+        isinstance(experiment, Experiment),
+    )
+    still = np.nanmean(measured, 0) if in_time else np.zeros_like(measured)
+    v = np.asarray(channel.residual(np.broadcast_to(still, measured.shape), measured))
+    level = np.broadcast_to(
+        channel.spread(np.asarray((experiment.noise or {}).get(name, 0.0))), r.shape
+    )
+    labels, units = indices(r.shape[1:]), channel.unit.split(",")
+    r, v, level, present = (
+        np.reshape(x, (len(measured), -1)) for x in (r, v, level, experiment.present(name))
+    )
+    columns: list[Any] = (
+        [slice(None)] if np.iscomplexobj(measured) else [[i] for i in range(r.shape[1])]
+    )
+    components = []
+    for i, own in enumerate(columns):
+        rows, unit = present[:, own], units[i * len(units) // len(columns)].strip()
+        if rows.any():
+            label = f"{run}.{name}{labels[i] if len(columns) > 1 else ''}"
+            components.append(
+                Component(
+                    label,
+                    unit,
+                    r[:, own][rows],
+                    v[:, own][rows],
+                    float(np.median(level[:, own][rows])),
+                    in_time,
+                )
+            )
+    return components
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2))) if x.size else 0.0
+
+
+def _related(r: np.ndarray, p: np.ndarray) -> bool:
+    """Whether residuals follow a prediction more than noise does, rho sqrt(n) > SIGNIFICANT."""
+    p = p - np.mean(p)
+    return bool(abs(p @ r) > SIGNIFICANT * np.sqrt((p @ p) * (r @ r) / len(r)))

@@ -1,0 +1,308 @@
+"""Result of a fit: estimates, standard errors, unidentified parameters, residuals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Float, Int, indices, is_concrete
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import JaxbodyError, Problem, Status
+from jaxbody.core.results import Result
+from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.intervals import FEW, Interval, freedoms_of, intervals_of, widening
+from jaxbody.fitting.parameters.spaces import arrays_of
+from jaxbody.fitting.parameters.transforms import Direction, Rotated
+from jaxbody.fitting.residuals import Task
+from jaxbody.fitting.statistics.quantiles import check_level
+from jaxbody.fitting.statistics.uncertainties import Uncertainty
+from jaxbody.model.models import Model
+from jaxbody.suspension.suspensions import Suspension
+
+LEVEL = 0.95  # of the printed intervals
+FLAT = 1e-9  # slope of a number, relative to the largest of its leaf, that counts as zero
+
+
+class Fit(Labeled, Result):
+    """Result of a fit: estimates, their uncertainty, residuals.
+
+    `model` and `experiments` hold the estimates, and `suspension` if one was fitted.
+    By path: `estimates`, `standard_errors` (infinite for what the data do not determine),
+    `intervals(level)` and their `degrees_of_freedom`. `unidentified` lists combinations of
+    parameters that the data do not determine, `at_bound` the parameters at a bound. `covariance`
+    and `limits` are those of u, `singular_values` those of the Jacobian with scaled columns.
+    `predicted` {run: {sensor: array}}; `noise` {run: {sensor: rms residual}}, for a pose two
+    numbers, in meters and radians; `correlation`, the lag-one correlation of the residuals; `cost`
+    1/2 r'r; `history`, the cost of every evaluation; `rounds`, the evaluations after which the
+    noise was estimated again; `failed`, the number of trials that could not be simulated;
+    `remarks`, remedies.
+
+    `status`: OK, FAR_OFF, NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED, AT_BOUND, NOISY_INPUT or
+    INTERRUPTED. A batch keeps its leading axes; a fit inside jit or vmap has no standard errors.
+
+    >>> import inspect
+    >>> inspect.signature(fit).return_annotation  # the result of fit
+    'Fit'
+    """
+
+    index = "parameter"
+    model: Model
+    experiments: dict[str, Measurement]
+    u: Float[Array, "n"]
+    cost: Float[Array, ""]
+    status: Int[Array, ""]
+    evaluations: int | Int[Array, ""]
+    task: Task
+    uncertainty: Uncertainty | None
+    predicted: dict[str, dict[str, Array]]
+    noise: dict[str, dict[str, Array]]
+    history: list[float]
+    failed: int
+    at_bound: list[str]
+    rounds: tuple[int, ...] = ()
+    remarks: tuple[str, ...] = ()
+    suspension: Suspension | None = None
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        return tuple(parameter.path for parameter in self.task.space.parameters)
+
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.task.space.bounds
+
+    @property
+    def estimates(self) -> dict[str, Array]:
+        """{path: value}."""
+        arrays = {"": arrays_of(self.model, self.suspension)} | {
+            run: jax.tree.leaves(tree) for run, tree in self.experiments.items()
+        }
+        return {
+            leaf.path: leaf.read(arrays[run])
+            for parameter in self.task.space.parameters
+            for run, leaf in parameter.places[:1]
+        }
+
+    def _assessed(self) -> Uncertainty:
+        if self.uncertainty is None:
+            raise JaxbodyError(
+                Problem(
+                    "TRACED",
+                    "fit",
+                    "has no standard errors inside jit or vmap",
+                    hint="Fit outside of jit and vmap to get them.",
+                )
+            )
+        return self.uncertainty
+
+    @property
+    def standard_errors(self) -> dict[str, np.ndarray]:
+        """{path: standard error}, infinite where the data do not determine it."""
+        errors = self._assessed().standard_errors
+        return {
+            path: np.where(unknown, np.inf, errors[path])
+            for path, unknown in self._unknown_to_second_order().items()
+        }
+
+    def _unknown_to_second_order(self) -> dict[str, np.ndarray]:
+        """Which numbers of an undetermined direction or orientation have a first derivative of
+        zero, such as the z component of an axis along z: their standard errors to first order would
+        be zero."""
+        u = self._assessed()
+        error, _ = u.spread(np.eye(self.u.size))
+        unknown = {}
+        for (parameter, own), slopes in zip(self.task.space.parts, u.slopes, strict=True):
+            unknown[parameter.path] = np.zeros(parameter.form.start.shape, bool)
+            if (
+                isinstance(parameter.form, Direction | Rotated)
+                and not np.isfinite(error[own]).all()
+            ):
+                size = np.linalg.norm(slopes[..., own], axis=-1)
+                unknown[parameter.path] = size <= FLAT * size.max()
+        return unknown
+
+    def intervals(self, level: float = 0.95) -> dict[str, Interval]:
+        """Confidence intervals {path: (lower, upper)}: by logarithms for positive parameters,
+        one-sided at a bound. Error: BAD_LEVEL."""
+        check_level(level, "fit.intervals.level")
+        intervals = intervals_of(
+            self.task.space, np.asarray(self.u), self.estimates, self._assessed(), level
+        )
+        unknown = self._unknown_to_second_order()
+        return {
+            path: (np.where(unknown[path], -np.inf, low), np.where(unknown[path], np.inf, high))
+            for path, (low, high) in intervals.items()
+        }
+
+    @property
+    def degrees_of_freedom(self) -> dict[str, np.ndarray]:
+        """{path: degrees of freedom} of Student's t in the intervals: few if samples are few or
+        noise is correlated over many samples."""
+        return freedoms_of(self.task.space, self._assessed())
+
+    @property
+    def covariance(self) -> np.ndarray:
+        return self._assessed().covariance
+
+    @property
+    def singular_values(self) -> np.ndarray:
+        return self._assessed().singular_values
+
+    @property
+    def unidentified(self) -> list[str]:
+        """Combinations of parameters that do not change the readings: "AB.stiffness up with
+        CD.stiffness down"."""
+        return self._assessed().words
+
+    @property
+    def correlation(self) -> float:
+        return self._assessed().correlation
+
+    def explain(self) -> str:
+        return "; ".join([*filter(None, [self._status_details()]), *self.remarks])
+
+    def _status_details(self) -> str:
+        status = Status(int(self.status))
+        if status in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED):
+            u = self._assessed()
+            return f"rank {u.rank} of {len(u.singular_values)}: " + "; ".join(u.words)
+        if status == Status.FAR_OFF and self.at_bound:
+            return f"it ends with {', '.join(self.at_bound)}"
+        if status == Status.AT_BOUND:
+            given = any(label.endswith(("(lower)", "(upper)")) for label in self.at_bound)
+            note = (
+                "; its interval is one-sided, the other parameters are "
+                "estimated with it fixed there"
+            )
+            return ", ".join(self.at_bound) + (note if given else "")
+        after = (
+            f"after {tables.counted(int(self.evaluations), 'evaluation')}; the best so far is kept"
+        )
+        if status == Status.INTERRUPTED:
+            return f"{after}; continue with fit(..., resume=this)"
+        return after if status == Status.NOT_CONVERGED else ""
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset of estimates and standard errors by path."""
+        names, estimates, errors, intervals = [], [], [], self.intervals(0.95)
+        ends = [
+            np.concatenate([np.ravel(interval[side]) for interval in intervals.values()])
+            for side in (0, 1)
+        ]
+        for path, value in self.estimates.items():
+            value = np.asarray(value)
+            names += [path + index for index in indices(value.shape)]
+            estimates += value.ravel().tolist()
+            errors += np.asarray(self.standard_errors[path]).ravel().tolist()
+        variables: dict[str, tuple[tuple[str, ...], Any, str]] = {
+            "estimate": (("parameter",), estimates, ""),
+            "standard_error": (("parameter",), errors, ""),
+            "lower": (("parameter",), ends[0], ""),
+            "upper": (("parameter",), ends[1], ""),
+            "singular_value": (("direction",), self.singular_values, ""),
+            "status": ((), self.status, ""),
+        }
+        coordinates: dict[str, Any] = {"parameter": names}
+        for run, sensors in self.predicted.items():
+            experiment = self.experiments[run]
+            for name, values in sensors.items():
+                over, where, unit = experiment.axis(name)
+                row = f"{run}_{over}"
+                coordinates[row] = (row, np.asarray(where), {"units": unit})
+                dimensions, unit = (
+                    (row, *(f"{run}_{name}_component",) * (np.ndim(values) - 1)),
+                    experiment.channels[name].unit,
+                )
+                variables[f"{run}_{name}_predicted"] = (dimensions, values, unit)
+                variables[f"{run}_{name}_measured"] = (dimensions, experiment.measured[name], unit)
+        return dataset(variables, coordinates, "fit")
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        if self.uncertainty is None or not is_concrete(self.u):
+            return [
+                tables.PrintedTable(
+                    "Fit", ("", ""), [(path, value) for path, value in self.estimates.items()]
+                )
+            ]
+        rows, printed_freedoms = [], []
+        ends, errors, freedoms = (
+            self.intervals(LEVEL),
+            self.standard_errors,
+            self.degrees_of_freedom,
+        )
+        for parameter, (path, value) in zip(
+            self.task.space.parameters, self.estimates.items(), strict=True
+        ):
+            value, units = np.asarray(value), self.task.space.units(parameter)
+            columns = (
+                np.asarray(x).ravel() for x in (value, errors[path], freedoms[path], *ends[path])
+            )
+            for index, unit, x, e, freedom, low, high in zip(
+                indices(value.shape), units, *columns, strict=True
+            ):
+                label = parameter.name() + index
+                bounded = bool(np.isfinite(high - low))
+                printed_freedoms.append(float(freedom) if bounded else np.inf)
+                ended = f"{label} (zero)" in self.at_bound or (not np.isfinite(e) and bounded)
+                error = "at its bound" if ended else float(e) if bounded else "not determined"
+                relative = tables.percent(e / abs(x)) if x else ""
+                rows.append(
+                    (
+                        label,
+                        float(x),
+                        unit,
+                        error,
+                        relative,
+                        f"{low:.6g} to {high:.6g}" if bounded else "",
+                    )
+                )
+        residuals = [
+            row
+            for run, sensors in self.noise.items()
+            for name, levels in sensors.items()
+            for row in self._rms_rows(run, name, levels)
+        ]
+        u = self.uncertainty
+        counts = (
+            tables.counted(u.samples, "sample"),
+            tables.counted(int(self.evaluations), "evaluation"),
+        )
+        notes = [f"{', '.join(counts)}, {u.noise}; {self.report()}"]
+        notes += u.about_noise() + (list(self.remarks) if self.ok else [])
+        heads = (
+            "parameter",
+            "estimate",
+            "unit",
+            "standard error",
+            "relative",
+            f"{100 * LEVEL:g} % interval",
+        )
+        if note := widening(printed_freedoms, LEVEL):
+            notes.append(note)
+            heads = (*heads, "degrees of freedom")
+            rows = [
+                (*row, f"{freedom:.3g}" if freedom < FEW else "")
+                for row, freedom in zip(rows, printed_freedoms, strict=True)
+            ]
+        if int(self.status) not in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED):
+            notes += u.words
+        return [
+            tables.PrintedTable("Fit", heads, rows),
+            tables.PrintedTable(
+                "", ("sensor", "rms residual", "unit"), residuals, "\n".join(notes)
+            ),
+        ]
+
+    def _rms_rows(self, run: str, name: str, levels: Array) -> list[tuple[str, float, str]]:
+        """Table rows with the rms residuals of a sensor, one for each of its units."""
+        channel = self.experiments[run].channels[name]
+        parts = [f" {part}" for part in channel.parts] or [""] * channel.units
+        return [
+            (f"{run}.{name}{part}", float(rms), unit.strip())
+            for rms, unit, part in zip(
+                np.ravel(levels), channel.unit.split(","), parts, strict=True
+            )
+        ]

@@ -1,0 +1,482 @@
+"""Fits of parameters to measurements: least squares with exact derivatives, by SciPy, optax
+or optimistix.
+
+r = (reading(u) - measured)/noise,    minimize 1/2 r'r over u
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+from jaxtyping import Array, Float
+
+from jaxbody.core.arguments import whole_number
+from jaxbody.core.arrays import device_array, is_concrete
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, warn
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import warn_if_failed
+from jaxbody.fitting.checkpoints import resumed, save
+from jaxbody.fitting.colorings import PRIORS
+from jaxbody.fitting.experiments.diagnoses import faults, likely_errors
+from jaxbody.fitting.experiments.experiments import Experiment, Integration, check_measurements
+from jaxbody.fitting.experiments.initial_transients import transients
+from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.experiments.plausibilities import first_frequency
+from jaxbody.fitting.experiments.residual_series import records_of
+from jaxbody.fitting.experiments.unexplained_records import unexplained
+from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.least_squares import AT_BOUND, Evaluations, by_scipy
+from jaxbody.fitting.noisy_inputs import noisy_inputs
+from jaxbody.fitting.optax_steps import by_optax
+from jaxbody.fitting.parameters.spaces import Space, model_of, space_of
+from jaxbody.fitting.residuals import (
+    EXACT,
+    ReadingsAndResiduals,
+    Task,
+    check_start,
+    first_noise,
+    floor,
+    integration_error,
+    residual_and_jacobian,
+    rms_residuals,
+    with_estimated_noise,
+)
+from jaxbody.fitting.statistics.losses import check_loss
+from jaxbody.fitting.statistics.uncertainties import RANK, assess, decomposed
+from jaxbody.fitting.traced_fits import solve
+from jaxbody.model.models import Model
+from jaxbody.model.preconditions import check_precision
+from jaxbody.motion.simulations import check_steps
+from jaxbody.suspension.suspensions import Suspension
+
+# largest effect of a parameter that ended at the limit of its domain, relative to the residuals or
+# the largest effect
+SMALL = 1e-3
+ZERO = 2 * RANK  # such an effect that other parameters cannot have, which counts as zero
+SHORT = 0.25  # shortest record, relative to the first natural period
+# largest number of times that the noise of each channel is estimated and the fit repeated
+ROUNDS = 5
+
+
+def fit(
+    model: Model | Suspension,
+    experiments: dict[str, Measurement],
+    *,
+    free: Iterable[str] | str,
+    method: Any = "least_squares",
+    bounds: dict[str, tuple[Any, Any]] | None = None,
+    priors: dict[str, tuple[Any, Any]] | None = None,
+    loss: str | None = None,
+    rtol: float = 1e-8,
+    solver: diffrax.AbstractSolver | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    dt0: float | None = None,
+    max_steps: int | None = None,
+    max_evaluations: int = 2000,
+    progress: bool | None = None,
+    resume: Fit | str | os.PathLike | None = None,
+    checkpoint: str | os.PathLike | None = None,
+    allow_float32: bool = False,
+) -> Fit:
+    """Least-squares estimates of free parameters from measurements.
+
+    Args:
+        model: the initial guess; a `Suspension` has its hard points as parameters by their names,
+            free=["lower outer"], in meters.
+        experiments: {name: Experiment, MeasuredResponse, MeasuredModes, MeasuredStiffness
+            or MeasuredCurves}.
+        free: paths or patterns, of the model ("*.stiffness", "plate.mass", "AB.a") or of an
+            experiment ("run1.initial.v", "run1.base.frequency"). "left.stiffness = right.stiffness"
+            ties parameters, "left.a = right.a * [1, -1, 1]" with factors; "run1.acc.gain =
+            run2.acc.gain" shares one parameter between experiments.
+        method: "least_squares", SciPy's trust-region reflective method; any optax optimizer,
+            restarted in whitened coordinates until it converges; or an optimistix least-squares
+            solver, which also runs inside jit and vmap, differentiable in forward mode.
+        bounds: {path or pattern: (lower, upper)} in the unit of the parameter, for "least_squares"
+            only; by default none.
+        priors: {path or pattern: (mean, standard deviation)} of normal distributions, for scalars
+            and vectors; each counts as one more measurement.
+        loss: None for least squares; "soft_l1" or "cauchy" for data with outliers (`losses`).
+        rtol, solver, stepsize_controller, dt0: as in `simulate`.
+        max_steps: largest number of integration steps of a run; by default 10,000, or 30 for each
+            sample if that is more.
+        max_evaluations: largest number of evaluations of residuals and Jacobian; of steps with an
+            optax optimizer.
+        progress: None shows progress on a terminal or in a notebook after five seconds, False is
+            silent, True prints every evaluation.
+        resume: an interrupted fit, or the path of its checkpoint, from which to continue.
+        checkpoint: path of a file to which every improved trial is saved; by default none.
+        allow_float32: accept single precision, which loses half of the digits.
+
+    Stiffness, damping and mass stay positive, quaternions keep unit length, and an inertia stays
+    one of positive masses. Parameters that the data do not determine are listed in words, without
+    numbers. Noise that an experiment does not state is estimated for each channel from the
+    residuals, and the fit is repeated with it. A trial that cannot be simulated is a rejected step.
+    Ctrl-C ends the fit with the best estimates so far and status INTERRUPTED.
+
+    Constant steps are several times faster for many experiments in one batch, or for an input with
+    kinks at samples that coincide with steps; they do not control the error, so compare with a
+    shorter dt0.
+
+    Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART,
+    BAD_TIE, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, BAD_DELAY,
+    NONFINITE_START, NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of `simulate`;
+    TINY_START for a positive parameter that starts too small to have an effect; inside jit and vmap
+    also NO_NOISE, because noise is not estimated there. Warns of any status other than OK, of
+    CORRELATED_RESIDUALS, of FAILED_TRIALS, and of INITIAL_TRANSIENT if the prediction of a run
+    begins far from its first samples.
+
+    Status FAR_OFF: the fitted model does not explain a record. Residuals exceed half of its
+    variation and are not white noise, or the record agrees with the prediction only with another
+    sign, unit or channel; the report lists what `diagnose` finds. Of a search that did not converge
+    only the latter is FAR_OFF.
+
+    Status NOISY_INPUT: noise in the record of an imposed motion or load acts as a force that the
+    model does not have, so that estimates are biased and intervals too narrow.
+
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     elements={"spring": spring},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ... )
+    >>> times = jnp.linspace(0, 1, 6)
+    >>> track = Experiment(
+    ...     times,
+    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     measured={"x": jnp.cos(2 * jnp.pi * times)},
+    ... )
+    >>> round(
+    ...     float(
+    ...         fit(model, {"track": track}, free=["spring.stiffness"]).estimates[
+    ...             "spring.stiffness"
+    ...         ]
+    ...     ),
+    ...     5,
+    ... )  # (2 pi)^2
+    39.47842
+    """
+    design, model = model, model_of(model)
+    check_precision("fit", model, allow_float32=allow_float32)
+    check_loss(loss, "fit.loss")
+    with Problems() as problems:
+        max_steps = problems.gather(
+            lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit")
+        )
+        max_evaluations = whole_number(max_evaluations, "fit.max_evaluations", problems)
+        _check_method(method, bounds, problems)
+    _check_runs(model, experiments)
+    space = space_of(design, free, "fit", runs=dict(experiments), bounds=bounds, priors=priors)
+    noise, estimated = first_noise(experiments, absolute=bool(priors) or loss is not None)
+    task = Task(space, noise, Integration(rtol, solver, stepsize_controller, dt0, max_steps), loss)
+    u = np.zeros(space.size)
+    if resume is not None:
+        u, levels = resumed(resume, task)
+        task = eqx.tree_at(lambda t: t.noise, task, levels)
+    u = np.clip(u, *space.bounds)  # a tuned model may be outside by round-off
+    if not is_concrete(model, experiments):
+        return _fit_traced(task, u, method, max_evaluations, estimated)
+    save_improved = (lambda u: None) if checkpoint is None else lambda u: save(checkpoint, task, u)
+    status = Status.NOT_CONVERGED
+    with working("fit", progress) as line:
+        line("first evaluation, compiling")
+        evaluate = Evaluations(
+            partial(residual_and_jacobian, task),
+            max_evaluations,
+            floor=floor(task),
+            progress=progress,
+            improved=save_improved,
+            line=line,
+        )
+        try:
+            check_start(task, u, *evaluate(u)[:2])
+            for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
+                u, converged = _search(evaluate, task, u, method)
+                status = Status.OK if converged else Status.NOT_CONVERGED
+                if not estimated:
+                    break
+                task, changed = with_estimated_noise(task, evaluate(u)[2])
+                if not changed:
+                    break
+                evaluate.replace_function(partial(residual_and_jacobian, task), floor(task))
+        except KeyboardInterrupt:
+            u, status = u if evaluate.best is None else evaluate.best, Status.INTERRUPTED
+        result = _finish(evaluate, task, u, status)
+    warn_if_failed(result)
+    if result.ok and result.uncertainty is not None and result.uncertainty.correlated:
+        warn("CORRELATED_RESIDUALS", result.uncertainty.about_noise()[0])
+    if result.ok and result.remarks:
+        warn("INITIAL_TRANSIENT", "; ".join(result.remarks))
+    if evaluate.failed > evaluate.count / 2:
+        warn(
+            "FAILED_TRIALS",
+            f"{evaluate.failed} of {evaluate.count} trials of the fit could not be simulated",
+        )
+    return result
+
+
+def _check_method(method: Any, bounds: Any, problems: Problems) -> None:
+    least_squares = isinstance(method, str) and method == "least_squares"
+    if bounds and not least_squares:
+        problems.add(
+            "BAD_BOUNDS", "fit.bounds", 'are supported by method="least_squares" only', value=method
+        )
+    known = isinstance(method, optimistix.AbstractLeastSquaresSolver) or (
+        hasattr(method, "init") and hasattr(method, "update")
+    )
+    if not (least_squares or known):
+        allowed = 'an optax optimizer, "least_squares" or an optimistix least-squares solver'
+        problems.add(
+            "UNKNOWN_METHOD", "fit.method", f"is {method!r:.60}", value=method, limit=allowed
+        )
+
+
+def _search(
+    evaluate: Evaluations, task: Task, u: np.ndarray, method: Any
+) -> tuple[np.ndarray, bool]:
+    """The best u by the method, and whether it converged."""
+    if isinstance(method, str):
+        return by_scipy(evaluate, u, task.space.bounds)
+    if not isinstance(method, optimistix.AbstractLeastSquaresSolver):
+        return by_optax(evaluate, task, u, method, task.space.bounds)
+    best, status, steps = solve(task, u, method, max(evaluate.max_evaluations - evaluate.count, 1))
+    evaluate.count += int(steps)
+    return np.asarray(best), int(status) == Status.OK
+
+
+def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
+    """A fit inside jit, vmap and derivatives, where values are unknown."""
+    if not isinstance(method, optimistix.AbstractLeastSquaresSolver):
+        hint = "Inside them use optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8)."
+        raise JaxbodyError(
+            Problem(
+                "TRACED", "fit.method", "does not run inside jit, vmap or grad", method, hint=hint
+            )
+        )
+    if estimated:
+        hint = (
+            "Give the noise of every measurement: it is estimated outside of "
+            "jit, vmap and grad only."
+        )
+        raise JaxbodyError(
+            Problem(
+                "NO_NOISE", "fit.experiments", "do not state the noise of all channels", hint=hint
+            )
+        )
+    u, status, steps = solve(task, u, method, max_steps)
+    design, experiments = task.space.designed(u)
+    r = task.residual(u)
+    return Fit(
+        model=model_of(design),
+        suspension=design if isinstance(design, Suspension) else None,
+        experiments=experiments,
+        u=u,
+        cost=0.5 * r @ r,
+        status=status,
+        evaluations=steps,
+        task=task,
+        uncertainty=None,
+        predicted={},
+        noise={},
+        history=[],
+        failed=0,
+        at_bound=[],
+    )
+
+
+def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
+    r, J, runs = evaluate(u)
+    space, limits = task.space, task.space.bounds
+    design, experiments, slopes = _placed(space, device_array(u))
+    model = model_of(design)
+    inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
+    paths, exact = [parameter.path for parameter in space.parameters], EXACT * floor(task)
+    ends = _ends(task, np.asarray(u), r, J)
+    G, linearized = [np.asarray(slopes[path]) for path in paths], task.linearized(runs, J)
+    uncertainty = assess(
+        *linearized,
+        G,
+        paths,
+        space.names,
+        records_of(space.runs),
+        inside=inside,
+        ended=ends != "",
+        exact=exact,
+    )
+    at_bound = [
+        f"{label} ({side})"
+        for side, limit in zip(("lower", "upper"), limits, strict=True)
+        for label, near in zip(space.names, np.abs(np.asarray(u) - limit) < AT_BOUND, strict=True)
+        if near
+    ]
+    at_bound += [f"{label} ({end})" for label, end in zip(space.names, ends, strict=True) if end]
+    predicted = {run: runs[run][0] for run in task.experiments}
+    checked = np.isfinite(r).all() and np.linalg.norm(r) > floor(task)
+    errors, certain = _unexplained(task, model, experiments, runs) if checked else ([], False)
+    if (errors and status == Status.OK) or (certain and status != Status.INTERRUPTED):
+        status = Status.FAR_OFF
+    if status == Status.OK:
+        rank = uncertainty.rank + np.count_nonzero(ends != "")
+        conditions = (
+            (uncertainty.ineffective, Status.NEVER_MOVED),
+            (rank < space.size, Status.NOT_IDENTIFIABLE),
+            (at_bound, Status.AT_BOUND),
+        )
+        status = next((code for condition, code in conditions if condition), Status.OK)
+    noisy = (
+        noisy_inputs(task, device_array(u), runs)
+        if status == Status.OK or (status == Status.FAR_OFF and not certain)
+        else []
+    )
+    if noisy:
+        status = Status.NOISY_INPUT
+    remarks = (*errors, *noisy)
+    remarks += (
+        ()
+        if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED)
+        else _remedies(evaluate, task, status)
+    )
+    if np.linalg.norm(r) > exact:
+        remarks += tuple(transients(model, experiments, predicted, task.noise, task.integration))
+    return Fit(
+        model=model,
+        suspension=design if isinstance(design, Suspension) else None,
+        experiments=experiments,
+        u=device_array(u),
+        cost=device_array(0.5 * r @ r),
+        status=jnp.asarray(np.asarray(status.value), int),
+        evaluations=evaluate.count,
+        task=task,
+        uncertainty=uncertainty,
+        predicted=predicted,
+        noise=rms_residuals(task, runs),
+        history=evaluate.history,
+        failed=evaluate.failed,
+        at_bound=at_bound,
+        rounds=tuple(evaluate.rounds),
+        remarks=remarks,
+    )
+
+
+def _unexplained(
+    task: Task, model: Model, experiments: dict[str, Measurement], runs: ReadingsAndResiduals
+) -> tuple[list[str], bool]:
+    """Sentences on records that the fitted model does not explain, and on likely errors of
+    measurements there or at the start, which may be nearer to the truth; and whether one of these
+    is certain, so that further evaluations are of no use."""
+    residuals = {
+        run: {
+            name: np.asarray(runs[run][1][name]) * channel.spread(np.asarray(task.noise[run][name]))
+            for name, channel in e.channels.items()
+        }
+        for run, e in task.experiments.items()
+    }
+    sentences = unexplained(experiments, residuals, task.loss is not None, integration_error(task))
+    fitted = [
+        error
+        for run, e in experiments.items()
+        for error in likely_errors(model, run, e, runs[run][0])[1]
+    ]
+    if not sentences and not faults(fitted):
+        return [], False
+    first = residual_and_jacobian(task, device_array(np.zeros(task.space.size)))[2]
+    start = [
+        error
+        for run, e in task.experiments.items()
+        for error in likely_errors(task.space.model, run, e, first[run][0])[1]
+    ]
+    other_than_offset = [
+        [error for error in faults(errors) if error[0] != "OFFSET"] for errors in (start, fitted)
+    ]  # a unit makes one, too
+    likely = next(
+        filter(None, (*other_than_offset, faults(start), faults(fitted), start, fitted)), []
+    )
+    return sentences + [message for _, message in likely], bool(faults(likely))
+
+
+@program
+def _placed(
+    space: Space, u: Float[Array, "n"]
+) -> tuple[Model | Suspension, dict[str, Measurement], dict[str, Array]]:
+    """Model or suspension and runs at u, and d values/du of each parameter."""
+    return *space.designed(u), jax.jacfwd(space.values)(u)
+
+
+def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray:
+    """The limit of its domain that each u is near, as a word, if moving closer to the limit has no
+    effect on the readings; "" for the others."""
+    ends = task.space.ended(u)
+    _, S, Vt, _ = decomposed(J)
+    size = max(np.linalg.norm(r), S.max()) or 1.0
+    alone = 1 / np.linalg.norm(Vt.T / np.maximum(S, 0.1 * ZERO * size), axis=1)
+    return np.where((alone <= ZERO * size) & (np.linalg.norm(J, axis=0) <= SMALL * size), ends, "")
+
+
+def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, ...]:
+    """Remedies for records that are too short, or else for a search that did not converge."""
+    runs = {name: run for name, run in task.experiments.items() if isinstance(run, Experiment)}
+    period = 1 / first_frequency(task.space.model) if runs else np.nan
+    durations = {name: float(np.ptp(run.times)) for name, run in runs.items()}
+    short = [
+        f"'{name}' lasts {duration:.3g} s"
+        for name, duration in durations.items()
+        if duration < SHORT * period
+    ]
+    if short:
+        return (
+            (
+                f"{', '.join(short)}, a small part of the first natural period of {period:.3g} s: "
+                "record longer, or free fewer parameters"
+            ),
+        )
+    if status != Status.NOT_CONVERGED:
+        return ()
+    return (
+        (
+            "give a better initial guess, or "
+            f"{'more max_evaluations' if evaluate.exhausted else 'another method'}"
+        ),
+    )
+
+
+def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
+    problems = check_measurements(experiments, "fit.experiments")
+    for name in experiments:
+        reserved = {
+            "a body": model.layout.bodies,
+            "a support": model.layout.supports,
+            "an element": model.element_names,
+        }
+        owner = next((kind for kind, names in reserved.items() if name in names), None)
+        marks = "".join(mark for mark in ".*?[]" if isinstance(name, str) and mark in name)
+        message = (
+            "is not a string"
+            if not isinstance(name, str)
+            else f"is the name of {owner} of the model"
+            if owner
+            else "is reserved"
+            if name in ("world", "gravity", PRIORS)
+            else f"has {' '.join(marks)} in it"
+            if marks
+            else ""
+        )
+        if message:
+            hint = (
+                "Choose another name, without . * ? [ ], because the paths of an experiment "
+                "begin with its name."
+            )
+            problems.add("BAD_NAME", f"experiments[{name!r}]", message, value=name, hint=hint)
+    problems.raise_if_any()
+    for name, experiment in experiments.items():
+        problems.gather(partial(experiment.check, model, name))
+    problems.raise_if_any()

@@ -1,0 +1,278 @@
+"""Fits from many initial guesses in batches, and the distinct optima that they reach."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import warnings
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import jax
+import numpy as np
+import optimistix
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import positive_number, whole_number
+from jaxbody.core.arrays import Array, Float, Int, device_array
+from jaxbody.core.errors import Problems, Status, warn, warn_of
+from jaxbody.core.progress_lines import Line, working
+from jaxbody.core.results import Result
+from jaxbody.core.workers.batches import batch_of, checked_chunks, computed_here, gathered, store_of
+from jaxbody.core.workers.chunk_stores import hash_of
+from jaxbody.core.workers.executors import crew_of
+from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.fitters import fit
+from jaxbody.fitting.parameters.starts import around
+from jaxbody.fitting.residuals import Task
+from jaxbody.fitting.traced_fits import solve
+from jaxbody.model.models import Model
+
+# largest distance in u, and of costs relative to 1 + cost, of results that count as one optimum
+SAME = 1e-3
+# largest difference of costs (negative log-likelihoods) at which another optimum explains the data
+# about as well
+CLOSE = 2.0
+BATCH = 16  # starts in one program
+
+
+class Multistart(Result):
+    """The distinct optima, by increasing `cost` (n,), with `estimates` {path: (n, ...)} and `hits`:
+    the number of starts that reached each.
+
+    `best`: the fit with the lowest cost; `starts`: the number of all starts; `failures`: the number
+    of those that did not converge.
+
+    >>> import inspect
+    >>> inspect.signature(multistart).return_annotation  # the result of multistart
+    'Multistart'
+    """
+
+    best: Fit
+    cost: Float[np.ndarray, "n"]
+    hits: Int[np.ndarray, "n"]
+    estimates: dict[str, Array]
+    starts: int
+    failures: int
+    status: Int[Array, ""]
+
+    def explain(self) -> str:
+        return self.best.explain()
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        paths = {
+            path: np.asarray(x).reshape(len(self.cost), -1) for path, x in self.estimates.items()
+        }
+        scalars = [path for path, x in paths.items() if x.shape[1] == 1]
+        rows = [
+            (str(i + 1), cost, str(count), *(float(paths[path][i, 0]) for path in scalars))
+            for i, (cost, count) in enumerate(zip(self.cost, self.hits, strict=True))
+        ]
+        note = f"{self.starts} starts, {self.failures} of which did not converge; {self.report()}"
+        return [tables.PrintedTable("Optima", ("", "cost", "starts", *scalars), rows, note)]
+
+
+def multistart(
+    model: Model,
+    experiments: dict[str, Measurement],
+    *,
+    free: Iterable[str] | str,
+    starts: int = 32,
+    spread: float = 0.5,
+    seed: int = 0,
+    bounds: dict[str, tuple[Any, Any]] | None = None,
+    max_evaluations: int = 200,
+    workers: Any = None,
+    out: Any = None,
+    chunks: Iterable[int] | None = None,
+    progress: bool | None = None,
+    **options: Any,
+) -> Multistart:
+    """Fits from several initial guesses, to find the global optimum and any others.
+
+    First `fit` from the values of the model, then the Levenberg-Marquardt method from `starts`
+    Sobol points, with the noise estimated by the first fit; last, `fit` again from the best result,
+    if it is another optimum. Only the first and last fits enforce the bounds.
+
+    Args:
+        model, experiments, free: as in `fit`.
+        starts: number of additional initial guesses.
+        spread: half the range of the initial guesses around the values of the model, in the
+            coordinates u of the fit, for parameters without finite bounds; for positive parameters
+            0.5 is a factor of 1.65 in both directions.
+        seed: random seed of the Sobol points.
+        bounds: as in `fit`; where they are finite, the initial guesses lie between them.
+        max_evaluations: largest number of steps from each initial guess.
+        workers: None, a number of processes, or an executor, as in `sweep`; the numbers are
+            the same.
+        out: path of a Zarr store to which the ends of each 16 starts are written when they are
+            done, as in `sweep`: the same call continues an interrupted one.
+        chunks: numbers of the 16 starts that this call computes, such as range(i, n, k) for job i
+            of k; None: all.
+        progress: as in `fit`.
+        options: other options of `fit`.
+
+    The starts are computed in batches of 16. Ctrl-C between batches returns the optima so far.
+    Starts whose batch is LOST count as not converged.
+
+    Errors: those of `fit`, BAD_NUMBER, BAD_CHUNK, BAD_WORKERS, NOT_SENT, OTHER_WORKER, OTHER_STORE,
+    NOT_SAVED. Warns SEVERAL_OPTIMA if another optimum has a log-likelihood within 2 of the best,
+    LOST and INTERRUPTED.
+
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     elements={"spring": spring},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ... )
+    >>> times = jnp.linspace(0, 1, 6)
+    >>> track = Experiment(
+    ...     times,
+    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     measured={"x": jnp.cos(2 * jnp.pi * times)},
+    ...     noise=0.01,
+    ... )
+    >>> several = multistart(model, {"track": track}, free=["spring.stiffness"], starts=4)
+    >>> several.estimates["spring.stiffness"].round(4).tolist()
+    [39.4784]
+    """
+    with Problems() as problems:
+        starts = whole_number(starts, "multistart.starts", problems)
+        seed = whole_number(seed, "multistart.seed", problems, least=0)
+        positive_number(spread, "multistart.spread", problems)
+        chunks = checked_chunks("multistart", workers, out, chunks, problems, fixed=True)
+    with working("multistart", progress) as line:
+        # about an optimum that may not be the best
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            first = fit(model, experiments, free=free, bounds=bounds, progress=progress, **options)
+        task = first.task
+        points = around(task.space, starts, spread, seed)
+        ends, costs, done = [np.asarray(first.u)], [float(first.cost)], 0
+        if workers is None and out is None:
+            searched = _searched(task, points, max_evaluations)
+        else:
+            searched = [
+                _searched_by_workers(task, points, max_evaluations, workers, out, chunks, line)
+            ]
+        with contextlib.suppress(KeyboardInterrupt):
+            for u, status, cost in searched:
+                done += int((status != Status.INTERRUPTED).sum())
+                converged = (status == Status.OK) & np.isfinite(cost)
+                ends += list(u[converged])
+                costs += list(cost[converged])
+                line(message := f"starts {done} of {starts}: least cost {min(costs):.9g}")
+                if progress:
+                    print(message, flush=True)
+        starts = done
+        groups = _grouped(np.array(ends), np.array(costs))
+        lowest, best = groups[0][0], first
+        if lowest == 0:
+            for each in caught:
+                warn_of(each.message)  # pyright: ignore
+        else:
+            start = dataclasses.replace(first, u=device_array(ends[lowest]))
+            best = fit(
+                model,
+                experiments,
+                free=free,
+                bounds=bounds,
+                progress=progress,
+                resume=start,
+                **options,
+            )
+    cost = np.array([costs[group[0]] for group in groups])
+    if len(cost) > 1 and cost[1] - cost[0] < CLOSE:
+        warn(
+            "SEVERAL_OPTIMA",
+            "another optimum explains the data about as well: costs "
+            f"{cost[0]:.6g} and {cost[1]:.6g}",
+        )
+    values = jax.vmap(task.space.values)(
+        device_array(np.array([ends[group[0]] for group in groups]))
+    )
+    estimates = {path: values[path] for path in first.paths}
+    hits = np.array(list(map(len, groups)))
+    return Multistart(
+        best=best,
+        cost=cost,
+        hits=hits,
+        estimates=estimates,
+        starts=starts + 1,
+        failures=starts + 1 - len(ends),
+        status=best.status,
+    )
+
+
+Ends = tuple[np.ndarray, ...]  # u, status and cost at the ends of searches
+
+
+def _searched(task: Task, points: np.ndarray, max_steps: int) -> Iterator[Ends]:
+    """The ends of searches from these points, in batches of one width, in their order."""
+    for part in computed_here(**_search(task, points, max_steps)):
+        yield part["u"], part["end"], part["cost"]
+
+
+def _searched_by_workers(
+    task: Task, points: np.ndarray, max_steps: int, workers: Any, out: Any, chunks: Any, line: Line
+) -> Ends:
+    """The ends of all searches; those that were not made have the status LOST or INTERRUPTED."""
+    with crew_of(workers, "multistart.workers") as crew:
+        batch = batch_of(**_search(task, points, max_steps), where="multistart", crew=crew)
+        store = (
+            None
+            if out is None
+            else store_of(
+                batch, out, {"starts from": hash_of(points)}, ["start"], "start", any_size=False
+            )
+        )
+        results, status = gathered(
+            batch,
+            crew,
+            "multistart",
+            lambda done, _: line(f"starts {done} of {len(points)}"),
+            store,
+            chunks,
+        )
+    return results["u"], np.where(status == Status.OK, results["end"], status), results["cost"]
+
+
+def _search(task: Task, points: np.ndarray, max_steps: int) -> dict[str, Any]:
+    """The batch of searches from these points: for each u, status and cost at its end."""
+
+    def search(task, points):
+        def one(start):
+            u, status, _ = solve(
+                task, start, optimistix.LevenbergMarquardt(rtol=1e-9, atol=1e-9), max_steps
+            )
+            r = task.residual(u)
+            return {"u": u, "end": status, "cost": 0.5 * r @ r}
+
+        return jax.vmap(one)(points)
+
+    points = points.astype(np.asarray(device_array(points)).dtype)
+    rows = lambda i, j: [points[i:j]]  # noqa: E731
+    return dict(
+        function=search,
+        tree=task,
+        rows=rows,
+        count=len(points),
+        width=BATCH,
+        owner=_search,
+        place=max_steps,
+    )
+
+
+def _grouped(ends: np.ndarray, costs: np.ndarray) -> list[list[int]]:
+    """Indices of results grouped by optimum, in order of cost."""
+    groups: list[list[int]] = []
+    for i in np.argsort(costs, kind="stable"):
+        for group in groups:
+            near = np.abs(ends[i] - ends[group[0]]).max() < SAME
+            if near and abs(costs[i] - costs[group[0]]) < SAME * (1 + costs[group[0]]):
+                group.append(int(i))
+                break
+        else:
+            groups.append([int(i)])
+    return groups

@@ -1,0 +1,115 @@
+"""Records of imposed motions and loads whose noise acts on the model: the readings that were
+measured do not follow their fast part.
+
+    h = prediction - prediction with smoothed records,    b = h'r/h'h
+
+r are the residuals, predicted minus measured, of both r and h the second differences in time. What
+was really imposed is in the measured readings too, and the fit leaves nothing like h in r: b = 0.
+Noise of the record is in the prediction alone: b = 1, a little more because smoothing leaves a part
+of it. It acts as a force that the model does not have, and least squares makes its effect small:
+estimates are biased, in long records by many standard errors.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxbody.core.arrays import Array, Float, device_array
+from jaxbody.fitting.experiments.experiments import Experiment
+from jaxbody.fitting.residuals import ReadingsAndResiduals, Task, residual_and_jacobian
+from jaxbody.model.inputs.motions import Sampled
+from jaxbody.model.inputs.samples import curvatures, integrals
+from jaxbody.model.inputs.signals import Samples
+
+# of the differences that a smoothed record lacks: sin^6(w h/2) of a wave, all at the highest
+# frequency, 0.02 at a third of it
+ORDER = 6
+# b of noise; that of what a model lacks is any number, as sixth differences of a slow motion
+# are small
+LEAST, MOST = 0.5, 3.0
+UNLIKELY = 1e-3  # probability that the residuals of any run without such noise are as like h
+
+
+def noisy_inputs(task: Task, u: Float[Array, "n"], runs: ReadingsAndResiduals) -> list[str]:
+    """A sentence if there are such records in experiments of a fit that ended at u with
+    these `runs`."""
+    from scipy.special import ndtri
+
+    experiments = {
+        name: run for name, run in task.experiments.items() if isinstance(run, Experiment)
+    }
+    driven = [
+        name
+        for name, run in experiments.items()
+        if any(map(_is_record, jax.tree.leaves(_inputs(run), is_leaf=_is_record)))
+    ]
+    if not driven:
+        return []
+    smoothed = {
+        name: _smoothed(experiments[name]) if name in driven else run
+        for name, run in task.experiments.items()
+    }
+    other = residual_and_jacobian(eqx.tree_at(lambda t: t.space.runs, task, smoothed), u)[2]
+    limit, noisy = -ndtri(UNLIKELY / len(driven)), []
+    for name in driven:
+        r, smooth = (
+            np.concatenate([np.ravel(np.diff(x, 2, axis=0)) for x in residuals[name][1].values()])
+            for residuals in (runs, other)
+        )
+        h = r - smooth
+        size = float(h @ h)
+        b = float(h @ r) / size if size > 0 else 0.0
+        if LEAST < b < MOST and b * np.sqrt(size * len(r)) > limit * np.linalg.norm(r - b * h):
+            noisy.append(f"'{name}'")
+    if not noisy:
+        return []
+    return [
+        (
+            f"the readings of {', '.join(noisy)} do not follow the fast part of the motion or load "
+            "that is imposed there: it is noise of that record, which moves the model alone; "
+            "filter the record (forward and backward, as scipy.signal.sosfiltfilt does)"
+        )
+    ]
+
+
+def _is_record(x: Any) -> bool:
+    return isinstance(x, (Sampled, Samples)) and len(x.times) > ORDER
+
+
+def _inputs(experiment: Experiment) -> Any:
+    return experiment.motion, experiment.loads
+
+
+def _smoothed(experiment: Experiment) -> Experiment:
+    smooth = jax.tree.map(
+        lambda x: _smooth(x) if _is_record(x) else x, _inputs(experiment), is_leaf=_is_record
+    )
+    return eqx.tree_at(_inputs, experiment, smooth)
+
+
+def _smooth(record: Any) -> Any:
+    """Without its fast part; from accelerations, these without it."""
+    if isinstance(record, Sampled) and record.rough:
+        t, x, m = (np.asarray(part) for part in (record.times, record.values, record.curvatures))
+        y, h = _slow(m), t[1] - t[0]
+        speed = (x[1] - x[0]) / h - h * (2 * m[0] + m[1]) / 6
+        return eqx.tree_at(
+            lambda s: (s.values, s.curvatures),
+            record,
+            (device_array(integrals(t, y, x[0], speed)[1]), device_array(y)),
+        )
+    y = device_array(_slow(np.asarray(record.values)))
+    if record.curvatures is None:
+        return eqx.tree_at(lambda s: s.values, record, y)
+    return eqx.tree_at(lambda s: (s.values, s.curvatures), record, (y, curvatures(record.times, y)))
+
+
+def _slow(y: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "n *k"]:
+    """y - (-1)^(ORDER/2) delta^ORDER y/2^ORDER, the ends as they are."""
+    half, y = ORDER // 2, y.copy()
+    y[half:-half] -= (-1) ** half * np.diff(y, ORDER, axis=0) / 2**ORDER
+    return y

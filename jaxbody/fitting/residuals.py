@@ -1,0 +1,398 @@
+"""Residuals of all measurements over their noise as a function of the free parameters u, and
+estimates of that noise.
+
+r(u) = (reading(u) - measured)/noise
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import Array, Float, as_numpy, device_array, module_of
+from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, Options, program_with
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.fitting.colorings import PRIORS, colors_of, moved_rows
+from jaxbody.fitting.experiments.experiments import Experiment, Integration
+from jaxbody.fitting.experiments.measured_responses import small_motions
+from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.parameters.spaces import Space
+from jaxbody.fitting.parameters.transforms import Positive
+from jaxbody.fitting.statistics.losses import linearized, robust_level, root
+from jaxbody.model.models import Model
+from jaxbody.model.sizes import size_of, take_long
+from jaxbody.sensors.channels import Channel
+from jaxbody.vibration.linearizations import Linearization
+
+# residuals up to this many times the integration tolerance are integration error, not noise
+EXACT = 100
+# of a parameter that starts too small, relative to integration errors; smaller ones are rounding
+LEAST_EFFECT = 1e-6
+VISIBLE = 10.0  # effect relative to integration errors of a start that is recommended
+# relative change of the ratio of two noise levels above which the fit is repeated
+PROPORTION = 0.01
+
+Levels = dict[str, dict[str, Array]]  # {measurement: {channel: noise}}
+# {measurement: (readings, residuals)}, both by channel
+ReadingsAndResiduals = dict[str, tuple[dict[str, Array], dict[str, Array]]]
+
+
+class Task(eqx.Module):
+    """A least-squares problem: `runs(u)` and `residual(u)` of all measurements of a space, less an
+    `offset` if there is one."""
+
+    space: Space
+    noise: Levels
+    integration: Integration
+    loss: str | None = eqx.field(static=True, default=None)
+    offset: Float[Array, "m"] | None = None
+
+    @property
+    def experiments(self) -> dict[str, Measurement]:
+        return self.space.runs
+
+    @property
+    def times(self) -> list[Float[Array, "_"]]:
+        """Those of all motions [s]."""
+        return [run.times for run in self.experiments.values() if isinstance(run, Experiment)]
+
+    @property
+    def priors(self) -> dict[str, tuple[Array, Array]]:
+        """{path: (mean, standard deviation)}."""
+        return {
+            parameter.path: parameter.prior
+            for parameter in self.space.parameters
+            if parameter.prior is not None
+        }
+
+    @property
+    def absolute(self) -> bool:
+        """Whether the optimum depends on the noise levels themselves and not only on
+        their ratios."""
+        return self.loss is not None or bool(self.priors)
+
+    def readings_and_residuals(
+        self,
+        model: Model,
+        lin: Linearization | None,
+        experiment: Measurement,
+        noise: dict[str, Array],
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Readings of one measurement, and its residuals over noise, zero for missing samples."""
+        readings = experiment.readings(model, self.integration, lin)
+        residuals = {
+            name: experiment.residual(name, readings[name]) / channel.spread(noise[name])
+            for name, channel in experiment.channels.items()
+        }
+        return readings, residuals
+
+    def runs(self, u: Float[Array, "n"]) -> ReadingsAndResiduals:
+        """Readings and residuals of every measurement; measurements of equal structure are
+        evaluated in one batch."""
+        model, runs = self.space.place(u)
+        lin = (
+            small_motions(model)
+            if any(measurement.linear for measurement in runs.values())
+            else None
+        )
+        results = {}
+        for names in shared_structure(runs):
+            if len(names) == 1:
+                results[names[0]] = self.readings_and_residuals(
+                    model, lin, runs[names[0]], self.noise[names[0]]
+                )
+                continue
+            group, noise = (
+                jax.tree.map(lambda *x: jnp.stack(x), *(tree[name] for name in names))
+                for tree in (runs, self.noise)
+            )
+            both = jax.vmap(self.readings_and_residuals, in_axes=(None, None, 0, 0))(
+                model, lin, group, noise
+            )
+            results |= {
+                name: jax.tree.map(lambda x, i=i: x[i], both) for i, name in enumerate(names)
+            }
+        if self.priors:
+            values = self.space.values(u)
+            results[PRIORS] = (
+                values,
+                {
+                    path: (values[path] - mean) / deviation
+                    for path, (mean, deviation) in self.priors.items()
+                },
+            )
+        return results
+
+    def residual(self, u: Float[Array, "n"]) -> Float[Array, "m"]:
+        return self.losses(self.runs(u))
+
+    def losses(self, runs: ReadingsAndResiduals) -> Float[Array, "m"]:
+        """All residuals in one vector, with the loss applied: sorted by name as jit sorts dicts,
+        those of priors last."""
+        r = jnp.concatenate(
+            [root(r, None if run == PRIORS else self.loss) for run, r in _rows(runs).items()]
+        )
+        return r if self.offset is None else r - self.offset
+
+    def linearized(self, runs: ReadingsAndResiduals, J) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals and Jacobian of the least-squares problem with the same optimum and covariance
+        as the robust one."""
+        raw: dict[str, Any] = dict(_rows(jax.tree.map(np.asarray, runs)))
+        prior = raw.pop(PRIORS, np.zeros(0))
+        r, m = np.concatenate(list(raw.values())), len(J) - len(prior)
+        present = [
+            self.experiments[run].present(name).ravel()
+            for run in _order(self.experiments)
+            for name in sorted(runs[run][1])
+        ]
+        r, data = linearized(r, J[:m], np.concatenate(present), self.loss)
+        return np.concatenate([r, prior]), np.concatenate([data, J[m:]])
+
+
+def _rows(runs: ReadingsAndResiduals) -> dict[str, Array]:
+    """The residuals of each measurement as one vector."""
+    parts = {
+        run: [runs[run][1][name].ravel() for name in sorted(runs[run][1])] for run in _order(runs)
+    }
+    return {run: module_of(*own).concatenate(own) for run, own in parts.items()}
+
+
+def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
+    return sorted(runs, key=lambda run: (run == PRIORS, run))
+
+
+def options_of(task: Task, *_: Any) -> Options:
+    """Options for programs that simulate the runs of a task."""
+    return OPTIMIZED if take_long(task.space.model, *task.times) else QUICK
+
+
+@program_with(options_of)
+def residual_and_jacobian(
+    task: Task, u: Float[Array, "n"]
+) -> tuple[Array, Array, ReadingsAndResiduals]:
+    """r, dr/du and the readings and residuals by channel, in one program, because compiling costs
+    more than running."""
+
+    def evaluate(u):
+        runs = task.runs(u)
+        return task.losses(runs), runs
+
+    colors = colors_of(task.space)
+    seeds = jnp.asarray(colors[:, None] == np.arange(colors.max(initial=-1) + 1), float)
+    r, sums, runs = jax.vmap(
+        lambda seed: jax.jvp(evaluate, (u,), (seed,), has_aux=True), 1, (None, 1, None)
+    )(seeds)
+    blocks = [
+        moved_rows(task.space, run, name, runs[run][1][name].size)
+        for run in _order(runs)
+        for name in sorted(runs[run][1])
+    ]
+    return r, jnp.where(jnp.concatenate(blocks), sums[:, colors], 0.0), runs
+
+
+def shared_structure(experiments: dict[str, Measurement]) -> list[list[str]]:
+    """Groups of names of measurements with equal structure and shapes, which can be evaluated in
+    one batch."""
+    groups: dict[Any, list[str]] = {}
+    for name, experiment in experiments.items():
+        leaves, treedef = jax.tree.flatten(experiment)
+        groups.setdefault((treedef, tuple(jnp.shape(leaf) for leaf in leaves)), []).append(name)
+    return list(groups.values())
+
+
+# of a channel without samples, or without residuals
+@np.errstate(divide="ignore", invalid="ignore")
+def rms(channel: Channel, residuals: list, present: list) -> Array:
+    """Root mean square over all records of a channel: one number for each of its units."""
+    squares = sum(channel.pooled(as_numpy(r) ** 2) for r in residuals)
+    return as_numpy(
+        (squares / sum(channel.pooled(as_numpy(mask).astype(float)) for mask in present)) ** 0.5
+    )
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def noise_level(channel: Channel, residuals: list, present: list, loss: str | None) -> Array:
+    """The noise estimated from residuals: their rms, or with a robust loss an estimate that
+    outliers do not increase."""
+    if loss is None:
+        return rms(channel, residuals, present)
+
+    def clipped(s, c):
+        capped = [
+            module_of(r).clip(abs(r / channel.spread(s)), 0.0, c) for r in map(as_numpy, residuals)
+        ]
+        return rms(channel, capped, present) ** 2
+
+    return robust_level(clipped, rms(channel, residuals, present))
+
+
+def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Levels, bool]:
+    """The noise to start with, as stated, or else the standard deviation of the channel over all
+    runs; and whether it must be estimated: where the level itself matters (`absolute`), or the
+    ratios of several levels."""
+    channels = {name: channel for e in experiments.values() for name, channel in e.channels.items()}
+    spread = {}
+    for name, channel in channels.items():
+        runs = [e for e in experiments.values() if name in e.channels]
+        spread[name] = rms(
+            channel, [residuals_of_mean(e, name) for e in runs], [e.present(name) for e in runs]
+        )
+        spread[name] = module_of(spread[name]).where(spread[name] > 0, spread[name], 1.0)
+    noise = {
+        run: {name: (e.noise or {}).get(name, spread[name]) for name in e.channels}
+        for run, e in experiments.items()
+    }
+    stated = [name in (e.noise or {}) for e in experiments.values() for name in e.channels]
+    units = sum(np.size(level) for level in spread.values())
+    return noise, not all(stated) and (absolute or units > 1 or any(stated))  # pyright: ignore[reportReturnType]  `get` with a default gives no None
+
+
+def residuals_of_mean(experiment: Measurement, name: str) -> Array:
+    """Residuals of a prediction that is the mean of the record at all times."""
+    measured = as_numpy(experiment.measured[name])
+    xp, count = module_of(measured), (measured == measured).sum(0).astype(measured.dtype)
+    mean = xp.nansum(measured, 0) / xp.where(count > 0, count, 1.0)  # a mean of nothing would warn
+    return experiment.channels[name].residual(xp.broadcast_to(mean, measured.shape), measured)
+
+
+def with_estimated_noise(task: Task, runs: ReadingsAndResiduals) -> tuple[Task, bool]:
+    """The task with the noise estimated from the residuals, and whether its ratios changed by more
+    than PROPORTION."""
+    by_channel: dict[str, tuple[Channel, list, list]] = {}
+    for run, experiment in task.experiments.items():
+        for name, channel in experiment.channels.items():
+            _, residuals, present = by_channel.setdefault(name, (channel, [], []))
+            residuals.append(
+                np.asarray(runs[run][1][name]) * channel.spread(np.asarray(task.noise[run][name]))
+            )
+            present.append(experiment.present(name))
+    levels = {
+        name: as_numpy(np.maximum(noise_level(*parts, task.loss), 1e-12))
+        for name, parts in by_channel.items()
+    }
+    new = {
+        run: {name: (e.noise or {}).get(name, levels[name]) for name in e.channels}
+        for run, e in task.experiments.items()
+    }
+    places = [(run, name) for run in new for name in new[run]]
+    ratio, fitted = (
+        np.concatenate(
+            [np.ravel(of(*place) / np.asarray(task.noise[place[0]][place[1]])) for place in places]
+        )
+        for of in (lambda run, name: new[run][name], lambda _, name: levels[name])
+    )
+    if fitted.max() < 1e-9:  # an exact fit has no noise
+        return task, False
+    if task.absolute:
+        ratio = np.append(ratio, 1.0)
+    return eqx.tree_at(lambda t: t.noise, task, new), bool(
+        ratio.max() / ratio.min() > 1 + PROPORTION
+    )
+
+
+def rms_residuals(task: Task, runs: ReadingsAndResiduals) -> Levels:
+    """{measurement: {channel: rms residual}}; with a robust loss, an estimate that outliers do
+    not increase."""
+
+    def of(run: str, name: str, channel: Channel):
+        residuals = np.asarray(runs[run][1][name]) * channel.spread(
+            np.asarray(task.noise[run][name])
+        )
+        return noise_level(channel, [residuals], [task.experiments[run].present(name)], task.loss)
+
+    return {
+        run: {name: of(run, name, channel) for name, channel in e.channels.items()}
+        for run, e in task.experiments.items()
+    }
+
+
+def floor(task: Task) -> float:
+    """The norm of a column of the Jacobian below which it is only integration error: an error of
+    rtol times the size of the model in every residual."""
+    weights = [
+        (e.measured[name].size, task.noise[run][name])
+        for run, e in task.experiments.items()
+        for name in e.channels
+    ]
+    weight = np.sqrt(sum(n * np.mean(1 / np.asarray(level) ** 2) for n, level in weights))
+    return integration_error(task) * weight
+
+
+def integration_error(task: Task) -> float:
+    """An error of rtol times the size of the model."""
+    return float(task.integration.rtol) * float(size_of(task.space.model))
+
+
+def check_start(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> None:
+    """Check that the residuals are finite at the start, and that all positive parameters have an
+    effect there. Errors: NONFINITE_START, with the first residual that is not, TINY_START."""
+    if np.isfinite(r).all():
+        _check_effects(task, u, ~J.any(0))
+        return
+    runs = residual_and_jacobian(task, device_array(u))[2]
+    hint = "Start with parameters for which the model can be simulated."
+    for run, (_, residuals) in runs.items():
+        experiment = task.experiments[run]
+        for name, values in residuals.items():
+            bad = np.argwhere(~np.isfinite(np.asarray(values)))
+            if len(bad):
+                place, value = experiment.place(int(bad[0][0]))
+                component = f", component {bad[0][1]}" if bad.shape[1] > 1 else ""
+                why = experiment.explain(task.space.model, task.integration)
+                if why.startswith("MAX_STEPS"):
+                    hint = (
+                        "Give a larger max_steps or rtol (in a file [fit] max_steps, in a command "
+                        "--max-steps), or start nearer."
+                    )
+                message = (
+                    f"is not finite from {place} on{component}, at the start of the fit: {why}"
+                )
+                raise JaxbodyError(
+                    Problem("NONFINITE_START", f"{run}.{name}", message, value, "finite", hint)
+                )
+    raise JaxbodyError(
+        Problem(
+            "NONFINITE_START", "fit", "has derivatives that are not finite at the start", hint=hint
+        )
+    )
+
+
+def _check_effects(task: Task, u: np.ndarray, silent: np.ndarray) -> None:
+    """Check that no positive parameter starts so small that integration errors hide its effect,
+    which grows with it. Error: TINY_START, with a size from which it has an effect, as is tried."""
+    space, hidden = task.space, floor(task)
+    units = [
+        unit
+        for p in space.parameters
+        for unit in (space.units(p) if isinstance(p.form, Positive) else [None] * p.form.size)
+    ]
+    positive = np.array([unit is not None for unit in units], bool)
+    if not (silent & positive).any():
+        return
+
+    def effects(u: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(np.asarray(residual_and_jacobian(task, device_array(u))[1]), axis=0)
+
+    start = effects(u)
+    small = silent & positive & (start > LEAST_EFFECT * hidden)
+    # x = x0 exp(u)
+    larger = u + np.where(small, np.log(VISIBLE * hidden / np.where(small, start, 1.0)), 0.0)
+    small &= effects(larger) > hidden if small.any() else False
+    with Problems() as problems:
+        for i in np.flatnonzero(small):
+            value, least = (
+                space.numbers(u)[0][i],
+                10 ** np.ceil(np.log10(space.numbers(larger)[0][i])),
+            )
+            message = (
+                f"starts at {value:.3g} {units[i]}, where its effect on the data is smaller "
+                "than integration errors"
+            )
+            limit, hint = f"{least:.0e} {units[i]} or more", "Start at the size that you expect."
+            problems.add(
+                "TINY_START", space.labels[i], message, value=value, limit=limit, hint=hint
+            )

@@ -1,0 +1,334 @@
+"""Uncertainty of estimates: covariance from the Jacobian and the estimated noise, and in words what
+the data do not determine.
+
+    J = Q R,    covariance of u = R^-1 M R^-T
+
+M is the covariance of Q'e (`noises`); for white noise of one level it is s^2 I with
+s^2 = r'r/(samples - parameters).
+A variance v that is estimated has 2 v^2/var(v) degrees of freedom (F. E. Satterthwaite, Biometrics
+Bull. 2 (1946) 110); intervals use Student's t with this number. Directions of u with a negligible
+singular value do not change the readings. Parameters that such a direction changes have no standard
+error. Neither has a parameter at its bound; the others are estimated with it fixed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import equinox as eqx
+import numpy as np
+
+from jaxbody.fitting.statistics.autocorrelations import Whiteness, whiteness
+from jaxbody.fitting.statistics.noises import LEAST, Noise, ResidualSeries, noise_of
+
+CORRELATED = 0.1  # lag-one correlation of residuals that is reported, if it is also significant
+SIGNIFICANT = 3.0  # standard deviations of the pooled lag-one correlation of white noise
+TOGETHER = 0.3  # correlation of two records that is reported
+# component in a null direction, relative to the whole, that makes a parameter undetermined
+TOUCHED = 1e-3
+# probability of residuals this large, given the stated noise, below which they are reported
+UNLIKELY = 1e-3
+RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
+
+
+class Uncertainty(eqx.Module):
+    """The uncertainty of a fit.
+
+    `covariance`: covariance of u; `white_covariance`: the same for white noise; `parts`: changes of
+    the covariance for standard errors of the noise estimates; `singular_values`, `rank`, `null`
+    directions and these in `words`; `ineffective`: parameters without effect on the data.
+    `whiteness`, `orders`, `correlation`: tests of residuals by record, orders of their
+    autoregressions, pooled correlation at lag one; `pairs`: correlations between records.
+    `at_bounds` {index of a u at its bound: slope of the cost, its curvature with all others free,
+    standard error without the bound, degrees of freedom}. `beyond_stated`: ratio of residuals to
+    the stated noise where they exceed it."""
+
+    covariance: np.ndarray
+    white_covariance: np.ndarray
+    parts: np.ndarray
+    null: np.ndarray
+    slopes: list[np.ndarray]
+    standard_errors: dict[str, np.ndarray]
+    singular_values: np.ndarray
+    rank: int
+    words: list[str]
+    ineffective: list[str]
+    correlation: float
+    correlated: bool
+    whiteness: dict[str, Whiteness | None]
+    orders: dict[str, int]
+    pairs: dict[tuple[str, str], float]
+    at_bounds: dict[int, tuple[float, float, float, float]]
+    beyond_stated: dict[str, float]
+    samples: int
+
+    def spread(self, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Standard errors, infinite where not determined, and degrees of freedom, of numbers whose
+        gradients in u are the rows of G."""
+        error, freedom = _spread(G, self.covariance, self.parts)
+        size = np.linalg.norm(G, axis=1)
+        touched = np.linalg.norm(G @ self.null, axis=1) > TOUCHED * np.where(size > 0, size, 1)
+        return np.where(touched, np.inf, error), freedom
+
+    @property
+    def factor(self) -> float:
+        """Ratio of the standard error to that for white noise, for the parameter where they
+        differ most."""
+        ratio = np.sqrt(
+            np.diag(self.covariance)[self._positive]
+            / np.diag(self.white_covariance)[self._positive]
+        )
+        return float(ratio[np.argmax(np.abs(np.log(ratio)))]) if ratio.size else 1.0
+
+    @property
+    def _positive(self) -> np.ndarray:
+        return (np.diag(self.covariance) > 0) & (np.diag(self.white_covariance) > 0)
+
+    @property
+    def noise(self) -> str:
+        """The model of the noise in the standard errors."""
+        if not self.orders:
+            return "noise as stated"
+        return (
+            f"noise autoregressive of order {self._order}"
+            if any(self.orders.values())
+            else "noise white"
+        )
+
+    @property
+    def _order(self) -> str:
+        """The orders of the autoregressions, in words."""
+        low, high = min(self.orders.values()), max(self.orders.values())
+        return f"{low}" if low == high else f"{low} to {high}" if low else f"up to {high}"
+
+    def _effect_of_correlation(self) -> str:
+        """The effect of correlated residuals on standard errors, in words."""
+        if not any(self.orders.values()):
+            return (
+                ", but no autoregression describes them better than white noise, which "
+                "standard errors assume"
+            )
+        size = max(self.factor, 1 / self.factor)
+        if f"{size:.2g}" == "1":
+            return (
+                f"; standard errors, which assume autoregressions of order {self._order}, are "
+                "those of white noise"
+            )
+        error = f"{size:.2g} times too {'small' if self.factor > 1 else 'large'}"
+        return (
+            f": standard errors for white noise would be up to {error}; these assume "
+            f"autoregressions of order {self._order}"
+        )
+
+    def about_noise(self) -> list[str]:
+        """Remarks on residuals that differ from white noise of the stated level."""
+        remarks = []
+        if self.correlated:
+            remarks.append(
+                "residuals are correlated (lag one "
+                f"{self.correlation:.2f}){self._effect_of_correlation()}"
+            )
+        if max((abs(x) for x in self.pairs.values()), default=0.0) > TOGETHER:
+            (one, other), most = max(self.pairs.items(), key=lambda pair: abs(pair[1]))
+            remarks.append(
+                f"residuals of channels are correlated, most strongly {one} with {other} "
+                f"({most:.2f}); standard errors include this"
+            )
+        excesses = [f"{name} {ratio:.2g} times" for name, ratio in self.beyond_stated.items()]
+        if excesses:
+            remarks.append(
+                "residuals exceed the stated noise, which standard errors assume: "
+                f"{', '.join(excesses)}"
+            )
+        return remarks
+
+
+def _spread(
+    G: np.ndarray, covariance: np.ndarray, parts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    v = np.einsum("ij,ij->i", G @ covariance, G)
+    changes = np.einsum("lij,ij->li", G @ parts, G)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        freedom = np.where(v > 0, 2 * v**2 / (changes**2).sum(0), np.inf)
+    return np.sqrt(np.maximum(v, 0.0)), np.maximum(freedom, 1.0)
+
+
+def known_directions(S: np.ndarray) -> np.ndarray:
+    """Which singular values of the Jacobian in u differ from zero."""
+    return RANK * S.max(initial=0.0) < S
+
+
+def decomposed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """J = U S V' with a square V', and which of S differ from zero."""
+    # fewer residuals than parameters leave directions unknown too
+    few = np.zeros((max(J.shape[1] - J.shape[0], 0), J.shape[1]))
+    U, S, Vt = np.linalg.svd(np.concatenate([J, few]), full_matrices=False)
+    return U[: len(J)], S, Vt, known_directions(S)
+
+
+def assess(
+    r,
+    J,
+    slopes: list[np.ndarray],
+    paths: list[str],
+    labels: list[str],
+    records: list[ResidualSeries],
+    *,
+    inside=None,
+    ended=False,
+    exact=0.0,
+) -> Uncertainty:
+    """The uncertainty of estimates.
+
+    Args:
+        r: residuals, in units of their noise
+        J: Jacobian of r in the unknowns u
+        slopes: derivatives of the leaves with respect to u
+        paths: names of the leaves
+        labels: names of the unknowns
+        records: series of residuals in r
+        inside: False for unknowns at a bound; None: all True
+        ended: True for unknowns that went to the end of their domain, where they have no effect
+        exact: norm of r up to which residuals are round-off
+    """
+    J = np.where(ended, 0.0, J)
+    inside = np.ones(J.shape[1], bool) if inside is None else np.asarray(inside)
+    U, S, Vt, known = decomposed(J)
+    null = np.concatenate([Vt[~known].T, np.eye(J.shape[1])[:, ~inside]], axis=1)
+    noise, back = _noise_and_map(
+        r, inside, records, (U, S, Vt, known) if inside.all() else decomposed(J[:, inside])
+    )
+    covariance, white, *parts = (back @ M @ back.T for M in (noise.M, noise.white, *noise.parts))
+    ineffective = [
+        label
+        for label, silent in zip(labels, ~J.any(0) & ~np.asarray(ended), strict=True)
+        if silent
+    ]
+    tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in records}
+    correlation, significant = lag_one(r, U[:, known], records)
+    uncertainty = Uncertainty(
+        covariance,
+        white,
+        np.reshape(parts, (len(parts), *covariance.shape)),
+        null,
+        slopes,
+        {},
+        S,
+        int(known.sum()),
+        in_words(np.where(ended, 0.0, Vt[~known]).T, labels, ineffective),
+        ineffective,
+        correlation,
+        significant and bool(r @ r > exact**2),
+        tests,
+        noise.orders,
+        noise.pairs,
+        _at_bounds(r, J, inside, records),
+        _beyond_stated(r, U[:, known], records),
+        sum(len(c.rows) for c in records),
+    )
+    errors = {
+        path: uncertainty.spread(G.reshape(-1, len(S)))[0].reshape(G.shape[:-1])
+        for path, G in zip(paths, slopes, strict=True)
+    }
+    return replace(uncertainty, standard_errors=errors)
+
+
+def _noise_and_map(r, inside, records: list[ResidualSeries], parts) -> tuple[Noise, np.ndarray]:
+    """The noise in Q'e and its linear map to u, for the columns of J that are `inside`, with their
+    decomposition `parts`."""
+    U, S, Vt, known = parts
+    back = np.zeros((len(inside), known.sum()))
+    back[inside] = Vt[known].T / S[known]
+    return noise_of(r, U[:, known], records), back
+
+
+def _beyond_stated(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> dict[str, float]:
+    from scipy.special import chdtrc
+
+    ratios = {}
+    for record in (record for record in records if record.known):
+        square, freedom = (
+            float(r[record.rows] @ r[record.rows]),
+            len(record.rows) - float(np.sum(Q[record.rows] ** 2)),
+        )
+        if freedom > LEAST and chdtrc(freedom, square) < UNLIKELY:
+            ratios[record.name] = np.sqrt(square / freedom)
+    return ratios
+
+
+def _at_bounds(
+    r, J, inside, records: list[ResidualSeries]
+) -> dict[int, tuple[float, float, float, float]]:
+    at_bounds = {}
+    for i in np.flatnonzero(~inside & J.any(0)):
+        one = inside.copy()
+        one[i] = True
+        noise, back = _noise_and_map(r, one, records, decomposed(J[:, one]))
+        parts = np.reshape([back @ M @ back.T for M in noise.parts], (-1, J.shape[1], J.shape[1]))
+        error, freedom = _spread(np.eye(J.shape[1])[[i]], back @ noise.M @ back.T, parts)
+        curvature = 1 / float((back @ back.T)[i, i])
+        at_bounds[int(i)] = (float(J[:, i] @ r), curvature, float(error[0]), float(freedom[0]))
+    return at_bounds
+
+
+def in_words(null: np.ndarray, labels: list[str], ineffective: list[str]) -> list[str]:
+    """Null directions in words, "AB.stiffness up with CD.stiffness down", with few parameters in
+    each, by elimination. Of what is equally large the first counts, whatever rounding says."""
+    words = [f"{label} has no effect on the data" for label in ineffective]
+    moving = [i for i, label in enumerate(labels) if label not in ineffective]
+    for row in _echelon(null[moving].T):
+        parts = [
+            (labels[moving[i]], row[i])
+            for i in np.argsort(-_size(row), kind="stable")
+            if abs(row[i]) > 0.02 * np.abs(row).max()
+        ]
+        first = np.sign(parts[0][1])
+        words.append(
+            " with ".join(f"{label} {'up' if x * first > 0 else 'down'}" for label, x in parts[:8])
+            + (f" and {len(parts) - 8} more" if len(parts) > 8 else "")
+        )
+    return words
+
+
+def _size(x: np.ndarray) -> np.ndarray:
+    return np.round(np.abs(x), 6)
+
+
+def _echelon(rows: np.ndarray) -> np.ndarray:
+    """The reduced echelon form of the span of rows, by elimination with complete pivoting;
+    negligible rows are dropped."""
+    A = rows.copy()
+    done: list[int] = []
+    while A.size and len(done) < len(A):
+        left = [i for i in range(len(A)) if i not in done]
+        i, j = np.unravel_index(np.argmax(_size(A[left])), A[left].shape)
+        i = left[i]
+        if abs(A[i, j]) < 1e-3:
+            break
+        A[i] /= A[i, j]
+        for other in range(len(A)):
+            if other != i:
+                A[other] -= A[other, j] * A[i]
+        done.append(i)
+    return A[sorted(done)]
+
+
+def lag_one(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> tuple[float, bool]:
+    """The pooled lag-one correlation of all records, and whether it is significant and
+    above CORRELATED.
+
+    It is compared with that of white noise after a fit, (I - QQ')e, because a fit of many
+    parameters leaves white noise correlated."""
+    series = [(r[c.rows], Q[c.rows]) for c in records if c.series and r[c.rows].any()]
+    n = sum(len(x) for x, _ in series)
+    if n == 0:
+        return 0.0, False
+    pooled = sum(float(x[1:] @ x[:-1]) / float(x @ x) * len(x) for x, _ in series) / n
+    by_fit = (
+        sum(
+            float(np.sum(q[1:] * q[:-1])) / max(len(x) - float(np.sum(q**2)), LEAST) * len(x)
+            for x, q in series
+        )
+        / n
+    )
+    return pooled, bool(abs(pooled + by_fit) > max(CORRELATED, SIGNIFICANT / np.sqrt(n)))

@@ -1,0 +1,172 @@
+"""Validation: predictions of a fitted model compared with runs that were not used for the fit,
+channel by channel.
+
+    NRMSE = rms(predicted - measured)/std(measured),    fit = 1 - NRMSE
+
+A fit of 100 % has no residual; 0 % is as good as the mean of the record, and below 0 % the mean
+is better.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import Array
+from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.errors import Status
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.fitting.experiments.experiments import check_measurements
+from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.experiments.residual_series import records_of
+from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.parameters.spaces import Space
+from jaxbody.fitting.residuals import Levels, Task, residuals_of_mean
+from jaxbody.fitting.statistics.autocorrelations import Whiteness, whiteness
+from jaxbody.model.sizes import take_long
+
+WHITE = 0.01  # p-value from which residuals are reported as white
+
+
+class Validation(Result):
+    """Residuals of a fitted model by component of each channel, as "run.channel[0]".
+
+    `nrmse`; `rms` of the residuals in the unit of the channel; `excess`, its ratio to the noise
+    estimated by the fit; and `whiteness`, None for short records and for measurements that are no
+    time series. `experiments` holds the runs, `predicted` and `residuals` are {run: {channel:
+    array}}. `status` is NONFINITE if a run cannot be simulated with the fitted model; `failed`
+    gives the reasons.
+    """
+
+    experiments: dict[str, Measurement]
+    nrmse: dict[str, float]
+    rms: dict[str, float]
+    excess: dict[str, float]
+    whiteness: dict[str, Whiteness | None]
+    units: dict[str, str]
+    predicted: dict[str, dict[str, Array]]
+    residuals: dict[str, dict[str, Array]]
+    failed: dict[str, str]
+    status: np.ndarray
+
+    def explain(self) -> str:
+        return "; ".join(f"{run}: {why}" for run, why in self.failed.items())
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        rows = []
+        for name, nrmse in self.nrmse.items():
+            test = self.whiteness[name]
+            white = (
+                "" if test is None else f"{test.r1:.2f}" + (" (white)" if test.p >= WHITE else "")
+            )
+            rows.append(
+                (
+                    name,
+                    f"{100 * nrmse:.3g} %",
+                    f"{100 * (1 - nrmse):.2f} %",
+                    self.rms[name],
+                    self.units[name],
+                    self.excess[name],
+                    white,
+                )
+            )
+        heads = (
+            "channel",
+            "NRMSE",
+            "fit",
+            "rms residual",
+            "unit",
+            "over noise of the fit",
+            "lag-one correlation",
+        )
+        note = (
+            "NRMSE: rms of the residual over the standard deviation of the measured "
+            f"record; {self.report()}"
+        )
+        return [tables.PrintedTable("Validation", heads, rows, note)]
+
+
+def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
+    """Compare predictions of the fitted model with runs that were not used for the fit.
+
+    Initial states, biases of sensors and other parameters of an experiment are those given with it,
+    not fitted.
+
+    Errors: NO_DATA, WRONG_KIND, and those of `fit` for experiments that do not match the model.
+    Warns NONFINITE.
+
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     elements={"spring": spring},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ... )
+    >>> def run(times, noise):
+    ...     x = jnp.cos(2 * jnp.pi * times) + noise * jnp.cos(300 * times**2)
+    ...     return Experiment(
+    ...         times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": x}
+    ...     )
+    >>> result = fit(model, {"one": run(jnp.linspace(0, 1, 21), 0.02)}, free=["spring.stiffness"])
+    >>> validation = validate(result, {"two": run(jnp.linspace(0, 2, 41), 0.02)})
+    >>> print(f"{100 * validation.nrmse['two.x']:.1f} %")
+    2.3 %
+    """
+    check_measurements(experiments, "validate.experiments").raise_if_any()
+    for name, experiment in experiments.items():
+        experiment.check(fit.model, name)
+    noise: Levels = {
+        run: {
+            name: jnp.ones((channel.units,) if channel.units > 1 else ())
+            for name, channel in e.channels.items()
+        }
+        for run, e in experiments.items()
+    }
+    task = Task(Space(fit.model, (), dict(experiments)), noise, fit.task.integration)
+    runs = _runs(task)
+    means = {
+        run: ({}, {name: residuals_of_mean(e, name) for name in e.channels})
+        for run, e in experiments.items()
+    }
+    r, signal = np.asarray(task.losses(runs)), np.asarray(task.losses(means))
+    fit_noise = {name: level for levels in fit.noise.values() for name, level in levels.items()}
+    nrmse, rms, excess, tests, units = {}, {}, {}, {}, {}
+    for record in records_of(task.experiments):
+        residual, name, unit = r[record.rows], *record.group.rsplit(" ", 1)
+        spread, size = np.sqrt(np.mean(signal[record.rows] ** 2)), np.sqrt(np.mean(residual**2))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            nrmse[record.name], rms[record.name] = float(size / spread), float(size)
+        level = np.ravel(fit_noise[name])[int(unit)] if name in fit_noise else np.nan
+        excess[record.name] = float(size / level)
+        tests[record.name] = (
+            whiteness(residual) if record.series and np.isfinite(residual).all() else None
+        )
+        units[record.name] = (
+            experiments[record.run].channels[name].unit.split(",")[int(unit)].strip()
+        )
+    failed = {
+        run: e.explain(fit.model, fit.task.integration)
+        for run, e in experiments.items()
+        if not all(np.isfinite(x).all() for x in runs[run][1].values())
+    }
+    status = np.asarray(Status.NONFINITE if failed else Status.OK)
+    predicted, residuals = ({run: both[k] for run, both in runs.items()} for k in (0, 1))
+    return warn_if_failed(
+        Validation(
+            experiments=dict(experiments),
+            nrmse=nrmse,
+            rms=rms,
+            excess=excess,
+            whiteness=tests,
+            units=units,
+            predicted=predicted,
+            residuals=residuals,
+            failed=failed,
+            status=status,
+        )
+    )
+
+
+@program_with(lambda task: OPTIMIZED if take_long(task.space.model, *task.times) else QUICK)
+def _runs(task: Task):
+    return task.runs(jnp.zeros(0))

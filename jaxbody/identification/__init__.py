@@ -1,1 +1,0 @@
-"""Fits: residuals, searches, results, several initial guesses, multiple shooting."""

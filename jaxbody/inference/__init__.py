@@ -1,1 +1,0 @@
-"""Uncertainty of fits: profiles, bands, coverage, validation."""

@@ -1,0 +1,571 @@
+"""Equilibrium: the configuration of least potential energy near the start, its stability, and its
+derivatives by the implicit function theorem.
+
+    dV/dDelta = 0,    dq/dp = -K^-1 d2V/dDelta dp
+
+With closures c = 0 it is dV/dDelta + J' lambda = 0, J = dc/dDelta; stability is that of the motions
+they leave free (free_motions).
+
+The search is by descent (descents). Loads, which may have no potential, are then raised step by
+step (load_paths); where that cannot start, because K is singular without them, the search descends
+the potential of dead loads and weights.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import whole_number
+from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, is_concrete, tangent_or_nan
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.datasets import AXES, Labeled, dataset, rows_of
+from jaxbody.core.errors import Problems, Status
+from jaxbody.core.results import Result, finished
+from jaxbody.geometry.frames import Frame
+from jaxbody.lagrange import potential
+from jaxbody.mechanics.closure_forces import ClosureForces, closure_forces
+from jaxbody.mechanics.descents import eigenvalue_signs
+from jaxbody.mechanics.failure_causes import nonfinite_downhill
+from jaxbody.mechanics.forces_at_rest import element_rows, residual_and_reactions, support_rows
+from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
+from jaxbody.mechanics.hessians import Configuration, configuration_at
+from jaxbody.mechanics.load_paths import (
+    AppliedLoads,
+    Path,
+    residual,
+    tangent,
+    with_gravity,
+    with_load_gravity,
+)
+from jaxbody.mechanics.null_motions import resisting_stiffness, zero_modes
+from jaxbody.mechanics.rest_searches import (
+    LOADABLE,
+    SearchResult,
+    along_path,
+    no_loads,
+    search_by_descent,
+    search_under_loads,
+)
+from jaxbody.model.inputs.loads import Load, loads_of
+from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows
+from jaxbody.model.joints.element_tables import each_element, outside_law_range
+from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.laws.measured_curves import has_range
+from jaxbody.model.layouts import Layout
+from jaxbody.model.leaf_paths import of_elements, springs_of
+from jaxbody.model.memories import relaxed, rest_states
+from jaxbody.model.models import Model, body_poses
+from jaxbody.model.preconditions import check_attached, check_memory, check_precision, check_state
+from jaxbody.model.sizes import drawn_apart, size_of
+from jaxbody.model.states import State
+from jaxbody.numerics.precisions import in_float64
+from jaxbody.numerics.small_systems import solve
+
+CODES = (
+    "NOT_CONVERGED",
+    "NO_EQUILIBRIUM",
+    "LIMIT_POINT",
+    "STALE",
+    "NOT_CLOSED",
+    "SINGULAR_CLOSURE",
+)
+NOT_AT_REST = tuple(Status[code] for code in CODES)  # no linearization about such a state
+# of the size of the model, and rad: a body is far from where it is drawn
+FAR, TURNED = 0.3, np.deg2rad(30)
+DESCENDED = (
+    "by descent of the potential of the loads, which cannot be raised step by step because K is "
+    "singular without them"
+)
+
+
+class Equilibrium(Labeled, Result):
+    """An equilibrium: `state`, `residual` dV/dDelta + J' lambda - Q [N, N m], `energy` V [J],
+    `stable`, `negative` (number of negative eigenvalues of K), `steps`, and by name `elongations`,
+    `forces` of the elements and `reactions` of the supports.
+
+    Of a model with closures, `closure_reactions` are the forces of closures, `redundant` the
+    conditions that others imply.
+
+    `status` is OK, or NOT_CONVERGED, UNSTABLE, SINGULAR_K, TABLE_RANGE, NO_EQUILIBRIUM,
+    LIMIT_POINT, NOT_CLOSED or SINGULAR_CLOSURE. Under loads, `load_factor` is the fraction of them
+    that is carried, `path` the eigenvalues of K along the load path; `descended`: K is singular
+    without the loads, so that the search descended their potential."""
+
+    index = "coordinate"
+    state: State
+    residual: Float[Array, "nv"]
+    energy: Float[Array, ""]
+    negative: Int[Array, ""]
+    stable: Bool[Array, ""]
+    status: Int[Array, ""]
+    steps: Int[Array, ""]
+    deformations: tuple[Array, ...]
+    element_forces: tuple[Array, ...]
+    on_supports: Float[Array, "ns 6"]
+    model: Model
+    loads: tuple[Load, ...]
+    load_factor: Float[Array, ""]
+    path: Path | None
+    descended: Bool[Array, ""]
+    beyond: Bool[Array, "ne"]  # the elements used beyond the points of their tables
+    # of each body: how far its center of mass is from where it is drawn [m], and its turn from
+    # there [rad]
+    from_drawn: Float[Array, "nb 2"]
+    closed: ClosureForces | None = None  # None without closures
+
+    @property
+    def elongations(self) -> dict[str, Array]:
+        """{element: elongation [m], tension positive}; for a bushing its six deformations."""
+        return self._of_elements(self.deformations)
+
+    @property
+    def forces(self) -> dict[str, Array]:
+        """{element: tension [N], or moment [N m] of a Torsion}; for a bushing the six forces and
+        moments that oppose its deformation."""
+        return self._of_elements(self.element_forces)
+
+    @property
+    def reactions(self) -> dict[str, tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]]:
+        """{support: (force [N], moment about its origin [N m])}, in world axes, exerted by its
+        elements and by all that it carries by joints, with weights and, as far as they are
+        carried, loads."""
+        rows = {name: self.on_supports[..., i, :] for i, name in enumerate(self.layout.supports)}
+        return {name: (row[..., :3], row[..., 3:]) for name, row in rows.items()}
+
+    @property
+    def closure_reactions(self) -> dict[str, dict[str, Float[Array, "*batch"]]]:
+        """{closure: {condition: force [N], or moment [N m] of a "turn"}}, by its second frame on
+        its first along the condition, so that positive forces resist an increase of c; NaN where
+        closures share a force, so that it is not determined."""
+        return self.closed.by_name(self.model) if self.closed else {}
+
+    @property
+    def redundant(self) -> tuple[str, ...]:
+        """Conditions of closures that follow from the others, such as those out of the plane of a
+        planar linkage."""
+        return self.closed.redundant(self.model) if self.closed else ()
+
+    @property
+    def far(self) -> list[str]:
+        """In words, the body that is farthest from where it is drawn, if that is far for the size
+        of the model."""
+        limits = np.array([FAR * float(size_of(self.model)), TURNED])
+        name, (way, turn) = max(
+            zip(self.layout.bodies, np.asarray(self.from_drawn), strict=True),
+            key=lambda each: np.max(each[1] / limits),
+        )
+        said = (
+            f"the equilibrium is far from the drawn pose: '{name}' is {way:.3g} m and "
+            f"{np.rad2deg(turn):.3g} degrees from it"
+        )
+        return (
+            [said]
+            if int(self.status) not in NOT_AT_REST and (np.array([way, turn]) > limits).any()
+            else []
+        )
+
+    @property
+    def remarks(self) -> list[str]:
+        """What looks like wrong geometry, which no status says: mounts drawn apart, a body far from
+        where it is drawn."""
+        return (
+            []
+            if self.status.ndim or not is_concrete(self)
+            else [*drawn_apart(self.model), *self.far]
+        )
+
+    def _of_elements(self, rows: tuple[Array, ...]) -> dict[str, Array]:
+        return of_elements(self.model, rows, axis=self.energy.ndim)
+
+    @property
+    def layout(self) -> Layout:
+        return self.model.layout
+
+    def explain(self) -> str:
+        status = Status(int(self.status))
+        if status == Status.SINGULAR_K:
+            return "; ".join(zero_modes(self.model, self.state))
+        if status == Status.NO_EQUILIBRIUM and self.path is None and not self.descended:
+            return self._how_much()
+        size = float(size_of(self.model))
+        known = np.isfinite(self.state.q).all()  # NaN of a search inside jit
+        if (
+            known
+            and status == Status.NOT_CONVERGED
+            and (bad := nonfinite_downhill(self.model, self.state.q, self.residual, size))
+        ):
+            where = (
+                f"after {int(self.steps)} steps or at a point slightly downhill; its law "
+                "is not defined there"
+            )
+            return f"energy, force or stiffness of element '{bad[0]}' is not finite {where}"
+        return self._known()
+
+    def _known(self) -> str:
+        """Details of a failure from the result alone."""
+        status = Status(int(self.status))
+        if status == Status.SINGULAR_K:
+            return "report() names it"
+        if self.closed and status in (Status.NOT_CLOSED, Status.SINGULAR_CLOSURE):
+            return self.closed.explain(self.model, status)
+        if status == Status.UNSTABLE:
+            return (
+                f"{int(self.negative)} negative eigenvalue(s) of K; start from a state moved along "
+                "that mode to descend"
+            )
+        if status == Status.TABLE_RANGE:
+            return "; ".join(
+                f"'{name}'"
+                for name, out in zip(self.model.element_names, np.asarray(self.beyond), strict=True)
+                if out
+            )
+        if status == Status.NOT_CONVERGED:
+            worst = (
+                int(np.argmax(np.abs(np.asarray(self.residual))))
+                if np.isfinite(np.asarray(self.residual)).all()
+                else 0
+            )
+            unit = "N m" if self.layout.turns[worst] else "N"
+            remedy = in_float64(self.state.q.dtype) or "start nearer, or give more max_steps"
+            return (
+                f"after {int(self.steps)} steps the largest residual is "
+                f"{float(np.abs(self.residual[worst])):.3g} {unit} in "
+                f"'{self.layout.motions[worst][0]}' ({self.layout.motions[worst][1]}); {remedy}"
+            )
+        if status not in (Status.NO_EQUILIBRIUM, Status.LIMIT_POINT):
+            return ""
+        if self.descended:
+            return (
+                "none was found by raising the loads, as K is singular without them, or by "
+                "descent of their potential from the start; moments and loads that turn with "
+                "their body have no potential"
+            )
+        if self.path is not None:
+            smallest = np.asarray(self.path.smallest)
+            last = smallest[np.isfinite(smallest)][-1]
+            return (
+                "none was found by raising the loads beyond load factor "
+                f"{float(self.load_factor):.4g} of 1, which this state carries; the smallest "
+                "eigenvalue of K, relative to the largest without loads, went from "
+                f"{smallest[0]:.3g} to {last:.3g} (plots.load_path draws it)"
+            )
+        return "none was found by descent; report() says how much of the weights is carried"
+
+    def _how_much(self) -> str:
+        """A sentence on the fraction of the weights that is carried."""
+        weightless = with_gravity(self.model, -self.model.gravity)
+        start = equilibrium_of(weightless, None, 200, None)
+        if int(start.status) not in LOADABLE:
+            return "none was found by descent, with the weights or without them"
+        applied = AppliedLoads((), np.zeros(0), self.model.gravity)
+        factor = float(along_path(weightless, start, applied, False)[0].factor)
+        return f"none was found by descent; {100 * factor:.4g} % of the weights is carried"
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: q by part, residual by coordinate, elongation and force by spring,
+        reactions by support, energy, status."""
+        layout, springs = self.model.layout, springs_of(self.model)
+        parts = [f"{block.owner} {i}" for block in layout.joints for i in range(block.nq)]
+        variables = {
+            "q": (("part",), self.state.q, ""),
+            **(
+                {"z": (("state",), self.state.z, ", ".join(dict.fromkeys(layout.z_units)))}
+                if layout.nz
+                else {}
+            ),
+            "residual": (("coordinate",), self.residual, "N or N m"),
+            "energy": ((), self.energy, "J"),
+            "stable": ((), self.stable, ""),
+            "status": ((), self.status, ""),
+        }
+        coordinates = {"part": parts, "coordinate": list(layout.coordinates)} | (
+            {"state": list(layout.states)} if layout.nz else {}
+        )
+        if springs:
+            variables["elongation"] = (
+                ("spring",),
+                rows_of([self.elongations[name] for name in springs], -1),
+                "m",
+            )
+            variables["force"] = (
+                ("spring",),
+                rows_of([self.forces[name] for name in springs], -1),
+                "N",
+            )
+            coordinates["spring"] = springs
+        for name in (name for name in self.elongations if name not in springs):
+            variables[f"{name}_deformation"] = (("component",), self.elongations[name], "m, rad")
+            variables[f"{name}_force"] = (("component",), self.forces[name], "N, N m")
+        if self.closed:
+            variables["closure_reaction"] = (("condition",), self.closed.reactions, "N or N m")
+            coordinates["condition"] = list(names_of_rows(self.model))
+        if layout.supports:
+            variables["reaction_force"] = (("support", "axis"), self.on_supports[..., :3], "N")
+            variables["reaction_moment"] = (("support", "axis"), self.on_supports[..., 3:], "N m")
+            coordinates |= {"support": list(layout.supports), "axis": AXES}
+        return dataset(variables, coordinates, "equilibrium")
+
+    def _states(self) -> list[tuple[Any, ...]]:
+        """Each state of elements with memory, with its unit."""
+        layout = self.layout
+        return [
+            (f"{name} [{unit}]", tables.without_dust(self.state.z[..., i]))
+            for i, (name, unit) in enumerate(zip(layout.states, layout.z_units, strict=True))
+        ]
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        q, layout = tables.without_dust(self.state.q), self.layout
+        rows = [
+            (block.owner, block.kind.__name__.lower(), q[..., layout.q_slices[block.owner]])
+            for block in layout.joints
+        ]
+        note = self.message(Equilibrium._known) if is_concrete(self.status) else ""
+        note += "; there may be others" if note == "ok" else ""
+        if is_concrete(self.descended) and np.any(self.descended):
+            note += f"; {DESCENDED}"
+        largest = (
+            np.abs(self.residual).max()
+            if is_concrete(self.residual) and self.residual.size
+            else None
+        )
+        columns, elements = element_rows(self.model, self.elongations, self.forces)
+        shown = [tables.PrintedTable("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows)]
+        shown += [tables.PrintedTable("", columns, elements)] if elements else []
+        shown += (
+            [tables.PrintedTable("", ("state", "at rest"), self._states())] if layout.nz else []
+        )
+        shown += (
+            [tables.PrintedTable("", *support_rows(self.reactions))] if self.layout.supports else []
+        )
+        shown += [self.closed.table(self.model)] if self.closed else []
+        note = "\n".join([note, *self.remarks])
+        shown[
+            -1
+        ].note = f"{shown[-1].note}largest residual {tables.number(largest)} N or N m; {note}"
+        return shown
+
+
+def equilibrium(
+    model: Model,
+    *,
+    start: State | None = None,
+    loads: dict[str, Load] | None = None,
+    max_steps: int = 200,
+) -> Equilibrium:
+    """The stable equilibrium reached by descent from `start`, with the supports at their
+    reference poses.
+
+        dV/dDelta = Q,   K = d2V/dDelta2 - dQ/dDelta positive definite
+
+    Args:
+        start: the state to start from; by default the reference pose. Massless
+            coordinates of elements with memory are relaxed; hysteretic states, which stay
+            at rest, are those of `start`, by default 0, and stability is counted with
+            them fixed. A body that only they hold rests anywhere: there it stays where it
+            is drawn.
+        loads: {name: load}, evaluated at time 0 and raised from zero along the stable branch; by
+            default none. Where K is singular without loads (an unstressed string pushed
+            sideways) the search descends V minus the work of dead forces instead, and the result
+            is `descended`.
+        max_steps: largest number of steps of the search.
+
+    With closures the search starts from the nearest configuration that fulfils them and stays
+    on them,
+
+        dV/dDelta + J' lambda = Q,   c = 0,
+        K + d2(lambda c)/dDelta2 positive definite where J Delta = 0
+
+    Differentiable with respect to the model in forward and reverse mode, to any order; the
+    derivative of a search that failed, or through a singular K, is NaN. Errors: UNATTACHED,
+    BAD_SHAPE, UNKNOWN_BODY for a load; warns if the status is not OK. Source: (63) of the paper.
+
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=981.0, free_length=1.0)
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     elements={"s": spring},
+    ...     gravity=[0, -9.81, 0],
+    ... )
+    >>> round(float(equilibrium(model).elongations["s"]), 12)
+    0.02
+    """
+    check_precision("equilibrium", model)
+    check_memory("equilibrium", model)
+    check_attached(model)
+    with Problems() as problems:
+        if start is not None:
+            problems.gather(lambda: check_state(model, start, "start"))
+        acting = problems.gather(lambda: loads_of(loads, model.layout.bodies))
+        max_steps = whole_number(max_steps, "equilibrium.max_steps", problems, least=0)
+    q, z = (None, None) if start is None else (start.q, start.z)
+    result = equilibrium_of(model, q, max_steps, z)
+    if acting:
+        applied = AppliedLoads(
+            acting, device_array(np.ones(len(acting))), device_array(np.zeros(3))
+        )
+        result = _equilibrium_at(
+            model, search_under_loads(model, result, q, applied, max_steps), applied, result.state.z
+        )
+    return finished(result, at_rest, of_position)
+
+
+def at_rest(status: Int[Array, "*n"]) -> Bool[Array, "*n"]:
+    """Whether a search ended at an equilibrium."""
+    return ~jnp.isin(status, jnp.array(NOT_AT_REST))
+
+
+def of_position(eq: Equilibrium) -> tuple[Any, ...]:
+    """What follows from the configuration where the search ended, but for the residual."""
+    closed = (eq.closed.reactions,) if eq.closed else ()
+    return (
+        eq.state,
+        eq.energy,
+        eq.deformations,
+        eq.element_forces,
+        eq.on_supports,
+        eq.from_drawn,
+        *closed,
+    )
+
+
+@program
+def equilibrium_of(
+    model: Model,
+    start: Float[Array, "nq"] | None,
+    max_steps: int,
+    z: Float[Array, "nz"] | None = None,
+) -> Equilibrium:
+    """The jitted core of `equilibrium` without loads; `z`: hysteretic states."""
+    coordinates = Coordinates(relaxed(model, z))
+    return equilibrium_at(
+        coordinates,
+        search_by_descent(coordinates, start, max_steps),
+        no_loads(model.gravity.dtype),
+        model,
+    )
+
+
+@program
+def _equilibrium_at(
+    model: Model, search: SearchResult, applied: AppliedLoads, z: Float[Array, "nz"]
+) -> Equilibrium:
+    return equilibrium_at(Coordinates(relaxed(model, z)), search, applied, model)
+
+
+def equilibrium_at(
+    coordinates: Coordinates, search: SearchResult, applied: AppliedLoads, given: Model
+) -> Equilibrium:
+    """The equilibrium where a search ended: its stability, its derivative, deformations and forces.
+    `given`: the model, whose elements with memory are relaxed in the coordinates."""
+    failed = search.status != Status.OK
+    q = _implicit((coordinates, applied), search.q, ~failed & ~search.singular)
+    model, at = coordinates.model, configuration_at(coordinates, q)
+    zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
+    elements = each_element(
+        model, frames, lambda s, *F: (s.deformation(*(f.pose() for f in F)), s.force(*F))
+    )
+    outside = (
+        outside_law_range(model, frames)
+        if has_range(model.elements)
+        else jnp.zeros(len(model.element_names), bool)
+    )
+    state = State(q, zero, rest_states(model, frames.pose()) if model.layout.nz else None)
+    singular = search.singular
+    # whose states are held in K, but not in a motion
+    if any("hysteretic" in block.roles for block in model.layout.blocks):
+        singular &= eigenvalue_signs(resisting_stiffness(given, jax.lax.stop_gradient(state)))[1]
+    status = jnp.select(
+        [failed, search.negative > 0, singular, jnp.any(outside)],
+        [search.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value],
+        Status.OK.value,
+    )
+    unbalanced, reactions = residual_and_reactions(at, applied, search.factor)
+    forces = closure_forces(coordinates, q, unbalanced) if model.closures else None
+    if forces is not None:
+        unbalanced, reactions = unbalanced + forces.on_coordinates, reactions - forces.on_supports
+        status = jnp.where(~failed & forces.singular, Status.SINGULAR_CLOSURE.value, status)
+    return Equilibrium(
+        state=state,
+        residual=unbalanced,
+        negative=search.negative,
+        status=status,
+        steps=search.steps,
+        energy=potential(with_load_gravity(at, applied).model, frames),
+        stable=~failed & (search.negative == 0),
+        model=given,
+        deformations=tuple(e for e, _ in elements),
+        element_forces=tuple(force for _, force in elements),
+        on_supports=reactions,
+        loads=applied.loads,
+        load_factor=search.factor,
+        path=search.path,
+        descended=jnp.asarray(search.descended),
+        beyond=outside,
+        from_drawn=_from_drawn(model, frames),
+        closed=forces,
+    )
+
+
+def _from_drawn(model: Model, frames: Frame) -> Float[Array, "nb 2"]:
+    """How far the center of mass of each body is from where it is drawn, and 2
+    asin(|R - R_drawn|/sqrt 8), without derivatives."""
+    bodies, now, drawn = jax.lax.stop_gradient(
+        (model.bodies.rows, frames[model.layout.first_body :].pose(), body_poses(model))
+    )
+    p, R = (now.p - drawn.p) + jnp.sum((now.R - drawn.R) * bodies.com[:, None], -1), now.R - drawn.R
+    turn = 2 * jnp.arcsin(jnp.minimum(jnp.sqrt(jnp.sum(R**2, (1, 2)) / 8), 1.0))
+    return jnp.stack([jnp.sqrt(jnp.sum(p**2, -1)), turn], -1)
+
+
+@jax.custom_jvp
+def _implicit(
+    dependencies: tuple[Coordinates, AppliedLoads], q: Float[Array, "nq"], valid: Bool[Array, ""]
+) -> Float[Array, "nq"]:
+    """q, with the derivative of an equilibrium by the implicit function theorem; NaN where there
+    is none."""
+    return q
+
+
+@_implicit.defjvp
+def _implicit_jvp(primals, tangents):
+    (coordinates, applied), _, valid = primals
+    q = _implicit(*primals)
+
+    def unbalanced(dependencies):
+        return residual(configuration_at(dependencies[0], q, base=False), dependencies[1])
+
+    at = configuration_at(coordinates, q, base=False)
+    K = tangent(at, applied)
+    K = jnp.where(valid, K, jnp.eye(len(K), dtype=K.dtype))
+    if coordinates.model.closures:
+        delta = _change_on_closures((coordinates, applied), tangents[0], at, K)
+    else:
+        delta = -solve(K, jax.jvp(unbalanced, (primals[0],), (tangents[0],))[1])
+    return q, coordinates.rate(q, tangent_or_nan(valid, delta))
+
+
+def _change_on_closures(
+    dependencies: tuple[Coordinates, AppliedLoads],
+    tangents: Any,
+    at: Configuration,
+    K: Float[Array, "nv nv"],
+):
+    """Delta of an equilibrium on closures, for a change of what it depends on."""
+    coordinates, applied = dependencies
+    r = residual(at, applied)
+    multipliers = multipliers_at(coordinates, at.q, r)
+
+    def unbalanced(dependencies):
+        coordinates, applied = dependencies
+        closing = constraint_force(coordinates, at.q, multipliers)
+        return residual(
+            configuration_at(coordinates, at.q, base=False), applied
+        ) + closing, gaps_at(coordinates, at.q)
+
+    _, change = jax.jvp(unbalanced, (dependencies,), (tangents,))
+    return implied_change(coordinates, at.q, r, K, change)

@@ -1,0 +1,224 @@
+"""At rest on supports that are displaced or move slowly: in equilibrium with their present poses,
+and moving with them.
+
+    dV/dDelta(q, Xi) = 0,   K v = K~ Xi'      and with closures  c(q, Xi) = 0,
+    J v = -c_Xi Xi' as well
+
+is the initial state of a run that has been at rest for long: displaced and tilted with its base,
+under gravity, at the speed of its base.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arguments import checked_dict
+from jaxbody.core.arrays import Array, Float, is_concrete, rows_or_nan
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
+from jaxbody.lagrange import potential
+from jaxbody.mechanics.constraints import CLOSED, closed_on
+from jaxbody.mechanics.equilibria import Equilibrium, equilibrium_at
+from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
+from jaxbody.mechanics.hessians import configuration_at
+from jaxbody.mechanics.load_paths import residual, tangent
+from jaxbody.mechanics.rest_searches import AT_REST, no_loads, search_by_descent
+from jaxbody.model.joints.closure_tables import drawn, gaps_at, gaps_from
+from jaxbody.model.joints.element_tables import completed
+from jaxbody.model.joints.kinematics import (
+    Coordinates,
+    Motions,
+    displacements,
+    frames_displaced,
+    imposed,
+)
+from jaxbody.model.memories import holding, relaxed
+from jaxbody.model.models import Model, at_rest_in, rest_poses
+from jaxbody.model.preconditions import check_independent, check_precision, check_state
+from jaxbody.model.sizes import size_of
+from jaxbody.model.states import State
+from jaxbody.numerics.small_systems import solve
+
+MAX_STEPS = 200
+
+
+class Rest(eqx.Module):
+    """The initial state given as "rest"."""
+
+
+def as_initial(initial: Any) -> Any:
+    """Rest() in place of "rest"; other values unchanged."""
+    return Rest() if isinstance(initial, str) and initial == "rest" else initial
+
+
+@program
+def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
+    """The state of rest at time t, NaN where there is none, and its equilibrium."""
+    coordinates = Coordinates(relaxed(model))
+    xi, xi_dot = jnp.zeros((0, 6)), jnp.zeros((0, 6))
+    if motions:
+        xi, xi_dot = imposed(motions, t)
+
+    def displaced(xi):
+        return eqx.tree_at(lambda c: c.supports, coordinates, coordinates.supports.displaced(xi))
+
+    on_supports, unloaded = displaced(xi), no_loads(model.gravity.dtype)
+    eq = equilibrium_at(
+        on_supports,
+        search_by_descent(on_supports, _start(coordinates, on_supports), MAX_STEPS),
+        unloaded,
+        model,
+    )
+    q, valid = eq.state.q, jnp.isin(eq.status, jnp.array(AT_REST))
+    here = configuration_at(on_supports, q, base=False)
+    r, K = residual(here, unloaded), jnp.where(valid, tangent(here, unloaded), jnp.nan)
+
+    def slope(xi):
+        return residual(configuration_at(displaced(xi), q, base=False), unloaded)
+
+    if model.closures:
+        multipliers = multipliers_at(on_supports, q, r)
+
+        def conditions(xi):
+            return slope(xi) + constraint_force(displaced(xi), q, multipliers), gaps_at(
+                displaced(xi), q
+            )
+
+        v = implied_change(on_supports, q, r, K, jax.jvp(conditions, (xi,), (xi_dot,))[1])
+    else:
+        drift = jax.jvp(slope, (xi,), (xi_dot,))[1]
+        v = -solve(K, drift)
+    return jax.tree.map(lambda x: rows_or_nan(valid, x), State(q, v, eq.state.z)), eq
+
+
+def _start(coordinates: Coordinates, on_supports: Coordinates):
+    """Start of the search: the reference pose, with free bodies moved along with the
+    first support."""
+    if not len(on_supports.supports.p):
+        return on_supports.reference.q
+    now, before = (
+        jax.tree.map(lambda x: x[0], supports)
+        for supports in (on_supports.supports, coordinates.supports)
+    )
+    moved = now @ before.inverse()
+    bodies = jax.vmap(lambda pose: moved @ pose)(coordinates.bodies)
+    return at_rest_in(
+        on_supports.model, rest_poses(on_supports.model, on_supports.supports, bodies)
+    ).q
+
+
+def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str) -> State | None:
+    """The initial state of a run. Error: the status of the equilibrium, if "rest" is given and no
+    equilibrium is found."""
+    if not isinstance(initial, Rest):
+        return initial
+    state, eq = rest_state(model, motions, t)
+    if is_concrete(eq.status) and int(eq.status) not in AT_REST:
+        hint = "Give initial=State(q, v), or attach the bodies that are free to move."
+        raise JaxbodyError(
+            Problem(
+                Status(int(eq.status)).name,
+                where,
+                f'is "rest", but there is no equilibrium: {eq.report()}',
+                "rest",
+                hint=hint,
+            )
+        )
+    return state
+
+
+def excitation(
+    model: Model, at: Equilibrium | State, displaced: dict[str, Any]
+) -> Float[Array, "nf"]:
+    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, with
+    the coordinates held fixed:
+
+        F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of
+                                                         the paper
+
+    With closures it is in the independent coordinates of `linearize`, which are held while the
+    others follow; NaN where the loops do not close. Coordinates of elements with memory are
+    held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force depends
+    on the path.
+
+    Errors: UNKNOWN_NAME for a support, BAD_SHAPE, CLOSED_LOOPS for a model with closures built from
+    traced numbers.
+
+    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     supports={"base": Support()},
+    ...     elements={"s": spring},
+    ... )
+    >>> force = excitation(model, model.reference, {"base": [0, 0.1, 0, 0, 0, 0]})
+    >>> round(float(force[0]), 9)
+    5.0
+    """
+    check_precision("excitation", model)
+    check_independent("excitation", model)
+    state = at.state if isinstance(at, Equilibrium) else at
+    check_state(model, state, "state")
+    if any(role == "hysteretic" for block in model.layout.blocks for role in block.roles):
+        hint = "Simulate the displacement with a jb.Motion."
+        message = "has hysteretic elements, whose force depends on the path of the displacement"
+        raise JaxbodyError(
+            Problem(
+                "MEMORY",
+                "excitation.model",
+                message,
+                limit="elements without hysteresis",
+                hint=hint,
+            )
+        )
+    with Problems() as problems:
+        given = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
+        xi = displacements(model, given, "excitation", problems)
+    return (_excitation_of_loops if model.closures else _excitation)(model, state, xi)
+
+
+@program
+def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nv"]:
+    zero, model = jnp.zeros(model.layout.nv, xi.dtype), holding(model, completed(model, state).z)
+
+    def slope(xi):
+        return jax.grad(lambda d: potential(model, frames_displaced(model, state, d, xi)))(zero)
+
+    return slope(jnp.zeros_like(xi)) - slope(xi)
+
+
+@program
+def _excitation_of_loops(
+    model: Model, state: State, xi: Float[Array, "ns 6"]
+) -> Float[Array, "nf"]:
+    model = holding(model, completed(model, state).z)
+    coordinates, own, still = (
+        Coordinates(model),
+        np.array(model.independent, int),
+        jnp.zeros(model.layout.nv, xi.dtype),
+    )
+    rests, held = drawn(coordinates), np.isin(np.arange(len(still)), own)
+
+    def energy(delta, xi):
+        supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
+        q = closed_on(
+            coordinates,
+            rests,
+            supports,
+            coordinates.retract(state.q, still.at[own].set(delta)),
+            held,
+        )
+        frames = coordinates.frames(q, still, supports)
+        left = jnp.max(jnp.abs(gaps_from(model, rests, frames, q)), initial=0.0)
+        return potential(model, frames), left <= CLOSED * size_of(model)
+
+    def slope(xi):
+        force, reached = jax.grad(energy, has_aux=True)(jnp.zeros(len(own), xi.dtype), xi)
+        return rows_or_nan(reached, force)
+
+    return slope(jnp.zeros_like(xi)) - slope(xi)

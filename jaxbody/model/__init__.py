@@ -1,0 +1,1 @@
+"""Models: bodies, supports, joints and elements by name, as arrays; laws, inputs; paths."""

@@ -1,0 +1,96 @@
+"""Checks of users' elements and laws when a model is built: the types of their fields and of the
+results of their functions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxbody.core.arguments import check_returned, is_own
+from jaxbody.core.arrays import concrete, float_array
+from jaxbody.core.errors import JaxbodyError, Problems
+from jaxbody.model.elements.elements import Element
+from jaxbody.model.laws.laws import Law, parts
+from jaxbody.model.laws.memories import memories
+
+
+def check_leaves(problems: Problems, where: str, thing: Any) -> None:
+    """Check that an element, or a function of the user's, holds only numbers, functions and
+    static fields."""
+    for keys, leaf in jax.tree_util.tree_leaves_with_path(thing):
+        if not isinstance(leaf, np.ndarray | jax.Array):
+            try:
+                float_array(leaf, where + jax.tree_util.keystr(keys))
+            except JaxbodyError as error:
+                hint = (
+                    "Declare what is not a number as a static field: mode: str = "
+                    "equinox.field(static=True)."
+                )
+                problems.collected += [replace(problem, hint=hint) for problem in error.problems]
+
+
+def check_laws(problems: Problems, elements: dict[str, Element]) -> None:
+    """Check that JAX can trace users' laws and that they return one number, and of laws with memory
+    one rate for each state; each structure is traced once."""
+    checked = set()
+    for name, element in elements.items():
+        for field, law in vars(element).items():
+            if (
+                isinstance(law, Law)
+                and any(map(is_own, parts(law)))
+                and (structure := jax.tree.structure(law)) not in checked
+            ):
+                checked.add(structure)
+                where = f"elements[{name!r}].{field}"
+                for part in memories(law):
+                    _check_memory(part, where, problems)
+                if not memories(law):
+                    check_returned(lambda law, x: law.force(x), law, (), where, problems)
+
+
+def _check_memory(law: Any, where: str, problems: Problems) -> None:
+    """Check the functions of a user's law with memory, and that a hysteretic state stays at rest.
+    Error: RELAXES."""
+    zero = np.zeros(len(law.states))
+    check_returned(
+        lambda law, x: law.restoring_force(x, x, zero + x),
+        law,
+        (),
+        f"{where}.restoring_force",
+        problems,
+    )
+    check_returned(
+        lambda law, x: law.rate(x, x, zero + x), law, zero.shape, f"{where}.rate", problems
+    )
+    check_returned(
+        lambda law, x: law.energy(x, law.configuration(zero + x)),
+        law,
+        (),
+        f"{where}.energy",
+        problems,
+    )
+    if law.inertial:
+        check_returned(
+            lambda law, x: law.kinetic(zero + x), law, (), f"{where}.kinetic_energy", problems
+        )
+    if law.has_rows or problems.collected or any(concrete(x) is None for x in jax.tree.leaves(law)):
+        return
+    rates = np.stack(
+        [
+            np.asarray(law.rate(np.float64(e), np.zeros(()), np.asarray(zero + z)))
+            for e, z in ((0.0, 1e-3), (1e-3, -1.0))
+        ]
+    )
+    if not (rates == 0).all():
+        hint = "Derive it from jb.laws.Viscoelastic, whose coordinates relax."
+        problems.add(
+            "RELAXES",
+            where,
+            f"has the rate {rates[np.nonzero(rates)][0]:.3g} at rest",
+            value=rates,
+            limit="0 at e' = 0",
+            hint=hint,
+        )

@@ -1,0 +1,133 @@
+"""Springs and dampers along a line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxbody.core.arrays import Array, Float
+from jaxbody.core.errors import Problems
+from jaxbody.geometry.fields import field, take
+from jaxbody.geometry.places import ends
+from jaxbody.model.elements.elements import MEANT, LineElement, check_signs
+from jaxbody.model.elements.law_elements import LawForces
+from jaxbody.model.laws import laws, memories
+
+
+class Spring(LineElement):
+    """A line spring with viscous damping between the point a of one body and the point b
+    of another.
+
+        V = 1/2 k (|AB| - l0)^2,   R = 1/2 c (d|AB|/dt)^2,   tension = k (|AB| - l0) + c d|AB|/dt
+
+    With l0 = 0 the spring is exact down to zero length, where its damper has no direction and
+    exerts no force.
+
+    Args:
+        a, b: (name of a body, a support or `world`, point in its frame [m])
+        stiffness: k [N/m]
+        free_length: l0 [m]
+        damping: c [N s/m]
+        allow_negative: warn of negative coefficients instead of refusing them
+
+    Errors: NEGATIVE_STIFFNESS, NEGATIVE_DAMPING (warnings with `allow_negative`), NEGATIVE_LENGTH,
+    SELF_SPRING, BAD_SHAPE, NON_FINITE. Source: (20)-(28) of the paper.
+
+    >>> spring = Spring(
+    ...     ("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8
+    ... )
+    """
+
+    stiffness: Float[Array, ""] = field(
+        "N/m", "nonnegative unless allow_negative", code="NEGATIVE_STIFFNESS", hint=MEANT
+    )
+    damping: Float[Array, ""] = field(
+        "N s/m", "nonnegative unless allow_negative", code="NEGATIVE_DAMPING", hint=MEANT
+    )
+    allow_negative: bool = eqx.field(default=False, static=True)
+
+    def __init__(
+        self,
+        a,
+        b,
+        *,
+        stiffness,
+        free_length: Any = 0.0,
+        damping: Any = 0.0,
+        allow_negative: bool = False,
+    ):
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "Spring", problems)
+            self.allow_negative = True
+            take(self, problems, stiffness=stiffness, free_length=free_length, damping=damping)
+            check_signs(self, allow_negative, problems)
+
+    def energy(self, e):
+        return 0.5 * self.stiffness * e**2
+
+    def dissipation(self, e, e_dot):
+        return 0.5 * self.damping * e_dot**2
+
+    def split(self, L):
+        return self.stiffness, -self.stiffness * self.free_length, jnp.zeros_like(L)
+
+    def damper_tension(self, e, e_dot):
+        return self.damping * e_dot
+
+    def has_no_direction(self):
+        return bool(self.damping == 0)
+
+
+class SpringDamper(LawForces, LineElement):
+    """A line element whose spring and damper follow laws: a strut with its bump stop, a rope, an
+    air spring.
+
+        V = U_s(|AB| - l0),   R = U_d(d|AB|/dt),   tension = F_s(|AB| - l0) + F_d(d|AB|/dt)
+
+    Args:
+        a, b: (name, point in its frame [m])
+        spring: a law (jb.laws), with or without memory, the stiffness of a linear one [N/m] or a
+            JAX function x -> F; None: no spring
+        damper: a law without memory, as a function of the rate; a number is a damping [N s/m]
+        free_length: l0, the length at which the spring's law has x = 0 [m]
+
+    Errors: NEGATIVE, NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE, MEMORY, those of
+    the laws.
+
+    >>> strut = SpringDamper(
+    ...     ("car", [1.4, 0.7, 0]),
+    ...     ("wheel", [0, 0, 0]),
+    ...     free_length=0.5,
+    ...     spring=jb.laws.Linear(2e4) + jb.laws.Stop(gap=0.08, stiffness=1e5, engagement=0.01),
+    ...     damper=jb.laws.TwoSided(bump=900.0, rebound=2100.0),
+    ... )
+    >>> float(strut.spring.force(jnp.array(-0.1)))
+    -3500.0
+    """
+
+    spring: laws.Law | None = field(words={"force": "N", "argument": "m"})
+    damper: laws.Law | None = field(words={"force": "N", "argument": "m/s"})
+
+    def __init__(self, a, b, *, spring=None, damper=None, free_length=0.0):
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "SpringDamper", problems)
+            take(self, problems, free_length=free_length)
+            self.spring = laws.as_law(spring, "SpringDamper.spring", problems)
+            self.damper = memories.as_damper(damper, "SpringDamper.damper", problems)
+
+    def split(self, L):
+        e = L - self.free_length
+        k0 = jnp.where(self.free_length == 0, laws.slope(self.spring, jnp.zeros_like(L)), 0.0)
+        return k0, laws.force(self.spring, e) - k0 * L, laws.slope(self.spring, e) - k0
+
+    def damper_tension(self, e, e_dot):
+        return memories.rate_force(self.spring, self.damper, e, e_dot)
+
+    def has_no_direction(self):
+        return (
+            self.damper is None
+            and not memories.memories(self.spring)
+            and bool(laws.force(self.spring, jnp.zeros(())) == 0)
+        )

@@ -1,0 +1,161 @@
+"""The closures of a model in tables of frames and coordinates: their conditions c, what each is,
+and the poses in which they are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import Array, Float
+from jaxbody.geometry.closures import Coupling, as_slide
+from jaxbody.geometry.frames import Frame, Pose
+from jaxbody.model.joints.kinematics import Coordinates, with_world
+from jaxbody.model.layouts import Layout
+from jaxbody.model.models import Model
+from jaxbody.model.sizes import size_of
+from jaxbody.model.storage import KindTable
+from jaxbody.numerics.small_systems import independent_rows
+
+Tables = tuple[Any, ...]  # with a row for each frame or coordinate
+
+
+def names_of_rows(model: Model) -> tuple[str, ...]:
+    """The name of each condition: ("upper ball x", ...)."""
+    return tuple(
+        f"{name} {row}"
+        for table in model.closures
+        for name in table.names
+        for row in table.rows.rows
+    )
+
+
+def redundant_rows(model: Model, slopes: Float[Array, "n nv"]) -> tuple[str, ...]:
+    """The conditions that follow from the others, such as those out of the plane of a planar
+    linkage, by their slopes in meters."""
+    independent = independent_rows(np.asarray(slopes))
+    return tuple(name for i, name in enumerate(names_of_rows(model)) if i not in independent)
+
+
+def rank(model: Model) -> int:
+    """The number of independent conditions, or the most there can be."""
+    nv = model.layout.nv
+    return (
+        min(nv, len(names_of_rows(model)))
+        if model.independent is None
+        else nv - len(model.independent)
+    )
+
+
+def turning_rows(model: Model) -> np.ndarray:
+    """(n,): True for conditions on angles."""
+    return np.array(
+        [turns for table in model.closures for _ in table.names for turns in _turning(table)], bool
+    )
+
+
+def _turning(table: KindTable) -> np.ndarray:
+    return np.array([row.startswith("turn") for row in table.rows.rows])
+
+
+def gaps(
+    model: Model, coordinates: Coordinates, frames: Frame, q: Float[Array, "nq"]
+) -> Float[Array, "n"]:
+    """c of all closures, in meters: angles and sines of angles times the size of the model."""
+    return gaps_from(model, drawn(coordinates), frames, q)
+
+
+def gaps_at(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n"]:
+    """c(q), with the supports in the poses of the coordinates."""
+    return gaps(coordinates.model, coordinates, coordinates.at_rest(q), q)
+
+
+def gaps_from(
+    model: Model, rests: list[Pose], frames: Frame, q: Float[Array, "nq"]
+) -> Float[Array, "n"]:
+    """c of all closures, from their poses as drawn."""
+    found = each_closure(
+        model,
+        rests,
+        lambda closure, rest, poses: closure.gap(*poses, rest),
+        (frames.pose(),),
+        (slides(model.layout, q),),
+    )
+    return jnp.concatenate([jnp.zeros(0, frames.p.dtype), *found])
+
+
+def drawn(coordinates: Coordinates) -> list[Pose]:
+    """The pose of the second frame of each closure on the first, as drawn, wherever the supports
+    are now, for each table of closures."""
+    model = coordinates.model
+    coordinates = Coordinates(model)
+    poses = with_world(coordinates.supports.at_rest(), coordinates.bodies.at_rest()).pose()
+    return [
+        A.inverse() @ B
+        for A, B in (_ends(poses, _frames(model.layout, table)) for table in model.closures)
+    ]
+
+
+def each_closure(
+    model: Model,
+    rests: list[Pose],
+    function: Callable[..., Any],
+    of_frames: Tables,
+    of_coordinates: Tables,
+) -> list[Any]:
+    """function(closure, pose as drawn, (a row for A, a row for B) of each of these tables), of all
+    conditions, in meters: tables of frames or, for couplings, of coordinates."""
+    size, found = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
+    for table, rest in zip(model.closures, rests, strict=True):
+        unit = jnp.where(_turning(table), size, 1.0)[None]
+
+        def in_meters(values: Array, unit=unit) -> Array:
+            return (values * unit.reshape(*unit.shape, *[1] * (values.ndim - 2))).reshape(
+                -1, *values.shape[2:]
+            )
+
+        places = (
+            _couplings(model.layout, table)
+            if isinstance(table.rows, Coupling)
+            else _frames(model.layout, table)
+        )
+        tables = of_coordinates if isinstance(table.rows, Coupling) else of_frames
+        found.append(
+            jax.tree.map(
+                in_meters, jax.vmap(function)(table.rows, rest, *(_ends(x, places) for x in tables))
+            )
+        )
+    return found
+
+
+def _couplings(layout: Layout, table: KindTable) -> list[np.ndarray]:
+    """The rows of both coordinates of each coupling, in tables of coordinates."""
+    paths = list(layout.coordinate_places)
+    return [np.full(len(table), paths.index(path)) for path in (table.rows.of, table.rows.by)]
+
+
+def _frames(layout: Layout, table: KindTable) -> list[np.ndarray]:
+    """The rows of both ends of each closure, in tables of frames."""
+    return [np.array([layout.frame(link[end]) for link in table.links]) for end in (0, 1)]
+
+
+def _ends(values: Any, places: list[np.ndarray]) -> tuple[Any, Any]:
+    """The rows of a table at both ends of each closure."""
+    A, B = places
+    return jax.tree.map(lambda x: x[A], values), jax.tree.map(lambda x: x[B], values)
+
+
+def slides(layout: Layout, q: Float[Array, "nq"]) -> Pose:
+    """The coordinates that couplings may read, in the order of `coordinate_places`, as poses with
+    p = (q, 0, 0) and R = 1."""
+    return as_slide(q[np.array([i for i, _ in layout.coordinate_places.values()], int)])
+
+
+def moving_slides(layout: Layout, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Frame:
+    """These with their speeds."""
+    speeds = as_slide(v[np.array([j for _, j in layout.coordinate_places.values()], int)]).p
+    poses = slides(layout, q)
+    return Frame(poses.p, poses.R, speeds, jnp.zeros_like(speeds))

@@ -1,0 +1,141 @@
+"""The elements of a model in a table of frames: any function of each, the wrenches that act on the
+frames, and the states of elements."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import Array, Bool, Float
+from jaxbody.geometry.frames import Frame
+from jaxbody.geometry.vectors import cross, rotate
+from jaxbody.model.inputs.loads import Load
+from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.laws.memories import Held, Relaxed, memories
+from jaxbody.model.memories import relaxed, rest_states
+from jaxbody.model.models import Model
+from jaxbody.model.states import State
+from jaxbody.model.storage import KindTable
+from jaxbody.numerics.xla_workarounds import sums, take
+
+Xi = Float[Array, "ns 6"] | None
+
+
+def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Frame:
+    """The table of frames in a state, with the supports displaced by Xi."""
+    coordinates, zero = (
+        Coordinates(model),
+        jnp.zeros((len(model.layout.supports), 6), state.q.dtype),
+    )
+    xi, xi_dot = (zero if x is None else jnp.reshape(x, zero.shape) for x in (xi, xi_dot))
+    return coordinates.frames(state.q, state.v, coordinates.supports_at(xi, xi_dot))
+
+
+def outside_law_range(model: Model, frames: Frame) -> Bool[Array, "ne"]:
+    """Whether each element, in the order of their names, is outside the range of its law."""
+    beyond = (
+        of_table(model, frames, table, lambda s, *F: s.beyond(*s.rates(*F)))
+        for table in model.attached
+    )
+    return jnp.concatenate([jnp.zeros(0, bool), *beyond])
+
+
+def each_element(model: Model, frames: Frame, function) -> list:
+    """function(element, A, B, ...) of every element and its frames, table by table."""
+    return [of_table(model, frames, table, function) for table in model.elements]
+
+
+def inertial_tables(model: Model) -> list[KindTable]:
+    """The tables of elements that have a kinetic energy."""
+    return [table for table in model.elements if table.rows.has_inertia()]
+
+
+def of_table(model: Model, frames: Frame, table: KindTable, function) -> Any:
+    """function(element, A, B, ...) of the elements of one table."""
+    end_frames = [
+        Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w)))
+        for row in end_rows(model, table)
+    ]
+    return jax.vmap(function)(table.rows, *end_frames)
+
+
+def end_rows(model: Model, table: KindTable) -> list[np.ndarray]:
+    """The rows in the table of frames of each end of the elements."""
+    return [
+        np.array([model.layout.frame(name) for name in end])
+        for end in zip(*table.links, strict=True)
+    ]
+
+
+def wrenches(
+    model: Model, frames: Any, loads: tuple[Load, ...] = ()
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Force and moment about its origin that elements, gravity and loads exert on each frame, in
+    world axes; loads need an Instant.
+
+    Forces on a frame are summed by padded gathers; adding into rows would split a compiled loop."""
+    ends, forces, moments = [], [], []
+    for table, end_frames in zip(
+        model.elements, each_element(model, frames, lambda s, *F: s.wrenches(*F)), strict=True
+    ):
+        for end, (F, M) in enumerate(end_frames):
+            ends += [model.layout.frame(link[end]) for link in table.links]
+            forces.append(F)
+            moments.append(M)
+    bodies = model.bodies.rows
+    weight = bodies.mass[:, None] * model.gravity[None]
+    forces.append(weight)
+    moments.append(cross(rotate(frames.R[model.layout.first_body :], bodies.com), weight))
+    ends += list(range(model.layout.first_body, len(model.layout.frames)))
+    for load in loads:
+        F, M = load.wrench(frames.frame(model.layout.frame(load.on)))
+        ends.append(model.layout.frame(load.on))
+        forces.append(F[None])
+        moments.append(M[None])
+    acting = [
+        [i for i, end in enumerate(ends) if end == frame]
+        for frame in range(len(model.layout.frames))
+    ]
+    return sums(jnp.concatenate(forces), acting), sums(jnp.concatenate(moments), acting)
+
+
+def state_rates(model: Model, frames: Frame) -> Float[Array, "nz"]:
+    """z' of a model that holds its states, in these frames."""
+    return _joined(
+        model, frames, Held, lambda element, *ends: element.state_rates(*element.rates(*ends))
+    )
+
+
+def state_scales(model: Model, reference: Frame, size: Float[Array, ""]) -> Float[Array, "nz"]:
+    """The scale of each state: its change per unit of the deformation in the reference pose, times
+    the size of the model, 1 rad for an angle; the scale of the deformation where a state does not
+    follow it."""
+
+    def scales(element, *ends):
+        e = element.deformation(*(end.pose() for end in ends))
+        follows = jnp.abs(element.sensitivities(e))
+        return jnp.where(follows > 0, follows, 1.0)
+
+    return _joined(relaxed(model), reference, Relaxed, scales) * jnp.where(
+        model.layout.follows_angles, 1.0, size
+    )
+
+
+def completed(model: Model, state: State, frames: Frame | None = None) -> State:
+    """The state with the z of rest in these frames where it has none; by default with the supports
+    in their reference poses."""
+    if not model.layout.nz or state.z.shape[-1]:
+        return state
+    frames = Coordinates(model).at_rest(state.q) if frames is None else frames
+    return State(state.q, state.v, rest_states(model, frames.pose()))
+
+
+def _joined(model: Model, frames: Frame, kind: type, function) -> Float[Array, "nz"]:
+    """function(element, A, B, ...) of the elements with memory, in the order of z."""
+    tables = [table for table in model.elements if memories(table.rows, kind)]
+    return jnp.concatenate(
+        [of_table(model, frames, table, function).reshape(-1) for table in tables]
+    )

@@ -1,0 +1,149 @@
+"""Joints: how a body can move relative to its parent, which is `world`, a support or another body.
+
+A joint states four functions: how its coordinates q change by an increment (`retract`), their rate
+for given speeds v (`rate`), the pose of the body for a pose of the parent (`pose`) and the velocity
+of the body per unit of each speed (`axes`). All else follows from these. `rest` gives the
+coordinates of the body's reference pose on its parent. Axes and points are in the parent's frame.
+"""
+
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxbody.core.arguments import plain
+from jaxbody.core.arrays import Array, Float
+from jaxbody.geometry import rotations
+from jaxbody.geometry.descriptions import Described
+from jaxbody.geometry.frames import Pose
+from jaxbody.model.layouts import MOVES, TURNS, CoordinateBlock
+
+Axes = tuple[Float[Array, "nv 3"], Float[Array, "nv 3"]]
+
+
+class Joint(Described, eqx.Module):
+    """The base class of joints: nq coordinates, nv speeds; `motions` describes each speed, `turns`
+    says which are rotations [rad/s]; `in_series`, whether an earlier rotation turns the axes of
+    later ones (else the rotations of a joint act together).
+
+    A joint of your own states these, `pose` and `axes`, and, unless increments of q are added, also
+    `rest`, `retract` and `rate`. A nut on a screw, which falls with the acceleration
+    g / (1 + I / (m lead^2)):
+
+    >>> from jaxbody.geometry.frames import Pose
+    >>> class Screw(Joint):
+    ...     lead: jax.Array  # m/rad
+    ...     nq, nv, motions, turns = 1, 1, ("turn of the screw",), (True,)
+    ...     def pose(self, q, parent, rest):
+    ...         c, s = jnp.cos(q[0]), jnp.sin(q[0])
+    ...         R = jnp.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    ...         return parent @ Pose(rest.p + jnp.array([0, 0, self.lead * q[0]]), R @ rest.R)
+    ...     def axes(self, q, parent, body):
+    ...         n = parent.R[:, 2]
+    ...         return self.lead * n[None], n[None]
+    >>> nut = Body(mass=0.3, inertia=[2e-5, 2e-5, 2e-5])
+    >>> model = Model(
+    ...     bodies={"nut": nut}, joints={"nut": Screw("world", jnp.array(0.01))}, gravity=[0, 0, -9]
+    ... )
+    >>> round(float(simulate(model, [0.0, 1.0]).poses["nut"].p[-1, 2]), 9)  # 9 / (1 + 2/3) / 2
+    -2.7
+    """
+
+    parent: str = eqx.field(static=True, converter=plain)
+    nq: eqx.AbstractClassVar[int]
+    nv: eqx.AbstractClassVar[int]
+    motions: eqx.AbstractClassVar[tuple[str, ...]]
+    turns: eqx.AbstractClassVar[tuple[bool, ...]]
+    in_series: ClassVar[bool] = False
+    # the point of its parent at which it is, where that is not the body's O in the reference pose
+    at: ClassVar[Any] = None
+
+    def block(self, body: str) -> CoordinateBlock:
+        """The coordinates of the joint of a body; with one more in q than in v, the last four are
+        a quaternion."""
+        units, quaternion = tuple("rad" if turn else "m" for turn in self.turns), self.nq > self.nv
+        q_units = (*units[:-3], *[""] * 4) if quaternion else units
+        return CoordinateBlock(
+            body,
+            type(self),
+            self.motions,
+            q_units,
+            tuple(f"{unit}/s" for unit in units),
+            quaternion,
+        )
+
+    def rest(self, rest: Pose) -> Float[Array, "nq"]:
+        """Coordinates of the reference pose."""
+        return jnp.zeros(self.nq, rest.p.dtype)
+
+    def retract(self, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
+        """q (+) delta."""
+        return q + delta
+
+    def rate(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nq"]:
+        """dq/dt, the derivative of retract(q, t v) at t = 0."""
+        return v
+
+    @abstractmethod
+    def pose(self, q: Float[Array, "nq"], parent: Pose, rest: Pose) -> Pose:
+        """World pose of the body."""
+
+    @abstractmethod
+    def axes(self, q: Float[Array, "nq"], parent: Pose, body: Pose) -> Axes:
+        """Velocity of the body's origin, and angular velocity, per unit of each speed, relative to
+        the parent, in world axes."""
+
+
+class Free(Joint):
+    """Six degrees of freedom: q = (position of O, unit quaternion), v = (velocity of O, angular
+    velocity), in the parent's axes.
+
+    >>> Free().parent
+    'world'
+    """
+
+    nq, nv = 7, 6
+    motions = MOVES + TURNS
+    turns = (False,) * 3 + (True,) * 3
+
+    def __init__(self, parent: str = "world"):
+        self.parent = parent
+
+    def rest(self, rest: Pose):
+        return jnp.concatenate([rest.p, rest.quaternion])
+
+    def retract(self, q, delta):
+        return jnp.concatenate(
+            [q[:3] + delta[:3], rotations.multiply(rotations.exp_quaternion(delta[3:]), q[3:])]
+        )
+
+    def rate(self, q, v):
+        return jnp.concatenate([v[:3], rotations.quaternion_rate(q[3:], v[3:])])
+
+    def pose(self, q, parent, rest):
+        return parent @ Pose(q[:3], rotations.matrix(q[3:]))
+
+    def axes(self, q, parent, body):
+        zero = jnp.zeros((3, 3), parent.R.dtype)
+        return jnp.concatenate([parent.R.T, zero]), jnp.concatenate([zero, parent.R.T])
+
+
+class Fixed(Joint):
+    """No degree of freedom: the body keeps its reference pose on the parent.
+
+    >>> Fixed("base").nq
+    0
+    """
+
+    nq, nv = 0, 0
+    motions, turns = (), ()
+
+    def __init__(self, parent: str):
+        self.parent = parent
+
+    def pose(self, q, parent, rest):
+        return parent @ rest
+
+    def axes(self, q, parent, body):
+        return jnp.zeros((0, 3), parent.R.dtype), jnp.zeros((0, 3), parent.R.dtype)

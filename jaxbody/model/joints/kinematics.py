@@ -1,0 +1,222 @@
+"""From coordinates to frames: where every frame of a model is and how it moves, as one table with
+rows world, supports, bodies."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import Array, Float, numbers, shaped
+from jaxbody.core.arrays import stack as stack_rows
+from jaxbody.core.errors import Problems, unknown
+from jaxbody.geometry import rotations
+from jaxbody.geometry.frames import Frame, Instant, Pose, stack
+from jaxbody.geometry.vectors import cross, rotate
+from jaxbody.model.inputs.signals import Signal
+from jaxbody.model.layouts import Layout
+from jaxbody.model.models import Model, at_reference, body_poses, rest_poses, support_poses
+from jaxbody.model.states import State
+from jaxbody.numerics.xla_workarounds import take
+
+Motions = tuple[Signal, ...]  # of six numbers, one per support, in their order
+
+
+class Chart(eqx.Module):
+    """The coordinates q of the joints of a model, their increments Delta and the speeds v."""
+
+    model: Model
+
+    def _each(self, function, *vectors: tuple[Array, dict[str, slice]]):
+        """(names, function(joint, row, ...)) of each table of joints; `vectors` are q or v with
+        their slices."""
+        for table in self.model.joints:
+            yield (
+                table,
+                jax.vmap(function)(
+                    table.rows,
+                    *(self.model.layout.rows_of(table.names, *vector) for vector in vectors),
+                ),
+            )
+
+    def _joined(self, function, *vectors: tuple[Array, dict[str, slice]]) -> Array:
+        return self.model.layout.joined(
+            [(table.names, row) for table, row in self._each(function, *vectors)]
+        )
+
+    def retract(self, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
+        """q (+) Delta, joint by joint."""
+        layout = self.model.layout
+        return self._joined(
+            lambda joint, q, d: joint.retract(q, d), (q, layout.q_slices), (delta, layout.v_slices)
+        )
+
+    def rate(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nq"]:
+        """dq/dt for the speeds v."""
+        layout = self.model.layout
+        return self._joined(
+            lambda joint, q, v: joint.rate(q, v), (q, layout.q_slices), (v, layout.v_slices)
+        )
+
+    def rate_transposed(self, q: Float[Array, "nq"], p: Float[Array, "nq"]) -> Float[Array, "nv"]:
+        """B' p, where dq/dt = B v."""
+        zero = jnp.zeros(self.model.layout.nv, q.dtype)
+        return jax.linear_transpose(lambda v: self.rate(q, v), zero)(p)[0]
+
+
+class Coordinates(Chart):
+    """A chart with the reference poses of supports and bodies, and `rest`, the reference poses of
+    bodies relative to their parents."""
+
+    supports: Pose
+    bodies: Pose
+    rest: Pose
+
+    def __init__(self, model: Model):
+        self.model = model
+        self.supports, self.bodies = support_poses(model), body_poses(model)
+        self.rest = rest_poses(model, self.supports, self.bodies)
+
+    @property
+    def reference(self) -> State:
+        """The state of rest in the reference pose."""
+        return at_reference(self.model, self.rest, self.supports, self.bodies)
+
+    def supports_at(self, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
+        """Frames of the supports displaced by Xi from their reference poses, with the rate Xi'."""
+        pose = self.supports.displaced(xi)
+        return Frame(
+            pose.p, pose.R, xi_dot[:, :3], rotate(rotations.left_jacobian(xi[:, 3:]), xi_dot[:, 3:])
+        )
+
+    def supports_moving(self, motions: Motions, t: Float[Array, ""]) -> Frame:
+        """Frames of the supports at time t."""
+        if not motions:
+            return self.supports.at_rest()
+        return self.supports_at(*imposed(motions, t))
+
+    def at_rest(self, q: Float[Array, "nq"], v: Float[Array, "nv"] | None = None) -> Frame:
+        """The table of frames with supports at rest in their reference poses, and bodies at rest or
+        with speeds v."""
+        return self.frames(
+            q, jnp.zeros(self.model.layout.nv, q.dtype) if v is None else v, self.supports.at_rest()
+        )
+
+    def frames(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame) -> Frame:
+        """The table of frames: world, supports, bodies."""
+        return self.frames_and_axes(q, v, supports)[0]
+
+    @jax.jit
+    def frames_and_axes(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame):
+        """The table of frames, and for each speed the velocity (nv, 3) and angular velocity (nv, 3)
+        of its own body per unit of it, in world axes."""
+        layout, known = self.model.layout, with_world(supports)
+        order, linear, angular = list(layout.frames[: layout.first_body]), [], []
+        for table, (q_rows, v_rows) in self._each(
+            lambda joint, q, v: (q, v), (q, layout.q_slices), (v, layout.v_slices)
+        ):
+            parent = _rows(known, [order.index(name) for name in table.links])
+            bodies = np.array([layout.bodies.index(name) for name in table.names])
+            rest = Pose(take(self.rest.p, bodies), take(self.rest.R, bodies))
+            frame, axes = jax.vmap(_joint_frame)(table.rows, q_rows, v_rows, parent, rest)
+            known = stack([known, frame])
+            order += table.names
+            linear.append((table.names, axes[0]))
+            angular.append((table.names, axes[1]))
+        return _rows(known, [order.index(name) for name in layout.frames]), (
+            layout.joined(linear),
+            layout.joined(angular),
+        )
+
+
+def imposed(
+    motions: Motions, t: Float[Array, ""]
+) -> tuple[Float[Array, "ns 6"], Float[Array, "ns 6"]]:
+    """Xi and Xi' at time t."""
+    return jax.jvp(
+        lambda t: jnp.stack([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),)
+    )
+
+
+def displacements(model: Model, given: Any, where: str, problems: Problems) -> Float[Array, "ns 6"]:
+    """Xi of the supports, or its rate, from {support: six numbers}, 0 for those left out, or from a
+    row for each support. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
+    names = model.layout.supports
+    if not isinstance(given, dict):
+        return shaped(given, (len(names), 6), where, problems)
+    problems.collected += [unknown(name, where, names) for name in given if name not in names]
+    return stack_rows(
+        [
+            shaped(given.get(name, np.zeros(6)), (6,), f"{where}[{name!r}]", problems)
+            for name in names
+        ]
+    )
+
+
+def with_world(*frames: Frame) -> Frame:
+    """The table of frames of the world and of others: supports, bodies."""
+    zero = jnp.zeros((1, 3), frames[0].p.dtype)
+    return stack([Frame(zero, np.eye(3, dtype=zero.dtype)[None], zero, zero), *frames])
+
+
+def jacobian(
+    layout: Layout, frames: Frame, linear: Float[Array, "n 3"], angular: Float[Array, "n 3"]
+):
+    """(frames, n, 3) velocity of each moving frame's origin, and its angular velocity, per unit of
+    each speed, from the velocities of the frame that the speed moves first: of the bodies alone or,
+    with six columns for each support, of bodies and supports."""
+    rows, movers = layout.moving(base=len(linear) > layout.nv), layout.movers[: len(linear)]
+    mask = jnp.asarray(layout.carries[np.ix_(movers, rows)].T, frames.p.dtype)[..., None]
+    arms = take(frames.p, rows)[:, None] - take(frames.p, movers)[None]
+    return mask * (linear[None] + cross(angular[None], arms)), mask * angular[None]
+
+
+def _rows(frames: Frame, rows: list[int]) -> Frame:
+    return Frame(*(take(x, np.array(rows)) for x in (frames.p, frames.R, frames.v, frames.w)))
+
+
+def _joint_frame(joint, q, v, parent: Frame, rest: Pose):
+    """One body's frame from its parent's: w = w_P + sum v_i n_i, v_O = v_P + w_P x (O - O_P) + sum
+    v_i l_i."""
+    pose = joint.pose(q, parent.pose(), rest)
+    linear, angular = joint.axes(q, parent.pose(), pose)
+    w = parent.w + jnp.sum(v[:, None] * angular, 0)
+    velocity = parent.v + cross(parent.w, pose.p - parent.p) + jnp.sum(v[:, None] * linear, 0)
+    return Frame(pose.p, pose.R, velocity, w), (linear, angular)
+
+
+def frames_at_time(model: Model, motions: Motions, t, state: State) -> Instant:
+    """The table of frames at a time and state."""
+    coordinates = Coordinates(model)
+    return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t)).at_time(
+        t, state
+    )
+
+
+def frames_displaced(
+    model: Model, state: State, delta: Float[Array, "nv"], xi: Float[Array, "*ns 6"] | None = None
+) -> Frame:
+    """The table of frames at q (+) Delta, at rest, with the supports displaced by Xi."""
+    coordinates = Coordinates(model)
+    zero = jnp.zeros((len(model.layout.supports), 6), delta.dtype)
+    supports = coordinates.supports_at(zero if xi is None else xi.reshape(-1, 6), zero)
+    return coordinates.frames(coordinates.retract(state.q, delta), jnp.zeros_like(delta), supports)
+
+
+def retract(model: Model, q, delta) -> Float[Array, "nq"]:
+    """q (+) Delta: the coordinates after small displacements Delta, one for each speed; of a free
+    body its displacement [m] and rotation vector [rad], in world axes.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
+    >>> retract(model, model.reference.q, [0.1, 0, 0, 0, 0, 0]).tolist()
+    [0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    """
+    return _retract(model, numbers(q, "retract.q"), numbers(delta, "retract.delta"))
+
+
+@eqx.filter_jit
+def _retract(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
+    return Chart(model).retract(q, delta)

@@ -1,0 +1,40 @@
+"""Force laws F(x) of one number, of springs and dampers, with and without memory; public
+as jaxbody.laws."""
+
+from jaxbody.core.compilation.late_imports import late_names
+
+__getattr__, __dir__, __all__ = late_names(
+    "jaxbody.model.laws",
+    {  # `__init__.pyi` says the same to editors and type checkers
+        "damper_laws": (
+            "Digressive",
+            "Friction",
+        ),
+        "hydraulic_mounts": ("Hydraulic",),
+        "hysteresis_laws": (
+            "BoucWen",
+            "Dahl",
+            "LuGre",
+        ),
+        "laws": (
+            "Function",
+            "Law",
+            "Linear",
+            "Sum",
+            "TwoSided",
+        ),
+        "measured_curves": ("Table",),
+        "memory_laws": (
+            "Hysteretic",
+            "Inertial",
+            "Viscoelastic",
+        ),
+        "rubber_laws": ("Maxwell",),
+        "spring_laws": (
+            "AirSpring",
+            "Polynomial",
+            "Stop",
+            "TensionOnly",
+        ),
+    },
+)

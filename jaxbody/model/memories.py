@@ -1,0 +1,185 @@
+"""Elements with memory: what states they own, and models whose laws with memory are evaluated in
+known states, table by table.
+
+z of one table lies together in the table's order, so that its rows are a slice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import Array, Float
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.geometry.fields import resolved, words_along
+from jaxbody.geometry.frames import Pose
+from jaxbody.model.laws.memories import Apart, Held, Relaxed, memories, with_states
+from jaxbody.model.laws.memory_laws import Memory
+from jaxbody.model.layouts import CoordinateBlock
+from jaxbody.model.storage import KindTable
+
+Z = Float[Array, "nz"]
+
+
+def blocks_of(tables: tuple[KindTable, ...]) -> tuple[CoordinateBlock, ...]:
+    """The blocks of the elements with memory, in the order of their tables."""
+    blocks = []
+    for table in tables:
+        if memories(table.rows):
+            states = tuple(zip(*_states_of(table.rows), strict=True))
+            blocks += [
+                CoordinateBlock(name, type(table.rows), (), (), (), False, *states)
+                for name in table.names
+            ]
+    return tuple(blocks)
+
+
+def _states_of(rows: Any) -> list[tuple[str, str, str, str]]:
+    """Description, unit and role of each state of an element, and the unit of the deformation that
+    it follows. Equal descriptions are numbered; where several fields hold laws, each begins with
+    its field."""
+    found, fields = [], set()
+    for keys, law in jax.tree_util.tree_leaves_with_path(rows, is_leaf=with_states):
+        if isinstance(law, Memory):
+            words, field = words_along(rows, keys), keys[0].name
+            fields.add(field)
+            argument, kinds = (
+                words.get("argument", ""),
+                zip(law.states, law.state_units, law.roles, strict=True),
+            )
+            found += [
+                (field, one, resolved(unit, law, words), role, argument)
+                for one, unit, role in kinds
+            ]
+    labels = [f"{field} {one}" if len(fields) > 1 else one for field, one, *_ in found]
+    numbers = [labels[:i].count(label) + 1 for i, label in enumerate(labels)]
+    texts = [
+        f"{label} {n}" if labels.count(label) > 1 else label
+        for label, n in zip(labels, numbers, strict=True)
+    ]
+    return [(text, *kind) for text, (_, _, *kind) in zip(texts, found, strict=True)]
+
+
+def _bound(model: Any, make: Callable[..., Any], *states: Z) -> Any:
+    """The model with each law with memory replaced by make(law, its columns of the states)."""
+    if not model.layout.nz:
+        return model
+    tables, start = [], 0
+    for table in model.elements:
+        if width := sum(len(law.states) for law in memories(table.rows)):
+            n = len(table.names)
+            _check_given(model, states[0])
+            columns = [z[start : start + n * width].reshape(n, width) for z in states]
+            table, start = _with_states(table, make, columns), start + n * width
+        tables.append(table)
+    return eqx.tree_at(lambda model: model.elements, model, tuple(tables))
+
+
+def _check_given(model: Any, z: Z) -> None:
+    if len(z) != model.layout.nz:
+        hint = "Give states with z, such as those of equilibrium(model) or model.reference."
+        message = (
+            f"is missing or has {len(z)} numbers; the model has elements with "
+            f"{model.layout.nz} states"
+        )
+        raise JaxbodyError(
+            Problem("MEMORY", "state.z", message, len(z), f"{model.layout.nz}", hint)
+        )
+
+
+def _with_states(
+    table: KindTable, make: Callable[..., Any], columns: list[Float[Array, "n width"]]
+) -> KindTable:
+    def replaced(rows, parts):
+        """The rows with each law in its states; `parts` are the states of one law after
+        the other."""
+        return jax.tree.map(
+            lambda x: make(x, *next(parts)) if isinstance(x, Memory) else x,
+            rows,
+            is_leaf=with_states,
+        )
+
+    laws = memories(table.rows)
+    ends = [sum(len(law.states) for law in laws[: i + 1]) for i in range(len(laws))]
+    rows = replaced(
+        table.rows,
+        (
+            tuple(z[:, end - len(law.states) : end] for z in columns)
+            for law, end in zip(laws, ends, strict=True)
+        ),
+    )
+    ranks = jax.tree.unflatten(jax.tree.structure(table.rows), table.ranks)
+    return KindTable(
+        table.names,
+        table.links,
+        tuple(jax.tree.leaves(replaced(ranks, iter([(1,) * len(columns)] * len(laws))))),
+        rows,
+    )
+
+
+def holding(model: Any, z: Z) -> Any:
+    """The model in a motion, with the states z."""
+    return _bound(model, Held, z)
+
+
+def apart(model: Any, z: Z, z_dot: Z | None = None) -> Any:
+    """The model about a rest with the states z, for small motions in which coordinates of elements
+    move by themselves."""
+    return _bound(model, Apart, z, jnp.zeros_like(z) if z_dot is None else z_dot)
+
+
+def settled(model: Any, z: Z) -> Any:
+    """The model about a rest with the states z, for slow small motions: massless coordinates follow
+    the deformations, hysteretic states their tangents, and those with mass move by themselves."""
+    return _bound(
+        model,
+        lambda law, z: (
+            Relaxed(law, z) if law.has_rows and not law.inertial else Apart(law, z, _zeros(z))
+        ),
+        z,
+    )
+
+
+def _zeros(z: Any) -> Any:
+    return z if isinstance(z, int) else jnp.zeros_like(z)  # an int is a rank
+
+
+def relaxed(model: Any, z: Z | None = None) -> Any:
+    """The model at rest: coordinates of elements follow the deformations; other states are z,
+    by default 0."""
+    if z is None or not z.shape[-1]:
+        z = jnp.zeros(model.layout.nz, model.gravity.dtype)
+    return _bound(model, Relaxed, z)
+
+
+def resisting(model: Any, z: Z) -> Any:
+    """The model about a rest with the states z, for static small displacements: coordinates of
+    elements follow the deformations, hysteretic states their tangents."""
+    return _bound(
+        model, lambda law, z: Relaxed(law, z) if law.has_rows else Apart(law, z, _zeros(z)), z
+    )
+
+
+def rest_states(model: Any, poses: Pose, z: Z | None = None) -> Z:
+    """z at rest in these poses of all frames: coordinates relaxed, others as in z, by default 0."""
+    if not model.layout.nz:
+        return jnp.zeros(0, poses.p.dtype)
+    parts = []
+    for table in relaxed(model, z).elements:
+        if memories(table.rows, Relaxed):
+            ends = [
+                np.array([model.layout.frame(name) for name in end])
+                for end in zip(*table.links, strict=True)
+            ]
+            at = [Pose(poses.p[rows], poses.R[rows]) for rows in ends]
+            parts.append(
+                jax.vmap(lambda element, *at: element.rest_states(element.deformation(*at)))(
+                    table.rows, *at
+                ).reshape(-1)
+            )
+    return jnp.concatenate(parts)

@@ -1,0 +1,559 @@
+"""A model: bodies, supports, elements and joints by name, kept as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import checked_dict
+from jaxbody.core.arrays import Array, Float, device_array, functions_as_nodes, is_concrete, vector
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
+from jaxbody.core.handed_down import handed_down
+from jaxbody.geometry import rotations
+from jaxbody.geometry.closures import Closure, Coupling, as_slide
+from jaxbody.geometry.descriptions import text_of
+from jaxbody.geometry.fields import field, kind_of, units_of
+from jaxbody.geometry.frames import Pose
+from jaxbody.geometry.vectors import cross
+from jaxbody.model.bodies import Body, Support, warn_of_points
+from jaxbody.model.elements.element_checks import check_laws, check_leaves
+from jaxbody.model.elements.elements import Element
+from jaxbody.model.elements.own_energies import (
+    NOWHERE,
+    OfFrames,
+    OwnDissipation,
+    OwnEnergy,
+    own_functions,
+    unwrapped,
+)
+from jaxbody.model.joints.joints import Free, Joint
+from jaxbody.model.laws.laws import Law
+from jaxbody.model.layouts import WORLD, Layout
+from jaxbody.model.memories import blocks_of, rest_states
+from jaxbody.model.model_checks import (
+    check_links,
+    check_movable,
+    check_names,
+    check_reference,
+    check_slopes,
+    counted,
+    of_kind,
+    warn_of_oddities,
+)
+from jaxbody.model.states import State
+from jaxbody.model.storage import KindTable, tabulate, tabulate_by_structure
+from jaxbody.numerics.small_systems import independent_rows
+from jaxbody.numerics.xla_workarounds import take
+
+CLOSED = 1e-6  # of the largest distance of a point: the reference pose is drawn closed
+DISPLACED = 0.3  # of such a distance, or in rad: away from singular positions
+# of pivots: of such coordinates the last depends on the others, so that the first stay independent
+NEARLY_LARGEST = 0.5
+
+
+class Model(tables.Printed, eqx.Module):
+    """Rigid bodies connected by elements and joints to each other, to `world` and to supports whose
+    motion is imposed.
+
+    Args:
+        bodies: {name: body}
+        supports: {name: support}
+        elements: {name: element}
+        joints: {name of the body that the joint carries: joint}; a body without a joint is free
+        closures: {name: closure}, which close loops of joints: `jb.closures`
+        gravity: [m/s2], in world axes
+        energies: {name: V(frames) [J]}, of your own: an equinox.Module, whose numbers have paths,
+            or a function. `frames["body"]` is a pose with p, R and point(x), of a body, a support
+            or the world
+        dissipations: {name: R(frames) [W]}, likewise, of frames with v, w and velocity(x) besides
+
+    `model["AB"]` is the element, body, support or closure of that name, `model.joint("arm")` a
+    body's joint, `model.reference` the state at rest in the reference pose: as it is drawn, or,
+    where closures are drawn open, assembled by the least movement. A derivative with respect to a
+    model is a model. All problems of an input are reported in one error.
+
+    >>> model = Model(
+    ...     bodies={"plate": Body(mass=3.0, inertia=[0.3, 0.9, 1.2])},
+    ...     elements={
+    ...         "AB": Spring(
+    ...             ("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8
+    ...         )
+    ...     },
+    ... )
+    >>> float(model["AB"].stiffness)
+    100.0
+    """
+
+    bodies: KindTable
+    supports: KindTable
+    joints: tuple[KindTable, ...]
+    elements: tuple[KindTable, ...]
+    closures: tuple[KindTable, ...]
+    layout: Layout = eqx.field(static=True)
+    # speeds that closures leave free, in the reference pose; None if traced
+    independent: tuple[int, ...] | None = eqx.field(static=True)
+    gravity: Float[Array, "3"] = field("m/s2")
+
+    def __init__(
+        self,
+        *,
+        bodies: dict[str, Body],
+        supports: dict[str, Support] | None = None,
+        elements: Mapping[str, Element] | None = None,
+        joints: dict[str, Joint] | None = None,
+        closures: dict[str, Closure] | None = None,
+        gravity=(0, 0, 0),
+        energies: dict[str, Any] | None = None,
+        dissipations: dict[str, Any] | None = None,
+    ):
+        with Problems() as problems:
+            bodies, supports = (
+                checked_dict(bodies, "bodies", "name: jb.Body(...)", problems),
+                checked_dict(supports, "supports", "name: jb.Support(...)", problems),
+            )
+            elements, joints, closures = (
+                checked_dict(elements, "elements", "name: jb.Spring(...)", problems),
+                checked_dict(joints, "joints", "name: jb.Hinge(...)", problems),
+                checked_dict(closures, "closures", "name: jb.closures.Ball(...)", problems),
+            )
+            energies, dissipations = (
+                checked_dict(energies, "energies", "name: a function of frames", problems),
+                checked_dict(dissipations, "dissipations", "name: a function of frames", problems),
+            )
+        names: Any = {
+            "bodies": bodies,
+            "supports": supports,
+            "elements": elements,
+            "closures": closures,
+        }
+        check_names(problems, **names, energies=energies, dissipations=dissipations)
+        bodies, supports = (
+            of_kind(problems, "bodies", bodies, Body),
+            of_kind(problems, "supports", supports, Support),
+        )
+        elements, joints = (
+            of_kind(problems, "elements", elements, Element),
+            of_kind(problems, "joints", joints, Joint),
+        )
+        closures = of_kind(problems, "closures", closures, Closure)
+        check_links(
+            problems, bodies, supports, {"elements": elements, "closures": closures}, joints
+        )
+        gravity = vector(gravity, "gravity", problems)
+        elements = {name: functions_as_nodes(element) for name, element in elements.items()}
+        drawn = {
+            WORLD: NOWHERE,
+            **{
+                name: (each.position, each.orientation)
+                for name, each in {**supports, **bodies}.items()
+            },
+        }
+        elements = {
+            name: element.as_drawn(*(drawn.get(end, NOWHERE)[1] for end in element.between))
+            for name, element in elements.items()
+        }
+        for name, element in elements.items():
+            check_leaves(problems, f"elements[{name!r}]", element)
+        check_laws(problems, elements)
+        elements |= own_functions(problems, "energies", OwnEnergy, energies, drawn)
+        elements |= own_functions(problems, "dissipations", OwnDissipation, dissipations, drawn)
+        check_reference(problems, drawn, {"elements": elements, "closures": closures})
+        problems.raise_if_any()
+        every_joint = {name: joints.get(name, Free()) for name in bodies}
+        parents, blocks = zip(
+            *((joint.parent, joint.block(name)) for name, joint in every_joint.items()), strict=True
+        )
+        self.elements = tabulate_by_structure(elements)
+        self.layout = Layout(
+            tuple(bodies), tuple(supports), parents, blocks + blocks_of(self.elements)
+        )
+        by_depth = {
+            name: every_joint[name]
+            for name in sorted(bodies, key=lambda name: self.layout.depths[name])
+        }
+        self.bodies = tabulate(bodies)
+        self.supports = tabulate(supports, Support())
+        self.joints = tabulate_by_structure(by_depth, lambda name: self.layout.depths[name])
+        with Problems() as problems:
+            closures = counted(
+                problems,
+                {name: functions_as_nodes(closure) for name, closure in closures.items()},
+                self.layout,
+            )
+            check_movable(problems, closures, self.layout)
+        self.closures = tabulate_by_structure(closures)
+        self.gravity = device_array(gravity)
+        self.independent = None
+        self.independent = independent_speeds(self)
+        warn_of_oddities(bodies, supports, elements)
+        carrying = {joint.parent for joint in every_joint.values()}
+        warn_of_points(
+            {
+                name: body
+                for name, body in bodies.items()
+                if isinstance(every_joint[name], Free) and name not in carrying
+            }
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names of bodies, supports, elements, energies, dissipations and closures."""
+        return (
+            self.layout.bodies
+            + self.layout.supports
+            + self.element_names
+            + self.energy_names
+            + self.closure_names
+        )
+
+    @property
+    def element_names(self) -> tuple[str, ...]:
+        return tuple(name for table in self.attached for name in table.names)
+
+    @property
+    def energy_names(self) -> tuple[str, ...]:
+        """The names of energies and dissipations of the user's own."""
+        return tuple(name for table in self.elements[len(self.attached) :] for name in table.names)
+
+    @property
+    def attached(self) -> tuple[KindTable, ...]:
+        """The tables of elements but those of energies and dissipations of the user's own, which
+        come last."""
+        return tuple(table for table in self.elements if not isinstance(table.rows, OfFrames))
+
+    @property
+    def closure_names(self) -> tuple[str, ...]:
+        return tuple(name for table in self.closures for name in table.names)
+
+    def __getitem__(self, name: str) -> Any:
+        for tables_of_kind in ((self.bodies, self.supports), self.elements, self.closures):
+            for table in tables_of_kind:
+                if name in table.names:
+                    return unwrapped(table.row(name))
+        raise JaxbodyError(unknown(name, "model[...]", self.names))
+
+    def joint(self, body: str) -> Joint:
+        """The joint that carries a body."""
+        for table in self.joints:
+            if body in table.names:
+                return table.row(body)
+        raise JaxbodyError(unknown(body, "model.joint(...)", self.layout.bodies))
+
+    def parts(self) -> dict[str, Any]:
+        """The arguments of which this model can be built again."""
+        kinds = (("energies", OwnEnergy), ("dissipations", OwnDissipation))
+        names: Any = {
+            group: [
+                n for table in self.elements if isinstance(table.rows, kind) for n in table.names
+            ]
+            for group, kind in kinds
+        }
+        names |= {
+            "bodies": self.layout.bodies,
+            "supports": self.layout.supports,
+            "elements": self.element_names,
+        }
+        names |= {"closures": self.closure_names}
+        found: dict[str, Any] = {
+            group: {name: self[name] for name in each} for group, each in names.items()
+        }
+        return found | {
+            "joints": {name: self.joint(name) for name in self.layout.bodies},
+            "gravity": self.gravity,
+        }
+
+    @property
+    def reference(self) -> State:
+        """The state at rest in the reference pose, closures fulfilled and elements with
+        memory relaxed."""
+        refuse_batch(self, "model.reference")
+        return handed_down("assembled_reference")(self) if self.closures else drawn_reference(self)
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        layout = self.layout
+        rows = [
+            (
+                name,
+                layout.block(name).kind.__name__.lower(),
+                parent,
+                self[name].mass,
+                self[name].position,
+            )
+            for name, parent in zip(layout.bodies, layout.parents, strict=True)
+        ]
+        shown = [
+            tables.PrintedTable("Model", ("body", "joint", "on", "mass [kg]", "position [m]"), rows)
+        ]
+        for table in self.elements:
+            columns, kind = self._columns(table), type(self[table.names[0]]).__name__.lower()
+            own = isinstance(table.rows, OfFrames)
+            kind = "function" if kind == "partial" else kind
+            rows = [
+                (
+                    name,
+                    *((", ".join(table.rows.reads),) if own else link),
+                    *(_cell(self[name], column) for column in columns),
+                )
+                for name, link in zip(table.names, table.links, strict=True)
+            ]
+            heads = ("of",) if own else ("from", "to", "on")[: len(table.links[0])]
+            shown.append(tables.PrintedTable("", (kind, *heads, *columns.values()), rows))
+        rows = [
+            (n, type(t.rows).__name__.lower(), *link)
+            for t in self.closures
+            for n, link in zip(t.names, t.links, strict=True)
+        ]
+        return (
+            [*shown, tables.PrintedTable("", ("closure", "kind", "from", "to"), rows)]
+            if rows
+            else shown
+        )
+
+    def _columns(self, table: KindTable) -> dict[str, str]:
+        """Fields of elements that are printed, with their column headings: laws, numbers and
+        matrices of coefficients, but no points and directions."""
+        row, heads, batch = self[table.names[0]], {}, self.gravity.ndim - 1
+        for name in getattr(row, "__dataclass_fields__", ()):
+            value: Any = getattr(row, name, None)
+            kind = kind_of(row, name)
+            shape = np.shape(value)[batch:] if hasattr(value, "ndim") else None
+            if (
+                isinstance(value, Law)
+                or shape == ()
+                or (shape and kind.domain in ("definite", "symmetric"))
+            ):
+                units = set(units_of(kind, shape)) if shape is not None else {""}
+                heads[name] = name.replace("_", " ") + (
+                    f" [{unit}]" if len(units) == 1 and (unit := units.pop()) else ""
+                )
+        return heads
+
+
+def refuse_batch(model: Model, where: str) -> None:
+    """Refuse a batch of models. Error: BAD_SHAPE."""
+    if model.gravity.ndim > 1:
+        message, hint = (
+            f"is a batch of {len(model.gravity)} models",
+            "Use jax.vmap; one of them is jax.tree.map(lambda x: x[0], models).",
+        )
+        raise JaxbodyError(
+            Problem("BAD_SHAPE", where, message, np.shape(model.gravity), "one model", hint)
+        )
+
+
+def _cell(element: Element, name: str) -> Any:
+    """A number, whose unit is in the heading, or a law with its numbers and units."""
+    value = getattr(element, name)
+    return text_of(element, name) if isinstance(value, Law) else value
+
+
+def _places(names: tuple[str, ...], order: tuple[str, ...]) -> np.ndarray:
+    return np.array([order.index(name) for name in names], dtype=int)
+
+
+def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
+    """Pose of each body on its parent in the reference pose, rows in the order of the bodies, from
+    its pose in the world."""
+    parents = _poses_at(
+        _joined_poses(_world(bodies), supports, bodies),
+        _places(model.layout.parents, model.layout.frames),
+    )
+    return parents.inverse() @ bodies
+
+
+@program
+def drawn_reference(model: Model) -> State:
+    """The state of rest in the reference pose as it is drawn."""
+    supports, bodies = support_poses(model), body_poses(model)
+    return at_reference(model, rest_poses(model, supports, bodies), supports, bodies)
+
+
+def at_reference(model: Model, rest: Pose, supports: Pose, bodies: Pose) -> State:
+    """The state of rest in the reference pose, in which bodies have these poses relative to their
+    parents; elements with memory are relaxed."""
+    state = at_rest_in(model, rest)
+    if not model.layout.nz:
+        return state
+    world = Pose(jnp.zeros((1, 3), bodies.p.dtype), np.eye(3, dtype=bodies.R.dtype)[None])
+    poses = Pose(
+        *(
+            jnp.concatenate([getattr(x, name) for x in (world, supports, bodies)])
+            for name in ("p", "R")
+        )
+    )
+    return State(state.q, state.v, rest_states(model, poses))
+
+
+def at_rest_in(model: Model, rest: Pose) -> State:
+    """The state in which bodies are at rest in these poses relative to their parents."""
+
+    def of(table: KindTable) -> tuple[tuple[str, ...], Array]:
+        rows = _places(table.names, model.layout.bodies)
+        return table.names, jax.vmap(lambda joint, pose: joint.rest(pose))(
+            table.rows, _poses_at(rest, rows)
+        )
+
+    q = model.layout.joined([of(table) for table in model.joints])
+    return State(q, jnp.zeros(model.layout.nv, q.dtype))
+
+
+def support_poses(model: Model) -> Pose:
+    """Poses of the supports in the reference pose."""
+    supports = model.supports.rows
+    return Pose(supports.position, rotations.matrix(supports.orientation))
+
+
+def body_poses(model: Model) -> Pose:
+    """Poses of the bodies in the reference pose."""
+    bodies = model.bodies.rows
+    return Pose(bodies.position, rotations.matrix(bodies.orientation))
+
+
+def pose_at_reference(model: Model, name: str) -> Pose:
+    """The pose of a body, of a support or of the world in the reference pose."""
+    layout = model.layout
+    if name == WORLD:
+        return Pose(jnp.zeros(3, model.gravity.dtype), jnp.eye(3, dtype=model.gravity.dtype))
+    poses, names = (
+        (support_poses(model), layout.supports)
+        if name in layout.supports
+        else (body_poses(model), layout.bodies)
+    )
+    i = names.index(name)
+    return Pose(poses.p[i], poses.R[i])
+
+
+def independent_speeds(model: Model) -> tuple[int, ...] | None:
+    """The speeds that remain free when those of the largest pivots follow from the closures: in the
+    reference pose, or, where it is drawn open and may be singular, such as with all links in line,
+    in one displaced from it."""
+    nv = model.layout.nv
+    if not model.closures:
+        return tuple(range(nv))
+    if not is_concrete(model):
+        return None
+    with jax.ensure_compile_time_eval():
+        columns, open_ = _closure_slopes(model, jnp.zeros(nv, model.gravity.dtype))
+        if open_ > CLOSED:
+            columns, _ = _closure_slopes(
+                model, DISPLACED * jnp.sin(1.0 + 2.4 * jnp.arange(nv, dtype=model.gravity.dtype))
+            )
+    check_slopes(model.closures, np.isfinite(columns).all(1))
+    dependent = independent_rows(np.array(columns).T, enough=NEARLY_LARGEST)
+    return tuple(i for i in range(nv) if i not in dependent)
+
+
+@program
+def _closure_slopes(
+    model: Model, delta: Float[Array, "nv"]
+) -> tuple[Float[Array, "n nv"], Float[Array, ""]]:
+    """dc/dDelta of all closures, by increments in meters, displaced from the reference pose by
+    such; and the largest |c| over the largest distance of a point."""
+    layout, supports, bodies = model.layout, support_poses(model), body_poses(model)
+    rest = rest_poses(model, supports, bodies)
+    length = jnp.max(
+        jnp.stack(
+            [
+                jnp.max(jnp.abs(x), initial=0.0)
+                for table in model.closures
+                for x in table.rows.points
+            ]
+        )
+    )
+    length = jnp.where(length > 0, length, 1.0)
+    q, delta = at_rest_in(model, rest).q, delta * jnp.where(layout.turns, 1.0, length)
+    drawn = _joined_poses(_world(bodies), supports, bodies)
+    known, order, linear, angular = (
+        _joined_poses(_world(bodies), supports),
+        list(layout.frames[: layout.first_body]),
+        [],
+        [],
+    )
+    coordinates = []
+    for table in model.joints:
+        parent = _poses_at(known, _places(table.links, tuple(order)))
+
+        def moved(joint, q, delta, parent, rest):
+            q = joint.retract(q, delta)
+            pose = joint.pose(q, parent, rest)
+            return pose, joint.axes(q, parent, pose), q
+
+        place, move = (
+            layout.rows_of(table.names, q, layout.q_slices),
+            layout.rows_of(table.names, delta, layout.v_slices),
+        )
+        own, axes, coordinate_rows = jax.vmap(moved)(
+            table.rows, place, move, parent, _poses_at(rest, _places(table.names, layout.bodies))
+        )
+        known, order = _joined_poses(known, own), [*order, *table.names]
+        coordinates.append((table.names, coordinate_rows))
+        linear.append((table.names, axes[0]))
+        angular.append((table.names, axes[1]))
+    frames = _poses_at(known, _places(layout.frames, tuple(order)))
+    moves, turns, movers = layout.joined(linear), layout.joined(angular), layout.movers[: layout.nv]
+    carried = jnp.asarray(layout.carries[movers].T, q.dtype)[..., None]
+    arms = frames.p[:, None] - frames.p[movers][None]
+    twists = jnp.concatenate(
+        [carried * (moves[None] + cross(turns[None], arms)), carried * turns[None]], -1
+    )
+    slopes, gaps, q = [], [], layout.joined(coordinates)
+
+    def ends(table: KindTable):
+        """The poses of both ends, their twists per unit of each speed, and the pose of the second
+        on the first as drawn."""
+        if isinstance(table.rows, Coupling):
+            places = [layout.coordinate_places[path] for path in (table.rows.of, table.rows.by)]
+            poses = [as_slide(jnp.broadcast_to(q[i], len(table))) for i, _ in places]
+            moving = [
+                jnp.zeros((len(table), layout.nv, 6), q.dtype).at[:, j, 0].set(1.0)
+                for _, j in places
+            ]
+            return *poses, *moving, as_slide(jnp.zeros(len(table), q.dtype))
+        A, B = (_places(end, layout.frames) for end in zip(*table.links, strict=True))
+        return (
+            *(_poses_at(frames, end) for end in (A, B)),
+            twists[A],
+            twists[B],
+            _poses_at(drawn, A).inverse() @ _poses_at(drawn, B),
+        )
+
+    for table in model.closures:
+
+        def of(closure, A, B, twist_A, twist_B, rest):
+            def gap(xi):
+                return closure.gap(A.displaced(xi[0]), B.displaced(xi[1]), rest)
+
+            zero = jnp.zeros((2, 6), q.dtype)
+            return jnp.einsum(
+                "nei,evi->nv", jax.jacfwd(gap)(zero), jnp.stack([twist_A, twist_B])
+            ), gap(zero)
+
+        J, c = jax.vmap(of)(table.rows, *ends(table))
+        of_angle = np.array([row.startswith("turn") for row in table.rows.rows])
+        unit = jnp.where(of_angle, length, 1.0)
+        slopes.append((J * unit[None, :, None]).reshape(-1, layout.nv))
+        gaps.append((c * unit[None]).ravel())
+    return jnp.concatenate(slopes) * jnp.where(layout.turns, 1 / length, 1.0)[None], jnp.max(
+        jnp.abs(jnp.concatenate(gaps))
+    ) / length
+
+
+def _world(like: Pose) -> Pose:
+    """The pose of the world."""
+    return Pose(jnp.zeros((1, 3), like.p.dtype), np.eye(3, dtype=like.R.dtype)[None])
+
+
+def _joined_poses(*parts: Pose) -> Pose:
+    return Pose(*(jnp.concatenate([getattr(x, name) for x in parts]) for name in ("p", "R")))
+
+
+def _poses_at(frames: Pose, rows: np.ndarray) -> Pose:
+    """Some rows of a table of poses."""
+    return Pose(take(frames.p, rows), take(frames.R, rows))

@@ -1,2 +1,0 @@
-"""Models: bodies, supports, joints and elements by name, stored as arrays; paths to
-every number."""

@@ -1,0 +1,368 @@
+"""The integration by diffrax, in blocks of steps or by its own loop: tolerances,
+statuses, samples."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix
+
+from jaxbody.core.arrays import Array, rows_or_nan
+from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.errors import JaxbodyError, Problem, Status
+from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
+from jaxbody.mechanics.constraints import CLOSED
+from jaxbody.mechanics.dynamics import Dynamics
+from jaxbody.mechanics.lagrange_equations import LagrangeBodies, LagrangeLoops
+from jaxbody.model.inputs.signals import kinks_of
+from jaxbody.model.joints.element_tables import completed, outside_law_range
+from jaxbody.model.joints.kinematics import frames_at_time
+from jaxbody.model.laws.measured_curves import has_range
+from jaxbody.model.models import Model
+from jaxbody.model.sizes import take_long
+from jaxbody.model.states import State
+from jaxbody.motion.canonical_equations import Canonical
+from jaxbody.motion.trajectories import Trajectory
+from jaxbody.numerics.adjoints import Blocks, Driven, Lasting, Projected, Unstarted, Watched
+from jaxbody.numerics.gauss_collocations import Gauss
+from jaxbody.numerics.precisions import reachable
+from jaxbody.numerics.runge_kutta_steps import TRIAL, first_length
+
+# least local error; below it float32 takes shorter steps without a gain
+FINEST = {"float64": 0.0, "float32": 1.5e-5}
+SAFETY = 0.1  # local error over rtol, because the order between steps is lower than that of a step
+# smallest singular value of closures at a position in which an integration ends because of it,
+# relative to the largest
+SINGULAR = 1e-4
+CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
+STATUSES = (
+    (diffrax.RESULTS.successful, Status.OK),
+    (diffrax.RESULTS.max_steps_reached, Status.MAX_STEPS),
+    (diffrax.RESULTS.dt_min_reached, Status.DT_MIN),
+)
+
+
+def _drive(t, dynamics: Dynamics) -> Any:
+    return dynamics.drive(t)
+
+
+def _driven(u, y, dynamics: Dynamics) -> Array:
+    return dynamics.driven(u, y)
+
+
+def _canonical(t, y, canonical: Canonical) -> Array:
+    return canonical.rate(t, y)
+
+
+def _driven_on_closures(u, y, dynamics: ClosedLoops):
+    return dynamics.driven_on_closures(u, y)
+
+
+def _projected(u, y, saddle, dynamics: ClosedLoops) -> Array:
+    return dynamics.closer(u, y, saddle)
+
+
+MOTION, CANONICAL = Driven(_drive, _driven), diffrax.ODETerm(_canonical)
+LOOPS = Driven(_drive, _driven_on_closures, _projected)
+
+
+@program_with(lambda model, times, *_: OPTIMIZED if take_long(model, times) else QUICK)
+def integrate(
+    model,
+    times,
+    motions,
+    loads,
+    initial,
+    rtol,
+    solver,
+    stepsize_controller,
+    adjoint,
+    dt0,
+    max_steps,
+    meter,
+    equations,
+) -> Trajectory:
+    """The jitted core of `simulate`: arrays only, never raises. It counts time from the
+    first sample."""
+    given, times = times, times - times[0]
+    form_of: Any = (
+        dynamics_of
+        if equations == "structured"
+        else LagrangeLoops
+        if model.closures
+        else LagrangeBodies
+    )
+    dynamics = form_of(
+        model, *(tuple(part.after(given[0]) for part in parts) for parts in (motions, loads))
+    )
+    initial, closing = (
+        dynamics.coordinates.reference
+        if initial is None
+        else _completed(dynamics, initial, times[0]),
+        None,
+    )
+    if isinstance(dynamics, ClosedLoops):
+        initial, closing = dynamics.closed(times[0], initial)
+    by_default = (
+        solver is None
+        and isinstance(stepsize_controller, diffrax.ConstantStepSize | None)
+        and isinstance(adjoint, diffrax.ForwardMode | None)
+        and isinstance(meter, diffrax.NoProgressMeter)
+    )
+    in_blocks = by_default or isinstance(adjoint, Blocks)
+    if isinstance(solver, Gauss):
+        _check_for_gauss(model)
+    motion = LOOPS if model.closures else MOTION
+    form, term = (
+        (Canonical(dynamics), CANONICAL) if isinstance(solver, Gauss) else (dynamics, motion)
+    )
+    y0 = form.pack(initial, times[0])
+    solver = solver or diffrax.Dopri8()
+    controller = _after(given[0], stepsize_controller)
+    tolerances = (
+        {} if isinstance(controller, CONSTANT) else _tolerances(dynamics, times, initial, rtol)
+    )
+    if in_blocks:
+        options = _in_blocks(
+            dynamics, times, tolerances, solver, controller, adjoint, dt0, max_steps
+        )
+    else:
+        solver = (
+            Projected(solver) if model.closures and isinstance(controller, CONSTANT) else solver
+        )
+        options = _as_given(
+            form, y0, times, tolerances, solver, controller, adjoint, dt0, max_steps
+        )
+    solution = diffrax.diffeqsolve(
+        term,
+        t0=times[0],
+        t1=times[-1],
+        y0=y0,
+        args=form,
+        throw=False,
+        progress_meter=meter,
+        **options,
+    )
+    ts, ys = (jnp.concatenate(jax.tree.leaves(x)) for x in (solution.ts, solution.ys))
+    samples, t_end, y_end = ys[:-1].at[0].set(y0), ts[-1], ys[-1]
+    code = (
+        solution.stats["status"]
+        if in_blocks
+        else _status(solution.result, form, t_end, y_end, times[-1] - times[0])
+    )
+    finite = jnp.isfinite(samples).all(1)
+    overflow = (code == Status.OK.value) & ~finite.all()  # which constant steps do not detect
+    last = jnp.maximum(jnp.argmin(finite) - 1, 0)
+    t_end, y_end = (
+        jnp.where(overflow, times[last], t_end),
+        jnp.where(overflow, samples[last], y_end),
+    )
+    code = jnp.where(overflow, Status.NONFINITE.value, code)
+    valid = (finite & (times <= t_end))[:, None]
+    samples = jnp.where(valid, samples, y_end)
+    if isinstance(dynamics, ClosedLoops):
+        samples = jax.vmap(dynamics.projected)(jnp.where(valid[:, 0], times, t_end), samples)
+        valid = valid & jnp.isfinite(samples)
+        code = jnp.where((code == Status.OK.value) & ~valid.all(), Status.NONFINITE.value, code)
+    y = jnp.concatenate([rows_or_nan(valid, samples), y_end[None]])
+    unpacked = jax.vmap(form.unpack)(y, jnp.append(times, t_end))
+    state, final = jax.tree.map(lambda x: x[:-1], unpacked), jax.tree.map(lambda x: x[-1], unpacked)
+    if isinstance(dynamics, ClosedLoops):
+        code = _ended_on_closures(dynamics, code, t_end, final, closing)
+    if has_range(model.elements):
+        frames = jax.vmap(partial(frames_at_time, model, dynamics.motions))(times, state)
+        beyond = jax.vmap(lambda frames: jnp.any(outside_law_range(model, frames)))(frames)
+        code = jnp.where(
+            (code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code
+        )
+    statistics = {
+        name: solution.stats[name] for name in ("num_accepted_steps", "num_rejected_steps")
+    }
+    end = (given[0] + t_end, final)
+    return Trajectory(
+        times=given,
+        state=state,
+        status=code,
+        statistics=statistics,
+        end=end,
+        model=model,
+        motions=motions,
+        loads=loads,
+        closing=closing,
+    )
+
+
+def _after(t0, controller):
+    """A controller of diffrax with times of its own counted from t0."""
+    names = [
+        name for name in ("ts", "step_ts", "jump_ts") if getattr(controller, name, None) is not None
+    ]
+    times = [jnp.asarray(getattr(controller, name)) - t0 for name in names]
+    return (
+        eqx.tree_at(
+            lambda controller: [getattr(controller, name) for name in names], controller, times
+        )
+        if names
+        else controller
+    )
+
+
+def _check_for_gauss(model: Model) -> None:
+    """Gauss integrates coordinates and momenta of trees of joints, and no other states. Errors:
+    MEMORY, CLOSED_LOOPS."""
+    if model.layout.nz:
+        message = (
+            "is jb.Gauss, but the model has elements with memory: "
+            f"{', '.join(model.layout.states[:4])}"
+        )
+        hint = "Leave solver= out, or give diffrax.Kvaerno5() for stiff models."
+        raise JaxbodyError(
+            Problem("MEMORY", "solver", message, limit="models without memory", hint=hint)
+        )
+    if model.closures:
+        message = f"is jb.Gauss, but the model has closures: {', '.join(model.closure_names[:4])}"
+        raise JaxbodyError(
+            Problem(
+                "CLOSED_LOOPS",
+                "solver",
+                message,
+                limit="models without closures",
+                hint="Leave solver= out.",
+            )
+        )
+
+
+def _ended_on_closures(dynamics: ClosedLoops, code, t_end, final: State, closing: Any) -> Array:
+    """NOT_CLOSED where no motion starts, SINGULAR_CLOSURE where it ends because closures
+    become dependent."""
+    stuck = (
+        (code == Status.DT_MIN.value)
+        | (code == Status.NONFINITE.value)
+        | (code == Status.MAX_STEPS.value)
+    )
+    singular = stuck & (dynamics.smallest(t_end, final) < SINGULAR)
+    return jnp.where(
+        closing.left > CLOSED,
+        Status.NOT_CLOSED.value,
+        jnp.where(singular, Status.SINGULAR_CLOSURE.value, code),
+    )
+
+
+def _completed(dynamics: Dynamics, state: State, t) -> State:
+    """The state with the z of rest at time t where it has none."""
+    frames = dynamics.coordinates.frames(
+        state.q, state.v, dynamics.coordinates.supports_moving(dynamics.motions, t)
+    )
+    return completed(dynamics.model, state, frames)
+
+
+def _in_blocks(
+    dynamics: Dynamics, times, tolerances, solver, controller, adjoint, dt0, max_steps
+) -> dict[str, Any]:
+    """Options of diffeqsolve for `Blocks`, which have the times and the first step; steps end at
+    kinks of motions and loads."""
+    if controller is None:
+        controller, more = _cut_at_kinks(dynamics, diffrax.PIDController(**tolerances))
+        max_steps += more
+    one_way = isinstance(adjoint, diffrax.ForwardMode) or (
+        isinstance(adjoint, Blocks) and adjoint.forward_only
+    )
+    return {
+        "solver": solver,
+        "dt0": None,
+        "saveat": diffrax.SaveAt(t1=True),
+        "stepsize_controller": Unstarted(controller),
+        "adjoint": Blocks(times, dt0, forward_only=one_way),
+        "max_steps": max_steps,
+    }
+
+
+def _as_given(
+    dynamics: Dynamics | Canonical,
+    y0,
+    times,
+    tolerances,
+    solver,
+    controller,
+    adjoint,
+    dt0,
+    max_steps,
+) -> dict[str, Any]:
+    """Options of diffeqsolve for its own loop: the user's objects, with defaults for the others.
+    Where errors control the steps, these end at kinks of motions and loads, and the solver looks
+    along them."""
+    saveat = diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)])
+    if isinstance(controller, CONSTANT):
+        options = {
+            "solver": solver,
+            "dt0": dt0,
+            "stepsize_controller": controller,
+            "adjoint": adjoint or diffrax.DirectAdjoint(),
+        }
+        return options | {"saveat": saveat, "max_steps": max_steps}
+    assert isinstance(dynamics, Dynamics)
+    rules: Any = Lasting(*(tolerances[name] for name in ("rtol", "atol", "norm", "dtmin")))
+    if controller is None:
+        controller = rules
+    elif isinstance(controller, diffrax.AbstractAdaptiveStepSizeController):
+        rules = controller
+    if dt0 is None:
+        t, span = times[0], times[-1] - times[0]
+        f0, order = dynamics.rate(t, y0), solver.order(MOTION)
+        f1 = dynamics.rate(t + TRIAL * span, y0 + TRIAL * span * f0)
+        dt0 = first_length(rules, order, *jax.lax.stop_gradient((y0, f0, f1, TRIAL * span, span)))
+    controller, more = _cut_at_kinks(dynamics, controller)
+    return {
+        "solver": Watched(solver, times, rules.rtol, rules.atol),
+        "dt0": dt0,
+        "saveat": saveat,
+        "stepsize_controller": controller,
+        "adjoint": adjoint or diffrax.RecursiveCheckpointAdjoint(),
+        "max_steps": max_steps + more,
+    }
+
+
+def _cut_at_kinks(dynamics: Dynamics, controller: Any) -> tuple[Any, int]:
+    """The controller, whose steps end at kinks of motions and loads, and how many there may be."""
+    kinks = kinks_of(
+        (*dynamics.motions, *(signal for load in dynamics.loads for signal in load.signals()))
+    )
+    if kinks is None or not isinstance(controller, diffrax.AbstractAdaptiveStepSizeController):
+        return controller, 0
+    return diffrax.ClipStepSizeController(controller, step_ts=jnp.asarray(kinks)), len(kinks)
+
+
+def _tolerances(dynamics: Dynamics, times, initial, rtol) -> dict[str, Any]:
+    """The local error allowed, and the shortest step: constants for both modes
+    of differentiation."""
+    dynamics, times, initial, local = jax.lax.stop_gradient(
+        (dynamics, times, initial, SAFETY * rtol)
+    )
+    local = jnp.maximum(local, FINEST[local.dtype.name])
+    return {
+        "rtol": local,
+        "atol": local / 100 * dynamics.scales(times, initial),
+        "norm": optimistix.max_norm,
+        "dtmin": reachable(1e-13, times.dtype, 1) * (times[-1] - times[0]),
+        "force_dtmin": False,
+    }
+
+
+def _status(result, form: Dynamics | Canonical, t, y, span) -> Array:
+    """The status of diffrax's own loop, which ends as at the shortest step where the rate is
+    not finite."""
+    code = jnp.select(
+        [result == of for of, _ in STATUSES],
+        [status.value for _, status in STATUSES],
+        Status.NOT_CONVERGED.value,
+    )
+    ahead = t + span * jnp.array([0.0, 1e-12, 1e-9, 1e-6])
+    stuck = (code != Status.OK.value) & ~jnp.isfinite(
+        jax.vmap(lambda t: form.rate(t, y))(ahead)
+    ).all()
+    return jnp.where(stuck, Status.NONFINITE.value, code)

@@ -1,0 +1,520 @@
+"""Nonlinear motion: the equations of motion integrated under imposed motions of the supports."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import diffrax
+import jax
+import numpy as np
+
+from jaxbody.core.arguments import (
+    check_kind,
+    check_one_of,
+    checked_dict,
+    positive_number,
+    whole_number,
+)
+from jaxbody.core.arrays import (
+    Array,
+    Float,
+    check_times,
+    concrete,
+    device_array,
+    float_array,
+    is_concrete,
+    part_of,
+    time_text,
+)
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown, warn
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import warn_if_failed, without_derivatives
+from jaxbody.mechanics.closed_loops import state_slopes
+from jaxbody.mechanics.failure_causes import force_jump_messages, force_jumps_along
+from jaxbody.mechanics.hessians import matrices
+from jaxbody.mechanics.rest_states import Rest, as_initial, initial_state_of
+from jaxbody.model.inputs.loads import Load, loads_of
+from jaxbody.model.inputs.motions import AtRest, Motion, as_motion, check_motion
+from jaxbody.model.joints.kinematics import Motions
+from jaxbody.model.models import Model
+from jaxbody.model.preconditions import check_moves, check_precision, check_state, unattached
+from jaxbody.model.sizes import size_of
+from jaxbody.model.states import State
+from jaxbody.motion.integrations import CONSTANT, integrate
+from jaxbody.motion.trajectories import Trajectory
+from jaxbody.numerics.eigenproblems import companion
+from jaxbody.numerics.gauss_collocations import Gauss
+
+MAX_STEPS = 100_000  # or PER_SAMPLE for each sample, if that is more
+# steps that noise in every sample of a recorded input may take at rtol 1e-8, rejected ones included
+PER_SAMPLE = 30
+# rejected steps, and their ratio to accepted ones; a jump of force costs 18 at rtol 1e-3, 30 to 90
+# by default
+MANY, OFTEN = 15, 0.15
+# distance, in sizes of the model, by which a body that is attached has left all supports: the
+# motion is unstable
+FAR = 1e6
+# of an initial state that is moved onto the closures with a warning, of the size of the model or of
+# the largest speed
+OPEN = 1e-6
+# longest step times rate for which the classical Runge-Kutta method is stable; diffrax's explicit
+# solvers are similar
+STABLE = 2.8
+KINDS = {
+    "solver": diffrax.AbstractSolver,
+    "stepsize_controller": diffrax.AbstractStepSizeController,
+    "adjoint": diffrax.AbstractAdjoint,
+}
+EXAMPLES = {
+    "solver": "diffrax.Tsit5()",
+    "stepsize_controller": "diffrax.ConstantStepSize()",
+    "adjoint": "diffrax.ForwardMode()",
+}
+
+
+def simulate(
+    model: Model,
+    times,
+    *,
+    motion: dict[str, Motion | Callable] | None = None,
+    loads: dict[str, Load] | None = None,
+    initial: State | Rest | str | None = None,
+    rtol: float | Array = 1e-8,
+    solver: diffrax.AbstractSolver | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+    dt0: float | Array | None = None,
+    max_steps: int | None = None,
+    progress: bool | None = None,
+    equations: str = "structured",
+) -> Trajectory:
+    """The motion from `initial` at times[0], sampled at `times` [s], which may be far from
+    zero, as Unix times: steps are counted from times[0], and motions and loads are evaluated
+    by `after(times[0])`.
+
+    Args:
+        motion: {support: motion}; a support without an entry is at rest.
+        loads: {name: load} on bodies; by default none.
+        initial: a State, or "rest": in equilibrium on the supports in their poses and motion at
+            times[0], without loads; by default the reference pose at rest. With closures the motion
+            starts from the nearest state that fulfils them.
+        rtol: ten times the relative local error allowed in any component, so that samples between
+            steps also meet it; at least 1.5e-4 in float32. The absolute error is rtol/100 times
+            the size of the model (for velocities, times its fastest frequency, roughly), or
+            without extent times an estimate of how far it moves, from its start, gravity, loads
+            and supports.
+        solver: a diffrax solver; by default Dopri8.
+        stepsize_controller: a diffrax controller; by default the error controls the steps; with
+            diffrax.ConstantStepSize() they are dt0.
+        adjoint: a diffrax adjoint; by default jb.Blocks(), in which forward and reverse mode work,
+            and forward over reverse. For few parameters diffrax.ForwardMode() is faster; forward
+            mode needs it, or jb.Blocks(), if you give a `solver`.
+        dt0: the first step, or the constant step [s]; by default chosen.
+        max_steps: the largest number of steps; by default 100,000, or 30 for each sample if that
+            is more.
+        equations: "structured", or "lagrange": those of L = T - V and R by JAX's derivatives, as
+            `lagrange.py` states them, more slowly.
+        progress: None shows the time taken on a terminal or in a notebook after five seconds; False
+            is silent, True shows diffrax's meter.
+
+    diffrax's own loop takes the place of the blocks with a solver, another stepsize_controller or
+    adjoint, or progress=True. A batch by jax.vmap runs in chunks of 40, each member with its own
+    steps; constant steps take half the time, but nothing controls the error: compare with a
+    shorter dt0.
+
+    Results are at the times asked for: for diffrax's SaveAt (dense, steps, a function) and Event
+    take `jb.equations_of_motion`.
+
+    Steps end at kinks of motions and loads and where records begin to act. After a step that tells
+    nothing about the next, as at rest or in free flight, the next is checked between its ends and
+    at `times` before it is taken, also with other solvers that have an error; sample where
+    something short may act. Constant steps are not checked: warns STEP_TOO_LONG where a motion or
+    load does more in one of them.
+
+    Errors by rtol after 10 s on a shaking base, of a plate on 5 springs and three boxes on 14: the
+    largest error [m, rad], the relative error of a derivative by reverse mode, and the time
+    (tests/benchmarks/tolerances.py):
+
+        rtol                  1e-3   1e-4   1e-5   1e-6   1e-7   1e-8   1e-9   1e-10
+        error, plate          2e-6   2e-7   3e-8   5e-9   8e-10  1e-10  3e-11  4e-12
+        error, boxes          2e-5   3e-6   6e-7   9e-8   1e-8   2e-9   4e-10  7e-11
+        derivative            2e-3   1e-4   1e-5   2e-6   2e-7   3e-8   4e-9   6e-10
+        time                  0.3    0.35   0.45   0.6    0.8    1      1.3    1.7
+
+    For plots 1e-5 is sufficient. The default is chosen for derivatives, whose errors are a hundred
+    times as large, and for comparisons of runs, as in fits, tuning and finite differences.
+
+    Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial
+    state, UNKNOWN_NAME for a support, UNKNOWN_BODY for a load, CLOSED_LOOPS for jb.Gauss with
+    closures, NOTHING_MOVES. An integration that ends early warns, and returns its samples with a
+    status. Warns NOT_CLOSED for an initial state that is off the closures by more than 1e-6 of the
+    model's size, SPRING_COLLAPSED for a spring that passes through zero length and HALF_TURN for a
+    Bushing or Torsion past half a turn, with the time, if samples show it and many steps were
+    rejected; the `summary()` of a trajectory always shows it. Warns DIVERGED for a body that is a
+    million sizes of the model away from where it is attached.
+
+    >>> import jax.numpy as jnp
+    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("base", axis=[0, 1, 0])},
+    ...     supports={"base": Support()},
+    ...     elements={"s": spring},
+    ... )
+    >>> trajectory = simulate(
+    ...     model,
+    ...     jnp.linspace(0, 1, 11),
+    ...     motion={"base": Harmonic(frequency=1.0, translation=[0, 0.1, 0])},
+    ... )
+    >>> trajectory.poses["mass"].p.shape
+    (11, 3)
+    """
+    check_precision("simulate", model)
+    if not model.layout.nz:  # elements with memory relax between fixed bodies, too
+        check_moves("simulate", model)
+    initial = as_initial(initial)
+    with Problems() as problems:
+        motions = problems.gather(lambda: motions_of(model, motion))
+        loads_on = problems.gather(lambda: loads_of(loads, model.layout.bodies))
+        check_one_of(
+            equations, ("structured", "lagrange"), "BAD_METHOD", "simulate.equations", problems
+        )
+        max_steps = problems.gather(
+            lambda: check_steps(
+                solver, stepsize_controller, dt0, rtol, max_steps, "simulate", adjoint
+            )
+        )
+        times = problems.gather(
+            lambda: check_run(
+                model, times, motions or (), {} if loads_on is None else loads or {}, initial
+            )
+        )
+    max_steps = most_steps(len(times), MAX_STEPS) if max_steps is None else max_steps
+    initial = initial_state_of(model, motions, part_of(times, 0), initial, "simulate.initial")
+    unattached_bodies = unattached(model)
+    if unattached_bodies:
+        warn("UNATTACHED", f"nothing connects {', '.join(unattached_bodies)} to world or a support")
+    meter = diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter()
+    # Python numbers would be compiled in
+    tolerance, step = (None if x is None else device_array(float_array(x)) for x in (rtol, dt0))
+    _warn_of_what_steps_pass_over(model, motions, loads or {}, times, stepsize_controller, step)
+    if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(
+        model, initial, step
+    ):
+        _warn_of_long_steps(
+            model,
+            model.reference if initial is None else initial,
+            float(step),  # pyright: ignore[reportArgumentType]
+            solver,  # pyright: ignore[reportArgumentType]
+        )
+    with working("simulate", progress), _forward_mode_explained(adjoint):
+        result = integrate(
+            model,
+            times,
+            motions,
+            loads_on,
+            initial,
+            tolerance,
+            solver,
+            stepsize_controller,
+            adjoint,
+            step,
+            max_steps,
+            meter,
+            equations,
+        )
+        if is_concrete(result.status):
+            jax.block_until_ready(result.status)
+    warn_if_failed(result)
+    if initial is not None:  # the reference pose may be drawn open
+        _warn_of_open(result)
+    _warn_of_escape(result, unattached_bodies)
+    return _with_jumps(result)
+
+
+def _warn_of_open(result: Trajectory) -> None:
+    """Warn about an initial state that had to be moved onto the closures."""
+    if (
+        result.closing is None
+        or not is_concrete(result.closing)
+        or int(result.status) == Status.NOT_CLOSED
+    ):
+        return
+    gap, rate, _ = map(float, result.closing)
+    if gap > OPEN:
+        warn(
+            "NOT_CLOSED",
+            f"simulate: the initial state is open by {gap:.3g} of the size of the model, and "
+            "starts from the nearest closed one",
+        )
+    elif rate > OPEN:
+        message = (
+            f"simulate: the initial speeds open closures at {rate:.3g} of the largest; the motion "
+            "starts with the nearest that do not"
+        )
+        warn("NOT_CLOSED", message)
+
+
+def _warn_of_escape(result: Trajectory, unattached_bodies: list[str]) -> None:
+    """Warn about bodies that leave all supports and the world behind by FAR, with the time of the
+    first sample that shows it."""
+    if not is_concrete(result):
+        return
+    far = FAR * float(size_of(result.model))
+    if not np.abs(np.asarray(result.state.q)).max(initial=0.0) > far:
+        return
+    places = {name: np.asarray(pose.p) for name, pose in result.poses.items()}
+    moves = {name: p - p[0] for name, p in places.items()}
+    left = [np.zeros(3), *(moves[name] for name in result.model.layout.supports)]
+    for name in result.model.layout.bodies:
+        beyond = (
+            np.min([np.linalg.norm(moves[name] - move, axis=-1) for move in left], axis=0) > far
+        )
+        if beyond.any() and name not in unattached_bodies:
+            t = time_text(result.times[np.argmax(beyond)], result.times)
+            remedy = "look for negative damping or stiffness, or a load that grows"
+            warn(
+                "DIVERGED",
+                f"simulate: '{name}' is more than {FAR:.0e} times the size of the model away from "
+                f"t = {t} s on; {remedy}",
+            )
+
+
+def _with_jumps(result: Trajectory) -> Trajectory:
+    """Warn about springs that pass through zero length and elements past half a turn, if as many
+    steps were rejected as a jump of force costs."""
+    if not is_concrete(result.statistics):
+        return result
+    accepted, rejected = (
+        int(result.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected")
+    )
+    primal = without_derivatives(result) if rejected >= max(MANY, OFTEN * accepted) else None
+    if primal is None or not is_concrete(primal):
+        return result
+    jumps = force_jumps_along(primal.model, primal.motions, primal.times, primal.state)
+    for code, message in force_jump_messages(primal.model, jumps, primal.times):
+        warn(code, f"simulate: {message}")
+    return dataclasses.replace(result, jumps=jumps)
+
+
+@contextmanager
+def _forward_mode_explained(adjoint: Any) -> Iterator[None]:
+    """Replaces JAX's error for a function of diffrax that has derivatives in reverse mode only."""
+    try:
+        yield
+    except TypeError as error:
+        if "forward-mode" not in str(error):
+            raise
+        message = (
+            "has derivatives in reverse mode only with this solver; jax.jvp, jacfwd and "
+            "hessian need forward mode"
+        )
+        hint = (
+            "Give adjoint=diffrax.ForwardMode(), or leave solver= and stepsize_controller= out: "
+            "both modes then work."
+        )
+        raise JaxbodyError(
+            Problem("NO_FORWARD_MODE", "simulate.adjoint", message, adjoint, hint=hint)
+        ) from None
+
+
+def most_steps(samples: int, least: int) -> int:
+    """The number of steps allowed where none is stated."""
+    return max(least, PER_SAMPLE * samples)
+
+
+def check_steps(
+    solver: diffrax.AbstractSolver | None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None,
+    dt0: Any,
+    rtol: Any,
+    max_steps: Any,
+    where: str,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+) -> int | None:
+    """Check that solver, controller and adjoint are diffrax objects, that Gauss has constant steps
+    with dt0, and that rtol and dt0 are positive. Returns max_steps as an integer, or None if it is
+    not stated."""
+    with Problems() as problems:
+        given = {"solver": solver, "stepsize_controller": stepsize_controller, "adjoint": adjoint}
+        for name, value in given.items():
+            if value is not None:
+                check_kind(
+                    value,
+                    KINDS[name],
+                    f"{where}.{name}",
+                    f"a diffrax object, such as {EXAMPLES[name]}",
+                    problems,
+                )
+        if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(
+            stepsize_controller, CONSTANT
+        ):
+            words = (
+                "is RecursiveCheckpointAdjoint, which with constant steps gives wrong gradients "
+                "where samples lie on steps"
+            )
+            problems.add(
+                "WRONG_GRADIENT",
+                f"{where}.adjoint",
+                words,
+                value=adjoint,
+                hint="Use diffrax.DirectAdjoint() or ForwardMode().",
+            )
+        if isinstance(solver, Gauss) and not isinstance(stepsize_controller, CONSTANT):
+            message = "is Gauss, which has no error estimate for a controller"
+            hint = (
+                "Give stepsize_controller=diffrax.ConstantStepSize() and a dt0 of a tenth of "
+                "the shortest period."
+            )
+            problems.add("NO_ERROR_ESTIMATE", f"{where}.solver", message, value=solver, hint=hint)
+        if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
+            problems.add(
+                "NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds."
+            )
+        if dt0 is not None:
+            positive_number(dt0, f"{where}.dt0", problems)
+        positive_number(rtol, f"{where}.rtol", problems)
+        steps = (
+            None if max_steps is None else whole_number(max_steps, f"{where}.max_steps", problems)
+        )
+    return steps
+
+
+def _warn_of_long_steps(
+    model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None
+) -> None:
+    """Warn about constant steps that are too long for the fastest small motion about the initial
+    state, y' = A y."""
+    A = (
+        state_slopes(model, initial)
+        if model.layout.nz or model.closures
+        else companion(*map(np.asarray, matrices(model, initial)))
+    )
+    fastest = np.abs(np.linalg.eigvals(np.asarray(A))).max(initial=0.0)
+    if dt * fastest > STABLE and not isinstance(solver, diffrax.AbstractImplicitSolver):
+        remedy = (
+            f"Take dt0 below {STABLE / fastest:.3g} s, leave the steps to the default controller, "
+            "or use an implicit solver"
+        )
+        warn(
+            "STEP_TOO_LONG",
+            f"dt0 times the fastest rate, {fastest:.4g} rad/s, is {dt * fastest:.3g} > {STABLE}, "
+            f"where RK4 becomes unstable. {remedy}",
+        )
+
+
+def _warn_of_what_steps_pass_over(
+    model: Model, motions: Motions, loads: dict[str, Load], times, controller: Any, dt: Any
+) -> None:
+    """Warn where steps that no error controls are longer than a motion or load takes from one kink
+    or change to the next."""
+    if controller is None or isinstance(controller, diffrax.AbstractAdaptiveStepSizeController):
+        return
+    run, steps = (
+        concrete(times),
+        concrete(
+            dt
+            if isinstance(controller, diffrax.ConstantStepSize)
+            else getattr(controller, "ts", [0, np.inf])
+        ),
+    )
+    if run is None or steps is None:
+        return
+    longest = steps if steps.ndim == 0 else np.max(np.diff(steps))
+    for where, signal in _signals_of_run(model, motions, loads):
+        kinks = signal.kinks() if is_concrete(signal) else None
+        if kinks is None:
+            continue
+        known = np.asarray(kinks)
+        known = known[(known >= run[0]) & (known <= run[-1])]
+        gaps = np.diff(known)
+        short = (gaps > 1e-9 * (run[-1] - run[0])) & (gaps < (1 - 1e-6) * longest)
+        if short.any():
+            i = int(np.argmax(short))
+            message = (
+                f"simulate: steps of {float(longest):.3g} s reach over what {where} does in "
+                f"{gaps[i]:.3g} s from t = "
+            )
+            remedy = (
+                f"s on, and nothing controls their error. Take steps below {gaps[short].min():.3g} "
+                "s, or the default controller"
+            )
+            warn("STEP_TOO_LONG", f"{message}{time_text(known[i], run)} {remedy}")
+
+
+def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion") -> Motions:
+    """One motion for each support, in the order of the supports."""
+    supports = model.layout.supports
+    with Problems() as problems:
+        given = checked_dict(motion, where, "support: jb.Harmonic(...)", problems)
+        problems.collected += [
+            unknown(name, where, supports) for name in given if name not in supports
+        ]
+        motions = {
+            name: problems.gather(
+                lambda name=name: as_motion(given.get(name, AtRest()), f"{where}['{name}']")
+            )
+            for name in supports
+        }
+    for name, one in motions.items():
+        check_motion(one, f"{where}['{name}']", problems)
+    problems.raise_if_any()
+    return tuple(motions.values())
+
+
+def check_run(
+    model: Model, times, motions: Motions, loads: dict[str, Load], initial: Any
+) -> Float[Array, "nt"]:
+    """The times, after a check that they increase, that motions and loads cover them, and that the
+    initial state has the right shape."""
+    with Problems() as problems:
+        checked = check_times(times, problems, "times", minimum=2)
+    assert checked is not None
+    check_covered(checked, _signals_of_run(model, motions, loads), problems)
+    problems.raise_if_any()
+    if initial is not None and not isinstance(initial, Rest):
+        check_state(model, initial, "initial")
+    return device_array(checked)
+
+
+def _signals_of_run(
+    model: Model, motions: Motions, loads: dict[str, Load]
+) -> list[tuple[str, Any]]:
+    """The motions and the signals of the loads, each with its place in messages."""
+    of_motions = [
+        (f"motion['{name}']", motion)
+        for name, motion in zip(model.layout.supports, motions, strict=False)
+    ]
+    return of_motions + [
+        (f"loads['{name}']", signal) for name, load in loads.items() for signal in load.signals()
+    ]
+
+
+def check_covered(times, functions: list[tuple[str, Any]], problems: Problems) -> None:
+    """Check that these motions and signals, each with its place in messages, cover the times."""
+    requested = None if times is None else concrete(times)
+    for where, function in functions:
+        span = [concrete(t) for t in function.covers()]
+        if requested is None or any(t is None for t in span):
+            continue
+        first, last = span
+        assert first is not None and last is not None
+        slack = 1e-9 * (requested[-1] - requested[0]) + 2 * np.spacing(np.abs(requested).max())
+        if requested[0] < first - slack or requested[-1] > last + slack:
+            known, wanted = (
+                " to ".join(time_text(t, x, 9) for t in (x[0], x[-1]))
+                for x in ((first, last), requested)
+            )
+            hint = "Simulate a shorter time, or give longer samples."
+            message = f"covers {known} s, requested {wanted} s"
+            problems.add(
+                "T_RANGE",
+                where,
+                message,
+                value=(requested[0], requested[-1]),
+                limit=f"{known} s",
+                hint=hint,
+            )

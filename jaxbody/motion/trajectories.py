@@ -1,0 +1,438 @@
+"""Trajectories: results of a simulation, and quantities along them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import combine, field, is_array, partition
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Float, Int, is_concrete, part_of, rows_or_nan, time_text
+from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.datasets import AXES, QUATERNION, Labeled, dataset, rows_of
+from jaxbody.core.errors import Status
+from jaxbody.core.results import Result
+from jaxbody.geometry.frames import Pose
+from jaxbody.lagrange import kinetic, potential
+from jaxbody.mechanics.closed_loops import ClosedLoops, Closing, dynamics_of
+from jaxbody.mechanics.element_inertias import accelerated
+from jaxbody.mechanics.failure_causes import (
+    changing_most,
+    force_jump_at,
+    force_jump_messages,
+    force_jumps_along,
+    nonfinite_ahead,
+    singular_closure,
+)
+from jaxbody.mechanics.hessians import matrices
+from jaxbody.mechanics.null_motions import massless_motions
+from jaxbody.model.inputs.loads import Load
+from jaxbody.model.joints.closure_tables import turning_rows
+from jaxbody.model.joints.element_tables import each_element, inertial_tables, outside_law_range
+from jaxbody.model.joints.kinematics import Motions, frames_at_time
+from jaxbody.model.leaf_paths import by_name, of_elements, springs_of
+from jaxbody.model.memories import holding
+from jaxbody.model.models import Model
+from jaxbody.model.sizes import size_of, take_long
+from jaxbody.model.states import State
+from jaxbody.numerics.lanes import in_lanes
+from jaxbody.numerics.precisions import in_float64
+
+BLURRED = 1e-10  # rounding of times, of the whole time, from which functions of time are rough
+
+
+class Trajectory(Labeled, Result):
+    """A motion at `times` [s]: `state`, and by name `poses`, `elongations` [m], `forces` [N],
+    `energies` [J], `powers` [W], `reactions` [N, N m].
+
+    `status`: MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED if the integration ended early, with
+    NaN in later samples; SINGULAR_CLOSURE if it did where closures become dependent, NOT_CLOSED
+    if no initial state fulfils them; TABLE_RANGE if a motion left the table of a law.
+    `statistics`: accepted and rejected steps. `closing`: how far the given initial state was from
+    closures. Quantities by name and `summary()` are computed when they are read; printing
+    computes nothing."""
+
+    index = "time"
+    times: Float[Array, "nt"]
+    state: State
+    status: Int[Array, ""]
+    statistics: dict[str, Any]
+    end: tuple[Array, State]
+    model: Model
+    motions: Motions
+    loads: tuple[Load, ...] = ()
+    jumps: list[Float[np.ndarray, "_"]] = field(
+        default_factory=list
+    )  # times of jumps of forces by `force_jumps_along`, where simulate has computed them
+    closing: Closing | None = None  # how far the initial state was from closures
+
+    @property
+    def poses(self) -> dict[str, Pose]:
+        """{body or support: pose}, with `.p` (nt, 3) position of its origin, `.R` (nt, 3, 3)
+        orientation, `.quaternion`."""
+        frames, lead = self.at_samples(_frames), (slice(None),) * self.times.ndim
+        names = self.model.layout.frames[1:]
+        return {
+            name: jax.tree.map(lambda x, i=i: part_of(x, (*lead, i + 1)), frames)
+            for i, name in enumerate(names)
+        }
+
+    @property
+    def elongations(self) -> dict[str, Array]:
+        """{element: elongation (nt,), tension positive}; for a bushing its deformations (nt, 6)."""
+        return self._of_elements(_deformations)
+
+    @property
+    def forces(self) -> dict[str, Array]:
+        """{element: tension (nt,), its damper and its inertia included}; for a bushing the six
+        forces and moments (nt, 6) that oppose its deformation."""
+        return (
+            self._of_elements(_forces_with_inertia, loads=True)
+            if inertial_tables(self.model)
+            else self._of_elements(_forces)
+        )
+
+    @property
+    def energies(self) -> dict[str, Array]:
+        """kinetic, potential and total [J], each (nt,)."""
+        T, V = self.at_samples(_energies)
+        return {"kinetic": T, "potential": V, "total": T + V}
+
+    @property
+    def lost_powers(self) -> dict[str, Array]:
+        """{element: power that it dissipates, dR/de_dot . e_dot [W] (nt,)}."""
+        names = tuple(table.names for table in self.model.elements)
+        return by_name(names, self.at_samples(_lost_powers), axis=self.times.ndim)
+
+    @property
+    def powers(self) -> dict[str, Array]:
+        """damping: power dissipated by all elements; supports, loads: power that the imposed
+        motions and the loads supply [W], each (nt,)."""
+        return {
+            "damping": sum(self.lost_powers.values(), jnp.zeros_like(self.times)),
+            "supports": self.at_samples(_support_power, loads=True),
+            "loads": self.at_samples(_load_power, loads=True),
+        }
+
+    @property
+    def reactions(self) -> dict[str, tuple[Array, Array]]:
+        """{support: (force, moment about its origin)}, each (nt, 3) in world axes, exerted by all
+        that is attached to it."""
+        force, moment = self.at_samples(_reactions, loads=True)
+        lead = (slice(None),) * self.times.ndim
+        return {
+            name: (part_of(force, (*lead, i)), part_of(moment, (*lead, i)))
+            for i, name in enumerate(self.model.layout.supports)
+        }
+
+    @property
+    def closure_reactions(self) -> dict[str, dict[str, Array]]:
+        """{closure: {condition: reaction [N, N m] (nt,)}}, positive where it resists an increase of
+        the condition, as the tension of a rod does; NaN where closures share a force, so that it is
+        not unique."""
+        if not self.model.closures:
+            return {}
+        values, named, i = self.at_samples(_closure_reactions, loads=True), {}, 0
+        for table in self.model.closures:
+            for name in table.names:
+                named[name] = {row: values[..., i + j] for j, row in enumerate(table.rows.rows)}
+                i += len(table.rows.rows)
+        return named
+
+    def _of_elements(self, function: Callable, *, loads: bool = False) -> dict[str, Array]:
+        return of_elements(self.model, self.at_samples(function, loads=loads), axis=self.times.ndim)
+
+    def at_samples(self, function: Callable, *more: Any, loads: bool = False) -> Any:
+        """function(model, motions, t, state, *more) at every sample, with `loads` (..., state,
+        loads, *more); leading axes of a batch are kept, and each function is compiled once."""
+        with_loads = (self.loads,) if loads else ()
+        return _evaluate(
+            function,
+            self.times.ndim - 1,
+            self.model,
+            self.motions,
+            with_loads,
+            self.times,
+            self.state,
+            more,
+        )
+
+    def _ended(self) -> str:
+        """When and after how many steps it ended."""
+        if self.status == Status.TABLE_RANGE:
+            return "report() names the elements"
+        taken, rejected = (
+            int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected")
+        )
+        t, last = (time_text(t, self.times) for t in (self.end[0], self.times[-1]))
+        return (
+            f"at t = {t} s of {last} s, {taken} steps accepted, {rejected} rejected; "
+            "samples after it are NaN"
+        )
+
+    def explain(self) -> str:
+        message, status = self._ended(), Status(int(self.status))
+        if status in (Status.MAX_STEPS, Status.DT_MIN):
+            message += "; " + (
+                force_jump_at(self.model, self.motions, *self.end) or self._what_steps_need(status)
+            )
+        if status == Status.SINGULAR_CLOSURE:
+            message += "; " + singular_closure(self.model, self.motions, *self.end)
+        if status == Status.TABLE_RANGE:
+            return self._outside_tables()
+        if status == Status.NONFINITE:
+            first = nonfinite_ahead(self.model, self.motions, self.loads, self.times, *self.end)
+            message += "; first not finite: " + (first or self._accelerations())
+        return message
+
+    def _what_steps_need(self, status: Status) -> str:
+        """What changes fastest where the steps ended, and what else to try."""
+        changing = changing_most(self.model, self.motions, self.loads, self.times, *self.end)
+        remedy = (
+            "dt0, a first step of your own" if status == Status.DT_MIN else "a larger max_steps"
+        )
+        stiff = "" if self.model.closures else ", or in Python solver=diffrax.Kvaerno5() if stiff"
+        usual = in_float64(self.state.q.dtype) or f"try {remedy}, a larger rtol{stiff}"
+        if (rounding := float(np.spacing(abs(self.end[0])))) > BLURRED * float(
+            self.times[-1] - self.times[0]
+        ):
+            usual = (
+                f"functions of your own get times rounded to {rounding:.2g} s: count from the "
+                f"first sample; or {usual}"
+            )
+        return "; ".join(filter(None, (changing, usual)))
+
+    def _accelerations(self) -> str:
+        """The name of the nonfinite part where all forces and motions are finite: accelerations or
+        the state."""
+        layout, q = self.model.layout, self.end[1].q
+        massless = massless_motions(layout, matrices(self.model, State(q, np.zeros(layout.nv)))[0])
+        return (
+            "the accelerations: " + "; ".join(massless)
+            if massless
+            else f"the state of '{layout.bodies[0]}'"
+        )
+
+    def _outside_tables(self) -> str:
+        """Which elements leave their tables, and when they first do."""
+        beyond = np.asarray(self.at_samples(_beyond_laws))
+        parts = [
+            (
+                f"'{name}' first at t = {time_text(self.times[np.argmax(column)], self.times)} s, "
+                f"in {column.sum()} of {len(column)} samples"
+            )
+            for name, column in zip(self.model.element_names, beyond.T, strict=True)
+            if column.any()
+        ]
+        return "; ".join(parts) + ": beyond its table a law continues with its end slope"
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset over time: positions and quaternions of bodies, elongations and forces
+        of springs, energies."""
+        model, poses, energies = self.model, self.poses, self.energies
+        elongations, forces, reactions = (
+            self.elongations,
+            self.forces,
+            self.reactions if model.layout.supports else {},
+        )
+        springs = springs_of(model)
+        variables = {
+            "position": (
+                ("time", "frame", "axis"),
+                rows_of([pose.p for pose in poses.values()], -2),
+                "m",
+            ),
+            "quaternion": (
+                ("time", "frame", "part"),
+                rows_of([pose.quaternion for pose in poses.values()], -2),
+                "",
+            ),
+            "kinetic_energy": (("time",), energies["kinetic"], "J"),
+            "potential_energy": (("time",), energies["potential"], "J"),
+        }
+        coordinates: dict[str, Any] = {"frame": list(poses), "axis": AXES, "part": QUATERNION}
+        if springs:
+            variables["elongation"] = (
+                ("time", "spring"),
+                rows_of([elongations[name] for name in springs], -1),
+                "m",
+            )
+            variables["force"] = (
+                ("time", "spring"),
+                rows_of([forces[name] for name in springs], -1),
+                "N",
+            )
+            coordinates["spring"] = springs
+        if model.layout.nz:
+            variables["z"] = (
+                ("time", "state"),
+                self.state.z,
+                ", ".join(dict.fromkeys(model.layout.z_units)),
+            )
+            coordinates["state"] = list(model.layout.states)
+        if reactions:
+            variables["reaction_force"] = (
+                ("time", "support", "axis"),
+                rows_of([force for force, _ in reactions.values()], -2),
+                "N",
+            )
+            variables["reaction_moment"] = (
+                ("time", "support", "axis"),
+                rows_of([moment for _, moment in reactions.values()], -2),
+                "N m",
+            )
+            coordinates["support"] = list(reactions)
+        for name in (name for name, e in elongations.items() if name not in springs):
+            variables[f"{name}_deformation"] = (("time", "component"), elongations[name], "m, rad")
+            variables[f"{name}_force"] = (("time", "component"), forces[name], "N, N m")
+        times = np.asarray(self.times)
+        if times.ndim == 1:
+            coordinates["time"] = ("time", times, {"units": "s"})
+        else:
+            variables["times"] = (("time",), times, "s")
+        result = dataset(variables, coordinates, "trajectory")
+        return result.assign(status=(result["kinetic_energy"].dims[:-1], np.asarray(self.status)))
+
+    def summary(self) -> str:
+        """The printed table of one motion, with positions of frames, elongations and tensions of
+        springs, and jumps of forces."""
+        known = replace(
+            self, jumps=force_jumps_along(self.model, self.motions, self.times, self.state)
+        )
+        rows = [(name, *map(_range, np.asarray(pose.p).T)) for name, pose in self.poses.items()]
+        forces = self.forces
+        springs = [
+            (name, _range(e), _range(forces[name]))
+            for name, e in self.elongations.items()
+            if e.ndim == 1
+        ]
+        added = (
+            tables.PrintedTable("Positions", ("frame", "x [m]", "y [m]", "z [m]"), rows),
+            tables.PrintedTable("", ("spring", "elongation [m]", "tension [N]"), springs),
+        )
+        return tables.text(*tables.in_numpy(known)._tables(), *added)
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        if self.times.ndim > 1 or not is_concrete(self.state.q):
+            return [
+                tables.PrintedTable(
+                    "Trajectories",
+                    ("", ""),
+                    [("states", self.state.q), ("status", self.message(Trajectory._ended))],
+                )
+            ]
+        layout, q = self.model.layout, self.state.q
+        ends = [f.reduce(q, 0) for f in (np.fmin, np.fmax)]
+        rows = [(name, *(end[layout.q_slices[name]] for end in ends)) for name in layout.bodies]
+        jumps = [message for _, message in force_jump_messages(self.model, self.jumps, self.times)]
+        note = "; ".join([self.message(Trajectory._ended), *jumps])
+        span = " to ".join(time_text(t, self.times, 4) for t in (self.times[0], self.times[-1]))
+        title = f"Trajectory, {len(self.times)} samples, {span} s"
+        return [tables.PrintedTable(title, ("body", "least q [m, rad, -]", "largest"), rows, note)]
+
+
+def _range(values: Any) -> str:
+    return f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g}"
+
+
+def _frames(model, motions, t, state) -> Pose:
+    return frames_at_time(model, motions, t, state).pose()
+
+
+def _deformations(model, motions, t, state):
+    return tuple(
+        each_element(
+            model,
+            frames_at_time(model, motions, t, state),
+            lambda s, *F: s.deformation(*(f.pose() for f in F)),
+        )
+    )
+
+
+def _forces(model, motions, t, state):
+    return tuple(
+        each_element(model, frames_at_time(model, motions, t, state), lambda s, *F: s.force(*F))
+    )
+
+
+def _forces_with_inertia(model, motions, t, state, loads):
+    """Forces of the elements, with those of their inertia at the accelerations of the motion."""
+    now, forces = dynamics_of(model, motions, loads).accelerated(t, state), []
+    for table, force in zip(model.elements, _forces(model, motions, t, state), strict=True):
+        inertia = (
+            accelerated(model, now, table, lambda s, *F: s.inertial_force(*F))
+            if table.rows.has_inertia()
+            else 0.0
+        )
+        forces.append(force + inertia)
+    return tuple(forces)
+
+
+def _energies(model, motions, t, state):
+    frames = frames_at_time(model, motions, t, state)
+    return kinetic(model, frames), potential(model, frames)
+
+
+def _beyond_laws(model, motions, t, state):
+    return outside_law_range(model, frames_at_time(model, motions, t, state))
+
+
+def _lost_powers(model, motions, t, state):
+    return tuple(
+        each_element(
+            model, frames_at_time(model, motions, t, state), lambda s, *F: s.lost_power(*F)
+        )
+    )
+
+
+def _reactions(model, motions, t, state, loads):
+    return dynamics_of(model, motions, loads).reactions(t, state.q, state.v)
+
+
+def _closure_reactions(model, motions, t, state, loads):
+    multipliers, unique = ClosedLoops(model, motions, loads).multipliers(t, state)
+    return rows_or_nan(
+        unique,
+        multipliers * jnp.where(turning_rows(model), jax.lax.stop_gradient(size_of(model)), 1.0),
+    )
+
+
+def _load_power(model, motions, t, state, loads):
+    now = frames_at_time(model, motions, t, state)
+    on = [now.frame(model.layout.frame(load.on)) for load in loads]
+    wrenches = [(*load.wrench(frame), frame) for load, frame in zip(loads, on, strict=True)]
+    return sum(
+        (jnp.sum(F * frame.v) + jnp.sum(M * frame.w) for F, M, frame in wrenches),
+        jnp.zeros((), state.q.dtype),
+    )
+
+
+def _support_power(model, motions, t, state, loads):
+    dynamics = dynamics_of(model, motions, loads)
+    force, moment = dynamics.reactions(t, state.q, state.v)
+    supports = dynamics.coordinates.supports_moving(motions, t)
+    return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
+
+
+@program_with(
+    lambda function, batch_axes, model, motions, loads, times, *_: (
+        OPTIMIZED if take_long(model, times) else QUICK
+    )
+)
+def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
+    numbers, rest = partition((model, motions, loads), is_array)
+    others, fixed = partition(more, is_array)
+
+    def one(numbers, t, state, others):
+        model, motions, loads = combine(numbers, rest)
+        return function(holding(model, state.z), motions, t, state, *loads, *combine(others, fixed))
+
+    over_batch = jax.vmap(in_lanes(one), in_axes=(None, 0, 0, None))
+    for _ in range(batch_axes):
+        over_batch = jax.vmap(over_batch, in_axes=(0, 0, 0, None))
+    return over_batch(numbers, times, state, others)

@@ -1,1 +1,0 @@
-"""Responses to harmonic and random excitation, spectra, roads and comfort."""

@@ -1,0 +1,401 @@
+"""Fatigue damage by Miner's sum: from spectral densities, and from records by counting
+rainflow cycles.
+
+With an S-N curve N(S) = N0 (S0/S)^k of ranges S, moments m_j = int f^j S(f) df of the density, and
+E[Z^k] of Z = S/(2 sqrt(m_0)),
+
+    damage = T rate (2 sqrt(m_0)/S0)^k E[Z^k]/N0
+
+    narrow band   rate sqrt(m_2/m_0), upward zero crossings; E[Z^k] = 2^(k/2) Gamma(1 + k/2)
+    Dirlik        rate sqrt(m_4/m_2), peaks;
+                  E[Z^k] = D1 Q^k Gamma(1 + k) + 2^(k/2) Gamma(1 + k/2) (D2 |R|^k + D3)
+    rainflow      of a record, sum of counts over N(S)
+
+Source: T. Dirlik, Application of computers in fatigue analysis, thesis, University of Warwick
+(1985); ASTM E1049-85 (2017), 5.4.4.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.scipy.special
+import numpy as np
+from equinox import field
+
+from jaxbody.core import tables, units
+from jaxbody.core.arguments import check_one_of, checked_dict, positive_number
+from jaxbody.core.arrays import Array, Float, Int, device_array, is_concrete, part_of
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, import_extra, unknown
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.records.records import Record
+from jaxbody.shock.spectral_moments import moments
+from jaxbody.vibration.random_responses import RandomResponse
+
+METHODS = ("Dirlik", "narrow band", "rainflow")
+RANGES = {"range": 1.0, "amplitude": 2.0}  # ranges over what a curve states
+
+Arrays = tuple[Any, Any, Any, Any, Any, Any]  # damage, life, cycles, range, duration, status
+
+
+class SNCurve(eqx.Module):
+    """An S-N curve: N(S) = cycles (level/S)^exponent cycles of the range S until failure.
+
+    Args:
+        exponent: k, such as 3 for welds or 5 to 10 for machined parts and rubber
+        cycles: N0
+        level: S0, endured for so many cycles [unit]
+        unit: of the level, of the quantity that is read, such as "MPa", "N" or "mm"
+        of: "range", from valley to peak, or "amplitude", half of it
+
+    Errors: NO_UNIT, UNKNOWN_UNIT, BAD_NUMBER, BAD_OPTION.
+
+    >>> weld = SNCurve(3.0, cycles=2e6, level=71.0, unit="MPa")
+    >>> round(float(weld.endured(142e6)))
+    250000
+    """
+
+    exponent: Float[Array, ""]
+    cycles: Float[Array, ""]
+    level: Float[Array, ""]  # of ranges, in SI units
+    unit: str = field(static=True)  # SI
+
+    def __init__(self, exponent, *, cycles, level, unit: str | None = None, of: str = "range"):
+        with Problems() as problems:
+            given = {"exponent": exponent, "cycles": cycles, "level": level}
+            numbers = {
+                name: positive_number(value, f"SNCurve.{name}", problems)
+                for name, value in given.items()
+            }
+            check_one_of(of, RANGES, "BAD_OPTION", "SNCurve.of", problems)
+            if unit is None:
+                hint = 'Write unit="MPa", or the unit of the output.'
+                problems.add(
+                    "NO_UNIT",
+                    "SNCurve.unit",
+                    "is missing",
+                    limit='such as "MPa", "N" or "mm"',
+                    hint=hint,
+                )
+            stated = (
+                None if unit is None else problems.gather(lambda: units.parse(unit, "SNCurve.unit"))
+            )
+        assert stated is not None
+        self.exponent, self.cycles = (
+            device_array(numbers["exponent"]),
+            device_array(numbers["cycles"]),
+        )
+        self.level, self.unit = (
+            device_array(numbers["level"]) * (stated.factor * RANGES[of]),
+            stated.si,
+        )
+
+    def endured(self, ranges: Any) -> Float[Array, "*n"]:
+        """Cycles of these ranges [SI unit] until failure."""
+        return self.cycles * (self.level / jnp.asarray(ranges)) ** self.exponent
+
+
+class FatigueDamage(Labeled, Result):
+    """Miner's `damage` of each output in `duration` [s]; it fails at 1, after `life` [s].
+    `damage["anchor"]` is one; `cycles` counted, or expected, in the duration, and the constant
+    `range` [unit] that as often does the same damage."""
+
+    index = "output"
+    damage: Float[Array, "ny"]
+    life: Float[Array, "ny"]
+    cycles: Float[Array, "ny"]
+    range: Float[Array, "ny"]
+    duration: Float[Array, ""]
+    status: Int[Array, ""]
+    outputs: tuple[str, ...] = field(static=True)
+    units: tuple[str, ...] = field(static=True)
+    method: str = field(static=True)
+
+    def __getitem__(self, output: str) -> Float[Array, ""]:
+        if output not in self.outputs:
+            raise JaxbodyError(unknown(output, "damage", self.outputs))
+        return part_of(self.damage, (..., self.outputs.index(output)))
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: all numbers by output."""
+        stated = {"damage": "", "life": "s", "cycles": "", "range": "unit"}
+        variables: dict[str, Any] = {
+            name: (("output",), getattr(self, name), unit) for name, unit in stated.items()
+        }
+        variables |= {
+            "unit": (("output",), np.array(self.units), ""),
+            "status": ((), self.status, ""),
+        }
+        return dataset(variables, {"output": list(self.outputs)}, f"fatigue damage, {self.method}")
+
+    @tables.summarized("Fatigue damage", 1, damage="damage")
+    def _tables(self) -> list[tables.PrintedTable]:
+        heads = ("output", "damage", "life [h]", "cycles", "equivalent range", "unit")
+        columns = (
+            self.outputs,
+            self.damage,
+            np.asarray(self.life) / 3600,
+            self.cycles,
+            self.range,
+            self.units,
+        )
+        title = f"Fatigue damage in {tables.number(self.duration)} s, {self.method}"
+        return [tables.PrintedTable(title, heads, [*zip(*columns, strict=True)], self.failure)]
+
+
+def fatigue_damage(
+    source: RandomResponse | Record | dict[str, Any],
+    curves: dict[str, SNCurve],
+    *,
+    duration: Any = None,
+    method: str | None = None,
+) -> FatigueDamage:
+    """The fatigue damage of outputs of a random response, or of channels of a record.
+
+    From a response it is differentiable with respect to the model, the spectra and the curves.
+    Counting of rainflow cycles has no derivative. Half cycles at the ends of a record count half.
+
+    Args:
+        source: a result of `random_response`, whose band contains what damages, a Record, or
+            {channel: (values, unit)} of the whole duration, such as {"anchor":
+            (run.forces["anchor"], "N")} of a simulation.
+        curves: {output or channel: SNCurve}; the unit of a curve is that of the output, so that a
+            force has a curve of forces; a gain of the sensor makes a force a stress.
+        duration: [s], of a response; of a record that is repeated for so long, None: its own.
+        method: of a response "Dirlik" (by default) or "narrow band", exact in the limit and else
+            too large; of a record "rainflow".
+
+    Errors, all at once: WRONG_KIND, UNKNOWN_NAME, BAD_UNIT, BAD_NUMBER, BAD_OPTION, GAPS, TRACED
+    for values inside jit or grad, MISSING_EXTRA for the package rainflow, pip install
+    'jaxbody[fatigue]'; warns NONFINITE.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> ride = random_response(
+    ...     linearize(car, car.reference),
+    ...     Band(0.1, 50.0),
+    ...     {"road": BaseMotion("road", "z")},
+    ...     {"spring": LoadCell("suspension")},
+    ...     {"road": Unevenness.iso("C").at_speed(20.0)},
+    ... )
+    >>> curve = SNCurve(5.0, cycles=1e6, level=4.0, unit="kN")
+    >>> damage = fatigue_damage(ride, {"spring": curve}, duration=3600.0)
+    >>> bool(
+    ...     damage["spring"]
+    ...     < fatigue_damage(ride, {"spring": curve}, duration=3600.0, method="narrow band")[
+    ...         "spring"
+    ...     ]
+    ... )
+    True
+    """
+    source = _as_record(source, duration) if isinstance(source, dict) else source
+    counted = isinstance(source, Record)
+    if not counted and not isinstance(source, RandomResponse):
+        hint = 'Give the result of random_response, or jb.Record(times, {"anchor": (values, "N")}).'
+        message = f"is a {type(source).__name__}"
+        raise JaxbodyError(
+            Problem(
+                "WRONG_KIND",
+                "fatigue_damage.source",
+                message,
+                source,
+                "a RandomResponse or a Record",
+                hint,
+            )
+        )
+    method = method or ("rainflow" if counted else "Dirlik")
+    with Problems() as problems:
+        check_one_of(
+            method,
+            METHODS[2:] if counted else METHODS[:2],
+            "BAD_OPTION",
+            "fatigue_damage.method",
+            problems,
+        )
+        if not counted and duration is None:
+            problems.add(
+                "BAD_NUMBER", "fatigue_damage.duration", "is missing", limit="seconds, > 0"
+            )
+        T = (
+            None
+            if duration is None
+            else positive_number(duration, "fatigue_damage.duration", problems)
+        )
+        given = checked_dict(curves, "fatigue_damage.curves", "output: SNCurve", problems)
+        stated = source.units if counted else dict(zip(source.outputs, source.units, strict=True))
+        _check_curves(given, stated, counted, problems)
+    names = tuple(given)
+    if isinstance(source, Record):
+        length = float(source.times[-1] - source.times[0])
+        arrays = _counted(source, given, length, length if T is None else T)
+    else:
+        rows = np.array([source.outputs.index(name) for name in names], int)
+        arrays = _expected(source, rows, tuple(given.values()), device_array(T), method)
+    return warn_if_failed(
+        FatigueDamage(*arrays, names, tuple(stated[name] for name in names), method)
+    )
+
+
+def _as_record(channels: dict[str, Any], duration: Any) -> Record:
+    """Channels of a known duration as a record. Errors: TRACED, BAD_NUMBER and those of Record."""
+    if not is_concrete(channels):
+        hint = (
+            "Count outside of jit and grad, or take the damage of a RandomResponse by Dirlik's "
+            "method, which has derivatives."
+        )
+        raise JaxbodyError(
+            Problem(
+                "TRACED",
+                "fatigue_damage.source",
+                "is traced: counting of rainflow cycles has no derivative",
+                hint=hint,
+            )
+        )
+    with Problems() as problems:
+        T = positive_number(duration, "fatigue_damage.duration", problems)
+        first = next(iter(channels.values()), None)
+        n = len(first[0]) if isinstance(first, tuple) and np.ndim(first[0]) else 0
+        if T is None or n < 2:
+            problems.add(
+                "NO_DATA",
+                "fatigue_damage.source",
+                "has no samples",
+                value=channels,
+                limit="{channel: (values, unit)}",
+            )
+    return Record(np.linspace(0.0, float(np.asarray(T)), n), channels)
+
+
+def _check_curves(
+    given: dict[str, Any], stated: dict[str, str], counted: bool, problems: Problems
+) -> None:
+    if not given and not problems.collected:
+        problems.add(
+            "WRONG_KIND",
+            "fatigue_damage.curves",
+            "is empty",
+            limit="{output: SNCurve}",
+            hint="Give a curve.",
+        )
+    for name, curve in given.items():
+        where = f"fatigue_damage.curves[{name!r}]"
+        if name not in stated:
+            problem = unknown(name, "fatigue_damage.curves", tuple(stated))
+            problems.collected.append(problem)
+        elif not isinstance(curve, SNCurve):
+            problems.add(
+                "WRONG_KIND",
+                where,
+                f"is a {type(curve).__name__}",
+                value=curve,
+                limit="an SNCurve",
+                hint="Write SNCurve(...).",
+            )
+        elif curve.unit != stated[name]:
+            hint = (
+                "State the curve in this quantity, or give the sensor a gain, such as "
+                "1/area for a stress."
+            )
+            limit = stated[name]
+            problems.add(
+                "BAD_UNIT",
+                where,
+                f"is of {curve.unit}, but the output is in {limit}",
+                value=curve.unit,
+                limit=limit,
+                hint=hint,
+            )
+
+
+@program
+def _expected(
+    response: RandomResponse,
+    rows: Any,
+    curves: tuple[SNCurve, ...],
+    T: Float[Array, ""],
+    method: str,
+) -> Arrays:
+    """Damage, life, cycles and range of outputs of a response; moments are of f [Hz]."""
+    each = zip((0, 1, 2, 4), moments(response, 0, 1, 2, 4), strict=True)
+    m0, m1, m2, m4 = ((x / (2 * jnp.pi) ** j)[..., rows] for j, x in each)
+    k, cycles, level = (
+        jnp.stack([getattr(curve, name) for curve in curves])
+        for name in ("exponent", "cycles", "level")
+    )
+    rate = jnp.sqrt(m2 / m0) if method == "narrow band" else jnp.sqrt(m4 / m2)
+    power = rayleigh(k) if method == "narrow band" else dirlik(m0, m1, m2, m4, k)
+    count = T * rate
+    damage = count * (2 * jnp.sqrt(m0) / level) ** k * power / cycles
+    status = jnp.where(
+        (response.status == Status.OK) & ~jnp.isfinite(damage).all(),
+        Status.NONFINITE.value,
+        response.status,
+    )
+    return damage, T / damage, count, level * (cycles * damage / count) ** (1 / k), T, status
+
+
+def rayleigh(k: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """E[Z^k] of a narrow band."""
+    return 2 ** (k / 2) * jnp.exp(jax.scipy.special.gammaln(1 + k / 2))
+
+
+def dirlik(m0, m1, m2, m4, k) -> Float[Array, "*n"]:
+    """E[Z^k] of Dirlik's density of rainflow ranges, an exponential, a Rayleigh of parameter R, and
+    the Rayleigh of a narrow band."""
+    x, g = m1 / m0 * jnp.sqrt(m2 / m4), m2 / jnp.sqrt(m0 * m4)
+    D1 = 2 * (x - g**2) / (1 + g**2)
+    R = (g - x - D1**2) / (1 - g - D1 + D1**2)
+    D2 = (1 - g - D1 + D1**2) / (1 - R)
+    D3 = 1 - D1 - D2
+    Q = 1.25 * (g - D3 - D2 * R) / D1
+    return D1 * jnp.abs(Q) ** k * jnp.exp(jax.scipy.special.gammaln(1 + k)) + rayleigh(k) * (
+        D2 * jnp.abs(R) ** k + D3
+    )
+
+
+def _counted(record: Record, curves: dict[str, SNCurve], length: float, T: Any) -> Arrays:
+    """The same of channels of a record, by rainflow counting."""
+    rainflow, rows = import_extra("rainflow", "fatigue_damage"), []
+    with Problems() as problems:
+        for name in curves:
+            x = record[name]
+            if x.ndim != 1 or np.isnan(x).any():
+                message = "has gaps" if x.ndim == 1 else f"has {x.shape[1]} columns"
+                hint = (
+                    "Fill them, or take a part without gaps."
+                    if x.ndim == 1
+                    else "Make each a channel."
+                )
+                problems.add(
+                    "GAPS" if x.ndim == 1 else "BAD_SHAPE",
+                    f"Record['{name}']",
+                    message,
+                    value=x.shape,
+                    limit="one column",
+                    hint=hint,
+                )
+    for name, curve in curves.items():
+        ranges, _, counts, _, _ = (
+            np.array(list(rainflow.extract_cycles(record[name])), float).reshape(-1, 5).T
+        )
+        used = ranges > 0
+        times = float(np.asarray(T)) / length
+        cycles = times * counts.sum()
+        damage = times * float(np.sum(counts[used] / np.asarray(curve.endured(ranges[used]))))
+        k, level, base = (float(x) for x in (curve.exponent, curve.level, curve.cycles))
+        rows.append(
+            (
+                damage,
+                T / damage if damage else np.inf,
+                cycles,
+                level * (base * damage / max(cycles, 1e-300)) ** (1 / k),
+            )
+        )
+    damage, life, cycles, ranges = (
+        jnp.asarray(column, float) for column in zip(*rows, strict=True)
+    )
+    return damage, life, cycles, ranges, device_array(T), jnp.array(Status.OK.value)

@@ -1,0 +1,220 @@
+"""Floor spectra: the response spectrum of an acceleration of a model, for equipment on it, from
+records or directly from a spectrum.
+
+From a record: the spectrum of the exact history of the small motion. Directly, for the mode j of
+the model and equipment of w and zeta,
+
+    B_j = sqrt(((w/w_j)^2 A(f_j, zeta_j))^2 + A(f, zeta)^2)
+          /sqrt((1 - (w/w_j)^2)^2 + 4 (zeta + zeta_j)^2 (w/w_j)^2)
+
+times its reading of the output, combined by squares over modes and excitations. It is exact
+for soft and for rigid equipment, and an estimate near resonance. Source: Y. Yasui et al.,
+Proc. SMiRT-12 (1993), K13/1, as given by P. Vukobratovic, P. Fajfar, Bull. Earthquake Eng.
+14 (2016) 1683.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import Array, Float, concrete, device_array
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.errors import Problems, Status
+from jaxbody.core.results import warn_if_failed
+from jaxbody.numerics.eigenproblems import together
+from jaxbody.records.samplings import IRREGULAR
+from jaxbody.shock.combinations import root
+from jaxbody.shock.modal_excitations import ModalExcitation, excited, modal_excitation
+from jaxbody.shock.oscillators import history, poles
+from jaxbody.shock.response_spectra import ResponseSpectrum, check_dampings
+from jaxbody.shock.shock_spectra import ShockSpectrum, check_record, spectrum_values
+from jaxbody.shock.spectrum_responses import (
+    check_covered,
+    check_without_lag,
+    checked_ratios,
+    checked_spectra,
+    covered,
+    with_damping,
+)
+from jaxbody.vibration.frequency_responses import check_frequencies
+from jaxbody.vibration.linearizations import Linearization, check_system
+from jaxbody.vibration.ports import outputs_of
+
+# steps in a period of the fastest mode and equipment, between which the history is taken as
+# straight: an error below 1 %
+FINE = 20
+
+
+def floor_spectrum(
+    lin: Linearization,
+    spectra: dict[Any, dict[str, Any]],
+    output: Any,
+    frequencies: Any,
+    *,
+    damping: Any = 0.05,
+    modal_damping: Any = None,
+) -> ShockSpectrum:
+    """The spectrum of absolute acceleration of light equipment on a model, at a point whose motion
+    `output` reads.
+
+    Records of several directions act together, and their histories are added; spectra are combined
+    by their squares. Records and spectra cannot be mixed. Equipment is light: it does not act back
+    on the model.
+
+    Args:
+        spectra: {support: {direction: record or ResponseSpectrum}}, as in `spectrum_response`.
+        output: a sensor of one acceleration, such as Acceleration("cabinet", [0, 0,
+            1.8], axis="x").
+        frequencies: of the equipment, in one row [Hz].
+        damping: its damping ratio or ratios.
+        modal_damping: damping ratios of the model's modes, one for all or one for each; None: those
+            of the dampers.
+
+    Errors: those of `spectrum_response` and `shock_spectrum`, BAD_UNIT for an output that is no
+    acceleration, BAD_OPTION for records of different times, or records with spectra.
+
+    >>> spring = Spring(
+    ...     ("floor", [0, 0, 0]), ("base", [1, 0, 0]), stiffness=800.0, free_length=1.0, damping=4.0
+    ... )
+    >>> model = Model(
+    ...     bodies={"floor": Body(2.0, [1, 1, 1])},
+    ...     supports={"base": Support()},
+    ...     elements={"s": spring},
+    ...     joints={"floor": Guide("world", axis="x")},
+    ... )
+    >>> level = Eurocode8(2.0)
+    >>> floor = floor_spectrum(
+    ...     linearize(model, equilibrium(model)),
+    ...     {"base": {"x": level}},
+    ...     Acceleration("floor", axis="x"),
+    ...     [0.3, 1e3],
+    ... )
+    >>> soft, rigid = floor.values[
+    ...     0
+    ... ].tolist()  # that of the ground, and the acceleration of the floor
+    >>> round(soft / float(level(0.3)), 2), round(rigid / float(level(3.1831)), 2)
+    (1.02, 1.0)
+    """
+    check_system(lin, "floor_spectrum")
+    where = "floor_spectrum.spectra"
+    with Problems() as problems:
+        bases = excited(lin, spectra, where, problems)
+        ports = outputs_of(lin.model, {"output": output}, "floor_spectrum", problems)
+        check_without_lag(ports, "floor_spectrum", problems)
+        f = problems.gather(lambda: check_frequencies(frequencies, "floor_spectrum.frequencies"))
+        zeta = check_dampings(damping, "floor_spectrum.damping", problems)
+        ratios = (
+            None
+            if modal_damping is None
+            else checked_ratios(modal_damping, lin, "floor_spectrum.modal_damping", problems)
+        )
+        given = checked_spectra(bases, where, problems)
+        if ports.units and ports.units != ("m/s2",):
+            hint = 'Give jb.Acceleration("cabinet", [0, 0, 1.8], axis="x").'
+            problems.add(
+                "BAD_UNIT",
+                "floor_spectrum.output",
+                f"is in {', '.join(ports.units)}",
+                value=output,
+                limit="one in m/s2",
+                hint=hint,
+            )
+        records = [each for each in given if isinstance(each, tuple)]
+        lengths, steps = {np.shape(a)[0] for a, _ in records}, [float(h) for _, h in records]
+        if records and (
+            len(records) < len(given)
+            or len(lengths) > 1
+            or np.ptp(steps) * max(lengths) > IRREGULAR * min(steps)
+        ):
+            message, hint = (
+                "mixes records with spectra, or records of different times",
+                "Interpolate the records, or give spectra alone.",
+            )
+            problems.add(
+                "BAD_OPTION",
+                where,
+                message,
+                value=spectra,
+                limit="records of the same times, or spectra",
+                hint=hint,
+            )
+        if records and f is not None and not problems.collected:
+            check_record(records[0], concrete(f), "continuous", where, problems)
+    assert f is not None
+    zeta = jnp.atleast_1d(device_array(zeta))
+    modal = modal_excitation(lin, bases, ports.sensors)
+    modal = modal if ratios is None else with_damping(modal, ratios)
+    if records:
+        floor = _history(modal, records, f)
+        values = spectrum_values(floor, f, zeta, "absolute", "maximax", "continuous")
+    else:
+        taken = jnp.ones(modal.frequency.shape, bool)
+        check_covered(modal, taken, bases, given, where)
+        values = _direct(modal, given, f, zeta)
+    status = jnp.where(
+        (modal.status == Status.OK) & ~jnp.isfinite(values).all(),
+        Status.NONFINITE.value,
+        modal.status,
+    )
+    return warn_if_failed(
+        ShockSpectrum(f, zeta, values, status, "absolute", "maximax", "continuous")
+    )
+
+
+def _history(modal: ModalExcitation, records: list[tuple[Any, Any]], f: Any) -> tuple[Array, Any]:
+    """The acceleration of the floor, with the step between its samples: fine enough for the fastest
+    mode and equipment."""
+    step, fastest = records[0][1], [concrete(x) for x in (f, modal.frequency)]
+    top = max(
+        [float(np.nanmax(x)) for x in fastest if x is not None and np.isfinite(x).any()],
+        default=0.0,
+    )
+    parts = max(1, int(np.ceil(step * top * FINE)))
+    weights = np.arange(parts) / parts
+    floor = jnp.zeros(())
+    s = poles(modal.frequency, modal.damping)
+    for e, (a, _) in enumerate(records):
+        a = device_array(a)
+        a = jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
+        alpha, beta, gamma = modal.readings * modal.participation[e][None, None]
+        c = (
+            alpha.astype(s.dtype)
+            + beta.astype(s.dtype) * s[None]
+            + gamma.astype(s.dtype) * s[None] ** 2
+        ) / s.imag.astype(s.dtype)[None]
+        floor = floor + history(a, step / parts, s, c)[:, 0] + modal.rest[0, e] * a
+    return floor, step / parts
+
+
+@program
+def _direct(
+    modal: ModalExcitation,
+    given: tuple[ResponseSpectrum, ...],
+    f: Float[Array, "nf"],
+    zeta: Float[Array, "nz"],
+):
+    """The values (nz, nf) from spectra."""
+    same = together(modal.cluster).astype(f.dtype)
+    f_, z_ = f[None, :, None], zeta[:, None, None]
+    ratio = f_ / modal.frequency[None, None]
+    below = jnp.sqrt((1 - ratio**2) ** 2 + 4 * (z_ + modal.damping[None, None]) ** 2 * ratio**2)
+    square = jnp.zeros(())
+    for e, spectrum in enumerate(given):
+        known = covered(spectrum, modal.frequency, modal.damping)
+        own = jnp.where(known, spectrum(modal.frequency, modal.damping), jnp.nan)
+        ground = spectrum(
+            jnp.broadcast_to(f, (len(zeta), len(f))),
+            jnp.broadcast_to(zeta[:, None], (len(zeta), len(f))),
+        )
+        reading = modal.readings[2, 0] * modal.participation[e]
+        own = jnp.where(reading == 0, 0.0, own)
+        each = (
+            reading[None, None]
+            * root((ratio**2 * own[None, None]) ** 2 + ground[..., None] ** 2)
+            / below
+        )
+        square = square + jnp.sum(each * (each @ same), -1) + (modal.rest[0, e] * ground) ** 2
+    return root(square)

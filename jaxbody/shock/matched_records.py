@@ -1,0 +1,324 @@
+"""Records whose response spectrum is a given one: a sum of cosines under an envelope, its
+amplitudes and phases fitted by derivatives.
+
+    a(t) = P envelope(t) sum_k exp(b_k) cos(2 pi f_k t + p_k)
+
+P is linear: it takes away what would leave a velocity or a displacement at the end. The residuals
+are log(reached/target); with fewer of them than unknowns, each step of Levenberg and Marquardt is
+the smallest change of b and p that removes their linear part.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import check_key, check_kind, positive_number
+from jaxbody.core.arrays import Array, Float, Int, device_array
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import Problems, Status
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.model.inputs.motions import Sampled
+from jaxbody.model.inputs.samples import integrals
+from jaxbody.records.records import Record
+from jaxbody.shock.oscillators import influences, poles
+from jaxbody.shock.response_spectra import ResponseSpectrum, check_dampings
+from jaxbody.shock.shock_spectra import weights_of
+from jaxbody.vibration.frequency_responses import check_frequencies
+
+LINES = 3  # cosines for each frequency of the spectrum
+# frequencies by default, up to 33 Hz, from this number of periods in the record on
+TARGETS, HIGHEST, PERIODS = 80, 33.0, 4.0
+SAMPLES = 8  # in a period of the highest frequency
+RISE, FALL = 0.15, 0.55  # of the duration, where the envelope reaches 1 and begins to fall
+PARTS = 4  # points in a step among which the peaks are looked for
+STEPS = 60
+
+
+class MatchedRecord(Labeled, Result):
+    """`acceleration` [m/s2], `velocity` [m/s] and `displacement` [m] over `times` [s], which begin
+    and end at rest in the same place; the spectrum `reached` at `frequencies` [Hz] and its `target`
+    [m/s2], of the damping ratio `damping`. `deviation` is the largest of |reached/target - 1|;
+    `status` NOT_CONVERGED where it exceeds the tolerance."""
+
+    index = "time"
+    times: Float[Array, "n"]
+    acceleration: Float[Array, "n"]
+    velocity: Float[Array, "n"]
+    displacement: Float[Array, "n"]
+    frequencies: Float[Array, "nf"]
+    target: Float[Array, "nf"]
+    reached: Float[Array, "nf"]
+    damping: Float[Array, ""]
+    status: Int[Array, ""]
+
+    @property
+    def deviation(self) -> Any:
+        """The largest of |reached/target - 1|."""
+        return np.max(np.abs(np.asarray(self.reached) / np.asarray(self.target) - 1))
+
+    @property
+    def samples(self) -> tuple[Array, Array]:
+        """Times and accelerations, as `shock_spectrum` and `spectrum_response` take them."""
+        return self.times, self.acceleration
+
+    def record(self) -> Record:
+        """The acceleration as a record."""
+        return Record(self.times, {"acceleration": (self.acceleration, "m/s2")})
+
+    def motion(self, direction: Any) -> Sampled:
+        """The motion of a support along a direction, a vector in world axes, with
+        this acceleration."""
+        along = np.asarray(direction, float) / np.linalg.norm(np.asarray(direction, float))
+        return Sampled.from_accelerations(
+            self.times, translation=np.outer(self.acceleration, along)
+        )
+
+    def explain(self) -> str:
+        return (
+            f"it deviates by {tables.percent(self.deviation)}; give a longer duration, "
+            "or fewer frequencies"
+        )
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: the motion over time, both spectra over frequency."""
+        units = {"acceleration": "m/s2", "velocity": "m/s", "displacement": "m"}
+        variables = {name: (("time",), getattr(self, name), unit) for name, unit in units.items()}
+        variables |= {
+            name: (("frequency",), getattr(self, name), "m/s2") for name in ("target", "reached")
+        }
+        coordinates = {"time": ("time", np.asarray(self.times), {"units": "s"})}
+        coordinates["frequency"] = ("frequency", np.asarray(self.frequencies), {"units": "Hz"})
+        return dataset(variables | {"status": ((), self.status, "")}, coordinates, "matched record")
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        rows = [
+            (name, float(np.abs(np.asarray(values)).max()), unit)
+            for name, values, unit in (
+                ("peak acceleration", self.acceleration, "m/s2"),
+                ("peak velocity", self.velocity, "m/s"),
+                ("peak displacement", self.displacement, "m"),
+            )
+        ]
+        f, mean = (
+            np.asarray(self.frequencies),
+            float(np.mean(np.abs(np.asarray(self.reached) / np.asarray(self.target) - 1))),
+        )
+        rows += [
+            ("largest deviation of the spectrum", tables.percent(self.deviation), ""),
+            ("mean deviation", tables.percent(mean), ""),
+        ]
+        title = (
+            f"Record of {float(self.times[-1]):.4g} s for a spectrum from "
+            f"{f[0]:.4g} to {f[-1]:.4g} Hz"
+        )
+        return [tables.PrintedTable(title, ("", "", ""), rows, self.failure)]
+
+
+def matched_record(
+    spectrum: ResponseSpectrum,
+    *,
+    duration: float,
+    key: Any,
+    frequencies: Any = None,
+    damping: float = 0.05,
+    rate: float | None = None,
+    tolerance: float = 0.05,
+) -> MatchedRecord:
+    """A record of base acceleration whose response spectrum is a given one, at rest in the same
+    place when it begins and when it ends.
+
+    It is a sum of cosines of random phases under an envelope that rises, stays and falls;
+    amplitudes and phases are fitted by the derivatives of the continuous peaks of
+    pseudo-acceleration. Another key gives another record.
+
+    Args:
+        spectrum: a ResponseSpectrum, such as Eurocode8(2.0, "B").
+        duration: [s].
+        key: a random key, jax.random.key(0).
+        frequencies: at which the spectra agree [Hz]; None: 80 from four periods in the duration, or
+            the lowest of the spectrum, to its highest, 33 Hz at most.
+        damping: damping ratio.
+        rate: samples a second; None: eight in a period of the highest frequency.
+        tolerance: the largest deviation, a fraction.
+
+    Errors, all at once: WRONG_KIND, NO_KEY, BAD_NUMBER, BAD_FREQUENCY, NOT_COVERED, LOW_RATE for a
+    rate below four in a period of the highest frequency, TOO_SHORT, NOT_A_FRACTION; warns
+    NOT_CONVERGED. Source: L. Al Atik, N. Abrahamson, Earthquake Spectra 26 (2010) 601, whose
+    adjustments are wavelets.
+
+    >>> quake = matched_record(
+    ...     Eurocode8(2.0, "B"),
+    ...     duration=8.0,
+    ...     key=jax.random.key(1),
+    ...     frequencies=[0.7, 1.0, 1.5, 2.5, 4.0],
+    ... )
+    >>> (
+    ...     bool(quake.deviation < 0.05),
+    ...     abs(round(float(quake.velocity[-1]), 9)),
+    ...     abs(round(float(quake.displacement[-1]), 9)),
+    ... )
+    (True, 0.0, 0.0)
+    """
+    with Problems() as problems:
+        check_kind(
+            spectrum,
+            ResponseSpectrum,
+            "matched_record.spectrum",
+            "a ResponseSpectrum, such as Eurocode8(2.0)",
+            problems,
+        )
+        length = positive_number(duration, "matched_record.duration", problems)
+        check_key(key, "matched_record.key", problems, "Phases are random: give")
+        zeta = check_dampings(damping, "matched_record.damping", problems)
+        limit = positive_number(tolerance, "matched_record.tolerance", problems)
+        given = None if rate is None else positive_number(rate, "matched_record.rate", problems)
+        f = (
+            None
+            if frequencies is None
+            else problems.gather(
+                lambda: check_frequencies(frequencies, "matched_record.frequencies")
+            )
+        )
+        problems.raise_if_any()
+        f = _default_frequencies(spectrum, float(length)) if f is None else np.sort(np.asarray(f))
+        per_second = float(given) if given is not None else SAMPLES * float(f[-1])
+        _check_reach(spectrum, f, float(length), per_second, problems)
+    n = max(int(np.ceil(float(length) * per_second)), 2 * LINES)
+    times = float(length) * np.arange(n + 1) / n
+    problem = _Problem(times, f, np.asarray(spectrum(f, zeta)), float(zeta))
+    with working("matched_record") as line:
+        a, reached = _fitted(problem, key, float(limit) / 2, line)
+    v, x = (np.asarray(y)[:, 0] for y in integrals(times, a[:, None]))
+    deviation = np.abs(reached / problem.target - 1).max()
+    status = Status.OK if deviation <= float(limit) else Status.NOT_CONVERGED
+    t, a, v, x, f, target, reached, zeta = map(
+        device_array, (times, a, v, x, f, problem.target, reached, zeta)
+    )
+    return warn_if_failed(
+        MatchedRecord(t, a, v, x, f, target, reached, zeta, jnp.array(status.value))
+    )
+
+
+def _default_frequencies(spectrum: ResponseSpectrum, duration: float) -> np.ndarray:
+    low, high = map(float, spectrum.covers())
+    low, high = max(low, PERIODS / duration), min(high, HIGHEST)
+    return np.geomspace(min(low, high), high, TARGETS)
+
+
+def _check_reach(
+    spectrum: ResponseSpectrum, f: np.ndarray, duration: float, rate: float, problems: Problems
+) -> None:
+    where, (low, high) = "matched_record.frequencies", map(float, spectrum.covers())
+    if (outside := f[(f < low * (1 - 1e-9)) | (f > high * (1 + 1e-9))]).size:
+        hint = "Leave these frequencies out."
+        problems.add(
+            "NOT_COVERED",
+            where,
+            f"has {outside} Hz",
+            value=outside,
+            limit=f"{low:.6g} to {high:.6g} Hz",
+            hint=hint,
+        )
+    if (slow := f[f * duration < 1]).size:
+        message, hint = (
+            f"has {slow} Hz, whose period is longer than {duration:g} s",
+            "Give a longer duration, or leave these out.",
+        )
+        problems.add(
+            "TOO_SHORT", where, message, value=slow, limit=f">= {1 / duration:.6g} Hz", hint=hint
+        )
+    if rate < 4 * f[-1]:
+        hint = "Give a higher rate, or leave frequencies out."
+        problems.add(
+            "LOW_RATE",
+            "matched_record.rate",
+            f"is {rate:g} Hz",
+            value=rate,
+            limit=f">= {4 * f[-1]:.6g} Hz",
+            hint=hint,
+        )
+
+
+class _Problem:
+    """The residuals of amplitudes and phases, (2, k) in one row each, and their derivatives."""
+
+    def __init__(self, times: np.ndarray, f: np.ndarray, target: np.ndarray, damping: float):
+        self.target, self.h, T = target, times[1], times[-1]
+        h, u = self.h, times / T
+        self.lines = np.geomspace(
+            max(f[0] / 1.5, 1 / T), min(f[-1] * 1.3, 0.45 / h), LINES * max(len(f), 10)
+        )
+        self.envelope = (
+            np.where(
+                u < RISE,
+                np.sin(np.pi / 2 * u / RISE),
+                np.where(u > FALL, np.cos(np.pi / 2 * (u - FALL) / (1 - FALL)), 1),
+            )
+            ** 2
+        )
+        # of a in straight lines: velocity and displacement at the end
+        ends = np.stack([np.full(len(times), h), h * (T - times)])
+        ends[:, 0], ends[:, -1] = (h / 2, h * T / 2 - h**2 / 6), (h / 2, h**2 / 6)
+        self.ends, self.kept = ends, np.linalg.solve((ends * self.envelope) @ ends.T, ends)
+        angles = 2 * np.pi * self.lines * times[:, None]
+        self.cosines, self.sines = np.cos(angles), np.sin(angles)
+        s = poles(jnp.asarray(f), jnp.full(len(f), damping))
+        self.oscillators, self.frequencies = (s, weights_of(s, "pseudo")), f
+
+    def start(self, key: Any) -> np.ndarray:
+        """Random phases, and amplitudes in proportion to the spectrum, scaled to its level."""
+        levels = np.interp(np.log(self.lines), np.log(self.frequencies), np.log(self.target))
+        values = np.stack(
+            [levels, np.asarray(jax.random.uniform(key, (len(self.lines),), maxval=2 * np.pi))]
+        )
+        values[0] -= np.mean(self.linear(values)[0])
+        return values
+
+    def acceleration(self, values: np.ndarray) -> np.ndarray:
+        size, phase = np.exp(values[0]), values[1]
+        a = self.envelope * (
+            self.cosines @ (size * np.cos(phase)) - self.sines @ (size * np.sin(phase))
+        )
+        return a - self.envelope * ((self.ends @ a) @ self.kept)
+
+    def linear(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The residuals log(reached/target), their Jacobian (frequencies, 2 k), and what
+        is reached."""
+        reached, by_a = map(
+            np.asarray, influences(self.acceleration(values), self.h, *self.oscillators, PARTS)
+        )
+        whole = by_a * self.envelope / reached[:, None]
+        whole = whole - (whole @ self.kept.T) @ (self.ends * self.envelope)
+        size, (c, s) = np.exp(values[0]), (np.cos(values[1]), np.sin(values[1]))
+        by_cosines, by_sines = whole @ self.cosines * size, whole @ self.sines * size
+        jacobian = np.concatenate(
+            [by_cosines * c - by_sines * s, -by_cosines * s - by_sines * c], 1
+        )
+        return np.log(reached / self.target), jacobian, reached
+
+
+def _fitted(problem: _Problem, key: Any, enough: float, line: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The acceleration and what it reaches, after steps of Levenberg and Marquardt until all
+    deviations are small enough."""
+    values, damp = problem.start(key), 1e-2
+    r, J, reached = problem.linear(values)
+    for step in range(STEPS):
+        if np.abs(r).max() < enough:
+            break
+        line(f"step {step + 1}, deviation {np.abs(r).max():.1%}")
+        H = J @ J.T
+        new = values - (
+            J.T @ np.linalg.solve(H + damp * np.trace(H) / len(r) * np.eye(len(r)), r)
+        ).reshape(values.shape)
+        r_new, J_new, reached_new = problem.linear(new)
+        if r_new @ r_new < r @ r:
+            values, r, J, reached, damp = new, r_new, J_new, reached_new, max(damp / 4, 1e-6)
+        else:
+            damp *= 5
+    return problem.acceleration(values), reached

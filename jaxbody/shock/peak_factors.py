@@ -1,0 +1,256 @@
+"""Peak factors: the largest magnitude of a stationary Gaussian response in a time T over its
+standard deviation.
+
+With moments lambda_k of the density over w, nu = sqrt(lambda_2/lambda_0)/pi the rate of zero
+crossings in both directions, and delta = sqrt(1 - lambda_1^2/(lambda_0 lambda_2)) the width of the
+band, L = sqrt(2 ln(nu T)):
+
+    Davenport         mean L + 0.5772/L, deviation pi/(sqrt(6) L);
+                      L + G/L has Gumbel's distribution, P(G < g) = exp(-exp(-g))
+    Der Kiureghian    the same mean with (1.63 delta^0.45 - 0.38) nu where delta < 0.69;
+                      deviation 1.2/L - 5.4/(13 + L^6.4)
+    Vanmarcke         P(peak < a) = (1 - e) exp(-nu T (1 - exp(-sqrt(pi/2) delta^1.2 a))/(1/e - 1)),
+                      e = exp(-a^2/2)
+
+Source: A. G. Davenport, Proc. ICE 28 (1964) 187; A. Der Kiureghian, ASCE J. Eng. Mech. 106 (1980)
+1195; E. H. Vanmarcke, J. Appl. Mech. 42 (1975) 215.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import field
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import check_one_of, positive_number
+from jaxbody.core.arrays import Array, Float, Int, checked, concrete, device_array, part_of
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.shock.spectral_moments import check_response, moments
+from jaxbody.vibration.random_responses import RandomResponse
+
+FORMULAS = ("Davenport", "Der Kiureghian", "Vanmarcke")
+EULER = 0.5772156649015329
+FEWEST = 1.5  # crossings below which L has no meaning: ln(nu T) would be near zero or negative
+# standard deviations up to which a distribution is integrated, and points for it
+HIGHEST, POINTS = 12.0, 2400
+HALVINGS = 60
+
+
+class PeakFactors(Labeled, Result):
+    """Of each output the peak `factor`, its standard `deviation` (NaN for a probability) and the
+    `maximum` = factor rms in its unit; `peaks["seat"]` is the maximum of one. `rate` [1/s] of zero
+    crossings in both directions, and the `bandwidth` delta, 0 for a sine."""
+
+    index = "output"
+    factor: Float[Array, "ny"]
+    deviation: Float[Array, "ny"]
+    maximum: Float[Array, "ny"]
+    rms: Float[Array, "ny"]
+    rate: Float[Array, "ny"]
+    bandwidth: Float[Array, "ny"]
+    duration: Float[Array, ""]
+    status: Int[Array, ""]
+    outputs: tuple[str, ...] = field(static=True)
+    units: tuple[str, ...] = field(static=True)
+    formula: str = field(static=True)
+
+    def __getitem__(self, output: str) -> Float[Array, ""]:
+        if output not in self.outputs:
+            raise JaxbodyError(unknown(output, "peaks", self.outputs))
+        return part_of(self.maximum, (..., self.outputs.index(output)))
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: all numbers by output."""
+        units = {
+            "factor": "",
+            "deviation": "",
+            "maximum": "unit",
+            "rms": "unit",
+            "rate": "1/s",
+            "bandwidth": "",
+        }
+        variables: dict[str, Any] = {
+            name: (("output",), getattr(self, name), unit) for name, unit in units.items()
+        }
+        variables |= {
+            "unit": (("output",), np.array(self.units), ""),
+            "status": ((), self.status, ""),
+        }
+        return dataset(variables, {"output": list(self.outputs)}, f"peak factors, {self.formula}")
+
+    @tables.summarized("Peak factors", 1, maximum="maximum")
+    def _tables(self) -> list[tables.PrintedTable]:
+        heads = ("output", "rms", "peak factor", "maximum", "unit", "crossings [1/s]", "bandwidth")
+        columns = (
+            self.outputs,
+            self.rms,
+            self.factor,
+            self.maximum,
+            self.units,
+            self.rate,
+            self.bandwidth,
+        )
+        title = f"Peaks in {tables.number(self.duration)} s, {self.formula}"
+        return [tables.PrintedTable(title, heads, [*zip(*columns, strict=True)], self.failure)]
+
+
+def peak_factor(
+    response: RandomResponse,
+    duration: Any,
+    *,
+    formula: str = "Der Kiureghian",
+    probability: float | None = None,
+) -> PeakFactors:
+    """The expected largest magnitude of each output of a random response in a time, over its rms,
+    and the maximum itself.
+
+    The response is stationary and Gaussian with mean zero. It is differentiable with respect to the
+    model, the spectra and the duration.
+
+    Args:
+        response: a result of `random_response`, whose band contains the velocities of the outputs.
+        duration: T [s].
+        formula: "Davenport", independent crossings, too large for a narrow band; "Der Kiureghian",
+            corrected for their clumps, fitted for 10 <= nu T <= 1000; "Vanmarcke", the distribution
+            by two-state Markov crossings.
+        probability: of Davenport's and Vanmarcke's distribution, the peak that is not exceeded with
+            this probability; None: the mean.
+
+    Errors: WRONG_KIND, BAD_OPTION, BAD_NUMBER, NOT_A_FRACTION; warns NONFINITE where a response has
+    fewer than 1.5 crossings in T.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> ride = random_response(
+    ...     linearize(car, car.reference),
+    ...     Band(0.1, 50.0),
+    ...     {"road": BaseMotion("road", "z")},
+    ...     {"travel": Elongation("suspension")},
+    ...     {"road": Unevenness.iso("C").at_speed(20.0)},
+    ... )
+    >>> peaks = peak_factor(ride, 60.0)
+    >>> round(float(peaks["travel"] / ride["travel"]), 2)
+    3.62
+    """
+    check_response(response, "peak_factor.response")
+    with Problems() as problems:
+        T = positive_number(duration, "peak_factor.duration", problems)
+        check_one_of(formula, FORMULAS, "BAD_OPTION", "peak_factor.formula", problems)
+        p = (
+            None
+            if probability is None
+            else checked(probability, ((),), "peak_factor.probability", problems)
+        )
+        known = None if p is None else concrete(p)
+        if known is not None and not 0 < known < 1:
+            problems.add(
+                "NOT_A_FRACTION",
+                "peak_factor.probability",
+                f"is {known:g}",
+                value=float(known),
+                limit="0 to 1",
+            )
+        if p is not None and formula == "Der Kiureghian":
+            hint = "Take Davenport or Vanmarcke."
+            problems.add(
+                "BAD_OPTION",
+                "peak_factor.probability",
+                "is given, but this formula is no distribution",
+                value=p,
+                hint=hint,
+            )
+    values = _peaks(response, device_array(T), formula, p)
+    return warn_if_failed(PeakFactors(*values, response.outputs, response.units, formula))
+
+
+@program
+def _peaks(response: RandomResponse, T: Float[Array, ""], formula: str, p: Any):
+    zeroth, first, second = moments(response, 0, 1, 2)
+    rate, bandwidth = crossing_rate(zeroth, second), width(zeroth, first, second)
+    if p is None:
+        factor, deviation = factors(rate, bandwidth, T, formula)
+    else:
+        factor = quantile(rate, bandwidth, T, formula, p)
+        deviation = jnp.full_like(factor, jnp.nan)
+    rms = jnp.sqrt(zeroth)
+    status = jnp.where(
+        (response.status == Status.OK) & ~jnp.isfinite(factor).all(),
+        Status.NONFINITE.value,
+        response.status,
+    )
+    return factor, deviation, factor * rms, rms, rate, bandwidth, T, status
+
+
+def crossing_rate(zeroth: Float[Array, "*n"], second: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Zero crossings in both directions [1/s]."""
+    return jnp.sqrt(second / zeroth) / jnp.pi
+
+
+def width(
+    zeroth: Float[Array, "*n"], first: Float[Array, "*n"], second: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """delta."""
+    square = 1 - first**2 / (zeroth * second)
+    return jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0).astype(square.dtype)
+
+
+def factors(
+    rate: Float[Array, "*n"], delta: Float[Array, "*n"], T: Any, formula: str
+) -> tuple[Array, Array]:
+    """Mean and standard deviation of the peak factor."""
+    if formula == "Vanmarcke":
+        a = jnp.broadcast_to(jnp.linspace(0.0, HIGHEST, POINTS + 1), (*rate.shape, POINTS + 1))
+        above = 1 - _vanmarcke(a, rate[..., None] * T, delta[..., None])
+        mean, square = jnp.trapezoid(above, a, axis=-1), 2 * jnp.trapezoid(a * above, a, axis=-1)
+        return mean, jnp.sqrt(square - mean**2)
+    if formula == "Der Kiureghian":
+        rate = rate * jnp.where(delta < 0.69, 1.63 * jnp.maximum(delta, 1e-12) ** 0.45 - 0.38, 1.0)
+    L = _root_log(rate * T)
+    return L + EULER / L, np.pi / 6**0.5 / L if formula == "Davenport" else 1.2 / L - 5.4 / (
+        13 + L**6.4
+    )
+
+
+def quantile(
+    rate: Float[Array, "*n"], delta: Float[Array, "*n"], T: Any, formula: str, p: Any
+) -> Float[Array, "*n"]:
+    """The peak factor that is not exceeded with probability p."""
+    if formula == "Davenport":
+        L = _root_log(rate * T)
+        return L - jnp.log(-jnp.log(p)) / L
+    fixed = jax.lax.stop_gradient((rate * T, delta))
+
+    def halve(ends, _):
+        middle = (ends[0] + ends[1]) / 2
+        below = _vanmarcke(middle, *fixed) < p
+        return (jnp.where(below, middle, ends[0]), jnp.where(below, ends[1], middle)), None
+
+    (low, high), _ = jax.lax.scan(
+        halve, (jnp.zeros_like(rate), jnp.full_like(rate, HIGHEST)), None, length=HALVINGS
+    )
+    a = (low + high) / 2
+    slope = jax.jvp(lambda a: _vanmarcke(a, *fixed), (a,), (jnp.ones_like(a),))[1]
+    # the value is a; by the last term it has the derivatives of the root
+    return a - (_vanmarcke(a, rate * T, delta) - p) / slope
+
+
+def _vanmarcke(a, crossings, delta):
+    """P(peak < a)."""
+    inside = a > 0
+    a = jnp.where(inside, a, 1.0)
+    clumped = 1 - jnp.exp(-((np.pi / 2) ** 0.5) * delta**1.2 * a)
+    return jnp.where(
+        inside, -jnp.expm1(-(a**2) / 2) * jnp.exp(-crossings * clumped / jnp.expm1(a**2 / 2)), 0.0
+    )
+
+
+def _root_log(crossings):
+    """L, NaN for too few crossings."""
+    enough = crossings > FEWEST
+    return jnp.sqrt(2 * jnp.log(jnp.where(enough, crossings, jnp.nan)))

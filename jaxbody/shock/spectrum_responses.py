@@ -1,0 +1,431 @@
+"""Maxima of outputs by response spectra: the peaks of the modes, of what they leave out, and their
+combination over modes and directions.
+
+For outputs alpha x + beta x' + gamma (x'' + a) of a mode, x its oscillator's displacement (see
+modal_excitations), the peak is
+
+    of a spectrum A     |alpha - w^2 gamma + i w (beta - 2 zeta w gamma)| A(w, zeta)/w^2
+    of a record         that of the exact history
+
+and what modes above the highest frequency leave out (missing mass) follows the base acceleration as
+a rigid body does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from equinox import field
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import check_one_of, positive_number
+from jaxbody.core.arrays import (
+    Array,
+    Float,
+    Int,
+    checked,
+    concrete,
+    device_array,
+    float_array,
+    is_concrete,
+    part_of,
+)
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.numerics.eigenproblems import together
+from jaxbody.shock.accelerograms import checked_samples
+from jaxbody.shock.combinations import COMBINATIONS, combined, correlations, root
+from jaxbody.shock.modal_excitations import Excited, ModalExcitation, excited, modal_excitation
+from jaxbody.shock.oscillators import poles
+from jaxbody.shock.response_spectra import ROUNDING, ResponseSpectrum
+from jaxbody.shock.shock_spectra import peaks_of
+from jaxbody.vibration.linearizations import Linearization, check_system
+from jaxbody.vibration.ports import Outputs, outputs_of
+
+MOST_SHOWN = 6  # modes in the table
+
+
+class SpectrumResponse(Labeled, Result):
+    """Peaks `values` of outputs in their `units`; `response["anchor"]` is one. `shares` (outputs,
+    modes and the rest) of each mode in the square of a peak, of combine="absolute" in the peak;
+    with CQC a share can be negative.
+
+    By excitation, such as "base x": `by_excitation` (excitations, outputs), `modal` (excitations,
+    outputs, modes), signed peaks, `rest` (excitations, outputs) of the missing mass;
+    `participation` and effective `mass` [kg] (excitations, modes), `total_mass` of all modes.
+    `frequency` [Hz] and `damping_ratio` of the modes, `taken`: those that are taken one by one. All
+    are NaN if the modes failed, or if a spectrum does not cover a mode."""
+
+    index = "output"
+    values: Float[Array, "ny"]
+    shares: Float[Array, "ny n1"]
+    by_excitation: Float[Array, "ne ny"]
+    modal: Float[Array, "ne ny n"]
+    rest: Float[Array, "ne ny"]
+    participation: Float[Array, "ne n"]
+    mass: Float[Array, "ne n"]
+    frequency: Float[Array, "n"]
+    damping_ratio: Float[Array, "n"]
+    taken: Array
+    status: Int[Array, ""]
+    outputs: tuple[str, ...] = field(static=True)
+    units: tuple[str, ...] = field(static=True)
+    excitations: tuple[str, ...] = field(static=True)
+    combine: str = field(static=True)
+
+    def __getitem__(self, output: str) -> Float[Array, ""]:
+        if output not in self.outputs:
+            raise JaxbodyError(unknown(output, "response", self.outputs))
+        return part_of(self.values, (..., self.outputs.index(output)))
+
+    @property
+    def total_mass(self) -> Float[Array, "ne"]:
+        """The sum of the effective masses: the mass that moves in each direction [kg], or inertia
+        about an axis [kg m2]."""
+        return self.mass.sum(-1)
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: peaks and shares by output, excitation and mode."""
+        n = np.shape(self.frequency)[-1]
+        variables = {
+            "peak": (("output",), self.values, "unit"),
+            "share": (("output", "part"), self.shares, ""),
+            "peak_by_excitation": (("excitation", "output"), self.by_excitation, "unit"),
+            "modal_peak": (("excitation", "output", "mode"), self.modal, "unit"),
+            "participation": (("excitation", "mode"), self.participation, ""),
+            "effective_mass": (("excitation", "mode"), self.mass, "kg, kg m2"),
+            "frequency": (("mode",), self.frequency, "Hz"),
+            "damping_ratio": (("mode",), self.damping_ratio, ""),
+            "unit": (("output",), np.array(self.units), ""),
+            "status": ((), self.status, ""),
+        }
+        parts = [*map(str, range(1, 1 + n)), "rest"]
+        coordinates = {
+            "output": list(self.outputs),
+            "excitation": list(self.excitations),
+            "mode": list(range(1, 1 + n)),
+            "part": parts,
+        }
+        return dataset(variables, coordinates, "spectrum response")
+
+    @tables.summarized("Spectrum response", 1, values="values")
+    def _tables(self) -> list[tables.PrintedTable]:
+        shares = np.asarray(self.shares)
+        order = np.argsort(-np.nan_to_num(np.abs(shares).max(0)))
+        shown = sorted(order[:MOST_SHOWN].tolist())
+        heads = [f"mode {j + 1}" if j + 1 < shares.shape[1] else "rest" for j in shown]
+        rows = [
+            (name, value, unit, *(tables.percent(row[j]) or "0 %" for j in shown))
+            for name, value, unit, row in zip(
+                self.outputs, self.values, self.units, shares, strict=True
+            )
+        ]
+        peaks = tables.PrintedTable(
+            f"Peaks by {self.combine}, shares of modes", ("output", "peak", "unit", *heads), rows
+        )
+        total = np.asarray(self.mass).sum(-1, keepdims=True)
+        masses = np.asarray(self.mass) / np.where(total > 0, total, 1.0)
+        rows = [
+            (j + 1, f, zeta, *(tables.percent(share) or "0 %" for share in masses[:, j]))
+            for j, (f, zeta) in enumerate(zip(self.frequency, self.damping_ratio, strict=True))
+        ]
+        heads = (
+            "mode",
+            "frequency [Hz]",
+            "damping ratio",
+            *(f"mass, {name}" for name in self.excitations),
+        )
+        return [peaks, tables.PrintedTable("Modes and effective masses", heads, rows, self.failure)]
+
+
+def spectrum_response(
+    lin: Linearization,
+    spectra: dict[Any, dict[str, Any]],
+    outputs: dict[str, Any],
+    *,
+    combine: str = "CQC",
+    damping: Any = None,
+    highest: float | None = None,
+) -> SpectrumResponse:
+    """Peaks of outputs in an earthquake or shock of supports, from response spectra or records,
+    mode by mode.
+
+        peak of mode j = |Gamma_j (Y0 + i w_j Y1 - (w_j^2 + 2 i zeta_j w_j^2) Y2) phi_j|
+                         A(f_j, zeta_j)/w_j^2
+
+    Gamma_j = phi_j' (M S - M~) e is the participation; Y0, Y1 and Y2 are what an output reads of
+    displacements, velocities and accelerations, so that a force is mass times acceleration with
+    damping too. For a record the peak of a mode is that of its history, also between samples;
+    tables of peaks at samples are lower, by some percent where a period has few samples: for these
+    give the `shock_spectrum` of the record with peaks="samples".
+    Forces, strokes, absolute accelerations and reactions are of the whole motion; displacements and
+    velocities are relative to the slow motion S Xi of the supports. Where supports move apart, add
+    the static forces of their displacements. Peaks of excitations are combined by their squares, of
+    combine="absolute" by their sum. It is differentiable with respect to the model and the spectra.
+
+    Args:
+        spectra: {support: {direction: spectrum}}, or {(support, support): ...} of supports that
+            move together; directions x, y, z, rx, ry or rz; a ResponseSpectrum, such as that of
+            `shock_spectrum`, Eurocode8 or ASCE7, or a record as for `shock_spectrum`. Different
+            excitations are taken as independent.
+        outputs: {name: sensor}, such as LoadCell, Elongation, Acceleration or Reaction.
+        combine: of modes, "SRSS", "CQC" or "absolute".
+        damping: damping ratios of the modes, one for all or one for each; None: those of
+            the dampers.
+        highest: frequency [Hz] above which modes move as rigid bodies; None: all modes are taken
+            one by one.
+
+    Errors, all at once: NOT_COVERED for modes or dampings outside a spectrum, UNKNOWN_NAME,
+    BAD_DIRECTION, WRONG_KIND, BAD_OPTION, BAD_CHAIN for a lag, NOT_A_FRACTION, and those of
+    records; warns SINGULAR_K, UNSTABLE, NOT_SYMMETRIC, SINGULAR_M. Source: A. K. Chopra, Dynamics
+    of Structures (2012), ch. 13; for the missing mass, U.S. NRC Regulatory Guide 1.92 (2006).
+
+    >>> spring = Spring(
+    ...     ("mass", [0, 0, 0]), ("base", [1, 0, 0]), stiffness=800.0, free_length=1.0, damping=4.0
+    ... )
+    >>> model = Model(
+    ...     bodies={"mass": Body(2.0, [1, 1, 1])},
+    ...     supports={"base": Support()},
+    ...     elements={"s": spring},
+    ...     joints={"mass": Guide("world", axis="x")},
+    ... )
+    >>> level = DesignSpectrum([0.1, 100.0], [3.0, 3.0], damping=0.05)
+    >>> peaks = spectrum_response(
+    ...     linearize(model, equilibrium(model)),
+    ...     {"base": {"x": level}},
+    ...     {"force": Elongation("s", gain=800.0)},
+    ... )
+    >>> (
+    ...     round(float(peaks["force"]), 9),
+    ...     round(float(peaks.total_mass[0]), 9),
+    ... )  # mass times pseudo-acceleration
+    (6.0, 2.0)
+    """
+    check_system(lin, "spectrum_response")
+    with Problems() as problems:
+        bases = excited(lin, spectra, "spectrum_response.spectra", problems)
+        ports = outputs_of(lin.model, outputs, "spectrum_response", problems)
+        check_one_of(combine, COMBINATIONS, "BAD_OPTION", "spectrum_response.combine", problems)
+        check_without_lag(ports, "spectrum_response", problems)
+        ratios = (
+            None
+            if damping is None
+            else checked_ratios(damping, lin, "spectrum_response.damping", problems)
+        )
+        top = (
+            None
+            if highest is None
+            else positive_number(highest, "spectrum_response.highest", problems, "BAD_FREQUENCY")
+        )
+        given = checked_spectra(bases, "spectrum_response.spectra", problems)
+    modal = modal_excitation(lin, bases, ports.sensors)
+    if ratios is not None:
+        modal = with_damping(modal, ratios)
+    taken = modal.frequency <= (jnp.inf if top is None else top)
+    check_covered(modal, taken, bases, given, "spectrum_response.spectra")
+    peaks, rigid = zip(
+        *(modal_peaks(modal, each, e, taken) for e, each in enumerate(given)), strict=True
+    )
+    made = _combined(modal, taken, jnp.stack(peaks), jnp.stack(rigid), combine)
+    return warn_if_failed(SpectrumResponse(*made, ports.names, ports.units, bases.names, combine))
+
+
+def check_without_lag(ports: Outputs, where: str, problems: Problems) -> None:
+    """Refuse sensors with a lag, whose peaks are not those of their modes. Error: BAD_CHAIN."""
+    if any(sensor.lag is not None for sensor in ports.sensors):
+        problems.add(
+            "BAD_CHAIN",
+            f"{where}.outputs",
+            "has a sensor with a lag",
+            limit="no lag",
+            hint="Leave it out, or simulate the motion.",
+        )
+
+
+def checked_ratios(given: Any, lin: Linearization, where: str, problems: Problems) -> Any:
+    """Damping ratios of all modes. Errors: BAD_SHAPE, NOT_A_FRACTION."""
+    n = lin.nv
+    array = checked(
+        float_array(given, where),
+        ((), (n,)),
+        where,
+        problems,
+        f"Give one for all modes or one for each of {n}.",
+    )
+    known = None if array is None else concrete(array)
+    if known is not None and ((known < 0) | (known >= 1)).any():
+        problems.add(
+            "NOT_A_FRACTION",
+            where,
+            f"is {known}",
+            value=known,
+            limit="0 to below 1",
+            hint="Give 0.05 for 5 percent.",
+        )
+    return array
+
+
+def checked_spectra(bases: Excited, where: str, problems: Problems) -> tuple[Any, ...]:
+    """The spectra, and of records their samples. Errors: WRONG_KIND and those of records."""
+    found = []
+    for name, given, direction in zip(bases.names, bases.spectra, bases.directions, strict=True):
+        if isinstance(given, ResponseSpectrum):
+            if (
+                getattr(given, "kind", "pseudo") == "absolute"
+                or getattr(given, "side", "maximax") != "maximax"
+            ):
+                hint = 'Compute it with kind="pseudo" and side="maximax".'
+                problems.add(
+                    "BAD_KIND",
+                    f"{where} '{name}'",
+                    "is not of pseudo-accelerations",
+                    value=given,
+                    limit="pseudo or relative",
+                    hint=hint,
+                )
+            found.append(given)
+        elif isinstance(given, tuple) or hasattr(given, "channels"):
+            found.append(
+                checked_samples(
+                    given,
+                    "m/s2" if len(direction) == 1 else "rad/s2",
+                    f"{where} '{name}'",
+                    problems,
+                )
+            )
+        else:
+            problems.add(
+                "WRONG_KIND",
+                f"{where} '{name}'",
+                f"is a {type(given).__name__}",
+                value=given,
+                limit="a ResponseSpectrum or a record",
+            )
+    return tuple(found)
+
+
+def with_damping(modal: ModalExcitation, ratios: Any) -> ModalExcitation:
+    """The modes with these damping ratios."""
+    return eqx.tree_at(
+        lambda m: m.damping, modal, jnp.broadcast_to(device_array(ratios), modal.damping.shape)
+    )
+
+
+def check_covered(
+    modal: ModalExcitation, taken: Array, bases: Excited, given: tuple[Any, ...], where: str
+) -> None:
+    """Whether each spectrum is known at the frequencies and dampings of the modes that it excites.
+    Error: NOT_COVERED."""
+    spectra = [each for each in given if isinstance(each, ResponseSpectrum)]
+    if not is_concrete(modal, spectra) or np.asarray(modal.status).any() or np.ndim(modal.status):
+        return
+    with Problems() as problems:
+        for e, (name, each) in enumerate(zip(bases.names, given, strict=True)):
+            if not isinstance(each, ResponseSpectrum):
+                continue
+            wrong = np.flatnonzero(
+                np.asarray(
+                    taken & _is_excited(modal, e) & ~covered(each, modal.frequency, modal.damping)
+                )
+            )
+            if wrong.size:
+                (low, high), (least, most) = (
+                    tuple(map(float, ends)) for ends in (each.covers(), each.dampings())
+                )
+                listed = [
+                    (
+                        f"{j + 1} ({float(modal.frequency[j]):.6g} Hz, damping ratio "
+                        f"{float(modal.damping[j]):.4g})"
+                    )
+                    for j in wrong[:6]
+                ]
+                limit = f"{low:.6g} to {high:.6g} Hz, damping ratios {least:.4g} to {most:.4g}"
+                hint = (
+                    "Compute it there, give the record itself, state damping=, or "
+                    "highest= for rigid modes."
+                )
+                message = (
+                    f"does not cover mode{'s' * (wrong.size > 1)} "
+                    f"{', '.join(listed)}{', ...' * (wrong.size > 6)}"
+                )
+                problems.add(
+                    "NOT_COVERED", f"{where} '{name}'", message, value=wrong, limit=limit, hint=hint
+                )
+
+
+def _is_excited(modal: ModalExcitation, e: int) -> Array:
+    """Whether a mode has more than rounding of the mass that this excitation moves."""
+    mass = modal.mass[e]
+    return mass > 1e-12 * jnp.sum(mass)
+
+
+def covered(spectrum: ResponseSpectrum, f: Float[Array, "n"], zeta: Float[Array, "n"]) -> Array:
+    """Whether a spectrum is known there."""
+    (low, high), (least, most) = spectrum.covers(), spectrum.dampings()
+    within = (f >= low * (1 - ROUNDING)) & (f <= high * (1 + ROUNDING))
+    return within & (zeta >= least * (1 - ROUNDING)) & (zeta <= most * (1 + ROUNDING))
+
+
+def modal_peaks(
+    modal: ModalExcitation, given: Any, e: int, taken: Array
+) -> tuple[Float[Array, "ny n"], Float[Array, ""]]:
+    """Signed peaks of all modes under one excitation, and the peak of the base acceleration."""
+    w = 2 * jnp.pi * modal.frequency
+    alpha, beta, gamma = modal.readings * modal.participation[e][None, None]
+    sure, loose = (
+        alpha - w[None] ** 2 * gamma,
+        w[None] * (beta - 2 * (modal.damping * w)[None] * gamma),
+    )  # as x'' + a = -2 zeta w x' - w^2 x
+    sign = jnp.where(jnp.where(jnp.abs(sure) >= jnp.abs(loose), sure, loose) < 0, -1.0, 1.0)
+    if isinstance(given, ResponseSpectrum):
+        here = covered(given, modal.frequency, modal.damping) | ~taken | ~_is_excited(modal, e)
+        level = jnp.where(here, given(modal.frequency, modal.damping), jnp.nan) / w**2
+        return sign * root(sure**2 + loose**2) * level[None], given.rigid()
+    a = device_array(given[0])
+    s = poles(modal.frequency, modal.damping)
+    alpha, beta, gamma = (x.astype(s.dtype) for x in (alpha, beta, gamma))
+    c = (alpha + beta * s[None] + gamma * s[None] ** 2) / s.imag.astype(s.dtype)[None]
+    peaks = peaks_of(
+        given, jnp.broadcast_to(s[None], c.shape).ravel(), c.ravel(), "maximax", "continuous"
+    )
+    return sign * peaks.reshape(c.shape), jnp.max(jnp.abs(a))
+
+
+@program
+def _combined(
+    modal: ModalExcitation,
+    taken: Array,
+    peaks: Float[Array, "ne ny n"],
+    rigid: Float[Array, "ne"],
+    combine: str,
+):
+    """The fields of a result, up to its status."""
+    w2 = (2 * jnp.pi * modal.frequency) ** 2
+    follows = (
+        modal.participation[:, None] * (modal.readings[2] - modal.readings[0] / w2[None])[None]
+    )  # of modes that move with the base
+    rest = (modal.rest.T + jnp.sum(jnp.where(taken[None, None], 0.0, follows), -1)) * rigid[:, None]
+    peaks = jnp.where(taken[None, None], peaks, 0.0)
+    same = together(modal.cluster)
+    rho = (
+        correlations(modal.frequency, modal.damping, modal.cluster)
+        if combine == "CQC"
+        else same.astype(w2.dtype)
+    )
+    each, parts = combined(peaks, rest, rho, combine)
+    parts = jnp.sum(parts, 0)
+    whole = jnp.sum(parts, -1)
+    values = whole if combine == "absolute" else root(whole)
+    shares = parts / jnp.where(whole == 0, 1.0, whole)[:, None]
+    status = jnp.where(
+        (modal.status == Status.OK) & ~jnp.isfinite(values).all(),
+        Status.NONFINITE.value,
+        modal.status,
+    )
+    masses = (modal.participation, modal.mass)
+    return values, shares, each, peaks, rest, *masses, modal.frequency, modal.damping, taken, status

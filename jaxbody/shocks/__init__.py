@@ -1,2 +1,0 @@
-"""Shock and earthquake: response spectra, maxima by spectra, floor spectra, design spectra and
-records that meet them."""

@@ -1,1 +1,0 @@
-"""Equilibria and their stability, load paths, load cases, preload, rest on a moving base."""

@@ -1,0 +1,1 @@
+"""Closed loops: assembled configurations, driven positions, curves; ready cars and models."""

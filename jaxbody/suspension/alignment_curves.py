@@ -1,0 +1,522 @@
+"""Curves of suspensions: camber, toe, the steering axis, motion ratios, wheel rates and roll center
+over travel and steering."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Float, Int, checked, is_concrete, rows_or_nan
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
+from jaxbody.core.results import Result, warn_if_failed, without_derivatives
+from jaxbody.geometry.frames import Pose
+from jaxbody.geometry.vectors import axial, cross, dot, product, rotate
+from jaxbody.mechanics.constraints import RANK, closure_gaps, values_and_slopes
+from jaxbody.model.elements.elements import LineElement
+from jaxbody.model.inputs.loads import Load, loads_of
+from jaxbody.model.joints.element_tables import each_element
+from jaxbody.model.joints.kinematics import Chart, Coordinates
+from jaxbody.model.leaf_paths import springs_of
+from jaxbody.model.models import Model
+from jaxbody.model.preconditions import check_precision
+from jaxbody.model.sizes import scale_of, size_of
+from jaxbody.suspension.driven_positions import (
+    Drive,
+    conditions,
+    drives_of,
+    position,
+    positions,
+    readings,
+)
+from jaxbody.suspension.resting_positions import RestingSystem, resting_position, resting_positions
+from jaxbody.suspension.wheels import Wheel
+
+WORDS = (
+    "camber, toe, caster, kingpin, trail, scrub, wheel, contact, roll, side, motion, length, "
+    "wheel force, wheel rate"
+)
+ORDER = tuple(WORDS.split(", "))  # of printed curves, by the words with which their names begin
+ANGLES = (
+    "camber",
+    "toe",
+    "caster",
+    "kingpin",
+    "side view angle of the contact",
+    "side view angle of the center",
+)
+MOST_COLUMNS = 6  # of curves in a printed table
+# of the size of the model: how far the wheel may move while all driven readings are held
+FREE = 1e-6
+
+
+class SuspensionCurves(Labeled, Result):
+    """Curves of a suspension: `curves["camber"]` (n,) over the driven readings `over` {name: (n,)},
+    `slopes["travel"]["camber"]` their derivatives by a driven reading, in SI units (rad, m, N/m).
+    See `suspension_curves`.
+
+    `status` (n,): NOT_CLOSED beyond reach, with NaN in all curves. `q` (n, nq):
+    the configurations."""
+
+    index = "row"
+    over: dict[str, Float[Array, "n"]]
+    curves: dict[str, Float[Array, "n"]]
+    slopes: dict[str, dict[str, Float[Array, "n"]]]
+    q: Float[Array, "n nq"]
+    status: Int[Array, "n"]
+    model: Model
+    drives: tuple[Drive, ...]
+    wheel: Wheel
+
+    def __getitem__(self, name: str) -> Float[Array, "n"]:
+        if name not in self.curves:
+            raise JaxbodyError(unknown(name, "curves[...]", tuple(self.curves)))
+        return self.curves[name]
+
+    def report(self) -> str:
+        """The number of rows of each status, and the last driven readings that were reached before
+        the first that were not."""
+        text = super().report()
+        if not is_concrete(self.status) or np.asarray(self.ok).all():
+            return text
+        last = int(np.argmax(~np.asarray(self.ok))) - 1
+        if last < 0:
+            return f"{text}; the first row is beyond reach"
+        over = without_derivatives(self.over)
+        values = ", ".join(
+            f"{drive.name} = {float(over[drive.name][last]):.6g} {drive.unit}"
+            for drive in self.drives
+        )
+        return f"{text}; the last values within reach: {values}"
+
+    def unit(self, name: str) -> str:
+        """The unit of a curve or of a driven reading."""
+        for drive in self.drives:
+            if drive.name == name:
+                return drive.unit
+        return curve_unit(name)
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        driven, shown = [drive.name for drive in self.drives], []
+        names = sorted(
+            self.curves,
+            key=lambda name: max(i for i, start in enumerate(ORDER) if name.startswith(start)),
+        )
+        for begin in range(0, len(names), MOST_COLUMNS):
+            part = [*driven, *names[begin : begin + MOST_COLUMNS]]
+            heads = tuple(
+                f"{name} [{_printed_unit(self.unit(name))}]".replace(" []", "") for name in part
+            )
+            columns = [
+                _printed(np.asarray((self.over | self.curves)[name]), self.unit(name))
+                for name in part
+            ]
+            shown.append(
+                tables.PrintedTable(
+                    "Suspension" if not shown else "", heads, list(zip(*columns, strict=True))
+                )
+            )
+        if self.failure:
+            shown[-1].note = self.failure
+        return shown
+
+    def to_xarray(self):
+        everything = {**self.over, **self.curves}
+        variables = {
+            name: (("row",), values, self.unit(name)) for name, values in everything.items()
+        }
+        for drive, slopes in self.slopes.items():
+            unit = self.unit(drive)
+            variables |= {
+                f"{name} by {drive}": (("row",), values, f"{self.unit(name) or '1'}/{unit}")
+                for name, values in slopes.items()
+            }
+        return dataset(variables, {"row": np.arange(len(self.status))}, "suspension curves")
+
+
+def curve_unit(name: str) -> str:
+    """The unit of a curve."""
+    if name in ANGLES:
+        return "rad"
+    return {"wheel force": "N", "wheel rate": "N/m"}.get(
+        name, "" if name.startswith("motion ratio") else "m"
+    )
+
+
+def _printed_unit(unit: str) -> str:
+    return {"rad": "deg", "m": "mm", "N/m": "N/mm"}.get(unit, unit)
+
+
+def _printed(values: np.ndarray, unit: str) -> list[float]:
+    shown = values * {"rad": 180 / np.pi, "m": 1e3, "N/m": 1e-3}.get(unit, 1.0)
+    return tables.without_dust(shown, 1.0).tolist()
+
+
+def suspension_curves(
+    model: Model,
+    *,
+    drive: Mapping[str, Any],
+    over: Mapping[str, Any],
+    wheel: Wheel,
+    steer: str | None = None,
+    equilibrium: bool = False,
+    loads: dict[str, Load] | None = None,
+) -> SuspensionCurves:
+    """Curves of a wheel over its travel and steering, in the configurations in which driven
+    readings have these values.
+
+        c(q) = 0,   r_i(q) - r_i(q_0) = x_i
+
+    Angles and places of the wheel and of its steering axis are those of ISO 8855
+    (suspension/wheels.py). With l(x) the elongation of a spring, V the energy of all elements, and
+    v = dC/dx the velocity of the point of the upright at the contact C, by the travel x:
+
+        motion ratio   dl/dx; the length of an element between two points
+        wheel force    dV/dx, upward at the wheel
+        wheel rate     d2V/dx2
+        roll center height above the ground    C_y v_y/v_z
+        side view angle of the contact         atan2(-v_x, v_z), that of locked brakes; of the
+                                               center likewise
+
+    Args:
+        model: a model with closures, x forward, y to the left, z up; its supports are at rest
+        drive: {name: sensor of one number, such as Position("upright", point, axis="z"), or
+            "rack.q", or a wheel for the rise of its center}, the travel first
+        over: {name: values}, changes from the assembled reference [m or rad]; a single number holds
+            a reading
+        wheel: the wheel
+        steer: the name of the drive that steers; None: the second one. Where the wheel has no
+            kingpin, its steering axis is the screw axis of the motion by this drive, with the
+            others held
+        equilibrium: whether what closures and readings leave free is in equilibrium, as in a model
+            of bushings (`jb.compliant`)
+        loads: {name: load} of this equilibrium, such as a side force at the wheel; by default none
+
+    The curves have exact derivatives by every number of the model, so that they can be part of an
+    objective of `tune` or of a loss of your own: to the fourth order in all, those by the travel in
+    ratios, rates and slopes included.
+
+    Errors: UNDRIVEN where the wheel can move while all readings are held, unless in equilibrium, or
+    a drive moves nothing; UNKNOWN_NAME, UNKNOWN_BODY for a load, BAD_OPTION for loads without
+    equilibrium or that without elements, BAD_SHAPE, NON_FINITE; warns NOT_CLOSED where a value is
+    beyond reach, UNSTABLE where the energy has no minimum.
+
+    Source: ISO 8855 for signs; the screw axis of a twist (w, v) passes through w x v/|w|^2.
+
+    A wheel on two parallel arms of 0.4 m moves on a circle, without camber:
+
+    >>> part = Body(mass=1.0, inertia=[1, 1, 1])
+    >>> arms = {
+    ...     name: Hinge("world", axis="x", at=[0, 0.3, z])
+    ...     for name, z in (("lower", 0.2), ("upper", 0.5))
+    ... }
+    >>> closures = {
+    ...     "upper joint": jb.closures.Ball(("upper", [0, 0.7, 0.5]), ("upright", [0, 0.7, 0.5]))
+    ... }
+    >>> model = Model(bodies=dict.fromkeys(["lower", "upper", "upright"], part), closures=closures,
+    ...               joints={**arms, "upright": Hinge("lower", axis="x", at=[0, 0.7, 0.2])})
+    >>> wheel = Wheel(
+    ...     "upright",
+    ...     center=[0, 0.75, 0.3],
+    ...     axis="y",
+    ...     radius=0.3,
+    ...     kingpin=[[0, 0.7, 0.2], [0, 0.7, 0.5]],
+    ... )
+    >>> curves = suspension_curves(
+    ...     model,
+    ...     drive={"travel": Position("upright", [0, 0.75, 0.3], axis="z")},
+    ...     over={"travel": [0.0, 0.24]},
+    ...     wheel=wheel,
+    ... )
+    >>> jnp.round(curves["wheel y"], 9).tolist(), jnp.round(jnp.abs(curves["camber"]), 9).tolist()
+    ([0.75, 0.67], [0.0, 0.0])
+    """
+    found = arguments_of(model, drive, over, wheel, steer, "suspension_curves", resting=equilibrium)
+    with Problems() as problems:
+        acting = loads_of(loads, model.layout.bodies, "suspension_curves.loads")
+        if acting and not equilibrium:
+            hint = "Say equilibrium=True, or leave the loads out."
+            problems.add(
+                "BAD_OPTION",
+                "suspension_curves.loads",
+                "act on what is held by its readings",
+                limit="an equilibrium",
+                hint=hint,
+            )
+        if equilibrium and not model.elements:
+            limit, hint = (
+                "a model with springs or bushings",
+                "Leave the option out, or give the model elements (`jb.compliant`).",
+            )
+            problems.add(
+                "BAD_OPTION",
+                "suspension_curves.equilibrium",
+                "has no elements to rest on",
+                limit=limit,
+                hint=hint,
+            )
+    return warn_if_failed(_curves(*found, acting if equilibrium else None))
+
+
+def curve_names(
+    model: Model, drive: Mapping[str, Any], over: Mapping[str, Any], wheel: Wheel, where: str
+) -> tuple[str, ...]:
+    """The names of the curves of a model, without computing them. Errors: those
+    of `suspension_curves`."""
+    found = arguments_of(model, drive, over, wheel, None, where)
+    return tuple(jax.eval_shape(lambda: _curves(*found).curves))
+
+
+def arguments_of(
+    model: Model,
+    drive: Mapping[str, Any],
+    over: Mapping[str, Any],
+    wheel: Wheel,
+    steer: str | None,
+    where: str,
+    resting: bool = False,
+):
+    """The arguments of `suspension_curves`, checked: model, drives, targets, wheel, name of the
+    drive that steers."""
+    check_precision(where, model)
+    drives = drives_of(model, dict(drive), f"{where}.drive")
+    frames = model.layout.frames
+    if wheel.on not in frames:
+        raise JaxbodyError(unknown(wheel.on, f"{where}.wheel.on", frames))
+    targets = _targets(drives, over, where)
+    steering = steer if steer is not None else (drives[1].name if len(drives) > 1 else None)
+    if steering is not None and steering not in drive:
+        raise JaxbodyError(unknown(steering, f"{where}.steer", tuple(drive)))
+    if is_concrete(model):
+        _check_determined(model, drives, wheel, where, resting)
+    return model, drives, targets, wheel, steering
+
+
+def _targets(drives: tuple[Drive, ...], over: Mapping[str, Any], where: str) -> Any:
+    """(n, nd) values of the driven readings."""
+    names, values = tuple(drive.name for drive in drives), {}
+    with Problems() as problems:
+        for name in over:
+            if name not in names:
+                problem = unknown(name, f"{where}.over", names)
+                problems.add(
+                    problem.code, problem.where, problem.message, value=name, hint=problem.hint
+                )
+        lengths = {n for x in over.values() if (n := np.shape(x)) != ()}
+        shape = next(iter(lengths), (1,))
+        for name in names:
+            if name not in over:
+                hint = "Give a number to hold it."
+                problems.add(
+                    "BAD_SHAPE",
+                    f"{where}.over",
+                    f"has no values of '{name}'",
+                    value=name,
+                    limit=str(shape),
+                    hint=hint,
+                )
+                continue
+            array = checked(
+                over[name],
+                ((), shape),
+                f"{where}.over['{name}']",
+                problems,
+                "One number, or as many as the others have.",
+            )
+            values[name] = array
+    xp: Any = np if all(is_concrete(x) for x in values.values()) else jnp
+    return jnp.asarray(
+        xp.stack([xp.broadcast_to(xp.asarray(values[name]), shape) for name in names], -1)
+    )
+
+
+def _check_determined(
+    model: Model, drives: tuple[Drive, ...], wheel: Wheel, where: str, resting: bool
+) -> None:
+    """Errors: UNDRIVEN."""
+    slopes, closures, moved = map(np.asarray, _slopes_at_reference(model, drives, wheel))
+    if np.isnan(slopes).any():  # there is no assembled reference: all rows are NOT_CLOSED
+        return
+    names, count = [drive.name for drive in drives], len(slopes) - len(drives)
+    with Problems() as problems:
+        free = (
+            scipy.linalg.null_space(closures, rcond=RANK)
+            if len(closures)
+            else np.eye(slopes.shape[1])
+        )
+        for name, row in zip(names, slopes[count:], strict=True):
+            if np.abs(row @ free).max(initial=0.0) <= 1e-9:
+                hint = "Drive a reading that the closures leave free."
+                problems.add(
+                    "UNDRIVEN",
+                    f"{where}.drive['{name}']",
+                    "does not move while the closures are fulfilled",
+                    value=name,
+                    hint=hint,
+                )
+        held = scipy.linalg.null_space(slopes, rcond=RANK)
+        loose = np.abs(moved @ held).max(initial=0.0)
+        if not problems.collected and loose > FREE and not resting:
+            worst = model.layout.coordinates[int(np.argmax(np.abs(held).max(1)))]
+            hint = (
+                f"Drive one more reading for each freedom, such as one of '{worst}'; or "
+                "equilibrium=True leaves the rest in equilibrium."
+            )
+            message = f"leaves the wheel free to move: {held.shape[1]} freedoms remain"
+            problems.add(
+                "UNDRIVEN",
+                f"{where}.drive",
+                message,
+                value=names,
+                limit="all freedoms of the wheel",
+                hint=hint,
+            )
+
+
+@program
+def _slopes_at_reference(model: Model, drives: tuple[Drive, ...], wheel: Wheel):
+    """At the assembled reference, by increments in meters: slopes of all conditions, of the
+    closures alone, and of the wheel's center and axis."""
+    q = model.reference.q
+    chart, scale, size = Chart(model), scale_of(model, size_of(model))[None], size_of(model)
+    row = model.layout.frame(wheel.on)
+
+    def of_wheel(q: Array) -> Array:
+        pose = Coordinates(model).at_rest(q)[row].pose()
+        return jnp.concatenate([pose.point(wheel.center), size * rotate(pose.R, wheel.axis)])
+
+    target = readings(model, drives, q)
+    parts = (
+        lambda q: conditions(model, (drives, target), q),
+        lambda q: closure_gaps(model, None, q),
+        of_wheel,
+    )
+    return tuple(values_and_slopes(chart, part, q)[1] * scale for part in parts)
+
+
+@program
+def _curves(
+    model: Model,
+    drives: tuple[Drive, ...],
+    targets: Float[Array, "n nd"],
+    wheel: Wheel,
+    steer: str | None,
+    loads: tuple[Load, ...] | None = None,
+) -> SuspensionCurves:
+    """`loads`: of an equilibrium; None: the readings hold all that matters."""
+    names, start = [drive.name for drive in drives], model.reference.q
+    targets = targets.astype(start.dtype)
+    zero, row = readings(model, drives, start), model.layout.frame(wheel.on)
+    side = wheel.side(Coordinates(model).at_rest(start)[row].pose())
+    steering = None if steer is None else names.index(steer)
+    fixed, driven, goals, begin = jax.lax.stop_gradient(
+        (model, drives, targets + zero[None], start)
+    )
+    if loads is None:
+        known, status = positions(fixed, driven, goals, begin)
+        find = lambda x, known: position(model, drives, x, known)  # noqa: E731
+    else:
+        known, status, k = resting_positions(
+            fixed, tuple(map(jax.lax.stop_gradient, loads)), driven, goals, begin
+        )
+        find = lambda x, known: resting_position(RestingSystem(model, loads, drives, k), x, known)  # noqa: E731
+
+    def at(x: Float[Array, "nd"], known: Any):
+        def placed(x: Array):
+            q = find(x + zero, known)
+            return _placed(model, q, row), q
+
+        def read(x: Array):
+            slopes, (values, q) = jax.jacfwd(_with_value(placed), has_aux=True)(x)
+            return _read(wheel, side, steering, values, slopes[0], model), q
+
+        (slopes, _), (values, q) = jax.jacfwd(_with_value(read), has_aux=True)(x)
+        return values, slopes, q
+
+    values, slopes, q = jax.vmap(at)(targets, known)
+    if model.elements:
+        values["wheel rate"] = slopes["wheel force"][:, 0]
+    found = status == Status.OK
+    values: dict[str, Any] = {name: rows_or_nan(found, x) for name, x in values.items()}
+    by_drive: dict[str, Any] = {
+        drive: {name: rows_or_nan(found, x[:, i]) for name, x in slopes.items()}
+        for i, drive in enumerate(names)
+    }
+    q = rows_or_nan(found[:, None], q)
+    over: dict[str, Any] = dict(zip(names, targets.T, strict=True))
+    return SuspensionCurves(
+        over=over,
+        curves=values,
+        slopes=by_drive,
+        q=q,
+        status=status,
+        model=model,
+        drives=drives,
+        wheel=wheel,
+    )
+
+
+def _with_value(function):
+    """(y, y) for y = function(x), so that a derivative with auxiliary data traces it once."""
+    return lambda x: ((y := function(x)), y)
+
+
+def _placed(model: Model, q: Float[Array, "nq"], row: int):
+    """(pose of the wheel's body, deformations of the elements that have one, V of the elements) in
+    a configuration."""
+    frames = Coordinates(model).at_rest(q)
+    e = each_element(model, frames, lambda s, *F: jnp.atleast_1d(s.deformation(*F)))
+    V = sum(
+        (jnp.sum(v) for v in each_element(model, frames, lambda s, *F: s.potential(*F))),
+        jnp.zeros((), q.dtype),
+    )
+    return (
+        frames[row].pose(),
+        jnp.concatenate([jnp.zeros(0, q.dtype), *(x[:, 0] for x in e if x.shape[1] == 1)]),
+        V,
+    )
+
+
+def _read(
+    wheel: Wheel, side: Array, steer: int | None, placed: Any, slopes: Any, model: Model
+) -> dict[str, Array]:
+    """All curves at one set of driven readings, from what `_placed` returns and its derivatives by
+    the readings."""
+    (pose, e, _), (turning, e_slopes, V_slopes), single = placed, slopes, springs_of(model)
+    center, C = pose.point(wheel.center), wheel.contact(pose)
+    found = wheel.alignment(pose, side)
+    if wheel.kingpin is not None:
+        lower, upper = pose.point(wheel.kingpin[0]), pose.point(wheel.kingpin[1])
+        found |= wheel.steering(pose, side, lower, upper - lower)
+    elif steer is not None:
+        w, v = _twist(pose, turning, steer)
+        found |= wheel.steering(pose, side, pose.p + cross(w, v) / dot(w, w), w)
+    w, v = _twist(pose, turning, 0)
+    at_contact, at_center = v + cross(w, C - pose.p), v + cross(w, center - pose.p)
+    found["roll center height"] = C[1] * at_contact[1] / at_contact[2]
+    found["side view angle of the contact"] = jnp.arctan2(-at_contact[0], at_contact[2])
+    found["side view angle of the center"] = jnp.arctan2(-at_center[0], at_center[2])
+    found |= {f"motion ratio of {name}": e_slopes[i, 0] for i, name in enumerate(single)}
+    for table in model.elements:
+        if isinstance(table.rows, LineElement):
+            lengths = [
+                e[single.index(name)] + table.rows.free_length[i]
+                for i, name in enumerate(table.names)
+            ]
+            found |= {
+                f"length of {name}": length
+                for name, length in zip(table.names, lengths, strict=True)
+            }
+    return found | ({"wheel force": V_slopes[0]} if single else {})
+
+
+def _twist(pose: Pose, slopes: Pose, i: int):
+    """Angular velocity and velocity of the origin per unit of a driven reading."""
+    return axial(product(slopes.R[..., i], pose.R.T)), slopes.p[..., i]

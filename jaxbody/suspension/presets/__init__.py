@@ -1,0 +1,24 @@
+"""Ready models; public as jaxbody.presets."""
+
+from jaxbody.core.compilation.late_imports import late_names
+
+__getattr__, __dir__, __all__ = late_names(
+    "jaxbody.suspension.presets",
+    {  # `__init__.pyi` says the same to editors and type checkers
+        "linkages": ("four_bar",),
+        "presets": (
+            "coupled_gliders",
+            "double_pendulum",
+            "elastic_pendulum",
+            "engine_on_mounts",
+            "full_car",
+            "full_car_on_double_wishbones",
+            "half_car",
+            "hydraulic_engine_mounts",
+            "isolated_table",
+            "quarter_car",
+            "stewart_table",
+        ),
+        "rubber_presets": ("rubber_isolators",),
+    },
+)

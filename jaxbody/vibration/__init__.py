@@ -1,0 +1,1 @@
+"""Small motions: matrices, state space, modes; responses to harmonic and random excitation."""

@@ -1,0 +1,280 @@
+"""Human response to vibration: the frequency weightings of ISO 2631 and the vibration dose value,
+for spectral densities and signals.
+
+With w_i = 2 pi f_i a weighting is the product of a Butterworth high-pass (f1) and low-pass (f2) of
+second order, a transition from acceleration to velocity (1 + s/w3)/(1 + s/(Q4 w4) + (s/w4)^2), and
+a step K (1 + s/(Q5 w5) + (s/w5)^2)/(1 + s/(Q6 w6) + (s/w6)^2) (w5/w6)^2. Parameters: ISO
+8041:2005, table 3.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import field
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Complex, Float, Int, is_concrete
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
+from jaxbody.core.jax_internals import Tracer
+from jaxbody.core.results import Result
+from jaxbody.records.samplings import even_samples
+from jaxbody.vibration.frequency_responses import check_frequencies
+from jaxbody.vibration.random_responses import RandomResponse, root_mean_square
+
+NONE = np.inf
+
+
+class Filter(NamedTuple):
+    """The parameters of a weighting, frequencies in Hz."""
+
+    f1: float
+    f2: float
+    f3: float
+    f4: float
+    Q4: float
+    f5: float = NONE
+    Q5: float = 1.0
+    f6: float = NONE
+    Q6: float = 1.0
+    K: float = 1.0
+
+
+WEIGHTINGS = {
+    "Wb": Filter(0.4, 100.0, 16.0, 16.0, 0.55, 2.5, 0.9, 4.0, 0.95, 1.024),
+    "Wc": Filter(0.4, 100.0, 8.0, 8.0, 0.63),
+    "Wd": Filter(0.4, 100.0, 2.0, 2.0, 0.63),
+    "We": Filter(0.4, 100.0, 1.0, 1.0, 0.63),
+    "Wf": Filter(0.08, 0.63, NONE, 0.25, 0.86, 0.0625, 0.8, 0.1, 0.8),
+    "Wj": Filter(0.4, 100.0, NONE, NONE, 1.0, 3.75, 0.91, 5.32, 0.91),
+    "Wk": Filter(0.4, 100.0, 12.5, 12.5, 0.63, 2.37, 0.91, 3.35, 0.91),
+}
+HINT = (
+    "Wk is for z, Wd for x and y, Wb for z in trains, Wc for seat backs, We for rotation, Wj for "
+    "recumbent heads, Wf for motion sickness."
+)
+DECAY_PERIODS = 3.2  # of the high-pass, in which its transient decays to less than 1e-6
+
+
+class WeightedSignal(Result):
+    """`values` of a signal after weighting, over `times`; `rms` over the whole record, `peak`, the
+    largest absolute value, `crest_factor` = peak/rms, and `dose`, the vibration dose value
+    [m/s1.75] from the beginning to each time; `vdv` is that of the whole record."""
+
+    times: Float[Array, "nt"]
+    values: Float[Array, "nt"]
+    rms: Float[Array, ""]
+    peak: Float[Array, ""]
+    crest_factor: Float[Array, ""]
+    dose: Float[Array, "nt"]
+    status: Int[Array, ""]
+    name: str = field(static=True)
+
+    @property
+    def vdv(self) -> Float[Array, ""]:
+        """The vibration dose value of the whole record [m/s1.75], (int a_w^4 dt)^(1/4)."""
+        return self.dose[..., -1]
+
+    @property
+    def estimated_vdv(self) -> Float[Array, ""]:
+        """The estimate of the dose for crest factors below 6 [m/s1.75]: 1.4 rms T^(1/4), T the
+        length of the record."""
+        return 1.4 * self.rms * (self.times[..., -1] - self.times[..., 0]) ** 0.25
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        unit = _unit(self.name)
+        rows = [
+            (f"rms [{unit}]", self.rms),
+            (f"peak [{unit}]", self.peak),
+            ("crest factor", self.crest_factor),
+            (
+                f"vibration dose value [{unit[:-1]}1.75]",
+                self.dose if isinstance(self.dose, Tracer) else np.asarray(self.dose)[..., -1],
+            ),
+        ]
+        return [tables.PrintedTable(f"Signal weighted by {self.name}", ("", ""), rows)]
+
+
+def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
+    """A frequency weighting at frequencies [Hz], complex, from acceleration to weighted
+    acceleration [m/s2, or rad/s2 for We].
+
+    Args:
+        name: Wk (vertical, seated or standing), Wd (horizontal), Wf (motion sickness), Wc (seat
+            back), We (rotation), Wj (head, recumbent), Wb (vertical, in trains).
+        frequencies: frequencies in one row [Hz].
+
+    Errors: BAD_WEIGHTING, BAD_FREQUENCY, BAD_SHAPE. Source: ISO 2631-1:1997, annex A; for Wb ISO
+    2631-4:2001; parameters as in ISO 8041:2005, table 3.
+
+    >>> [round(float(abs(w)), 3) for w in weighting("Wk", [1.0, 8.0])]
+    [0.482, 1.036]
+    """
+    _check_weighting(name, "weighting.name")
+    return _weighting(name, check_frequencies(frequencies, "weighting.frequencies"))
+
+
+def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomResponse:
+    """A random response with weighted accelerations, {output: "Wk", or another `weighting`}:
+    densities times |W|^2, weighted rms.
+
+    Other outputs are omitted. Errors: UNKNOWN_NAME, BAD_WEIGHTING, BAD_UNIT for an output that is
+    not an acceleration (angular for We, else linear). Source: ISO 2631-1:1997.
+
+    >>> model = jb.presets.quarter_car(damping=1500.0)
+    >>> response = random_response(
+    ...     linearize(model, equilibrium(model)),
+    ...     Band(0.1, 100.0),
+    ...     {"road": BaseMotion("road", "z")},
+    ...     {"body": Acceleration("body", axis="z")},
+    ...     {"road": Unevenness.iso("C").at_speed(20.0)},
+    ... )
+    >>> bool(weighted(response, {"body": "Wk"})["body"] < response["body"])
+    True
+    """
+    with Problems() as problems:
+        for output, name in weights.items():
+            if output not in response.outputs:
+                problems.collected.append(unknown(output, "weighted", response.outputs))
+                continue
+            if name not in WEIGHTINGS:
+                problems.add(
+                    "BAD_WEIGHTING",
+                    f"weighted[{output!r}]",
+                    f"is {name!r}",
+                    value=name,
+                    limit=" ".join(WEIGHTINGS),
+                    hint=HINT,
+                )
+            unit, limit = response.units[response.outputs.index(output)], _unit(name)
+            if unit != limit:
+                hint = "Give an Acceleration; We is for an AngularAcceleration."
+                problems.add(
+                    "BAD_UNIT",
+                    f"weighted[{output!r}]",
+                    f"is in {unit}",
+                    value=unit,
+                    limit=limit,
+                    hint=hint,
+                )
+    rows, names = (
+        tuple(response.outputs.index(output) for output in weights),
+        tuple(weights.values()),
+    )
+    psd, rms = _weighted(
+        response.psd, response.rms, response.frequencies, response.weights, rows, names
+    )
+    return RandomResponse(
+        response.frequencies,
+        psd,
+        rms,
+        response.weights,
+        response.coarse,
+        response.status,
+        tuple(weights),
+        tuple(map(_unit, names)),
+    )
+
+
+@program
+def _weighted(
+    psd: Float[Array, "*b ny nf"],
+    rms: Float[Array, "*b ny"],
+    f: Float[Array, "*b nf"],
+    weights: Float[Array, "*b nf"],
+    rows: tuple[int, ...],
+    names,
+):
+    """The rows of the densities times the squares of these weightings, and their root
+    mean squares."""
+    factors = jnp.stack([jnp.abs(_weighting(name, f)) ** 2 for name in names], -2)
+    psd = psd[..., np.array(rows, int), :] * factors
+    infinite = jnp.isinf(rms[..., np.array(rows, int)])
+    return psd, jnp.where(infinite, jnp.inf, root_mean_square(psd, weights[..., None, :]))
+
+
+def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
+    """A weighted acceleration [m/s2] over evenly spaced times [s], from rest: its rms, crest factor
+    and vibration dose value.
+
+        VDV = (int a_w^4 dt)^(1/4)
+
+    `name`: of a `weighting`. The frequency response multiplies the Fourier transform of the record,
+    padded with zeros until the filter has decayed: exact up to half the sampling rate, unlike
+    digital filters of the same order, and differentiable. Sample at 200 Hz or more; weightings
+    extend to 80 Hz. Errors: BAD_WEIGHTING, NOT_UNIFORM, BAD_SHAPE, NON_FINITE. Source: ISO
+    2631-1:1997, 6.1 and 6.3.2.
+
+    >>> t = jnp.arange(0.0, 20.0, 0.005)
+    >>> signal = weighted_signal(t, jnp.sin(2 * jnp.pi * 5.0 * t), "Wk")
+    >>> round(float(signal.rms * 2**0.5), 2), round(float(signal.crest_factor), 1)
+    (1.04, 1.5)
+    >>> round(float(signal.vdv / (3 / 8 * 20.0) ** 0.25), 2)
+    1.04
+    """
+    _check_weighting(name, "weighted_signal.name")
+    with Problems() as problems:
+        a, step = even_samples(
+            times, acceleration, ("weighted_signal.times", "weighted_signal.acceleration"), problems
+        )
+    padding = (
+        int(np.ceil(DECAY_PERIODS / WEIGHTINGS[name].f1 / float(step)))
+        if is_concrete(step)
+        else np.size(times)
+    )
+    results = _weighted_signal(jnp.asarray(a, float), jnp.asarray(step), name, padding)
+    return WeightedSignal(jnp.asarray(times, float), *results, jnp.array(Status.OK.value), name)
+
+
+@program
+def _weighting(name: str, f: Float[Array, "nf"]) -> Complex[Array, "nf"]:
+    p, s = WEIGHTINGS[name], jax.lax.complex(jnp.zeros_like(f), f)
+    W = p.K * s**2 / (s**2 + 2**0.5 * p.f1 * s + p.f1**2)
+    W = W / (1 + 2**0.5 * s / p.f2 + (s / p.f2) ** 2)
+    W = W * (1 + s / p.f3) / (1 + s / (p.Q4 * p.f4) + (s / p.f4) ** 2)
+    if p.f5 == NONE:
+        return W
+    return (
+        W
+        * (1 + s / (p.Q5 * p.f5) + (s / p.f5) ** 2)
+        / (1 + s / (p.Q6 * p.f6) + (s / p.f6) ** 2)
+        * (p.f5 / p.f6) ** 2
+    )
+
+
+@program
+def _weighted_signal(a: Float[Array, "nt"], step: Float[Array, ""], name: str, padding: int):
+    n = len(a) + padding
+    W = _weighting(name, jnp.fft.rfftfreq(n) / step)
+    values = jnp.fft.irfft(jnp.fft.rfft(a, n) * W, n)[: len(a)]
+    rms, peak = _root(jnp.mean(values**2), 2), jnp.max(jnp.abs(values))
+    return values, rms, peak, peak / jnp.where(rms > 0, rms, 1.0), dose(values, step)
+
+
+def dose(values: Float[Array, "nt"], step: Any) -> Float[Array, "nt"]:
+    """(int a^4 dt)^(1/4) from the beginning to each time, by trapezoids."""
+    fourth = values**4
+    return _root(
+        jnp.concatenate([jnp.zeros(1), jnp.cumsum((fourth[1:] + fourth[:-1]) / 2)]) * step, 4
+    )
+
+
+def _root(x: Array, n: int) -> Array:
+    """x^(1/n), whose derivative at zero is zero."""
+    positive = x > 0
+    return jnp.where(positive, jnp.where(positive, x, 1.0) ** (1 / n), 0.0)
+
+
+def _unit(name: str) -> str:
+    return "rad/s2" if name == "We" else "m/s2"
+
+
+def _check_weighting(name: Any, where: str) -> None:
+    if name not in WEIGHTINGS:
+        raise JaxbodyError(
+            Problem("BAD_WEIGHTING", where, f"is {name!r}", name, " ".join(WEIGHTINGS), HINT)
+        )

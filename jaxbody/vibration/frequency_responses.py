@@ -1,0 +1,421 @@
+"""Frequency response of small motions: from motions of supports and forces to motions of points,
+forces of elements and reactions.
+
+    D(w) Delta = (K~ + i w C~ - w^2 M~ + i H~) Xi + F f,    D = K + i w C - w^2 M + i H
+
+H is hysteretic (structural) damping, the sum over the elements of eta V''(e) de de: a loss factor
+times the elastic stiffness, without gravity and tension. Frequencies are the last axis of all
+arrays, so that operations run along them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import field
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import (
+    Array,
+    Complex,
+    Float,
+    Int,
+    checked,
+    concrete,
+    device_array,
+    float_array,
+    is_concrete,
+)
+from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.mechanics.element_derivatives import element_derivatives
+from jaxbody.mechanics.hessians import configuration_at
+from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.models import Model
+from jaxbody.model.preconditions import check_memory
+from jaxbody.numerics.eigenproblems import ZERO, natural
+from jaxbody.sensors.instruments import LoadCell
+from jaxbody.sensors.sensors import Sensor
+from jaxbody.vibration.dynamic_matrices import DynamicMatrices, are_many, is_unstable, solved
+from jaxbody.vibration.linearizations import Linearization, check_system
+from jaxbody.vibration.modal_dampings import NO_MODES, with_modal_damping
+from jaxbody.vibration.ports import Ports, check_ports, port_matrices, reads_matrices
+
+METHODS = ("direct", "modal")
+
+
+class FrequencyResponse(Labeled, Result):
+    """`values` (outputs, inputs, frequencies), complex: each output per unit of an input exp(i 2 pi
+    f t).
+
+    `response["seat", "road"]` is one pair over `frequencies` [Hz]; `magnitude`, and `phase` [rad],
+    unwrapped over the frequencies. From a displacement of a support to a displacement, the
+    magnitude is the transmissibility. `status` UNSTABLE (values NaN), SINGULAR_K where a free
+    motion has no response at 0 Hz (NaN there), or that of the equilibrium."""
+
+    index = "frequency"
+    frequencies: Float[Array, "nf"]
+    values: Complex[Array, "ny nu nf"]
+    status: Int[Array, ""]
+    inputs: tuple[str, ...] = field(static=True)
+    outputs: tuple[str, ...] = field(static=True)
+    input_units: tuple[str, ...] = field(static=True)
+    output_units: tuple[str, ...] = field(static=True)
+
+    @property
+    def magnitude(self) -> Float[Array, "ny nu nf"]:
+        return jnp.abs(self.values)
+
+    @property
+    def phase(self) -> Float[Array, "ny nu nf"]:
+        angle = jnp.angle(self.values)
+        return jnp.where(jnp.isnan(angle), jnp.nan, jnp.unwrap(jnp.nan_to_num(angle), axis=-1))
+
+    def __getitem__(self, pair: tuple[str, str]) -> Complex[Array, "nf"]:
+        output, name = pair
+        for given, known in ((output, self.outputs), (name, self.inputs)):
+            if given not in known:
+                raise JaxbodyError(unknown(given, "response", known))
+        return self.values[..., self.outputs.index(output), self.inputs.index(name), :]
+
+    def explain(self) -> str:
+        return (
+            "NaN at 0 Hz; the names in jb.modes of the linearization show the free motion"
+            if Status(int(self.status)) == Status.SINGULAR_K
+            else ""
+        )
+
+    def unit(self, output: str, name: str) -> str:
+        """The unit of one pair, "" for a ratio."""
+        above, below = (
+            self.output_units[self.outputs.index(output)],
+            self.input_units[self.inputs.index(name)],
+        )
+        return "" if above == below else f"{above} per {below}"
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: the complex response by `output`, `input` and `frequency`, with units
+        by output and input."""
+        units = [[self.unit(y, u) for u in self.inputs] for y in self.outputs]
+        variables = {
+            "response": (("output", "input", "frequency"), self.values, "unit"),
+            "unit": (("output", "input"), np.array(units), ""),
+            "status": ((), self.status, ""),
+        }
+        f = np.asarray(self.frequencies)
+        coordinates = {
+            "output": list(self.outputs),
+            "input": list(self.inputs),
+            "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"}),
+        }
+        return dataset(variables, coordinates, "frequency response")
+
+    @tables.summarized("Frequency response", 3, values="values")
+    def _tables(self) -> list[tables.PrintedTable]:
+        heads = ("output", "input", "unit", "at first frequency", "largest", "at [Hz]")
+        f, size = np.asarray(self.frequencies), np.abs(np.asarray(self.values))
+        largest = np.argmax(np.nan_to_num(size, nan=-1.0), -1)
+        rows = [
+            (
+                y,
+                u,
+                self.unit(y, u) or "-",
+                size[i, j, 0],
+                size[i, j, largest[i, j]],
+                f[largest[i, j]],
+            )
+            for i, y in enumerate(self.outputs)
+            for j, u in enumerate(self.inputs)
+        ]
+        return [
+            tables.PrintedTable(
+                f"Frequency response, {f[0]:.6g} to {f[-1]:.6g} Hz", heads, rows, self.failure
+            )
+        ]
+
+
+def frequency_response(
+    lin: Linearization,
+    frequencies: Any,
+    inputs: dict[str, Any],
+    outputs: dict[str, Any],
+    *,
+    loss_factor: Any = None,
+    modal_damping: Any = None,
+    method: str = "direct",
+) -> FrequencyResponse:
+    """The response at `frequencies` [Hz] from named inputs to named outputs, {name: port}, of small
+    motions about an equilibrium.
+
+        D(w) Delta = (K~ + i w C~ - w^2 M~) Xi + F f,   D(w) = K + i w C - w^2 M
+
+    At 0 Hz it is static. With both methods it is differentiable with respect to the model, points
+    of ports, damping and frequencies, also where modes coincide.
+
+    Args:
+        frequencies: 0 or more, in one row [Hz].
+        inputs: {name: BaseMotion or PointForce}.
+        outputs: {name: sensor}, such as Position, Acceleration, Elongation, LoadCell or Reaction;
+            of several numbers the outputs are "seat.x", "seat.y", "seat.z". A chain multiplies by
+            gain exp(-i w delay)/(1 + i w lag).
+        loss_factor: hysteretic damping, i eta times the stiffness V''(e) of elements, one number
+            for all or {element: eta}; by default none. It exists for harmonic motion only, so it is
+            an option here and not a property of a model.
+        modal_damping: damping ratios added to those of the dampers, one for all natural modes or
+            one for each, in ascending order; by default none. They damp the motion relative to the
+            quasi-static one; ratios of coinciding modes are averaged.
+        method: "direct", by elimination at each frequency, or "modal", the sum over all complex
+            modes; both agree to rounding.
+
+    Errors: BAD_FREQUENCY below 0 Hz, and at 0 Hz for an input that is a velocity or an
+    acceleration, UNKNOWN_NAME, WRONG_KIND, BAD_COMPONENT, BAD_METHOD, BAD_SHAPE, NON_FINITE,
+    TOO_LARGE, NEGATIVE loss factors or damping ratios, BAD_OPTION for either with sensors of
+    forces; warns UNSTABLE, SINGULAR_K at 0 Hz, DEFECTIVE (modes), NONFINITE (an undamped
+    resonance), and for modal damping NOT_SYMMETRIC, SINGULAR_M.
+
+    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     supports={"base": Support()},
+    ...     elements={"s": spring},
+    ... )
+    >>> lin = linearize(model, equilibrium(model))
+    >>> response = frequency_response(
+    ...     lin, [2.0], {"base": BaseMotion("base", "y")}, {"mass": Position("mass", axis="y")}
+    ... )
+    >>> round(float(response["mass", "base"][0].real * (1 - (2.0 * 2 * jnp.pi) ** 2 / 25)), 12)
+    1.0
+    """
+    check_system(lin, "frequency_response")
+    f = check_frequencies(frequencies, "frequency_response.frequencies", static=True)
+    (u, ins, u_units), (y, sensors, y_units) = check_ports(
+        lin, inputs, outputs, "frequency_response"
+    )
+    for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
+        check_without_force_sensors(option, f"frequency_response.{what}", sensors, lin.model)
+    eta = check_loss_factors(loss_factor, lin.model, "frequency_response.loss_factor")
+    if method not in METHODS:
+        with Problems() as problems:
+            problems.add(
+                "BAD_METHOD",
+                "frequency_response.method",
+                f"is {method!r}",
+                value=method,
+                limit=" ".join(METHODS),
+            )
+    check_inner_rows(
+        lin, "frequency_response", loss_factor=loss_factor, modal_damping=modal_damping
+    )
+    check_memory("frequency_response", lin.model, f.size if method == "direct" else 0)
+    static = is_concrete(f) and not np.asarray(f).all()
+    if static:
+        _check_bounded_at_rest(u, ins)
+    lin = with_modal_damping(lin, modal_damping, "frequency_response.modal_damping")
+    values, status = response_values(lin, f, port_matrices(lin, ins, sensors), eta, method, static)
+    return warn_if_failed(FrequencyResponse(f, values, status, u, y, u_units, y_units))
+
+
+def check_inner_rows(lin: Linearization, where: str, **options: Any) -> None:
+    """Elements with memory have damping of their own: no other is added to a system with their
+    rows. Error: MEMORY."""
+    with Problems() as problems:
+        for name, given in options.items() if lin.inner else ():
+            if given is not None:
+                hint = "Give the linear system's `condensed`, or leave the option out."
+                problems.add(
+                    "MEMORY",
+                    f"{where}.{name}",
+                    "is given beside elements with memory",
+                    value=given,
+                    limit="None",
+                    hint=hint,
+                )
+
+
+def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:
+    """Frequencies, after a check that they are in one row and positive (with `static`, 0 is
+    allowed too)."""
+    return device_array(checked_frequencies(given, where, static=static))
+
+
+def checked_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:
+    """The same, not yet on a device."""
+    with Problems() as problems:
+        array = float_array(given, where)
+        array = checked(
+            array, ((max(array.size, 1),),), where, problems, "Give frequencies [Hz] in one row."
+        )
+        known = None if array is None else concrete(array)
+        if known is not None and (wrong := known < 0 if static else known <= 0).any():
+            i, limit = int(np.flatnonzero(wrong)[0]), ">= 0" if static else "> 0"
+            hint = "Give their magnitudes." if known[i] < 0 else "Leave 0 out."
+            problems.add(
+                "BAD_FREQUENCY",
+                where,
+                f"is {known[i]:g} Hz at index {i}",
+                value=float(known[i]),
+                limit=limit,
+                hint=hint,
+            )
+    return array  # pyright: ignore[reportReturnType]  which is not None here
+
+
+def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> None:
+    """Refuse inputs given as velocity or acceleration at 0 Hz, because their displacement
+    is unbounded."""
+    with Problems() as problems:
+        for name, port in zip(names, inputs, strict=True):
+            if (kind := getattr(port, "kind", "displacement")) != "displacement":
+                message, hint = (
+                    f"is given as {kind}, and a frequency is 0 Hz",
+                    'Take kind="displacement", or leave 0 Hz out.',
+                )
+                problems.add(
+                    "BAD_FREQUENCY",
+                    f"frequency_response.inputs[{name!r}]",
+                    message,
+                    value=kind,
+                    limit="displacement at 0 Hz",
+                    hint=hint,
+                )
+
+
+def check_without_force_sensors(
+    given: Any, where: str, sensors: tuple[Sensor, ...], model: Model
+) -> None:
+    """Refuse sensors of forces together with `loss_factor` or `modal_damping`, because they read
+    forces of the model only; but not those whose rows follow from matrices. Error: BAD_OPTION."""
+    with Problems() as problems:
+        for sensor in sensors if given is not None else ():
+            if sensor.unit[0] == "N" and not (
+                isinstance(sensor, LoadCell) or reads_matrices(sensor, model)
+            ):
+                hint = "Use LoadCell or the Reaction of a support, or give the model dampers."
+                message = f"is not read by a {type(sensor).__name__} on '{sensor.on}'"
+                problems.add(
+                    "BAD_OPTION", where, message, value=given, limit="sensors of motion", hint=hint
+                )
+
+
+def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne"] | None:
+    """One loss factor for each element, from one for all or {element: factor}. Errors:
+    UNKNOWN_NAME, BAD_SHAPE, NEGATIVE."""
+    if given is None:
+        return None
+    names = model.element_names + model.energy_names
+    with Problems() as problems:
+        for name in given if isinstance(given, dict) else ():
+            if name not in names:
+                problems.collected.append(unknown(name, where, names))
+        each = [
+            checked(
+                given.get(name, 0.0) if isinstance(given, dict) else given, ((),), where, problems
+            )
+            for name in names
+        ]
+        for name, value in zip(names, each, strict=True):
+            known = None if value is None else concrete(value)
+            if known is not None and known < 0:
+                problems.add(
+                    "NEGATIVE",
+                    where,
+                    f"of '{name}' is {known:g}",
+                    value=float(known),
+                    limit=">= 0",
+                    hint="It would add energy.",
+                )
+    return jnp.stack([device_array(value) for value in each]) if each else jnp.zeros(0)
+
+
+@program_with(lambda lin, f, *_: OPTIMIZED if are_many(f, lin.K) else QUICK)
+def response_values(
+    lin: Linearization,
+    f: Float[Array, "nf"],
+    ports: Ports,
+    eta: Float[Array, "ne"] | None,
+    method: str = "direct",
+    static: bool = False,
+):
+    """(values (ny, nu, nf), status); `static` where 0 Hz is among the frequencies."""
+    nv, X = lin.M.shape[-1], ports.X
+    s = jax.lax.complex(jnp.zeros_like(f), 2 * jnp.pi * f)
+    whole = DynamicMatrices(
+        *lin.whole, None if eta is None else hysteretic_damping(lin, eta), lin.massless
+    )
+    scale = (
+        s[None] ** -jnp.array(ports.orders, s.dtype)[:, None]
+        if any(ports.orders)
+        else jnp.ones((len(ports.orders), 1), s.dtype)
+    )
+    own = jax.tree.map(lambda A: A[:nv, :nv], whole)
+    right = (
+        ports.F[:nv, :, None].astype(s.dtype)
+        - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale[None]
+    )
+    Delta, complete = solved(own, s, jnp.broadcast_to(right, (nv, X.shape[1], f.shape[0])), method)
+    Y = ports.Y
+    rows = DynamicMatrices(
+        Y[0],
+        Y[1],
+        Y[2],
+        None if eta is None else _elastic_rows(Y, whole.H, ports, lin, eta),
+        lin.massless,
+    )
+    on_bodies, on_supports = (
+        jax.tree.map(lambda A: A[:, :nv], rows),
+        jax.tree.map(lambda A: A[:, nv:] @ X, rows),
+    )
+    values = (
+        on_bodies.times(s, Delta)
+        + on_supports.at(s) * scale[None]
+        + ports.G[:, :, None].astype(s.dtype)
+    )
+    values = values if ports.chains is None else values * ports.chains.at(s)[:, None]
+    free = jnp.array(False)
+    if static:
+        slow = jax.lax.stop_gradient(lin.condensed)
+        squares = jnp.abs(natural(slow.K, slow.M)[0])
+        free = jnp.min(squares, initial=jnp.inf) <= ZERO * jnp.max(squares, initial=0.0)
+        values = jnp.where(free & (f == 0), jnp.nan, values)
+    status = lin.kept_status(
+        jnp.select(
+            [is_unstable(own), ~complete, free, ~jnp.isfinite(values).all()],
+            [
+                Status.UNSTABLE.value,
+                Status.DEFECTIVE.value,
+                Status.SINGULAR_K.value,
+                Status.NONFINITE.value,
+            ],
+            Status.OK.value,
+        ),
+        NO_MODES,
+    )
+    failed = (status != Status.OK) & (status != Status.NONFINITE) & (status != Status.SINGULAR_K)
+    return values * jnp.where(failed, jnp.nan, 1.0), status
+
+
+def hysteretic_damping(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Array, "n n"]:
+    """H of (Delta, Xi): the sum over the elements of eta V''(e) de de."""
+    at = configuration_at(Coordinates(lin.held), lin.state.q)
+    H = [x.elastic() for x in element_derivatives(at)]
+    whole = jnp.tensordot(eta, jnp.concatenate(H), 1) if H else jnp.zeros((len(at.turns),) * 2)
+    return whole if lin.dependent is None else lin.dependent.of(whole)
+
+
+def _elastic_rows(Y, H, ports: Ports, lin: Linearization, eta) -> Float[Array, "ny n"]:
+    """The rows that i H adds to outputs: eta times the elastic part of an element's force, -H of
+    a reaction."""
+    nv = lin.M.shape[-1]
+    rows = [jnp.zeros(Y.shape[-1], Y.dtype)] * Y.shape[1]
+    for i, (element, support) in enumerate(zip(ports.elements, ports.reactions, strict=True)):
+        if element >= 0:
+            rows[i] = eta[element] * Y[0, i]
+        if support >= 0:
+            rows[i] = -H[nv + support]
+    return jnp.stack(rows)

@@ -1,0 +1,596 @@
+"""Small motions about a state: mass, damping and stiffness matrices with their blocks that couple
+to the base, as second derivatives.
+
+    M Delta'' + C Delta' + K Delta = K~ Xi + C~ Xi' + M~ Xi''
+
+M | -M~ | M_bb   Hessian of T in (v, Xi')
+C | -C~ | C_bb   Hessian of R in (v, Xi')
+K | -K~ | K_bb   Hessian of V in (Delta, Xi)      (41), (42), (49), (66) of the paper
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody import lagrange
+from jaxbody.core import tables
+from jaxbody.core.arguments import check_one_of, kind_of
+from jaxbody.core.arrays import Array, Float, Inexact, Int, is_concrete
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.mechanics.constraints import how_open
+from jaxbody.mechanics.element_derivatives import gravity_stiffness, split_stiffness
+from jaxbody.mechanics.equilibria import NOT_AT_REST, Equilibrium
+from jaxbody.mechanics.free_motions import DependentMotions, closure_stiffness, dependent_motions
+from jaxbody.mechanics.hessians import configuration_at
+from jaxbody.mechanics.inner_rows import following, slow_matrices, whole_matrices
+from jaxbody.mechanics.load_paths import generalized_force, stiffness_of_loads
+from jaxbody.mechanics.null_motions import zero_modes
+from jaxbody.model.inputs.loads import Load
+from jaxbody.model.joints.element_tables import completed
+from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.leaf_paths import by_name
+from jaxbody.model.memories import apart, settled
+from jaxbody.model.models import Model
+from jaxbody.model.preconditions import (
+    check_independent,
+    check_memory,
+    check_moves,
+    check_precision,
+    check_state,
+)
+from jaxbody.model.sizes import scale_of, scaled, size_of
+from jaxbody.model.states import State
+from jaxbody.numerics.lanes import in_lanes
+from jaxbody.vibration.mode_names import Basis, basis_of
+from jaxbody.vibration.state_spaces import StateSpace, state_space
+
+UNITS = {
+    "M": "kg, kg m, kg m2",
+    "C": "N s/m, N s, N m s",
+    "G": "N s/m, N s, N m s",
+    "K": "N/m, N, N m",
+}
+NEARLY_CLOSED = 1e-6  # of the size of the model
+SINGULAR_CLOSURES = 1e-7  # smallest singular value of J_d, relative to the largest
+HEADINGS = UNITS | dict.fromkeys(("C", "G"), "N s/m, ...")
+
+
+class LinearSystem(Labeled, Result):
+    """M Delta'' + D Delta' + K Delta = 0 of small motions about `state`, with D = C for a rest:
+    what modes, poles, responses and state spaces read. `coordinates` names the rows, `basis` says
+    what each moves."""
+
+    index = "coordinate"
+    M: Float[Array, "nv nv"]
+    C: Float[Array, "nv nv"]
+    K: Float[Array, "nv nv"]
+    status: Int[Array, ""]
+    state: State
+    model: Model
+    basis: Basis
+    # of a model with closures
+    dependent: DependentMotions | None = eqx.field(default=None, kw_only=True)
+    printed: ClassVar[tuple[str, ...]] = ("M", "C", "K")  # the matrices that are printed
+    exported: ClassVar[tuple[str, ...]] = ()  # those of a dataset
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """The names of the rows of M, C, K: those of Delta, then of coordinates of elements, those
+        with mass first."""
+        layout = self.model.layout
+        return tuple(layout.coordinates[i] for i in self.independent) + layout.inner[: self.inner]
+
+    @property
+    def independent(self) -> tuple[int, ...]:
+        """The places of the system's own coordinates among those of the model: all of them, or with
+        closures those that follow no other."""
+        return self.model.independent or ()
+
+    @property
+    def nv(self) -> int:
+        """The number of coordinates with inertia."""
+        return len(self.independent) + len(self.model.layout.inertial)
+
+    def expanded(self, shapes: Inexact[Array, "nf n"]) -> Inexact[Array, "nv n"]:
+        """Shapes (columns) in all coordinates of the model, from those of the system."""
+        if self.dependent is None:
+            return shapes
+        N, nf = self.dependent.N.astype(shapes.dtype), len(self.independent)
+        return jnp.concatenate([N @ shapes[:nf], shapes[nf:]]) if len(shapes) > nf else N @ shapes
+
+    @property
+    def inner(self) -> int:
+        """The number of rows of coordinates of elements."""
+        return self.M.shape[-1] - len(self.independent)
+
+    @property
+    def massless(self) -> int:
+        """The number of rows of massless coordinates, the last ones."""
+        return self.M.shape[-1] - self.nv
+
+    @property
+    def base_coordinates(self) -> tuple[str, ...]:
+        """The names of the components of Xi."""
+        return self.model.layout.base_coordinates
+
+    @property
+    def D(self) -> Float[Array, "nv nv"]:
+        """The matrix of Delta': C, and about a spin C + G."""
+        return self.C
+
+    @property
+    def scale(self) -> Float[Array, "nv"]:
+        """The change of each coordinate of one meter."""
+        size = size_of(self.model)
+        scale, layout = (
+            scale_of(self.model, size)[..., np.array(self.independent, int)],
+            self.model.layout,
+        )
+        if not self.inner:
+            return scale
+        return jnp.concatenate(
+            [
+                scale,
+                jnp.where(layout.follows_angles[layout.inner_places[: self.inner]], 1 / size, 1.0),
+            ]
+        )
+
+    def kept_status(self, own: Array, failures: tuple[Status, ...] = ()) -> Int[Array, ""]:
+        """The status of a result: that of the system where it is about no rest or steady motion, or
+        one of `failures`; else its `own`."""
+        return jnp.where(
+            jnp.isin(self.status, jnp.array((*NOT_AT_REST, Status.NOT_STEADY, *failures))),
+            self.status,
+            own,
+        )
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: the matrices and their blocks that couple to the base, by
+        named coordinates."""
+        own, base = list(self.coordinates), list(self.base_coordinates)
+        blocks = {"tilde": ("coordinate", "base"), "bb": ("base", "base_2")}
+        axes = {
+            name: blocks.get(name.partition("_")[2], ("coordinate", "coordinate_2"))
+            for name in self.exported
+        }
+        variables: dict[str, Any] = {
+            name: (dims, getattr(self, name), UNITS[name[0]])
+            for name, dims in axes.items()
+            if base or "base" not in dims
+        }
+        coordinates = {"coordinate": own, "coordinate_2": own} | (
+            {"base": base, "base_2": base} if base else {}
+        )
+        return dataset(
+            variables | {"status": ((), self.status, "")}, coordinates, type(self).__name__
+        )
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        shown = [
+            tables.of_matrix(f"{name} [{HEADINGS[name]}]", getattr(self, name), self.coordinates)
+            for name in self.printed
+        ]
+        shown[-1].note = self.note()
+        return shown
+
+    @abstractmethod
+    def note(self) -> str:
+        """What is printed below the matrices."""
+
+
+class Linearization(LinearSystem):
+    """The matrices of small motions about `state`, rows and columns as in `coordinates`
+    and `base_coordinates`.
+
+    Coordinates y of elements with memory have rows after those of Delta: first those with
+    mass, then massless ones, with M = 0; `condensed` and `instantaneous` are without massless
+    ones. Hysteretic states have none: to first order they are springs, and their losses are of
+    higher order.
+
+    The chart: Delta of a free body is the displacement of its O and a rotation vector, in world
+    axes; for other joints, their coordinates, in axes of the parent. Away from equilibrium K
+    depends on the chart; its split depends on it everywhere."""
+
+    M_tilde: Float[Array, "nv nxi"]
+    C_tilde: Float[Array, "nv nxi"]
+    K_tilde: Float[Array, "nv nxi"]
+    M_bb: Float[Array, "nxi nxi"]
+    C_bb: Float[Array, "nxi nxi"]
+    K_bb: Float[Array, "nxi nxi"]
+    loads: tuple[Load, ...]
+    # whether massless coordinates follow, and so have no rows
+    slow: bool = eqx.field(static=True, default=False)
+    exported = tuple(
+        f"{name}{block}" for name in ("M", "C", "K") for block in ("", "_tilde", "_bb")
+    )
+
+    @property
+    def whole(self) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, "n n"]]:
+        """K, C and M of (Delta, Xi)."""
+        blocks = (
+            (self.K, self.K_tilde, self.K_bb),
+            (self.C, self.C_tilde, self.C_bb),
+            (self.M, self.M_tilde, self.M_bb),
+        )
+        return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)  # pyright: ignore[reportReturnType]  of three
+
+    def reduced(self, H: Float[Array, "*m nv nv"]) -> Float[Array, "*m nf nf"]:
+        """N' H N: a matrix of the model's coordinates in those of the system."""
+        return (
+            H
+            if self.dependent is None
+            else jnp.swapaxes(self.dependent.N, -1, -2) @ H @ self.dependent.N
+        )
+
+    @property
+    def held(self) -> Model:
+        """The model with its laws with memory as the rows have them."""
+        return (settled if self.slow else apart)(self.model, self.state.z)
+
+    @property
+    def condensed(self) -> Linearization:
+        """The system without rows of massless coordinates, which follow slow motions: T' H T of M,
+        C and K, K_yy y + K_yx x = 0."""
+        return _condensed(self) if self.massless else self
+
+    @property
+    def instantaneous(self) -> Linearization:
+        """The system without rows of massless coordinates, which are held: for motions much faster
+        than any relaxation."""
+        return _instantaneous(self) if self.massless else self
+
+    @property
+    def quasistatic(self) -> tuple[Float[Array, "nf nf"], Float[Array, "nf nf"]]:
+        """M and K without rows of coordinates of elements, which all follow slow motions."""
+        return (
+            slow_matrices(self.M, self.K, len(self.independent)) if self.inner else (self.M, self.K)
+        )
+
+    @property
+    def _zero(self) -> Float[Array, "nf nf"]:
+        return jnp.zeros_like(self.K[..., : len(self.independent), : len(self.independent)])
+
+    @property
+    def K_elastic(self) -> Float[Array, "nv nv"]:
+        """sum of V''(e) de de over the elements, with coordinates of elements that have
+        rows held."""
+        return sum(self.K_elastic_by_element.values(), self._zero)
+
+    @property
+    def K_geometric(self) -> Float[Array, "nv nv"]:
+        """sum of V'(e) d2e over the elements: the stiffness due to tension."""
+        return sum(self.K_geometric_by_element.values(), self._zero)
+
+    @property
+    def K_gravity(self) -> Float[Array, "nv nv"]:
+        """Hessian of the potential energy of the weights; (40) of the paper."""
+        return self.reduced(gravity_stiffness(self.model, self.state))
+
+    @property
+    def K_loads(self) -> Float[Array, "nv nv"]:
+        """-dQ/dDelta of the loads of the equilibrium; not symmetric where they have
+        no potential."""
+        return -self.reduced(_load_stiffness(self.model, self.state, self.loads))
+
+    @property
+    def K_closures(self) -> Float[Array, "nv nv"]:
+        """Hessian of lambda c: the stiffness due to the forces of closures; zero
+        without closures."""
+        return _closure_stiffness(self) if self.dependent else self._zero
+
+    @property
+    def K_elastic_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
+        return by_name(
+            _names(self.model), [self.reduced(H) for H in split_stiffness(self.held, self.state)[0]]
+        )
+
+    @property
+    def K_geometric_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
+        return by_name(
+            _names(self.model), [self.reduced(H) for H in split_stiffness(self.held, self.state)[1]]
+        )
+
+    def note(self):
+        return (
+            "chart: displacement of O and rotation vector, in world axes (joints: their "
+            "coordinates, axes of the parent)"
+        )
+
+    def explain(self) -> str:
+        if int(self.status) == Status.SINGULAR_K:
+            return "; ".join(zero_modes(self.model, self.state))
+        if int(self.status) == Status.STALE:
+            return "compute the equilibrium of the changed model again"
+        if int(self.status) == Status.SINGULAR_CLOSURE:
+            names = ", ".join(f"'{name}'" for name in self.coordinates)
+            return f"{names} do not determine the other coordinates"
+        return "the state is not an equilibrium" if int(self.status) else ""
+
+    def state_space(self, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
+        """A, B, C, D from named inputs to named outputs, {name: port}, as python-control
+        takes them.
+
+        States: Delta and Delta' minus terms in u, so that no derivative of an input is needed; also
+        the displacement of a base motion given as velocity, and displacement and velocity of one
+        given as acceleration. An output that depends on derivatives of u, such as the acceleration
+        of a damped body if the input is the displacement of its base, has no state space: the
+        status is IMPROPER, with NaN in D; use kind="acceleration".
+        Errors: WRONG_KIND, UNKNOWN_NAME, BAD_COMPONENT.
+
+        >>> spring = Spring(
+        ...     ("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0
+        ... )
+        >>> model = Model(
+        ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+        ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+        ...     supports={"base": Support()},
+        ...     elements={"s": spring},
+        ... )
+        >>> lin = linearize(model, equilibrium(model))
+        >>> s = lin.state_space(
+        ...     {"base": BaseMotion("base", "y")}, {"mass": Position("mass", axis="y")}
+        ... )
+        >>> s.A.tolist(), s.B.tolist()
+        ([[0.0, 1.0], [-25.0, 0.0]], [[0.0], [25.0]])
+        """
+        return state_space(self, inputs, outputs)
+
+
+def check_system(
+    lin: Any,
+    where: str,
+    kind: type[LinearSystem] = Linearization,
+    *,
+    allow_float32: bool | None = True,
+) -> None:
+    """Refuse what is no linear system of this kind, such as one about a spin, and float32 where it
+    would lose half the digits."""
+    if not isinstance(lin, kind):
+        spins = isinstance(lin, LinearSystem)
+        hint = (
+            "Use complex_modes."
+            if spins
+            else "Give linearize(model, equilibrium(model)): all else is computed from it."
+        )
+        raise JaxbodyError(
+            Problem(
+                "WRONG_KIND", f"{where}.lin", f"is {kind_of(lin)}", lin, "a Linearization", hint
+            )
+        )
+    check_precision(where, lin.model, allow_float32=allow_float32)
+
+
+def linearize(
+    model: Model, at: Equilibrium | State, *, method: str = "structured"
+) -> Linearization:
+    """M, C, K and their blocks that couple to the supports, at an equilibrium or any state, with
+    the supports at their reference poses.
+
+    Of a model with closures the rows are those of independent coordinates, chosen in its reference
+    pose; the others follow, Delta = N Delta_i + S Xi, and every matrix is T' H T, T = [[N, S], [0,
+    1]], with H of K the Hessian of V + lambda c.
+
+    Loads of the equilibrium are included: K = d2V/dDelta2 - dQ/dDelta. The status of a failed
+    equilibrium is kept; it is STALE, with a warning, if numbers of the model have changed so that
+    the state is no longer an equilibrium. With method="definition" the matrices are jax.hessian of
+    T, R and V + lambda c, as `lagrange.py` states them: the same, more slowly. Errors: BAD_SHAPE,
+    NON_FINITE for a state, OTHER_MODEL, NOTHING_MOVES, BAD_METHOD.
+
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     elements={
+    ...         "s": Spring(
+    ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0
+    ...         )
+    ...     },
+    ... )
+    >>> lin = linearize(model, equilibrium(model))
+    >>> float(lin.K[0, 0]), float(lin.M[0, 0])
+    (50.0, 2.0)
+    """
+    check_precision("linearize", model)
+    check_moves("linearize", model)
+    check_independent("linearize", model)
+    check_memory("linearize", model)
+    with Problems() as problems:
+        check_one_of(
+            method, ("structured", "definition"), "BAD_METHOD", "linearize.method", problems
+        )
+    linearized = _by_definition if method == "definition" else _linearize
+    if isinstance(at, Equilibrium):
+        if at.layout != model.layout:
+            hint = "Give the equilibrium of this model, or a state."
+            message = "is of a model with other bodies, supports or joints"
+            raise JaxbodyError(
+                Problem(
+                    "OTHER_MODEL",
+                    "linearize.at",
+                    message,
+                    at.layout,
+                    "an equilibrium of this model",
+                    hint,
+                )
+            )
+        result = linearized(model, at.state, at.status, at.loads)
+        if is_concrete(result.status) and np.any(np.asarray(result.status) == Status.STALE):
+            warn_if_failed(result)
+        return result
+    check_state(model, at, "state")
+    return linearized(model, at, None, ())
+
+
+@program
+def _by_definition(
+    model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]
+) -> Linearization:
+    state = completed(model, state)
+    coordinates, r = Coordinates(apart(model, state.z)), lagrange.unbalanced(model, state, loads)
+    moves = (
+        dependent_motions(coordinates, state.q, r, model.independent or ())
+        if model.closures
+        else None
+    )
+    whole, ny = (
+        lagrange.matrices(
+            model, state, loads, moves.multipliers if moves else jnp.zeros(0, r.dtype)
+        ),
+        len(model.layout.inner),
+    )
+    basis = basis_of(configuration_at(coordinates, state.q, state.v))
+    blocks = _blocks(
+        [moves.of(H, ny) for H in whole] if moves else whole, len(model.independent or ()) + ny
+    )
+    return _system(model, state, status, loads, blocks, r, basis, moves)
+
+
+@program
+def _linearize(
+    model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]
+) -> Linearization:
+    state, nv, ny = completed(model, state), model.layout.nv, len(model.layout.inner)
+    numbers, rest = eqx.partition(apart(model, state.z), eqx.is_array)
+
+    def matrices(numbers, q, v) -> Any:
+        at = configuration_at(Coordinates(eqx.combine(numbers, rest)), q, v)
+        whole, slope = whole_matrices(at)
+        return whole if model.closures else _blocks(whole, nv + ny), slope[:nv], basis_of(at)
+
+    found, slope, basis = (matrices if model.closures else in_lanes(matrices, reversible=True))(
+        numbers, state.q, state.v
+    )
+    r = slope - generalized_force(
+        model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros(nv, state.q.dtype)
+    )
+    of_loads = _load_stiffness(model, state, loads)
+    if not model.closures:
+        (M, C, K), tilde, bb = found
+        blocks = (M, C, K - jnp.pad(of_loads, (0, ny))), tilde, bb
+        return _system(model, state, status, loads, blocks, r, basis, None)
+    coordinates, (M, C, K) = Coordinates(eqx.combine(numbers, rest)), found
+    moves = dependent_motions(coordinates, state.q, r, model.independent or ())
+    x = np.r_[:nv, nv + ny : len(K)]  # the rows of (Delta, Xi)
+    K = (
+        jnp.asarray(K)
+        .at[np.ix_(x, x)]
+        .add(closure_stiffness(coordinates, state.q, moves.multipliers))
+    )
+    K = K.at[:nv, :nv].add(-of_loads)
+    return _system(
+        model,
+        state,
+        status,
+        loads,
+        _blocks([moves.of(H, ny) for H in (M, C, K)], len(moves.N.T) + ny),
+        r,
+        basis,
+        moves,
+    )
+
+
+def _blocks(whole: Any, n: int) -> list[tuple[Array, ...]]:
+    """From M, C and K of n coordinates and Xi those of the coordinates, those with Xi, and those
+    of Xi."""
+    return list(zip(*((H[:n, :n], -H[:n, n:], H[n:, n:]) for H in whole), strict=True))
+
+
+def _system(
+    model: Model,
+    state: State,
+    status: Any,
+    loads: tuple[Load, ...],
+    blocks: Any,
+    r: Float[Array, "nv"],
+    basis: Basis,
+    moves: Any,
+) -> Linearization:
+    """The result. `status`: of the equilibrium, None for another state; it becomes STALE where
+    r = dV/dDelta - Q is not zero."""
+    (M, C, K), tilde, bb = blocks
+    own = np.array(model.independent, int)
+    size = size_of(model)
+    scale = scale_of(model, size)[own]
+    if status is None:
+        status = jnp.array(Status.OK.value)
+    else:
+        largest = jnp.max(jnp.abs(scaled(K[: len(own), : len(own)], scale)), initial=0.0) * size
+        stale = (
+            jnp.max(jnp.abs((r if moves is None else moves.N.T @ r) * scale), initial=0.0)
+            > jnp.finfo(r.dtype).eps ** 0.5 * largest
+        )
+        status = jnp.where(
+            stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status
+        )
+    if moves is not None:
+        fails = [
+            how_open(Coordinates(model), state.q) > NEARLY_CLOSED,
+            moves.smallest < SINGULAR_CLOSURES,
+        ]
+        status = jnp.select(fails, [Status.NOT_CLOSED.value, Status.SINGULAR_CLOSURE.value], status)
+    return Linearization(M, C, K, status, state, model, basis, *tilde, *bb, loads, dependent=moves)  # pyright: ignore[reportCallIssue]
+
+
+@program
+def _closure_stiffness(lin: Linearization) -> Float[Array, "nf nf"]:
+    nv, moves = lin.model.layout.nv, lin.dependent
+    return lin.reduced(
+        closure_stiffness(Coordinates(lin.held), lin.state.q, moves.multipliers)[:nv, :nv]  # pyright: ignore[reportOptionalMemberAccess]
+    )
+
+
+@program
+def _condensed(lin: Linearization) -> Linearization:
+    nv, ny = lin.nv, lin.massless
+    K, C, M = lin.whole
+    T = following(K, nv, ny)
+    (M, C, K), tilde, bb = _blocks([T.T @ H @ T for H in (M, C, K)], nv)
+    return Linearization(
+        M,
+        C,
+        K,
+        lin.status,
+        lin.state,
+        lin.model,
+        lin.basis,
+        *tilde,
+        *bb,
+        lin.loads,
+        slow=True,
+        dependent=lin.dependent,
+    )  # pyright: ignore[reportCallIssue]
+
+
+def _instantaneous(lin: Linearization) -> Linearization:
+    nv = lin.nv
+    M, C, K = (H[..., :nv, :nv] for H in (lin.M, lin.C, lin.K))
+    tilde = (H[..., :nv, :] for H in (lin.M_tilde, lin.C_tilde, lin.K_tilde))
+    bb = lin.M_bb, lin.C_bb, lin.K_bb
+    return Linearization(
+        M,
+        C,
+        K,
+        lin.status,
+        lin.state,
+        lin.model,
+        lin.basis,
+        *tilde,
+        *bb,
+        lin.loads,  # pyright: ignore[reportCallIssue]
+        dependent=lin.dependent,
+    )
+
+
+def _load_stiffness(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv nv"]:
+    return stiffness_of_loads(model, state.q, loads, jnp.ones(len(loads), state.q.dtype))
+
+
+def _names(model: Model) -> tuple[tuple[str, ...], ...]:
+    return tuple(table.names for table in model.elements)

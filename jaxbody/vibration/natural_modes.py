@@ -1,0 +1,242 @@
+"""Natural frequencies and modes of small motions: K phi = w^2 M phi."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Float, Inexact, Int
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import JaxbodyError, Problem, Status
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.mechanics.null_motions import massless_motions
+from jaxbody.model.layouts import Layout
+from jaxbody.model.models import Model
+from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
+from jaxbody.numerics.lanes import in_lanes
+from jaxbody.numerics.precisions import reachable
+from jaxbody.vibration.linearizations import Linearization, check_system
+from jaxbody.vibration.mode_names import Basis, mark_note, names_of_shapes
+
+STIFFNESSES = ("relaxed", "instantaneous")
+SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
+
+
+class ModalResult(Labeled, Result):
+    """The base class of natural and complex modes: `shapes` (columns) in the coordinates of the
+    model and those of elements with mass, `M` the mass matrix of the linear system."""
+
+    index = "mode"
+    frequency: Float[Array, "n"]
+    damping_ratio: Float[Array, "n"]
+    shapes: Inexact[Array, "nv n"]
+    cluster: Int[Array, "n"]
+    status: Int[Array, ""]
+    M: Float[Array, "nf nf"]
+    model: Model
+    basis: Basis
+
+    @property
+    def layout(self) -> Layout:
+        return self.model.layout
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Each mode by the body and direction with most of its kinetic energy (of complex modes the
+        mean over a period), or several bodies that share it, or the coordinate of an element with
+        mass, as in `mode_energies`."""
+        return names_of_shapes(
+            self.model, self.basis, self.M, self.shapes, self.cluster, self.roots()
+        )
+
+    @abstractmethod
+    def roots(self) -> np.ndarray:
+        """The frequency or pole of each mode."""
+
+    @abstractmethod
+    def growing_and_still(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which modes grow, and which have no frequency."""
+
+    def explain(self) -> str:
+        status, (growing, still) = Status(int(self.status)), self.growing_and_still()
+        if status == Status.SINGULAR_M:
+            return "; ".join(massless_motions(self.layout, self.M, self.model.independent))
+        marked = {
+            Status.UNSTABLE: (growing, "growing motion"),
+            Status.SINGULAR_K: (still, "zero frequency"),
+        }.get(status)
+        return f"{tables.counted(int(marked[0].sum()), 'mode')} of {marked[1]}" if marked else ""
+
+    def labeled(self, kind: str, **own: tuple[tuple[str, ...], Any, str]) -> Any:
+        """A dataset of what all modes have, and of `own` variables."""
+        variables = {
+            "frequency": (("mode",), self.frequency, "Hz"),
+            "damping_ratio": (("mode",), self.damping_ratio, ""),
+            "shape": (("coordinate", "mode"), self.shapes, "mass-normalized"),
+            "cluster": (("mode",), self.cluster, ""),
+            "status": ((), self.status, ""),
+        }
+        numbers = list(range(1, 1 + np.shape(self.frequency)[-1]))
+        return dataset(
+            variables | own, {"mode": numbers, "coordinate": list(self.layout.with_mass)}, kind
+        )
+
+    def table(self, title: str, columns: dict[str, Any]) -> list[tables.PrintedTable]:
+        """A row for each mode, with its name."""
+        names = self.names
+        rows = [
+            (str(i + 1), *row) for i, row in enumerate(zip(*columns.values(), names, strict=True))
+        ]
+        note = "; ".join(filter(None, [self.failure, mark_note(names)]))
+        return [tables.PrintedTable(title, ("mode", *columns, "most energy in"), rows, note)]
+
+
+class Modes(ModalResult):
+    """Natural modes, ascending: `frequency` [Hz], `shapes` (columns, phi' M phi = 1, largest
+    component positive), `damping_ratio`, `eigenvalues` w^2 [rad2/s2], `cluster`, equal numbers for
+    coinciding frequencies, and `names`, by the body and direction with most kinetic energy. For a
+    negative eigenvalue the frequency is NaN and the status UNSTABLE; for a zero eigenvalue the
+    frequency is 0 and the status SINGULAR_K. All are NaN where a coordinate has no inertia
+    (SINGULAR_M; `M` is the mass matrix) or a matrix is not finite (NONFINITE).
+
+    Modes of coinciding frequencies have only a space: `shapes` are a basis of it, and each mode has
+    the mean of the damping ratios. A single frequency of a cluster has one-sided derivatives:
+    `jax.jvp` and `jacfwd` give the one in the requested direction, `jax.grad` gives NaN, as for
+    functions of a single shape. Sums over a cluster and functions of its space have derivatives in
+    both modes; second derivatives exist for single modes."""
+
+    eigenvalues: Float[Array, "n"]
+
+    def roots(self):
+        return np.asarray(self.frequency)
+
+    def growing_and_still(self):
+        return np.isnan(self.frequency), np.asarray(self.frequency) == 0
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: frequency, damping ratio and shape by mode and named coordinate."""
+        return self.labeled("modes", eigenvalue=(("mode",), self.eigenvalues, "rad2/s2"))
+
+    @tables.summarized("Modes", 1, frequency="frequency [Hz]")
+    def _tables(self) -> list[tables.PrintedTable]:
+        return self.table(
+            "Modes",
+            {
+                "frequency [Hz]": self.frequency,
+                "damping ratio": tables.without_dust(self.damping_ratio, 1.0),
+            },
+        )
+
+
+def modes(lin: Linearization, *, stiffness: str = "relaxed", allow_float32: bool = False) -> Modes:
+    """Natural frequencies, mass-normalized shapes and damping ratios of small motions.
+
+        K phi = w^2 M phi,   frequency = w/(2 pi),   damping ratio = phi' C phi/(2 w)
+
+    The damping ratio is exact where C is diagonal in the modes, otherwise accurate to first order
+    in C.
+
+    Args:
+        stiffness: of elements with memory, "relaxed": their massless coordinates follow slow
+            motions, or "instantaneous": they are held, as in motions much faster than their
+            relaxation; `complex_modes` has neither assumption
+        allow_float32: whether to compute in float32; by default an error
+
+    Errors: FLOAT32 unless `allow_float32`, BAD_OPTION; warns UNSTABLE, SINGULAR_K,
+    SINGULAR_M, NONFINITE.
+
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     elements={
+    ...         "s": Spring(
+    ...             ("mass", [0, 0, 0]),
+    ...             ("world", [0, 1, 0]),
+    ...             stiffness=50.0,
+    ...             free_length=1.0,
+    ...             damping=2.0,
+    ...         )
+    ...     },
+    ... )
+    >>> natural = modes(linearize(model, equilibrium(model)))
+    >>> round(float(natural.frequency[0]), 6), round(float(natural.damping_ratio[0]), 6)
+    (0.795775, 0.1)
+    """
+    check_system(lin, "modes", allow_float32=allow_float32)
+    return warn_if_failed(_modes(without_inner_rows(lin, stiffness, "modes")))
+
+
+def without_inner_rows(lin: Linearization, stiffness: str, where: str) -> Linearization:
+    """The system whose elements with memory are relaxed or held. Error: BAD_OPTION."""
+    if stiffness not in STIFFNESSES:
+        raise JaxbodyError(
+            Problem(
+                "BAD_OPTION",
+                f"{where}.stiffness",
+                f"is {stiffness!r}",
+                stiffness,
+                " or ".join(map(repr, STIFFNESSES)),
+            )
+        )
+    return lin.condensed if stiffness == "relaxed" else lin.instantaneous
+
+
+@program
+def _modes(lin: Linearization) -> Modes:
+    frequency, shapes, damping_ratio, eigenvalues, cluster, status = modes_of(lin)
+    shapes = lin.expanded(shapes)
+    if lin.dependent is not None:  # the largest of all coordinates is positive
+        shapes = shapes * jnp.sign(
+            jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), 0)[None], 0)
+        )
+    return Modes(
+        frequency, damping_ratio, shapes, cluster, status, lin.M, lin.model, lin.basis, eigenvalues
+    )
+
+
+@program
+def modes_of(lin: Linearization) -> tuple[Array, ...]:
+    """Frequency, shapes, damping ratio, eigenvalues, cluster and status; of elements with memory
+    the relaxed stiffness, unless the system has no rows for them."""
+    lin = lin.condensed
+    values, shapes = natural(lin.K, lin.M)
+    cluster = clusters(values)
+    largest = jnp.max(jnp.abs(values), initial=0.0)
+    zero = reachable(ZERO, values.dtype) * largest
+    positive, negative = values > zero, values < -zero
+    w = jnp.sqrt(jnp.where(positive, values, 1.0))
+    finite, massless = jnp.isfinite(lin.M).all() & jnp.isfinite(lin.K).all(), jnp.isnan(values)
+    frequency = jnp.where(positive, w / (2 * jnp.pi), jnp.where(negative | massless, jnp.nan, 0.0))
+    damping = jnp.where(
+        positive, averaged(jnp.sum(shapes * (lin.C @ shapes), 0), cluster) / (2 * w), jnp.nan
+    )
+    status = jnp.select(
+        [~finite, massless.any(), negative.any(), (~positive).any()],
+        [
+            Status.NONFINITE.value,
+            Status.SINGULAR_M.value,
+            Status.UNSTABLE.value,
+            Status.SINGULAR_K.value,
+        ],
+        Status.OK.value,
+    )
+    skew = in_lanes(
+        lambda K: (
+            jnp.max(jnp.abs(K - K.T), initial=0.0) > SYMMETRIC * jnp.max(jnp.abs(K), initial=0.0)
+        )
+    )(lin.K)
+    frequency = jnp.where(skew, jnp.nan, frequency)
+    status = jnp.where(skew, Status.NOT_SYMMETRIC.value, status)
+    return (
+        frequency,
+        refused_in_clusters(shapes, cluster),
+        damping,
+        values,
+        cluster,
+        lin.kept_status(status),
+    )

@@ -1,0 +1,404 @@
+"""The matrices between inputs and outputs of small motions. With x = (Delta, Xi), motions of
+supports are Xi = X u, forces enter as F u, and sensors read, to first order, y = Y0 x + Y1 x' + Y2
+x'' + G u.
+
+About rest each frame is displaced by J x and has the velocity J x' and the acceleration J x'', J
+its twists, so that the rows of a sensor are the derivatives of its reading along these. Three kinds
+have them in closed form: kinematic sensors by the twists themselves, a LoadCell by V'' J and R'' J
+of its element, a Reaction on a support by the rows of K, C and M of its motion. The chain of a
+sensor multiplies its response by
+
+    gain exp(-s delay)/(1 + s lag)
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import Array, Complex, Float
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.errors import Problems
+from jaxbody.geometry.frames import Frame, Instant
+from jaxbody.geometry.places import DIRECTIONS
+from jaxbody.geometry.vectors import cross, skew
+from jaxbody.mechanics.closed_loops import dynamics_of
+from jaxbody.mechanics.element_derivatives import ElementDerivatives, element_derivatives
+from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists, slope
+from jaxbody.model.inputs.port_inputs import KINDS, BaseMotion, Input, PointForce
+from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.memories import apart, settled
+from jaxbody.model.models import Model
+from jaxbody.model.states import State
+from jaxbody.sensors.instruments import LoadCell, Reaction
+from jaxbody.sensors.kinematic_sensors import Kinematic
+from jaxbody.sensors.sensors import Sensor
+
+
+class Ports(eqx.Module):
+    """The matrices of inputs and outputs. `orders`: the order of the derivative of Xi for each
+    input (0 for forces); `chains` of outputs; `elements`: for each output the index of the
+    element whose force it is; `reactions`: the index of the component of Xi whose reaction it is;
+    -1 for others."""
+
+    F: Float[Array, "n nu"]
+    X: Float[Array, "nxi nu"]
+    Y: Float[Array, "3 ny n"]
+    G: Float[Array, "ny nu"]
+    chains: Chains | None
+    orders: tuple[int, ...] = eqx.field(static=True)
+    elements: tuple[int, ...] = eqx.field(static=True)
+    reactions: tuple[int, ...] = eqx.field(static=True)
+
+
+class Outputs(NamedTuple):
+    """The sensors, and the names and units of all components of their readings: "seat", or
+    "seat.x", "seat.y", "seat.z"."""
+
+    names: tuple[str, ...]
+    sensors: tuple[Sensor, ...]
+    units: tuple[str, ...]
+
+
+class Chains(eqx.Module):
+    """Gain, delay [s] and lag [s] of each output."""
+
+    gain: Float[Array, "ny"]
+    delay: Float[Array, "ny"]
+    lag: Float[Array, "ny"]
+    lagged: tuple[int, ...] = eqx.field(static=True)  # the outputs that have a lag
+
+    def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "ny nf"]:
+        """gain exp(-s delay)/(1 + s lag)."""
+        gain, delay, lag = (x.astype(s.dtype)[:, None] for x in (self.gain, self.delay, self.lag))
+        return gain * jnp.exp(-s[None] * delay) / (1 + s[None] * lag)
+
+
+def inputs_of(
+    model: Model, given: Any, where: str, problems: Problems
+) -> tuple[tuple[str, ...], tuple[Input, ...], tuple[str, ...]]:
+    """Names, inputs and units of a dict of inputs; errors go to `problems`."""
+    ports = _checked(
+        model, given, Input, f"{where}.inputs", "{name: BaseMotion or PointForce}", problems
+    )
+    return tuple(ports), tuple(ports.values()), tuple(port.unit for port in ports.values())
+
+
+def outputs_of(model: Model, given: Any, where: str, problems: Problems) -> Outputs:
+    """The outputs of a dict of sensors; errors go to `problems`."""
+    sensors = _checked(
+        model,
+        given,
+        Sensor,
+        f"{where}.outputs",
+        "{name: sensor}, such as jb.Position(...)",
+        problems,
+    )
+    units = component_units(sensors, model)
+    return Outputs(tuple(units), tuple(sensors.values()), tuple(units.values()))
+
+
+def _checked(
+    model: Model, given: Any, kinds: Any, where: str, limit: str, problems: Problems
+) -> dict[str, Any]:
+    """The dict, if all in it are of these kinds and fit the model, else an empty one."""
+    if not isinstance(given, dict) or not given:
+        problems.add(
+            "WRONG_KIND",
+            where,
+            f"is {given!r:.60}",
+            value=given,
+            limit=limit,
+            hint="Name each of them.",
+        )
+        return {}
+    found = len(problems.collected)
+    for name, port in given.items():
+        path = f"{where}[{name!r}]"
+        if not isinstance(port, kinds):
+            problems.add("WRONG_KIND", path, f"is a {type(port).__name__}", value=port, limit=limit)
+        elif (problem := type(port).problem(port, model, path)) is not None:
+            # Equinox takes long to bind a method
+            problems.collected.append(problem)
+    return {} if len(problems.collected) > found else given
+
+
+def component_units(sensors: dict[str, Any], model: Model | None = None) -> dict[str, str]:
+    """{"seat.x": unit} of all components, those of sensors on elements as on the model."""
+    units = {}
+    for name, sensor in sensors.items():
+        if not isinstance(sensor, Sensor):
+            units[name] = ""
+            continue
+        unit, parts = (
+            sensor.unit if model is None else type(sensor).unit_on(sensor, model),
+            sensor.components,
+        )
+        each = [part.strip() for part in unit.split(",")] if "," in unit else [unit]
+        units |= {
+            f"{name}.{part}" if part else name: each[i * len(each) // len(parts)]
+            for i, part in enumerate(parts)
+        }
+    return units
+
+
+def chains_of(sensors: tuple[Sensor, ...]) -> Chains | None:
+    """The chains of all components; None if there is none."""
+    if all(
+        getattr(sensor, stage) is None for sensor in sensors for stage in ("gain", "delay", "lag")
+    ):
+        return None
+
+    def each(stage: str, none: float) -> Float[Array, "ny"]:
+        given = [
+            none if getattr(sensor, stage) is None else getattr(sensor, stage) for sensor in sensors
+        ]
+        return jnp.concatenate(
+            [
+                jnp.broadcast_to(x, (len(sensor.components),))
+                for sensor, x in zip(sensors, given, strict=True)
+            ]
+        )
+
+    with_lag = [sensor.lag is not None for sensor in sensors for _ in sensor.components]
+    return Chains(
+        each("gain", 1.0),
+        each("delay", 0.0),
+        each("lag", 0.0),
+        tuple(np.flatnonzero(with_lag).tolist()),
+    )
+
+
+class _Rows(NamedTuple):
+    """The rows of one sensor, and of each component the index of its element and of its reaction,
+    -1 for none."""
+
+    Y: Float[Array, "3 k n"]
+    G: Float[Array, "k nu"]
+    element: int = -1
+    reactions: tuple[int, ...] = ()
+
+
+def rows_of(
+    lin: Any,
+    at: Configuration,
+    twists,
+    sensors: tuple[Sensor, ...],
+    F: Float[Array, "n nu"],
+    wrenches: Float[Array, "nu nb 6"],
+):
+    """Y and G of all outputs, and the indices of elements and reactions. Each input exerts, per
+    unit, the generalized force F and the `wrenches`: force and moment on each body about its
+    origin, in world axes."""
+    model, zero = lin.model, jnp.zeros(len(F), F.dtype)
+
+    def of_element(sensor) -> bool:
+        """Whether its rows are those of an element; with coordinates of elements or accelerations
+        it is read."""
+        return isinstance(sensor, LoadCell) and not (lin.inner or sensor.needs_accelerations(model))
+
+    others = [
+        sensor
+        for sensor in sensors
+        if not (
+            isinstance(sensor, Kinematic) or of_element(sensor) or reads_matrices(sensor, model)
+        )
+    ]
+    elements = _by_name(model, at) if any(map(of_element, sensors)) else {}
+    readings = iter(_read_rows(lin, at, twists, others, wrenches) if others else ())
+    held = zero
+    if any(reads_matrices(sensor, model) for sensor in sensors):
+        held = slope(at)[model.layout.nv :]
+        held = held if lin.dependent is None else held + lin.dependent.reaction
+    rows = []
+    for sensor in sensors:
+        if isinstance(sensor, Kinematic):
+            moved = sensor.rows(model, at.frames, twists).reshape(len(F), -1).T
+            Y = jnp.zeros((3, *moved.shape), F.dtype).at[sensor.order].set(moved)
+            rows.append(_Rows(Y, jnp.zeros((len(moved), F.shape[1]), F.dtype)))
+        elif isinstance(sensor, LoadCell) and of_element(sensor):
+            i, derivatives = elements[sensor.on]
+            k = sensor.component or 0
+            J = (
+                derivatives.J
+                if lin.dependent is None
+                else derivatives.J @ lin.dependent.whole(0, model.layout.nxi)
+            )
+            Y = jnp.stack([derivatives.stiffness[k] @ J, derivatives.damping[k] @ J, zero])[:, None]
+            rows.append(_Rows(Y, jnp.zeros((1, F.shape[1]), F.dtype), i))
+        elif isinstance(sensor, Reaction) and reads_matrices(sensor, model):
+            rows.append(_reaction_rows(lin, sensor, held, F))
+        else:
+            rows.append(next(readings))
+    counts = [len(row.G) for row in rows]
+    by_element = tuple(
+        row.element for row, count in zip(rows, counts, strict=True) for _ in range(count)
+    )
+    by_reaction = tuple(
+        i for row, count in zip(rows, counts, strict=True) for i in row.reactions or (-1,) * count
+    )
+    return (
+        jnp.concatenate([row.Y for row in rows], 1),
+        jnp.concatenate([row.G for row in rows]),
+        by_element,
+        by_reaction,
+    )
+
+
+def reads_matrices(sensor: Any, model: Model) -> bool:
+    """Whether a sensor reads its rows from the matrices of a support's motion."""
+    return (
+        isinstance(sensor, Reaction) and sensor.on in model.layout.supports and sensor.point is None
+    )
+
+
+def _by_name(model: Model, at: Configuration) -> dict[str, tuple[int, ElementDerivatives]]:
+    """{element: (its index, its derivatives)}."""
+    named = [
+        (name, ElementDerivatives(*(x[i] for x in derivatives)))
+        for table, derivatives in zip(model.elements, element_derivatives(at), strict=True)
+        for i, name in enumerate(table.names)
+    ]
+    return {name: (i, derivatives) for i, (name, derivatives) in enumerate(named)}
+
+
+def _read_rows(
+    lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sensors: list[Sensor], wrenches
+) -> list[_Rows]:
+    """The rows of sensors by the derivatives of their readings; accelerations are those of x'': no
+    equation of motion is solved."""
+    model, q, layout, frames = lin.model, lin.state.q, lin.model.layout, at.frames
+    dynamics, zero = dynamics_of(lin.held, (), lin.loads), jnp.zeros(twists.shape[1], q.dtype)
+    n, k, with_mass = len(lin.independent), lin.inner, len(layout.inertial)
+    T = None if lin.dependent is None else lin.dependent.whole(lin.inner, layout.nxi)[: layout.nv]
+
+    def held(x, rate) -> Model:
+        """The model with displaced coordinates of elements."""
+        if not k:
+            return lin.held
+        y, y_dot, z, zero = x[n : n + k], rate[n : n + k], lin.state.z, jnp.zeros_like(lin.state.z)
+        z = z.at[layout.inner_places[:k]].add(y).at[layout.inner_rates].add(y_dot[:with_mass])
+        return (
+            settled(model, z)
+            if lin.slow
+            else apart(model, z, zero.at[layout.inner_places[:k]].set(y_dot))
+        )
+
+    def moved(x, rate, change, u) -> Instant:
+        (dp, turn), (v, w), (a, alpha) = (
+            jnp.split(jnp.einsum("fni,n->fi", twists, y), 2, -1) for y in (x, rate, change)
+        )
+        step = Frame(frames.p, frames.R, dp, turn).rates()
+        delta, v_own = (y[: layout.nv] if T is None else T @ y for y in (x, rate))
+        state = State(dynamics.coordinates.retract(q, delta), v_own)
+        t = jnp.zeros((), q.dtype)
+        now = Instant(frames.p + step.p, frames.R + step.R, v, w, t, state, a, alpha)
+        if any(sensor.reactions for sensor in sensors):
+            extra = jnp.tensordot(u, wrenches, 1)
+            now = dynamics_of(held(x, rate), (), lin.loads).with_reactions(
+                now, (extra[:, :3], extra[:, 3:])
+            )
+        return now
+
+    start = (zero, zero, zero, jnp.zeros(len(wrenches), q.dtype))
+    rest = jax.lax.stop_gradient(moved(*start))
+
+    def readings(*motion):
+        instant, present = moved(*motion), held(*motion[:2])
+        return jnp.concatenate(
+            [jnp.ravel(sensor.change(present, instant, rest, dynamics.model)) for sensor in sensors]
+        )
+
+    ends = np.cumsum([len(sensor.components) for sensor in sensors])[:-1]
+    *rows, direct = jax.jacfwd(readings, (0, 1, 2, 3))(*start)
+    return [
+        _Rows(Y, G)
+        for Y, G in zip(jnp.split(jnp.stack(rows), ends, 1), jnp.split(direct, ends), strict=True)
+    ]
+
+
+def _reaction_rows(
+    lin: Any, sensor: Reaction, held: Float[Array, "nxi"], F: Float[Array, "n nu"]
+) -> _Rows:
+    """Minus the rows of K, C and M of a support's motion; and the forces on it. Of a moment also
+    phi x m/2: the moment m at equilibrium equals dV/dphi at the rotation vector phi = 0 only; in
+    general m = J(phi)^-T dV/dphi."""
+    nv, first = lin.M.shape[-1], 6 * lin.model.layout.supports.index(sensor.on)
+    places = (
+        tuple(range(first, first + 6)) if sensor.component is None else (first + sensor.component,)
+    )
+    own = nv + np.array(places)
+    turned = (
+        jnp.zeros((6, len(F)), F.dtype)
+        .at[3:, nv + first + 3 : nv + first + 6]
+        .set(-skew(held[first + 3 : first + 6]) / 2)
+    )
+    K, C, M = (A[own] for A in lin.whole)
+    return _Rows(-jnp.stack([K + turned[np.array(places) - first], C, M]), F[own], reactions=places)
+
+
+@program
+def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ...]) -> Ports:
+    """The matrices between these inputs and outputs on a linearization."""
+    layout = lin.model.layout
+    at = configuration_at(Coordinates(lin.held), lin.state.q)
+    twists = frame_twists(at)
+    if lin.inner:  # coordinates of elements move no frame
+        twists = jnp.insert(twists, np.full(lin.inner, layout.nv), 0.0, axis=1)
+    if lin.dependent is not None:
+        twists = jnp.einsum("fni,nm->fmi", twists, lin.dependent.whole(lin.inner, layout.nxi))
+    zero, still = jnp.zeros(twists.shape[1], lin.M.dtype), jnp.zeros(layout.nxi, lin.M.dtype)
+    forces = [
+        _force_row(port, at.frames, twists, layout.frame) if isinstance(port, PointForce) else zero
+        for port in inputs
+    ]
+    moved = [
+        still.at[_place(port, layout)].set(1.0) if isinstance(port, BaseMotion) else still
+        for port in inputs
+    ]
+    F, X = (
+        jnp.reshape(jnp.asarray(rows, still.dtype), (len(inputs), n)).T
+        for rows, n in ((forces, len(zero)), (moved, len(still)))
+    )
+    rows, direct, elements, reactions = rows_of(
+        lin, at, twists, sensors, F, _input_wrenches(inputs, at.frames, layout)
+    )
+    orders = tuple(KINDS.index(port.kind) if isinstance(port, BaseMotion) else 0 for port in inputs)
+    return Ports(F, X, rows, direct, chains_of(sensors), orders, elements, reactions)
+
+
+def check_ports(lin: Any, inputs: Any, outputs: Any, where: str) -> tuple[tuple[Any, ...], Outputs]:
+    """(names, inputs, units) and outputs; raises all errors at once."""
+    with Problems() as problems:
+        return inputs_of(lin.model, inputs, where, problems), outputs_of(
+            lin.model, outputs, where, problems
+        )
+
+
+def _place(port: BaseMotion, layout) -> int:
+    return 6 * layout.supports.index(port.on) + DIRECTIONS.index(port.direction)
+
+
+def _force_row(port: PointForce, frames: Frame, twists, row_of) -> Float[Array, "n"]:
+    """The work of a unit force or moment per unit of each of (Delta, Xi)."""
+    row, axis = row_of(port.on), jnp.asarray(port.axis)
+    if port.turns:
+        return twists[row, :, 3:] @ axis
+    arm = frames[row].point(port.point) - frames.p[row]
+    return twists[row, :, :3] @ axis + twists[row, :, 3:] @ cross(arm, axis)
+
+
+def _input_wrenches(inputs: tuple[Input, ...], frames: Frame, layout) -> Float[Array, "nu nb 6"]:
+    """Force and moment on each body about its origin, per unit of each input."""
+    wrenches = jnp.zeros((len(inputs), len(layout.bodies), 6), frames.p.dtype)
+    for i, port in enumerate(inputs):
+        if isinstance(port, PointForce):
+            row, axis = layout.frame(port.on), jnp.asarray(port.axis)
+            F = jnp.zeros(3) if port.turns else axis
+            M = axis if port.turns else cross(frames[row].point(port.point) - frames.p[row], axis)
+            wrenches = wrenches.at[i, row - layout.first_body].set(jnp.concatenate([F, M]))
+    return wrenches

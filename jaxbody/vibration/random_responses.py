@@ -1,0 +1,342 @@
+"""Random response: from power spectral densities of inputs to those of outputs, and their root mean
+squares over a band.
+
+S_y(f) = sum_ij H_i S_ij conj(H_j),   rms^2 = int S_y df,   H the frequency response from each input
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import field
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Complex, Float, Int, is_concrete, part_of
+from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.model.inputs.port_inputs import KINDS, UNITS
+from jaxbody.model.preconditions import check_memory
+from jaxbody.numerics.precisions import reachable
+from jaxbody.vibration.dynamic_matrices import DynamicMatrices, are_many, free_motions
+from jaxbody.vibration.frequency_responses import (
+    check_frequencies,
+    check_inner_rows,
+    check_loss_factors,
+    check_without_force_sensors,
+    response_values,
+)
+from jaxbody.vibration.linearizations import Linearization, check_system
+from jaxbody.vibration.modal_dampings import with_modal_damping
+from jaxbody.vibration.ports import Ports, check_ports, port_matrices
+from jaxbody.vibration.spectra import Band, CrossPSD, Spectrum, check_spectra, trapezoids
+
+# relative change of an rms when every other frequency is left out: nearly four times the error
+COARSE = 0.03
+NEAR = 1e-6  # of a resonance: from here to twice as far an undamped peak falls to a fourth
+
+
+class RandomResponse(Labeled, Result):
+    """One-sided power spectral densities `psd` (outputs, frequencies), per hertz, of outputs in
+    their `units`, over `frequencies` [Hz], and `rms` over these. `response["seat"]` is the rms of
+    one. `status` COARSE if an rms changes by more than 3 % when every other frequency is left out,
+    UNDAMPED if the inputs excite a resonance without damping in the band (the rms of outputs that
+    contain it is infinite), NOT_POSITIVE if the coherences are contradictory, or that of the
+    frequency response."""
+
+    index = "frequency"
+    frequencies: Float[Array, "nf"]
+    psd: Float[Array, "ny nf"]
+    rms: Float[Array, "ny"]
+    weights: Float[Array, "nf"]
+    coarse: Float[Array, "nf"]
+    status: Int[Array, ""]
+    outputs: tuple[str, ...] = field(static=True)
+    units: tuple[str, ...] = field(static=True)
+
+    def __getitem__(self, output: str) -> Float[Array, ""]:
+        if output not in self.outputs:
+            raise JaxbodyError(unknown(output, "response", self.outputs))
+        return part_of(self.rms, (..., self.outputs.index(output)))
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: psd by `output` and `frequency`, rms by `output`."""
+        variables = {
+            "psd": (("output", "frequency"), self.psd, "unit^2/Hz"),
+            "rms": (("output",), self.rms, "unit"),
+            "unit": (("output",), np.array(self.units), ""),
+            "status": ((), self.status, ""),
+        }
+        f = np.asarray(self.frequencies)
+        coordinates = {
+            "output": list(self.outputs),
+            "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"}),
+        }
+        return dataset(variables, coordinates, "random response")
+
+    def explain(self) -> str:
+        infinite = np.flatnonzero(np.isinf(self.rms))
+        if not len(infinite):
+            return ""
+        peak = float(
+            self.frequencies[int(np.argmax(np.nan_to_num(self.psd[infinite[0]], nan=np.inf)))]
+        )
+        return (
+            f"{', '.join(self.outputs[i] for i in infinite)} near {peak:.4g} Hz; give dampers, "
+            "modal_damping= or loss_factor="
+        )
+
+    @tables.summarized("Random response", 1, rms="rms")
+    def _tables(self) -> list[tables.PrintedTable]:
+        f = np.asarray(self.frequencies)
+        rows = [
+            (name, value, unit)
+            for name, value, unit in zip(self.outputs, self.rms, self.units, strict=True)
+        ]
+        return [
+            tables.PrintedTable(
+                f"Random response, {f[0]:.6g} to {f[-1]:.6g} Hz",
+                ("output", "rms", "unit"),
+                rows,
+                self.failure,
+            )
+        ]
+
+
+def random_response(
+    lin: Linearization,
+    frequencies: Any,
+    inputs: dict[str, Any],
+    outputs: dict[str, Any],
+    spectra: dict[str, Spectrum] | CrossPSD,
+    *,
+    loss_factor: Any = None,
+    modal_damping: Any = None,
+) -> RandomResponse:
+    """Power spectral densities and rms of outputs under stationary random inputs, of small motions
+    about an equilibrium.
+
+        S_y(f) = sum_ij H_i S_ij conj(H_j),   rms^2 = int S_y df
+
+    Args:
+        frequencies: a Band, or frequencies [Hz] for the trapezoidal rule, close enough to resolve
+            each resonance.
+        inputs, outputs: as in `frequency_response`.
+        spectra: {input: PSD or PowerLaw}, uncorrelated, or a CrossPSD. The spectrum of a motion may
+            be that of its displacement, velocity
+        or
+            acceleration, whatever the kind of the port: powers of 2 pi f convert it.
+        loss_factor, modal_damping: as in `frequency_response`; by default none.
+
+    Errors: those of `frequency_response`, UNKNOWN_NAME or NO_SPECTRUM (missing), BAD_UNIT for a
+    spectrum that does not fit its input; warns COARSE, NOT_POSITIVE, UNDAMPED, UNSTABLE.
+
+    >>> spring = Spring(
+    ...     ("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0
+    ... )
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     supports={"base": Support()},
+    ...     elements={"s": spring},
+    ... )
+    >>> response = random_response(
+    ...     linearize(model, equilibrium(model)),
+    ...     Band(1e-7, 1e3),
+    ...     {"pull": PointForce("mass", direction="y")},
+    ...     {"stroke": Elongation("s")},
+    ...     {"pull": PowerLaw(3.0, unit="N2/Hz")},
+    ... )
+    >>> round(float(response["stroke"] ** 2 / (3.0 / (4 * 2.0 * 50.0))), 6)
+    1.0
+    """
+    check_system(lin, "random_response")
+    (names, ins, _), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "random_response")
+    _check_match(inputs, spectra)
+    if isinstance(frequencies, Band):
+        f, weights, coarse = frequencies.frequencies, frequencies.weights, frequencies.coarse
+    else:
+        f = check_frequencies(frequencies, "random_response.frequencies")
+        _check_band(f)
+        weights, coarse = trapezoids(f)
+    for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
+        check_without_force_sensors(option, f"random_response.{what}", sensors, lin.model)
+    eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor")
+    check_inner_rows(lin, "random_response", loss_factor=loss_factor, modal_damping=modal_damping)
+    check_memory("random_response", lin.model, f.size)
+    lin = with_modal_damping(lin, modal_damping, "random_response.modal_damping")
+    psd, rms, status = _random_response(
+        lin, f, weights, coarse, port_matrices(lin, ins, sensors), ins, names, spectra, eta
+    )
+    return warn_if_failed(RandomResponse(f, psd, rms, weights, coarse, status, y, y_units))
+
+
+def root_mean_square(
+    psd: Float[Array, "ny nf"], weights: Float[Array, "*w nf"]
+) -> Float[Array, "ny"]:
+    """The root of the integral; its derivative at zero is zero."""
+    square = jnp.sum(psd * jnp.atleast_2d(weights), -1)
+    positive = square > 0
+    return jnp.where(
+        jnp.isnan(square),
+        square,
+        jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0),
+    )
+
+
+def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
+    """COARSE if an rms changes when every other frequency is left out."""
+    fine, rough = root_mean_square(psd, weights), root_mean_square(psd, coarse)
+    return jnp.where(
+        jnp.any(jnp.abs(fine - rough) > COARSE * fine), Status.COARSE.value, Status.OK.value
+    )
+
+
+@program_with(lambda lin, f, *_: OPTIMIZED if are_many(f, lin.K) else QUICK)
+def _random_response(
+    lin: Linearization, f, weights, coarse, ports: Ports, inputs: tuple, names, spectra, eta
+):
+    near = _beside_resonances(lin, f)
+    f = jnp.concatenate([f, near])
+    H, status = response_values(lin, f, ports, eta)
+    each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
+    S = jnp.stack(
+        [
+            each[name](f) * (2 * jnp.pi * f) ** _order(each[name], port)
+            for name, port in zip(names, inputs, strict=True)
+        ]
+    )
+    if isinstance(spectra, CrossPSD):
+        order = np.array([spectra.names.index(name) for name in names])
+        R = spectra.correlation(f)[order][:, order]
+        psd = hermitian_form(H * jnp.sqrt(S)[None].astype(H.dtype), R)
+        positive = spectra.positive(f)
+    else:
+        psd = jnp.sum((H.real**2 + H.imag**2) * S[None], 1)
+        positive = jnp.array(True)
+    psd = psd * jnp.where(positive, 1.0, jnp.nan)
+    psd, at, beyond = jnp.split(psd, [len(f) - len(near), len(f) - len(near) // 2], 1)
+    infinite = jnp.any(at > 3 * beyond, 1)
+    good = jnp.where(positive, resolution(psd, weights, coarse), Status.NOT_POSITIVE.value)
+    good = jnp.where(jnp.any(infinite), Status.UNDAMPED.value, good)
+    own = (status == Status.OK) | jnp.any(infinite) & (status == Status.NONFINITE)
+    return (
+        psd,
+        jnp.where(infinite, jnp.inf, root_mean_square(psd, weights)),
+        jnp.where(own, good, status),
+    )
+
+
+def _beside_resonances(lin: Linearization, f: Float[Array, "nf"]) -> Float[Array, "_"]:
+    """For each free vibration with a frequency in the band two frequencies, NEAR it and twice as
+    far; first all of the first kind."""
+    nv = lin.M.shape[-1]
+    own = jax.tree.map(lambda A: A[:nv, :nv], DynamicMatrices(*lin.whole, None, lin.massless))
+    # without the conjugates
+    resonances = jnp.sort(jnp.imag(free_motions(own)))[-(nv - lin.massless) :] / (2 * jnp.pi)
+    within = jnp.clip(resonances, f[0], f[-1])
+    near = reachable(NEAR, f.dtype, 256) * jnp.outer(
+        jnp.arange(1, 3, dtype=f.dtype), (within == resonances).astype(f.dtype)
+    )
+    return jax.lax.stop_gradient((within[None] * (1 + near)).ravel())
+
+
+@jax.custom_jvp
+def hermitian_form(
+    x: Complex[Array, "ny n nf"], R: Complex[Array, "n n nf"]
+) -> Float[Array, "ny nf"]:
+    """sum_ij x_i R_ij conj(x_j), R = R^H; its derivative in x is 2 Re sum_i dx_i w_i,
+    w = R conj(x)."""
+    return _real_sum(x, _weighted(R, x))
+
+
+@hermitian_form.defjvp
+def _hermitian_form_jvp(primals, tangents):
+    (x, R), (dx, dR) = primals, tangents
+    w = _weighted(R, x)
+    return _real_sum(x, w), 2 * _real_sum(dx, w) + _real_sum(x, _weighted(dR, x))
+
+
+def _weighted(R, x):
+    return sum((R[None, :, j] * x[:, j, None].conj() for j in range(x.shape[1])), jnp.zeros_like(x))
+
+
+def _real_sum(x, w):
+    return jnp.sum(x.real * w.real - x.imag * w.imag, 1)
+
+
+def _order(spectrum: Spectrum, port: Any) -> int:
+    """The power of 2 pi f that converts the spectrum of a motion to that of the port: 2 for
+    each derivative."""
+    if spectrum.quantity == port.unit:
+        return 0
+    return 2 * (KINDS.index(port.kind) - UNITS[len(port.direction) - 1].index(spectrum.quantity))
+
+
+def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
+    """Check that each input has a spectrum that fits it, and that there are no other spectra."""
+    with Problems() as problems:
+        each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
+        if not isinstance(each, dict):
+            problems.add(
+                "WRONG_KIND",
+                "spectra",
+                f"is a {type(each).__name__}",
+                value=each,
+                limit="{input: Spectrum} or CrossPSD",
+            )
+            problems.raise_if_any()
+        known = check_spectra(each, "spectra", problems)
+        for name in set(each) - set(inputs):
+            problems.collected.append(unknown(name, "spectra", tuple(inputs)))
+        for name, port in inputs.items():
+            if name not in each:
+                problems.add(
+                    "NO_SPECTRUM",
+                    f"spectra[{name!r}]",
+                    "is missing",
+                    limit="one for each input",
+                    hint="Give a PSD or a PowerLaw.",
+                )
+            elif name in known:
+                family = (
+                    (port.unit,) if not hasattr(port, "kind") else UNITS[len(port.direction) - 1]
+                )
+                if known[name].quantity not in family:
+                    message, limit = (
+                        f"is of {known[name].quantity}, but the input is in {port.unit}",
+                        " or ".join(family),
+                    )
+                    problems.add(
+                        "BAD_UNIT",
+                        f"spectra[{name!r}]",
+                        message,
+                        value=known[name].quantity,
+                        limit=limit,
+                        hint="Give the spectrum in one of these units.",
+                    )
+
+
+def _check_band(f: Float[Array, "nf"]) -> None:
+    with Problems() as problems:
+        if len(f) < 2:
+            problems.add(
+                "EMPTY_BAND",
+                "random_response.frequencies",
+                f"has {len(f)} frequency",
+                value=len(f),
+                limit=">= 2",
+                hint="Give a Band.",
+            )
+        elif is_concrete(f) and (np.diff(np.asarray(f)) <= 0).any():
+            problems.add(
+                "EMPTY_BAND",
+                "random_response.frequencies",
+                "do not increase",
+                limit="increasing",
+                hint="Sort them.",
+            )

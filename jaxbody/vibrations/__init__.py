@@ -1,1 +1,0 @@
-"""Small motions: matrices, inputs and outputs, state space, modes of every kind."""

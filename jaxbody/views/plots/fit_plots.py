@@ -1,0 +1,354 @@
+"""Plots of fits: the history of the cost, correlations of the estimates, autocorrelations of the
+residuals, likelihood profiles, optima."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem, unknown
+from jaxbody.fitting.coverages import Coverage
+from jaxbody.fitting.experiments.residual_series import records_of
+from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.multistarts import CLOSE, Multistart
+from jaxbody.fitting.profiles import Profile
+from jaxbody.fitting.residuals import residual_and_jacobian
+from jaxbody.fitting.statistics.autocorrelations import FEWEST, most_lags, products
+from jaxbody.fitting.statistics.noises import ResidualSeries
+from jaxbody.fitting.validations import Validation
+from jaxbody.views.plots.canvases import (
+    COLORS,
+    GRAY,
+    INK,
+    LIGHT,
+    axes_below,
+    axes_or_new,
+    heat_map,
+    legend,
+    slanted,
+    with_unit,
+)
+
+COMPLEX = ("real", "imaginary")
+
+
+def plot_history(fit: Fit, *, ax: Any = None) -> Any:
+    """The cost of a fit at every evaluation, on a logarithmic scale; crosses mark trials that could
+    not be simulated.
+
+    A dotted line marks each new estimate of the noise, which changes the weights in the cost:
+    compare costs only between two such lines.
+
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)},
+    ... )
+    >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
+    >>> track = Experiment(
+    ...     times,
+    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
+    ... )
+    >>> fitted = fit(model, {"track": track}, free=["spring.stiffness"])
+    >>> plot_history(fitted).get_yscale()
+    'log'
+    """
+    ax = axes_or_new(ax, 6.0, 3.0)
+    cost, estimated = (
+        np.asarray(fit.history, float).ravel(),
+        [i for i in fit.rounds if i < len(fit.history)],
+    )
+    good = np.isfinite(cost)
+    for start, stop in pairwise([0, *estimated, len(cost)]):
+        at = np.flatnonzero(good[start:stop]) + start
+        ax.plot(at, cost[at], ".-", color=COLORS[0], lw=1.2, ms=4)
+    for k, start in enumerate(estimated):
+        ax.axvline(
+            start - 0.5,
+            color=GRAY,
+            lw=0.9,
+            ls=":",
+            label="noise estimated again" if k == 0 else None,
+        )
+    if not good.all():
+        failed, style = (
+            np.flatnonzero(~good),
+            {"color": COLORS[2], "ms": 6, "transform": ax.get_xaxis_transform()},
+        )
+        ax.plot(failed, np.full(len(failed), 0.96), "x", label="could not be simulated", **style)
+    if (cost[good] > 0).any():
+        ax.set_yscale("log")
+    ax.set(xlabel="evaluation", ylabel="cost [-]")
+    ax.xaxis.get_major_locator().set_params(integer=True)
+    legend(ax, len(ax.get_legend_handles_labels()[1]))
+    return ax
+
+
+def plot_correlations(fit: Fit, *, ax: Any = None) -> Any:
+    """Correlations of the estimates as a heat map; parameters that the data do not determine are
+    left out.
+
+    Near 1 or -1 the data determine a combination of the two parameters better than each of them.
+
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     elements={
+    ...         "spring": Spring(
+    ...             ("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0, damping=1.0
+    ...         )
+    ...     },
+    ... )
+    >>> times, noise = jnp.linspace(0, 1, 41), 0.02 * jax.random.normal(jax.random.key(0), (41,))
+    >>> decay = (
+    ...     jnp.exp(-0.5 * times) * (jnp.cos(5.454 * times) + 0.0917 * jnp.sin(5.454 * times))
+    ...     + noise
+    ... )
+    >>> track = Experiment(
+    ...     times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": decay}
+    ... )
+    >>> ax = plot_correlations(
+    ...     fit(model, {"track": track}, free=["spring.stiffness", "spring.damping"])
+    ... )
+    >>> [text.get_text() for text in ax.get_yticklabels()]
+    ['spring.stiffness', 'spring.damping']
+    """
+    names, C = fit.task.space.names, fit.covariance
+    known = np.flatnonzero(
+        (np.diag(C) > 0) & np.isfinite(fit._assessed().spread(np.eye(len(C)))[0])
+    )
+    deviation = np.sqrt(np.diag(C))[known]
+    rho = C[np.ix_(known, known)] / np.outer(deviation, deviation)
+    ax = axes_or_new(ax, 2.2 + 0.55 * len(known), 1.6 + 0.45 * len(known))
+    labels = [names[i] for i in known]
+    heat_map(
+        ax,
+        np.where(np.eye(len(rho), dtype=bool), np.nan, rho),
+        labels,
+        labels,
+        (-1.0, 1.0),
+        digits=2,
+    )
+    slanted(ax)
+    ax.set_title("correlations of the estimates [-]", fontsize=9)
+    return ax
+
+
+def plot_autocorrelation(
+    fit: Fit, *, run: str | None = None, sensor: str | None = None, ax: Any = None
+) -> Any:
+    """The autocorrelation of the residuals of one sensor, with the band that contains 95 % of the
+    values for white noise.
+
+    The lag is in samples, for a frequency response in spectral lines. Errors: UNKNOWN_NAME; NO_DATA
+    if the record has too few samples or, like modes, is not a sequence.
+
+    Args:
+        fit: the fit.
+        run: name of the run; None takes the first one.
+        sensor: name of the sensor; None takes the first one.
+        ax: axes to draw into; None makes a new figure.
+
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)},
+    ... )
+    >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
+    >>> track = Experiment(
+    ...     times,
+    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
+    ... )
+    >>> fitted = fit(model, {"track": track}, free=["spring.stiffness"])
+    >>> plot_autocorrelation(fitted).get_xlabel()
+    'lag [samples]'
+    """
+    run, sensor, part = chosen(fit, run, sensor, "plot_autocorrelation")
+    r, _ = linearized(fit)
+    records = [
+        x for x in records_about(fit, run, sensor) if part is None or x.group.endswith(f" {part}")
+    ]
+    records = [x for x in records if x.series and r[x.rows].any() and most_lags(len(x.rows))]
+    if not records:
+        message, hint = (
+            f"'{sensor}' has no autocorrelation",
+            f"Choose a sensor with a sequence of {FEWEST} samples or more.",
+        )
+        raise JaxbodyError(
+            Problem("NO_DATA", "plot_autocorrelation.sensor", message, sensor, hint=hint)
+        )
+    ax = axes_or_new(ax, 5.5, 3.0)
+    for i, record in enumerate(records):
+        color = COLORS[i % len(COLORS)]
+        values = r[record.rows]
+        rho = products(values, most_lags(len(values))) / (values @ values)
+        at = np.arange(1, len(rho)) + (i - (len(records) - 1) / 2) * 0.6 / max(len(records), 2)
+        name = (
+            record.name
+            if not np.iscomplexobj(fit.experiments[run].measured[sensor])
+            else f"{run}.{sensor} {COMPLEX[i]}"
+        )
+        ax.vlines(at, 0, rho[1:], color=color, lw=2, label=name)
+        ax.plot(at, rho[1:], "o", color=color, ms=3)
+    far = 1.96 / np.sqrt(min(len(record.rows) for record in records))
+    ax.axhspan(-far, far, color=LIGHT, alpha=0.6, lw=0, zorder=0)
+    ax.axhline(0.0, color=INK, lw=0.8)
+    lag = "samples" if fit.experiments[run].axis(sensor)[0] == "time" else "lines"
+    ax.set(
+        xlabel=f"lag [{lag}]",
+        ylabel="autocorrelation of residuals [-]",
+        ylim=(min(-0.25, ax.get_ylim()[0]), 1.0),
+    )
+    ax.xaxis.get_major_locator().set_params(integer=True)
+    legend(ax, len(records))
+    return ax
+
+
+def plot_multistart(result: Multistart, *, ax: Any = None) -> Any:
+    """The cost of each optimum above that of the best one, and the number of starts that reached it
+    below; the best is the first.
+
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)},
+    ... )
+    >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
+    >>> track = Experiment(
+    ...     times,
+    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
+    ... )
+    >>> ax = plot_multistart(
+    ...     multistart(model, {"track": track}, free="spring.stiffness", starts=3, spread=0.1)
+    ... )
+    >>> ax.figure.axes[-1].get_xlabel()
+    'optimum'
+    """
+    ax = axes_or_new(ax, 5.0, 3.6)
+    count, more = np.arange(1, 1 + len(result.cost)), np.asarray(result.cost) - result.cost[0]
+    (below,) = axes_below(ax, 0.6)
+    ax.plot(count, more, "o", ms=6, color=COLORS[0])
+    if more.max(initial=0.0) > 100 * CLOSE:
+        ax.set_yscale("symlog", linthresh=CLOSE)
+    ax.axhspan(
+        0, CLOSE, color=LIGHT, alpha=0.6, lw=0, zorder=0, label="explains the data about as well"
+    )
+    below.bar(count, np.asarray(result.hits), color=COLORS[0], width=0.6)
+    ax.set_ylabel("cost above the least [-]")
+    below.set(xlabel="optimum", ylabel="starts")
+    for axis in (below.xaxis, below.yaxis):
+        axis.get_major_locator().set_params(integer=True, min_n_ticks=1)
+    below.set_xlim(0.4, len(count) + 0.6)
+    legend(ax, 1)
+    return ax
+
+
+def plot_profile(profile: Profile, *, ax: Any = None) -> Any:
+    """The signed root tau of a likelihood profile over its parameter, with the confidence interval,
+    where tau is between the dashed lines.
+
+    tau is a straight line where the likelihood is that of a normal distribution.
+
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)},
+    ... )
+    >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
+    >>> track = Experiment(
+    ...     times,
+    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
+    ... )
+    >>> fitted = fit(model, {"track": track}, free=["spring.stiffness"])
+    >>> plot_profile(profile(fitted, "spring.stiffness")).get_xlabel()
+    'spring.stiffness [N/m]'
+    """
+    ax = axes_or_new(ax, 4.6, 3.2)
+    ax.plot(profile.values, profile.tau, "o-", color=COLORS[0], ms=3.5, lw=1.4)
+    for sign in (-1, 1):
+        ax.axhline(sign * profile.limit, color=GRAY, lw=0.9, ls="--")
+    low, high = (x if np.isfinite(x) else None for x in profile.interval)
+    if low is not None and high is not None:
+        ax.axvspan(low, high, color=LIGHT, alpha=0.5, lw=0, zorder=0)
+    ax.axvline(profile.estimate, color=INK, lw=0.8)
+    ax.set(
+        xlabel=with_unit(profile.path, profile.unit),
+        ylabel=r"$\tau$ [standard errors]",
+        title=(
+            f"{100 * profile.level:g} % interval {profile.interval[0]:.5g} to "
+            f"{profile.interval[1]:.5g}"
+        ),
+    )
+    ax.title.set_fontsize(9)
+    ax.xaxis.get_major_locator().set_params(nbins=5)  # long numbers
+    return ax
+
+
+def plot_coverage(result: Coverage, *, ax: Any = None) -> Any:
+    """The share of replicates whose intervals contain the true value, by parameter, and the level
+    with two standard errors of a share."""
+    count = len(result.parameters)
+    ax = axes_or_new(ax, 6.0, 1.4 + 0.32 * count)
+    at, level, error = (
+        np.arange(count)[::-1],
+        100 * result.level,
+        200 * float(result.standard_error[0]),
+    )
+    ax.axvspan(level - error, min(level + error, 100.0), color=LIGHT, alpha=0.6, lw=0, zorder=0)
+    ax.axvline(level, color=GRAY, lw=0.9, ls="--")
+    ax.plot(100 * result.contained, at, "o", ms=6, color=COLORS[0])
+    ax.set_yticks(at, result.parameters)
+    title = f"{int(result.ok.sum())} replicates; pale: {level:g} % and two standard errors"
+    ax.set(
+        xlabel="intervals that contain the true value [%]", ylim=(-0.6, count - 0.4), title=title
+    )
+    ax.title.set_fontsize(9)
+    return ax
+
+
+def chosen(
+    fit: Fit | Validation, run: str | None, sensor: str | None, where: str
+) -> tuple[str, str, int | None]:
+    """The named run, sensor and part of a sensor, or the first ones; "plate moment" names the
+    second part of the ForcePlate "plate".
+
+    Args:
+        fit: the fit or validation.
+        run, sensor: names; None takes the first ones.
+        where: name of the calling function, for messages.
+    """
+    run = run or next(iter(fit.experiments))
+    if run not in fit.experiments:
+        raise JaxbodyError(unknown(run, f"{where}.run", tuple(fit.experiments)))
+    given = fit.experiments[run]
+    names: dict[str, tuple[str, int | None]] = {name: (name, None) for name in given.channels}
+    names |= {
+        f"{name} {part}": (name, i)
+        for name, channel in given.channels.items()
+        for i, part in enumerate(channel.parts)
+    }
+    sensor = sensor or next(iter(names))
+    if sensor not in names:
+        raise JaxbodyError(unknown(sensor, f"{where}.sensor", tuple(names)))
+    return run, *names[sensor]
+
+
+def records_about(fit: Fit | Validation, run: str, sensor: str) -> list[ResidualSeries]:
+    """The residual series of each component of a sensor."""
+    return [
+        x
+        for x in records_of(fit.experiments)
+        if x.run == run and x.name.split("[")[0] == f"{run}.{sensor}"
+    ]
+
+
+def linearized(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """The residuals divided by the noise, and their Jacobian."""
+    _, J, runs = residual_and_jacobian(fit.task, fit.u)
+    return fit.task.linearized(runs, np.asarray(J))

@@ -1,0 +1,535 @@
+"""Plots of models and their modes: bodies as outlines around their attachment points, springs as
+zigzags, supports hatched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.tables import without_dust
+from jaxbody.geometry.closures import Coupling, Equation, Inline
+from jaxbody.geometry.closures import Guide as GuideClosure
+from jaxbody.geometry.frames import Pose
+from jaxbody.mechanics.free_motions import moved as moved_by
+from jaxbody.model.elements.contacts import Tyre
+from jaxbody.model.elements.elements import LineElement
+from jaxbody.model.elements.inerters import Inerter
+from jaxbody.model.joints.elementary_joints import Guide
+from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.layouts import WORLD
+from jaxbody.model.models import Model
+from jaxbody.model.preconditions import check_state
+from jaxbody.model.states import State
+from jaxbody.vibration.damped_modes import ComplexModes
+from jaxbody.vibration.linearizations import Linearization
+from jaxbody.vibration.natural_modes import Modes
+from jaxbody.vibration.spins import SpinLinearization
+from jaxbody.views.plots.canvases import (
+    COLORS,
+    GRAY,
+    INK,
+    LIGHT,
+    Label,
+    annotate,
+    axes_or_new,
+    check_known,
+)
+from jaxbody.views.plots.symbols import AXES, frame_axes, ground_at, zigzag_path
+
+RIM = 8.0  # points, width of the rounded rim of an outline
+SWING = 1 / 8  # largest displacement of a drawn mode, relative to the size of the model
+
+
+def draw_model(
+    model: Model,
+    state: State | None = None,
+    *,
+    displaced: dict[str, Any] | None = None,
+    view: str | None = None,
+    names: bool = True,
+    ax: Any = None,
+) -> Any:
+    """A drawing of the model; tyres are circles with their radius.
+
+    Args:
+        model, state: the model and its state; None draws the reference pose.
+        displaced: {support: Xi}, displacements of supports.
+        view: the axes that point right and up, such as "xy", or "oblique". With None, gravity
+            points down, and the view is oblique unless the model is flat.
+        names: whether to write the names of bodies and elements.
+        ax: axes to draw into; None makes a new figure.
+
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     gravity=[0, -9.81, 0],
+    ...     elements={
+    ...         "s": Spring(
+    ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9
+    ...         )
+    ...     },
+    ... )
+    >>> draw_model(model).get_ylabel()
+    'y [m]'
+    """
+    state = model.reference if state is None else state
+    check_state(model, state, "draw_model.state")
+    xi = np.zeros((len(model.layout.supports), 6))
+    check_known(tuple(displaced or ()), model.layout.supports, "draw_model.displaced")
+    for name, value in (displaced or {}).items():
+        xi[model.layout.supports.index(name)] = value
+    # an open drawing stays open; all others share a program with modes
+    still = None if model.closures else np.zeros(model.layout.nv)
+    scene = Scene(model, _poses_at(model, state.q, still, xi))
+    look = projection(view, model, [scene])
+    ax = _axes(ax, [scene], look)
+    _draw(ax, scene, look, scene.size(look))
+    frame_axes(ax, look, scene.size(look))
+    if names:
+        annotate(ax, _names(scene, look))
+    return ax
+
+
+def draw_mode(
+    lin: Linearization | SpinLinearization,
+    modes: Modes | ComplexModes,
+    number: int = 1,
+    *,
+    view: str | None = None,
+    ax: Any = None,
+) -> Any:
+    """One mode in both extreme positions over the state at rest, with its name; the amplitude is an
+    eighth of the model's size.
+
+    A complex mode is drawn at the instant at which its largest component is extreme.
+
+    Args:
+        lin, modes: the linear system and its modes.
+        number: number of the mode, from 1, by ascending frequency.
+        view: as in `draw_model`.
+        ax: axes to draw into; None makes a new figure.
+
+    Error: UNKNOWN_MODE.
+
+    >>> lin = linearize(jb.presets.quarter_car(), jb.presets.quarter_car().reference)
+    >>> draw_mode(lin, modes(lin), 2).get_title().splitlines()
+    ['mode 2: 8.796 Hz', 'wheel bounce 100 %']
+    """
+    model, count = lin.model, modes.frequency.shape[0]
+    if not 1 <= number <= count:
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_MODE",
+                "draw_mode.number",
+                f"is {number}; there are modes 1 to {count}",
+                number,
+                f"1 to {count}",
+            )
+        )
+    shape = np.real(np.asarray(modes.shapes)[: model.layout.nv, number - 1])
+
+    def moved(factor: float) -> Scene:
+        return Scene(
+            model,
+            _poses_at(
+                model, lin.state.q, factor * shape, np.zeros((len(model.layout.supports), 6))
+            ),
+        )
+
+    rest = moved(0.0)
+    size = rest.size(np.eye(3))
+    trial = 1e-6 * size / np.abs(shape).max()
+    points = moved(trial).points
+    largest = (
+        max(np.abs(points[name] - rest.points[name]).max() for name in model.layout.bodies) / trial
+    )
+    # where nothing is attached off O
+    largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
+    extremes = [moved(sign * size * SWING / largest) for sign in (-1, 1)]
+    look = projection(view, model, [rest, *extremes])
+    ax = _axes(ax, [rest, *extremes], look)
+    _draw(ax, rest, look, size, color=LIGHT, edge=GRAY, springs=GRAY, alpha=0.5)
+    for scene, color in zip(extremes, COLORS, strict=False):
+        _draw(
+            ax, scene, look, size, color=color, edge=color, springs=color, alpha=0.3, ground=False
+        )
+    frequency, ratio = (
+        float(x[number - 1])
+        for x in (np.asarray(modes.frequency), without_dust(modes.damping_ratio, 1.0))
+    )
+    title = f"mode {number}: {frequency:.4g} Hz" + (
+        f", damping ratio {ratio:.2g}" if ratio > 0 else ""
+    )
+    ax.set_title(f"{title}\n{modes.names[number - 1]}", fontsize=9)
+    frame_axes(ax, look, size)
+    return ax
+
+
+@dataclass
+class Scene:
+    """A model in one pose: the world positions of the points attached to each frame."""
+
+    model: Model
+    frames: tuple[np.ndarray, np.ndarray]  # origins and orientations
+    points: dict[str, np.ndarray] = field(init=False)
+    # position and parent of each body's joint
+    pivots: dict[str, tuple[np.ndarray, str]] = field(init=False)
+    ends: dict[str, tuple[np.ndarray, np.ndarray]] = field(init=False)
+    joined: dict[str, tuple[np.ndarray, np.ndarray]] = field(init=False)  # the points of closures
+    centers: dict[str, np.ndarray] = field(init=False)  # of mass
+
+    def __post_init__(self):
+        layout = self.model.layout
+        pose = {name: (p, R) for name, p, R in zip(layout.frames, *self.frames, strict=True)}
+
+        def in_world(frame: str, point: Any) -> np.ndarray:
+            p, R = pose[frame]
+            return p + R @ np.asarray(point)
+
+        self.ends, links = {}, {}
+        for table in self.model.attached:
+            links |= dict(zip(table.names, table.links, strict=True))
+            for name, link, a, b in zip(
+                table.names,
+                table.links,
+                *(np.asarray(x) for x in table.rows.points[:2]),
+                strict=True,
+            ):
+                self.ends[name] = (in_world(link[0], a), in_world(link[1], b))
+        self.joined = {}
+        for table in self.model.closures:
+            for name, link in zip(table.names, table.links, strict=True):
+                closure = table.row(name)
+                if not isinstance(closure, Coupling | Equation):  # which have no place
+                    self.joined[name], links[name] = (
+                        (in_world(link[0], closure.a), in_world(link[1], closure.b)),
+                        link,
+                    )
+        self.centers = {name: in_world(name, self.model[name].com) for name in layout.bodies}
+        parents = {
+            name: parent
+            for name, parent in zip(layout.bodies, layout.parents, strict=True)
+            if layout.block(name).nv < 6
+        }
+        joints = {name: self.model.joint(name).at for name in parents}
+        self.pivots = {
+            name: (pose[name][0] if at is None else in_world(parents[name], at), parents[name])
+            for name, at in joints.items()
+        }
+        attached = [
+            place
+            for name, ends in (self.ends | self.joined).items()
+            for place in zip(links[name][:2], ends, strict=True)
+        ]
+        attached += [
+            *self.centers.items(),
+            *(
+                (frame, at)
+                for name, (at, parent) in self.pivots.items()
+                for frame in (name, parent)
+            ),
+        ]
+        self.points = {
+            name: np.array([at for frame, at in attached if frame == name] or [pose[name][0]])
+            for name in layout.frames
+        }
+
+    def all_points(self) -> np.ndarray:
+        return np.concatenate(
+            [
+                rows
+                for name, rows in self.points.items()
+                if name != WORLD or len(self.ends) + len(self.joined) + len(self.pivots)
+            ]
+        )
+
+    def size(self, look: np.ndarray) -> float:
+        """The longer side of the box around everything, as seen."""
+        return float(np.ptp(self.all_points() @ look.T, axis=0).max()) or 1.0
+
+
+def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarray:
+    """The matrix (2, 3) that maps world coordinates to the drawing's right and up."""
+    if view is not None and view != "oblique":
+        return look_along(view)
+    spread = np.ptp(np.concatenate([scene.all_points() for scene in scenes]), axis=0)
+    weight = np.abs(np.asarray(model.gravity))
+    up = int(np.argmax(weight)) if weight.any() else int(np.argsort(spread)[1])
+    rest = [i for i in range(3) if i != up]
+    right = rest[0] if spread[rest[0]] >= 0.5 * spread[rest[1]] else rest[1]
+    away = 3 - up - right
+    look = np.eye(3)[[right, up]]
+    if view == "oblique" or spread[away] > 1e-6 * spread.max():
+        look[:, away] = (-0.45, -0.28) if (right, up) in ((0, 1), (1, 2), (2, 0)) else (0.45, 0.28)
+    return look
+
+
+def look_along(view: str) -> np.ndarray:
+    """The matrix (2, 3) of a view named by the axes that point right and up, such as "xz".
+    Error: BAD_VIEW."""
+    if not (len(view) == 2 and view[0] != view[1] and set(view) <= set(AXES)):
+        hint = "Give 'oblique', or the axes that point right and up, such as 'xy'."
+        raise JaxbodyError(
+            Problem("BAD_VIEW", "view", f"is {view!r}", view, "two of x, y, z", hint)
+        )
+    return np.eye(3)[[AXES.index(axis) for axis in view]]
+
+
+def _axes(ax: Any, scenes: list[Scene], look: np.ndarray) -> Any:
+    """The given axes, or those of a new figure with the proportions of the drawing."""
+    width, height = (
+        np.ptp(np.concatenate([scene.all_points() for scene in scenes]) @ look.T, axis=0) + 1e-9
+    )
+    ratio = np.clip((height + 0.1 * width) / (width + 0.1 * height), 0.25, 2.0)
+    return axes_or_new(ax, *((6.4, 1.0 + 5.2 * ratio) if ratio < 1 else (1.4 + 5.0 / ratio, 5.8)))
+
+
+def _draw(
+    ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, alpha=1.0, ground=True
+) -> None:
+    layout = scene.model.layout
+    for i, name in enumerate(layout.bodies):
+        _outline(
+            ax,
+            scene.points[name] @ look.T,
+            size,
+            color or COLORS[i % len(COLORS)],
+            edge,
+            alpha if color else 0.35,
+            color is not None,
+        )
+        if color is None:
+            ax.plot(
+                *(scene.centers[name] @ look.T), "o", ms=6, mfc="white", mec=INK, mew=1.0, zorder=6
+            )
+    for table in scene.model.attached:
+        if isinstance(table.rows, Tyre):
+            _wheels(ax, scene, table, look, size, edge, alpha, ground)
+            continue
+        zigzag, slim = (
+            isinstance(table.rows, LineElement),
+            isinstance(table.rows, LineElement | Inerter),
+        )
+        for name, link in zip(table.names, table.links, strict=True):
+            A, B = (end @ look.T for end in scene.ends[name])
+            path = zigzag_path(A, B, 0.022 * size) if zigzag else np.array([A, B])
+            ax.plot(
+                *path.T,
+                color=springs,
+                lw=1.1 if slim else 3.0,
+                alpha=alpha,
+                solid_joinstyle="round",
+                zorder=4,
+            )
+            ax.plot(
+                *np.array([A, B]).T,
+                "." if slim else "s",
+                color=springs,
+                ms=4,
+                alpha=alpha,
+                zorder=5,
+            )
+            if isinstance(table.rows, Inerter):
+                ax.plot(
+                    *((A + B) / 2),
+                    "o",
+                    mfc="white",
+                    mec=springs,
+                    mew=1.6,
+                    ms=9,
+                    alpha=alpha,
+                    zorder=5,
+                )  # its flywheel
+            for end, here, there in zip(link[:2], (A, B), (B, A), strict=True):
+                if ground and end not in layout.bodies:
+                    ground_at(ax, here, here - there, 0.035 * size)
+    _closures(ax, scene, look, size, edge, alpha, ground)
+    for name, (at, parent) in scene.pivots.items():
+        pivot, joint = at @ look.T, scene.model.joint(name)
+        if isinstance(joint, Guide):
+            axis = scene.frames[1][layout.frame(parent)] @ np.asarray(joint.axis)
+            along = axis @ look.T * 0.12 * size
+            ax.plot(*np.array([pivot - along, pivot + along]).T, "-.", color=GRAY, lw=0.9, zorder=1)
+        elif not joint.in_series:
+            ax.plot(*pivot, "o", ms=6, mfc="white", mec=edge, mew=1.2, alpha=alpha, zorder=6)
+            if ground and parent not in layout.bodies:
+                ground_at(
+                    ax, pivot - np.array([0, 0.02 * size]), np.array([0.0, -1.0]), 0.035 * size
+                )
+
+
+def _closures(ax, scene: Scene, look, size, edge, alpha, ground) -> None:
+    """Rods as lines between two balls, guides and lines in which a point slides as dash-dotted
+    lines, other closures as pins."""
+    layout = scene.model.layout
+    for name, ends in scene.joined.items():
+        closure, (A, B) = scene.model[name], (end @ look.T for end in ends)
+        if isinstance(closure, GuideClosure | Inline):
+            axis = (
+                scene.frames[1][layout.frame(closure.between[0])]
+                @ np.asarray(closure.axis)
+                @ look.T
+            )
+            reach = 0.12 * size + np.linalg.norm(B - A)
+            ax.plot(
+                *np.array([A - reach * axis, A + reach * axis]).T,
+                "-.",
+                color=GRAY,
+                lw=0.9,
+                zorder=1,
+                gid=f"line of {name}",
+            )
+            ax.plot(*B, "o", ms=5, mfc=edge, mec=edge, alpha=alpha, zorder=6)
+        else:
+            path = np.array([A, B])
+            ax.plot(
+                *path.T,
+                "-",
+                marker="o",
+                color=edge,
+                lw=1.8,
+                ms=6,
+                mfc="white",
+                mew=1.2,
+                alpha=alpha,
+                zorder=5,
+                gid=name,
+            )
+        for end, here, there in zip(closure.between, (A, B), (B, A), strict=True):
+            if ground and end not in layout.bodies and (here != there).any():
+                ground_at(ax, here, here - there, 0.035 * size)
+
+
+def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
+    """Tyres as circles about the hubs, with the ground below if the view shows the
+    road's normal."""
+    from matplotlib.patches import Circle
+
+    rows = zip(
+        table.names,
+        table.links,
+        np.asarray(table.rows.radius),
+        np.asarray(table.rows.axis),
+        strict=True,
+    )
+    for name, link, radius, axis in rows:
+        hub, road = (end @ look.T for end in scene.ends[name])
+        up = scene.frames[1][scene.model.layout.frame(link[1])] @ axis @ look.T
+        if up.any():
+            ax.add_patch(
+                Circle(hub, radius, fill=False, edgecolor=edge, lw=1.6, alpha=alpha, zorder=1)
+            )
+            if ground:
+                ground_at(ax, road, -up, 0.035 * size)
+
+
+def _names(scene: Scene, look) -> list[Label]:
+    """Labels of bodies at their centers of mass and of elements at their middles."""
+    labels = [
+        Label(name, at @ look.T, np.array([1.0, 1.0]), 9, INK) for name, at in scene.centers.items()
+    ]
+    for name, ends in scene.ends.items():
+        A, B = (end @ look.T for end in ends)
+        labels.append(
+            Label(
+                name,
+                (A + B) / 2,
+                np.array([abs((B - A)[1]), -(B - A)[0] * np.sign((B - A)[1] or 1.0)]),
+                8,
+                GRAY,
+            )
+        )
+    return labels
+
+
+def _outline(ax, seen, size, fill, edge, alpha, ghost) -> None:
+    """The convex hull of the points with a rounded rim; a disk for a single point."""
+    from matplotlib.colors import to_rgba
+    from matplotlib.patches import Circle, Polygon
+
+    hull = _hull(seen, 1e-9 * size)
+    if len(hull) == 1:
+        ax.add_patch(
+            Circle(
+                hull[0],
+                0.035 * size,
+                facecolor=to_rgba(fill, alpha),
+                edgecolor=edge,
+                lw=1.2,
+                zorder=2,
+            )
+        )
+    elif ghost:
+        ax.add_patch(
+            Polygon(
+                hull,
+                closed=True,
+                facecolor=to_rgba(fill, alpha),
+                edgecolor=edge,
+                lw=1.6,
+                joinstyle="round",
+                zorder=3,
+            )
+        )
+    else:
+        pale = tuple(1 - 0.35 * (1 - c) for c in to_rgba(fill)[:3])
+        for color, width in ((edge, RIM), (pale, RIM - 2.2)):
+            rim = {"lw": width, "zorder": 2, "snap": False}
+            if len(hull) == 2:
+                ax.plot(*hull.T, color=color, solid_capstyle="round", **rim)
+            else:
+                ax.add_patch(
+                    Polygon(
+                        hull,
+                        closed=True,
+                        facecolor=color,
+                        edgecolor=color,
+                        joinstyle="round",
+                        **rim,
+                    )
+                )
+
+
+def _hull(points: np.ndarray, tolerance: float) -> np.ndarray:
+    """Convex hull in the plane, counterclockwise (A. M. Andrew, Information Processing Letters 9
+    (1979) 216)."""
+    points = points[np.lexsort(points.T[::-1])]
+    points = points[
+        np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > tolerance])
+    ]
+    if len(points) < 3:
+        return points
+
+    def half(points):
+        chain: list[np.ndarray] = []
+        for p in points:
+            while len(chain) > 1 and _area(chain[-2], chain[-1], p) <= 0:
+                chain.pop()
+            chain.append(p)
+        return chain[:-1]
+
+    return np.array(half(points) + half(points[::-1]))
+
+
+def _area(a, b, c) -> float:
+    return float((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
+
+
+@program
+def _poses(model: Model, q, delta, xi) -> Pose:
+    coordinates = Coordinates(model)
+    q, v = (
+        q if delta is None else moved_by(coordinates, q, delta),
+        jnp.zeros(model.layout.nv, q.dtype),
+    )
+    return coordinates.frames(q, v, coordinates.supports_at(xi, jnp.zeros_like(xi))).pose()
+
+
+def _poses_at(model: Model, q, delta, xi) -> tuple[np.ndarray, np.ndarray]:
+    delta, xi = (x if x is None else jnp.asarray(x, model.gravity.dtype) for x in (delta, xi))
+    frames = _poses(model, jnp.asarray(q), delta, xi)
+    return np.asarray(frames.p), np.asarray(frames.R)

@@ -1,0 +1,420 @@
+"""Plots of motions: displacements, forces and energies over time, phase portraits, forces
+over strokes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.arrays import time_text
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.model.elements.torsions import Torsion
+from jaxbody.model.models import Model
+from jaxbody.motion.trajectories import Trajectory
+from jaxbody.views.plots.canvases import (
+    INK,
+    axes_below,
+    axes_or_new,
+    check_known,
+    check_single,
+    legend,
+    panels_of_lines,
+    style,
+)
+
+AXES = "xyz"
+
+
+def plot_trajectory(
+    trajectory: Trajectory, *, bodies: tuple[str, ...] | None = None, ax: Any = None
+) -> Any:
+    """Displacements of bodies and supports from the reference pose [m] over time, with their
+    rotations [rad] below; supports are dashed.
+
+    Lines without motion are left out. bodies: names of bodies and supports; None takes all.
+
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     elements={
+    ...         "s": Spring(
+    ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9
+    ...         )
+    ...     },
+    ... )
+    >>> ax = plot_trajectory(simulate(model, jnp.linspace(0, 1, 11)))
+    >>> ax.get_ylabel()
+    'displacement [m]'
+    """
+    check_single("plot_trajectory.trajectory", trajectory.times, 1)
+    layout, poses = trajectory.model.layout, trajectory.poses
+    names = bodies or (*layout.bodies, *layout.supports)
+    check_known(names, tuple(poses), "plot_trajectory.bodies")
+    moves, turns = {}, {}
+    for name in names:
+        p, R = np.asarray(poses[name].p), np.asarray(poses[name].R)
+        start = trajectory.model[name]
+        moves |= {
+            f"{name} {axis}": p[:, i] - np.asarray(start.position)[i] for i, axis in enumerate(AXES)
+        }
+        turns |= {
+            f"{name} about {axis}": angle
+            for axis, angle in zip(AXES, _turns(R, np.asarray(start.orientation)).T, strict=True)
+        }
+    moves, turns = _moving(moves), _moving(turns)
+    panels = {
+        label: lines
+        for label, lines in (("displacement [m]", moves), ("turn [rad]", turns))
+        if lines
+    } or {"displacement [m]": moves}
+    dashed = tuple(f"{name} " for name in layout.supports)
+    return panels_of_lines(
+        axes_or_new(ax, 7.0, 4.2), trajectory.times, panels, "time [s]", share=0.6, dashed=dashed
+    )
+
+
+def plot_forces(
+    trajectory: Trajectory, *, elements: tuple[str, ...] | None = None, ax: Any = None
+) -> Any:
+    """Forces of the elements [N] over time, dampers included: the tension of each spring; of each
+    bushing the three forces that oppose its deformation along its axes.
+
+    The moments [N m] of torsion springs and bushings are below. elements: names; None takes all.
+    Error: UNKNOWN_NAME.
+
+    >>> oscillator = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     elements={
+    ...         "s": Spring(
+    ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9
+    ...         )
+    ...     },
+    ... )
+    >>> ax = plot_forces(simulate(oscillator, jnp.linspace(0, 1, 11)))
+    >>> ax.get_ylabel(), [line.get_label() for line in ax.lines]
+    ('force, tension positive [N]', ['s'])
+    """
+    check_single("plot_forces.trajectory", trajectory.times, 1)
+    forces = trajectory.forces
+    names = elements or tuple(forces)
+    check_known(names, tuple(forces), "plot_forces.elements")
+    pulls, moments = forces_and_moments(trajectory.model, {name: forces[name] for name in names})
+    moments = {name: moment for name, moment in moments.items() if np.any(moment)}
+    panels = {stroke_and_force(trajectory.model, names)[1]: pulls, "moment [N m]": moments}
+    panels = {label: lines for label, lines in panels.items() if lines}
+    return panels_of_lines(
+        axes_or_new(ax, 7.0, 0.6 + 2.4 * len(panels)), trajectory.times, panels, "time [s]"
+    )
+
+
+def plot_energies(trajectory: Trajectory, *, ax: Any = None) -> Any:
+    """Energies over time [J] with their balance:
+
+        kinetic + potential + dissipated - work of the supports - work of the loads = constant
+
+    The potential energy counts from the first sample. Dissipated energy and work are integrals of
+    `powers`, by a cubic spline through the samples: a sum that is not constant comes from samples
+    that do not resolve the motion, or from an integration that is not accurate.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> motion = {"road": Harmonic(frequency=1.0, translation=[0, 0, 0.01])}
+    >>> ax = plot_energies(simulate(car, jnp.linspace(0, 1, 101), motion=motion))
+    >>> [line.get_label() for line in ax.lines][:4]
+    ['kinetic', 'potential', 'dissipated', 'work of the supports']
+    """
+    check_single("plot_energies.trajectory", trajectory.times, 1)
+    lines = energy_balance(trajectory)
+    ax = axes_or_new(ax, 7.5, 3.4)
+    for i, (name, values) in enumerate(lines.items()):
+        last = i == len(lines) - 1
+        ax.plot(
+            trajectory.times,
+            values,
+            label=name,
+            **({"color": INK, "lw": 2.2} if last else style(i) | {"lw": 1.5}),
+        )
+    ax.set(xlabel="time [s]", ylabel="energy [J]")
+    legend(ax, len(lines))
+    return ax
+
+
+def energy_balance(trajectory: Trajectory) -> dict[str, np.ndarray]:
+    """The lines of `plot_energies` [J]; works are left out where there are none."""
+    energies, powers = (
+        {name: np.asarray(x) for name, x in values.items()}
+        for values in (trajectory.energies, trajectory.powers)
+    )
+    lines = {
+        "kinetic": energies["kinetic"],
+        "potential": energies["potential"] - energies["potential"][0],
+    }
+    times = np.asarray(trajectory.times)
+    names = {
+        "damping": ("dissipated", 1.0),
+        "supports": ("work of the supports", -1.0),
+        "loads": ("work of the loads", -1.0),
+    }
+    total, parts = lines["kinetic"] + lines["potential"], ["kinetic", "potential"]
+    for power, (name, sign) in names.items():
+        if np.any(np.nan_to_num(powers[power])):
+            lines[name] = _integral(times, powers[power])
+            total = total + sign * lines[name]
+            parts += [name] if sign > 0 else []
+    work = " - work" if any(name.startswith("work") for name in lines) else ""
+    return lines | {" + ".join(parts) + work: total}
+
+
+def _integral(times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The integral from the first sample, NaN where the values are."""
+    from scipy.interpolate import CubicSpline
+
+    known = np.isfinite(values)
+    out = np.full(len(times), np.nan)
+    if known.sum() > 1:
+        out[known] = CubicSpline(times[known], values[known]).antiderivative()(times[known])
+    return out
+
+
+def plot_phases(
+    trajectory: Trajectory, *, coordinates: tuple[str, ...] | None = None, ax: Any = None
+) -> Any:
+    """Phase portraits: the rate of each coordinate over its value, from the reference pose; a
+    circle marks the start.
+
+    Coordinates in m and in rad have a panel each. Rotations of free bodies and of ball joints are
+    rotation vectors, their rates angular velocities.
+
+    Args:
+        trajectory: the motion.
+        coordinates: names, as in `model.layout.coordinates`; None takes all that move.
+        ax: axes to draw into; None makes a new figure.
+
+    Error: UNKNOWN_NAME.
+
+    >>> bob = Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
+    >>> model = Model(
+    ...     bodies={"bob": bob},
+    ...     joints={"bob": Hinge("world", axis=[0, 1, 0])},
+    ...     gravity=[0, 0, -9.81],
+    ... )
+    >>> ax = plot_phases(
+    ...     simulate(model, jnp.linspace(0, 1, 51), initial=State(jnp.ones(1), jnp.zeros(1)))
+    ... )
+    >>> ax.get_xlabel(), ax.get_ylabel(), [line.get_label() for line in ax.lines]
+    ('turn [rad]', 'rate of turn [rad/s]', ['bob turn about its hinge', 'start'])
+    """
+    check_single("plot_phases.trajectory", trajectory.times, 1)
+    layout, values, rates = (
+        trajectory.model.layout,
+        _values(trajectory),
+        np.asarray(trajectory.state.v),
+    )
+    check_known(coordinates or (), layout.coordinates, "plot_phases.coordinates")
+    panels = {}
+    for (xlabel, ylabel), turn in (
+        (("displacement [m]", "velocity [m/s]"), False),
+        (("turn [rad]", "rate of turn [rad/s]"), True),
+    ):
+        own = {
+            name: values[:, i]
+            for i, name in enumerate(layout.coordinates)
+            if layout.turns[i] == turn
+        }
+        shown = (
+            {name: x for name, x in own.items() if name in coordinates}
+            if coordinates
+            else _moving(own)
+        )
+        if shown:
+            panels[xlabel, ylabel] = {
+                name: (x, rates[:, layout.coordinates.index(name)]) for name, x in shown.items()
+            }
+    return _curves(ax, panels, start=True)
+
+
+def _values(trajectory: Trajectory) -> np.ndarray:
+    """(nt, nv): each coordinate from its value at the reference pose; the rotation vector in place
+    of a quaternion."""
+    layout, q, rest = (
+        trajectory.model.layout,
+        np.asarray(trajectory.state.q),
+        np.asarray(trajectory.model.reference.q),
+    )
+    columns = []
+    for block in layout.joints:
+        own, start = q[:, layout.q_slices[block.owner]], rest[layout.q_slices[block.owner]]
+        if block.quaternion:
+            columns += [own[:, :-4] - start[:-4], _turns(_matrices(own[:, -4:]), start[-4:])]
+        else:
+            columns.append(own - start)
+    return np.concatenate(columns, 1)
+
+
+def plot_force_strokes(
+    trajectory: Trajectory,
+    *,
+    elements: tuple[str, ...] | None = None,
+    start: float | None = None,
+    ax: Any = None,
+) -> Any:
+    """The force of each element over its elongation; a loop encloses the energy that is dissipated
+    in a cycle.
+
+    Moments over angles [N m over rad] have a panel of their own. Bushings have a curve for each
+    component that moves.
+
+    Args:
+        trajectory: the motion.
+        elements: names; None takes all.
+        start: time from which on [s], such as the end of the transient; None takes all samples.
+        ax: axes to draw into; None makes a new figure.
+
+    Errors: UNKNOWN_NAME; NO_DATA if less than two samples are after `start`.
+
+    >>> motion = {"road": Harmonic(frequency=1.0, translation=[0, 0, 0.01])}
+    >>> ax = plot_force_strokes(
+    ...     simulate(jb.presets.quarter_car(damping=1500.0), jnp.linspace(0, 1, 101), motion=motion)
+    ... )
+    >>> ax.get_xlabel(), [line.get_label() for line in ax.lines]
+    ('elongation [m]', ['suspension', 'tyre'])
+    """
+    check_single("plot_force_strokes.trajectory", trajectory.times, 1)
+    model, times = trajectory.model, np.asarray(trajectory.times)
+    check_known(elements or (), model.element_names, "plot_force_strokes.elements")
+    late = times >= (times[0] if start is None else start)
+    if late.sum() < 2:
+        message, limit = (
+            f"leaves {late.sum()} samples",
+            f"{time_text(times[0], times)} to {time_text(times[-1], times)} s",
+        )
+        raise JaxbodyError(
+            Problem(
+                "NO_DATA",
+                "plot_force_strokes.start",
+                message,
+                start,
+                limit,
+                "Give an earlier time.",
+            )
+        )
+    names = elements or model.element_names
+    rows = [
+        forces_and_moments(
+            model, {name: np.asarray(x)[late] for name, x in all_of.items() if name in names}
+        )
+        for all_of in (trajectory.elongations, trajectory.forces)
+    ]
+    labels = (stroke_and_force(model, names), ("turn [rad]", "moment [N m]"))
+    panels = {
+        label: {name: (e[name], f[name]) for name in _moving(e)}
+        for label, e, f in zip(labels, *rows, strict=True)
+    }
+    return _curves(ax, {label: curves for label, curves in panels.items() if curves})
+
+
+def _curves(
+    ax: Any,
+    panels: dict[tuple[str, str], dict[str, tuple[np.ndarray, np.ndarray]]],
+    *,
+    start: bool = False,
+) -> Any:
+    """Curves of y over x in panels with their own abscissas, {(x label, y label): {name: (x, y)}};
+    start: whether to mark its points."""
+    ax = axes_or_new(ax, 6.4, 0.8 + 3.0 * max(len(panels), 1))
+    for axes, ((xlabel, ylabel), curves) in zip(
+        [ax, *axes_below(ax, *[1.0] * (len(panels) - 1), share=False)], panels.items(), strict=False
+    ):
+        for i, (name, (x, y)) in enumerate(curves.items()):
+            axes.plot(x, y, label=name, lw=1.4, **style(i))
+        for i, (x, y) in enumerate(curves.values() if start else ()):
+            axes.plot(
+                x[:1],
+                y[:1],
+                "o",
+                ms=5,
+                mfc="white",
+                mec=style(i)["color"],
+                zorder=3,
+                label="start" if i == 0 else None,
+            )
+        axes.set(xlabel=xlabel, ylabel=ylabel)
+        legend(axes, len(curves) + start)
+    return ax
+
+
+def stroke_and_force(model: Model, names: Iterable[str]) -> tuple[str, str]:
+    """The labels of deformations and forces: elongation and tension, unless some of the elements,
+    such as bushings, deform along axes."""
+    if all(model[name].size == 1 for name in names):
+        return "elongation [m]", "force, tension positive [N]"
+    return "deformation [m]", "force opposing\nthe deformation [N]"
+
+
+def forces_and_moments(
+    model: Model, values: dict[str, Any], about: str = " about"
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Numbers of elements along their samples, such as forces, one by one: those in N or m, and
+    those in N m or rad."""
+    straight: dict[str, np.ndarray] = {}
+    turning: dict[str, np.ndarray] = {}
+    for name, x in ((name, np.asarray(x)) for name, x in values.items()):
+        if x.ndim == 2:
+            straight |= components({name: x[:, :3]})
+            turning |= components({name: x[:, 3:]}, about)
+        else:
+            (turning if isinstance(model[name], Torsion) else straight)[name] = x
+    return straight, turning
+
+
+def components(values: dict[str, Any], about: str = "") -> dict[str, np.ndarray]:
+    """The columns of vectors, one by one: "plate x", or "plate about x"."""
+    return {
+        f"{name}{about} {axis}": np.asarray(x)[:, i]
+        for name, x in values.items()
+        for i, axis in enumerate(AXES)
+    }
+
+
+def _moving(lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The lines whose variation exceeds a millionth of the largest variation."""
+    widths = {
+        name: np.ptp(values[np.isfinite(values)]) if np.isfinite(values).any() else 0.0
+        for name, values in lines.items()
+    }
+    return {
+        name: values
+        for name, values in lines.items()
+        if widths[name] > 1e-6 * max(widths.values()) and widths[name] > 1e-12
+    }
+
+
+def _matrices(quaternions: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    out, good = np.full((len(quaternions), 3, 3), np.nan), np.isfinite(quaternions).all(1)
+    out[good] = Rotation.from_quat(quaternions[good][:, [1, 2, 3, 0]]).as_matrix()
+    return out
+
+
+def _turns(R: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Rotation vectors relative to an orientation (quaternion w, x, y, z), in world axes, unwrapped
+    through full turns."""
+    from scipy.spatial.transform import Rotation
+
+    good = np.isfinite(R).all((1, 2))
+    out = np.full((len(R), 3), np.nan)
+    if good.any():
+        out[good] = (
+            Rotation.from_matrix(R[good]) * Rotation.from_quat(start[[1, 2, 3, 0]]).inv()
+        ).as_rotvec()
+    for i in range(1, len(out)):
+        angle = np.linalg.norm(out[i])
+        if np.isfinite(angle) and angle > 0:
+            out[i] *= (
+                1
+                + 2 * np.pi * np.round((out[i - 1] @ out[i] / angle - angle) / (2 * np.pi)) / angle
+            )
+    return out

@@ -1,0 +1,441 @@
+"""Plots of responses: over frequency, spectral densities, weighted accelerations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.vibration.comfort_weightings import WeightedSignal
+from jaxbody.vibration.dynamic_stiffnesses import DynamicStiffness
+from jaxbody.vibration.frequency_responses import FrequencyResponse
+from jaxbody.vibration.random_responses import RandomResponse
+from jaxbody.vibration.state_spaces import StateSpace
+from jaxbody.views.plots.canvases import (
+    COLORS,
+    DASHES,
+    GRAY,
+    LIGHT,
+    axes_below,
+    axes_or_new,
+    check_known,
+    check_single,
+    legend,
+    panels_of_lines,
+    style,
+    with_unit,
+)
+
+STEPS = (1e-3, 0.01, 0.1, 0.5, 1, 2, 5, 10, 15, 30, 45, 90, 180, 360, 720)  # degrees between ticks
+MOST_TICKS = 5
+MANY = 16  # lines up to which the legend fits beside a plot of normal width
+
+
+def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> Any:
+    """Magnitudes over frequency, both on logarithmic scales, one panel per unit, with the phases
+    below; returns the top axes.
+
+    >>> model = jb.presets.quarter_car(damping=1500.0)
+    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
+    >>> response = frequency_response(
+    ...     linearize(model, equilibrium(model)), jnp.geomspace(0.1, 50, 100), inputs, outputs
+    ... )
+    >>> ax = plot_frequency_response(response)
+    >>> ax.get_ylabel()
+    'magnitude [-]'
+    """
+    check_single("plot_frequency_response.response", response.frequencies, 1)
+    f, size, phase = _above_0_hz(response)
+    pairs = _pairs(response)
+    panels: dict[str, list[int]] = {}
+    for k, (i, j, _) in enumerate(pairs):
+        panels.setdefault(response.unit(response.outputs[i], response.inputs[j]), []).append(k)
+    ax = axes_or_new(ax, 7.0 if len(pairs) <= MANY else 9.0, 2.2 + 2.2 * len(panels))
+    *others, below = axes_below(ax, *[1.0] * (len(panels) - 1), 0.55)
+    for axes, (unit, members) in zip((ax, *others), panels.items(), strict=True):
+        for k in members:
+            i, j, name = pairs[k]
+            turns = np.round(phase[i, j, 0] / (2 * np.pi))
+            axes.loglog(f, size[i, j], label=name, lw=1.5, **look(response, i, j))
+            below.semilogx(
+                f, np.rad2deg(phase[i, j] - 2 * np.pi * turns), lw=1.5, **look(response, i, j)
+            )
+        axes.set_ylabel(with_unit("magnitude", unit))
+        legend(axes, len(members))
+    hertz(below, f)
+    degrees(below, "phase")
+    return ax
+
+
+def plot_element_stiffness(stiffness: DynamicStiffness, *, ax: Any = None) -> Any:
+    """Magnitude of the dynamic stiffness of an element over frequency, with its loss angle below;
+    returns the top axes.
+
+    >>> rubber = jb.laws.Linear(2e4) + jb.laws.Maxwell(stiffness=6e4, relaxation_time=0.01)
+    >>> ax = plot_element_stiffness(dynamic_stiffness(rubber, jnp.geomspace(0.5, 200, 100)))
+    >>> ax.get_ylabel()
+    'magnitude [N/m]'
+    """
+    check_single("plot_element_stiffness.stiffness", stiffness.frequencies, 1)
+    f, K = np.asarray(stiffness.frequencies), np.asarray(stiffness.stiffness)
+    ax = axes_or_new(ax, 7.0, 4.4)
+    (below,) = axes_below(ax, 0.55)
+    ax.loglog(f, np.abs(K), lw=1.5, color=COLORS[0])
+    below.semilogx(f, np.rad2deg(np.angle(K)), lw=1.5, color=COLORS[0])
+    ax.set_ylabel(with_unit("magnitude", stiffness.unit))
+    hertz(below, f)
+    degrees(below, "loss angle")
+    return ax
+
+
+def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any:
+    """Dimensionless magnitudes over frequency, of motion over motion or force over force; the
+    region above 1 is shaded.
+
+    Error: BAD_UNIT if no output has the unit of an input.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> road, body = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
+    >>> ax = plot_transmissibility(
+    ...     frequency_response(
+    ...         linearize(car, car.reference), jnp.geomspace(0.1, 50, 100), road, body
+    ...     )
+    ... )
+    >>> (
+    ...     ax.get_ylabel(),
+    ...     round(float(ax.lines[0].get_ydata()[0]), 2),
+    ... )  # slowly the body moves as the road
+    ('transmissibility [-]', 1.01)
+    """
+    check_single("plot_transmissibility.response", response.frequencies, 1)
+    ratios = [
+        (i, j, name)
+        for i, j, name in _pairs(response)
+        if not response.unit(response.outputs[i], response.inputs[j])
+    ]
+    if not ratios:
+        message, hint = (
+            "has no output in the unit of an input",
+            "Use displacements for inputs and outputs, or forces for both.",
+        )
+        raise JaxbodyError(
+            Problem(
+                "BAD_UNIT", "plot_transmissibility.response", message, response, "a ratio", hint
+            )
+        )
+    ax = axes_or_new(ax, 7.0 if len(ratios) <= MANY else 9.0, 3.4)
+    f, size, _ = _above_0_hz(response)
+    for i, j, name in ratios:
+        ax.loglog(f, size[i, j], lw=1.5, label=name, **look(response, i, j))
+    top = max(size[i, j].max() for i, j, _ in ratios)
+    ax.axhspan(1.0, max(2.0, 2 * top), color=LIGHT, alpha=0.4, lw=0, zorder=0)
+    ax.axhline(1.0, color=GRAY, lw=0.8)
+    ax.set(ylabel="transmissibility [-]", ylim=(None, max(2.0, 2 * top)))
+    hertz(ax, f)
+    legend(ax, len(ratios))
+    return ax
+
+
+def plot_dynamic_stiffness(
+    response: FrequencyResponse, *, pairs: dict[str, tuple[str, str]] | None = None, ax: Any = None
+) -> Any:
+    """The magnitude [N/mm] and the loss angle [degrees] of dynamic stiffnesses F/x over frequency.
+
+    The dynamic stiffness of a spring and damper is k + i w c, with the loss angle atan(w c/k); that
+    of a body at the point of a force, the inverse of its receptance, contains its inertia. Those of
+    angles are in N m/rad, in a panel of their own.
+
+    Args:
+        response: a frequency response with forces and displacements.
+        pairs: {label: (force, displacement)}, each an input or output; of two outputs the ratio
+            under the first input to which the displacement responds. None takes each output in m of
+            an input in N, and each output in N of an input in m, whose sign is changed where the
+            force is opposed to the displacement.
+        ax: axes to draw into; None makes a new figure.
+
+    Errors: UNKNOWN_NAME; BAD_UNIT if nothing is a force over a displacement, or a moment over
+    an angle.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> inputs, outputs = (
+    ...     {"road": BaseMotion("road", "z")},
+    ...     {"force": LoadCell("suspension"), "stroke": Elongation("suspension")},
+    ... )
+    >>> response = frequency_response(
+    ...     linearize(car, car.reference), jnp.geomspace(0.1, 50, 100), inputs, outputs
+    ... )
+    >>> ax = plot_dynamic_stiffness(response, pairs={"suspension": ("force", "stroke")})
+    >>> round(float(ax.lines[0].get_ydata()[0]), 1)  # 35000 N/m
+    35.0
+    """
+    check_single("plot_dynamic_stiffness.response", response.frequencies, 1)
+    f = np.asarray(response.frequencies)
+    above = f > 0
+    panels: dict[str, dict[str, np.ndarray]] = {}
+    for name, (units, values) in (
+        _stiffnesses(response) if pairs is None else _ratios(response, pairs)
+    ).items():
+        label, size = STIFFNESS_UNITS[units]
+        panels.setdefault(label, {})[name] = values[above] / size
+    if not panels:
+        message, hint = (
+            "has no force over a displacement",
+            "Give outputs in m of inputs in N, or pairs={name: (force, displacement)}.",
+        )
+        raise JaxbodyError(
+            Problem(
+                "BAD_UNIT",
+                "plot_dynamic_stiffness.response",
+                message,
+                response,
+                "N/m or N m/rad",
+                hint,
+            )
+        )
+    ax = axes_or_new(ax, 7.0, 2.2 + 2.2 * len(panels))
+    *others, below = axes_below(ax, *[1.0] * (len(panels) - 1), 0.55)
+    count = 0
+    for axes, (unit, lines) in zip((ax, *others), panels.items(), strict=True):
+        for name, values in lines.items():
+            axes.loglog(f[above], np.abs(values), label=name, lw=1.5, **style(count))
+            below.semilogx(
+                f[above], np.rad2deg(np.unwrap(np.angle(values))), lw=1.5, **style(count)
+            )
+            count += 1
+        axes.set_ylabel(with_unit("dynamic stiffness", unit))
+        plain_numbers(axes, np.concatenate([np.abs(x) for x in lines.values()]))
+        legend(axes, len(lines))
+    hertz(below, f[above])
+    degrees(below, "loss angle")
+    return ax
+
+
+# and the size of the unit in SI
+STIFFNESS_UNITS = {("N", "m"): ("N/mm", 1e3), ("N m", "rad"): ("N m/rad", 1.0)}
+
+
+def plot_weighted_signal(signal: WeightedSignal, *, ax: Any = None) -> Any:
+    """The weighted acceleration over time with its rms, and the vibration dose value from the
+    beginning below.
+
+    >>> plot_weighted_signal(
+    ...     weighted_signal(jnp.arange(400) / 400, jnp.sin(jnp.arange(400)), "Wk")
+    ... ).get_ylabel()
+    'weighted by Wk [m/s2]'
+    """
+    check_single("plot_weighted_signal.signal", signal.times, 1)
+    unit = "rad/s2" if signal.name == "We" else "m/s2"
+    panels = {
+        f"weighted by {signal.name} [{unit}]": {
+            f"peak {float(signal.peak):.3g} {unit}": np.asarray(signal.values)
+        },
+        f"dose [{unit[:-1]}$^{{1.75}}$]": {f"VDV {float(signal.vdv):.3g}": np.asarray(signal.dose)},
+    }
+    ax = panels_of_lines(axes_or_new(ax, 7.5, 3.8), signal.times, panels, "time [s]", share=0.6)
+    for sign in (1, -1):
+        label = f"rms {float(signal.rms):.3g} {unit}" if sign > 0 else None
+        ax.axhline(sign * float(signal.rms), color=COLORS[1], lw=1.4, ls="--", label=label)
+    legend(ax, 2)
+    return ax
+
+
+def _stiffnesses(response: FrequencyResponse) -> dict[str, tuple[tuple[str, str], np.ndarray]]:
+    """{label: (units, values)} of all outputs over inputs that are a stiffness or a compliance."""
+    found = {}
+    for i, j, name in _pairs(response):
+        units, values = (
+            (response.output_units[i], response.input_units[j]),
+            np.asarray(response.values)[i, j],
+        )
+        if units in STIFFNESS_UNITS:
+            found[name] = (
+                units,
+                values
+                * np.sign(values[np.argmax(np.asarray(response.frequencies) > 0)].real or 1.0),
+            )
+        elif units[::-1] in STIFFNESS_UNITS:
+            found[name] = units[::-1], 1 / values
+    return found
+
+
+def _ratios(
+    response: FrequencyResponse, pairs: dict[str, tuple[str, str]]
+) -> dict[str, tuple[tuple[str, str], np.ndarray]]:
+    check_known(
+        tuple(name for pair in pairs.values() for name in pair),
+        response.outputs + response.inputs,
+        "plot_dynamic_stiffness.pairs",
+    )
+    values, found = np.asarray(response.values), {}
+    for label, pair in pairs.items():
+        inputs = [response.inputs.index(name) for name in pair if name in response.inputs]
+        j = (
+            inputs[0]
+            if inputs
+            else int(np.argmax(np.abs(values[response.outputs.index(pair[1])]).max(-1) > 0))
+        )
+        force, moved = (
+            values[response.outputs.index(name), j]
+            if name in response.outputs
+            else np.ones(values.shape[-1])
+            for name in pair
+        )
+        units = [
+            (response.output_units + response.input_units)[
+                (response.outputs + response.inputs).index(name)
+            ]
+            for name in pair
+        ]
+        if tuple(units) not in STIFFNESS_UNITS or len(inputs) == 2:
+            message, hint = (
+                f"is {pair[0]} [{units[0]}] over {pair[1]} [{units[1]}]",
+                "Give (force, displacement), one of them an output.",
+            )
+            raise JaxbodyError(
+                Problem(
+                    "BAD_UNIT",
+                    f"plot_dynamic_stiffness.pairs['{label}']",
+                    message,
+                    pair,
+                    "N/m or N m/rad",
+                    hint,
+                )
+            )
+        found[label] = (units[0], units[1]), force / moved
+    return found
+
+
+def plot_state_space(system: StateSpace, *, frequencies: Any = None, ax: Any = None) -> Any:
+    """The frequency response C (i w - A)^-1 B + D, as in `plot_frequency_response`.
+
+    frequencies: [Hz]; by default 400 from a tenth of the smallest pole to ten times the largest.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> road, body = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
+    >>> plot_state_space(linearize(car, car.reference).state_space(road, body)).get_ylabel()
+    'magnitude [-]'
+    """
+    check_single("plot_state_space.system", system.A, 2)
+    A, B, C, D = (np.asarray(x) for x in (system.A, system.B, system.C, system.D))
+    if frequencies is None:
+        sizes = np.abs(np.linalg.eigvals(A)) / (2 * np.pi)
+        sizes = sizes[sizes > 1e-6 * sizes.max()]
+        frequencies = np.geomspace(sizes.min() / 10, sizes.max() * 10, 400)
+    f = np.asarray(frequencies, float)
+    values = C @ np.linalg.solve(2j * np.pi * f[:, None, None] * np.eye(len(A)) - A, B[None]) + D
+    response = FrequencyResponse(
+        f,
+        np.moveaxis(values, 0, -1),
+        system.status,
+        system.inputs,
+        system.outputs,
+        system.input_units,
+        system.output_units,
+    )
+    return plot_frequency_response(response, ax=ax)
+
+
+def plot_psd(
+    response: RandomResponse, *, outputs: tuple[str, ...] | None = None, ax: Any = None
+) -> Any:
+    """Power spectral densities of outputs on logarithmic scales, one panel per unit, with their
+    rms values.
+
+    outputs: names of outputs; None takes all. Error: UNKNOWN_NAME.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> road, body = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
+    >>> rough = {"road": Unevenness.iso("C").at_speed(20.0)}
+    >>> plot_psd(
+    ...     random_response(linearize(car, car.reference), Band(0.5, 20.0), road, body, rough)
+    ... ).get_ylabel()
+    'power spectral density [m$^2$/Hz]'
+    """
+    check_single("plot_psd.response", response.frequencies, 1)
+    names = outputs or response.outputs
+    f, psd = np.asarray(response.frequencies), np.asarray(response.psd)
+    panels: dict[str, dict[str, float]] = {}
+    for name, value in {name: float(response[name]) for name in names}.items():
+        panels.setdefault(response.units[response.outputs.index(name)], {})[name] = value
+    ax = axes_or_new(ax, 7.5, 1.0 + 2.4 * len(panels))
+    every = [ax, *axes_below(ax, *[1.0] * (len(panels) - 1))]
+    for axes, (unit, values) in zip(every, panels.items(), strict=True):
+        rows = {name: psd[response.outputs.index(name)] for name in values}
+        for i, (name, value) in enumerate(values.items()):
+            axes.loglog(f, rows[name], lw=1.5, label=f"{name}, rms {value:.3g} {unit}", **style(i))
+        shown = unit if unit.isalpha() else f"({unit})"
+        axes.set_ylabel(
+            f"{'power spectral density' if len(panels) == 1 else 'PSD'} [{shown}$^2$/Hz]"
+        )
+        axes.set_ylim(
+            bottom=max(axes.get_ylim()[0], max(np.nanmax(row) for row in rows.values()) * 1e-8)
+        )
+        legend(axes, len(values))
+    hertz(every[-1], f)
+    return ax
+
+
+def _above_0_hz(response: FrequencyResponse) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The frequencies above 0 Hz, for the logarithmic scale, with magnitudes and
+    unwrapped phases."""
+    f = np.asarray(response.frequencies)
+    values = np.asarray(response.values)[..., f > 0]
+    return f[f > 0], np.abs(values), np.unwrap(np.angle(values))
+
+
+def _pairs(response: FrequencyResponse) -> list[tuple[int, int, str]]:
+    """Indices of each output and input with a nonzero response between them, and the label of
+    the pair."""
+    size = np.asarray(response.magnitude).max(-1)
+    several = len(response.inputs) > 1
+    pairs = [
+        (i, j, f"{y} of {u}" if several else y)
+        for i, y in enumerate(response.outputs)
+        for j, u in enumerate(response.inputs)
+    ]
+    return [
+        (i, j, name) for i, j, name in pairs if not size[i, j] <= 1e-12 * size[i].max()
+    ] or pairs
+
+
+def look(response: FrequencyResponse, i: int, j: int) -> dict[str, Any]:
+    """One color per output and one dash pattern per input, if there are enough of both; else
+    `style` by number."""
+    if len(response.outputs) <= len(COLORS) and len(response.inputs) <= len(DASHES):
+        return {"color": COLORS[i], "ls": DASHES[j]}
+    return style(i * len(response.inputs) + j)
+
+
+def hertz(ax: Any, f: np.ndarray) -> None:
+    """A logarithmic frequency axis with plain numbers: 1, 2, 5 of each decade, or 1 only where
+    there are many decades."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    subs = (1.0, 2.0, 5.0) if f[-1] / f[0] < 3000 else (1.0,)
+    ax.set(xlabel="frequency [Hz]", xlim=(f[0], f[-1]))
+    ax.xaxis.set_major_locator(LogLocator(subs=subs))
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter(NullFormatter())
+
+
+def degrees(ax: Any, what: str) -> None:
+    """An axis of angles in degrees, with ticks at parts of a turn; call it when all is drawn."""
+    from matplotlib.ticker import MultipleLocator
+
+    ax.set_ylabel(f"{what} [degrees]")
+    span = np.ptp(ax.get_ylim())
+    ax.yaxis.set_major_locator(
+        MultipleLocator(next((step for step in STEPS if span < MOST_TICKS * step), span))
+    )
+
+
+def plain_numbers(ax: Any, values: np.ndarray) -> None:
+    """Plain numbers on a logarithmic ordinate of less than two decades, which has few powers
+    of ten."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    if np.nanmax(values) < 100 * np.nanmin(values):
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter(NullFormatter())

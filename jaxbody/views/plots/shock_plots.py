@@ -1,0 +1,172 @@
+"""Plots of shocks: spectra of shocks and earthquakes, responses to them, matched records, peaks
+and fatigue."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.shock.fatigue_damages import FatigueDamage
+from jaxbody.shock.matched_records import MatchedRecord
+from jaxbody.shock.peak_factors import PeakFactors
+from jaxbody.shock.response_spectra import ResponseSpectrum
+from jaxbody.shock.shock_spectra import ShockSpectrum
+from jaxbody.shock.spectrum_responses import SpectrumResponse
+from jaxbody.views.plots.canvases import (
+    COLORS,
+    GRAY,
+    axes_below,
+    axes_or_new,
+    check_single,
+    legend,
+    style,
+    with_unit,
+)
+from jaxbody.views.plots.response_plots import hertz, plain_numbers
+
+LEAST_SHARE = 1e-3  # of a mode that is drawn
+
+
+def plot_shock_spectrum(spectrum: ShockSpectrum, *, ax: Any = None) -> Any:
+    """The spectrum over natural frequency on logarithmic scales, a line for each damping ratio."""
+    check_single("plot_shock_spectrum.spectrum", spectrum.frequencies, 1)
+    ax, f = axes_or_new(ax, 7.0, 3.6), np.asarray(spectrum.frequencies)
+    order, values = np.argsort(f), np.asarray(spectrum.values)
+    for i, (zeta, row) in enumerate(zip(np.asarray(spectrum.damping), values, strict=True)):
+        ax.loglog(f[order], row[order], lw=1.5, label=f"damping ratio {zeta:g}", **style(i))
+    what = {
+        "absolute": "acceleration",
+        "relative": "displacement",
+        "pseudo": "pseudo-acceleration",
+    }[spectrum.kind]
+    side = "" if spectrum.side == "maximax" else f"{spectrum.side} "
+    ax.set_ylabel(with_unit(f"largest {side}{what}", spectrum.unit))
+    plain_numbers(ax, values)
+    hertz(ax, f)
+    legend(ax, len(values))
+    return ax
+
+
+def plot_response_spectrum(
+    spectrum: ResponseSpectrum, *, damping: tuple[float, ...] | None = None, ax: Any = None
+) -> Any:
+    """The pseudo-acceleration of a design spectrum over natural frequency on logarithmic scales.
+
+    damping: damping ratios; None takes 0.05, or the one for which it is stated."""
+    ends = tuple(float(x) for x in spectrum.covers())
+    check_single("plot_response_spectrum.spectrum", spectrum.rigid(), 0)
+    least, most = (float(x) for x in spectrum.dampings())
+    ax, f = axes_or_new(ax, 7.0, 3.6), np.geomspace(ends[0], min(ends[1], 100.0), 400)
+    for i, zeta in enumerate(damping or (float(np.clip(0.05, least, most)),)):
+        ax.loglog(
+            f, np.asarray(spectrum(f, zeta)), lw=1.5, label=f"damping ratio {zeta:g}", **style(i)
+        )
+    ax.set_ylabel("pseudo-acceleration [m/s2]")
+    plain_numbers(ax, np.concatenate([line.get_ydata() for line in ax.lines]))
+    hertz(ax, f)
+    legend(ax, len(ax.lines))
+    return ax
+
+
+def plot_matched_record(quake: MatchedRecord, *, ax: Any = None) -> Any:
+    """Acceleration, velocity and displacement over time, and the spectrum that is reached with its
+    target below."""
+    panels = {
+        "acceleration [m/s2]": quake.acceleration,
+        "velocity [m/s]": quake.velocity,
+        "displacement [m]": quake.displacement,
+    }
+    ax = axes_or_new(ax, 7.5, 7.0)
+    *others, below = axes_below(ax, 1.0, 1.0, 1.9, share=False)
+    for i, (axes, (label, values)) in enumerate(zip((ax, *others), panels.items(), strict=True)):
+        axes.plot(quake.times, np.asarray(values), lw=0.9, color=COLORS[0])
+        axes.set_ylabel(label.replace(" [", "\n["))
+        axes.set_xlabel("time [s]" if i == 2 else "")
+        axes.tick_params(labelbottom=i == 2)
+    f = np.asarray(quake.frequencies)
+    below.loglog(f, np.asarray(quake.target), lw=5.0, color=GRAY, alpha=0.5, label="target")
+    below.loglog(f, np.asarray(quake.reached), lw=1.2, color=COLORS[2], label="reached")
+    below.set_ylabel("pseudo-acceleration\n[m/s2]")
+    plain_numbers(below, np.asarray(quake.target))
+    hertz(below, f)
+    legend(below, 2)
+    return ax
+
+
+def plot_spectrum_response(response: SpectrumResponse, *, ax: Any = None) -> Any:
+    """The peak of each output, with the shares of the modes in it: of their squares, or of
+    combine="absolute" of their magnitudes."""
+    check_single("plot_spectrum_response.response", response.values, 1)
+    shares = np.asarray(response.shares)
+    shown = [j for j in range(shares.shape[1]) if np.abs(shares[:, j]).max() > LEAST_SHARE]
+    ax, y = axes_or_new(ax, 7.5, 1.4 + 0.45 * len(shares)), np.arange(len(shares))
+    ends = [np.zeros(len(shares)), np.zeros(len(shares))]  # of the positive and the negative shares
+    for i, j in enumerate(shown):
+        name = (
+            "rest"
+            if j == shares.shape[1] - 1
+            else f"mode {j + 1}, {float(response.frequency[j]):.3g} Hz"
+        )
+        row = 100 * shares[:, j]
+        left = np.where(row >= 0, *ends)
+        ax.barh(y, row, left=left, height=0.6, color=COLORS[i % len(COLORS)], label=name, lw=0)
+        ends = [ends[0] + np.maximum(row, 0), ends[1] + np.minimum(row, 0)]
+    named = [
+        f"{name}\n{value:.4g} {unit}"
+        for name, value, unit in zip(
+            response.outputs, np.asarray(response.values), response.units, strict=True
+        )
+    ]
+    ax.set_yticks(y, named, fontsize=8)
+    ax.set(
+        xlabel="share in the peak [%]"
+        if response.combine == "absolute"
+        else "share in the square of the peak [%]",
+        ylim=(len(y) - 0.5, -0.5),
+    )
+    ax.axvline(0.0, color=GRAY, lw=0.8)
+    legend(ax, len(shown))
+    return ax
+
+
+def plot_peak_factors(peaks: PeakFactors, *, ax: Any = None) -> Any:
+    """The peak factors of outputs with their standard deviations, and the maxima as labels."""
+    check_single("plot_peak_factors.peaks", peaks.factor, 1)
+    ax, y = axes_or_new(ax, 7.0, 1.3 + 0.4 * len(peaks.outputs)), np.arange(len(peaks.outputs))
+    spread = np.nan_to_num(np.asarray(peaks.deviation))
+    ax.errorbar(np.asarray(peaks.factor), y, xerr=spread, fmt="o", ms=5, color=COLORS[0], capsize=3)
+    named = [
+        f"{name}\n{value:.4g} {unit}"
+        for name, value, unit in zip(
+            peaks.outputs, np.asarray(peaks.maximum), peaks.units, strict=True
+        )
+    ]
+    ax.set_yticks(y, named, fontsize=8)
+    ax.set(
+        xlabel=f"peak factor in {float(peaks.duration):g} s [-]",
+        xlim=(0, None),
+        ylim=(len(y) - 0.5, -0.5),
+    )
+    return ax
+
+
+def plot_fatigue_damage(damage: FatigueDamage, *, ax: Any = None) -> Any:
+    """Damage of outputs on a logarithmic scale; they fail at 1."""
+    check_single("plot_fatigue_damage.damage", damage.damage, 1)
+    ax, values = axes_or_new(ax, 7.0, 1.3 + 0.4 * len(damage.outputs)), np.asarray(damage.damage)
+    y, positive = np.arange(len(values)), values[values > 0]
+    ax.barh(y, values, height=0.6, color=COLORS[0], lw=0)
+    ax.set_xscale("log")
+    ax.axvline(1.0, color=COLORS[2], lw=1.2)
+    ax.set_yticks(
+        y,
+        [
+            f"{name}\n{life / 3600:.3g} h"
+            for name, life in zip(damage.outputs, np.asarray(damage.life), strict=True)
+        ],
+        fontsize=8,
+    )
+    ax.set(xlim=(min([0.1, *positive]) / 3, max([1.0, *positive]) * 3), ylim=(len(y) - 0.5, -0.5))
+    ax.set_xlabel(f"damage in {float(damage.duration):g} s, {damage.method} [-]")
+    return ax

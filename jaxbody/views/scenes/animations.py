@@ -1,0 +1,190 @@
+"""Drawn parts with their pose, scale and color at each frame of an animation: plain arrays that
+know no renderer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from jaxbody.views.plots.canvases import GRAY
+from jaxbody.views.scenes.meshes import Mesh, across
+
+
+@dataclass(frozen=True)
+class DrawnPart:
+    """A mesh of one color. `p` (n, 3), `R` (n, 3, 3) and `scale` (n, 3) place it in each frame, or
+    in all frames where n is 1: x = p + R (scale * vertex)."""
+
+    path: tuple[str, ...]  # group, name, and what of it: ("elements", "AB", "coil")
+    mesh: Mesh
+    color: str
+    p: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
+    R: np.ndarray = field(default_factory=lambda: np.eye(3)[None])
+    scale: np.ndarray = field(default_factory=lambda: np.ones((1, 3)))
+    opacity: float = 1.0
+    edged: bool = False  # whether its sharp edges are drawn
+    below: bool = False  # whether it is a background, without shadow and without names beside it
+    # how much nearer it is drawn in pictures [m], so that its body does not hide it
+    over: float = 0.0
+    framed: bool = True  # whether it has to be in view
+
+    def placed(self, points: np.ndarray, frame: int) -> np.ndarray:
+        """Points of the mesh (..., 3) in world axes."""
+        p, R, scale = (x[min(frame, len(x) - 1)] for x in (self.p, self.R, self.scale))
+        return (points * scale) @ R.T + p
+
+    def at(self, frame: int) -> Mesh:
+        """The mesh in world axes."""
+        return Mesh(self.placed(self.mesh.vertices, frame), self.mesh.faces)
+
+
+@dataclass(frozen=True)
+class NameLabel:
+    """A name at a point (n, 3) or (1, 3); `kind` is what it names: "body", "support", "element", or
+    "title" of several side by side."""
+
+    path: tuple[str, ...]
+    text: str
+    p: np.ndarray
+    color: str = GRAY
+    kind: str = "body"
+
+
+@dataclass(frozen=True)
+class Trail:
+    """The path (n, 3) of a point."""
+
+    path: tuple[str, ...]
+    points: np.ndarray
+    color: str
+
+
+@dataclass(frozen=True)
+class Animation:
+    """What is drawn, and when: `seconds` of playing at which each frame is shown, and what the
+    `clock` then says; the directions `up` and `right` of what is seen, in world axes, and a length
+    of the model."""
+
+    seconds: np.ndarray
+    clock: tuple[str, ...]
+    parts: tuple[DrawnPart, ...]
+    labels: tuple[NameLabel, ...]
+    trails: tuple[Trail, ...]
+    up: np.ndarray
+    right: np.ndarray
+    size: float
+    # degrees to the right of the plane of `right` and `up`, and above the horizontal
+    seen_from: tuple[float, float] = (32.0, 24.0)
+    title: str = ""
+    notes: tuple[str, ...] = ()  # scales of arrows and of the grid
+
+    @property
+    def moves(self) -> bool:
+        return len(self.seconds) > 1
+
+    @property
+    def pauses(self) -> np.ndarray:
+        """How long each frame is shown [s]; the last as long as the one before."""
+        steps = np.diff(self.seconds)
+        return np.append(steps, steps[-1:]) if self.moves else np.zeros(1)
+
+    def part(self, *path: str) -> DrawnPart:
+        """The part of this path."""
+        return next(part for part in self.parts if part.path == path)
+
+    def outline(self) -> np.ndarray:
+        """The corners (n, 3) of the boxes around the framed parts, in at most 25 frames."""
+        frames = np.unique(np.linspace(0, len(self.seconds) - 1, 25).astype(int)).tolist()
+        corners = []
+        for part in self.parts:
+            if part.framed:
+                low, high = part.mesh.vertices.min(0), part.mesh.vertices.max(0)
+                box = np.array(
+                    [
+                        [x, y, z]
+                        for x in (low[0], high[0])
+                        for y in (low[1], high[1])
+                        for z in (low[2], high[2])
+                    ]
+                )
+                corners += [part.placed(box, i) for i in (frames if len(part.p) > 1 else [0])]
+        above = [
+            label.p[:1] + 0.3 * self.size * self.up
+            for label in self.labels
+            if label.kind == "title"
+        ]
+        return np.concatenate([*corners, *above])
+
+    def shown_at(self, seconds: np.ndarray) -> Animation:
+        """The same at other seconds of playing: its last frame until each."""
+        rows = np.maximum(np.searchsorted(self.seconds, seconds + 1e-9, side="right") - 1, 0)
+
+        def picked(x: np.ndarray) -> np.ndarray:
+            return x[rows] if len(x) > 1 else x
+
+        parts = tuple(
+            replace(part, p=picked(part.p), R=picked(part.R), scale=picked(part.scale))
+            for part in self.parts
+        )
+        labels = tuple(replace(label, p=picked(label.p)) for label in self.labels)
+        trails = tuple(replace(trail, points=picked(trail.points)) for trail in self.trails)
+        clock = tuple(self.clock[row] for row in rows)
+        return replace(
+            self, seconds=seconds, clock=clock, parts=parts, labels=labels, trails=trails
+        )
+
+    def moved(self, shift: np.ndarray, group: str) -> Animation:
+        """The same at another place, its names within a group."""
+        parts = tuple(
+            replace(part, path=(group, *part.path), p=part.p + shift) for part in self.parts
+        )
+        labels = tuple(
+            replace(label, path=(group, *label.path), p=label.p + shift) for label in self.labels
+        )
+        trails = tuple(
+            replace(trail, path=(group, *trail.path), points=trail.points + shift)
+            for trail in self.trails
+        )
+        return replace(self, parts=parts, labels=labels, trails=trails)
+
+
+def axes_along_lines(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (n, 3, 3) whose third column is along d (n, 3), turned from frame to frame as little as
+    possible, and the lengths (n,).
+
+    Where a line has no length the axes of the frame before are kept."""
+    length = np.linalg.norm(d, axis=-1)
+    R = np.empty((len(d), 3, 3))
+    known = length > 0
+    u = d[np.argmax(known)] / length[np.argmax(known)] if known.any() else np.array([0.0, 0.0, 1.0])
+    x = across(u)
+    for i, (row, l) in enumerate(zip(d, length, strict=True)):
+        u = row / l if l > 0 else u
+        rest = x - (x @ u) * u
+        norm = np.linalg.norm(rest)
+        x = rest / norm if norm > 1e-6 else across(u)
+        R[i] = np.stack([x, np.cross(u, x), u], -1)
+    return R, length
+
+
+def rod(
+    path: tuple[str, ...],
+    mesh: Mesh,
+    color: str,
+    start: np.ndarray,
+    end: np.ndarray,
+    opacity: float = 1.0,
+) -> DrawnPart:
+    """A part of unit length along z, from one point (n, 3) to another in each frame."""
+    start, end = np.broadcast_arrays(start, end)
+    R, length = axes_along_lines(end - start)
+    return DrawnPart(
+        path,
+        mesh,
+        color,
+        start,
+        R,
+        np.stack([np.ones_like(length), np.ones_like(length), length], -1),
+        opacity,
+    )

@@ -1,0 +1,320 @@
+"""Bodies, supports, joints, centers of mass and the ground as drawn parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxbody.model.elements.contacts import Tyre
+from jaxbody.model.joints.combined_joints import Combined, Planar
+from jaxbody.model.joints.composite_joints import Composite
+from jaxbody.model.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.model.layouts import WORLD
+from jaxbody.views.plots.canvases import COLORS, GRAY, INK, LIGHT
+from jaxbody.views.scenes.animations import DrawnPart, NameLabel
+from jaxbody.views.scenes.meshes import Mesh, box, cylinder, hull, joined, ribbon, sphere
+from jaxbody.views.scenes.pose_sequences import PoseSequence, attaching, marks_of
+from jaxbody.views.scenes.road_parts import hub_of
+from jaxbody.views.scenes.shapes import THICK, Shape, axes_along, solid_of_body
+
+FLAT = 1e-6  # largest extent of a flat model, relative to its size
+# radius of the ends of elements and of a center of mass, relative to the size of the model
+PIN, CENTER = 0.008, 0.016
+BOARD = "#eef1f5"
+
+
+def parts_of_bodies(
+    sequence: PoseSequence, size: float, shapes: Mapping[str, tuple[Shape, ...]], opacity: float
+) -> tuple[list[DrawnPart], list[NameLabel]]:
+    """The solid of each body, the ends of elements on it, its center of mass and its name."""
+    model, parts, labels = sequence.model, [], []
+    own = points_of_frames(sequence)
+    for i, name in enumerate(model.layout.bodies):
+        body, row = model[name], sequence.row(name)
+        p, R, color = sequence.p[:, row], sequence.R[:, row], COLORS[i % len(COLORS)]
+        com = np.asarray(body.com, float)
+        if name in shapes:
+            parts += _shaped(("bodies", name), shapes[name], color, p, R)
+        else:
+            hub = hub_of(sequence, name, np.concatenate([own[name], com[None]]))
+            if hub is not None:
+                parts.append(DrawnPart(("bodies", name, "hub"), hub, color, p, R))
+            else:
+                # of which curves do not depend
+                inertia = np.zeros((3, 3)) if sequence.wheel else np.asarray(body.inertia, float)
+                solid = solid_of_body(own[name], com, float(body.mass), inertia, size)
+                parts.append(
+                    DrawnPart(
+                        ("bodies", name, "solid"), solid, color, p, R, opacity=opacity, edged=True
+                    )
+                )
+        pins = [sphere(PIN * size, 10).placed(point) for point in _attached(sequence, name)]
+        if pins:
+            parts.append(
+                DrawnPart(
+                    ("bodies", name, "ends"), joined(pins), INK, p, R, over=1.5 * THICK * size
+                )
+            )
+        solids = [part.mesh.vertices for part in parts if part.path[:2] == ("bodies", name)]
+        reach = max(
+            (np.linalg.norm(vertices - com, axis=1).max() for vertices in solids), default=0.0
+        )
+        parts += _center_of_mass(name, com, size, p, R, reach)
+        labels.append(NameLabel(("names", name), name, sequence.points(name, com), INK))
+    return parts, labels
+
+
+def _center_of_mass(
+    name: str, com: np.ndarray, size: float, p: np.ndarray, R: np.ndarray, reach: float
+) -> list[DrawnPart]:
+    """The usual sign: a ball of eight parts, black and white by turns; `reach` is the largest
+    distance of a point of the body from it."""
+    black, white = [], []
+    for octant in np.ndindex(2, 2, 2):
+        ball = sphere(CENTER * size, 16)
+        sign = 1 - 2 * np.array(octant)
+        part = Mesh(
+            ball.vertices, ball.faces[(ball.vertices[ball.faces].mean(1) * sign > 0).all(1)]
+        ).placed(com)
+        (white if sum(octant) % 2 else black).append(part)
+    both = (("black", black, INK), ("white", white, "#ffffff"))
+    return [
+        DrawnPart(("centers of mass", name, word), joined(of), color, p, R, over=reach)
+        for word, of, color in both
+    ]
+
+
+def parts_of_supports(
+    sequence: PoseSequence, size: float, up: np.ndarray, shapes: Mapping[str, tuple[Shape, ...]]
+) -> tuple[list[DrawnPart], list[NameLabel]]:
+    """Supports: a slab under points in a horizontal plane, a board behind a flat model, and a foot
+    at the end of each line element."""
+    model, parts, labels = sequence.model, [], []
+    own = points_of_frames(sequence)
+    board = _board(sequence, size, up) if len(model.layout.supports) == 1 else None
+    for name in (*model.layout.supports, WORLD):
+        row = sequence.row(name)
+        p, R = sequence.p[:, row], sequence.R[:, row]
+        feet = [_foot(point, direction, size) for point, direction in _feet(sequence, name)]
+        if feet:
+            parts.append(
+                DrawnPart(("supports", name, "feet"), joined(feet), GRAY, p, R, edged=True)
+            )
+        if name == WORLD:
+            continue
+        points = own[name]
+        if name in shapes:
+            parts += _shaped(("supports", name), shapes[name], LIGHT, p, R)
+        elif len(points) and board is not None and np.ptp(points @ R[0].T @ up) > 0.02 * size:
+            own_board = board.placed(-p[0]).placed(np.zeros(3), R[0].T)
+            parts.append(
+                DrawnPart(
+                    ("supports", name, "board"), own_board, BOARD, p, R, below=True, edged=True
+                )
+            )
+        elif (
+            len(points)
+            and not _carries_tyre(sequence, name)
+            and np.ptp(points @ R[0].T @ up) <= 0.02 * size
+        ):
+            lowered = points - 2.2 * THICK * size * (R[0].T @ up)
+            rim = box([3 * THICK * size] * 3).vertices * [2.2, 2.2, 0.4] @ axes_along(up).T @ R[0]
+            slab = hull(np.concatenate([lowered + corner for corner in rim]))
+            parts.append(DrawnPart(("supports", name, "slab"), slab, LIGHT, p, R, edged=True))
+        if len(points) and not _carries_tyre(sequence, name):
+            lowest = points[np.argmin(points @ R[0].T @ up)]
+            labels.append(
+                NameLabel(("names", name), name, sequence.points(name, lowest), GRAY, "support")
+            )
+    return parts, labels
+
+
+def parts_of_joints(sequence: PoseSequence, size: float) -> list[DrawnPart]:
+    """Pins of hinges with their axes, balls, and rails of guides, on the frame of the parent."""
+    model, parts = sequence.model, []
+    r = 0.012 * size
+    pin = joined([cylinder(r, -2.2 * r, 2.2 * r), cylinder(0.25 * r, -6 * r, 6 * r, sides=8)])
+    rail = cylinder(0.004 * size, -0.1 * size, 0.1 * size, sides=8)
+    for name, parent in zip(model.layout.bodies, model.layout.parents, strict=True):
+        joint, row = model.joint(name), sequence.row(parent)
+        p, R = sequence.p[:, row], sequence.R[:, row]
+        origin = R[0].T @ (sequence.p[0, sequence.row(name)] - p[0])
+        at = origin if joint.at is None else np.asarray(joint.at, float)
+        lines: list[tuple[Mesh, Any, np.ndarray]] = []
+        if isinstance(joint, Hinge):
+            lines = [(pin, joint.axis, at)]
+        elif isinstance(joint, Guide):
+            lines = [(rail, joint.axis, origin)]
+        elif isinstance(joint, Combined):
+            lines = [
+                (pin if turn else rail, n, at)
+                for turn, n in zip(joint.turns, joint.directions, strict=True)
+            ]
+        elif isinstance(joint, Composite):
+            places = np.where(np.array(joint.turns)[:, None], np.asarray(joint.points), origin)
+            lines = [
+                (pin if turn else rail, n, x)
+                for turn, n, x in zip(joint.turns, joint.directions, places, strict=True)
+            ]
+        elif isinstance(joint, Ball):
+            parts.append(DrawnPart(("joints", name), sphere(1.5 * r), GRAY, p + R @ at, R))
+        for i, (mesh, axis, point) in enumerate(lines):
+            number = (str(i + 1),) if len(lines) > 1 else ()
+            axes = axes_along(np.asarray(axis, float))
+            parts.append(DrawnPart(("joints", name, *number), mesh, GRAY, p + R @ point, R @ axes))
+    return parts
+
+
+def ground(
+    points: np.ndarray, up: np.ndarray, right: np.ndarray, size: float
+) -> tuple[DrawnPart, str]:
+    """A grid at the height of the lowest of these points (n, 3), and a note of its cells."""
+    cell = 10.0 ** np.floor(np.log10(size / 4))
+    cell *= max(k for k in (1, 2, 5) if k * cell <= size / 4)
+    axes = np.stack([right, np.cross(up, right), up], -1)
+    inside = points @ axes
+    level, wide = inside[:, 2].min() - 0.002 * size, 0.0035 * size
+    first, last = (
+        (np.floor(inside.min(0) / cell) - 1) * cell,
+        (np.ceil(inside.max(0) / cell) + 1) * cell,
+    )
+    lines = []
+    for axis in range(2):
+        other = 1 - axis
+        line = ribbon(np.array([first[axis], last[axis]]), np.zeros(2), wide)
+        turned = (
+            line
+            if axis == 0
+            else line.placed(np.zeros(3), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
+        )
+        for k in np.arange(first[other], last[other] + 0.5 * cell, cell):
+            lines.append(turned.placed(np.eye(3)[other] * k + np.array([0, 0, level])))
+    return DrawnPart(
+        ("ground",),
+        joined(lines),
+        "#d5dae1",
+        np.zeros((1, 3)),
+        axes[None],
+        below=True,
+        framed=False,
+    ), f"cells of the grid {cell:g} m"
+
+
+def up_of(model: Any) -> np.ndarray:
+    """The direction against gravity; z without gravity."""
+    g = np.asarray(model.gravity, float)
+    length = np.linalg.norm(g)
+    return -g / length if length > 0 else np.array([0.0, 0, 1])
+
+
+def is_flat(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray | None:
+    """The horizontal normal of the plane in which all marks of a flat model lie in the first frame;
+    None for other models."""
+    marks = np.stack([sequence.points(name, point)[0] for name, point in marks_of(sequence.model)])
+    _, spread, rows = np.linalg.svd(marks - marks.mean(0), full_matrices=True)
+    spread = np.concatenate([spread, np.zeros(3)])[:3]
+    if spread[2] > FLAT * size or spread[1] <= FLAT * size or abs(rows[2] @ up) > 0.1:
+        return None
+    return rows[2] * np.sign(rows[2] @ np.array([1e-3, -1e-3 if abs(up[2]) > 0.5 else 1e-6, 1.0]))
+
+
+def points_of_frames(sequence: PoseSequence) -> dict[str, np.ndarray]:
+    """{frame: points of elements, closures, joints and centers of mass on it (n, 3)}, in its own
+    axes, in the first frame."""
+    model = sequence.model
+    places: dict[str, list[np.ndarray]] = {name: [] for name in model.layout.frames}
+    for table in attaching(model):
+        for end, points in enumerate(table.rows.points):
+            for link, point in zip(table.links, np.asarray(points, float), strict=True):
+                places[link[end]].append(point)
+    for name, parent in zip(model.layout.bodies, model.layout.parents, strict=True):
+        joint = model.joint(name)
+        if not isinstance(joint, Hinge | Ball | Combined) or isinstance(joint, Planar):
+            continue
+        row, on = sequence.row(name), sequence.row(parent)
+        at = sequence.p[0, row] if joint.at is None else sequence.points(parent, joint.at)[0]
+        for frame, i in ((name, row), (parent, on)):
+            places[frame].append(sequence.R[0, i].T @ (at - sequence.p[0, i]))
+    return {name: np.array(rows).reshape(-1, 3) for name, rows in places.items()}
+
+
+def _attached(sequence: PoseSequence, name: str) -> list[np.ndarray]:
+    """The ends of line elements on a frame."""
+    points = []
+    for table in sequence.model.elements:
+        if hasattr(table.rows, "free_length"):
+            for end, rows in enumerate(table.rows.points):
+                points += [
+                    row
+                    for link, row in zip(table.links, np.asarray(rows, float), strict=True)
+                    if link[end] == name
+                ]
+    return points
+
+
+def _feet(sequence: PoseSequence, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(point, outward direction), in the axes of a support or of the world, where elements along a
+    line end on it."""
+    feet, row = [], sequence.row(name)
+    for table in sequence.model.elements:
+        if not hasattr(table.rows, "free_length"):
+            continue
+        a, b = (np.asarray(x, float) for x in table.rows.points)
+        for link, *points in zip(table.links, a, b, strict=True):
+            for end in range(2):
+                if link[end] == name:
+                    d = (
+                        sequence.points(name, points[end])
+                        - sequence.points(link[1 - end], points[1 - end])
+                    )[0]
+                    length = np.linalg.norm(d)
+                    d = d / length if length > 0 else np.array([0.0, 0, -1])
+                    feet.append((points[end], sequence.R[0, row].T @ d))
+    return feet
+
+
+def _foot(point: np.ndarray, direction: np.ndarray, size: float) -> Mesh:
+    """A small plate across the direction, behind the point."""
+    r = 0.03 * size
+    return box([2 * r, 2 * r, 0.3 * r]).placed(point + 0.15 * r * direction, axes_along(direction))
+
+
+def _carries_tyre(sequence: PoseSequence, name: str) -> bool:
+    return any(
+        isinstance(table.rows, Tyre) and link[1] == name
+        for table in sequence.model.elements
+        for link in table.links
+    ) or (name in sequence.roads)
+
+
+def _board(sequence: PoseSequence, size: float, up: np.ndarray) -> Mesh | None:
+    """A board behind a flat model, in world axes in the first frame; None for other models."""
+    normal = is_flat(sequence, size, up)
+    if normal is None:
+        return None
+    marks = np.stack([sequence.points(name, point)[0] for name, point in marks_of(sequence.model)])
+    axes = np.stack([np.cross(up, normal), up, normal], -1)
+    inside = marks @ axes
+    low, high = inside.min(0) - 0.08 * size, inside.max(0) + 0.08 * size
+    middle = (low + high) / 2
+    middle[2] = low[2] + 0.08 * size - 0.07 * size
+    return box([high[0] - low[0], high[1] - low[1], 0.015 * size]).placed(axes @ middle, axes)
+
+
+def _shaped(
+    path: tuple[str, ...], shapes: tuple[Shape, ...], color: str, p: np.ndarray, R: np.ndarray
+) -> list[DrawnPart]:
+    return [
+        DrawnPart(
+            (*path, f"shape {i + 1}"),
+            shape.mesh,
+            shape.color or color,
+            p,
+            R,
+            opacity=shape.opacity,
+            edged=True,
+        )
+        for i, shape in enumerate(shapes)
+    ]

@@ -1,0 +1,102 @@
+"""Closures as drawn parts: rods between their balls, balls, pins of hinges with their axes, rails,
+welds; couplings have no place."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.geometry.closures import AlongAxis, Ball, Closure, Hinge, Inline, Weld
+from jaxbody.model.models import Model
+from jaxbody.views.plots.canvases import COLORS, GRAY, INK
+from jaxbody.views.scenes.animations import DrawnPart, NameLabel, rod
+from jaxbody.views.scenes.meshes import box, cylinder, joined, sphere
+from jaxbody.views.scenes.pose_sequences import PoseSequence, attaching
+from jaxbody.views.scenes.shapes import axes_along
+
+ROD = COLORS[3]
+ROUND = 0.006  # radius of a rod, relative to the size of the model
+
+
+def placed_closures(model: Model) -> list[tuple[str, Closure]]:
+    """The closures with points in space, by name."""
+    return [
+        (name, table.row(name))
+        for table in attaching(model)[len(model.elements) :]
+        for name in table.names
+    ]
+
+
+def parts_of_closures(sequence: PoseSequence, size: float) -> list[DrawnPart]:
+    """The parts of all closures; what is one point in space is drawn on the first of the
+    two frames."""
+    parts: list[DrawnPart] = []
+    for name, closure in placed_closures(sequence.model):
+        parts += _parts(name, closure, sequence, size)
+    return parts
+
+
+def names_of_rods(sequence: PoseSequence) -> list[NameLabel]:
+    """The name of each rod at its middle; other closures are where bodies meet, which
+    have names."""
+    labels = []
+    for name, closure in placed_closures(sequence.model):
+        if is_link(closure):
+            A, B = _ends(closure, sequence)
+            labels.append(
+                NameLabel(("names of closures", name), name, (A + B) / 2, GRAY, "element")
+            )
+    return labels
+
+
+def is_link(closure: Closure) -> bool:
+    """Whether a closure has two points at a distance from each other."""
+    return not isinstance(closure, Ball | Weld | AlongAxis)
+
+
+def _parts(name: str, closure: Any, sequence: PoseSequence, size: float) -> list[DrawnPart]:
+    A, B = _ends(closure, sequence)
+    R, r = sequence.R[:, sequence.row(closure.between[0])], 0.012 * size
+    if is_link(closure):
+        ends = [
+            DrawnPart(("closures", name, end), sphere(1.3 * r), INK, at, R)
+            for end, at in (("a", A), ("b", B))
+        ]
+        return [rod(("closures", name, "rod"), cylinder(ROUND * size, sides=12), ROD, A, B), *ends]
+    if isinstance(closure, Ball):
+        return [DrawnPart(("closures", name), sphere(1.5 * r), INK, A, R)]
+    if isinstance(closure, Weld):
+        return [DrawnPart(("closures", name), box([2.4 * r] * 3), INK, A, R, edged=True)]
+    along = R @ axes_along(np.asarray(closure.axis, float))
+    if isinstance(closure, Hinge):
+        pin = joined([cylinder(r, -2.2 * r, 2.2 * r), cylinder(0.25 * r, -6 * r, 6 * r, sides=8)])
+        return [DrawnPart(("closures", name), pin, INK, A, along)]
+    rail = DrawnPart(("closures", name, "rail"), _rail(closure, A, B, R, size), GRAY, A, along)
+    on_rail = sphere(1.3 * r) if isinstance(closure, Inline) else box([2.0 * r] * 3)
+    return [
+        rail,
+        DrawnPart(
+            ("closures", name, "b"), on_rail, INK, B, along, edged=not isinstance(closure, Inline)
+        ),
+    ]
+
+
+def _ends(closure: Closure, sequence: PoseSequence) -> list[np.ndarray]:
+    """The points of both ends in each frame (n, 3)."""
+    return [
+        sequence.points(frame, point)
+        for frame, point in zip(closure.between, closure.points, strict=True)
+    ]
+
+
+def _rail(closure: AlongAxis, A: np.ndarray, B: np.ndarray, R: np.ndarray, size: float) -> Any:
+    """A rail along z from the first point, over all that the second one passes."""
+    n = R @ np.asarray(closure.axis, float)
+    places = np.sum((B - A) * n, axis=1)
+    return cylinder(
+        0.004 * size,
+        min(places.min(), 0.0) - 0.06 * size,
+        max(places.max(), 0.0) + 0.06 * size,
+        sides=8,
+    )

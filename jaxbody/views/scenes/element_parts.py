@@ -1,0 +1,215 @@
+"""Elements as drawn parts: springs as coils that stretch, dampers as cylinders with rods, inerters,
+bushings, torsion springs, anti-roll bars, contacts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.geometry.orientations import matrix
+from jaxbody.model.elements.bushings import FramePair
+from jaxbody.model.elements.contacts import Contact, Tyre
+from jaxbody.model.elements.elements import LineElement
+from jaxbody.model.elements.inerters import Inerter
+from jaxbody.model.elements.springs import Spring, SpringDamper
+from jaxbody.model.elements.torsions import AntiRollBar, Torsion
+from jaxbody.views.plots.canvases import COLORS, GRAY
+from jaxbody.views.scenes.animations import DrawnPart, axes_along_lines, rod
+from jaxbody.views.scenes.meshes import (
+    Mesh,
+    across,
+    box,
+    coil,
+    cylinder,
+    joined,
+    ring,
+    sphere,
+    spiral,
+)
+from jaxbody.views.scenes.pose_sequences import PoseSequence
+from jaxbody.views.scenes.shapes import axes_along
+
+STEEL, RUBBER, DAMPER, BAR = "#4a525e", "#3a3f47", "#d9a441", COLORS[3]
+# radius of a coil over its length, and its limits relative to the size of the model
+SLENDER, THIN, WIDE = 0.11, 0.010, 0.024
+PITCH = 1.15  # of a coil over its radius
+TUBE = 0.55  # length of a damper's tube over that of the damper in the first frame
+
+
+def parts_of_elements(sequence: PoseSequence, size: float, up: np.ndarray) -> list[DrawnPart]:
+    """The parts of all elements but tyres."""
+    parts: list[DrawnPart] = []
+    for table in sequence.model.attached:
+        for name in table.names:
+            element = table.row(name)
+            if isinstance(element, Tyre):
+                continue
+            ends = [
+                sequence.points(frame, point)
+                for frame, point in zip(element.between, element.points, strict=True)
+            ]
+            parts += _parts(name, element, ends, sequence, size, up)
+    return parts
+
+
+def _parts(
+    name: str,
+    element: Any,
+    ends: list[np.ndarray],
+    sequence: PoseSequence,
+    size: float,
+    up: np.ndarray,
+) -> list[DrawnPart]:
+    if isinstance(element, Contact):
+        ball = sphere(float(element.free_length) / 2)
+        return [
+            DrawnPart(("elements", name, side), ball, COLORS[5], at, opacity=0.6)
+            for side, at in zip("ab", ends, strict=True)
+        ]
+    if isinstance(element, LineElement):
+        return _line_element(name, element, ends[0], ends[1], size)
+    if isinstance(element, Inerter):
+        return _inerter(name, ends[0], ends[1], size)
+    if isinstance(element, FramePair):
+        return _bushing(name, element, ends, sequence, size, up)
+    if isinstance(element, Torsion):
+        return _torsion(name, element, ends, sequence, size)
+    if isinstance(element, AntiRollBar):
+        return _anti_roll_bar(name, element, ends, sequence, size)
+    return [rod(("elements", name), cylinder(0.004 * size, sides=8), GRAY, ends[0], ends[1])]
+
+
+def springs_and_dampers(element: LineElement) -> tuple[bool, bool]:
+    """Whether an element along a line has a spring, and whether it has a damper."""
+    if isinstance(element, Spring):
+        return bool(element.stiffness != 0) or not element.damping, bool(element.damping != 0)
+    if isinstance(element, SpringDamper):
+        return element.spring is not None or element.damper is None, element.damper is not None
+    return True, False
+
+
+def _line_element(
+    name: str, element: LineElement, A: np.ndarray, B: np.ndarray, size: float
+) -> list[DrawnPart]:
+    sprung, damped = springs_and_dampers(element)
+    length = max(float(np.linalg.norm(B[0] - A[0])), 0.02 * size)
+    radius = float(np.clip(SLENDER * length, THIN * size, WIDE * size))
+    turns = int(np.clip(round(0.84 * length / (PITCH * radius)), 4, 16))
+    thickness = radius * (0.15 if damped else 0.18)
+    parts = []
+    if sprung:
+        parts.append(
+            rod(("elements", name, "coil"), coil(radius, thickness, length, turns), STEEL, A, B)
+        )
+    if damped:
+        inner = 0.62 * radius if sprung else 0.8 * radius
+        R, lengths = axes_along_lines(B - A)
+        least, most = 0.95 * float(lengths.min()), float(lengths.max())
+        tube, stem = (
+            min(TUBE * length, least),
+            min(max(most - 0.7 * TUBE * length, 0.4 * length), least),
+        )
+        if tube + stem > most:  # both rigid, as in a damper; else its rod is stretched
+            piston = DrawnPart(
+                ("elements", name, "piston"), cylinder(0.4 * inner, 0.0, stem, sides=12), GRAY, A, R
+            )
+        else:
+            piston = rod(("elements", name, "piston"), cylinder(0.4 * inner, sides=12), GRAY, A, B)
+        parts += [
+            piston,
+            DrawnPart(
+                ("elements", name, "damper"),
+                cylinder(inner, -max(tube, 0.02 * length), 0.0, sides=18),
+                DAMPER,
+                B,
+                R,
+            ),
+        ]
+    return parts
+
+
+def _inerter(name: str, A: np.ndarray, B: np.ndarray, size: float) -> list[DrawnPart]:
+    """A flywheel in the middle of a rod."""
+    R, lengths = axes_along_lines(B - A)
+    radius = float(np.clip(0.12 * lengths[0], 0.008 * size, 0.03 * size))
+    wheel = cylinder(radius, -0.3 * radius, 0.3 * radius)
+    return [
+        rod(("elements", name, "rod"), cylinder(0.2 * radius, sides=10), GRAY, A, B),
+        DrawnPart(("elements", name, "flywheel"), wheel, DAMPER, (A + B) / 2, R),
+    ]
+
+
+def _bushing(
+    name: str, element: Any, ends, sequence: PoseSequence, size: float, up: np.ndarray
+) -> list[DrawnPart]:
+    """A rubber ring on the frame of the second end about a pin on that of the first; its axis is
+    the one nearest to up at rest."""
+    R_a = sequence.R[:, sequence.row(element.between[0])] @ np.asarray(matrix(element.orientation))
+    R_b = sequence.R[:, sequence.row(element.between[1])] @ np.asarray(
+        matrix(element.orientation_b)
+    )
+    # z of the mesh to that axis
+    turn = np.roll(np.eye(3), int(np.argmax(np.abs(R_b[0].T @ up))) - 2, axis=0)
+    r = 0.032 * size
+    rubber = ring(0.4 * r, r, -0.62 * r, 0.62 * r)
+    pin = joined(
+        [
+            cylinder(0.4 * r, -1.25 * r, 1.25 * r),
+            *(cylinder(0.7 * r, *z) for z in ((-1.25 * r, -1.0 * r), (1.0 * r, 1.25 * r))),
+        ]
+    )
+    parts = [
+        DrawnPart(("elements", name, "rubber"), rubber, RUBBER, ends[1], R_b @ turn),
+        DrawnPart(("elements", name, "pin"), pin, GRAY, ends[0], R_a @ turn),
+    ]
+    if np.linalg.norm(ends[1][0] - ends[0][0]) > 2 * r:
+        parts.append(
+            rod(("elements", name, "link"), cylinder(0.2 * r, sides=8), GRAY, ends[0], ends[1])
+        )
+    return parts
+
+
+def _torsion(
+    name: str, element: Torsion, ends, sequence: PoseSequence, size: float
+) -> list[DrawnPart]:
+    """A flat spiral about the axis on the first frame, whose outer end is an arm on the second."""
+    R_a, R_b = (sequence.R[:, sequence.row(frame)] for frame in element.between)
+    axes = np.asarray(matrix(element.orientation)) @ axes_along(np.asarray(element.axis, float))
+    in_b = R_b[0].T @ R_a[0] @ axes
+    r = 0.035 * size
+    arm = box([1.0 * r, 0.16 * r, 0.16 * r]).placed(np.array([0.7 * r, 0, 0]))
+    return [
+        DrawnPart(
+            ("elements", name, "spiral"), spiral(0.2 * r, r, 0.07 * r), STEEL, ends[0], R_a @ axes
+        ),
+        DrawnPart(("elements", name, "arm"), arm, GRAY, ends[0], R_b @ in_b),
+    ]
+
+
+def _anti_roll_bar(
+    name: str, element: AntiRollBar, ends, sequence: PoseSequence, size: float
+) -> list[DrawnPart]:
+    """A bar on the body beside the line between the two wheels at rest, with a lever to
+    each wheel."""
+    left, right, _ = ends
+    line, row = left[0] - right[0], sequence.row(element.between[2])
+    normal = sequence.R[0, row] @ np.asarray(element.axis, float)
+    aside = np.cross(normal, line)
+    length = np.linalg.norm(aside)
+    aside = 0.16 * (aside if length > 0 else across(normal) * np.linalg.norm(line))
+    inward = 0.12 * line
+
+    def on_body(at: np.ndarray) -> np.ndarray:
+        """The world positions in all frames of a point of the body, given in the first frame."""
+        fixed = sequence.R[0, row].T @ (at - sequence.p[0, row])
+        return sequence.p[:, row] + sequence.R[:, row] @ fixed
+
+    corners = [on_body(left[0] - inward + aside), on_body(right[0] + inward + aside)]
+    mesh = cylinder(0.0055 * size, sides=10)
+    knots: Mesh = sphere(0.0085 * size, 10)
+    parts = [rod(("elements", name, "bar"), mesh, BAR, corners[0], corners[1])]
+    for side, at, corner in zip(("left", "right"), (left, right), corners, strict=True):
+        parts.append(rod(("elements", name, f"{side} lever"), mesh, BAR, corner, at))
+        parts.append(DrawnPart(("elements", name, f"{side} corner"), knots, BAR, corner))
+    return parts

@@ -1,0 +1,313 @@
+"""What is viewed, as poses of all frames of a model at successive times: of a trajectory, of
+vibrating modes, of a suspension over its travel, or of one state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import Array, is_concrete
+from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.tables import without_dust
+from jaxbody.geometry.closures import Coupling, Equation
+from jaxbody.geometry.frames import Pose
+from jaxbody.mechanics.free_motions import moved
+from jaxbody.model.inputs.roads import Road
+from jaxbody.model.joints.element_tables import each_element
+from jaxbody.model.joints.kinematics import Coordinates, frames_at_time
+from jaxbody.model.leaf_paths import of_elements
+from jaxbody.model.models import Model
+from jaxbody.model.preconditions import check_state
+from jaxbody.model.states import State
+from jaxbody.model.storage import KindTable
+from jaxbody.motion.trajectories import Trajectory
+from jaxbody.suspension.alignment_curves import SuspensionCurves
+from jaxbody.suspension.wheels import Wheel
+from jaxbody.vibration.natural_modes import ModalResult
+
+CYCLE = 40  # frames of a period of a mode
+SECONDS = 2.0  # of a period of a mode as it is played
+TRAVEL = 4.0  # seconds in which the curves of a suspension are played
+SWING = 1 / 8  # largest displacement of a drawn mode, relative to the size of the model
+
+
+@dataclass(frozen=True)
+class PoseSequence:
+    """Poses of all frames of a model, in the order of its layout: world, supports, bodies."""
+
+    model: Model
+    times: np.ndarray  # (n,) [s]
+    p: np.ndarray  # (n, frames, 3), origins
+    R: np.ndarray  # (n, frames, 3, 3), orientations
+    title: str = ""
+    clock: tuple[str, ...] = ("",)  # what is written at each time
+    # {element: (n, ends, 3)} that it exerts on each end, world axes [N]
+    forces: dict[str, np.ndarray] = field(default_factory=dict)
+    roads: dict[str, Road] = field(default_factory=dict)  # {support: road under it}
+    wheel: Wheel | None = None  # that is drawn, beside those of tyres
+
+    def row(self, name: str) -> int:
+        return self.model.layout.frame(name)
+
+    def points(self, name: str, point: Any) -> np.ndarray:
+        """World positions (n, 3) of a point of a frame."""
+        return self.p[:, self.row(name)] + self.R[:, self.row(name)] @ np.asarray(point, float)
+
+
+def still(model: Model, state: State | None = None, title: str = "") -> PoseSequence:
+    """One state of a model; None takes the reference pose."""
+    state = model.reference if state is None else state
+    check_state(model, state, "state")
+    return PoseSequence(model, np.zeros(1), *_configurations(model, state.q[None]), title)
+
+
+def along(trajectory: Trajectory, most: int, forces: bool = False, title: str = "") -> PoseSequence:
+    """The samples of a motion nearest to `most` equal steps of time; those after a failure are
+    left out.
+
+    Errors: BAD_SHAPE for a batch, NONFINITE where nothing is finite."""
+    if trajectory.times.ndim > 1 or not is_concrete(trajectory.state.q):
+        hint = "View one sample of the batch: jax.tree.map(lambda x: x[0], trajectory)."
+        raise JaxbodyError(
+            Problem(
+                "BAD_SHAPE",
+                "view",
+                "is a batch of trajectories",
+                trajectory.times.shape,
+                "one trajectory",
+                hint,
+            )
+        )
+    finite = np.isfinite(np.asarray(trajectory.state.q)).all(-1)
+    if not finite.any():
+        raise JaxbodyError(
+            Problem(
+                "NONFINITE",
+                "view",
+                f"has no finite state: {trajectory.report()}",
+                hint="Simulate it again.",
+            )
+        )
+    known = np.flatnonzero(finite)
+    times = np.asarray(trajectory.times, float)
+    rows = known[nearest(times[known], most)]
+    part = eqx.tree_at(
+        lambda x: (x.times, x.state),
+        trajectory,
+        (trajectory.times[rows], jax.tree.map(lambda x: x[rows], trajectory.state)),
+    )
+    frames, model = part.at_samples(_frames), trajectory.model
+    exerted: dict[str, Any] = (
+        of_elements(model, part.at_samples(_end_forces), axis=1) if forces else {}
+    )
+    roads = {
+        name: motion
+        for name, motion in zip(model.layout.supports, trajectory.motions, strict=False)
+        if isinstance(motion, Road)
+    }
+    forces_by_name = {name: np.asarray(force) for name, force in exerted.items()}
+    chosen = times[rows]
+    step = np.diff(chosen).min(initial=1.0)
+    clock = tuple(
+        f"t = {t:.{int(np.clip(np.ceil(-np.log10(step) - 1e-9), 0, 6))}f} s" for t in chosen
+    )
+    return PoseSequence(
+        model,
+        chosen,
+        np.asarray(frames.p),
+        np.asarray(frames.R),
+        title,
+        clock,
+        forces_by_name,
+        roads,
+    )
+
+
+def vibrating(
+    modes: ModalResult, number: int, state: State | None, amplitude: float | None, phase: float
+) -> PoseSequence:
+    """One period of a mode about a state, Delta = s Re(phi exp(i (2 pi f t + phase))), in two
+    seconds whatever its frequency.
+
+    Args:
+        modes: natural or complex modes.
+        number: number of the mode, from 1.
+        state: the state about which it vibrates; None takes the reference pose.
+        amplitude: the largest displacement of an attached point or center of mass [m]; None takes
+            an eighth of the model's size.
+        phase: phase of the first frame [rad].
+
+    Error: UNKNOWN_MODE."""
+    model, count = modes.model, modes.frequency.shape[0]
+    if not 1 <= number <= count:
+        limit = f"1 to {count}"
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_MODE",
+                "view.number",
+                f"is {number}; there are modes {limit}",
+                number,
+                limit,
+            )
+        )
+    q = (model.reference if state is None else state).q
+    shape: Any = np.asarray(modes.shapes)[: model.layout.nv, number - 1]
+    if not np.isfinite(shape).all():
+        hint = (
+            "It is one of several with the same frequency: their shapes are not unique while "
+            "they are differentiated."
+        )
+        raise JaxbodyError(
+            Problem(
+                "NONFINITE", "view.number", f"mode {number} has no finite shape", number, hint=hint
+            )
+        )
+    rest = still(model, State(q, jnp.zeros(model.layout.nv, q.dtype)))
+    size = size_of_sequence(rest)
+    extremes = np.stack([shape.real, shape.imag])
+    trial = 1e-6 * size / max(np.abs(shape).max(), np.finfo(float).tiny)
+    trials = PoseSequence(model, np.zeros(2), *_poses(model, q, trial * extremes))
+    largest = (
+        np.linalg.norm(np.linalg.norm(_marks(trials) - _marks(rest), axis=-1), axis=0).max() / trial
+    )
+    # where nothing is attached off O
+    largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
+    factor = (SWING * size if amplitude is None else float(amplitude)) / largest
+    steps = np.arange(CYCLE) / CYCLE
+    turn = np.exp(1j * (2 * np.pi * steps + phase))
+    p, R = _poses(model, q, factor * np.real(shape * turn[:, None]))
+    frequency = float(np.asarray(modes.frequency)[number - 1])
+    ratio = float(without_dust(modes.damping_ratio, 1.0)[number - 1])
+    title = (
+        f"mode {number}, {frequency:.4g} Hz\n"
+        + (f"damping ratio {ratio:.2g}\n" if ratio > 0 else "")
+        + modes.names[number - 1]
+    )
+    clock = tuple(f"phase {round(360 * step + np.rad2deg(phase)) % 360} degrees" for step in steps)
+    return PoseSequence(model, SECONDS * steps, p, R, title, clock)
+
+
+def over_travel(curves: SuspensionCurves, title: str = "") -> PoseSequence:
+    """The configurations of a suspension in the order of its curves, in equal steps of time; those
+    beyond reach are left out.
+
+    Error: NONFINITE where none is within reach."""
+    rows = np.flatnonzero(np.asarray(curves.ok))
+    if not len(rows):
+        raise JaxbodyError(
+            Problem(
+                "NONFINITE",
+                "view",
+                f"has no configuration: {curves.report()}",
+                hint="Give values within reach.",
+            )
+        )
+    p, R = _configurations(curves.model, curves.q[rows])
+    shown = [
+        [
+            f"{drive.name} {_shown(float(curves.over[drive.name][i]), drive.unit)}"
+            for drive in curves.drives
+        ]
+        for i in rows
+    ]
+    times = np.linspace(0.0, TRAVEL, len(rows)) if len(rows) > 1 else np.zeros(1)
+    return PoseSequence(
+        curves.model,
+        times,
+        p,
+        R,
+        title,
+        tuple(", ".join(parts) for parts in shown),
+        wheel=curves.wheel,
+    )
+
+
+def _shown(value: float, unit: str) -> str:
+    return f"{np.rad2deg(value):.1f} deg" if unit == "rad" else f"{1e3 * value:.1f} mm"
+
+
+def nearest(times: np.ndarray, most: int) -> np.ndarray:
+    """The indices of samples nearest to equal steps of time, at most so many."""
+    wanted = np.linspace(times[0], times[-1], min(most, len(times)))
+    after = np.clip(np.searchsorted(times, wanted), 1, max(len(times) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(times) - 1)
+    return np.unique(np.where(wanted - times[before] <= times[after] - wanted, before, after))
+
+
+def marks_of(model: Model) -> list[tuple[str, np.ndarray]]:
+    """(frame, point): centers of mass and origins of bodies, ends of elements and closures."""
+    places = [
+        (name, point)
+        for name in model.layout.bodies
+        for point in (np.asarray(model[name].com), np.zeros(3))
+    ]
+    for table in attaching(model):
+        for end, points in enumerate(table.rows.points):
+            places += [
+                (link[end], point)
+                for link, point in zip(table.links, np.asarray(points), strict=True)
+            ]
+    return places
+
+
+def attaching(model: Model) -> list[KindTable]:
+    """The tables of elements, and of closures that have points in space."""
+    return [
+        *model.elements,
+        *(table for table in model.closures if not isinstance(table.rows, Coupling | Equation)),
+    ]
+
+
+def size_of_sequence(sequence: PoseSequence) -> float:
+    """The longest side of the box around the attached points and centers of mass in the first
+    frame; 1 m for a point."""
+    marks = _marks(sequence)[0]
+    return float(np.ptp(marks, axis=0).max()) or 1.0
+
+
+def _marks(sequence: PoseSequence) -> np.ndarray:
+    """World positions (n, marks, 3)."""
+    return np.stack([sequence.points(name, point) for name, point in marks_of(sequence.model)], 1)
+
+
+def _poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses at q (+) Delta for rows of Delta, where closures are fulfilled, with supports in their
+    reference poses."""
+    return _configurations(
+        model, _moved(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype))
+    )
+
+
+@program
+def _moved(model: Model, q, deltas) -> Array:
+    return jax.vmap(lambda delta: moved(Coordinates(model), q, delta))(deltas)
+
+
+def _configurations(model: Model, q: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Poses for rows of q."""
+    frames = _at_rest(model, q)
+    return np.asarray(frames.p), np.asarray(frames.R)
+
+
+@program
+def _at_rest(model: Model, q) -> Pose:
+    coordinates = Coordinates(model)
+    return jax.vmap(lambda q: coordinates.at_rest(q).pose())(q)
+
+
+def _frames(model, motions, t, state) -> Pose:
+    return frames_at_time(model, motions, t, state).pose()
+
+
+def _end_forces(model, motions, t, state):
+    def forces(element, *frames):
+        return jnp.stack([force for force, _ in element.wrenches(*frames)])
+
+    return tuple(each_element(model, frames_at_time(model, motions, t, state), forces))

@@ -1,0 +1,189 @@
+"""From poses to an animation: all parts of a model, names, force arrows, trails and the ground;
+several side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from jaxbody.views.plots.canvases import COLORS, GRAY
+from jaxbody.views.scenes.animations import Animation, DrawnPart, NameLabel, Trail, rod
+from jaxbody.views.scenes.body_parts import (
+    ground,
+    is_flat,
+    parts_of_bodies,
+    parts_of_joints,
+    parts_of_supports,
+    up_of,
+)
+from jaxbody.views.scenes.closure_parts import names_of_rods, parts_of_closures
+from jaxbody.views.scenes.element_parts import parts_of_elements
+from jaxbody.views.scenes.meshes import arrow
+from jaxbody.views.scenes.pose_sequences import PoseSequence, size_of_sequence
+from jaxbody.views.scenes.road_parts import parts_of_roads, parts_of_wheel
+from jaxbody.views.scenes.shapes import Shape
+
+SOLID = 0.82  # opacity of a body
+LONGEST = 0.22  # arrow, relative to the size of the model
+FORCE = COLORS[4]
+# degrees aside and above; aside of several side by side
+SEEN_FROM, FLAT_SEEN_FROM, IN_A_ROW = (32.0, 24.0), (14.0, 9.0), 16.0
+GAP = 0.35  # between two models side by side, relative to the width of one
+
+
+def animation_of(
+    sequence: PoseSequence,
+    *,
+    speed: float = 1.0,
+    shapes: Mapping[str, tuple[Shape, ...]] | None = None,
+    trails: Sequence[tuple[str, str, np.ndarray]] = (),
+    longest_force: float | None = None,
+) -> Animation:
+    """All that is drawn of a sequence of poses.
+
+    Args:
+        sequence: the poses; where it has forces, they are drawn as arrows.
+        speed: seconds of the sequence per second of playing.
+        shapes: {body or support: its shapes} in place of the default ones.
+        trails: (name, frame, point in its axes) of points whose paths are drawn.
+        longest_force: the force [N] of the longest arrow; None takes the largest of
+            the sequence."""
+    size, up, shapes = size_of_sequence(sequence), up_of(sequence.model), shapes or {}
+    bodies, names = parts_of_bodies(sequence, size, shapes, SOLID)
+    supports, more_names = parts_of_supports(sequence, size, up, shapes)
+    parts = [
+        *supports,
+        *parts_of_roads(sequence, size),
+        *bodies,
+        *parts_of_joints(sequence, size),
+        *parts_of_elements(sequence, size, up),
+    ]
+    parts += [*parts_of_closures(sequence, size), *parts_of_wheel(sequence)]
+    notes = []
+    if sequence.forces:
+        largest = max(
+            (float(np.linalg.norm(f, axis=-1).max()) for f in sequence.forces.values()), default=0.0
+        )
+        scale = LONGEST * size / (longest_force or largest or 1.0)
+        parts += _arrows(sequence, size, scale)
+        notes.append(f"arrows: {LONGEST * size / scale:.3g} N are {LONGEST * size:.3g} m long")
+    names += more_names + _names_of_elements(sequence) + names_of_rods(sequence)
+    paths = [
+        Trail(("trails", name), sequence.points(frame, point), COLORS[1])
+        for name, frame, point in trails
+    ]
+    right = _right(sequence, size, up)
+    seen_from = SEEN_FROM if is_flat(sequence, size, up) is None else FLAT_SEEN_FROM
+    seconds = (sequence.times - sequence.times[0]) / speed
+    return Animation(
+        seconds,
+        sequence.clock,
+        tuple(parts),
+        tuple(names),
+        tuple(paths),
+        up,
+        right,
+        size,
+        seen_from,
+        sequence.title,
+        tuple(notes),
+    )
+
+
+def with_ground(animation: Animation) -> Animation:
+    """The animation on a grid at the height of its lowest point."""
+    points = animation.outline()
+    part, note = ground(points, animation.up, animation.right, animation.size)
+    return replace(animation, parts=(part, *animation.parts), notes=(*animation.notes, note))
+
+
+def side_by_side(animations: Mapping[str, Animation]) -> Animation:
+    """Several animations in a row to the right, each with its name, at the same times; those that
+    end earlier stay as they are then."""
+    first, placed, offset = next(iter(animations.values())), [], 0.0
+    longest = max(
+        animations.values(), key=lambda animation: (animation.seconds[-1], len(animation.seconds))
+    )
+    for name, animation in animations.items():
+        points = animation.outline()
+        along = points @ first.right
+        shift = (offset - along.min()) * first.right
+        width = np.ptp(along)
+        offset += width * (1 + GAP)
+        moved = animation.shown_at(longest.seconds).moved(shift, name)
+        # the last away from the camera
+        axes = np.stack([first.right, first.up, -np.cross(first.right, first.up)], -1)
+        low, high = (points @ axes).min(0), (points @ axes).max(0)
+        at = shift + axes @ np.array([(low[0] + high[0]) / 2, high[1] + 0.06 * first.size, high[2]])
+        title = NameLabel((name, "title"), animation.title or name, at[None], GRAY, "title")
+        placed.append(
+            replace(
+                moved, labels=(title, *(label for label in moved.labels if label.kind == "body"))
+            )
+        )
+    return replace(
+        first,
+        seconds=longest.seconds,
+        clock=longest.clock,
+        parts=tuple(part for animation in placed for part in animation.parts),
+        labels=tuple(label for animation in placed for label in animation.labels),
+        trails=tuple(trail for animation in placed for trail in animation.trails),
+        size=max(animation.size for animation in animations.values()),
+        seen_from=(IN_A_ROW, first.seen_from[1]),
+        title="",
+        notes=tuple(
+            dict.fromkeys(note for animation in animations.values() for note in animation.notes)
+        ),
+    )
+
+
+def _arrows(sequence: PoseSequence, size: float, scale: float) -> list[DrawnPart]:
+    """The forces of elements on the bodies at their ends."""
+    mesh, parts = arrow(0.012 * size, 0.3), []
+    for name, force in sequence.forces.items():
+        element = sequence.model[name]
+        for i, (frame, point) in enumerate(zip(element.between, element.points, strict=True)):
+            if frame in sequence.model.layout.bodies:
+                at = sequence.points(frame, point)
+                parts.append(
+                    replace(
+                        rod(
+                            ("forces", name, f"on {frame}"),
+                            mesh,
+                            FORCE,
+                            at,
+                            at + scale * force[:, i],
+                        ),
+                        over=0.05 * size,
+                    )
+                )
+    return parts
+
+
+def _names_of_elements(sequence: PoseSequence) -> list[NameLabel]:
+    model, labels = sequence.model, []
+    for name in model.element_names:
+        element = model[name]
+        ends = [
+            sequence.points(frame, point)
+            for frame, point in zip(element.between[:2], element.points[:2], strict=True)
+        ]
+        labels.append(
+            NameLabel(("names of elements", name), name, (ends[0] + ends[1]) / 2, GRAY, "element")
+        )
+    return labels
+
+
+def _right(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray:
+    """The horizontal direction that points right: in the plane of a flat model, else x, or y for a
+    model that is longer along it."""
+    normal = is_flat(sequence, size, up)
+    if normal is not None:
+        return np.cross(up, normal)
+    spread = np.ptp(sequence.p[0], axis=0)
+    x, y = ([0, 1, 2][i] for i in [i for i in range(3) if i != int(np.argmax(np.abs(up)))])
+    axis = np.eye(3)[x if spread[x] >= 0.5 * spread[y] else y]
+    rest = axis - (axis @ up) * up
+    return rest / np.linalg.norm(rest)

@@ -1,0 +1,454 @@
+"""MJCF files that others wrote: energies and dampers as MuJoCo computes them, what is left out,
+problems with their lines."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody.files.interchange import mjcf_compiled, mjcf_readers
+
+mujoco = pytest.importorskip("mujoco")
+gymnasium = pytest.importorskip("gymnasium")
+
+import mujoco_states  # noqa: E402
+from mutated_files import check_changed_text  # noqa: E402
+
+ASSETS = Path(gymnasium.__file__).parent / "envs/mujoco/assets"
+LEGS = {
+    "contact of geoms",
+    "armature of joints",
+    "limits of joints",
+    "actuator motor",
+    "light",
+    "camera",
+    "asset texture",
+    "asset material",
+}
+BUSY = "springs and dampers of several joints of one body that turns"
+FILES = {  # what is left out
+    "ant": LEGS | {"custom numeric"},
+    "half_cheetah": LEGS,
+    "hopper": LEGS | {"visual map"},
+    "humanoid": LEGS | {"visual map", "tendons other than between two sites", BUSY},
+    "inverted_double_pendulum": {
+        "custom numeric",
+        "contact of geoms",
+        "limits of joints",
+        "actuator motor",
+    },
+    "inverted_pendulum": {"contact of geoms", "limits of joints", "actuator motor"},
+    "point": {"asset texture", "asset material", "light", "contact of geoms", "actuator motor"},
+    "pusher_v5": {
+        "light",
+        "contact of geoms",
+        "armature of joints",
+        "limits of joints",
+        "actuator motor",
+    },
+    "reacher": {"contact of geoms", "armature of joints", "limits of joints", "actuator motor"},
+    "swimmer": LEGS - {"contact of geoms"} | {"density of the medium", "viscosity of the medium"},
+    "walker2d_v5": LEGS,
+}
+
+
+@pytest.fixture
+def own(monkeypatch):
+    """As where the package mujoco is not installed."""
+    monkeypatch.setattr(mjcf_readers, "compiled", lambda path, document: (None, None))
+
+
+@pytest.fixture(params=["by MuJoCo", "own"])
+def reader(request):
+    """What reads: MuJoCo's compiler, or jaxbody by itself."""
+    return (
+        request.param if request.param == "by MuJoCo" else request.getfixturevalue("own") or "own"
+    )
+
+
+def agree(model, m, rng, count=3):
+    """T, V (from that of the reference pose) and R are MuJoCo's, to rounding of sums of some
+    twenty terms."""
+    states = list(mujoco_states.random_states(model, count, rng))
+    theirs = np.array(
+        [mujoco_states.energies(m, mujoco_states.put(model, state, m)) for state in states]
+    )
+    ours = np.array([mujoco_states.energies_here(model, state) for state in states])
+    theirs[:, 1] -= theirs[0, 1]
+    ours[:, 1] -= ours[0, 1]
+    np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12 * np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_public_files_have_the_energies_that_mujoco_computes(name, rng, reader):
+    m = mujoco.MjModel.from_xml_path(str(ASSETS / f"{name}.xml"))
+    read = jb.read_mjcf(ASSETS / f"{name}.xml")
+    assert {each.what for each in read.left_out} == FILES[name]
+    if BUSY in FILES[name]:
+        for body in np.flatnonzero(m.body_jntnum > 1):
+            joints = slice(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
+            m.jnt_stiffness[joints] = m.dof_damping[m.jnt_dofadr[joints]] = 0
+    agree(read.model, m, rng)
+
+
+def compiled(tmp_path, text, **others):
+    """Our model of a file and MuJoCo's."""
+    for name, content in {"model": text, **others}.items():
+        (tmp_path / f"{name}.xml").write_text(f"<mujoco>{content}</mujoco>")
+    return jb.read_mjcf(tmp_path / "model.xml"), mujoco.MjModel.from_xml_path(
+        str(tmp_path / "model.xml")
+    )
+
+
+SHAPES = """<worldbody><body name="a"><freejoint/>
+<geom type="sphere" size="0.1" pos="1 2 3"/>
+<geom type="capsule" size="0.1 0.3" euler="20 30 40" density="700"/>
+<geom type="capsule" size="0.1" fromto="0 0 0 1 0.5 -0.2" mass="3"/>
+<geom type="cylinder" size="0.1 0.3" axisangle="1 2 3 50" pos="0 1 0"/>
+<geom type="cylinder" size="0.1" fromto="0 0 1 0 0 -1"/>
+<geom type="ellipsoid" size="0.1 0.2 0.3" xyaxes="1 0.2 0 0.1 1 0.3"/>
+<geom type="box" size="0.1 0.2 0.3" zaxis="0.3 -0.2 -1"/>
+<geom type="box" size="0.1" fromto="0 0 0 0.2 0.3 1"/>
+<geom type="ellipsoid" size="0.1" fromto="1 0 0 0.2 0.3 1" quat="1 0 0 0"/>
+<geom type="sphere" size="0.1" group="4" pos="-1 0 0"/>
+<geom type="sphere" size="0.1" mass="0" pos="-1 0 0"/>
+</body><geom type="plane" size="1 1 1"/></worldbody>"""
+KINDS = """<compiler angle="radian" eulerseq="XzY" settotalmass="20" autolimits="true"/>
+<option gravity="1 2 -9"><flag energy="enable"/></option>
+<default><joint damping="0.3"/><geom density="500"/><default class="soft"><joint stiffness="7" springref="0.2"/><site pos="0 0 0.1"/>
+<tendon stiffness="11"/><default class="softer"><joint stiffness="3"/></default></default></default>
+<worldbody><site name="high" pos="0 0 3"/>
+<body name="shelf" pos="0.1 0.2 0.3" euler="0.3 0.2 0.1"><geom size="0.3"/>
+ <body name="door" pos="0.5 0 0" childclass="soft"><joint name="hinge" axis="1 0.2 0" pos="0 0.1 0" ref="0.1"/>
+  <geom type="box" size="0.1 0.2 0.3"/><site name="low"/>
+  <body pos="0 0 -0.1" name="handle"><geom size="0.1"/>
+   <frame pos="0.1 0 0" euler="0.1 0 0.3"><body name="knob" pos="0 0.2 0">
+    <joint class="softer" type="slide" axis="0 1 1"/><geom size="0.05"/></body></frame></body></body></body>
+ <body name="cart"><joint type="slide" axis="1 0 0" stiffness="5"/><joint type="slide" axis="1 1 0" damping="2" springref="0.3"/>
+  <geom size="0.2"/>
+  <body name="bob" pos="0 0 -1"><joint name="ball" type="ball" pos="0 0 1" stiffness="4" damping="0"/>
+   <geom size="0.1"/><site name="of bob" pos="0.1 0 0"/></body></body>
+<include file="part.xml"/></worldbody>
+<tendon><spatial name="rope" class="soft" springlength="0 0.5"><site site="high"/><site site="low"/></spatial>
+<spatial stiffness="9" damping="1.5"><site site="of bob"/><site site="low"/></spatial></tendon>"""  # noqa: E501
+PART = """<body name="included" pos="1 0 0"><joint type="slide"/><joint name="turn" axis="0 1 0" stiffness="2"/>
+<geom type="box" size="0.1 0.1 0.2" pos="0.1 0 0"/></body>"""  # noqa: E501
+
+
+def test_shapes_have_their_mass_and_inertia(tmp_path, rng, reader):
+    read, m = compiled(tmp_path, SHAPES)
+    np.testing.assert_allclose(read.model["a"].mass, m.body_mass[1], rtol=1e-14)
+    np.testing.assert_allclose(read.model["a"].com, m.body_ipos[1], rtol=1e-12)
+    agree(read.model, m, rng)
+
+
+def test_classes_frames_includes_and_springs_of_all_kinds_of_joints(tmp_path, rng, reader):
+    read, m = compiled(tmp_path, KINDS, part=PART)
+    model = read.model
+    assert model.layout.supports == ("shelf",) and isinstance(model.joint("included"), jb.Composite)
+    assert {each.what for each in read.left_out} == {"contact of geoms", BUSY}
+    # of the slide of a body that turns, which is left out
+    m.dof_damping[m.jnt_dofadr[m.body("included").jntadr[0]]] = 0
+    agree(model, m, rng, count=5)
+
+
+def test_angles_are_in_degrees_unless_the_compiler_says_otherwise(tmp_path, rng, reader):
+    text = """<worldbody><body name="flap" euler="10 20 30"><joint axis="0 1 0" stiffness="5" springref="25" ref="-10"/>
+<geom size="0.1" pos="0.3 0 0"/></body></worldbody>"""  # noqa: E501
+    read, m = compiled(tmp_path, text)
+    agree(read.model, m, rng)
+
+
+PARTS = """<worldbody><geom name="floor" type="plane" size="1 1 1"/><body name="wall"><geom size="1"/>
+<body name="a.b" pos="0 0 1"><joint type="slide" name="c"/><inertial mass="2" pos="0 0 0.1" diaginertia="1 2 2.5" quat="1 1 0 0"/>
+<body pos="0 1 0"><geom size="0.1" mass="1"/></body>
+<body name="hook" pos="0 0 1"><site name="s"/><site name="t"/></body>
+</body></body></worldbody>
+<tendon><fixed><joint joint="c" coef="1"/></fixed><spatial stiffness="2" springlength="0.1 0.2"><site site="s"/><site site="t"/></spatial>
+<spatial><site site="s"/><site site="t"/></spatial></tendon><actuator><motor joint="c"/></actuator>"""  # noqa: E501
+
+
+def test_bodies_without_joints_are_supports_fixed_or_parts(tmp_path, rng, reader):
+    read, m = compiled(tmp_path, PARTS)
+    model = read.model
+    assert model.layout.supports == ("wall",) and model.layout.bodies == ("a_b", "body 3")
+    assert isinstance(model.joint("body 3"), jb.Fixed) and model["a_b"].mass == 2
+    left_out = {each.what: each.where for each in read.left_out}
+    # of what has no name in the file
+    lines = {name: "model.xml" for name in left_out} if reader == "by MuJoCo" else {}
+    assert left_out == {
+        "contact of geoms": "model.xml:1",
+        "the name 'a.b', here 'a_b'": "model.xml:2",
+        "tendons other than between two sites": "model.xml:6",
+        "tendons with a dead band above zero": "model.xml:6",
+        "tendons without stiffness and damping": "model.xml:7",
+        "actuator motor": "model.xml:7",
+    } | {what: where for what, where in lines.items() if "tendons" in what or "geoms" in what}
+    assert re.search(r"contact of geoms +3 +model.xml", str(read))
+    state = jb.State(np.array([0.3]), np.array([2.0]))
+    d = mujoco.MjData(m)
+    d.qpos[:], d.qvel[:] = state.q, state.v
+    mujoco.mj_forward(m, d)
+    np.testing.assert_allclose(
+        mujoco_states.energies_here(model, state)[0], mujoco_states.energies(m, d)[0], rtol=1e-14
+    )
+
+
+def test_what_is_complete_says_so(tmp_path, reader):
+    (tmp_path / "m.xml").write_text(
+        '<mujoco><worldbody><body><joint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 '
+        '1"/></body></worldbody></mujoco>'
+    )
+    read = jb.read_mjcf(tmp_path / "m.xml")
+    assert read.left_out == () and "nothing" in str(read)
+
+
+BALL = '<geom size="0.1"/>'
+
+
+@pytest.mark.parametrize(
+    "text, messages",
+    [
+        (
+            "<worldbody>\n<body>\n<joint axis='0 0'/>{}</body></worldbody>",
+            ["model.xml:3 joint axis: has 2 numbers", "BAD_SHAPE"],
+        ),
+        (
+            "<worldbody><body><joint axis='0 0 0'/>{}</body></worldbody>",
+            ["joint axis: has length zero", "ZERO_AXIS"],
+        ),
+        (
+            "<worldbody><body><joint stiffness='-3' name='j'/>{}</body></worldbody>",
+            ["model.xml:1 ", "-3", "NEGATIVE"],
+        ),
+        (
+            "<worldbody><body><joint stiffness='soft'/>{}</body></worldbody>",
+            ["joint stiffness: is 'soft'", "NOT_A_NUMBER"],
+        ),
+        (
+            "<worldbody><body><joint damping='1e999'/>{}</body></worldbody>",
+            ["joint damping: is '1e999'", "NON_FINITE"],
+        ),
+        (
+            "<worldbody><body><joint type='screw'/>{}</body></worldbody>",
+            ["has the type 'screw'", "free, ball, slide, hinge", "WRONG_KIND"],
+        ),
+        (
+            "<worldbody><body><joint class='fast'/>{}</body></worldbody>",
+            ["the class 'fast' is not known", "main", "UNKNOWN_NAME"],
+        ),
+        (
+            "<worldbody><body><joint/></body></worldbody>",
+            ["body: has joints and no mass", "BAD_MASS"],
+        ),
+        (
+            "<worldbody><body><joint/><geom size='0'/></body></worldbody>",
+            ["geom size: is '0' (allowed: 1 above 0)", "BAD_SHAPE"],
+        ),
+        (
+            "<worldbody><body><joint/><geom type='mesh' mesh='a'/></body></worldbody>",
+            ["has the type mesh", "inertial", "MISSING_ENTRY"],
+        ),
+        (
+            "<worldbody><body><joint/><geom size='1' mass='-1'/></body></worldbody>",
+            ["has the mass -1 kg", "NEGATIVE"],
+        ),
+        (
+            "<worldbody><body quat='0 0 0 0'><joint/>{}</body></worldbody>",
+            ["body quat: has length zero", "ZERO_AXIS"],
+        ),
+        (
+            "<worldbody><body quat='1 0 0 0' euler='1 2 3'><joint/>{}</body></worldbody>",
+            ["has quat and euler", "DUPLICATE_NAME"],
+        ),
+        (
+            "<worldbody><body xyaxes='1 0 0 2 0 0'><joint/>{}</body></worldbody>",
+            ["xyaxes: has parallel axes", "ZERO_AXIS"],
+        ),
+        (
+            "<worldbody><body><joint/>{}<body><freejoint/>{}</body></body></worldbody>",
+            ["is free on 'body 1'", "world", "WRONG_KIND"],
+        ),
+        (
+            "<worldbody><body><joint type='ball'/><joint/>{}</body></worldbody>",
+            ["is a ball joint, one of several", "WRONG_KIND"],
+        ),
+        (
+            "<compiler eulerseq='xyw'/><worldbody><body/></worldbody>",
+            ["eulerseq: is 'xyw'", "BAD_SEQUENCE"],
+        ),
+        ("<compiler coordinate='global'/><worldbody/>", ["global coordinates", "WRONG_KIND"]),
+        (
+            (
+                "<worldbody><body><joint/>{}</body>\n"
+                "</worldbody><tendon><spatial damping='1'><site site='a'/><site "
+                "site='b'/></spatial></tendon>"
+            ),
+            ["model.xml:2 ", "'a'", "UNKNOWN_NAME"],
+        ),
+        (
+            "<worldbody>\n<body><joint/>{}\n<replicate count='4'>{}</replicate></body></worldbody>",
+            [
+                "model.xml:3: is an element 'replicate', which may have mass",
+                "pip install 'jaxbody[mujoco]'",
+                "UNKNOWN_NAME",
+            ],
+        ),
+        (
+            "<worldbody><composite type='cable'/></worldbody>",
+            ["model.xml:1: is an element 'composite'"],
+        ),
+        ("<include file='../x.xml'/>", ["includes '../x.xml'", "OUTSIDE_FOLDER"]),
+        ("<include file='/etc/passwd'/>", ["includes '/etc/passwd'", "OUTSIDE_FOLDER"]),
+        ("<include file='model.xml'/>", ["includes 'model.xml' once more", "LOOP"]),
+        ("<include file='none.xml'/>", ["none.xml", "NO_FILE"]),
+        ("<worldbody>\n<body></worldbody>", ["model.xml:2", "mismatched tag", "SYNTAX"]),
+        ("<worldbody>" + 250 * "<body>", ["nested too deep (allowed: 200 levels)", "TOO_LARGE"]),
+    ],
+)
+def test_problems_have_their_line(text, messages, tmp_path, own):
+    (tmp_path / "model.xml").write_text(f"<mujoco>{text.replace('{}', BALL)}</mujoco>")
+    with pytest.raises(jb.JaxbodyError) as raised:
+        jb.read_mjcf(tmp_path / "model.xml")
+    for message in messages:
+        assert message in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    "content, code",
+    [
+        ("<sdf/>", "WRONG_FORMAT"),
+        ("<robot name='arm'/>", "MISSING_EXTRA"),
+        (
+            '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]><mujoco>&b;</mujoco>',
+            "WRONG_KIND",
+        ),
+        (
+            '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><mujoco>&a;</mujoco>',
+            "WRONG_KIND",
+        ),
+        ('<?xml version="1.0" encoding="utf-99"?><mujoco/>', "ENCODING"),
+        ("", "EMPTY_FILE"),
+    ],
+)
+def test_files_of_another_kind(content, code, tmp_path, own):
+    (tmp_path / "model.xml").write_text(content)
+    with pytest.raises(jb.JaxbodyError) as raised:
+        jb.read_mjcf(tmp_path / "model.xml")
+    assert raised.value.code == code
+
+
+def test_all_problems_of_a_file_at_once(tmp_path, own):
+    text = (
+        "<mujoco><worldbody>\n<body pos='1 2'><joint axis='1'/>\n"
+        "<geom size='x'/></body></worldbody></mujoco>"
+    )
+    (tmp_path / "model.xml").write_text(text)
+    with pytest.raises(jb.JaxbodyError) as raised:
+        jb.read_mjcf(tmp_path / "model.xml")
+    assert [problem.where for problem in raised.value.problems[:3]] == [
+        "model.xml:2 body pos",
+        "model.xml:2 joint axis",
+        "model.xml:3 geom size",
+    ]
+
+
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+@pytest.mark.parametrize("count", [200, pytest.param(3000, marks=pytest.mark.long)])
+def test_mutated_files_are_models_or_clear_errors(count, tmp_path, own):
+    (tmp_path / "part.xml").write_text(f"<mujoco>{PART}</mujoco>")
+    (tmp_path / "model.xml").write_text(f"<mujoco>{KINDS}</mujoco>")
+    assert (
+        0.1 * count < check_changed_text(tmp_path / "model.xml", count, jb.read_mjcf) < 0.9 * count
+    )
+
+
+BOWL = """<worldbody><body name="bowl"><freejoint/><geom size=".1" mass="1"/>
+<replicate count="4" euler="0 0 90"><geom size=".05" pos=".5 0 0" mass="2"/></replicate></body></worldbody>"""  # noqa: E501
+TETRAHEDRON = "v 0 0 0\nv 0.6 0 0\nv 0 0.6 0\nv 0 0 0.6\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+MESH = """<asset><mesh name="m" file="{}"/></asset>
+<worldbody><body name="stone"><freejoint/><geom type="mesh" mesh="m" density="2000"/></body></worldbody>"""  # noqa: E501
+
+
+def test_what_is_replicated_has_its_mass(tmp_path):
+    """Five balls of 1 kg and 4 times 2 kg, these 0.5 m from the axis."""
+    read, _ = compiled(tmp_path, BOWL)
+    bowl = read.model["bowl"]
+    np.testing.assert_allclose(bowl.mass, 9.0, rtol=1e-14)
+    np.testing.assert_allclose(
+        bowl.inertia[2, 2], 0.4 * (1 * 0.1**2 + 8 * 0.05**2) + 8 * 0.5**2, rtol=1e-12
+    )
+
+
+def test_a_mesh_beside_the_file_has_mass_and_one_elsewhere_is_not_read(tmp_path):
+    """A tetrahedron with three edges at right angles of the length a has the volume a^3/6 and its
+    center at a/4."""
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "m.obj").write_text(TETRAHEDRON)
+    read, _ = compiled(tmp_path / "models", MESH.format("m.obj"))
+    # MuJoCo's meshes are of 32 bits
+    np.testing.assert_allclose(read.model["stone"].mass, 2000 * 0.6**3 / 6, rtol=1e-6)
+    (tmp_path / "m.obj").write_text(TETRAHEDRON)
+    for name in ("../m.obj", str(tmp_path / "m.obj")):
+        with pytest.raises(
+            jb.JaxbodyError, match="has the type mesh, whose inertia is not computed"
+        ):
+            compiled(tmp_path / "models", MESH.format(name))
+
+
+URDF = """<robot name="arm"><link name="base"/>
+<link name="rod"><inertial><origin xyz="0 0 -0.4" rpy="0.1 0 0"/><mass value="3"/>
+ <inertia ixx="0.2" iyy="0.25" izz="0.1" ixy="0.01" ixz="0" iyz="0"/></inertial>
+ <visual><geometry><mesh filename="package://arm/rod.stl"/></geometry></visual></link>
+<joint name="pivot" type="revolute"><parent link="base"/><child link="rod"/><origin xyz="0 0 1" rpy="0 0 0"/><axis xyz="0 1 0"/>
+ <limit lower="-1" upper="1" effort="5" velocity="2"/><dynamics damping="0.7"/></joint></robot>"""  # noqa: E501
+
+
+def test_a_urdf_is_read_by_mujoco(tmp_path):
+    """The moment about the pivot: that about the center of mass, turned by 0.1 about x, and m l^2;
+    meshes are not looked for."""
+    (tmp_path / "arm.urdf").write_text(URDF)
+    read = jb.read_mjcf(tmp_path / "arm.urdf")
+    rod, hinge = read.model["rod"], read.model.joint("rod")
+    turn = np.array([[1, 0, 0], [0, np.cos(0.1), -np.sin(0.1)], [0, np.sin(0.1), np.cos(0.1)]])
+    np.testing.assert_allclose(
+        rod.inertia, turn @ [[0.2, 0.01, 0], [0.01, 0.25, 0], [0, 0, 0.1]] @ turn.T, atol=1e-12
+    )
+    np.testing.assert_allclose(rod.com, [0, 0, -0.4], atol=1e-15)
+    assert isinstance(hinge, jb.Hinge) and [each.what for each in read.left_out] == [
+        "limits of joints"
+    ]
+    lin = jb.linearize(read.model, read.model.reference)
+    np.testing.assert_allclose(
+        lin.M,
+        turn[1] @ [[0.2, 0.01, 0], [0.01, 0.25, 0], [0, 0, 0.1]] @ turn[1] + 3 * 0.4**2,
+        rtol=1e-12,
+    )
+    np.testing.assert_allclose(lin.C, 0.7, rtol=1e-14)
+
+
+def test_what_ends_the_process_of_the_compiler_does_not_end_this_one(tmp_path, monkeypatch):
+    """A compiler that crashes: the file is read without it."""
+    process = tmp_path / "mujoco_process.py"
+    process.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)")
+    monkeypatch.setattr(mjcf_compiled, "__file__", str(process))
+    (tmp_path / "model.xml").write_text(
+        "<mujoco><worldbody><body><joint/><geom size='1' mass='2'/></body></worldbody></mujoco>"
+    )
+    assert jb.read_mjcf(tmp_path / "model.xml").model["body 1"].mass == 2
+    (tmp_path / "arm.urdf").write_text(URDF)
+    with pytest.raises(
+        jb.JaxbodyError,
+        match="URDF that MuJoCo refuses: its compilation ended with the exit code -9",
+    ):
+        jb.read_mjcf(tmp_path / "arm.urdf")
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_mutated_files_are_models_or_clear_errors_by_mujoco(tmp_path):
+    (tmp_path / "part.xml").write_text(f"<mujoco>{PART}</mujoco>")
+    (tmp_path / "model.xml").write_text(f"<mujoco>{KINDS}</mujoco>")
+    assert 10 < check_changed_text(tmp_path / "model.xml", 100, jb.read_mjcf) < 90
