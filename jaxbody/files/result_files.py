@@ -20,7 +20,7 @@ from jaxbody.core.compilation.plain_data import Unnamed, text_of, value_of
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.source_files import check_file, check_size, replacing, writing
 
-FORMAT = 1
+FORMAT = 2  # 1: classes in the packages of before 2026-11-29
 CONTENTS = "results.json"
 # of the members, so that equal results are equal files but for the time in their text
 EPOCH = (1980, 1, 1, 0, 0, 0)

@@ -186,23 +186,23 @@ def rewritten(path, changes):
         (lambda path: path.write_bytes(b"PK no archive"), "WRONG_FORMAT"),
         (lambda path: path.write_bytes(path.read_bytes()[:900]), "WRONG_FORMAT"),
         (lambda path: rewritten(path, {"results.json": b"{"}), "WRONG_FORMAT"),
-        (lambda path: rewritten(path, {"results.json": b'{"format": 2}'}), "FILE_VERSION"),
+        (lambda path: rewritten(path, {"results.json": b'{"format": 3}'}), "FILE_VERSION"),
         (lambda path: rewritten(path, {"results.json": b"[]"}), "FILE_VERSION"),
         (
             lambda path: rewritten(
-                path, {"results.json": b'{"format": 1, "results": ["name", "os:system"]}'}
+                path, {"results.json": b'{"format": 2, "results": ["name", "os:system"]}'}
             ),
             "NOT_ALLOWED",
         ),
         (
             lambda path: rewritten(
-                path, {"results.json": b'{"format": 1, "results": ["array", "jax", 99]}'}
+                path, {"results.json": b'{"format": 2, "results": ["array", "jax", 99]}'}
             ),
             "NOT_ALLOWED",
         ),
         (
             lambda path: rewritten(
-                path, {"results.json": b'{"format": 1, "results": ' + b"[" * 99999}
+                path, {"results.json": b'{"format": 2, "results": ' + b"[" * 99999}
             ),
             "WRONG_FORMAT",
         ),
