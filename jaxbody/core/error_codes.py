@@ -364,8 +364,5 @@ ZERO_MOMENT: a body has no inertia about an axis and can turn about it -> give i
     joint that prevents this
 """
 
-CODES: dict[str, tuple[str, str]] = {}  # {code: (meaning, remedy)}
-for _line in re.sub(r"\n +", " ", _TABLE).strip().split("\n"):
-    _code, _, _words = _line.partition(": ")
-    _meaning, _, _remedy = _words.partition(" -> ")
-    CODES[_code] = _meaning, _remedy
+_ROWS = re.findall(r"^(\w+): (.*) -> (.*)$", re.sub(r"\n +", " ", _TABLE), re.M)
+CODES: dict[str, tuple[str, str]] = {code: (meaning, remedy) for code, meaning, remedy in _ROWS}

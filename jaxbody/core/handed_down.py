@@ -16,5 +16,6 @@ def hand_down(**places: tuple[str, str]) -> None:
 
 
 def handed_down(name: str) -> Any:
+    """The function of this name."""
     module, function = _PLACES[name]
     return getattr(import_module(module), function)

@@ -42,9 +42,10 @@ def read_model(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST
     ... bodies.bob = {mass = "200 g0", com = "0, -50, 0 cm"}
     ... joints.bob = {type = "Hinge", parent = "world", axis = [0, 0, 1]}
     ... ''')
-    >>> read_model(path)
+    >>> read_model(path)  # doctest: +NORMALIZE_WHITESPACE
     Traceback (most recent call last):
-    jaxbody.core.errors.JaxbodyError: pendulum.toml:3 bodies.bob.mass: is '200 g0', in m/s2 ...
+    jaxbody.core.errors.JaxbodyError: pendulum.toml:3 bodies.bob.mass: is '200 g0', in m/s2
+    (allowed: a unit such as kg). ...
     >>> _ = path.write_text(path.read_text().replace("200 g0", "0.2 kg"))
     >>> float(read_model(path)["bob"].com[1])
     -0.5

@@ -53,6 +53,7 @@ def noisy_inputs(task: Task, u: Float[Array, "n"], runs: ReadingsAndResiduals) -
         name: _smoothed(experiments[name]) if name in driven else run
         for name, run in task.experiments.items()
     }
+    # the Jacobian is not needed, but this program is compiled
     other = residual_and_jacobian(eqx.tree_at(lambda t: t.space.runs, task, smoothed), u)[2]
     limit, noisy = -ndtri(UNLIKELY / len(driven)), []
     for name in driven:
@@ -67,13 +68,12 @@ def noisy_inputs(task: Task, u: Float[Array, "n"], runs: ReadingsAndResiduals) -
             noisy.append(f"'{name}'")
     if not noisy:
         return []
-    return [
-        (
-            f"the readings of {', '.join(noisy)} do not follow the fast part of the motion or load "
-            "that is imposed there: it is noise of that record, which moves the model alone; "
-            "filter the record (forward and backward, as scipy.signal.sosfiltfilt does)"
-        )
-    ]
+    sentence = (
+        f"the readings of {', '.join(noisy)} do not follow the fast part of the motion or load "
+        "that is imposed there: it is noise of that record, which moves the model alone; "
+        "filter the record (forward and backward, as scipy.signal.sosfiltfilt does)"
+    )
+    return [sentence]
 
 
 def _is_record(x: Any) -> bool:
@@ -95,13 +95,9 @@ def _smooth(record: Any) -> Any:
     """Without its fast part; from accelerations, these without it."""
     if isinstance(record, Sampled) and record.rough:
         t, x, m = (np.asarray(part) for part in (record.times, record.values, record.curvatures))
-        y, h = _slow(m), t[1] - t[0]
-        speed = (x[1] - x[0]) / h - h * (2 * m[0] + m[1]) / 6
-        return eqx.tree_at(
-            lambda s: (s.values, s.curvatures),
-            record,
-            (device_array(integrals(t, y, x[0], speed)[1]), device_array(y)),
-        )
+        y = _slow(m)
+        smooth = device_array(x - integrals(t, m - y)[1]), device_array(y)
+        return eqx.tree_at(lambda s: (s.values, s.curvatures), record, smooth)
     y = device_array(_slow(np.asarray(record.values)))
     if record.curvatures is None:
         return eqx.tree_at(lambda s: s.values, record, y)

@@ -104,9 +104,10 @@ def field(
     ...         )
     ...     },
     ... )
-    >>> replace(model, {"spring.spring.coefficient": -8.0})
+    >>> replace(model, {"spring.spring.coefficient": -8.0})  # doctest: +NORMALIZE_WHITESPACE
     Traceback (most recent call last):
-    jaxbody.core.errors.JaxbodyError: replace['spring.spring.coefficient']: is -8 N/m3 (allowed: ...
+    jaxbody.core.errors.JaxbodyError: replace['spring.spring.coefficient']: is -8 N/m3
+    (allowed: >= 0). [NEGATIVE]
     """
     if domain.partition(" unless ")[0] not in DOMAINS:
         raise JaxbodyError(

@@ -206,8 +206,10 @@ def mode_energies(
 
     The linearization is all it needs: the modes are computed from it.
 
-        kinetic      100 v_i (M v)_i/(phi' M phi)     v: velocities of a body along phi
-        inertia      100 de' T'' de/(phi' M phi)      de: an element's deformation along phi
+        kinetic      100 v_i (M v)_i/(phi' M phi)     v: velocities of a body along phi, of its
+                                                      center of mass and angular
+        inertia      100 de' T'' de/(phi' M phi)      de: change of an element's deformation
+                                                      along phi, or of its coordinates with mass
         strain       100 de' V'' de/(phi' K phi)
         dissipation  100 de' R'' de/(phi' C phi)
 

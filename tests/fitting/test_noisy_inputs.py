@@ -139,3 +139,10 @@ def test_smoothing_leaves_polynomials_and_takes_the_highest_frequency():
     np.testing.assert_allclose(
         jax.vmap(line)(instants)[:, 2], -3 * instants + instants**2 - instants**3 / 12, atol=1e-12
     )
+    # a smoothed record of accelerations is the motion of the smoothed accelerations
+    rough = jb.Sampled.from_accelerations(t, translation=(slow + fast)[:, None] * UP)
+    smooth = _smooth(rough)
+    accelerations = smooth.curvatures[:, 2, None] * UP
+    again = jb.Sampled.from_accelerations(t, translation=accelerations)
+    np.testing.assert_allclose(smooth.curvatures[inner, 2], slow[inner], atol=1e-13)
+    np.testing.assert_allclose(smooth.values, again.values, rtol=1e-12, atol=1e-12)

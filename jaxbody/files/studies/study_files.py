@@ -125,7 +125,8 @@ def read_study(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST
         file = "hammer.csv"
         frequencies = {columns = "f"}
         inputs.hammer = {type = "PointForce", on = "car", direction = "z"}
-        measured.height.hammer = {real = {columns = "re"}, imaginary = {columns = "im"}}
+        measured.height.hammer.real = {columns = "re"}
+        measured.height.hammer.imaginary = {columns = "im", unit = "mm/N"}
 
         [fit]
         free = "spring.stiffness"

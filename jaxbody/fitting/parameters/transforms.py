@@ -9,7 +9,7 @@ inertia                I = tr(S) 1 - S, S definite     of positive masses (log-C
 rotation               q = exp(u) q0                   orientations; coordinates of an initial state
 direction              n = (n0 + B u)/|n0 + B u|       axes of joints
 gains, biases, delays  x = x0 + s u                    s: |x0| or 1; rms; sampling interval
-others                 x = x0 + s u                    s the largest |x0|, or the size of the model
+others                 x = x0 + s u                    s the largest |x0|; if zero, the model's size
 """
 
 from __future__ import annotations

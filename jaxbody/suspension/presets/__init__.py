@@ -1,4 +1,4 @@
-"""Ready models; public as jaxbody.presets."""
+"""Ready models; public as `jb.presets`."""
 
 from jaxbody.core.compilation.late_imports import late_names
 

@@ -1,4 +1,4 @@
-"""Ready models; public as jaxbody.presets."""
+"""Ready models; public as `jb.presets`."""
 
 from jaxbody.suspension.presets.linkages import four_bar as four_bar
 from jaxbody.suspension.presets.presets import coupled_gliders as coupled_gliders
