@@ -383,18 +383,21 @@ def test_a_batch_has_the_same_names_and_the_numbers_of_a_loop():
 
 @pytest.mark.long
 def test_a_sample_of_a_batch_that_fails_does_not_disturb_its_neighbors():
-    model, stiffnesses = hung(), np.array([50.0, 1e9, 200.0])
+    """Beside a neighbor that succeeds, in the same program, the others have the same digits. (Those
+    of a run alone differ: controlled steps depend on the round-off of another program.)"""
+    model = hung()
     limit = {"max_steps": 60, "rtol": 1e-7}
-    batch = jax.vmap(lambda k: sampled(k, model, **limit))(jnp.array(stiffnesses))
+    run = jax.vmap(lambda k: sampled(k, model, **limit))
+    batch, sound = run(jnp.array([50.0, 1e9, 200.0])), run(jnp.array([50.0, 100.0, 200.0]))
     assert batch.status.tolist() == [Status.OK, Status.MAX_STEPS, Status.OK]
     assert batch.report() == "2 OK, 1 MAX_STEPS"
     with pytest.raises(jb.JaxbodyError, match=r"failed samples \[1\]") as error:
         batch.raise_if_failed()
     assert error.value.code == "MAX_STEPS"
+    assert sound.ok.all()
     for i in (0, 2):
-        single = sampled(stiffnesses[i], model, **limit)
-        assert max_difference(batch.state.q[i], single.state.q) < 1e-12
-        assert max_difference(batch.state.v[i], single.state.v) < 1e-11
+        np.testing.assert_array_equal(batch.state.q[i], sound.state.q[i])
+        np.testing.assert_array_equal(batch.state.v[i], sound.state.v[i])
     assert np.isnan(batch.state.q[1, -1]).all()
     assert np.isfinite(batch.state.q[1, 0]).all()
 

@@ -62,7 +62,7 @@ import sys
 import jax
 jax.config.update("jax_enable_x64", True)
 sys.path.insert(0, {folder!r})
-from workers.test_chunk_programs import ROWS, SHARED, exported, function
+from core.workers.test_chunk_programs import ROWS, SHARED, exported, function
 
 def elsewhere():
     return exported(function, SHARED, ROWS, 8, "test")

@@ -207,7 +207,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the bac
 jax.config.update("jax_enable_x64", True)
 import jaxbody as jb
 sys.path.insert(0, {tests!r})
-from workers.test_executors import CAR, OVER, slow
+from core.workers.test_executors import CAR, OVER, slow
 jb.sweep(CAR, slow, OVER, chunk=4, workers={workers}, out={out!r}, progress=True)
 """
 
@@ -225,12 +225,13 @@ def driver(out, workers=2, **options):
     )
 
 
-def wait_for_chunks(out, count):
+def wait_for_chunks(process, out, count):
     end = time.monotonic() + 60
     while time.monotonic() < end:
         flags = out / "status" / "c"
         if flags.is_dir() and len(os.listdir(flags)) >= count:
             return
+        assert process.poll() is None, process.communicate()[1]
         time.sleep(0.02)
     raise AssertionError("no chunks within a minute")
 
@@ -243,7 +244,7 @@ def test_a_killed_driver_continues_with_what_is_missing(tmp_path, alone, how):
     pytest.importorskip("zarr", reason="needs jaxbody[cluster]")
     out = tmp_path / "s.zarr"
     process = driver(out, start_new_session=True)
-    wait_for_chunks(out, 10)
+    wait_for_chunks(process, out, 10)
     os.killpg(process.pid, how)
     errors = process.communicate()[1]
     if how == signal.SIGINT:
