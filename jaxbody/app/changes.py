@@ -49,11 +49,11 @@ def set_value(document: Document, text: str) -> None:
             )
         )
     for path in chosen:
-        _set(things[path], below, _value(value.strip()), text)
+        _put(things[path], below, _value(value.strip()), text)
         document.replaced[(*path, *below)] = text
 
 
-def _set(table: Any, below: list[str], value: Any, text: str) -> None:
+def _put(table: Any, below: list[str], value: Any, text: str) -> None:
     for part in below[:-1]:
         table = table.get(part) if isinstance(table, dict) else None
     if not isinstance(table, dict):

@@ -19,7 +19,7 @@ from jaxbody.suspension.suspensions import Suspension
 from jaxbody.suspension.wheels import Wheel
 
 # kg, kg m2, for what is not known; curves do not depend on them
-AXLE, INERTIA = 80.0, (18.0, 2.0, 18.0)
+AXLE, AXLE_INERTIA = 80.0, (18.0, 2.0, 18.0)
 
 SOLID_AXLE = {
     "left lower link front": (0.55, 0.45, 0.28),
@@ -37,11 +37,11 @@ SOLID_AXLE = {
     "left wheel center": (0.0, 0.75, 0.31),
     "right wheel center": (0.0, -0.75, 0.31),
 }
-LINKS = {
+AXLE_LINKS = {
     f"{name} link": (f"{name} link front", f"{name} link rear")
     for name in ("left lower", "right lower", "upper")
 }
-RODS = LINKS | {"Panhard rod": ("Panhard rod body", "Panhard rod axle")}
+RODS = AXLE_LINKS | {"Panhard rod": ("Panhard rod body", "Panhard rod axle")}
 
 
 class Axle(Suspension):
@@ -78,7 +78,7 @@ def solid_axle(
     hard_points: Mapping[str, Any] | None = None,
     *,
     mass=AXLE,
-    inertia: Any = INERTIA,
+    inertia: Any = AXLE_INERTIA,
     stiffness=30e3,
     force=4000.0,
     radius=0.31,

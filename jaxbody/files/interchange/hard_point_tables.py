@@ -10,10 +10,10 @@ import numpy as np
 
 from jaxbody.core.errors import Problems
 from jaxbody.files.documents import LARGEST
+from jaxbody.files.interchange.mount_tables import AXES
 from jaxbody.files.interchange.unit_tables import Columns, lines_of
 
-AXES = ("x", "y", "z")
-COLUMNS = Columns(("name",), dict.fromkeys(AXES, "m"), ("name", *AXES))
+HARD_POINT_COLUMNS = Columns(("name",), dict.fromkeys(AXES, "m"), ("name", *AXES))
 
 
 def read_hard_points(path: Any, *, largest: float = LARGEST) -> dict[str, np.ndarray]:
@@ -45,7 +45,9 @@ def read_hard_points(path: Any, *, largest: float = LARGEST) -> dict[str, np.nda
     """
     points: dict[str, np.ndarray] = {}
     with Problems() as problems:
-        for where, values in lines_of(Path(path), COLUMNS, "hard points", largest, problems):
+        for where, values in lines_of(
+            Path(path), HARD_POINT_COLUMNS, "hard points", largest, problems
+        ):
             name = values.get("name", "")
             if name in points:
                 problems.add(

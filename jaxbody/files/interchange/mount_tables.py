@@ -25,7 +25,7 @@ UNITS = {
     **{f"c{axis}": "N s/m" for axis in AXES},
     **{f"cr{axis}": "N m s/rad" for axis in AXES},
 }
-COLUMNS = Columns(("name", "a", "b"), UNITS, ("name", *AXES, "kx", "ky", "kz"))
+MOUNT_COLUMNS = Columns(("name", "a", "b"), UNITS, ("name", *AXES, "kx", "ky", "kz"))
 
 
 def read_mounts(
@@ -72,7 +72,7 @@ def read_mounts(
     """
     mounts: dict[str, Bushing] = {}
     with Problems() as problems:
-        for where, values in lines_of(Path(path), COLUMNS, "mounts", largest, problems):
+        for where, values in lines_of(Path(path), MOUNT_COLUMNS, "mounts", largest, problems):
             name = values.get("name", "")
             if name in mounts:
                 problems.add(
@@ -90,7 +90,9 @@ def mounted_frames(path: Any, *, largest: float = LARGEST) -> tuple[list[str], l
     """The names in column a of a data sheet, which are those of bodies, and the other names in
     column b, those of supports. Numbers are not checked. Errors: those of text files and of
     the headings."""
-    lines = [values for _, values in lines_of(Path(path), COLUMNS, "mounts", largest, Problems())]
+    lines = [
+        values for _, values in lines_of(Path(path), MOUNT_COLUMNS, "mounts", largest, Problems())
+    ]
     first, second = (
         [values[end] for values in lines if end in values and values[end] != "world"]
         for end in "ab"
