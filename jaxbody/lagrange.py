@@ -32,6 +32,7 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import axial, dot, rotate, rotate_back
+from jaxbody.model.element_states import apart, holding
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import drawn, gaps_from, rank
 from jaxbody.model.joints.element_tables import (
@@ -42,8 +43,7 @@ from jaxbody.model.joints.element_tables import (
     state_rates,
 )
 from jaxbody.model.joints.kinematics import Coordinates, displacements, frames_displaced, imposed
-from jaxbody.model.laws.memories import InState, memories
-from jaxbody.model.memories import apart, holding
+from jaxbody.model.laws.law_states import InState, memories
 from jaxbody.model.models import Model, refuse_batch
 from jaxbody.model.preconditions import check_state
 from jaxbody.model.states import State

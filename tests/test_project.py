@@ -152,7 +152,7 @@ def test_an_import_that_is_misplaced_would_be_found_and_its_place_is_said():
     source = (
         "def f():\n    from jaxbody.motion.simulations import simulate\n\n"
         "from jaxbody.core import units\nfrom jaxbody import mechanics\nfrom . import x\n"
-        "plots = import_module('jaxbody.views.plots.pictures')\n"
+        "plots = import_module('jaxbody.views.plots.plots_of_results')\n"
     )
     imports = imported_modules(ast.parse(source))
     assert imports == {
@@ -160,7 +160,7 @@ def test_an_import_that_is_misplaced_would_be_found_and_its_place_is_said():
         "core.units": 4,
         "mechanics": 5,
         "a relative import": 6,
-        "views.plots.pictures": 7,
+        "views.plots.plots_of_results": 7,
     }
     text = "\n".join(misplaced("model.models", imports))
     assert (
@@ -175,7 +175,7 @@ def test_an_import_that_is_misplaced_would_be_found_and_its_place_is_said():
         "knows no mechanics"
         in misplaced("fitting.statistics.noises", {"core.errors": 1, "geometry.frames": 2})[0]
     )
-    assert "parameters" in misplaced("design.fronts", {"fitting.fits": 3})[0]
+    assert "parameters" in misplaced("design.fronts", {"fitting.fit_results": 3})[0]
 
 
 def test_the_plan_has_no_circle_of_files():

@@ -104,7 +104,7 @@ def _modes(study: Study, options: argparse.Namespace) -> Outcome:
 def _response(study: Study, options: argparse.Namespace) -> Outcome:
     import numpy as np
 
-    from jaxbody.app import number_tables
+    from jaxbody.app import saved_results
 
     lin, remarks = _linear(study)
     low, high = options.frequencies
@@ -113,12 +113,12 @@ def _response(study: Study, options: argparse.Namespace) -> Outcome:
     return Outcome(
         [response, *remarks],
         lambda: jb.plots.plot_frequency_response(response),
-        lambda: number_tables.over_frequency(response),
+        lambda: saved_results.over_frequency(response),
     )
 
 
 def _random(study: Study, options: argparse.Namespace) -> Outcome:
-    from jaxbody.app import number_tables
+    from jaxbody.app import saved_results
 
     lin, remarks = _linear(study)
     inputs, outputs = _ports(study, options, "displacement")
@@ -127,12 +127,12 @@ def _random(study: Study, options: argparse.Namespace) -> Outcome:
     return Outcome(
         [response, *remarks],
         lambda: jb.plots.plot_psd(response),
-        lambda: number_tables.densities(response),
+        lambda: saved_results.densities(response),
     )
 
 
 def _load_cases(study: Study, options: argparse.Namespace) -> Outcome:
-    from jaxbody.app import number_tables
+    from jaxbody.app import saved_results
 
     if not options.case:  # of a report
         raise JaxbodyError(
@@ -146,13 +146,13 @@ def _load_cases(study: Study, options: argparse.Namespace) -> Outcome:
         )
     cases = {name: jb.LoadCase(acceleration=acceleration) for name, acceleration in options.case}
     result = jb.load_cases(study.model, cases)
-    return Outcome([result], lambda: result.plot(), text=lambda: number_tables.by_case(result))
+    return Outcome([result], lambda: result.plot(), text=lambda: saved_results.by_case(result))
 
 
 def _simulate(study: Study, options: argparse.Namespace) -> Outcome:
     import numpy as np
 
-    from jaxbody.app import number_tables
+    from jaxbody.app import saved_results
 
     times = np.linspace(0.0, options.duration, round(options.duration / options.interval) + 1)
     trajectory = jb.simulate(
@@ -164,7 +164,7 @@ def _simulate(study: Study, options: argparse.Namespace) -> Outcome:
         **_steps(options),
     )
     over_time, view = (
-        lambda: number_tables.over_time(trajectory, study.sensors),
+        lambda: saved_results.over_time(trajectory, study.sensors),
         lambda: jb.view(trajectory),
     )
     return Outcome([trajectory], lambda: jb.plots.plot_trajectory(trajectory), over_time, view=view)

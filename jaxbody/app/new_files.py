@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 import jaxbody as jb
-from jaxbody.files.interchange.mount_tables import mounted_frames
+from jaxbody.files.interchange.data_sheets import mounted_frames
 from jaxbody.files.writers import toml_of, values_of
 
 HEADING = """# A model for jaxbody. Check it with `jaxbody check FILE`; `jaxbody --help` lists what comes next.

@@ -19,13 +19,13 @@ import numpy as np
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.source_files import check_file, writing
 from jaxbody.core.tables import Printed, PrintedTable, in_numpy, number
-from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.validations import Validation
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.vibration.linearizations import Linearization
 from jaxbody.vibration.natural_modes import modes
 from jaxbody.views import plots
-from jaxbody.views.plots.pictures import picture_of
+from jaxbody.views.plots.plots_of_results import picture_of
 
 Pictures = Iterable[tuple[str, Any]]  # captions and axes; a text without axes is a note
 MOST_MODES = 6  # that are drawn

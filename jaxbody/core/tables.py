@@ -14,8 +14,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxbody.core.handed_down import handed_down
 from jaxbody.core.jax_internals import Tracer
+from jaxbody.core.late_binding import handed_down
 
 MOST_ROWS = 400  # that print
 ROUND_OFF = 1e-8  # shares below are not printed

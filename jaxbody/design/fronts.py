@@ -24,10 +24,10 @@ from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.design.programs import Evaluate, Quantities, variables_over
+from jaxbody.design.design_programs import Evaluate, Quantities, variables_over
 from jaxbody.design.searches import MET
 from jaxbody.design.tuners import tune
-from jaxbody.design.tunings import Tuning
+from jaxbody.design.tuning_results import Tuning
 from jaxbody.model.models import Model
 
 SAME, NOTABLE = 1e-6, 1e-3  # differences relative to the range of an objective

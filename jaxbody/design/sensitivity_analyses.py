@@ -12,7 +12,7 @@ from jaxbody.core.arrays import Float, Int
 from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.design.programs import Evaluate, Program
+from jaxbody.design.design_programs import Evaluate, Program
 from jaxbody.design.searches import one_thread
 from jaxbody.fitting.parameters.spaces import space_of
 from jaxbody.model.models import Model

@@ -31,7 +31,7 @@ from jaxbody.core.workers.batches import (
 )
 from jaxbody.core.workers.chunk_stores import STATUS, hash_of
 from jaxbody.core.workers.executors import Crew, crew_of
-from jaxbody.design.programs import Evaluate, evaluated
+from jaxbody.design.design_programs import Evaluate, evaluated
 from jaxbody.model.leaf_paths import replace
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision

@@ -33,7 +33,7 @@ from jaxbody.core.workers.batches import (
 )
 from jaxbody.core.workers.chunk_stores import hash_of
 from jaxbody.core.workers.executors import crew_of
-from jaxbody.design.programs import (
+from jaxbody.design.design_programs import (
     Evaluate,
     Flat,
     Quantities,

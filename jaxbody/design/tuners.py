@@ -26,7 +26,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
 from jaxbody.core.workers.executors import check_workers
-from jaxbody.design.programs import (
+from jaxbody.design.design_programs import (
     Evaluate,
     Program,
     check_slopes,
@@ -36,7 +36,7 @@ from jaxbody.design.programs import (
     search_by_workers,
 )
 from jaxbody.design.searches import MET, METHODS, Search, one_thread, run, run_in_lockstep, scales
-from jaxbody.design.tunings import Tuning, tuning_of
+from jaxbody.design.tuning_results import Tuning, tuning_of
 from jaxbody.fitting.parameters.spaces import Space, model_of, space_of
 from jaxbody.fitting.parameters.starts import drawn
 from jaxbody.model.leaf_paths import matching

@@ -18,7 +18,6 @@ import numpy as np
 
 from jaxbody.core import units
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.files.coordinate_units import by_name, owner, words_of_coupling
 from jaxbody.files.documents import Document, EntryPath, shown
 from jaxbody.files.kinds import (
     CLOSURES,
@@ -30,12 +29,11 @@ from jaxbody.files.kinds import (
     class_of,
     object_schema,
 )
-from jaxbody.files.quantities import in_SI
+from jaxbody.files.quantities import by_name, in_SI, owner, words_of_coupling
 from jaxbody.files.schemas import Check
 from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.fields import in_domain, kind_of
-from jaxbody.geometry.orientations import Euler
-from jaxbody.geometry.places import direction
+from jaxbody.geometry.points_and_orientations import Euler, direction
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.inputs.base_motions import base_motion
 from jaxbody.model.inputs.loads import Load
@@ -43,7 +41,7 @@ from jaxbody.model.inputs.motions import Motion, Sampled
 from jaxbody.model.inputs.signals import Samples, Signal
 from jaxbody.model.joints.joints import Joint
 from jaxbody.model.laws.laws import Law, Linear, Sum
-from jaxbody.model.laws.measured_curves import Table
+from jaxbody.model.laws.tabulated_laws import Table
 from jaxbody.model.models import Model
 from jaxbody.records.record_files import read_record
 from jaxbody.records.records import Record

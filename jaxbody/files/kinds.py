@@ -12,13 +12,11 @@ from typing import Any, cast
 
 from jaxbody.geometry import closures
 from jaxbody.geometry.fields import Kind
-from jaxbody.geometry.places import DIRECTIONS
+from jaxbody.geometry.points_and_orientations import DIRECTIONS
 from jaxbody.model.bodies import Body, Support
-from jaxbody.model.elements.bushings import Bushing
+from jaxbody.model.elements.bushings import Bushing, Mount
 from jaxbody.model.elements.contacts import Contact, Tyre
-from jaxbody.model.elements.inerters import Inerter
-from jaxbody.model.elements.mounts import Mount
-from jaxbody.model.elements.springs import Spring, SpringDamper
+from jaxbody.model.elements.springs import Inerter, Spring, SpringDamper
 from jaxbody.model.elements.torsions import AntiRollBar, Torsion
 from jaxbody.model.inputs.base_motions import base_motion
 from jaxbody.model.inputs.loads import EngineTorque, Force, Load, Unbalance
@@ -27,19 +25,23 @@ from jaxbody.model.inputs.port_inputs import BaseMotion, PointForce
 from jaxbody.model.inputs.pulses import HalfSine, PulseMotion, Sawtooth, Trapezoid, Triangle
 from jaxbody.model.inputs.roads import Road
 from jaxbody.model.inputs.signals import Samples, Sine
-from jaxbody.model.joints.combined_joints import Cylindrical, Planar, Universal
-from jaxbody.model.joints.composite_joints import Composite
-from jaxbody.model.joints.elementary_joints import Ball, Guide, Hinge
-from jaxbody.model.joints.joints import Fixed, Free
-from jaxbody.model.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
+from jaxbody.model.joints.combined_joints import (
+    Composite,
+    Cylindrical,
+    HeavePitch,
+    HeavePitchRoll,
+    Planar,
+    Translation,
+    Universal,
+)
+from jaxbody.model.joints.joints import Ball, Fixed, Free, Guide, Hinge
 from jaxbody.model.laws import (
-    damper_laws,
     hydraulic_mounts,
     hysteresis_laws,
     laws,
-    measured_curves,
     rubber_laws,
     spring_laws,
+    tabulated_laws,
 )
 from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
 from jaxbody.sensors.sensors import Sensor
@@ -75,9 +77,9 @@ LAWS = (
     spring_laws.Stop,
     spring_laws.TensionOnly,
     spring_laws.AirSpring,
-    damper_laws.Digressive,
-    damper_laws.Friction,
-    measured_curves.Table,
+    spring_laws.Digressive,
+    spring_laws.Friction,
+    tabulated_laws.Table,
     rubber_laws.Maxwell,
     hysteresis_laws.BoucWen,
     hysteresis_laws.Dahl,
@@ -291,7 +293,7 @@ def object_schema(kind: type, type_name: str = "") -> dict[str, Any]:
     properties: dict[str, Any] = {"type": {"const": type_name}} if type_name else {}
     properties |= {argument.name: argument_schema(argument) for argument in arguments}
     required = [argument.name for argument in arguments if argument.required]
-    if kind is measured_curves.Table:
+    if kind is tabulated_laws.Table:
         properties["file"] = {
             "type": "string",
             "description": (

@@ -16,14 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
-from jaxbody.files.coordinate_units import (
+from jaxbody.files.documents import Document, EntryPath
+from jaxbody.files.quantities import (
     coordinate_units,
+    in_SI,
     owner,
+    unit_system,
     with_own_joints,
     words_of_coupling,
 )
-from jaxbody.files.documents import Document, EntryPath
-from jaxbody.files.quantities import in_SI, unit_system
 
 VERSION = 1
 SCHEMA_FILE = Path(__file__).with_name("schema.json")

@@ -15,7 +15,6 @@ import tomlkit
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import si_words
-from jaxbody.files.coordinate_units import coordinate_units, words_of_coupling
 from jaxbody.files.kinds import (
     CLOSURES,
     ELEMENTS,
@@ -26,10 +25,10 @@ from jaxbody.files.kinds import (
     arguments_of,
     definition_of,
 )
-from jaxbody.files.quantities import dimension
+from jaxbody.files.quantities import coordinate_units, dimension, words_of_coupling
 from jaxbody.files.schemas import VERSION, schema
 from jaxbody.geometry.closures import Equation
-from jaxbody.geometry.orientations import IDENTITY
+from jaxbody.geometry.points_and_orientations import IDENTITY
 from jaxbody.model.elements.bushings import FramePair
 from jaxbody.model.joints.joints import Free
 from jaxbody.model.laws.laws import Function, Law, Linear, Sum

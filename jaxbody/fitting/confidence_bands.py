@@ -21,9 +21,9 @@ from jaxbody.core.arrays import Array, Float, PRNGKeyArray
 from jaxbody.core.compilation.compile_options import jit
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.intervals import widening
-from jaxbody.fitting.statistics.quantiles import check_level, quantile
+from jaxbody.fitting.statistics.uncertainties import check_level, quantile
 from jaxbody.model.models import Model
 
 

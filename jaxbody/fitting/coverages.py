@@ -29,13 +29,12 @@ from jaxbody.core.workers.batches import batch_of, checked_chunks, gathered, sto
 from jaxbody.core.workers.chunk_programs import ChunkProgram
 from jaxbody.core.workers.chunk_stores import hash_of
 from jaxbody.core.workers.executors import crew_of
-from jaxbody.fitting.experiments.residual_series import records_of
-from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.experiments.measurements import records_of
+from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.intervals import interval_of_u
 from jaxbody.fitting.residuals import residual_and_jacobian
 from jaxbody.fitting.statistics.noises import ResidualSeries
-from jaxbody.fitting.statistics.quantiles import check_level
-from jaxbody.fitting.statistics.uncertainties import assess, decomposed
+from jaxbody.fitting.statistics.uncertainties import assess, check_level, decomposed
 from jaxbody.fitting.traced_fits import solve
 
 BATCH = 16  # replicates in one program

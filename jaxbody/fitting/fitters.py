@@ -26,21 +26,20 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
 from jaxbody.fitting.checkpoints import resumed, save
-from jaxbody.fitting.colorings import PRIORS
 from jaxbody.fitting.experiments.diagnoses import faults, likely_errors
 from jaxbody.fitting.experiments.experiments import Experiment, Integration, check_measurements
 from jaxbody.fitting.experiments.initial_transients import transients
-from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.experiments.measurements import Measurement, records_of
 from jaxbody.fitting.experiments.plausibilities import first_frequency
-from jaxbody.fitting.experiments.residual_series import records_of
 from jaxbody.fitting.experiments.unexplained_records import unexplained
-from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.least_squares import AT_BOUND, Evaluations, by_scipy
 from jaxbody.fitting.noisy_inputs import noisy_inputs
 from jaxbody.fitting.optax_steps import by_optax
 from jaxbody.fitting.parameters.spaces import Space, model_of, space_of
 from jaxbody.fitting.residuals import (
     EXACT,
+    PRIORS,
     ReadingsAndResiduals,
     Task,
     check_start,

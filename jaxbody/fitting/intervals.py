@@ -18,8 +18,7 @@ import numpy as np
 
 from jaxbody.fitting.parameters.spaces import Space
 from jaxbody.fitting.parameters.transforms import Elementwise
-from jaxbody.fitting.statistics.quantiles import quantile
-from jaxbody.fitting.statistics.uncertainties import Uncertainty
+from jaxbody.fitting.statistics.uncertainties import Uncertainty, quantile
 
 Interval = tuple[np.ndarray, np.ndarray]
 FEW = 13  # degrees of freedom below which Student's t widens 95 % intervals by more than a tenth

@@ -22,7 +22,7 @@ from jaxbody.core.workers.batches import batch_of, checked_chunks, computed_here
 from jaxbody.core.workers.chunk_stores import hash_of
 from jaxbody.core.workers.executors import crew_of
 from jaxbody.fitting.experiments.measurements import Measurement
-from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.fitters import fit
 from jaxbody.fitting.parameters.starts import around
 from jaxbody.fitting.residuals import Task

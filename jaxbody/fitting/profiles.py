@@ -21,12 +21,12 @@ from jaxbody.core import tables
 from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
 from jaxbody.core.progress_lines import Line, working
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.intervals import widening
 from jaxbody.fitting.least_squares import AT_BOUND, Evaluations, by_scipy
 from jaxbody.fitting.parameters.transforms import Elementwise
 from jaxbody.fitting.residuals import residual_and_jacobian
-from jaxbody.fitting.statistics.quantiles import check_level, quantile
+from jaxbody.fitting.statistics.uncertainties import check_level, quantile
 
 STEPS = 4  # from the optimum to each end of the interval
 GROWTH = 3.0  # largest ratio of a step to the one before

@@ -27,15 +27,15 @@ from jaxbody.core.errors import JaxbodyError, JaxbodyWarning, Problem
 from jaxbody.core.progress_lines import working
 from jaxbody.fitting.experiments.experiments import Experiment, Integration, check_measurements
 from jaxbody.fitting.experiments.measurements import Measurement
-from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.fitters import fit
 from jaxbody.fitting.residuals import first_noise
-from jaxbody.mechanics.rest_states import Rest
+from jaxbody.mechanics.quasi_static_states import Rest
 from jaxbody.model.joints.element_tables import completed
 from jaxbody.model.joints.kinematics import frames_at_time
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
-from jaxbody.motion.readings import readings
+from jaxbody.motion.sensor_readings import readings
 from jaxbody.motion.simulations import motions_of
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.sensors.channels import Channel

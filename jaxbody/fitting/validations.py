@@ -18,9 +18,8 @@ from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_w
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.fitting.experiments.experiments import check_measurements
-from jaxbody.fitting.experiments.measurements import Measurement
-from jaxbody.fitting.experiments.residual_series import records_of
-from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.experiments.measurements import Measurement, records_of
+from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.parameters.spaces import Space
 from jaxbody.fitting.residuals import Levels, Task, residuals_of_mean
 from jaxbody.fitting.statistics.autocorrelations import Whiteness, whiteness

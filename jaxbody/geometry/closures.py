@@ -26,7 +26,7 @@ from jaxbody.core.arrays import Array, Float, scalar
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.geometry.frames import Pose
-from jaxbody.geometry.places import direction, ends
+from jaxbody.geometry.points_and_orientations import direction, ends
 from jaxbody.geometry.vectors import axial, cross, dot, product, rotate, rotate_back
 
 __all__ = ["Ball", "Closure", "Coupling", "Equation", "Guide", "Hinge", "Inline", "Rod", "Weld"]

@@ -32,11 +32,11 @@ from jaxbody.geometry.frames import Frame, Instant, Pose
 from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on
 from jaxbody.mechanics.dynamics import Dynamics, FreeBodies, JointedBodies, all_free, generalized
 from jaxbody.mechanics.free_motions import FreeMotions
+from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import drawn, each_closure, gaps_from, moving_slides, rank
 from jaxbody.model.joints.element_tables import completed, inertial_tables, state_rates
 from jaxbody.model.joints.kinematics import Motions, jacobian
-from jaxbody.model.memories import holding
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.states import State

@@ -33,6 +33,7 @@ from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
 from jaxbody.lagrange import kinetic
 from jaxbody.mechanics.element_inertias import element_inertia, inertial_wrenches
+from jaxbody.model.element_states import apart, holding, rest_states
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.element_tables import (
     each_element,
@@ -44,7 +45,6 @@ from jaxbody.model.joints.element_tables import (
 from jaxbody.model.joints.joints import Free
 from jaxbody.model.joints.kinematics import Coordinates, Motions, jacobian, with_world
 from jaxbody.model.layouts import WORLD, Layout
-from jaxbody.model.memories import apart, holding, rest_states
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import size_of
 from jaxbody.model.states import State

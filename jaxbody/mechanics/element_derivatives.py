@@ -14,8 +14,8 @@ from jaxbody.geometry.frames import Frame
 from jaxbody.lagrange import gravity_energy
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists
 from jaxbody.model.elements.elements import Element
-from jaxbody.model.elements.own_energies import OfFrames
 from jaxbody.model.elements.second_derivatives import damping_matrix, potential_derivatives
+from jaxbody.model.elements.user_energies import OfFrames
 from jaxbody.model.joints.element_tables import each_element, end_rows
 from jaxbody.model.joints.kinematics import Coordinates, frames_displaced
 from jaxbody.model.models import Model

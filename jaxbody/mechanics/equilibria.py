@@ -6,7 +6,7 @@ derivatives by the implicit function theorem.
 With closures c = 0 it is dV/dDelta + J' lambda = 0, J = dc/dDelta; stability is that of the motions
 they leave free (free_motions).
 
-The search is by descent (descents). Loads, which may have no potential, are then raised step by
+The search is by descent. Loads, which may have no potential, are then raised step by
 step (load_paths); where that cannot start, because K is singular without them, the search descends
 the potential of dead loads and weights.
 """
@@ -28,10 +28,23 @@ from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, finished
 from jaxbody.geometry.frames import Frame
 from jaxbody.lagrange import potential
-from jaxbody.mechanics.closure_forces import ClosureForces, closure_forces
-from jaxbody.mechanics.descents import eigenvalue_signs
+from jaxbody.mechanics.equilibrium_solvers import (
+    LOADABLE,
+    SearchResult,
+    along_path,
+    eigenvalue_signs,
+    no_loads,
+    search_by_descent,
+    search_under_loads,
+)
 from jaxbody.mechanics.failure_causes import nonfinite_downhill
-from jaxbody.mechanics.forces_at_rest import element_rows, residual_and_reactions, support_rows
+from jaxbody.mechanics.forces_at_rest import (
+    ClosureForces,
+    closure_forces,
+    element_rows,
+    residual_and_reactions,
+    support_rows,
+)
 from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
 from jaxbody.mechanics.hessians import Configuration, configuration_at
 from jaxbody.mechanics.load_paths import (
@@ -43,22 +56,14 @@ from jaxbody.mechanics.load_paths import (
     with_load_gravity,
 )
 from jaxbody.mechanics.null_motions import resisting_stiffness, zero_modes
-from jaxbody.mechanics.rest_searches import (
-    LOADABLE,
-    SearchResult,
-    along_path,
-    no_loads,
-    search_by_descent,
-    search_under_loads,
-)
+from jaxbody.model.element_states import relaxed, rest_states
 from jaxbody.model.inputs.loads import Load, loads_of
 from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows
 from jaxbody.model.joints.element_tables import each_element, outside_law_range
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.model.laws.measured_curves import has_range
+from jaxbody.model.laws.tabulated_laws import has_range
 from jaxbody.model.layouts import Layout
 from jaxbody.model.leaf_paths import of_elements, springs_of
-from jaxbody.model.memories import relaxed, rest_states
 from jaxbody.model.models import Model, body_poses
 from jaxbody.model.preconditions import check_attached, check_memory, check_precision, check_state
 from jaxbody.model.sizes import drawn_apart, size_of

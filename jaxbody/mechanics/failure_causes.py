@@ -12,12 +12,12 @@ import numpy as np
 from jaxbody.core.arrays import Array, Bool, Float, time_text
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.mechanics.closed_loops import ClosedLoops, acceleration
+from jaxbody.model.element_states import holding, relaxed
 from jaxbody.model.elements.second_derivatives import second_order
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import names_of_rows, rank
 from jaxbody.model.joints.element_tables import each_element
 from jaxbody.model.joints.kinematics import Coordinates, Motions, frames_at_time
-from jaxbody.model.memories import holding, relaxed
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 

@@ -1,20 +1,152 @@
-"""Forces at rest: of what is attached to a support, and how deformations and forces stand
-in tables."""
+"""Forces at rest: of closures, by the multipliers lambda of their conditions, and of what is
+attached to a support; how deformations and forces stand in tables.
+
+dV/dDelta - Q + J' lambda = 0,
+reaction of a condition = lambda, a moment times the size of the model where it is on an angle
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, is_concrete
+from jaxbody.core.arrays import Array, Bool, Float, is_concrete, rows_or_nan
+from jaxbody.core.errors import Status
+from jaxbody.mechanics.free_motions import (
+    constraint_force,
+    free_motions,
+    scale_at,
+    slopes_by_supports,
+)
 from jaxbody.mechanics.hessians import Configuration, frame_twists, slope
 from jaxbody.mechanics.load_paths import AppliedLoads, generalized_force, summed, with_load_gravity
 from jaxbody.model.elements.torsions import Torsion
+from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows, redundant_rows, turning_rows
+from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
+from jaxbody.model.sizes import size_of
+
+# smallest slope of conditions that are independent elsewhere, relative to the largest
+SINGULAR = 1e-7
+
+
+class ClosureForces(eqx.Module):
+    """The forces of all conditions: `reactions` [N, N m], NaN where they are not unique,
+    `multipliers`, the least of those, J' lambda `on_coordinates`, and minus the force and moment
+    `on_supports`. `slopes` J by increments in meters, `gaps` c [m]; `smallest`: the smallest
+    singular value of J that should not be zero, relative to the largest."""
+
+    reactions: Float[Array, "n"]
+    multipliers: Float[Array, "n"]
+    on_coordinates: Float[Array, "nv"]
+    on_supports: Float[Array, "ns 6"]
+    slopes: Float[Array, "n nv"]
+    gaps: Float[Array, "n"]
+    smallest: Float[Array, ""]
+
+    @property
+    def singular(self) -> Bool[Array, ""]:
+        """Whether conditions that are independent elsewhere are not so here."""
+        return self.smallest < SINGULAR
+
+    def by_name(self, model: Model) -> dict[str, dict[str, Float[Array, ""]]]:
+        """{closure: {condition: reaction}}."""
+        named, i = {}, 0
+        for table in model.closures:
+            for name in table.names:
+                named[name] = {
+                    row: self.reactions[..., i + j] for j, row in enumerate(table.rows.rows)
+                }
+                i += len(table.rows.rows)
+        return named
+
+    def redundant(self, model: Model) -> tuple[str, ...]:
+        """The conditions that follow from the others."""
+        return redundant_rows(model, self.slopes)
+
+    def explain(self, model: Model, status: Status) -> str:
+        """Details of the statuses NOT_CLOSED and SINGULAR_CLOSURE."""
+        names = names_of_rows(model)
+        if status == Status.NOT_CLOSED:
+            i = int(np.argmax(np.abs(self.gaps)))
+            return (
+                f"'{names[i]}' stays {abs(float(self.gaps[i])):.3g} m apart; move a point, "
+                "or leave out a closure"
+            )
+        left = np.linalg.svd(np.asarray(self.slopes))[0][
+            :, int(np.linalg.matrix_rank(np.asarray(self.slopes), tol=1e-300)) - 1
+        ]
+        return (
+            f"at '{names[int(np.argmax(np.abs(left)))]}'; the smallest singular value is "
+            f"{float(self.smallest):.3g} of the largest"
+        )
+
+    def table(self, model: Model) -> tables.PrintedTable:
+        """The reactions, a row for each closure."""
+        named = self.by_name(model)
+        largest = (
+            np.nanmax(np.abs(np.asarray(self.reactions)), initial=0.0)
+            if is_concrete(self.reactions)
+            else 0.0
+        )
+        rows = [
+            (
+                name,
+                ", ".join(rows),
+                tables.without_dust(jnp.stack(list(rows.values()), -1), largest),
+            )
+            for name, rows in named.items()
+        ]
+        return tables.PrintedTable(
+            "", ("closure", "conditions", "reaction [N, N m]"), rows, self.shared(model)
+        )
+
+    def shared(self, model: Model) -> str:
+        """A sentence on the reactions that are not unique."""
+        if (
+            not is_concrete(self.reactions)
+            or not np.isnan(np.asarray(self.reactions)).any()
+            or self.reactions.ndim > 1
+        ):
+            return ""
+        names = [
+            name
+            for name, x in zip(names_of_rows(model), np.asarray(self.reactions), strict=True)
+            if np.isnan(x)
+        ]
+        return f"shared, not unique: {', '.join(names)}; "
+
+
+def closure_forces(
+    coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Array, "nv"]
+) -> ClosureForces:
+    """The forces of closures that balance r = dV/dDelta - Q at q."""
+    model = coordinates.model
+    size, scale = jax.lax.stop_gradient(size_of(model)), scale_at(model)
+    free = free_motions(coordinates, q, scale)
+    multipliers = free.multipliers(r * scale)
+    reactions = rows_or_nan(free.unique, multipliers * jnp.where(turning_rows(model), size, 1.0))
+    values = jnp.linalg.svdvals(jax.lax.stop_gradient(free.J))
+    count = 0 if model.independent is None else model.layout.nv - len(model.independent)
+    smallest = (
+        values[count - 1] / jnp.maximum(values[0], 1e-300) if count else jnp.ones((), q.dtype)
+    )
+    on_supports = (multipliers @ slopes_by_supports(coordinates, q)).reshape(-1, 6)
+    return ClosureForces(
+        reactions,
+        multipliers,
+        constraint_force(coordinates, q, multipliers),
+        on_supports,
+        free.J,
+        gaps_at(coordinates, q),
+        smallest,
+    )
+
 
 Row = tuple[Any, ...]
 

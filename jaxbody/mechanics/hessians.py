@@ -34,6 +34,7 @@ from jaxbody.geometry.vectors import cross, product, rotate, skew
 from jaxbody.lagrange import potential
 from jaxbody.mechanics.dynamics import all_free
 from jaxbody.mechanics.element_inertias import element_inertia
+from jaxbody.model.element_states import apart
 from jaxbody.model.elements.second_derivatives import (
     Block,
     PairBlocks,
@@ -44,7 +45,6 @@ from jaxbody.model.elements.second_derivatives import (
 from jaxbody.model.joints.element_tables import completed, each_element, inertial_tables, wrenches
 from jaxbody.model.joints.kinematics import Coordinates, jacobian
 from jaxbody.model.layouts import Layout
-from jaxbody.model.memories import apart
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 from jaxbody.numerics.xla_workarounds import sums, take

@@ -9,12 +9,12 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.mechanics.descents import SINGULAR
+from jaxbody.mechanics.equilibrium_solvers import SINGULAR
 from jaxbody.mechanics.free_motions import on_closures
 from jaxbody.mechanics.hessians import configuration_at, slope, stiffness
+from jaxbody.model.element_states import resisting
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.layouts import Layout
-from jaxbody.model.memories import resisting
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import scale_of, scaled, size_of
 from jaxbody.model.states import State

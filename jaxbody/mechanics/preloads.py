@@ -29,10 +29,10 @@ from jaxbody.core.results import Result, finished
 from jaxbody.mechanics.constraints import CLOSED, closed_on, how_open
 from jaxbody.mechanics.free_motions import free_motions
 from jaxbody.mechanics.hessians import configuration_at, slope
+from jaxbody.model.element_states import relaxed, rest_states
 from jaxbody.model.joints.closure_tables import drawn
 from jaxbody.model.joints.kinematics import Chart, Coordinates
 from jaxbody.model.leaf_paths import Leaf, leaves_of, matching, write
-from jaxbody.model.memories import relaxed, rest_states
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision, check_state
 from jaxbody.model.sizes import scale_of, size_of

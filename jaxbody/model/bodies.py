@@ -12,7 +12,7 @@ from jaxbody.core.arrays import Array, Float, checked, concrete, vector
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field, in_domain, kind_of, nan_outside
-from jaxbody.geometry.orientations import IDENTITY, as_quaternion, matrix
+from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, matrix
 
 EPS = np.finfo(np.float64).eps
 

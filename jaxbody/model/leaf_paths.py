@@ -35,7 +35,7 @@ from jaxbody.core.arrays import (
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.geometry.fields import Kind, in_domain, kind_along, kind_of, nan_outside
 from jaxbody.model.bodies import check_inertia
-from jaxbody.model.elements.own_energies import unwrapped
+from jaxbody.model.elements.user_energies import unwrapped
 from jaxbody.model.joints.joints import Joint
 from jaxbody.model.laws.laws import Law
 from jaxbody.model.models import Model, refuse_batch

@@ -13,13 +13,13 @@ from jaxbody.core.arguments import check_kind
 from jaxbody.core.arrays import concrete
 from jaxbody.core.errors import Problems, unknown, warn
 from jaxbody.geometry.closures import Coupling, Rod
-from jaxbody.geometry.orientations import matrix
+from jaxbody.geometry.points_and_orientations import matrix
 from jaxbody.model.bodies import warn_of_tiny
 from jaxbody.model.elements.bushings import FramePair
 from jaxbody.model.elements.elements import LineElement
-from jaxbody.model.elements.inerters import Inerter
-from jaxbody.model.elements.own_energies import DrawnAt
+from jaxbody.model.elements.springs import Inerter
 from jaxbody.model.elements.torsions import Torsion
+from jaxbody.model.elements.user_energies import DrawnAt
 from jaxbody.model.layouts import WORLD, Layout
 from jaxbody.model.storage import KindTable
 

@@ -15,7 +15,7 @@ from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, device_array, functions_as_nodes, is_concrete, vector
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
-from jaxbody.core.handed_down import handed_down
+from jaxbody.core.late_binding import handed_down
 from jaxbody.geometry import rotations
 from jaxbody.geometry.closures import Closure, Coupling, as_slide
 from jaxbody.geometry.descriptions import text_of
@@ -23,9 +23,10 @@ from jaxbody.geometry.fields import field, kind_of, units_of
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import cross
 from jaxbody.model.bodies import Body, Support, warn_of_points
+from jaxbody.model.element_states import blocks_of, rest_states
 from jaxbody.model.elements.element_checks import check_laws, check_leaves
 from jaxbody.model.elements.elements import Element
-from jaxbody.model.elements.own_energies import (
+from jaxbody.model.elements.user_energies import (
     NOWHERE,
     OfFrames,
     OwnDissipation,
@@ -36,7 +37,6 @@ from jaxbody.model.elements.own_energies import (
 from jaxbody.model.joints.joints import Free, Joint
 from jaxbody.model.laws.laws import Law
 from jaxbody.model.layouts import WORLD, Layout
-from jaxbody.model.memories import blocks_of, rest_states
 from jaxbody.model.model_checks import (
     check_links,
     check_movable,

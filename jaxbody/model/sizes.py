@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float, as_numpy, is_concrete
-from jaxbody.geometry.orientations import IDENTITY, matrix
+from jaxbody.geometry.points_and_orientations import IDENTITY, matrix
 from jaxbody.geometry.vectors import to_rank
 from jaxbody.model.elements.bushings import FramePair
 from jaxbody.model.elements.torsions import Torsion

@@ -22,7 +22,7 @@ from jaxbody.mechanics.lagrange_equations import LagrangeBodies, LagrangeLoops
 from jaxbody.model.inputs.signals import kinks_of
 from jaxbody.model.joints.element_tables import completed, outside_law_range
 from jaxbody.model.joints.kinematics import frames_at_time
-from jaxbody.model.laws.measured_curves import has_range
+from jaxbody.model.laws.tabulated_laws import has_range
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import take_long
 from jaxbody.model.states import State

@@ -35,7 +35,7 @@ from jaxbody.core.results import warn_if_failed, without_derivatives
 from jaxbody.mechanics.closed_loops import state_slopes
 from jaxbody.mechanics.failure_causes import force_jump_messages, force_jumps_along
 from jaxbody.mechanics.hessians import matrices
-from jaxbody.mechanics.rest_states import Rest, as_initial, initial_state_of
+from jaxbody.mechanics.quasi_static_states import Rest, as_initial, initial_state_of
 from jaxbody.model.inputs.loads import Load, loads_of
 from jaxbody.model.inputs.motions import AtRest, Motion, as_motion, check_motion
 from jaxbody.model.joints.kinematics import Motions

@@ -31,12 +31,12 @@ from jaxbody.mechanics.failure_causes import (
 )
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.null_motions import massless_motions
+from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import turning_rows
 from jaxbody.model.joints.element_tables import each_element, inertial_tables, outside_law_range
 from jaxbody.model.joints.kinematics import Motions, frames_at_time
 from jaxbody.model.leaf_paths import by_name, of_elements, springs_of
-from jaxbody.model.memories import holding
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import size_of, take_long
 from jaxbody.model.states import State

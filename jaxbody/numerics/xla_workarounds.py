@@ -58,7 +58,7 @@ model/elements/second_derivatives.py
     Block [6 x 6 matrices]            sums of parts instead of joined blocks: T4 1.6 to 1.4
     whole [jnp.block]                 joined parts are copied one number after another: with kept
                                       solutions T4 0.75 to 0.50
-mechanics/descents.py
+mechanics/equilibrium_solvers.py
     2 * LANES [LANES]                 for up to six coordinates calls of fusions take longer than
                                       memory: equilibria of T4 72 to 48 ms
 vibration/damped_modes.py

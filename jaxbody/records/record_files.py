@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbody.core import units
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.records import readers
+from jaxbody.records import format_readers
 from jaxbody.records.records import Record
 from jaxbody.records.sources import Asked
 from jaxbody.records.text_tables import Column
@@ -111,7 +111,7 @@ def read_record(
     }
 
     def read(names: list[Asked]) -> Any:
-        return readers.read_columns(
+        return format_readers.read_columns(
             path, list(dict.fromkeys(names)), format=format, largest=largest, **text
         )
 

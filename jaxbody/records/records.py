@@ -12,7 +12,7 @@ from jaxbody.core.arrays import float_array, time_array, time_text
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.records.repairs import FILLS, at_rate, filled, without_duplicates, without_empty
-from jaxbody.records.samplings import Sampling, check_sampling, check_values, sampling_of
+from jaxbody.records.sampling_checks import Sampling, check_sampling, check_values, sampling_of
 
 
 class Record(Labeled, tables.Printed):

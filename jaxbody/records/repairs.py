@@ -10,7 +10,7 @@ import numpy as np
 from jaxbody.core.arrays import time_text
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.tables import counted
-from jaxbody.records.samplings import EQUAL, counts_of, sampling_of
+from jaxbody.records.sampling_checks import EQUAL, counts_of, sampling_of
 
 FILLS = ("linear", "spline")
 MISMATCH = 1e-3  # largest relative difference between a stated rate and that of the times

@@ -12,7 +12,7 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
-from jaxbody.geometry.orientations import IDENTITY, as_quaternion
+from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.vectors import product, to_rank
 from jaxbody.sensors.sensors import Chain, Sensor
 

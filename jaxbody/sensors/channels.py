@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 
 from jaxbody.core.arrays import Array, Float, module_of
-from jaxbody.geometry.places import DIRECTIONS
+from jaxbody.geometry.points_and_orientations import DIRECTIONS
 
 
 class Channel(eqx.Module):

@@ -12,7 +12,7 @@ from jaxbody.core.arrays import Array, Float, concrete, vector
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Pose
-from jaxbody.geometry.places import direction, ends
+from jaxbody.geometry.points_and_orientations import direction, ends
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model, pose_at_reference

@@ -13,8 +13,7 @@ from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Instant
-from jaxbody.geometry.orientations import IDENTITY, as_quaternion
-from jaxbody.geometry.places import direction
+from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, direction
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.elements.torsions import Torsion

@@ -27,7 +27,7 @@ from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Instant
-from jaxbody.geometry.places import direction
+from jaxbody.geometry.points_and_orientations import direction
 from jaxbody.geometry.vectors import cross, dot, product, rotate_back
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model, pose_at_reference

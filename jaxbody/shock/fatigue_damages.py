@@ -34,7 +34,7 @@ from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, import_extra, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.records.records import Record
-from jaxbody.shock.spectral_moments import moments
+from jaxbody.shock.peak_factors import moments
 from jaxbody.vibration.random_responses import RandomResponse
 
 METHODS = ("Dirlik", "narrow band", "rainflow")

@@ -25,9 +25,8 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import warn_if_failed
 from jaxbody.numerics.eigenproblems import together
-from jaxbody.records.samplings import IRREGULAR
-from jaxbody.shock.combinations import root
-from jaxbody.shock.modal_excitations import ModalExcitation, excited, modal_excitation
+from jaxbody.records.sampling_checks import IRREGULAR
+from jaxbody.shock.modal_responses import ModalExcitation, excited, modal_excitation, root
 from jaxbody.shock.oscillators import history, poles
 from jaxbody.shock.response_spectra import ResponseSpectrum, check_dampings
 from jaxbody.shock.shock_spectra import ShockSpectrum, check_record, spectrum_values

@@ -1,5 +1,5 @@
 """Peak factors: the largest magnitude of a stationary Gaussian response in a time T over its
-standard deviation.
+standard deviation, by the moments of its spectrum, lambda_k = int w^k S dw.
 
 With moments lambda_k of the density over w, nu = sqrt(lambda_2/lambda_0)/pi the rate of zero
 crossings in both directions, and delta = sqrt(1 - lambda_1^2/(lambda_0 lambda_2)) the width of the
@@ -27,13 +27,82 @@ from equinox import field
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of, positive_number
-from jaxbody.core.arrays import Array, Float, Int, checked, concrete, device_array, part_of
+from jaxbody.core.arrays import (
+    Array,
+    Float,
+    Int,
+    checked,
+    concrete,
+    device_array,
+    float_array,
+    part_of,
+)
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.datasets import Labeled, dataset
-from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.shock.spectral_moments import check_response, moments
 from jaxbody.vibration.random_responses import RandomResponse
+
+
+def moments(response: RandomResponse, *orders: int) -> tuple[Float[Array, "ny"], ...]:
+    """The moments of these orders, of w [rad/s]; infinite where the variance is."""
+    w = 2 * jnp.pi * response.frequencies
+    sums = (jnp.sum(response.psd * (response.weights * w**k)[..., None, :], -1) for k in orders)
+    return tuple(jnp.where(jnp.isinf(response.rms), jnp.inf, each) for each in sums)
+
+
+def check_response(response: Any, where: str) -> None:
+    """Refuse what is no random response. Error: WRONG_KIND."""
+    if not isinstance(response, RandomResponse):
+        message, hint = f"is a {type(response).__name__}", "Give the result of random_response."
+        raise JaxbodyError(
+            Problem("WRONG_KIND", where, message, response, "a RandomResponse", hint)
+        )
+
+
+def level_crossings(response: RandomResponse, output: str, levels: Any) -> Float[Array, "*n"]:
+    """How often a second a Gaussian output crosses levels upward, from its mean of zero [1/s].
+
+        nu(b) = sqrt(lambda_2/lambda_0)/(2 pi) exp(-b^2/(2 lambda_0))
+
+    Crossings downward are as many. The second moment needs the band of the response to contain all
+    of the output's velocity.
+
+    Args:
+        response: a result of `random_response`.
+        output: one of its outputs.
+        levels: one level or several, in the unit of the output.
+
+    Errors: UNKNOWN_NAME, WRONG_KIND, BAD_SHAPE, NON_FINITE. Source: S. O. Rice, Bell System Tech.
+    J. 24 (1945) 46.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> ride = random_response(
+    ...     linearize(car, car.reference),
+    ...     Band(0.1, 50.0),
+    ...     {"road": BaseMotion("road", "z")},
+    ...     {"travel": Elongation("suspension")},
+    ...     {"road": Unevenness.iso("C").at_speed(20.0)},
+    ... )
+    >>> rates = level_crossings(ride, "travel", [0.0, 2 * ride["travel"]])
+    >>> round(float(rates[1] / rates[0]), 6)  # exp(-2)
+    0.135335
+    """
+    check_response(response, "level_crossings.response")
+    with Problems() as problems:
+        if output not in response.outputs:
+            problems.collected.append(unknown(output, "level_crossings.output", response.outputs))
+        array = problems.gather(lambda: float_array(levels, "level_crossings.levels"))
+        b = (
+            None
+            if array is None
+            else checked(array, ((), (max(1, np.size(array)),)), "level_crossings.levels", problems)
+        )
+    zeroth, second = (x[..., response.outputs.index(output)] for x in moments(response, 0, 2))
+    return (
+        jnp.sqrt(second / zeroth) / (2 * jnp.pi) * jnp.exp(-(device_array(b) ** 2) / (2 * zeroth))
+    )
+
 
 FORMULAS = ("Davenport", "Der Kiureghian", "Vanmarcke")
 EULER = 0.5772156649015329

@@ -20,8 +20,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.results import Result
 from jaxbody.model.inputs.pulses import Pulse
-from jaxbody.shock.accelerograms import checked_samples
-from jaxbody.shock.oscillators import SIDES, free_peaks, peaks, poles
+from jaxbody.shock.oscillators import SIDES, checked_samples, free_peaks, peaks, poles
 from jaxbody.shock.response_spectra import (
     ResponseSpectrum,
     as_rows,

@@ -2,7 +2,7 @@
 combination over modes and directions.
 
 For outputs alpha x + beta x' + gamma (x'' + a) of a mode, x its oscillator's displacement (see
-modal_excitations), the peak is
+modal_responses), the peak is
 
     of a spectrum A     |alpha - w^2 gamma + i w (beta - 2 zeta w gamma)| A(w, zeta)/w^2
     of a record         that of the exact history
@@ -38,10 +38,17 @@ from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.numerics.eigenproblems import together
-from jaxbody.shock.accelerograms import checked_samples
-from jaxbody.shock.combinations import COMBINATIONS, combined, correlations, root
-from jaxbody.shock.modal_excitations import Excited, ModalExcitation, excited, modal_excitation
-from jaxbody.shock.oscillators import poles
+from jaxbody.shock.modal_responses import (
+    COMBINATIONS,
+    Excited,
+    ModalExcitation,
+    combined,
+    correlations,
+    excited,
+    modal_excitation,
+    root,
+)
+from jaxbody.shock.oscillators import checked_samples, poles
 from jaxbody.shock.response_spectra import ROUNDING, ResponseSpectrum
 from jaxbody.shock.shock_spectra import peaks_of
 from jaxbody.vibration.linearizations import Linearization, check_system

@@ -30,13 +30,15 @@ from jaxbody.model.preconditions import check_precision
 from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.suspension.driven_positions import (
     Drive,
+    RestingSystem,
     conditions,
     drives_of,
     position,
     positions,
     readings,
+    resting_position,
+    resting_positions,
 )
-from jaxbody.suspension.resting_positions import RestingSystem, resting_position, resting_positions
 from jaxbody.suspension.wheels import Wheel
 
 WORDS = (

@@ -24,8 +24,7 @@ from jaxbody.model.elements.bushings import Bushing
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.elements.springs import Spring
 from jaxbody.model.joints.combined_joints import Cylindrical
-from jaxbody.model.joints.elementary_joints import Ball, Guide, Hinge
-from jaxbody.model.joints.joints import Fixed, Joint
+from jaxbody.model.joints.joints import Ball, Fixed, Guide, Hinge, Joint
 from jaxbody.model.models import Model, pose_at_reference
 
 JOINTS = (Ball, Hinge, Guide, Cylindrical, Fixed)

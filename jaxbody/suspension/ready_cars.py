@@ -19,12 +19,11 @@ from jaxbody.model.elements.contacts import Tyre
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.elements.springs import Spring
 from jaxbody.model.elements.torsions import AntiRollBar
-from jaxbody.model.joints.elementary_joints import Ball, Guide, Hinge
-from jaxbody.model.joints.joints import Joint
-from jaxbody.model.joints.series_joints import HeavePitchRoll
+from jaxbody.model.joints.combined_joints import HeavePitchRoll
+from jaxbody.model.joints.joints import Ball, Guide, Hinge, Joint
 from jaxbody.model.models import Model
 from jaxbody.suspension.alignment_curves import SuspensionCurves, suspension_curves
-from jaxbody.suspension.ready_corners import DOUBLE_WISHBONE, Points, points_of
+from jaxbody.suspension.ready_suspensions import DOUBLE_WISHBONE, Points, points_of
 from jaxbody.suspension.suspensions import Suspension
 from jaxbody.suspension.wheels import Wheel
 

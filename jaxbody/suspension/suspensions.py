@@ -1,5 +1,5 @@
-"""Suspensions drawn by hard points: a model, and points that are one parameter wherever they
-are used."""
+"""Suspensions drawn by hard points: a model, and points that are one parameter wherever they are
+used; corners, which are a wheel with its suspension."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import jax
 from jaxbody.core.arrays import Array, Float, device_array
 from jaxbody.core.errors import Problems, unknown
 from jaxbody.model.models import Model
+from jaxbody.suspension.alignment_curves import SuspensionCurves, suspension_curves
 from jaxbody.suspension.wheels import Wheel
 
 S = TypeVar("S", bound="Suspension")
@@ -93,3 +94,41 @@ class Suspension(eqx.Module):
 
 def _without_points(suspension: Suspension) -> Any:
     return dataclasses.replace(suspension, hard_points={})
+
+
+class Corner(Suspension):
+    """A suspension of one wheel.
+
+    Args:
+        model: in the design position; all its bodies have the axes and the origin of the car
+        wheel: the wheel
+        steering: the path of the coordinate that steers, such as "rack.q"
+        hard_points, build: those of a `Suspension`
+
+    >>> corner = jb.double_wishbone()
+    >>> corner.steering, corner.model.layout.bodies
+    ('rack.q', ('lower arm', 'upright', 'rack', 'upper arm'))
+    """
+
+    wheel: Wheel
+    steering: str = eqx.field(static=True, default="rack.q")
+
+    @property
+    def wheels(self):
+        return (self.wheel,)
+
+    def curves(self, travel: Any, steering: Any = 0.0) -> SuspensionCurves:
+        """Curves over travel, the rise of the center of the wheel [m], and steering [m,
+        or rad of a coordinate that turns], either a number or as many as the other has;
+        see `suspension_curves`.
+
+        >>> toe = jb.double_wishbone().curves([-0.04, 0.0, 0.04])["toe"]  # doctest: +SKIP
+        """
+        over = {"travel": travel, "steering": steering}
+        return suspension_curves(self.model, drive=self.drive, over=over, wheel=self.wheel)
+
+    @property
+    def drive(self) -> dict[str, Any]:
+        """The driven readings of its curves: "travel", the rise of the center of the wheel,
+        and "steering"."""
+        return {"travel": self.wheel, "steering": self.steering}

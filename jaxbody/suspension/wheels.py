@@ -29,7 +29,7 @@ from jaxbody.core.arrays import Array, Float, checked, scalar, vector
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.geometry.frames import Pose
-from jaxbody.geometry.places import direction
+from jaxbody.geometry.points_and_orientations import direction
 from jaxbody.geometry.vectors import cross, dot, rotate
 
 

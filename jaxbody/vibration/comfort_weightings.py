@@ -22,7 +22,7 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.results import Result
-from jaxbody.records.samplings import even_samples
+from jaxbody.records.sampling_checks import even_samples
 from jaxbody.vibration.frequency_responses import check_frequencies
 from jaxbody.vibration.random_responses import RandomResponse, root_mean_square
 

@@ -15,8 +15,8 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Status
 from jaxbody.core.results import warn_if_failed
 from jaxbody.geometry.vectors import cross
-from jaxbody.mechanics.descents import SINGULAR
-from jaxbody.mechanics.inner_rows import following
+from jaxbody.mechanics.equilibrium_solvers import SINGULAR
+from jaxbody.mechanics.internal_coordinates import following
 from jaxbody.model.sizes import scaled
 from jaxbody.numerics.eigenproblems import (
     cholesky_of_mass,

@@ -26,12 +26,11 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.model.elements.bushings import DIRECTIONS, Mount
 from jaxbody.model.elements.elements import Element
-from jaxbody.model.elements.law_elements import LawForces
-from jaxbody.model.elements.mounts import DIRECTIONS, Mount
-from jaxbody.model.elements.springs import Spring
-from jaxbody.model.laws import laws, memories
-from jaxbody.model.laws.memories import Apart, Held, Relaxed, with_states
+from jaxbody.model.elements.springs import LawForces, Spring
+from jaxbody.model.laws import law_states, laws
+from jaxbody.model.laws.law_states import Apart, Held, Relaxed, with_states
 from jaxbody.model.laws.memory_laws import Memory
 from jaxbody.vibration.frequency_responses import check_frequencies
 
@@ -198,7 +197,7 @@ def _laws_of(element: Any, direction: str | None) -> tuple[laws.Law | None, laws
 def _bound(spring: laws.Law | None, make) -> Any:
     """The spring with each law with memory replaced by make(law, first and last place of
     its states)."""
-    ends = iter(np.cumsum([0, *(len(law.states) for law in memories.memories(spring))]).tolist())
+    ends = iter(np.cumsum([0, *(len(law.states) for law in law_states.memories(spring))]).tolist())
     start = [next(ends)]
 
     def one(law):
@@ -221,7 +220,7 @@ def _stiffness(
     """(stiffness, deformation, status)."""
     at_rest = _bound(spring, lambda law, i, j: Relaxed(law, jnp.zeros(j - i, f.dtype)))
     e0, carried = _deformation_of(at_rest, preload)
-    z0 = jnp.concatenate([jnp.zeros(0, f.dtype), *memories.rest_states(at_rest, e0)])
+    z0 = jnp.concatenate([jnp.zeros(0, f.dtype), *law_states.rest_states(at_rest, e0)])
     w = 2 * jnp.pi * f
     if amplitude is None:
         K = jax.vmap(lambda w: _small(spring, damper, e0, z0, w))(w)
@@ -259,10 +258,10 @@ def _small(spring, damper, e0, z0, w):
     """K at a small amplitude."""
     apart = _bound(spring, lambda law, i, j: Apart(law, z0[i:j], jnp.zeros(j - i, z0.dtype)))
     zero = jnp.zeros_like(e0)
-    damping = jax.grad(lambda rate: memories.rate_force(apart, damper, e0, rate))(zero)
+    damping = jax.grad(lambda rate: law_states.rate_force(apart, damper, e0, rate))(zero)
     K = jax.lax.complex(laws.slope(apart, e0), w * damping)
-    if memories.has_rows(apart):
-        V_ye, V_yy, R_ye, R_yy, T_yy = memories.inner(apart, e0, zero)
+    if law_states.has_rows(apart):
+        V_ye, V_yy, R_ye, R_yy, T_yy = law_states.inner(apart, e0, zero)
         rows = jax.lax.complex(V_ye, w * R_ye)
         K = K - jnp.sum(
             rows * jnp.linalg.solve(jax.lax.complex(V_yy - w**2 * T_yy, w * R_yy), rows)
@@ -279,8 +278,8 @@ def _large(spring, damper, e0, z0, w, X):
         spring, damper, X, e0 = given
         e, e_dot = e0 + X * jnp.cos(w * t), -X * w * jnp.sin(w * t)
         held = _bound(spring, lambda law, i, j: Held(law, z[i:j]))
-        F = laws.force(held, e) + memories.rate_force(held, damper, e, e_dot)
-        z_dot = jnp.concatenate([jnp.zeros(0, z.dtype), *memories.state_rates(held, e, e_dot)])
+        F = laws.force(held, e) + law_states.rate_force(held, damper, e, e_dot)
+        z_dot = jnp.concatenate([jnp.zeros(0, z.dtype), *law_states.state_rates(held, e, e_dot)])
         return z_dot, jnp.stack([F * jnp.cos(w * t), -F * jnp.sin(w * t)])
 
     def period(given, z, times):

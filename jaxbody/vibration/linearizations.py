@@ -30,14 +30,14 @@ from jaxbody.mechanics.element_derivatives import gravity_stiffness, split_stiff
 from jaxbody.mechanics.equilibria import NOT_AT_REST, Equilibrium
 from jaxbody.mechanics.free_motions import DependentMotions, closure_stiffness, dependent_motions
 from jaxbody.mechanics.hessians import configuration_at
-from jaxbody.mechanics.inner_rows import following, slow_matrices, whole_matrices
+from jaxbody.mechanics.internal_coordinates import following, slow_matrices, whole_matrices
 from jaxbody.mechanics.load_paths import generalized_force, stiffness_of_loads
 from jaxbody.mechanics.null_motions import zero_modes
+from jaxbody.model.element_states import apart, settled
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.element_tables import completed
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import by_name
-from jaxbody.model.memories import apart, settled
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import (
     check_independent,

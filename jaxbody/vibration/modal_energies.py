@@ -18,7 +18,7 @@ from jaxbody.core.errors import Problems
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.hessians import Configuration, configuration_at
-from jaxbody.mechanics.inner_rows import inner_rows
+from jaxbody.mechanics.internal_coordinates import inner_rows
 from jaxbody.model.joints.element_tables import inertial_tables, of_table
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model

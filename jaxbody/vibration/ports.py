@@ -24,14 +24,14 @@ from jaxbody.core.arrays import Array, Complex, Float
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame, Instant
-from jaxbody.geometry.places import DIRECTIONS
+from jaxbody.geometry.points_and_orientations import DIRECTIONS
 from jaxbody.geometry.vectors import cross, skew
 from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.element_derivatives import ElementDerivatives, element_derivatives
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists, slope
+from jaxbody.model.element_states import apart, settled
 from jaxbody.model.inputs.port_inputs import KINDS, BaseMotion, Input, PointForce
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.model.memories import apart, settled
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 from jaxbody.sensors.instruments import LoadCell, Reaction

@@ -31,7 +31,7 @@ from jaxbody.core.arrays import (
 )
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.units import ANGULAR_RATE, RATE, parse
-from jaxbody.records.samplings import even_samples
+from jaxbody.records.sampling_checks import even_samples
 
 QUANTITIES = ("m", "m/s", "m/s2", "rad", "rad/s", "rad/s2", "N", "N m")
 MEASURES = {

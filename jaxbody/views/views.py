@@ -18,7 +18,7 @@ from jaxbody.core.arrays import checked, concrete, vector
 from jaxbody.core.errors import Problems, unknown
 from jaxbody.core.source_files import writing
 from jaxbody.core.tables import Printed, PrintedTable, counted
-from jaxbody.design.tunings import Tuning
+from jaxbody.design.tuning_results import Tuning
 from jaxbody.mechanics.equilibria import Equilibrium
 from jaxbody.model.models import Model
 from jaxbody.model.states import State

@@ -10,7 +10,7 @@ import pytest
 from report_pages import Page, check_golden, numbers
 
 import jaxbody as jb
-from jaxbody.views.plots.pictures import picture_of
+from jaxbody.views.plots.plots_of_results import picture_of
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None

@@ -24,7 +24,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 import rigs
 
 import jaxbody as jb
-from jaxbody.fitting.statistics.quantiles import quantile
+from jaxbody.fitting.statistics.uncertainties import quantile
 
 SEED, SAMPLES, STEP = 2026, 250, 0.02
 RHO = (0.0, 0.3, 0.6, 0.9)

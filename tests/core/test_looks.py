@@ -15,9 +15,9 @@ import jaxbody as jb
 from jaxbody.core.results import Result
 from jaxbody.fitting.coverages import Coverage
 from jaxbody.fitting.multistarts import Multistart
-from jaxbody.mechanics.cases import LoadCases
-from jaxbody.mechanics.equilibrium_searches import Equilibria
 from jaxbody.mechanics.load_paths import Path
+from jaxbody.mechanics.several_equilibria import Equilibria
+from jaxbody.mechanics.static_load_cases import LoadCases
 from jaxbody.shock.matched_records import MatchedRecord
 from jaxbody.suspension.alignment_curves import SuspensionCurves
 from jaxbody.suspension.assemblies import Assembly

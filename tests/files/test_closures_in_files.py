@@ -17,7 +17,7 @@ from test_model_files import again, same_to_the_bit
 import jaxbody as jb
 from jaxbody.files.kinds import CLOSURES
 from jaxbody.files.studies.schema_sections import schema
-from jaxbody.suspension.corners import Corner
+from jaxbody.suspension.suspensions import Corner
 
 BAR = jb.Body(mass=0.5, inertia=[1e-3, 2e-3, 2e-3])
 STEERING = '''jaxbody = 1

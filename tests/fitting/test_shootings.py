@@ -8,10 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxbody as jb
-from jaxbody.fitting.colorings import colors_of
 from jaxbody.fitting.experiments.experiments import Integration
 from jaxbody.fitting.parameters.spaces import space_of
-from jaxbody.fitting.residuals import Task, first_noise, residual_and_jacobian
+from jaxbody.fitting.residuals import Task, colors_of, first_noise, residual_and_jacobian
 from jaxbody.fitting.shootings import Segments, cuts
 
 # A pendulum, pulled by a spring whose foot shakes hard: theta'' = -(g/l) sin(theta) - ..., chaotic

@@ -12,7 +12,7 @@ from rigs import max_difference
 import jaxbody as jb
 from jaxbody import Status
 from jaxbody.mechanics.closed_loops import acceleration
-from jaxbody.mechanics.descents import eigenvalue_signs
+from jaxbody.mechanics.equilibrium_solvers import eigenvalue_signs
 from jaxbody.model.joints.kinematics import Coordinates
 
 SIZE = 0.54  # of the plate: the corner farthest from O

@@ -4,8 +4,7 @@ joint and has states of its own."""
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.model.joints.elementary_joints import Ball, Guide, Hinge
-from jaxbody.model.joints.joints import Free
+from jaxbody.model.joints.joints import Ball, Free, Guide, Hinge
 from jaxbody.model.layouts import CoordinateBlock, Layout
 from jaxbody.model.states import State
 

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 import jaxbody as jb
 from jaxbody.mechanics.closed_loops import ClosedLoops
 from jaxbody.mechanics.hessians import matrices
-from jaxbody.mechanics.rest_states import rest_state
+from jaxbody.mechanics.quasi_static_states import rest_state
 from jaxbody.model.joints.closure_tables import gaps
 from jaxbody.model.joints.joints import Joint
 from jaxbody.model.joints.kinematics import Coordinates

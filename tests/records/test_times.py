@@ -9,8 +9,8 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.core.errors import Problems
-from jaxbody.records.samplings import evenly_spaced
-from jaxbody.shock.accelerograms import checked_samples
+from jaxbody.records.sampling_checks import evenly_spaced
+from jaxbody.shock.oscillators import checked_samples
 
 K = np.arange(4000)
 EVEN = K / 256

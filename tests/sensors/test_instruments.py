@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
 from jaxbody.fitting.parameters.spaces import space_of
-from jaxbody.motion.readings import read, readings
+from jaxbody.motion.sensor_readings import read, readings
 from jaxbody.motion.trajectories import Trajectory
-from jaxbody.sensors import delays_and_lags
+from jaxbody.sensors import sensors
 from jaxbody.sensors.sensors import check_sensors
 
 G = 9.81
@@ -378,10 +378,10 @@ def test_zero_length_has_derivatives_of_zero_and_is_refused_as_a_beginning(pendu
 # The chain
 
 
-lag = jax.jit(delays_and_lags.lagged)
+lag = jax.jit(sensors.lagged)
 delay = jax.jit(
     lambda times, x, tau: jax.jvp(
-        lambda tau: delays_and_lags.delayed(times, x, tau), (tau,), (jnp.ones_like(tau),)
+        lambda tau: sensors.delayed(times, x, tau), (tau,), (jnp.ones_like(tau),)
     )
 )
 
@@ -420,14 +420,14 @@ def test_at_the_ends_a_delay_goes_on_for_a_sample_and_then_does_not_count():
     tau, step = 0.0271, 0.01
     result, weight = (
         delay(TIMES, np.stack([sine(3.0, TIMES)] * 2, 1), tau)[0],
-        delays_and_lags.known(TIMES, tau),
+        sensors.known(TIMES, tau),
     )
     np.testing.assert_allclose(result[2:8, 0], sine(3.0, TIMES - tau)[2:8], rtol=0, atol=1e-6)
     np.testing.assert_allclose(weight[:4], [0, 0, 1 - (tau - 2 * step) / step, 1], atol=1e-12)
     np.testing.assert_array_equal(weight[3:], 1)
-    np.testing.assert_allclose(delays_and_lags.known(TIMES, -tau), weight[::-1], atol=1e-9)
+    np.testing.assert_allclose(sensors.known(TIMES, -tau), weight[::-1], atol=1e-9)
     # three samples: the parabola through them
-    line = delays_and_lags.delayed(jnp.arange(3.0), jnp.arange(3.0) ** 2, 0.5)
+    line = sensors.delayed(jnp.arange(3.0), jnp.arange(3.0) ** 2, 0.5)
     np.testing.assert_allclose(line, (np.arange(3.0) - 0.5) ** 2, atol=1e-14)
 
 
@@ -509,9 +509,7 @@ def test_the_chain_of_a_record_is_gain_lag_delay_and_bias(pendulum):
     )
     result = jb.measure(run, {"bare": bare, "acc": acc})
     x = jax.jit(
-        lambda x: delays_and_lags.lagged(
-            TIMES, delays_and_lags.delayed(TIMES, x, 0.0123), 0.02, chain["start"]
-        )
+        lambda x: sensors.lagged(TIMES, sensors.delayed(TIMES, x, 0.0123), 0.02, chain["start"])
     )(result["bare"])
     expected = np.asarray(chain["gain"] * x + 0.3)
     # 0.0123 s: the first sample is known a sample too early, the second extrapolated

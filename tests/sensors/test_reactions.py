@@ -11,7 +11,7 @@ import rigs
 
 import jaxbody as jb
 from jaxbody.mechanics.closed_loops import dynamics_of
-from jaxbody.motion.readings import read
+from jaxbody.motion.sensor_readings import read
 
 G = 9.81
 RANDOM = np.random.default_rng(19)

@@ -18,9 +18,8 @@ from jaxbody.model.elements.bushings import Bushing
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.elements.springs import Spring, SpringDamper
 from jaxbody.model.elements.torsions import Torsion
-from jaxbody.model.joints.composite_joints import Composite
-from jaxbody.model.joints.elementary_joints import Ball, Guide, Hinge
-from jaxbody.model.joints.joints import Fixed, Free, Joint
+from jaxbody.model.joints.combined_joints import Composite
+from jaxbody.model.joints.joints import Ball, Fixed, Free, Guide, Hinge, Joint
 from jaxbody.model.laws.spring_laws import TensionOnly
 from jaxbody.model.layouts import WORLD
 

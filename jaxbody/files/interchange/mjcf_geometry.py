@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbody.core.arrays import of_unit_length
 from jaxbody.files.interchange.mjcf_documents import Attributes
-from jaxbody.geometry.orientations import IDENTITY, as_quaternion, matrix, product
+from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, matrix, product
 from jaxbody.model.bodies import Body
 
 DEFAULTS = {

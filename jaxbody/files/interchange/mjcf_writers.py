@@ -13,15 +13,12 @@ from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.source_files import writing
 from jaxbody.files.interchange.mjcf_geometry import ORIGIN, Place
-from jaxbody.geometry.orientations import matrix
+from jaxbody.geometry.points_and_orientations import matrix
 from jaxbody.model.elements.bushings import Bushing
 from jaxbody.model.elements.springs import Spring, SpringDamper
 from jaxbody.model.elements.torsions import Torsion
-from jaxbody.model.joints.combined_joints import Combined
-from jaxbody.model.joints.composite_joints import Composite
-from jaxbody.model.joints.elementary_joints import Ball, Guide, Hinge
-from jaxbody.model.joints.joints import Fixed, Free, Joint
-from jaxbody.model.joints.series_joints import Series
+from jaxbody.model.joints.combined_joints import Combined, Composite, Series
+from jaxbody.model.joints.joints import Ball, Fixed, Free, Guide, Hinge, Joint
 from jaxbody.model.laws.laws import Law, Linear
 from jaxbody.model.laws.spring_laws import TensionOnly
 from jaxbody.model.layouts import WORLD

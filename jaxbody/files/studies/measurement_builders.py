@@ -19,7 +19,7 @@ from jaxbody.files.studies.measured_sections import OF_FILES
 from jaxbody.fitting.experiments.measured_modes import UNITS, MeasuredModes
 from jaxbody.fitting.experiments.measured_responses import MeasuredResponse, response_unit
 from jaxbody.model.models import Model
-from jaxbody.records.readers import read_columns
+from jaxbody.records.format_readers import read_columns
 from jaxbody.records.record_files import agreed_unit
 from jaxbody.records.response_files import read_responses
 from jaxbody.sensors.sensors import Sensor

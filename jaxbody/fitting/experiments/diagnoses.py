@@ -29,7 +29,7 @@ from jaxbody.fitting.experiments.measured_responses import small_motions
 from jaxbody.fitting.experiments.measurements import Measurement
 from jaxbody.fitting.statistics.autocorrelations import whiteness
 from jaxbody.model.models import Model
-from jaxbody.motion.readings import measure
+from jaxbody.motion.sensor_readings import measure
 from jaxbody.motion.simulations import simulate
 from jaxbody.sensors.instruments import Accelerometer
 

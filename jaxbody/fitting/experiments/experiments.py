@@ -25,7 +25,7 @@ from jaxbody.core.arrays import (
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.core.units import parse
 from jaxbody.fitting.experiments.measurements import Measurement
-from jaxbody.mechanics.rest_states import Rest, as_initial, initial_state_of, rest_state
+from jaxbody.mechanics.quasi_static_states import Rest, as_initial, initial_state_of, rest_state
 from jaxbody.model.inputs.loads import Load, loads_by_name, loads_of
 from jaxbody.model.inputs.motions import as_motion
 from jaxbody.model.inputs.signals import Signal
@@ -33,11 +33,11 @@ from jaxbody.model.joints.kinematics import Motions
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 from jaxbody.motion.integrations import integrate
-from jaxbody.motion.readings import readings
+from jaxbody.motion.sensor_readings import readings
 from jaxbody.motion.simulations import check_covered, check_run, most_steps, motions_of
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.records.records import Record
-from jaxbody.records.samplings import warn_of_rails
+from jaxbody.records.sampling_checks import warn_of_rails
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
 
 MANY_MISSING = 0.2

@@ -11,7 +11,7 @@ import numpy as np
 from jaxbody.core.arrays import Float
 from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.fitting.experiments.experiments import Experiment, Integration
-from jaxbody.mechanics.rest_states import Rest
+from jaxbody.mechanics.quasi_static_states import Rest
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import take_long
 from jaxbody.model.states import State

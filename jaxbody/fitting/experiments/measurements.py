@@ -1,6 +1,8 @@
 """The interface of measurements to fits: records in time, frequency responses and modes are all
 residuals by channel."""
 
+from __future__ import annotations
+
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -8,9 +10,10 @@ from typing import Any, ClassVar
 import equinox as eqx
 import numpy as np
 
-from jaxbody.core.arrays import Array, as_numpy, concrete, device_array
+from jaxbody.core.arrays import Array, as_numpy, concrete, device_array, indices
 from jaxbody.core.errors import Problems
 from jaxbody.core.tables import PlotMethod
+from jaxbody.fitting.statistics.noises import ResidualSeries
 from jaxbody.sensors.channels import Channel
 
 
@@ -138,3 +141,33 @@ def noise_of(
         else:
             levels[name] = device_array(deviation)
     return levels
+
+
+def records_of(experiments: dict[str, Measurement]) -> list[ResidualSeries]:
+    """The records of the residuals of all measurements, in the same order; all runs share one noise
+    level for each unit of a channel."""
+    records, first = [], 0
+    for run, experiment in sorted(experiments.items()):
+        for name, channel in sorted(experiment.channels.items()):
+            present = experiment.present(name)
+            labels, present = indices(present.shape[1:]), present.reshape(len(present), -1)
+            units = np.broadcast_to(
+                channel.spread(np.arange(channel.units)), (1, present.shape[1])
+            )[0]
+            for i, (label, unit) in enumerate(zip(labels, units, strict=True)):
+                times = np.flatnonzero(present[:, i])
+                rows = first + times * present.shape[1] + i
+                stated = not channel.series and name in (experiment.noise or {})
+                records.append(
+                    ResidualSeries(
+                        f"{run}.{name}{label}",
+                        f"{name} {unit}",
+                        run,
+                        rows,
+                        times,
+                        channel.series,
+                        stated,
+                    )
+                )
+            first += present.size
+    return records

@@ -1,5 +1,5 @@
-"""Uncertainty of estimates: covariance from the Jacobian and the estimated noise, and in words what
-the data do not determine.
+"""Uncertainty of estimates: covariance from the Jacobian and the estimated noise, quantiles, and in
+words what the data do not determine.
 
     J = Q R,    covariance of u = R^-1 M R^-T
 
@@ -14,12 +14,32 @@ error. Neither has a parameter at its bound; the others are estimated with it fi
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 
+from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.fitting.statistics.autocorrelations import Whiteness, whiteness
 from jaxbody.fitting.statistics.noises import LEAST, Noise, ResidualSeries, noise_of
+
+
+def quantile(level: float, freedom: Any, *, sides: int = 2) -> np.ndarray:
+    """Quantile of Student's t for a confidence level with `freedom` degrees of freedom."""
+    from scipy.special import stdtrit  # as scipy.stats, which takes 0.4 s to import, does
+
+    return np.asarray(stdtrit(freedom, 1 - (1 - level) / sides))
+
+
+def check_level(level: float, where: str) -> None:
+    """Check that a confidence level is between 0 and 1. Error: BAD_LEVEL."""
+    if not 0 < level < 1:
+        raise JaxbodyError(
+            Problem(
+                "BAD_LEVEL", where, f"is {level}", level, "between 0 and 1", "Give 0.95 for 95 %."
+            )
+        )
+
 
 CORRELATED = 0.1  # lag-one correlation of residuals that is reported, if it is also significant
 SIGNIFICANT = 3.0  # standard deviations of the pooled lag-one correlation of white noise

@@ -1,5 +1,5 @@
-"""Bushings: the relative pose of two frames, six numbers, with stiffness and damping for three of
-them or as 6 x 6 matrices."""
+"""Bushings and mounts: the relative pose of two frames, six numbers, with stiffness and damping for
+three of them, as 6 x 6 matrices, or with a law for each."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, checked
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
-from jaxbody.geometry.fields import field
-from jaxbody.geometry.orientations import IDENTITY, as_quaternion, product
-from jaxbody.geometry.places import ends
+from jaxbody.geometry.fields import field, in_domain, kind_of
+from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, ends, product
 from jaxbody.geometry.vectors import rotate, rotate_back
 from jaxbody.model.elements.elements import MEANT, Element, check_signs, turned
+from jaxbody.model.laws import law_states, laws
 
 
 class FramePair(Element):
@@ -157,3 +157,173 @@ def _coefficients(value: Any, where: str, problems: Problems) -> Any:
         "Give three translational coefficients or a 6 x 6 matrix.",
     )
     return np.zeros(3) if array is None else array
+
+
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+FORCES, MOMENTS = {"force": "N", "argument": "m"}, {"force": "N m", "argument": "rad"}
+
+
+class Mount(FramePair):
+    """A mount between a frame at a on one body and a frame at b on another, with a law for each of
+    its six deformations,
+
+        V = sum U_i(e_i),   R = 1/2 sum c_i e_i'^2 + what laws with memory add,
+        e as of a Bushing, axes of the frame at a
+
+    It is relaxed where the two frames coincide, unless a law says otherwise.
+
+    Args:
+        a, b: (name of a body, a support or `world`, point in its frame [m])
+        x, y, z: laws along the axes [m -> N], with or without memory, stiffnesses [N/m] or
+            functions; None: no force
+        rx, ry, rz: laws about the axes [rad -> N m], stiffnesses [N m/rad] or functions; None:
+            no moment
+        damping: c of the six directions [N s/m, N m s/rad]; three numbers for those along the
+            axes; None: no damper
+        orientation: orientation of the frame at a in its body
+        orientation_b: orientation of the frame at b in its body; None: that with which the two
+            frames coincide as the model is drawn
+
+    Errors: NEGATIVE, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, those of the laws.
+
+    >>> rubber = jb.laws.Linear(4e5) + jb.laws.Maxwell(stiffness=2e5, relaxation_time=2e-3)
+    >>> mount = Mount(
+    ...     ("engine", [0.4, 0, 0]),
+    ...     ("base", [0.4, 0, 0]),
+    ...     x=1e5,
+    ...     y=1e5,
+    ...     z=rubber + jb.laws.Stop(gap=0.01, stiffness=5e6),
+    ... )
+    >>> mount.between
+    ('engine', 'base')
+    """
+
+    x: laws.Law | None = field(words=FORCES)
+    y: laws.Law | None = field(words=FORCES)
+    z: laws.Law | None = field(words=FORCES)
+    rx: laws.Law | None = field(words=MOMENTS)
+    ry: laws.Law | None = field(words=MOMENTS)
+    rz: laws.Law | None = field(words=MOMENTS)
+    damping: Float[Array, "6"] = field("N s/m, N m s/rad", "nonnegative")
+    orientation: Float[Array, "4"] = field("", "rotation")
+    orientation_b: Float[Array, "4"] | None = field("", "rotation")
+
+    def __init__(
+        self,
+        a,
+        b,
+        *,
+        x=None,
+        y=None,
+        z=None,
+        rx=None,
+        ry=None,
+        rz=None,
+        damping=None,
+        orientation=IDENTITY,
+        orientation_b=None,
+    ):
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "Mount", problems)
+            for name, law in zip(DIRECTIONS, (x, y, z, rx, ry, rz), strict=True):
+                setattr(self, name, laws.as_law(law, f"Mount.{name}", problems))
+            self.damping = in_domain(
+                _damping(damping, problems), kind_of(self, "damping"), "Mount.damping", problems
+            )
+            self.orientation = as_quaternion(orientation, "Mount.orientation", problems)
+            self.orientation_b = second_orientation(orientation_b, "Mount.orientation_b", problems)
+
+    def _each(self, function, *e) -> list[Any]:
+        """function(law, ...) of the six laws and their deformations."""
+        return [
+            function(getattr(self, name), *(x[i] for x in e)) for i, name in enumerate(DIRECTIONS)
+        ]
+
+    def energy(self, e):
+        return sum(self._each(laws.potential, e), jnp.zeros((), e.dtype))
+
+    def static_force(self, e):
+        return jnp.stack(self._each(laws.force, e))
+
+    def tangent(self, e):
+        return jnp.diag(jnp.stack(self._each(laws.slope, e)))
+
+    def beyond(self, e, e_dot):
+        return jnp.stack(self._each(laws.beyond, e)).any()
+
+    def dissipation(self, e, e_dot):
+        each = self._each(
+            lambda law, x, x_dot: law_states.dissipation(law, None, x, x_dot), e, e_dot
+        )
+        return sum(each, 0.5 * jnp.sum(self.damping * e_dot**2))
+
+    def damping_force(self, e, e_dot):
+        return (
+            jnp.stack(
+                self._each(
+                    lambda law, x, x_dot: law_states.rate_force(law, None, x, x_dot), e, e_dot
+                )
+            )
+            + self.damping * e_dot
+        )
+
+    def force(self, *frames):
+        e, e_dot = self.rates(*frames)
+        return self.static_force(e) + self.damping_force(e, e_dot)
+
+    def lost_power(self, *frames):
+        e, e_dot = self.rates(*frames)
+        return sum(
+            self._each(lambda law, x, x_dot: law_states.lost_power(law, None, x, x_dot), e, e_dot),
+            jnp.sum(self.damping * e_dot**2),
+        )
+
+    def state_rates(self, e, e_dot):
+        return _joined(self._each(law_states.state_rates, e, e_dot))
+
+    def rest_states(self, e):
+        return _joined(self._each(law_states.rest_states, e))
+
+    def sensitivities(self, e):
+        return _joined(self._each(law_states.sensitivities, e))
+
+    def inner(self, e, e_dot):
+        with_rows = [
+            i for i, name in enumerate(DIRECTIONS) if law_states.has_rows(getattr(self, name))
+        ]
+        each = [law_states.inner(getattr(self, DIRECTIONS[i]), e[i], e_dot[i]) for i in with_rows]
+        unit = np.eye(6, dtype=e.dtype)
+
+        def rows(k):
+            return jnp.concatenate(
+                [one[k][:, None] * unit[i][None] for i, one in zip(with_rows, each, strict=True)]
+            )
+
+        from jax.scipy.linalg import block_diag  # for the few models with inner coordinates
+
+        V_yy, R_yy, T_yy = (block_diag(*(one[k] for one in each)) for k in (1, 3, 4))
+        return rows(0), V_yy, rows(2), R_yy, T_yy
+
+
+def _joined(parts: list[list[Array]]) -> Float[Array, "nz"]:
+    return jnp.concatenate([one for part in parts for one in part])
+
+
+def _damping(value: Any, problems: Problems) -> Any:
+    """The coefficients of six directions."""
+    if value is None:
+        return np.zeros(6)
+    array = checked(
+        value,
+        ((3,), (6,)),
+        "Mount.damping",
+        problems,
+        "Give three coefficients along the axes, or six.",
+    )
+    if array is None:
+        return np.zeros(6)
+    return (
+        array
+        if array.shape == (6,)
+        else (np if isinstance(array, np.ndarray) else jnp).concatenate([array, np.zeros(3)])
+    )

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxbody.core.arrays import Array, Float, scalar
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field, in_domain, kind_of, take
-from jaxbody.geometry.places import direction, ends
+from jaxbody.geometry.points_and_orientations import direction, ends
 from jaxbody.geometry.vectors import dot, rotate
 from jaxbody.model.elements.elements import Element, LineElement
 from jaxbody.model.laws.spring_laws import ramp, ramp_energy, ramp_slope

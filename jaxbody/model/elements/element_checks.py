@@ -13,8 +13,8 @@ from jaxbody.core.arguments import check_returned, is_own
 from jaxbody.core.arrays import concrete, float_array
 from jaxbody.core.errors import JaxbodyError, Problems
 from jaxbody.model.elements.elements import Element
+from jaxbody.model.laws.law_states import memories
 from jaxbody.model.laws.laws import Law, parts
-from jaxbody.model.laws.memories import memories
 
 
 def check_leaves(problems: Problems, where: str, thing: Any) -> None:

@@ -1,4 +1,4 @@
-"""Springs and dampers along a line."""
+"""Springs, dampers and inerters along a line; elements with laws `spring` and `damper`."""
 
 from __future__ import annotations
 
@@ -10,10 +10,57 @@ import jax.numpy as jnp
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field, take
-from jaxbody.geometry.places import ends
-from jaxbody.model.elements.elements import MEANT, LineElement, check_signs
-from jaxbody.model.elements.law_elements import LawForces
-from jaxbody.model.laws import laws, memories
+from jaxbody.geometry.points_and_orientations import ends
+from jaxbody.model.elements.elements import (
+    MEANT,
+    Element,
+    LineElement,
+    check_signs,
+    length_and_direction,
+)
+from jaxbody.model.laws import law_states, laws
+
+
+class LawForces(Element):
+    """The energies and forces of such elements; the fields are those of each class.
+
+    >>> issubclass(jb.SpringDamper, LawForces) and issubclass(jb.Torsion, LawForces)
+    True
+    """
+
+    def energy(self: Any, e):
+        return laws.potential(self.spring, e)
+
+    def dissipation(self: Any, e, e_dot):
+        return law_states.dissipation(self.spring, self.damper, e, e_dot)
+
+    def beyond(self: Any, e, e_dot):
+        return laws.beyond(self.spring, e) | laws.beyond(self.damper, e_dot)
+
+    def damping_force(self: Any, e, e_dot):
+        return law_states.rate_force(self.spring, self.damper, e, e_dot)
+
+    def lost_power(self: Any, *frames):
+        return law_states.lost_power(self.spring, self.damper, *self.rates(*frames))
+
+    def static_force(self: Any, e):
+        return laws.force(self.spring, e)
+
+    def tangent(self: Any, e):
+        return law_states.tangent(self.spring, self.energy, e)
+
+    def state_rates(self: Any, e, e_dot):
+        return jnp.concatenate(law_states.state_rates(self.spring, e, e_dot))
+
+    def rest_states(self: Any, e):
+        return jnp.concatenate(law_states.rest_states(self.spring, e))
+
+    def sensitivities(self: Any, e):
+        """dz/de at rest."""
+        return jnp.concatenate(law_states.sensitivities(self.spring, e))
+
+    def inner(self: Any, e, e_dot):
+        return law_states.inner(self.spring, e, e_dot)
 
 
 class Spring(LineElement):
@@ -115,7 +162,7 @@ class SpringDamper(LawForces, LineElement):
             self.between, (self.a, self.b) = ends((a, b), "SpringDamper", problems)
             take(self, problems, free_length=free_length)
             self.spring = laws.as_law(spring, "SpringDamper.spring", problems)
-            self.damper = memories.as_damper(damper, "SpringDamper.damper", problems)
+            self.damper = law_states.as_damper(damper, "SpringDamper.damper", problems)
 
     def split(self, L):
         e = L - self.free_length
@@ -123,11 +170,66 @@ class SpringDamper(LawForces, LineElement):
         return k0, laws.force(self.spring, e) - k0 * L, laws.slope(self.spring, e) - k0
 
     def damper_tension(self, e, e_dot):
-        return memories.rate_force(self.spring, self.damper, e, e_dot)
+        return law_states.rate_force(self.spring, self.damper, e, e_dot)
 
     def has_no_direction(self):
         return (
             self.damper is None
-            and not memories.memories(self.spring)
+            and not law_states.memories(self.spring)
             and bool(laws.force(self.spring, jnp.zeros(())) == 0)
         )
+
+
+class Inerter(Element):
+    """An inerter between the point a of one body and the point b of another: a flywheel on a rack
+    or a ball screw, or fluid in a tube.
+
+        T = 1/2 b (d|AB|/dt)^2,   force = b d2|AB|/dt2, positive where it pulls the points together
+
+    It has no mass of its own, exerts no force at rest and stands beside springs and dampers. It
+    adds to T, M, M~ and M_bb. In a model with one the mass matrix depends on the configuration, so
+    that free bodies too are integrated as bodies on joints.
+
+    Args:
+        a, b: (name of a body, a support or `world`, point in its frame [m]), apart from each other
+        inertance: b [kg]
+
+    Errors: NEGATIVE, SELF_SPRING, ZERO_LENGTH in the reference pose, BAD_SHAPE, NON_FINITE.
+    Source: M. C. Smith, Synthesis of mechanical networks: the inerter, IEEE Transactions on
+    Automatic Control 47 (2002) 1648.
+
+    A mass of 2 kg on a spring of 50 N/m beside an inerter of 6 kg has the natural frequency
+    sqrt(k/(m + b)) = 2.5 rad/s:
+
+    >>> places = ("mass", [0, 0, 0]), ("world", [0, 1, 0])
+    >>> model = Model(
+    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...     elements={
+    ...         "s": Spring(*places, stiffness=50.0, free_length=1.0),
+    ...         "i": Inerter(*places, inertance=6.0),
+    ...     },
+    ... )
+    >>> round(float(2 * jnp.pi * modes(linearize(model, equilibrium(model))).frequency[0]), 9)
+    2.5
+    """
+
+    inertance: Float[Array, ""] = field("kg", "nonnegative")
+
+    def __init__(self, a, b, *, inertance):
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "Inerter", problems)
+            take(self, problems, inertance=inertance)
+
+    def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
+        """The length |AB|."""
+        return length_and_direction(B.point(self.b) - A.point(self.a))[0]
+
+    def energy(self, e):
+        return jnp.zeros_like(e)
+
+    def dissipation(self, e, e_dot):
+        return jnp.zeros_like(e)
+
+    def kinetic_energy(self, e, e_dot):
+        return 0.5 * self.inertance * e_dot**2

@@ -8,12 +8,11 @@ from jaxbody.core.arguments import warn_of_degrees
 from jaxbody.core.arrays import Array, Float, scalar
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field
-from jaxbody.geometry.orientations import IDENTITY, as_quaternion
-from jaxbody.geometry.places import direction, ends
+from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, direction, ends
 from jaxbody.geometry.vectors import dot, rotate
 from jaxbody.model.elements.elements import turned
-from jaxbody.model.elements.law_elements import LawForces
-from jaxbody.model.laws import laws, memories
+from jaxbody.model.elements.springs import LawForces
+from jaxbody.model.laws import law_states, laws
 
 
 class LawElement(LawForces):
@@ -84,7 +83,7 @@ class Torsion(LawElement):
             self.between, (self.a, self.b) = ends((a, b), "Torsion", problems, points=False)
             self.axis = direction(axis, "Torsion.axis", problems)
             self.spring = laws.as_law(spring, "Torsion.spring", problems)
-            self.damper = memories.as_damper(damper, "Torsion.damper", problems)
+            self.damper = law_states.as_damper(damper, "Torsion.damper", problems)
             self.free_angle = scalar(free_angle, "Torsion.free_angle", problems)
             self.orientation = as_quaternion(orientation, "Torsion.orientation", problems)
             self.orientation_b = as_quaternion(orientation_b, "Torsion.orientation_b", problems)
@@ -139,7 +138,7 @@ class AntiRollBar(LawElement):
             )
             self.axis = direction(axis, "AntiRollBar.axis", problems)
             self.spring = laws.as_law(spring, "AntiRollBar.spring", problems)
-            self.damper = memories.as_damper(damper, "AntiRollBar.damper", problems)
+            self.damper = law_states.as_damper(damper, "AntiRollBar.damper", problems)
 
     @property
     def points(self):

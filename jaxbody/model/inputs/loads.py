@@ -22,7 +22,7 @@ from jaxbody.core.errors import Problems
 from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field, take
 from jaxbody.geometry.frames import Instant, Wrench
-from jaxbody.geometry.places import direction, ends
+from jaxbody.geometry.points_and_orientations import direction, ends
 from jaxbody.geometry.vectors import cross, dot, rotate
 from jaxbody.model.inputs.signals import Signal, as_signal, turned
 

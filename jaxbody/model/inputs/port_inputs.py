@@ -11,8 +11,8 @@ from jaxbody.core.arguments import check_one_of, plain
 from jaxbody.core.arrays import Array, Float, vector
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.geometry.fields import field
-from jaxbody.geometry.places import DIRECTIONS
-from jaxbody.geometry.places import direction as unit_direction
+from jaxbody.geometry.points_and_orientations import DIRECTIONS
+from jaxbody.geometry.points_and_orientations import direction as unit_direction
 
 KINDS = ("displacement", "velocity", "acceleration")
 UNITS = (("m", "m/s", "m/s2"), ("rad", "rad/s", "rad/s2"))

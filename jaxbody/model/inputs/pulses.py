@@ -14,7 +14,7 @@ from jaxbody.core.arguments import check_kind, positive_number, whole_number
 from jaxbody.core.arrays import Array, Float, device_array, is_concrete, scalar
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field
-from jaxbody.geometry.places import direction
+from jaxbody.geometry.points_and_orientations import direction
 from jaxbody.model.inputs.motions import Motion
 from jaxbody.model.inputs.signals import Signal
 

@@ -1,21 +1,206 @@
-"""Joints of two or three slides and turns with a name of their own: universal joints, cylindrical
-joints, planes."""
+"""Joints of several slides and turns: composite ones, motions in series along and about the axes of
+the parent, and universal joints, cylindrical joints and planes."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, is_concrete, vector
+from jaxbody.core.arguments import plain
+from jaxbody.core.arrays import Array, Float, checked, is_concrete, vector
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Pose
-from jaxbody.geometry.places import direction
+from jaxbody.geometry.points_and_orientations import direction, of_length_1
 from jaxbody.geometry.vectors import cross, dot, product, rotate
-from jaxbody.model.joints.elementary_joints import arms, turned_about
-from jaxbody.model.joints.joints import Joint
+from jaxbody.model.joints.joints import Joint, arms, turned_about
+from jaxbody.model.layouts import MOVES, TURNS
+
+STEPS = ("move", "turn")
+
+
+class Composite(Joint):
+    """Several motions without mass between them: q = displacements [m] and angles [rad] from the
+    reference pose, v = q'. Each motion moves the lines of those after it,
+
+        X = X_parent M_1(q_1) ... M_n(q_n) X_rest
+
+    Args:
+        parent: `world`, a support or a body
+        steps: "move" or "turn" for each motion
+        directions: a row for each motion: the direction along which it moves, or about which it
+            turns, in the parent's frame, in the reference pose
+        points: a row for each motion: a point of the line about which it turns, likewise [m];
+            without effect for one that moves
+
+    Errors: UNKNOWN_NAME, BAD_SHAPE, ZERO_AXIS, NON_FINITE. A puck on a table:
+
+    >>> plane = Composite(
+    ...     "table",
+    ...     ["move", "move", "turn"],
+    ...     directions=[[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    ...     points=[[0, 0, 0.1]] * 3,
+    ... )
+    >>> plane.motions
+    ('move 1', 'move 2', 'turn 3')
+    """
+
+    steps: tuple[str, ...] = eqx.field(static=True)
+    directions: Float[Array, "n 3"] = field("", "direction")
+    points: Float[Array, "n 3"] = field("m")
+    in_series = True
+
+    def __init__(self, parent: str, steps: Sequence[str], *, directions, points):
+        with Problems() as problems:
+            self.parent = parent
+            self.steps = tuple(map(plain, steps))
+            if not self.steps:
+                problems.add(
+                    "BAD_SHAPE",
+                    "Composite.steps",
+                    "is empty",
+                    limit="one or more",
+                    hint="Use Fixed for no motion.",
+                )
+            for step in self.steps:
+                if step not in STEPS:
+                    hint = "A slide moves, a hinge turns."
+                    problems.add(
+                        "UNKNOWN_NAME",
+                        "Composite.steps",
+                        f"has {step!r:.60}",
+                        value=step,
+                        limit="move, turn",
+                        hint=hint,
+                    )
+            rows = (len(self.steps), 3)
+            hint = "Give a row of three numbers for each step."
+            self.points = checked(points, (rows,), "Composite.points", problems, hint)
+            lines = checked(directions, (rows,), "Composite.directions", problems, hint)
+            if lines is not None:
+                self.directions = of_length_1(lines, "Composite.directions", problems)
+
+    @property
+    def nq(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return len(self.steps)
+
+    @property
+    def nv(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return len(self.steps)
+
+    @property
+    def motions(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return tuple(f"{step} {i + 1}" for i, step in enumerate(self.steps))
+
+    @property
+    def turns(self) -> tuple[bool, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return tuple(step == "turn" for step in self.steps)
+
+    def _after_each(self, q: Float[Array, "n"]) -> list[Pose]:
+        """1, M_1, M_1 M_2, ..."""
+        poses = [Pose(jnp.zeros(3, q.dtype), jnp.eye(3, dtype=q.dtype))]
+        for n, at, turn, x in zip(self.directions, self.points, self.turns, q, strict=True):
+            if turn:
+                R = rotations.about(n, x)
+                poses.append(poses[-1] @ Pose(at - rotate(R, at), R))
+            else:
+                poses.append(Pose(poses[-1].point(x * n), poses[-1].R))
+        return poses
+
+    def pose(self, q, parent, rest):
+        return parent @ self._after_each(q)[-1] @ rest
+
+    def axes(self, q, parent, body):
+        moves, turns = [], []
+        for n, at, turn, moved in zip(
+            self.directions, self.points, self.turns, self._after_each(q), strict=False
+        ):
+            n = rotate(parent.R, rotate(moved.R, n))
+            moves.append(cross(n, body.p - parent.point(moved.point(at))) if turn else n)
+            turns.append(n if turn else jnp.zeros_like(n))
+        return jnp.stack(moves), jnp.stack(turns)
+
+
+class Series(Joint):
+    """Several motions in series, without mass between them: translations along the parent's axes,
+    then rotations about the body's reference point O,
+
+        O = O_rest + sum q_i e_i,    R = R_1(q_j) R_2(q_k) ... R_rest,
+
+    each about an axis that the earlier rotations have turned. q: displacements [m] and angles [rad]
+    from the reference pose, v = q'. A subclass states `steps`: the axis of each motion, 0, 1, 2 for
+    x, y, z.
+    """
+
+    steps: eqx.AbstractClassVar[tuple[int, ...]]
+    in_series = True
+
+    def __init__(self, parent: str):
+        self.parent = parent
+
+    def pose(self, q, parent, rest):
+        e = np.eye(3, dtype=parent.R.dtype)
+        p, R = rest.p, e
+        for axis, turn, x in zip(self.steps, self.turns, q, strict=True):
+            if turn:
+                R = product(R, rotations.about(e[axis], x))
+            else:
+                p = p + x * e[axis]
+        return parent @ Pose(p, product(R, rest.R))
+
+    def axes(self, q, parent, body):
+        R, e, directions = parent.R, np.eye(3, dtype=parent.R.dtype), []
+        for axis, turn, x in zip(self.steps, self.turns, q, strict=True):
+            directions.append(R[:, axis])
+            if turn:
+                R = product(R, rotations.about(e[axis], x))
+        turns = jnp.array(self.turns)[:, None]
+        n = jnp.stack(directions)
+        return jnp.where(turns, 0.0, n), jnp.where(turns, n, 0.0)
+
+
+class Translation(Series):
+    """Moving without turning: q is the displacement [m] of the body along the parent's x, y and z
+    from the reference pose.
+
+    >>> Translation("base").motions
+    ('move along x', 'move along y', 'move along z')
+    """
+
+    nq, nv = 3, 3
+    steps, motions, turns = (0, 1, 2), MOVES, (False,) * 3
+
+
+class HeavePitch(Series):
+    """A half car: q = (heave [m] along the parent's z, pitch [rad] about its y) from the reference
+    pose, with the rotation about the body's reference point O. With x forward and z up, a positive
+    pitch lowers the front.
+
+    >>> HeavePitch("world").motions
+    ('move along z', 'turn about y')
+    """
+
+    nq, nv = 2, 2
+    steps, motions, turns = (2, 1), (MOVES[2], TURNS[1]), (False, True)
+
+
+class HeavePitchRoll(Series):
+    """A full car: q = (heave [m] along the parent's z, pitch [rad] about its y, roll [rad] about
+    the x axis turned by the pitch) from the reference pose, with the rotations about the body's
+    reference point O. With x forward, y to the left and z up (ISO 8855), a positive pitch lowers
+    the front and a positive roll the right.
+
+    >>> HeavePitchRoll("world").motions
+    ('move along z', 'turn about y', 'turn about x')
+    """
+
+    nq, nv = 3, 3
+    steps, motions, turns = (2, 1, 0), (MOVES[2], TURNS[1], TURNS[0]), (False, True, True)
+
 
 PARALLEL = 1e-6  # sine of the angle between two directions that count as one
 

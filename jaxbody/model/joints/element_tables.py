@@ -12,10 +12,10 @@ import numpy as np
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, rotate
+from jaxbody.model.element_states import relaxed, rest_states
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.model.laws.memories import Held, Relaxed, memories
-from jaxbody.model.memories import relaxed, rest_states
+from jaxbody.model.laws.law_states import Held, Relaxed, memories
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 from jaxbody.model.storage import KindTable

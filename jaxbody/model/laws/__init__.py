@@ -6,35 +6,12 @@ from jaxbody.core.compilation.late_imports import late_names
 __getattr__, __dir__, __all__ = late_names(
     "jaxbody.model.laws",
     {  # `__init__.pyi` says the same to editors and type checkers
-        "damper_laws": (
-            "Digressive",
-            "Friction",
-        ),
         "hydraulic_mounts": ("Hydraulic",),
-        "hysteresis_laws": (
-            "BoucWen",
-            "Dahl",
-            "LuGre",
-        ),
-        "laws": (
-            "Function",
-            "Law",
-            "Linear",
-            "Sum",
-            "TwoSided",
-        ),
-        "measured_curves": ("Table",),
-        "memory_laws": (
-            "Hysteretic",
-            "Inertial",
-            "Viscoelastic",
-        ),
+        "hysteresis_laws": ("BoucWen", "Dahl", "LuGre"),
+        "laws": ("Function", "Law", "Linear", "Sum", "TwoSided"),
+        "memory_laws": ("Hysteretic", "Inertial", "Viscoelastic"),
         "rubber_laws": ("Maxwell",),
-        "spring_laws": (
-            "AirSpring",
-            "Polynomial",
-            "Stop",
-            "TensionOnly",
-        ),
+        "spring_laws": ("AirSpring", "Digressive", "Friction", "Polynomial", "Stop", "TensionOnly"),
+        "tabulated_laws": ("Table",),
     },
 )

@@ -9,7 +9,7 @@ from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.geometry.closures import Hinge as HingeClosure
 from jaxbody.model.bodies import Body
 from jaxbody.model.elements.torsions import Torsion
-from jaxbody.model.joints.elementary_joints import Hinge
+from jaxbody.model.joints.joints import Hinge
 from jaxbody.model.models import Model
 
 SLENDER = 0.05  # radius of a bar over its length, which counts for turns about its axis alone

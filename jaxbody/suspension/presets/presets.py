@@ -13,12 +13,11 @@ import numpy as np
 
 from jaxbody.model import laws
 from jaxbody.model.bodies import Body, Support
-from jaxbody.model.elements.bushings import Bushing
-from jaxbody.model.elements.mounts import Mount
+from jaxbody.model.elements.bushings import Bushing, Mount
 from jaxbody.model.elements.springs import Spring
 from jaxbody.model.elements.torsions import AntiRollBar
-from jaxbody.model.joints.elementary_joints import Guide, Hinge
-from jaxbody.model.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
+from jaxbody.model.joints.combined_joints import HeavePitch, HeavePitchRoll, Translation
+from jaxbody.model.joints.joints import Guide, Hinge
 from jaxbody.model.models import Model
 
 G = 9.81

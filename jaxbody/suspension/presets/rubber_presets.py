@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from jaxbody.model.bodies import Body, Support
-from jaxbody.model.elements.mounts import Mount
+from jaxbody.model.elements.bushings import Mount
 from jaxbody.model.laws.laws import Linear, Sum
 from jaxbody.model.laws.rubber_laws import Maxwell
 from jaxbody.model.models import Model

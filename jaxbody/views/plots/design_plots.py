@@ -10,7 +10,7 @@ import numpy as np
 from jaxbody.design.fronts import Front
 from jaxbody.design.sensitivity_analyses import Sensitivities
 from jaxbody.design.tolerance_analyses import Tolerances
-from jaxbody.design.tunings import Tuning
+from jaxbody.design.tuning_results import Tuning
 from jaxbody.views.plots.canvases import COLORS, GRAY, INK, LIGHT, axes_or_new, legend
 
 MOST_BARS = 15

@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.fitting.coverages import Coverage
-from jaxbody.fitting.experiments.residual_series import records_of
-from jaxbody.fitting.fits import Fit
+from jaxbody.fitting.experiments.measurements import records_of
+from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.multistarts import CLOSE, Multistart
 from jaxbody.fitting.profiles import Profile
 from jaxbody.fitting.residuals import residual_and_jacobian

@@ -12,8 +12,8 @@ from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.fitting.confidence_bands import Bands
 from jaxbody.fitting.experiments.diagnoses import Diagnosis
 from jaxbody.fitting.experiments.measurements import Measurement
-from jaxbody.fitting.fits import Fit
-from jaxbody.fitting.statistics.quantiles import quantile
+from jaxbody.fitting.fit_results import Fit
+from jaxbody.fitting.statistics.uncertainties import quantile
 from jaxbody.fitting.validations import Validation
 from jaxbody.model.inputs.base_motions import NAMES, Recovered
 from jaxbody.records.records import Record

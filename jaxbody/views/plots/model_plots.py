@@ -18,8 +18,8 @@ from jaxbody.geometry.frames import Pose
 from jaxbody.mechanics.free_motions import moved as moved_by
 from jaxbody.model.elements.contacts import Tyre
 from jaxbody.model.elements.elements import LineElement
-from jaxbody.model.elements.inerters import Inerter
-from jaxbody.model.joints.elementary_joints import Guide
+from jaxbody.model.elements.springs import Inerter
+from jaxbody.model.joints.joints import Guide
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model

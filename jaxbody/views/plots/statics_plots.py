@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.mechanics.cases import LoadCases
 from jaxbody.mechanics.equilibria import Equilibrium
-from jaxbody.mechanics.equilibrium_searches import Equilibria
 from jaxbody.mechanics.preloads import Preload
+from jaxbody.mechanics.several_equilibria import Equilibria
+from jaxbody.mechanics.static_load_cases import LoadCases
 from jaxbody.suspension.alignment_curves import SuspensionCurves
 from jaxbody.suspension.assemblies import Assembly
 from jaxbody.views.plots.canvases import (

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from jaxbody.model.elements.contacts import Tyre
-from jaxbody.model.joints.combined_joints import Combined, Planar
-from jaxbody.model.joints.composite_joints import Composite
-from jaxbody.model.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.model.joints.combined_joints import Combined, Composite, Planar
+from jaxbody.model.joints.joints import Ball, Guide, Hinge
 from jaxbody.model.layouts import WORLD
 from jaxbody.views.plots.canvases import COLORS, GRAY, INK, LIGHT
 from jaxbody.views.scenes.animations import DrawnPart, NameLabel

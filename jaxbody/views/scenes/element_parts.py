@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.geometry.orientations import matrix
+from jaxbody.geometry.points_and_orientations import matrix
 from jaxbody.model.elements.bushings import FramePair
 from jaxbody.model.elements.contacts import Contact, Tyre
 from jaxbody.model.elements.elements import LineElement
-from jaxbody.model.elements.inerters import Inerter
-from jaxbody.model.elements.springs import Spring, SpringDamper
+from jaxbody.model.elements.springs import Inerter, Spring, SpringDamper
 from jaxbody.model.elements.torsions import AntiRollBar, Torsion
 from jaxbody.views.plots.canvases import COLORS, GRAY
 from jaxbody.views.scenes.animations import DrawnPart, axes_along_lines, rod

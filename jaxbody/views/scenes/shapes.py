@@ -12,8 +12,7 @@ import numpy as np
 from jaxbody.core.arrays import checked, concrete, vector
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.core.source_files import check_file
-from jaxbody.geometry.orientations import IDENTITY, as_quaternion, matrix
-from jaxbody.geometry.places import direction
+from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, direction, matrix
 from jaxbody.views.scenes.meshes import Mesh, across, box, cylinder, hull, sphere
 
 THICK = 0.014  # half the thickness of a plate or rod, relative to the size of the model

@@ -10,7 +10,7 @@ from rigs import plate
 from scipy.integrate import solve_ivp
 
 import jaxbody as jb
-from jaxbody.mechanics.rest_states import rest_state
+from jaxbody.mechanics.quasi_static_states import rest_state
 
 G, MASS, NOISE = 9.81, 2.0, 1e-4
 TRUTH = np.array([80.0, 3.0])

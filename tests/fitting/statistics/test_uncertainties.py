@@ -20,8 +20,7 @@ from jaxbody.fitting.statistics.autocorrelations import (
     whiteness,
 )
 from jaxbody.fitting.statistics.noises import ResidualSeries, noise_of
-from jaxbody.fitting.statistics.quantiles import quantile
-from jaxbody.fitting.statistics.uncertainties import assess, in_words
+from jaxbody.fitting.statistics.uncertainties import assess, in_words, quantile
 
 N, CHANNELS, LABELS = 250, 3, list("abcde")
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxbody as jb
-from jaxbody.model.laws.memories import Held, Relaxed
+from jaxbody.model.laws.law_states import Held, Relaxed
 
 PUBLISHED = {
     "stiffness": 512950.0,

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxbody as jb
-from jaxbody.model.laws.memories import Held, Relaxed
+from jaxbody.model.laws.law_states import Held, Relaxed
 
 BENCHMARK = {"alpha": 5e4, "beta": 1e3, "gamma": 0.8, "delta": -1.1}  # Noel, Schoukens (2016)
 # parameters, amplitude, end of the closed loop, energy per cycle (closed forms of REFERENCES2 1.4)

@@ -18,7 +18,7 @@ from jaxbody import plots
 from jaxbody.core.tables import Printed
 from jaxbody.vibration.linearizations import LinearSystem
 from jaxbody.views.plots import canvases
-from jaxbody.views.plots.pictures import PICTURES, picture_of
+from jaxbody.views.plots.plots_of_results import PICTURES, picture_of
 
 # numbers of different kinds; lists beside a `model`, which has a plot
 WITHOUT_PLOT = {"Plausibility", "WheelCompliance", "MjcfModel", "Study"}

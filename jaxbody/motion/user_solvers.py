@@ -12,10 +12,10 @@ import jax.numpy as jnp
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problems, Status
 from jaxbody.mechanics.closed_loops import acceleration
+from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load, loads_of
 from jaxbody.model.joints.element_tables import state_rates
 from jaxbody.model.joints.kinematics import Chart, Motions, frames_at_time
-from jaxbody.model.memories import holding
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_moves, check_precision
 from jaxbody.model.states import State

@@ -28,15 +28,15 @@ from jaxbody.mechanics.equilibria import (
     equilibrium_of,
     of_position,
 )
+from jaxbody.mechanics.equilibrium_solvers import LOADABLE, SearchResult, search_under_loads
 from jaxbody.mechanics.forces_at_rest import along_and_about
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.load_paths import AppliedLoads, alike, residual, summed
-from jaxbody.mechanics.rest_searches import LOADABLE, SearchResult, search_under_loads
+from jaxbody.model.element_states import holding, relaxed
 from jaxbody.model.inputs.loads import Load, loads_by_name, loads_of
 from jaxbody.model.joints.element_tables import each_element, frames_of
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import of_elements, springs_of
-from jaxbody.model.memories import holding, relaxed
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_attached, check_memory, check_precision, check_state
 from jaxbody.model.sizes import scale_of, size_of

@@ -17,8 +17,7 @@ from jaxbody.fitting.intervals import FEW, Interval, freedoms_of, intervals_of, 
 from jaxbody.fitting.parameters.spaces import arrays_of
 from jaxbody.fitting.parameters.transforms import Direction, Rotated
 from jaxbody.fitting.residuals import Task
-from jaxbody.fitting.statistics.quantiles import check_level
-from jaxbody.fitting.statistics.uncertainties import Uncertainty
+from jaxbody.fitting.statistics.uncertainties import Uncertainty, check_level
 from jaxbody.model.models import Model
 from jaxbody.suspension.suspensions import Suspension
 

@@ -11,9 +11,9 @@ from jaxbody.core.arrays import Array, PRNGKeyArray, as_numpy, concrete
 from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.core.errors import Problems
 from jaxbody.mechanics.closed_loops import dynamics_of
+from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.kinematics import Motions, frames_at_time
-from jaxbody.model.memories import holding
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import take_long
 from jaxbody.model.states import State

@@ -19,7 +19,7 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.mechanics.element_derivatives import deformation_slopes, on_coordinates
 from jaxbody.mechanics.hessians import Configuration, Square, damping, expansion, frame_twists, mass
 from jaxbody.model.joints.element_tables import of_table
-from jaxbody.model.laws.memories import Apart, memories
+from jaxbody.model.laws.law_states import Apart, memories
 
 
 class InnerRows(NamedTuple):

@@ -18,7 +18,7 @@ from jaxbody.core.errors import Problems, unknown
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field, in_domain, kind_along
 from jaxbody.geometry.frames import Frame, Pose
-from jaxbody.geometry.orientations import IDENTITY
+from jaxbody.geometry.points_and_orientations import IDENTITY
 from jaxbody.geometry.vectors import axial, product
 from jaxbody.model.elements.element_checks import check_leaves
 from jaxbody.model.elements.elements import Element

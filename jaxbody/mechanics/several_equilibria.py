@@ -16,13 +16,18 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.compilation.compile_options import OPTIMIZED, program_with
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.mechanics.descents import SINGULAR, descend, eigenvalue_signs
 from jaxbody.mechanics.equilibria import NOT_AT_REST, Equilibrium, equilibrium_at
+from jaxbody.mechanics.equilibrium_solvers import (
+    SINGULAR,
+    SearchResult,
+    descend,
+    eigenvalue_signs,
+    no_loads,
+)
 from jaxbody.mechanics.free_motions import is_closed, moved, on_closures
 from jaxbody.mechanics.hessians import configuration_at, expansion, slope, stiffness
-from jaxbody.mechanics.rest_searches import SearchResult, no_loads
+from jaxbody.model.element_states import relaxed
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.model.memories import relaxed
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_attached, check_memory, check_precision
 from jaxbody.model.sizes import scale_of, scaled, size_of

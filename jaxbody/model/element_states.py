@@ -18,7 +18,7 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.geometry.fields import resolved, words_along
 from jaxbody.geometry.frames import Pose
-from jaxbody.model.laws.memories import Apart, Held, Relaxed, memories, with_states
+from jaxbody.model.laws.law_states import Apart, Held, Relaxed, memories, with_states
 from jaxbody.model.laws.memory_laws import Memory
 from jaxbody.model.layouts import CoordinateBlock
 from jaxbody.model.storage import KindTable

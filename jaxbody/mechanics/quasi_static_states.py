@@ -24,10 +24,11 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.lagrange import potential
 from jaxbody.mechanics.constraints import CLOSED, closed_on
 from jaxbody.mechanics.equilibria import Equilibrium, equilibrium_at
+from jaxbody.mechanics.equilibrium_solvers import AT_REST, no_loads, search_by_descent
 from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.load_paths import residual, tangent
-from jaxbody.mechanics.rest_searches import AT_REST, no_loads, search_by_descent
+from jaxbody.model.element_states import holding, relaxed
 from jaxbody.model.joints.closure_tables import drawn, gaps_at, gaps_from
 from jaxbody.model.joints.element_tables import completed
 from jaxbody.model.joints.kinematics import (
@@ -37,7 +38,6 @@ from jaxbody.model.joints.kinematics import (
     frames_displaced,
     imposed,
 )
-from jaxbody.model.memories import holding, relaxed
 from jaxbody.model.models import Model, at_rest_in, rest_poses
 from jaxbody.model.preconditions import check_independent, check_precision, check_state
 from jaxbody.model.sizes import size_of
