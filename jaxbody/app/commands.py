@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import jaxbody as jb
+from jaxbody.app.changes import set_value
 from jaxbody.app.file_commands import COMMANDS, Outcome
-from jaxbody.app.file_updates import set_value
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.files.documents import LARGEST, read_document
 from jaxbody.files.schemas import checked_values

@@ -1,13 +1,11 @@
-"""New numbers in a document: as a person types them, or those of a fit, each at its place and in
-the unit that stands there. Comments and the order of entries stay."""
+"""New numbers in a model file: each at its place and in the unit that stands there. Comments and
+the order of entries stay."""
 
 from __future__ import annotations
 
-import fnmatch
 import json
 import math
 import re
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ import numpy as np
 import tomlkit
 
 from jaxbody.core import units
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
+from jaxbody.core.errors import Problems
 from jaxbody.core.source_files import replacing, writing
 from jaxbody.files.documents import Document, EntryPath
 from jaxbody.files.kinds import arguments_of, class_of
@@ -24,74 +22,6 @@ from jaxbody.files.quantities import NUMBERS, UnitSystem, times, unit_system
 from jaxbody.files.writers import numbers_of
 from jaxbody.fitting.parameters.spaces import Space, units_of
 from jaxbody.model.bodies import Body
-
-# whose names are unique in a model
-SECTIONS = ("bodies", "supports", "elements", "closures", "energies", "dissipations")
-
-
-def set_value(document: Document, text: str) -> None:
-    """Set an entry by a text, "left.stiffness=30 N/mm": the name of a body, support, element or
-    closure and the entries below it, or those of another section, "motion.road.frequency",
-    "records.run1.file". With * and ? in the name of the first kind, which match as in file names,
-    it is set for all that have it. Errors: SYNTAX, UNKNOWN_NAME."""
-    path, sign, value = text.partition("=")
-    name, *below = path.strip().split(".")
-    if not sign or not (below or name == "gravity"):
-        raise JaxbodyError(
-            Problem("SYNTAX", text, "is not a path and a value", text, 'left.stiffness="30 N/mm"')
-        )
-    things: dict[EntryPath, Any] = {}
-    for section in SECTIONS:
-        tables = document.values.get(section)
-        things |= (
-            {(section, known): table for known, table in tables.items()}
-            if isinstance(tables, dict)
-            else {}
-        )
-    exact = [path for path in things if path[1] == name]
-    chosen = exact or [
-        path
-        for path in things
-        if fnmatch.fnmatchcase(str(path[1]), name) and below[:1] and below[0] in things[path]
-    ]
-    if not chosen and (name == "gravity" or name in document.values):
-        things[()], chosen, below = document.values, [()], [name, *below]
-    if not chosen:
-        raise JaxbodyError(
-            unknown(
-                path.strip(),
-                text,
-                tuple(f"{path[1]}.{entry}" for path in things for entry in things[path]),
-            )
-        )
-    for path in chosen:
-        _put(things[path], below, _value(value.strip()), text)
-        document.replaced[(*path, *below)] = text
-
-
-def _put(table: Any, below: list[str], value: Any, text: str) -> None:
-    for part in below[:-1]:
-        table = table.get(part) if isinstance(table, dict) else None
-    if not isinstance(table, dict):
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_NAME",
-                text,
-                "names nothing that has entries",
-                text,
-                hint="The words are those of the file.",
-            )
-        )
-    table[below[-1]] = value
-
-
-def _value(text: str) -> Any:
-    """A value as TOML writes it, or the text itself."""
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except ValueError:
-        return text
-
 
 POINT = "point"  # of an end, the last step to its place
 

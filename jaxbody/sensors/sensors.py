@@ -6,8 +6,6 @@ of the sampling rate the error is 2e-7 of its amplitude, five samples or more fr
 fifth of the rate it is 1e-3.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from math import factorial
 from typing import Any, ClassVar, TypedDict, Unpack

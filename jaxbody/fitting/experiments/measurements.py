@@ -1,8 +1,6 @@
 """The interface of measurements to fits: records in time, frequency responses and modes are all
 residuals by channel."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
