@@ -1,4 +1,5 @@
-"""Equations of motion of closed loops, and the choice of the equations that suit a model.
+"""Equations of motion of closed loops, those of Lagrange as `lagrange.py` states them, and the
+choice of the equations that suit a model.
 
     c(q(t), Xi(t)) = 0   closures, and with them   c' = J v + c_t = 0,
     c'' = J v' + (c'' at v' = 0) = 0
@@ -17,7 +18,6 @@ with M and J of the state it starts from.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -25,8 +25,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody import lagrange
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.errors import Status
 from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.frames import Frame, Instant, Pose
 from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on
@@ -43,6 +45,9 @@ from jaxbody.model.states import State
 from jaxbody.numerics.small_systems import SaddlePoint, saddle_point
 
 STEPS = 3  # of the projection: each takes the gap times the error of a step
+# smallest singular value of closures at a position in which an integration ends because of it,
+# relative to the largest
+SINGULAR = 1e-4
 
 
 class Closing(NamedTuple):
@@ -263,7 +268,15 @@ class ClosedLoops(JointedBodies):
         near = jax.lax.stop_gradient(gap[-1] <= CLOSED * self.size)
         return jnp.where(near, self.model.layout.pack(State(q, v, z)), jnp.nan)
 
-    def closed(self, t: Float[Array, ""], state: State) -> tuple[State, Closing]:
+    def ended(self, code: Array, t: Float[Array, ""], state: State, closing: Closing) -> Array:
+        """NOT_CLOSED where no motion starts, SINGULAR_CLOSURE where it ends because closures
+        become dependent."""
+        early = [Status.DT_MIN.value, Status.NONFINITE.value, Status.MAX_STEPS.value]
+        singular = jnp.isin(code, jnp.array(early)) & (self.smallest(t, state) < SINGULAR)
+        code = jnp.where(singular, Status.SINGULAR_CLOSURE.value, code)
+        return jnp.where(closing.left > CLOSED, Status.NOT_CLOSED.value, code)
+
+    def begun(self, t: Float[Array, ""], state: State) -> tuple[State, Closing]:
         """The state on the closures next to another, and how far that is from them."""
         supports = self.coordinates.supports_moving(self.motions, t)
         before = gaps_from(
@@ -312,15 +325,48 @@ def _slopes(closure: Closure, rest: Pose, A: Frame, B: Frame) -> Float[Array, "r
     return jax.vmap(rate)(jnp.eye(12, dtype=A.p.dtype).reshape(12, 2, 2, 3)).T
 
 
-def dynamics_of(model: Model, motions: Motions, loads: tuple[Load, ...] = ()) -> Dynamics:
+class LagrangeBodies(JointedBodies):
+    """Bodies on joints of any kind, by Lagrange's equations; y = (q, v, z)."""
+
+    def driven(self, u: Any, y: Float[Array, "ny"]) -> Float[Array, "ny"]:
+        return _lagrange_rate(self, u, y)[0]
+
+
+class LagrangeLoops(ClosedLoops):
+    """Bodies on joints and closures, by Lagrange's equations; y = (q, v, z)."""
+
+    def driven_on_closures(
+        self, t: Float[Array, ""], y: Float[Array, "ny"]
+    ) -> tuple[Float[Array, "ny"], Any]:
+        return _lagrange_rate(self, t, y)
+
+
+def _lagrange_rate(
+    dynamics: Dynamics, t: Float[Array, ""], y: Float[Array, "ny"]
+) -> tuple[Float[Array, "ny"], Any]:
+    """dy/dt, and the equations of v' and lambda."""
+    model = dynamics.model
+    q, v, z = model.layout.split(y)
+    v_dot, z_dot, equations = lagrange.rates(
+        model, State(q, v, z), dynamics.motions, dynamics.loads, t
+    )
+    return model.layout.pack(State(dynamics.coordinates.rate(q, v), v_dot, z_dot)), equations
+
+
+def dynamics_of(
+    model: Model, motions: Motions, loads: tuple[Load, ...] = (), equations: str = "structured"
+) -> Dynamics:
     """A model under imposed motions and loads, in the form that suits it."""
-    return _form_of(model)(model, motions, loads)
-
-
-def _form_of(model: Model) -> Callable[..., Dynamics]:
-    if model.closures:
-        return ClosedLoops
-    return FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies
+    form: Any
+    if equations == "lagrange":
+        form = LagrangeLoops if model.closures else LagrangeBodies
+    elif model.closures:
+        form = ClosedLoops
+    else:
+        form = (
+            FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies
+        )
+    return form(model, motions, loads)
 
 
 @program

@@ -173,6 +173,18 @@ class Dynamics(eqx.Module):
         largest = each_element(model, reference, stiffest)
         return sum((jnp.sum(k) for k in largest), jnp.zeros((), self.model.gravity.dtype))
 
+    def begun(self, t: Float[Array, ""], state: State) -> tuple[State, Any]:
+        """The state from which a motion starts, and how far that is from closures."""
+        return state, None
+
+    def projected(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
+        """The state on the closures next to y."""
+        return y
+
+    def ended(self, code: Array, t: Float[Array, ""], state: State, closing: Any) -> Array:
+        """The status of a motion that ended at t in this state."""
+        return code
+
     @abstractmethod
     def acceleration(
         self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]

@@ -16,9 +16,7 @@ from jaxbody.core.arrays import Array, rows_or_nan
 from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
-from jaxbody.mechanics.constraints import CLOSED
 from jaxbody.mechanics.dynamics import Dynamics
-from jaxbody.mechanics.lagrange_equations import LagrangeBodies, LagrangeLoops
 from jaxbody.model.inputs.signals import kinks_of
 from jaxbody.model.joints.element_tables import completed, outside_law_range
 from jaxbody.model.joints.kinematics import frames_at_time
@@ -36,9 +34,6 @@ from jaxbody.numerics.runge_kutta_steps import TRIAL, first_length
 # least local error; below it float32 takes shorter steps without a gain
 FINEST = {"float64": 0.0, "float32": 1.5e-5}
 SAFETY = 0.1  # local error over rtol, because the order between steps is lower than that of a step
-# smallest singular value of closures at a position in which an integration ends because of it,
-# relative to the largest
-SINGULAR = 1e-4
 CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
 STATUSES = (
     (diffrax.RESULTS.successful, Status.OK),
@@ -90,24 +85,16 @@ def integrate(
     """The jitted core of `simulate`: arrays only, never raises. It counts time from the
     first sample."""
     given, times = times, times - times[0]
-    form_of: Any = (
-        dynamics_of
-        if equations == "structured"
-        else LagrangeLoops
-        if model.closures
-        else LagrangeBodies
+    motions_after, loads_after = (
+        tuple(part.after(given[0]) for part in parts) for parts in (motions, loads)
     )
-    dynamics = form_of(
-        model, *(tuple(part.after(given[0]) for part in parts) for parts in (motions, loads))
-    )
-    initial, closing = (
+    dynamics = dynamics_of(model, motions_after, loads_after, equations)
+    initial = (
         dynamics.coordinates.reference
         if initial is None
-        else _completed(dynamics, initial, times[0]),
-        None,
+        else _completed(dynamics, initial, times[0])
     )
-    if isinstance(dynamics, ClosedLoops):
-        initial, closing = dynamics.closed(times[0], initial)
+    initial, closing = dynamics.begun(times[0], initial)
     by_default = (
         solver is None
         and isinstance(stepsize_controller, diffrax.ConstantStepSize | None)
@@ -165,15 +152,13 @@ def integrate(
     code = jnp.where(overflow, Status.NONFINITE.value, code)
     valid = (finite & (times <= t_end))[:, None]
     samples = jnp.where(valid, samples, y_end)
-    if isinstance(dynamics, ClosedLoops):
-        samples = jax.vmap(dynamics.projected)(jnp.where(valid[:, 0], times, t_end), samples)
-        valid = valid & jnp.isfinite(samples)
-        code = jnp.where((code == Status.OK.value) & ~valid.all(), Status.NONFINITE.value, code)
+    samples = jax.vmap(dynamics.projected)(jnp.where(valid[:, 0], times, t_end), samples)
+    valid = valid & jnp.isfinite(samples)
+    code = jnp.where((code == Status.OK.value) & ~valid.all(), Status.NONFINITE.value, code)
     y = jnp.concatenate([rows_or_nan(valid, samples), y_end[None]])
     unpacked = jax.vmap(form.unpack)(y, jnp.append(times, t_end))
     state, final = jax.tree.map(lambda x: x[:-1], unpacked), jax.tree.map(lambda x: x[-1], unpacked)
-    if isinstance(dynamics, ClosedLoops):
-        code = _ended_on_closures(dynamics, code, t_end, final, closing)
+    code = dynamics.ended(code, t_end, final, closing)
     if has_range(model.elements):
         frames = jax.vmap(partial(frames_at_time, model, dynamics.motions))(times, state)
         beyond = jax.vmap(lambda frames: jnp.any(outside_law_range(model, frames)))(frames)
@@ -237,22 +222,6 @@ def _check_for_gauss(model: Model) -> None:
         )
 
 
-def _ended_on_closures(dynamics: ClosedLoops, code, t_end, final: State, closing: Any) -> Array:
-    """NOT_CLOSED where no motion starts, SINGULAR_CLOSURE where it ends because closures
-    become dependent."""
-    stuck = (
-        (code == Status.DT_MIN.value)
-        | (code == Status.NONFINITE.value)
-        | (code == Status.MAX_STEPS.value)
-    )
-    singular = stuck & (dynamics.smallest(t_end, final) < SINGULAR)
-    return jnp.where(
-        closing.left > CLOSED,
-        Status.NOT_CLOSED.value,
-        jnp.where(singular, Status.SINGULAR_CLOSURE.value, code),
-    )
-
-
 def _completed(dynamics: Dynamics, state: State, t) -> State:
     """The state with the z of rest at time t where it has none."""
     frames = dynamics.coordinates.frames(
@@ -283,7 +252,7 @@ def _in_blocks(
 
 
 def _as_given(
-    dynamics: Dynamics | Canonical,
+    dynamics: Any,
     y0,
     times,
     tolerances,
@@ -305,7 +274,6 @@ def _as_given(
             "adjoint": adjoint or diffrax.DirectAdjoint(),
         }
         return options | {"saveat": saveat, "max_steps": max_steps}
-    assert isinstance(dynamics, Dynamics)
     rules: Any = Lasting(*(tolerances[name] for name in ("rtol", "atol", "norm", "dtmin")))
     if controller is None:
         controller = rules

@@ -129,14 +129,14 @@ def jit(function: F) -> F:
     1.69e-05 Hz per N/m
     """
     name = getattr(function, "__name__", type(function).__name__)
-    programs = _Programs(lambda args, named: function(*args, **named), name, QUICK)
+    programs = _Programs(lambda args, named: function(*args, **named), name)
 
     @functools.wraps(function)
     def call(*args, **named):
         given = jax.tree.map(
             lambda x: jnp.asarray(x) if isinstance(x, float | complex) else x, (args, named)
         )
-        return programs.alone(*given) if outermost() else programs.inside(*given)
+        return programs(given, QUICK if outermost() else ())
 
     return call  # pyright: ignore[reportReturnType]
 
@@ -149,7 +149,8 @@ def program(function: F) -> F:
 
 def program_with(options: Options | Callable[..., Options]) -> Callable[[F], F]:
     """A decorator: a driver with these options, or with those that a function of its arguments
-    chooses from their shapes."""
+    chooses from their shapes. As a part of another program, or of a derivative or batch, it has
+    none: JAX takes no options there."""
 
     def driver_of(function):
         compiled, inner = Compiled(function), without_manual_axes(function)
@@ -158,14 +159,14 @@ def program_with(options: Options | Callable[..., Options]) -> Callable[[F], F]:
             compiled.begin()
             return inner(*args)
 
-        programs = _Programs(noted, function.__name__, options)
+        programs = _Programs(noted, function.__name__)
 
         @functools.wraps(function)
         def driver(*args):
             if not outermost():
-                return programs.inside(*args)
+                return programs(args, ())
             with compiled.watched(args):
-                return programs.alone(*args)
+                return programs(args, options(*args) if callable(options) else options)
 
         return driver
 
@@ -176,10 +177,7 @@ class _Programs:
     """The programs of a function, one for each structure of its arguments with all in it that is
     no array."""
 
-    def __init__(
-        self, function: Callable[..., Any], name: str, options: Options | Callable[..., Options]
-    ):
-        self.options = options if callable(options) else lambda *args: options
+    def __init__(self, function: Callable[..., Any], name: str):
         self.of_arrays = functools.lru_cache(STRUCTURES)(
             lambda x64, *fixed: ArrayFunction(function, name, *fixed)
         )
@@ -187,16 +185,7 @@ class _Programs:
             lambda function, options: jax.jit(function, compiler_options=dict(options) or None)
         )
 
-    def alone(self, *args: Any) -> Any:
-        """A program of its own, with the options."""
-        return self.result(args, self.options(*args))
-
-    def inside(self, *args: Any) -> Any:
-        """A part of another program, or of a derivative or batch, for which JAX takes
-        no options."""
-        return self.result(args, ())
-
-    def result(self, args: tuple[Any, ...], options: Options) -> Any:
+    def __call__(self, args: tuple[Any, ...], options: Options) -> Any:
         leaves, tree = jax.tree.flatten(args)
         arrays = [x for x in leaves if isinstance(x, ARRAYS)]
         # JAX keeps NumPy's constants of a function as they were in its first trace
