@@ -1,11 +1,11 @@
-"""The quantities of a design and their exact derivatives as one compiled program, for one u or
-a batch."""
+"""The quantities of a design and their exact derivatives as one compiled program."""
 
 from __future__ import annotations
 
-import dataclasses
+import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -19,9 +19,8 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import REST_HAS_DERIVATIVES, jaxpr_as_fun, only_what_is_needed
 from jaxbody.core.workers.batches import batch_of, computed
 from jaxbody.core.workers.executors import crew_of
-from jaxbody.design.searches import Rows, Search, end_at, searched
+from jaxbody.design.searches import DesignVector, Rows, Search, run_in_worker
 from jaxbody.fitting.parameters.spaces import Space
-from jaxbody.model.sizes import is_costly
 
 MOST_FORWARD = 30  # free numbers up to which forward mode is faster
 
@@ -31,103 +30,59 @@ Shapes = tuple[tuple[str, tuple[int, ...]], ...]  # names and shapes of quantiti
 NamedLimits = dict[str, tuple[float, float]]
 
 
+@dataclass(eq=False)
 class Program:
-    """All quantities and their derivatives at a batch of u.
+    """All quantities and their derivatives at u, as one compiled program.
 
     Args:
         space: the free parameters.
         evaluate: model -> quantities.
         minimize, limits: the objective and the limits of other quantities, by name.
-        width: number of u in a batch.
         reverse: derivatives by reverse mode; None decides by the number of parameters.
         key: random key for stochastic objectives, otherwise None.
         progress: True prints every evaluation to stderr.
         line: shows a progress line.
     """
 
-    def __init__(
-        self,
-        space: Space,
-        evaluate: Evaluate,
-        minimize: str,
-        limits: NamedLimits,
-        *,
-        width: int,
-        reverse: bool | None = None,
-        key: Any = None,
-        progress: bool | None = False,
-        line: Callable[[str], None] = lambda words: None,
-    ):
-        self.space, self.evaluate, self.minimize, self.limits = space, evaluate, minimize, limits
-        self.width, self.reverse, self.key, self.progress, self.line = (
-            width,
-            reverse,
-            key,
-            progress,
-            line,
-        )
-        self.count = 0
-        self.shapes: Shapes = ()
-        self.origin = np.zeros(0)
+    space: Space
+    evaluate: Evaluate
+    minimize: str
+    limits: NamedLimits
+    reverse: bool | None = None
+    key: Any = None
+    progress: bool | None = False
+    line: Callable[[str], None] = lambda words: None
+    count: int = 0  # of evaluations
+    place: str = ""  # which start, in progress lines
+    shapes: Shapes = ()
 
-    def __call__(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values (b, m) and Jacobians (b, m, n), in batches of the compiled width."""
+    def __call__(self, u: DesignVector) -> tuple[np.ndarray, np.ndarray]:
+        """Values (m,) and their Jacobian (m, n)."""
         self.count += 1
-        filled = np.concatenate([U, np.repeat(U[-1:], -len(U) % self.width, 0)]).reshape(
-            -1, self.width, U.shape[1]
+        values, slopes, self.shapes = values_and_slopes(
+            self.space, self.evaluate, self.reverse, device_array(u), self.key
         )
-        parts = []
-        for batch in filled:
-            u = device_array(batch if self.width > 1 else batch[0])
-            values, slopes, self.shapes = values_and_slopes(
-                self.space, self.evaluate, self.reverse, u, self.key
-            )
-            parts.append(
-                (
-                    np.asarray(values).reshape(self.width, -1),
-                    np.asarray(slopes).reshape(self.width, *slopes.shape[-2:]),
-                )
-            )
-        values, slopes = (np.concatenate(part)[: len(U)] for part in zip(*parts, strict=True))
-        message = f"evaluation {self.count}{self._least(values)}"
+        values, slopes = np.asarray(values), np.asarray(slopes)
+        objective = np.ravel(self.quantities(values).get(self.minimize, np.nan))[0]
+        known = f", {self.minimize} {objective:.6g}" if np.isfinite(objective) else ""
+        message = f"{self.place}evaluation {self.count}{known}"
         self.line(message)
         if self.progress:
             print(message, file=sys.stderr, flush=True)
         return values, slopes
 
-    def _least(self, values: np.ndarray) -> str:
-        """The least objective of all starts, as text."""
-        known = {self.minimize, *self.limits} <= set(dict(self.shapes))
-        finite = [f for f in values[:, self.rows.objective] if np.isfinite(f)] if known else []
-        of = f", the least of {len(values)}" if len(values) > 1 else ""
-        return f", {self.minimize} {min(finite):.6g}{of}" if finite else ""
-
     @property
     def rows(self) -> Rows:
-        ends = np.cumsum([0] + [int(np.prod(shape)) for _, shape in self.shapes])
-        rows_of = {
-            name: np.arange(i, j)
-            for (name, _), i, j in zip(self.shapes, ends[:-1], ends[1:], strict=True)
-        }
-        rows = [rows_of[name] for name in self.limits]
-        lower, upper = (
-            np.concatenate(
-                [
-                    np.zeros(0),
-                    *(
-                        np.full(len(r), limit[k])
-                        for r, limit in zip(rows, self.limits.values(), strict=True)
-                    ),
-                ]
-            )
-            for k in (0, 1)
+        owners = np.repeat(
+            [name for name, _ in self.shapes], [math.prod(x) for _, x in self.shapes]
         )
-        return Rows(
-            int(rows_of[self.minimize][0]),
-            np.concatenate([np.zeros(0, int), *rows]).astype(int),
-            lower,
-            upper,
-        )
+        limited = [
+            (row, *ends)
+            for name, ends in self.limits.items()
+            for row in np.flatnonzero(owners == name)
+        ]
+        rows, lower, upper = np.reshape(limited, (-1, 3)).T
+        return Rows(int(np.argmax(owners == self.minimize)), rows.astype(int), lower, upper)
 
     def labels(self) -> list[str]:
         """The name of every value."""
@@ -139,52 +94,46 @@ class Program:
 
 def search_by_workers(
     program: Program, searches: list[Search], workers: Any, **options: Any
-) -> None:
-    """Run searches in chunks of the width of the program; those of a lost chunk end without
-    finite values.
+) -> list[Search]:
+    """The searches after workers have run them; a lost one ends without finite values.
 
     options: method, iterations and tolerance, as in `run`."""
     evaluate, reverse, where = program.evaluate, program.reverse, "tune.workers"
+    starts = np.asarray(device_array(np.stack([search.start for search in searches])))
 
     def both(space, u):
-        values, slopes, _ = values_and_slopes(space, evaluate, reverse, u, None)
-        return {"values": values, "slopes": slopes}
-
-    given = [
-        np.stack([getattr(search, name) for search in searches])
-        for name in ("start", "low", "high")
-    ]
-    starts, by = np.asarray(device_array(given[0])), partial(searched, of=program.rows, **options)
-    most = 0
+        values, slopes, _ = values_and_slopes(space, evaluate, reverse, u[0], None)
+        return {"values": values[None], "slopes": slopes[None]}
 
     def report(done: int, workers: int) -> None:
         program.line(f"{done} of {len(searches)} starts")
 
+    ended = list(searches)
     with crew_of(workers, where) as crew:
-        kept: Any = dict(owner=evaluate, place=("tune", reverse))
         batch = batch_of(
             both,
             program.space,
             lambda i, j: [starts[i:j]],
             len(searches),
-            width=program.width,
+            width=1,
             where=where,
             crew=crew,
-            **kept,
+            owner=evaluate,
+            place=("tune", reverse),
         )
-        batch = dataclasses.replace(batch, rows=lambda i, j: [x[i:j] for x in given], function=by)
-        for chunk, answer in computed(batch, crew, range(batch.chunks), where, report):
-            first, last = batch.ends(chunk)
-            for i in range(first, last):
-                if answer is None:
-                    m = sum(int(np.prod(shape)) for _, shape in program.shapes)
-                    searches[i].keep(
-                        given[0][i], np.full(m, np.nan), np.full((m, given[0].shape[1]), np.nan)
-                    )
-                else:
-                    end_at(searches[i], answer.results, i - first)
-            most = max(most, 0 if answer is None else int(answer.results["count"][0]))
-    program.count += most
+        sent: Any = dict(
+            rows=lambda i, j: searches[i:j], function=partial(run_in_worker, **options)
+        )
+        batch = replace(batch, **sent)
+        for i, answer in computed(batch, crew, range(len(searches)), where, report):
+            if answer is None:
+                m = len(program.labels())
+                nothing = np.full(m, np.nan), np.full((m, starts.shape[1]), np.nan)
+                searches[i].keep(searches[i].start, *nothing)
+            else:
+                ended[i] = answer.results["search"]  # pyright: ignore
+                program.count += ended[i].evaluations
+    return ended
 
 
 class Flat:
@@ -224,33 +173,23 @@ def labels_of(shapes: Shapes) -> list[str]:
     return [name + index for name, shape in shapes for index in indices(shape)]
 
 
-def _runs_long(
-    space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any
-) -> bool:
-    """True for batches, because workers optimize theirs and have to find the same numbers."""
-    return u.ndim > 1 or is_costly(space.model)
-
-
 @program_with(OPTIMIZED)
 def values_and_slopes(
-    space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any
+    space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "n"], key: Any
 ):
     """Values, derivatives and shapes of all quantities; the choice of the objective and the limits
     needs no new compilation.
 
     Args:
         space, evaluate, reverse, key: as in `Program`.
-        u: one vector of free parameters (n,) or a batch (b, n).
+        u: the free parameters.
     """
     flat = Flat(space, evaluate, *(() if key is None else (key,)))
-
-    def both(u):
-        if not (u.size > MOST_FORWARD if reverse is None else reverse):
-            return value_and_forward_slopes(flat, u)
+    if u.size > MOST_FORWARD if reverse is None else reverse:
         values, pull = jax.vjp(needed(flat, u), u)
-        return values, jax.vmap(lambda y: pull(y)[0])(jnp.eye(values.size))
-
-    values, slopes = both(u) if u.ndim == 1 else jax.vmap(both)(u)
+        slopes = jax.vmap(lambda y: pull(y)[0])(jnp.eye(values.size))
+    else:
+        values, slopes = value_and_forward_slopes(flat, u)
     return values, slopes, flat.shapes
 
 
@@ -403,46 +342,29 @@ def limits_of(limits: dict[str, Any]) -> NamedLimits:
     return parsed
 
 
-def check_start(program: Program, U: np.ndarray) -> None:
-    """Evaluate all starts, the first of which is the model itself. Error: NONFINITE_START if none
-    is finite, with details of the first."""
-    values, _ = program(U)
-    check_names(program)
-    program.origin = values[0]
-    rows = program.rows.requested
-    if np.isfinite(values[:, rows]).all(-1).any():
-        return
-    labels = program.labels()
-    bad = [
-        f"{labels[i]} = {values[0, i]}"
-        for i in dict.fromkeys(rows)
-        if not np.isfinite(values[0, i])
-    ]
-    message = f"returns {', '.join(bad)} at the start" + (
-        f", and no finite values at any of {len(U)} starts" if len(U) > 1 else ""
-    )
-    hint = "Check evaluate(model): an equilibrium may not exist, or a mode may be unstable."
-    raise JaxbodyError(
-        Problem("NONFINITE_START", "tune.evaluate", message, values[0], "finite", hint)
-    )
-
-
-def check_slopes(program: Program, search: Search) -> None:
-    """Report derivatives that are not finite at any start. Error: NONFINITE_START."""
-    labels, names = program.labels(), program.space.labels
-    bad = [
-        f"'{labels[i]}' by '{name}'"
-        for i in dict.fromkeys(program.rows.requested)
-        for name, x in zip(names, search.slopes[i], strict=True)
-        if not np.isfinite(x)
-    ]
-    message = f"has derivatives that are not finite at the start: of {', '.join(bad[:4])}" + (
-        ", ..." if len(bad) > 4 else ""
-    )
-    hint = (
-        "Look for square roots and norms of zero, or simulate(adjoint=...); smooth quantities "
-        "are in jb.objectives."
-    )
-    raise JaxbodyError(
-        Problem("NONFINITE_START", "tune.evaluate", message, search.slopes, "finite", hint)
-    )
+def not_finite(program: Program, searches: Sequence[Search]) -> JaxbodyError:
+    """Why no search could begin: values that are not finite at the first start, or derivatives
+    where there are finite values. Code: NONFINITE_START."""
+    labels, rows, first = program.labels(), program.rows, searches[0]
+    if any(rows.finite(search.values) for search in searches):
+        given = first.slopes
+        bad = [
+            f"'{labels[i]}' by '{name}'"
+            for i in rows.requested
+            for name, x in zip(program.space.labels, first.slopes[i], strict=True)
+            if not np.isfinite(x)
+        ]
+        message = "has derivatives that are not finite at the start: of "
+        message += ", ".join(bad[:4]) + (", ..." if len(bad) > 4 else "")
+        hint = (
+            "Look for square roots and norms of zero, or simulate(adjoint=...); smooth quantities "
+            "are in jb.objectives."
+        )
+    else:
+        given = first.values
+        bad = [f"{labels[i]} = {given[i]}" for i in rows.requested if not np.isfinite(given[i])]
+        message = f"returns {', '.join(bad)} at the start"
+        if len(searches) > 1:
+            message += f", and no finite values at any of {len(searches)} starts"
+        hint = "Check evaluate(model): an equilibrium may not exist, or a mode may be unstable."
+    return JaxbodyError(Problem("NONFINITE_START", "tune.evaluate", message, given, "finite", hint))

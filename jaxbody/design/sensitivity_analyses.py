@@ -128,10 +128,9 @@ def sensitivities(
         for part in (change, -change)
     )
     U = np.concatenate([np.zeros((1, space.size)), np.diag(down), np.diag(up)])
-    # the program of `tune` from one start
-    program = Program(space, evaluate, "", {}, width=1, progress=progress)
+    program = Program(space, evaluate, "", {}, progress=progress)
     with one_thread(), working("sensitivities", progress) as program.line:
-        values, slopes = program(U)
+        values, slopes = map(np.array, zip(*map(program, U), strict=True))
     low, high = np.split(values[1:].T, 2, axis=1)
     bad = not (np.isfinite(values).all() and np.isfinite(slopes[0]).all())
     return warn_if_failed(

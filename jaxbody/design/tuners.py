@@ -5,7 +5,7 @@ on others, by exact gradients.
     f and c any JAX functions of the model
 
 One function of the model returns all quantities; they and their exact derivatives are one compiled
-program, for one start or a batch.
+program.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from jaxbody.core.workers.executors import check_workers
 from jaxbody.design.design_programs import (
     Evaluate,
     Program,
-    check_slopes,
-    check_start,
+    check_names,
     evaluated,
     limits_of,
+    not_finite,
     search_by_workers,
 )
-from jaxbody.design.searches import MET, METHODS, Search, one_thread, run, run_in_lockstep, scales
+from jaxbody.design.searches import MET, METHODS, Search, one_thread, run
 from jaxbody.design.tuning_results import Tuning, tuning_of
 from jaxbody.fitting.parameters.spaces import Space, model_of, space_of
 from jaxbody.fitting.parameters.starts import drawn
@@ -44,7 +44,6 @@ from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision
 from jaxbody.suspension.suspensions import Suspension
 
-BATCH = 16  # starts that are evaluated together
 # largest number of catalogue parameters for which all combinations of neighbors are tried
 MOST_NEIGHBORS = 6
 
@@ -82,8 +81,8 @@ def tune(
         bounds: {path or pattern: (lower, upper)}, in the units of the parameter, never violated.
         catalogues: {path or pattern: available values}; all neighbors of the optimum are tried,
             with the other parameters tuned again.
-        starts: number of initial designs: the model, and others drawn between the bounds; all are
-            evaluated in batches.
+        starts: number of initial designs: the model, and others drawn between the bounds; they
+            are searched one after the other.
         key: random key for the drawn designs and for stochastic objectives; None
             takes jax.random.key(0).
         method: "slsqp" or "trust-constr" (SciPy), "ipopt" (needs jaxbody[ipopt]), restarted while
@@ -94,8 +93,7 @@ def tune(
         tolerance: tolerance of the objective, relative to its value at the start.
         reverse: derivatives by reverse mode; None uses forward mode for up to thirty free numbers.
         workers: None, a number of processes, or an executor, as in `sweep`, for several starts with
-            a method of SciPy or ipopt; starts are searched in batches of 16 in either case, so that
-            the numbers are the same.
+            a method of SciPy or ipopt; the numbers are the same.
         progress: None shows progress after five seconds, False is silent, True prints every
             evaluation to stderr.
 
@@ -165,28 +163,28 @@ def tune(
         evaluate,
         minimize,
         limited,
-        width=min(starts, BATCH),
         reverse=reverse,
         key=key if stochastic else None,
         progress=progress,
     )
     with working("tune", progress) as program.line:
         program.line("first evaluation, compiling")
-        check_start(program, U)
+        before, _ = program(U[0])
+        check_names(program)
+        searches = [Search(u, low, high, program.rows) for u in U]
+        options = dict(method=method, iterations=max_iterations, tolerance=tolerance)
         with one_thread():
-            searches = [Search(u, low, high, program.rows) for u in U]
             if isinstance(method, str):
-                _run_scipy(program, searches, method, max_iterations, tolerance, workers)
+                searches = _run_all(program, searches, workers, **options)
             else:
                 _run_optax(program, searches, method, max_iterations, key)
-            best = _best(searches)
             if catalogs:
-                searches = _neighbors(program.space, best, catalogs)
-                _run_scipy(program, searches, method, max_iterations, tolerance, workers)
-                best = _best(searches)
+                searches = _neighbors(program.space, _best(searches), catalogs)
+                searches = _run_all(program, searches, workers, **options)
+    best = _best(searches)
     if not best.finite:
-        check_slopes(program, best)
-    return warn_if_failed(tuning_of(program, searches, best, max_iterations))
+        raise not_finite(program, searches)
+    return warn_if_failed(tuning_of(program, searches, best, before, max_iterations))
 
 
 def _catalogs(
@@ -300,22 +298,16 @@ def _neighbors_of(catalog: np.ndarray, u) -> np.ndarray:
     return pair[np.argsort(np.abs(pair - u), kind="stable")]
 
 
-def _run_scipy(
-    program: Program,
-    searches: list[Search],
-    method: str,
-    iterations: int,
-    tolerance: float,
-    workers: Any,
-) -> None:
-    if workers is None or program.width == 1:
-        run_in_lockstep(
-            program, searches, lambda search: run(search, method, iterations, tolerance)
-        )
-    else:
-        search_by_workers(
-            program, searches, workers, method=method, iterations=iterations, tolerance=tolerance
-        )
+def _run_all(
+    program: Program, searches: list[Search], workers: Any, **options: Any
+) -> list[Search]:
+    """The searches after they have been run, one after the other or by workers."""
+    if workers is not None and len(searches) > 1:
+        return search_by_workers(program, searches, workers, **options)
+    for number, search in enumerate(searches, 1):
+        program.place = f"start {number} of {len(searches)}, " if len(searches) > 1 else ""
+        run(search, program, **options)
+    return searches
 
 
 def _run_optax(
@@ -342,13 +334,12 @@ def _run_optax(
         key,
     )
     program.count += steps
-    values, slopes = program(np.asarray(ends))
-    for i, search in enumerate(searches):
-        search.keep(np.asarray(ends[i]), values[i], slopes[i])
+    for search, u, objectives in zip(searches, np.asarray(ends), np.asarray(history), strict=True):
+        search.keep(u, *program(u))
         search.iterations = steps
-        search.finite = bool(np.isfinite(values[i, program.rows.objective]))
-        search.history = [(float(f), 0.0) for f in history[i]]
-        search.size = abs(float(history[i, 0])) or 1.0
+        search.finite = bool(np.isfinite(search.objective))
+        search.history = [(float(f), 0.0) for f in objectives]
+        search.size = abs(float(objectives[0])) or 1.0
 
 
 @program_with(OPTIMIZED)
@@ -395,9 +386,7 @@ def _best(searches: list[Search]) -> Search:
     def rank(search: Search):
         if not search.finite:
             return 2, 0.0
-        violation = search.rows.violation(search.values, scales(search.rows, search.values))
-        return (
-            (0, search.values[search.rows.objective]) if violation <= 10 * MET else (1, violation)
-        )
+        violation = search.own_violation
+        return (0, search.objective) if violation <= 10 * MET else (1, violation)
 
     return min(searches, key=rank)

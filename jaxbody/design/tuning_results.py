@@ -23,16 +23,7 @@ from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
 from jaxbody.design.design_programs import NamedLimits, Program, Quantities, variables_over
-from jaxbody.design.searches import (
-    ACTIVE,
-    CONVERGED,
-    MET,
-    Multipliers,
-    Rows,
-    Search,
-    multipliers,
-    scales,
-)
+from jaxbody.design.searches import ACTIVE, CONVERGED, MET, Multipliers, Search, multipliers
 from jaxbody.fitting.parameters.spaces import Space, model_of
 from jaxbody.fitting.parameters.transforms import Positive
 from jaxbody.mechanics.equilibria import equilibrium_of
@@ -56,11 +47,14 @@ def discontinuous(g: np.ndarray) -> np.ndarray:
 def jumping(
     slopes_at: Callable[[np.ndarray], np.ndarray], u: np.ndarray, along: np.ndarray
 ) -> np.ndarray:
-    """Which rows of slopes_at (b, n) -> (b, m, n) jump near u along a direction."""
+    """Which rows of slopes_at (n,) -> (m, n) jump near u along a direction."""
     size = np.linalg.norm(along)
     if not size:
         return np.zeros(0, bool)
-    return discontinuous(slopes_at(u + NEAR * OFFSETS[:, None] * along / size) @ (along / size))
+    direction = along / size
+    return discontinuous(
+        np.stack([slopes_at(u + NEAR * offset * direction) @ direction for offset in OFFSETS])
+    )
 
 
 def at_kinks(model: Model) -> list[str]:
@@ -256,15 +250,13 @@ def _places(space: Space, search: Search) -> dict[str, str]:
     }
 
 
-def _status_and_multipliers(
-    search: Search, rows: Rows, space: Space
-) -> tuple[int, Multipliers | None]:
+def _status_and_multipliers(search: Search, space: Space) -> tuple[int, Multipliers | None]:
     """The status of a search and its multipliers, by the conditions of optimality rather than the
     optimizer's own report."""
     if not search.finite:
         return Status.NONFINITE.value, None
     lambdas = multipliers(search)
-    if rows.violation(search.values, scales(rows, search.values)) > 10 * MET:
+    if search.own_violation > 10 * MET:
         return Status.INFEASIBLE.value, lambdas
     converged = lambdas.remaining <= CONVERGED and UNBOUNDED not in _places(space, search).values()
     return (Status.OK.value if converged else Status.NOT_CONVERGED.value), lambdas
@@ -276,7 +268,7 @@ def _remedy(program: Program, best: Search, iterations: int, model: Model) -> st
     rows, labels = program.rows, program.labels()
     along = np.where(best.low < best.high, best.slopes[rows.objective], 0.0)
     jumps = jumping(
-        lambda U: program(np.clip(U, best.low, best.high))[1][:, rows.requested], best.u, along
+        lambda u: program(np.clip(u, best.low, best.high))[1][rows.requested], best.u, along
     )
     if jumps.any():
         names = ", ".join(
@@ -303,24 +295,27 @@ def _remedy(program: Program, best: Search, iterations: int, model: Model) -> st
     )
 
 
-def tuning_of(program: Program, searches: list[Search], best: Search, iterations: int) -> Tuning:
+def tuning_of(
+    program: Program, searches: list[Search], best: Search, before: np.ndarray, iterations: int
+) -> Tuning:
     """The result of searches from all starts.
 
     Args:
         program: the quantities and their derivatives.
         searches: all searches, after they have ended.
         best: the best of them.
+        before: values at the first start.
         iterations: the largest number that each was allowed.
     """
     rows, space, quantities = program.rows, program.space, program.quantities
     U, values = (
         np.stack([getattr(search, name) for search in searches]) for name in ("u", "values")
     )
-    codes = np.array([_status_and_multipliers(search, rows, space)[0] for search in searches])
-    violation = rows.violation(values, scales(rows, best.values))
+    codes = np.array([_status_and_multipliers(search, space)[0] for search in searches])
+    violation = rows.violation(values, rows.scale(best.values))
     design, values_of, values_of_runs = placed(space, device_array(best.u), device_array(U))
     runs = Runs(values[:, rows.objective], violation, codes, values_of_runs, quantities(values))
-    status, prices = _status_and_multipliers(best, rows, space)
+    status, prices = _status_and_multipliers(best, space)
     constraints = (
         []
         if prices is None or status == Status.INFEASIBLE
@@ -330,13 +325,12 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
         model=model_of(design),
         suspension=design if isinstance(design, Suspension) else None,
         values=values_of,
-        before=quantities(program.origin),
+        before=quantities(before),
         after=quantities(best.values),
         multipliers={constraint.name: constraint.price for constraint in constraints},
         active=tuple(map(str, constraints)),
         words=tuple(
-            constraint.effect(program.minimize, best.values[rows.objective])
-            for constraint in constraints
+            constraint.effect(program.minimize, best.objective) for constraint in constraints
         ),
         places=_places(space, best),
         unmet=_unmet(program, best.values),
@@ -411,7 +405,7 @@ def _unmet(program: Program, values: np.ndarray) -> tuple[str, ...]:
     """Violated limits, and by how much."""
     rows, labels, messages = program.rows, program.labels(), []
     for row, lower, upper, scale in zip(
-        rows.limited, rows.lower, rows.upper, scales(rows, values), strict=True
+        rows.limited, rows.lower, rows.upper, rows.scale(values), strict=True
     ):
         x = values[row]
         if max(lower - x, x - upper) > 10 * MET * scale:

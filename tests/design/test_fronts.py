@@ -108,7 +108,7 @@ def test_three_objectives_have_the_triangle_between_their_corners(car):
 
 @pytest.mark.long
 def test_a_front_is_the_same_by_two_processes(car):
-    """Its ends are searched from 18 initial designs, in two chunks."""
+    """Its ends are searched from 18 initial designs, each of which is a chunk."""
     pytest.importorskip("loky", reason="needs jaxbody[cluster]")
     options = dict(minimize=["one", "two"], points=4, starts=18, **PLANE)
     with warnings.catch_warnings():

@@ -436,8 +436,7 @@ def test_tolerances_have_the_same_samples_by_two_processes():
 
 @pytest.mark.long
 def test_tune_finds_the_same_designs_by_two_processes():
-    """Of 20 starts each search is the same, in batches of 16, the second filled up; so is the count
-    of evaluations."""
+    """Of 20 starts each search is the same; so is the count of evaluations."""
 
     def trade(model):
         c, k = model["suspension"].damping / 1500.0, model["suspension"].stiffness / 2e4
