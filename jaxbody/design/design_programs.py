@@ -160,10 +160,10 @@ def split(values: Float[Array, "*b m"], shapes: Shapes) -> Quantities:
     }
 
 
-def variables_over(axis: str, named: dict[str, Any]) -> dict[str, tuple[tuple[str, ...], Any, str]]:
-    """Variables of a dataset, the first axis of each with this name."""
+def variables_over(axes: tuple[str, ...], named: dict[str, Any]) -> dict[str, Any]:
+    """Variables of a dataset, the first axes of each with these names."""
     return {
-        name: ((axis, *(f"{name}_{i}" for i in range(np.ndim(x) - 1))), x, "")
+        name: ((*axes, *(f"{name}_{i}" for i in range(np.ndim(x) - len(axes)))), x, "")
         for name, x in named.items()
     }
 
@@ -302,7 +302,7 @@ def limits_of(limits: dict[str, Any]) -> NamedLimits:
             )
             problems.raise_if_any()
         for name, given in limits.items():
-            where = f"tune.limits[{name!r}]"
+            message = f"is {given!r:.60}"
             try:
                 lower, upper = (
                     (given, given)
@@ -314,31 +314,18 @@ def limits_of(limits: dict[str, Any]) -> NamedLimits:
                     np.inf if upper is None else float(upper),
                 )
             except (TypeError, ValueError):
-                problems.add(
-                    "BAD_LIMITS",
-                    where,
-                    f"is {given!r:.60}",
-                    value=given,
-                    limit="(lower, upper), a number, or None for either",
-                )
-                continue
-            if np.isnan(ends).any() or ends == (-np.inf, np.inf):
-                problems.add(
-                    "BAD_LIMITS",
-                    where,
-                    f"is {given!r:.60}",
-                    value=given,
-                    limit="a number at one end or both",
-                )
-            elif not ends[0] <= ends[1]:
-                problems.add(
-                    "BAD_LIMITS",
-                    where,
-                    f"has lower {ends[0]:g} > upper {ends[1]:g}",
-                    value=given,
-                    limit="lower <= upper",
-                )
-            parsed[name] = ends
+                allowed = "(lower, upper), a number, or None for either"
+            else:
+                parsed[name] = ends
+                if np.isnan(ends).any() or ends == (-np.inf, np.inf):
+                    allowed = "a number at one end or both"
+                elif ends[0] <= ends[1]:
+                    continue
+                else:
+                    message = f"has lower {ends[0]:g} > upper {ends[1]:g}"
+                    allowed = "lower <= upper"
+            where = f"tune.limits[{name!r}]"
+            problems.add("BAD_LIMITS", where, message, value=given, limit=allowed)
     return parsed
 
 

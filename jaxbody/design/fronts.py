@@ -58,7 +58,7 @@ class Front(Labeled, Result):
             for name, slope in zip(list(self.objectives)[1:], self.slopes.T, strict=True)
         }
         variables = variables_over(
-            "point", {**self.values, **self.quantities, "status": self.status, **slopes}
+            ("point",), {**self.values, **self.quantities, "status": self.status, **slopes}
         )
         return dataset(variables, {"point": np.arange(1, 1 + len(self.status))}, "front")
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+Sizes = list[tuple[int, int]]
 # u -> f, its gradient, c, its Jacobian
 At = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray, np.ndarray]]
 
@@ -37,47 +38,35 @@ def minimize_by_ipopt(
 
     n, m = len(u), len(limits[0])
 
-    class Slopes(casadi.Callback):
-        """The derivatives of f and c with respect to u; CasADi also passes their values."""
+    class Callback(casadi.Callback):
+        """A function of dense matrices."""
 
-        def __init__(self, name: str, options: Any):
+        def __init__(self, name: str, given: Sizes, returned: Sizes, options: Any):
             casadi.Callback.__init__(self)
+            self.given, self.returned = given, returned
             self.construct(name, options)
 
         def get_n_in(self):
-            return 3
+            return len(self.given)
 
         def get_n_out(self):
-            return 2
+            return len(self.returned)
 
         def get_sparsity_in(self, i):
-            return casadi.Sparsity.dense((n, 1, m)[i], 1)
+            return casadi.Sparsity.dense(*self.given[i])
 
         def get_sparsity_out(self, i):
-            return casadi.Sparsity.dense((1, m)[i], n)
+            return casadi.Sparsity.dense(*self.returned[i])
+
+    class Slopes(Callback):
+        """The derivatives of f and c with respect to u; CasADi also passes their values."""
 
         def eval(self, given):
             _, slopes, _, jacobian = at(np.asarray(given[0]).ravel())
             return [slopes[None], jacobian]
 
-    class Values(casadi.Callback):
+    class Values(Callback):
         """f and c."""
-
-        def __init__(self):
-            casadi.Callback.__init__(self)
-            self.construct("values", {})
-
-        def get_n_in(self):
-            return 1
-
-        def get_n_out(self):
-            return 2
-
-        def get_sparsity_in(self, i):
-            return casadi.Sparsity.dense(n, 1)
-
-        def get_sparsity_out(self, i):
-            return casadi.Sparsity.dense((1, m)[i], 1)
 
         def eval(self, given):
             f, _, c, _ = at(np.asarray(given[0]).ravel())
@@ -87,10 +76,11 @@ def minimize_by_ipopt(
             return True
 
         def get_jacobian(self, name, inputs, outputs, options):
-            self.slopes = Slopes(name, options)  # CasADi does not keep a reference
+            # CasADi does not keep a reference
+            self.slopes = Slopes(name, [*self.given, *self.returned], [(1, n), (m, n)], options)
             return self.slopes
 
-    values, x = Values(), casadi.MX.sym("u", n)
+    values, x = Values("values", [(n, 1)], [(1, 1), (m, 1)], {}), casadi.MX.sym("u", n)
     f, c = values(x)
     quiet = {"print_time": False, "error_on_fail": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
     options = {

@@ -21,17 +21,16 @@ from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.core.progress_lines import working
 from jaxbody.core.workers.batches import (
-    ChunkedBatch,
     batch_of,
     checked_chunks,
-    computed_here,
     gathered,
+    gathered_here,
     store_of,
     stored,
 )
 from jaxbody.core.workers.chunk_stores import STATUS, hash_of
-from jaxbody.core.workers.executors import Crew, crew_of
-from jaxbody.design.design_programs import Evaluate, evaluated
+from jaxbody.core.workers.executors import crew_of
+from jaxbody.design.design_programs import Evaluate, evaluated, variables_over
 from jaxbody.model.leaf_paths import replace
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision
@@ -155,6 +154,16 @@ def sweep(
             raise
         # of a range that begins at zero, samples may be valid although its end is not
         _check(model, _extremes(columns, rows, count))
+    points: Any = dict(
+        function=_quantities_of(evaluate, list(columns)),
+        tree=model,
+        rows=rows,
+        count=count,
+        width=chunk or LARGEST_CHUNK,
+        memory=MEMORY if chunk is None else None,
+        owner=evaluate,
+        place=("sweep", *columns),
+    )
     with working("sweep", progress) as line:
 
         def report(done: int, workers: int) -> None:
@@ -168,10 +177,16 @@ def sweep(
                 )
 
         if workers is None and out is None and jax.local_device_count() == 1:
-            quantities = _evaluated(model, evaluate, list(columns), rows, count, chunk, report)
+            quantities = gathered_here(report, **points)
         else:
             with crew_of(workers, "sweep.workers") as crew:
-                batch = _batch(model, evaluate, list(columns), rows, count, chunk, crew)
+                batch = batch_of(**points, where="sweep.evaluate", crew=crew)
+                if STATUS in batch.program.results:
+                    message = f"returns a quantity {STATUS!r}"
+                    hint = "Rename it: status says which models were computed."
+                    raise JaxbodyError(
+                        Problem("BAD_NAME", "sweep.evaluate", message, STATUS, "another name", hint)
+                    )
                 if out is not None:
                     import_extra("xarray", "sweep.out")
                     plan = {
@@ -281,75 +296,7 @@ def _extremes(columns: dict[str, Any], rows: PointsOf, count: int) -> dict[str, 
     }
 
 
-def _evaluated(
-    model: Model,
-    evaluate: Evaluate,
-    paths: list[str],
-    rows: PointsOf,
-    count: int,
-    chunk: int | None,
-    report: Callable[[int, int], None],
-) -> dict[str, np.ndarray]:
-    """The quantities at all points, computed chunk by chunk in this process."""
-    parts, done = [], 0
-    for part in computed_here(**_points(model, evaluate, paths, rows, count, chunk)):
-        parts.append(part)
-        done += len(next(iter(part.values())))
-        report(done, 1)
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def _batch(
-    model: Model,
-    evaluate: Evaluate,
-    paths: list[str],
-    rows: PointsOf,
-    count: int,
-    chunk: int | None,
-    crew: Crew,
-) -> ChunkedBatch:
-    """The sweep as a batch for workers."""
-    batch = batch_of(
-        **_points(model, evaluate, paths, rows, count, chunk), where="sweep.evaluate", crew=crew
-    )
-    if STATUS in batch.program.results:
-        hint = "Rename it: status says which models were computed."
-        raise JaxbodyError(
-            Problem(
-                "BAD_NAME",
-                "sweep.evaluate",
-                f"returns a quantity {STATUS!r}",
-                STATUS,
-                "another name",
-                hint,
-            )
-        )
-    return batch
-
-
-def _points(
-    model: Model,
-    evaluate: Evaluate,
-    paths: list[str],
-    rows: PointsOf,
-    count: int,
-    chunk: int | None,
-) -> dict[str, Any]:
-    """The batch of the points of a sweep."""
-    sizes = dict(
-        count=count, width=chunk or LARGEST_CHUNK, memory=MEMORY if chunk is None else None
-    )
-    return dict(
-        function=_function(evaluate, paths),
-        tree=model,
-        rows=rows,
-        owner=evaluate,
-        place=("sweep", *paths),
-        **sizes,
-    )
-
-
-def _function(evaluate: Evaluate, paths: list[str]) -> Callable[..., Any]:
+def _quantities_of(evaluate: Evaluate, paths: list[str]) -> Callable[..., Any]:
     """(model, values of the paths for several models) -> their quantities."""
 
     def quantities_of(model, *values):
@@ -369,14 +316,9 @@ def sweep_dataset(columns: dict[str, Any], quantities: dict[str, Any], *, on_gri
         if on_grid
         else (len(next(iter(columns.values()))),)
     )
-    variables = {}
-    for name, values in quantities.items():
-        own = values.shape[1:]
-        variables[name] = (
-            (*axes, *(f"{name}_{i}" for i in range(len(own)))),
-            values.reshape(*lengths, *own),
-            "",
-        )
+    variables = variables_over(
+        axes, {name: x.reshape(*lengths, *x.shape[1:]) for name, x in quantities.items()}
+    )
     coordinates = {}
     for path, values in columns.items():
         over = path if on_grid else "sample"

@@ -8,7 +8,7 @@ x + s xi, xi normal and independent:   first order    mean f,             varian
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import equinox as eqx
@@ -24,12 +24,10 @@ from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.core.workers.batches import (
-    Report,
     batch_of,
     checked_chunks,
-    computed_here,
     gathered,
-    store_of,
+    gathered_here,
 )
 from jaxbody.core.workers.chunk_stores import hash_of
 from jaxbody.core.workers.executors import crew_of
@@ -190,22 +188,42 @@ def tolerances(
     with working("tolerances", progress) as line:
         line(f"derivatives and {samples} samples")
         (*moments, shares), labels = jax.block_until_ready(_to_second_order(space, evaluate))
-        deviations = np.asarray(_deviations(samples, space.size, key))
-        report = lambda done, _: line(f"{done} of {samples} samples")  # noqa: E731
-        width = min(chunk or CHUNK, samples)
+        deviations = np.asarray(jax.random.normal(key, (samples, space.size)))
+        points: Any = dict(
+            function=_values_of(evaluate),
+            tree=space,
+            rows=lambda first, last: [deviations[first:last]],
+            count=samples,
+            width=chunk or CHUNK,
+            memory=np.inf if chunk is None else None,
+            owner=evaluate,
+            place="tolerances",
+        )
+
+        def report(done: int, workers: int) -> None:
+            line(f"{done} of {samples} samples")
+
         if workers is None and out is None:
-            drawn, status = (
-                _sampled(space, evaluate, deviations, width, report),
-                np.zeros(samples, int),
-            )
+            results, status = gathered_here(report, **points), np.zeros(samples, int)
         else:
-            drawn, status = _sampled_by_workers(
-                space, evaluate, deviations, width, chunk, workers, out, chunks, report
-            )
-    worst = status.max(initial=Status.OK.value)
-    code = (
-        worst if worst else Status.OK.value if np.isfinite(drawn).all() else Status.NONFINITE.value
-    )
+            with crew_of(workers, "tolerances.workers") as crew:
+                batch = batch_of(**points, where="tolerances.evaluate", crew=crew)
+                results, status = gathered(
+                    batch,
+                    crew,
+                    "tolerances",
+                    report,
+                    out,
+                    chunks,
+                    plan={"deviations": hash_of(deviations)},
+                    inputs=["deviations"],
+                    dimension="sample",
+                    any_size=chunk is None,
+                )
+    drawn = results["values"]
+    code = status.max(initial=Status.OK.value)
+    if not code and not np.isfinite(drawn).all():
+        code = Status.NONFINITE.value
     result = Tolerances(
         **dict(zip(("nominal", "first", "mean", "deviation"), moments, strict=True)),
         samples=device_array(drawn),
@@ -242,16 +260,12 @@ def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Eval
         flat = Flat(scattering(model, scatter, "robust.scatter"), evaluate)
         f, J, H = _expanded(flat)
         mean, deviation = _moments(f, J, H)
-        high, low = (
-            split(mean + sigmas * deviation, flat.shapes),
-            split(mean - sigmas * deviation, flat.shapes),
-        )
-        nominal = split(f, flat.shapes)
-        return (
-            nominal
-            | {f"{name} high": x for name, x in high.items()}
-            | {f"{name} low": x for name, x in low.items()}
-        )
+        parts = {"": f, " high": mean + sigmas * deviation, " low": mean - sigmas * deviation}
+        return {
+            name + end: x
+            for end, values in parts.items()
+            for name, x in split(values, flat.shapes).items()
+        }
 
     return with_scatter
 
@@ -334,60 +348,6 @@ def _to_second_order(space: Space, evaluate: Evaluate):
     return (f, jnp.sqrt(variance), *_moments(f, J, H), shares), tuple(labels_of(flat.shapes))
 
 
-@program_with(OPTIMIZED)
-def _deviations(samples: int, size: int, key: Any):
-    return jax.random.normal(key, (samples, size))
-
-
-def _samples(space: Space, evaluate: Evaluate, xi: np.ndarray) -> dict[str, Any]:
-    """The batch of the samples with these deviations: for each the values of its quantities."""
-
-    def values(space, xi):
-        return {"values": jax.vmap(Flat(space, evaluate))(xi)}
-
-    rows = lambda i, j: [xi[i:j]]  # noqa: E731
-    return dict(
-        function=values, tree=space, rows=rows, count=len(xi), owner=evaluate, place="tolerances"
-    )
-
-
-def _sampled(
-    space: Space, evaluate: Evaluate, xi: np.ndarray, width: int, report: Report
-) -> np.ndarray:
-    """The quantities of each sample, in batches of one width."""
-    done = []
-    for part in computed_here(**_samples(space, evaluate, xi), width=width):
-        done.append(part["values"])
-        report(sum(map(len, done)), 1)
-    return np.concatenate(done)
-
-
-def _sampled_by_workers(
-    space: Space,
-    evaluate: Evaluate,
-    xi: np.ndarray,
-    width: int,
-    chunk: int | None,
-    workers: Any,
-    out: Any,
-    chunks: Any,
-    report: Report,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The quantities of each sample and its status."""
-
-    with crew_of(workers, "tolerances.workers") as crew:
-        options: Any = dict(
-            width=width,
-            where="tolerances.evaluate",
-            crew=crew,
-            memory=np.inf if chunk is None else None,
-        )
-        batch = batch_of(**_samples(space, evaluate, xi), **options)
-        plan = {"deviations": hash_of(xi)}
-        store = (
-            None
-            if out is None
-            else store_of(batch, out, plan, ["deviations"], "sample", any_size=chunk is None)
-        )
-        results, status = gathered(batch, crew, "tolerances", report, store, chunks)
-    return results["values"], status
+def _values_of(evaluate: Evaluate) -> Callable[..., Any]:
+    """(space, deviations of several samples) -> the values of their quantities."""
+    return lambda space, xi: {"values": jax.vmap(Flat(space, evaluate))(xi)}

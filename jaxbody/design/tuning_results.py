@@ -158,7 +158,7 @@ class Tuning(Labeled, Result):
             "violation": runs.violation,
             "status": runs.status,
         }
-        variables = variables_over("start", {**runs.values, **runs.quantities, **all_starts})
+        variables = variables_over(("start",), {**runs.values, **runs.quantities, **all_starts})
         return dataset(
             variables,
             {"start": np.arange(len(runs.status))},

@@ -25,7 +25,7 @@ from jaxbody.core.arrays import Float, Int, device_array
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.core.workers.batches import batch_of, checked_chunks, gathered, store_of
+from jaxbody.core.workers.batches import batch_of, checked_chunks, gathered
 from jaxbody.core.workers.chunk_programs import ChunkProgram
 from jaxbody.core.workers.chunk_stores import hash_of
 from jaxbody.core.workers.executors import crew_of
@@ -208,25 +208,16 @@ def coverage(
     with working("coverage", progress) as line, crew_of(workers, "coverage.workers") as crew:
         line("compiling")
         batch = _batch(fit, crew, **how)
-        store = (
-            None
-            if out is None
-            else store_of(
-                batch,
-                out,
-                {"noise": hash_of(keys), "level": level},
-                ["key"],
-                "replicate",
-                any_size=False,
-            )
-        )
         results, status = gathered(
             batch,
             crew,
             "coverage",
             lambda done, _: line(f"{done} of {replicates} replicates"),
-            store,
+            out,
             chunks,
+            plan={"noise": hash_of(keys), "level": level},
+            inputs=["key"],
+            dimension="replicate",
         )
     return warn_if_failed(
         Coverage(

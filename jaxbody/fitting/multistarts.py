@@ -18,7 +18,7 @@ from jaxbody.core.arrays import Array, Float, Int, device_array
 from jaxbody.core.errors import Problems, Status, warn, warn_of
 from jaxbody.core.progress_lines import Line, working
 from jaxbody.core.results import Result
-from jaxbody.core.workers.batches import batch_of, checked_chunks, computed_here, gathered, store_of
+from jaxbody.core.workers.batches import batch_of, checked_chunks, computed_here, gathered
 from jaxbody.core.workers.chunk_stores import hash_of
 from jaxbody.core.workers.executors import crew_of
 from jaxbody.fitting.experiments.measurements import Measurement
@@ -220,20 +220,16 @@ def _searched_by_workers(
     """The ends of all searches; those that were not made have the status LOST or INTERRUPTED."""
     with crew_of(workers, "multistart.workers") as crew:
         batch = batch_of(**_search(task, points, max_steps), where="multistart", crew=crew)
-        store = (
-            None
-            if out is None
-            else store_of(
-                batch, out, {"starts from": hash_of(points)}, ["start"], "start", any_size=False
-            )
-        )
         results, status = gathered(
             batch,
             crew,
             "multistart",
             lambda done, _: line(f"starts {done} of {len(points)}"),
-            store,
+            out,
             chunks,
+            plan={"starts from": hash_of(points)},
+            inputs=["start"],
+            dimension="start",
         )
     return results["u"], np.where(status == Status.OK, results["end"], status), results["cost"]
 

@@ -24,16 +24,16 @@ from jaxbody.core.workers.chunk_programs import (
     Types,
     exported,
     filled,
+    kept,
     types_of,
 )
-from jaxbody.core.workers.chunk_stores import ChunkStore, hash_of
+from jaxbody.core.workers.chunk_stores import ChunkStore, hash_of, nothing
 from jaxbody.core.workers.dispatches import dispatched
 from jaxbody.core.workers.executors import Crew, check_workers
 
 BUSY = 2.0  # time for which a chunk should keep a worker busy [s]
 FEWEST = 16  # chunks in a batch, so that workers end at about the same time
 LARGEST = 2**26  # results of a chunk [bytes]
-KEPT = 16  # programs of one function that are kept
 TRIED = 4  # times the width that a worker computes to find out how long it takes
 
 Report = Callable[[int, int], None]  # rows that are done, workers
@@ -80,18 +80,13 @@ def arrays_apart(
     return apart, shared, (structure, tuple(jax.tree.leaves(rest)))
 
 
-def kept(owner: Any, place: Any, make: Callable[[], Any]) -> Any:
-    """What `make` returns, kept by the function that it is made of, as long as this lives, and a
-    place among what else it depends on."""
-    known = programs.setdefault(owner, {})
-    if place not in known:
-        while len(known) >= KEPT:
-            known.pop(next(iter(known)))
-        known[place] = make()
-    return known[place]
-
-
+# of each function that they are made of, as long as this lives
 programs: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
+
+
+def kept_by(owner: Any, key: Any, make: Callable[[], Any]) -> Any:
+    """What `make` returns, made once for a key that says what else it depends on."""
+    return kept(programs.setdefault(owner, {}), key, make)
 
 
 def computed_here(
@@ -124,7 +119,7 @@ def computed_here(
         return program, width
 
     shapes = tuple((x.shape, x.dtype) for x in [*shared, *one])
-    program, width = kept(
+    program, width = kept_by(
         owner,
         ("here", place, rest, shapes, width, memory, jax.config.read("jax_enable_x64")),
         fitting,
@@ -133,6 +128,16 @@ def computed_here(
         last = min(first + width, count)
         results = program(shared, [device_array(filled(x, 0, width)) for x in rows(first, last)])
         yield {name: np.asarray(x)[: last - first] for name, x in results.items()}
+
+
+def gathered_here(report: Report, **batch: Any) -> dict[str, np.ndarray]:
+    """All results by `computed_here`."""
+    parts, done = [], 0
+    for part in computed_here(**batch):
+        parts.append(part)
+        done += len(next(iter(part.values())))
+        report(done, 1)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def checked_chunks(
@@ -185,7 +190,7 @@ def batch_of(
     place: Any = (),
     memory: float | None = None,
 ) -> ChunkedBatch:
-    """A batch by function(tree, *rows); its program and the size of its chunks are `kept` for
+    """A batch by function(tree, *rows); its program and the size of its chunks are kept for
     other numbers.
 
     Args:
@@ -196,7 +201,7 @@ def batch_of(
         width: number of rows that are computed at a time.
         where: the place in the call, for messages.
         crew: the workers.
-        owner, place: as in `kept`: what `function` is made of.
+        owner, place: the function that `function` is made of, and what else it depends on.
         memory: temporary memory that these may take [bytes], or fewer are computed at a time; a
             chunk is then so long that it keeps a worker busy for BUSY, as a worker finds out. By
             default a chunk has `width` rows.
@@ -213,7 +218,9 @@ def batch_of(
 
     shapes = tuple((x.shape, x.dtype) for x in [*shared, *rows(0, 1)])
     place = "batch", place, rest, shapes, count, width, memory, jax.config.read("jax_enable_x64")
-    made = kept(owner, place, lambda: _without_rows(_sized(of_width, width, crew, memory, where)))
+    made = kept_by(
+        owner, place, lambda: _without_rows(_sized(of_width, width, crew, memory, where))
+    )
     return dataclasses.replace(made, shared=shared, rows=rows)
 
 
@@ -295,8 +302,7 @@ def store_of(
     plan: dict[str, Any],
     inputs: Sequence[str],
     dimension: str,
-    *,
-    any_size: bool,
+    any_size: bool = False,
 ) -> ChunkStore:
     """The store of a batch, which keeps its rows, too.
 
@@ -334,18 +340,21 @@ def gathered(
     crew: Crew,
     where: str,
     report: Report,
-    store: ChunkStore | None = None,
+    out: Any = None,
     chunks: Iterable[int] | None = None,
+    **of_store: Any,
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """All results in memory, NaN where there are none, and the status of each row, by way of a
-    store if there is one.
+    store at the path `out` if there is one, made with the other arguments of `store_of`.
 
     Ctrl-C returns what is done. Warns INTERRUPTED, LOST."""
-    if store is not None:
+    if out is not None:
+        store = store_of(batch, out, **of_store)
         stored(batch, store, chunks, crew, where, report)
         return store.read(batch.results)
     results = {
-        name: empty((batch.count, *shape), dtype) for name, (shape, dtype) in batch.results.items()
+        name: np.full((batch.count, *shape), nothing(dtype), dtype)
+        for name, (shape, dtype) in batch.results.items()
     }
     status = np.full(batch.count, Status.INTERRUPTED.value)
     try:
@@ -361,11 +370,6 @@ def gathered(
             "rows were not computed",
         )
     return results, status
-
-
-def empty(shape: tuple[int, ...], dtype: str) -> np.ndarray:
-    """An array of NaN, or of zeros if it is one of whole numbers."""
-    return np.full(shape, np.nan if np.dtype(dtype).kind == "f" else 0, dtype)
 
 
 def stored(

@@ -18,7 +18,8 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
-from importlib import metadata, resources
+from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -30,7 +31,7 @@ from jax.sharding import AxisType, PartitionSpec
 from jaxbody.core.compilation.compile_options import OPTION, fast_loops, quick_options
 from jaxbody.core.errors import JaxbodyError, Problem
 
-KEPT = 16  # programs that a worker keeps
+KEPT = 16  # programs that a worker keeps, and a caller of one function
 WORD = r'(?:"(?:[^"\\]|\\.)*"|[^()"])*'
 CUSTOM_CALL = re.compile(r"stablehlo\.custom_call @(\w+)")
 # lines of the source, in the text of a program
@@ -70,23 +71,14 @@ class ChunkProgram:
                 parts.append(
                     {name: np.asarray(y) for name, y in loaded.call(shared, given).items()}
                 )
-        results = {
-            name: np.concatenate([part[name] for part in parts])[:count] for name in parts[0]
-        }
-        if types_of(results, 1) != self.results:
-            raise other_worker(f"returns {types_of(results, 1)}", self.results)
-        return results
+        return {name: np.concatenate([part[name] for part in parts])[:count] for name in parts[0]}
 
     def loaded(self) -> LoadedProgram:
         """The program compiled, kept in this process by its name. Error: OTHER_WORKER if this
         process would not compute the same numbers as the caller."""
         with one_at_a_time, precision(self.x64):
             self._check()
-            if self.name not in _loaded:
-                while len(_loaded) >= KEPT:
-                    _loaded.pop(next(iter(_loaded)))
-                _loaded[self.name] = _compiled(self)
-            return _loaded[self.name]
+            return kept(_loaded, self.name, lambda: _compiled(self))
 
     def _check(self) -> None:
         if self.fast and not _fast():
@@ -178,17 +170,9 @@ def types_of(arrays: dict[str, Any], axes: int = 0) -> Types:
 def hash_of_source() -> str:
     """A hash of all files of jaxbody."""
     source = hashlib.sha256()
-    for file in sorted(_sources(resources.files("jaxbody")), key=str):
+    for file in sorted(Path(__file__).parents[2].rglob("*.py")):
         source.update(file.read_bytes())
     return source.hexdigest()
-
-
-def _sources(folder: Any) -> list[Any]:
-    return [
-        file
-        for x in folder.iterdir()
-        for file in (_sources(x) if x.is_dir() else [x] if x.name.endswith(".py") else [])
-    ]
 
 
 @functools.cache
@@ -239,6 +223,15 @@ def other_worker(message: str, wanted: Any) -> JaxbodyError:
 
 
 _loaded: dict[str, LoadedProgram] = {}
+
+
+def kept(known: dict[Any, Any], key: Any, make: Callable[[], Any]) -> Any:
+    """What `make` returns, made once for each of the last KEPT keys."""
+    if key not in known:
+        while len(known) >= KEPT:
+            known.pop(next(iter(known)))
+        known[key] = make()
+    return known[key]
 
 
 def _compiled(program: ChunkProgram) -> LoadedProgram:

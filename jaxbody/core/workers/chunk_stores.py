@@ -45,6 +45,11 @@ def hash_of(*things: Any) -> str:
     return made.hexdigest()[:16]
 
 
+def nothing(dtype: str) -> float:
+    """What stands for a result that is missing."""
+    return np.nan if np.dtype(dtype).kind == "f" else 0
+
+
 class ChunkStore:
     """A store on disk.
 
@@ -108,13 +113,7 @@ class ChunkStore:
         def make():
             root = self.zarr.open_group(new, mode="w-", attributes={PLAN: plan})
             for name, (shape, dtype) in {**arrays, STATUS: ((), "int8")}.items():
-                fill = (
-                    Status.INTERRUPTED.value
-                    if name == STATUS
-                    else np.nan
-                    if np.dtype(dtype).kind == "f"
-                    else 0
-                )
+                fill = Status.INTERRUPTED.value if name == STATUS else nothing(dtype)
                 names = [self.dimension, *(f"{name}_{i}" for i in range(len(shape)))]
                 whole, chunk = (self.count, *shape), (size, *(max(n, 1) for n in shape))
                 root.create_array(
@@ -126,15 +125,14 @@ class ChunkStore:
                     dimension_names=names,
                 )
 
-        try:
-            self._written(make)
             try:
                 new.rename(self.path)
             except OSError:
                 if not self.path.exists():
                     raise
-        except OSError as error:
-            raise self._not_saved(error) from None
+
+        try:
+            self._written(make)
         finally:
             shutil.rmtree(new, ignore_errors=True)
 

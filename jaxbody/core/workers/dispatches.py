@@ -136,8 +136,6 @@ def dispatched(
 def _answer(future: futures.Future[Any]) -> Any:
     try:
         return future.result()
-    except futures.CancelledError as error:
-        return error
     except Exception as error:
         return error
 

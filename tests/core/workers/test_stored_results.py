@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from workers.test_executors import spring_record
+from core.workers.test_executors import spring_record
 
 import jaxbody as jb
 from jaxbody.core.workers import batches, chunk_programs
