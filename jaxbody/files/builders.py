@@ -270,14 +270,19 @@ class Builder:
         x, unit = record[value[name]], record.units[value[name]]
         si, quaternion = units.si_words(dimension), dimension == units.ANGLE and x.shape[1:] == (4,)
         if unit not in (("", "1") if quaternion else (si,)):
-            message = f"is the channel '{value[name]}', which is in {unit}"
             raise JaxbodyError(
-                Problem("WRONG_DIMENSION", f".{name}", message, unit, si, "Name another channel.")
+                Problem(
+                    "WRONG_DIMENSION",
+                    f".{name}",
+                    f"is the channel '{value[name]}', which is in {unit}",
+                    unit,
+                    si,
+                    "Name another channel.",
+                )
             )
         if "axis" in value and x.ndim == 1:
             return x[:, None] * _direction(value)
         if x.ndim == 1:
-            hint = 'Name the direction of its one column: axis = "z".'
             raise JaxbodyError(
                 Problem(
                     "BAD_SHAPE",
@@ -285,7 +290,7 @@ class Builder:
                     f"is the channel '{value[name]}' of one column",
                     x.shape,
                     "three",
-                    hint,
+                    'Name the direction of its one column: axis = "z".',
                 )
             )
         return x
@@ -294,13 +299,12 @@ class Builder:
         """The measured curve in a file beside the document."""
         name = values.get("file")
         if name is None or {"x", "forces"} & set(values):
-            hint = 'Give x = [...] and forces = [...], or file = "curve.csv".'
             self.problems.add(
                 "MISSING_ENTRY",
                 self.document.where(path),
                 "needs either points or a file",
                 limit="one of them",
-                hint=hint,
+                hint='Give x = [...] and forces = [...], or file = "curve.csv".',
             )
             return None
         file = self.beside(name, (*path, "file"))
@@ -353,11 +357,15 @@ class Builder:
             and issubclass(kind, eqx.Module)
         ):
             return kind
-        message = (
-            f"names '{name}', which is no element, joint, closure, law, load, motion, sensor or "
-            "equinox.Module of energies"
+        self.problems.add(
+            "UNKNOWN_NAME",
+            self.document.where((*path, "type")),
+            (
+                f"names '{name}', which is no element, joint, closure, law, load, motion, sensor "
+                "or equinox.Module of energies"
+            ),
+            value=name,
         )
-        self.problems.add("UNKNOWN_NAME", self.document.where((*path, "type")), message, value=name)
         return None
 
     def own_object(self, name: str, path: EntryPath) -> Any:
@@ -365,14 +373,13 @@ class Builder:
         module, _, attribute = name.partition(":")
         where = self.document.where((*path, "type"))
         if module not in self.allow:
-            hint = f"If you trust it, give allow=['{module}']."
             self.problems.add(
                 "NOT_ALLOWED",
                 where,
                 f"names the module '{module}'",
                 value=name,
                 limit=str(list(self.allow)),
-                hint=hint,
+                hint=f"If you trust it, give allow=['{module}'].",
             )
             return None
         try:

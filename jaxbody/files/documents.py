@@ -82,7 +82,6 @@ def read_document(path: Path, largest: float = LARGEST) -> Document:
     check_file(path, largest, MEMORY, "--largest")
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("toml", "json"):
-        hint = "A model file is TOML or JSON."
         raise JaxbodyError(
             Problem(
                 "UNKNOWN_FORMAT",
@@ -90,7 +89,7 @@ def read_document(path: Path, largest: float = LARGEST) -> Document:
                 f"has the extension '{path.suffix}'",
                 path.suffix,
                 ".toml .json",
-                hint,
+                "A model file is TOML or JSON.",
             )
         )
     return parse_document(decoded(path.read_bytes(), path.name, "utf-8"), path.name, kind)
@@ -207,11 +206,10 @@ class Scan:
     def note(self, path: EntryPath, line: int, twice: bool) -> None:
         if twice and path:
             first, hint = self.document.lines[path], "Rename one, or delete it."
-            message = f"is stated twice, first in line {first}"
             self.problems.add(
                 "DUPLICATE_NAME",
                 f"{self.document.name}:{line} {shown(path)}",
-                message,
+                f"is stated twice, first in line {first}",
                 value=path[-1],
                 hint=hint,
             )

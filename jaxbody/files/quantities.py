@@ -204,14 +204,13 @@ def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
         return value
     if expected.system is None:
         si = units.si_words(dimension)
-        hint = f'Write "{value:g} {si}", or units = "SI" at the top of the file.'
         expected.problems.add(
             "NO_UNIT",
             expected.where,
             f"is {value:g} without a unit",
             value=value,
             limit=f"a unit such as {si}",
-            hint=hint,
+            hint=f'Write "{value:g} {si}", or units = "SI" at the top of the file.',
         )
         return 0.0
     meant = times(value, expected.system.factor(unit))
@@ -225,9 +224,13 @@ def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
             if dimension == units.ACCELERATION
             else f', or add {of} = "{"kg" if of == "mass" else "N"}" to the units of the file'
         )
-        hint = f'Write "{value:g} {si}"{also}.'
         expected.problems.add(
-            "NO_UNIT", expected.where, message, value=value, limit=f"a unit such as {si}", hint=hint
+            "NO_UNIT",
+            expected.where,
+            message,
+            value=value,
+            limit=f"a unit such as {si}",
+            hint=f'Write "{value:g} {si}"{also}.',
         )
         return 0.0
     _warn_of_degrees([value], dimension, expected.system.angle, expected.where)
@@ -266,9 +269,12 @@ def times(value: float, factor: float) -> float:
 def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...]) -> Any:
     match = NUMBERS.match(text.strip()) if len(text) <= LONGEST else None
     if match is None:
-        limit = 'a number with its unit, such as "21 N/mm"'
         expected.problems.add(
-            "NOT_A_NUMBER", expected.where, f"is {text!r:.60}", value=text, limit=limit
+            "NOT_A_NUMBER",
+            expected.where,
+            f"is {text!r:.60}",
+            value=text,
+            limit='a number with its unit, such as "21 N/mm"',
         )
         return 0.0
     numbers = [float(number) for number in re.findall(NUMBER, match.group())]

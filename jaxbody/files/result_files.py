@@ -58,19 +58,26 @@ def write_results(results: Any, path: Any, *, allow: Sequence[str] = ()) -> None
             )
         )
     if not is_concrete(results):
-        hint = "Write what the compiled or batched function returns."
         raise JaxbodyError(
             Problem(
-                "TRACED", "write_results", "cannot be called inside jit, vmap or grad", hint=hint
+                "TRACED",
+                "write_results",
+                "cannot be called inside jit, vmap or grad",
+                hint="Write what the compiled or batched function returns.",
             )
         )
     arrays: list[Any] = []
     try:
         text = text_of(results, arrays, allow)
     except Unnamed as error:
-        hint = "Name its module in allow=[...]; a function has no text: write a class with fields."
         raise JaxbodyError(
-            Problem("OWN_CODE", "write_results", f"holds {error} of your own Python", hint=hint)
+            Problem(
+                "OWN_CODE",
+                "write_results",
+                f"holds {error} of your own Python",
+                hint="Name its module in allow=[...]; a function has no text: "
+                "write a class with fields.",
+            )
         ) from None
     about = {
         "format": FORMAT,
@@ -130,13 +137,17 @@ def read_results(path: Any, *, allow: Sequence[str] = (), largest: float = 1e9) 
     except JaxbodyError:
         raise
     except Exception as error:  # of zipfile, zlib, json, numpy and tokenize, which they do not name
-        hint = "Was it copied whole? Write it again with write_results."
-        message = f"is no archive of results: {str(error).partition(chr(10))[0]:.100}"
-        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, hint=hint)) from None
+        raise JaxbodyError(
+            Problem(
+                "WRONG_FORMAT",
+                path.name,
+                f"is no archive of results: {str(error).partition(chr(10))[0]:.100}",
+                hint="Was it copied whole? Write it again with write_results.",
+            )
+        ) from None
     if not jax.config.read("jax_enable_x64") and any(
         array.dtype in (np.float64, np.complex128) for array in arrays
     ):
-        hint = 'jax.config.update("jax_enable_x64", True) before anything else.'
         raise JaxbodyError(
             Problem(
                 "FLOAT32",
@@ -144,7 +155,7 @@ def read_results(path: Any, *, allow: Sequence[str] = (), largest: float = 1e9) 
                 "holds numbers in double precision",
                 "float64",
                 "float32 as JAX is set",
-                hint,
+                'jax.config.update("jax_enable_x64", True) before anything else.',
             )
         )
     try:
@@ -162,12 +173,18 @@ def read_results(path: Any, *, allow: Sequence[str] = (), largest: float = 1e9) 
 def _check_version(contents: Any, name: str) -> None:
     stated = contents.get("format") if isinstance(contents, dict) else None
     if stated != FORMAT or "results" not in contents:
-        hint = (
-            f"This jaxbody, {version('jaxbody')}, reads format {FORMAT}: install "
-            "the one that wrote it."
-        )
         raise JaxbodyError(
-            Problem("FILE_VERSION", name, f"is of format {stated!r:.20}", stated, str(FORMAT), hint)
+            Problem(
+                "FILE_VERSION",
+                name,
+                f"is of format {stated!r:.20}",
+                stated,
+                str(FORMAT),
+                (
+                    f"This jaxbody, {version('jaxbody')}, reads format {FORMAT}: install "
+                    "the one that wrote it."
+                ),
+            )
         )
 
 

@@ -177,12 +177,12 @@ class Check:
         for name in node.get("required", []):
             if name not in value:
                 text = resolved(known[name]).get("description", "")
-                message, hint = (
-                    f"has no '{name}'",
-                    f"Give {name} = ...{': ' + text if text else ''}",
-                )
                 self.problems.add(
-                    "MISSING_ENTRY", self.document.where(path), message, value=name, hint=hint
+                    "MISSING_ENTRY",
+                    self.document.where(path),
+                    f"has no '{name}'",
+                    value=name,
+                    hint=f"Give {name} = ...{': ' + text if text else ''}",
                 )
         values = {}
         for name, entry in value.items():
@@ -238,14 +238,13 @@ class Check:
             if isinstance(name, str) and ":" in name:
                 return None
             if name is None:
-                hint = f"Known: {', '.join(types)}."
                 self.problems.add(
                     "MISSING_ENTRY",
                     self.document.where(path),
                     "has no 'type'",
                     value=value,
                     limit="type",
-                    hint=hint,
+                    hint=f"Known: {', '.join(types)}.",
                 )
             elif str(name) not in types:
                 self.problems.collected.append(
@@ -260,9 +259,12 @@ class Check:
         return fitting[0]
 
     def wrong_kind(self, value: Any, node: dict[str, Any], path: EntryPath) -> None:
-        limit = " or ".join(dict.fromkeys(CALLED[kind] for kind in _types(node)))
         self.problems.add(
-            "WRONG_KIND", self.document.where(path), f"is {value!r:.60}", value=value, limit=limit
+            "WRONG_KIND",
+            self.document.where(path),
+            f"is {value!r:.60}",
+            value=value,
+            limit=" or ".join(dict.fromkeys(CALLED[kind] for kind in _types(node))),
         )
 
 

@@ -112,21 +112,23 @@ class Writer:
             or "<locals>" in kind.__qualname__
         ):
             what = "function" if kind is jax.tree_util.Partial else kind.__name__
-            hint = (
-                f"{NOT_IN_FILES} Write a class in a module of yours, and name the "
-                "module in allow=[...]."
-            )
             self.problems.add(
-                "OWN_CODE", where, f"is a {what} of your own Python", value=thing, hint=hint
+                "OWN_CODE",
+                where,
+                f"is a {what} of your own Python",
+                value=thing,
+                hint=(
+                    f"{NOT_IN_FILES} Write a class in a module of yours, and name the "
+                    "module in allow=[...]."
+                ),
             )
         elif kind.__module__ not in self.allow:
-            hint = f"Give allow=['{kind.__module__}'] here and to read_model."
             self.problems.add(
                 "NOT_ALLOWED",
                 where,
                 f"is a {kind.__name__} from {kind.__module__}",
                 value=thing,
-                hint=hint,
+                hint=f"Give allow=['{kind.__module__}'] here and to read_model.",
             )
         return f"{kind.__module__}:{kind.__qualname__}"
 

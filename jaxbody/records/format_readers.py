@@ -164,7 +164,6 @@ def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> C
         chosen = pick([*names, *elsewhere], None, others)
         for name in elsewhere:
             if name in chosen.values():
-                hint = "Read that file, or copy all data into one with h5repack."
                 raise JaxbodyError(
                     Problem(
                         "EXTERNAL_DATA",
@@ -172,7 +171,7 @@ def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> C
                         f"has '{name}' in another file",
                         name,
                         "data in the file itself",
-                        hint,
+                        "Read that file, or copy all data into one with h5repack.",
                     )
                 )
         sizes = [
@@ -228,15 +227,14 @@ def _check_chunks(where: str, data: Any, largest: float) -> None:
             if filters[i] == DEFLATE:
                 packed = zlib.decompressobj().decompress(packed, int(stated) + 1)
                 if len(packed) > stated:
-                    message = (
-                        f"has a chunk of '{data.name}' that inflates to more than the "
-                        f"{stated:.4g} bytes stated for it"
-                    )
                     raise JaxbodyError(
                         Problem(
                             "TOO_LARGE",
                             where,
-                            message,
+                            (
+                                f"has a chunk of '{data.name}' that inflates to more than the "
+                                f"{stated:.4g} bytes stated for it"
+                            ),
                             at,
                             f"{stated:.4g} bytes",
                             "It is damaged, or meant to exhaust the memory.",
@@ -330,12 +328,11 @@ def _peer(path: Path, pick: Pick, largest: float) -> Contents:
         r"^\s*\d+\s+([\d.E+-]+)\s+NPTS", lines[3].upper() if len(lines) > 3 else ""
     )
     if unit is None or number is None or step is None:
-        message = "lacks its heading: 'UNITS OF G' in line 3, 'NPTS= 4000, DT= .005 SEC' in line 4"
         raise JaxbodyError(
             Problem(
                 "WRONG_FORMAT",
                 path.name,
-                message,
+                "lacks its heading: 'UNITS OF G' in line 3, 'NPTS= 4000, DT= .005 SEC' in line 4",
                 heading[:60],
                 hint='If it is another table, give format="text".',
             )

@@ -23,11 +23,16 @@ def read_lvm(data: bytes, name: str, encoding: str, pick: Pick) -> Contents:
     lines = list(enumerate(decoded(data, name, encoding).splitlines(), 1))
     ends = [k for k, (_, line) in enumerate(lines) if line.startswith(END)]
     if len(ends) not in (1, 2):
-        message, hint = (
-            f"has {max(len(ends) - 1, 0)} segments, each with its headings",
-            "Write one segment a file, or cut it into files.",
+        raise JaxbodyError(
+            Problem(
+                "WRONG_FORMAT",
+                name,
+                f"has {max(len(ends) - 1, 0)} segments, each with its headings",
+                len(ends),
+                "one",
+                "Write one segment a file, or cut it into files.",
+            )
         )
-        raise JaxbodyError(Problem("WRONG_FORMAT", name, message, len(ends), "one", hint))
     separator = "," if any(line.startswith("Separator,") for _, line in lines[: ends[0]]) else "\t"
     rows = [(i, line.split(separator)) for i, line in lines]
     head = {cells[0].strip(): [cell.strip() for cell in cells[1:]] for _, cells in rows[: ends[-1]]}

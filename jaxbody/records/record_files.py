@@ -71,12 +71,15 @@ def read_record(
     name = str(getattr(path, "name", path))[-100:]
     with Problems() as problems:
         if not isinstance(channels, dict):
-            message, hint = (
-                f"is {channels!r:.60}",
-                'Write {"acc": ("ax", "m/s2")}: your own name, then column and unit.',
-            )
             raise JaxbodyError(
-                Problem("WRONG_KIND", "channels", message, channels, "a dict {name: column}", hint)
+                Problem(
+                    "WRONG_KIND",
+                    "channels",
+                    f"is {channels!r:.60}",
+                    channels,
+                    "a dict {name: column}",
+                    'Write {"acc": ("ax", "m/s2")}: your own name, then column and unit.',
+                )
             )
         wanted = {
             key: _wanted(spec, f"channels['{key}']", problems) for key, spec in channels.items()
@@ -139,11 +142,10 @@ def read_record(
         if len({len(part) for part in parts}) > 1 or (
             len(parts) > 1 and any(part.ndim > 1 for part in parts)
         ):
-            message = f"joins columns of shapes {[part.shape for part in parts]}"
             problems.add(
                 "BAD_SHAPE",
                 f"{name}['{key}']",
-                message,
+                f"joins columns of shapes {[part.shape for part in parts]}",
                 limit="columns of one length",
                 hint="Read them as separate channels.",
             )
@@ -188,12 +190,11 @@ def _part(column: Column, asked: Asked) -> np.ndarray:
     if index is None or column.values.ndim == 1:
         return column.values
     if int(index[1]) >= column.values.shape[1]:
-        message = f"has {column.values.shape[1]} columns"
         raise JaxbodyError(
             Problem(
                 "UNKNOWN_CHANNEL",
                 str(asked),
-                message,
+                f"has {column.values.shape[1]} columns",
                 asked,
                 f"[0] to [{column.values.shape[1] - 1}]",
                 "Columns count from 0.",
@@ -270,13 +271,12 @@ def _clock(
                     f"'{k}' {len(t)} samples from {min(t, default=0):.9g} s on"
                     for k, t in ((first, times), (key, other))
                 ]
-                hint = "Read them as separate records, with one experiment for each."
                 problems.add(
                     "DIFFERENT_TIMES",
                     name,
                     f"has of {' and of '.join(parts)}",
                     limit="the same times",
-                    hint=hint,
+                    hint="Read them as separate records, with one experiment for each.",
                 )
         return times, "s"
     if rate is None:

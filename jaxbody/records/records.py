@@ -221,14 +221,13 @@ def _channels(
 ) -> dict[str, tuple[np.ndarray, units.Unit]]:
     given = {}
     if not isinstance(channels, dict) or not channels:
-        hint = 'Give channels={"acc": (values, "m/s2")}.'
         problems.add(
             "NO_DATA",
             f"{name}.channels",
             "is empty or not a dict",
             value=channels,
             limit="at least one channel",
-            hint=hint,
+            hint='Give channels={"acc": (values, "m/s2")}.',
         )
         return given
     for key, pair in channels.items():

@@ -53,8 +53,14 @@ def at_rate(
                 ),
                 "half a step",
             )
-        hint = "Leave out rate= to use the times, or leave out the times to use the rate."
-        problems.add("RATE_MISMATCH", where, message, value=own, limit=limit, hint=hint)
+        problems.add(
+            "RATE_MISMATCH",
+            where,
+            message,
+            value=own,
+            limit=limit,
+            hint="Leave out rate= to use the times, or leave out the times to use the rate.",
+        )
         return t
     even = t[0] + steps / rate
     if (moved := np.abs(even - t).max()) > EQUAL / rate:

@@ -71,7 +71,6 @@ def kind_of(path: Path, format: str | None, largest: float) -> str:
         (kind for kind, known in SUFFIXES.items() if suffix in known.split()), None
     )
     if kind is None:
-        hint = f'If you know the format, give format="text", or another of {" ".join(SUFFIXES)}.'
         raise JaxbodyError(
             Problem(
                 "UNKNOWN_FORMAT",
@@ -79,7 +78,7 @@ def kind_of(path: Path, format: str | None, largest: float) -> str:
                 f"has the extension '{suffix}'",
                 suffix,
                 " ".join(SUFFIXES.values()),
-                hint,
+                f'If you know the format, give format="text", or another of {" ".join(SUFFIXES)}.',
             )
         )
     content = next((word for magic, word in MAGIC.items() if start.startswith(magic)), None)
@@ -90,12 +89,11 @@ def kind_of(path: Path, format: str | None, largest: float) -> str:
         "mat": {"mat", "hdf5", None},
     }.get(kind, {kind})
     if content not in expected:
-        message = f"is read as {kind}, but begins like {content or 'something else'}"
         raise JaxbodyError(
             Problem(
                 "WRONG_FORMAT",
                 path.name,
-                message,
+                f"is read as {kind}, but begins like {content or 'something else'}",
                 start,
                 hint='Check the extension, or give format="...".',
             )
@@ -123,10 +121,14 @@ def find_name(
     if isinstance(asked, int):
         if 0 <= asked < len(names):
             return names[asked]
-        message = f"has no channel of number {asked}: it has {len(names)}, counted from 0"
         raise JaxbodyError(
             Problem(
-                "UNKNOWN_CHANNEL", where, message, asked, f"0 to {len(names) - 1}", _shown(names)
+                "UNKNOWN_CHANNEL",
+                where,
+                f"has no channel of number {asked}: it has {len(names)}, counted from 0",
+                asked,
+                f"0 to {len(names) - 1}",
+                _shown(names),
             )
         )
     names = [*names, *(aliases or ())]
@@ -176,11 +178,16 @@ def along(x: Any, unit: str | None, si: str, where: str) -> np.ndarray:
             if si == "s"
             else ("frequency", "NOT_A_RESPONSE", "response")
         )
-        message, hint = (
-            f"is over '{unit}', not over {of}",
-            f"Read another channel, or export it as a {other} over {of}.",
+        raise JaxbodyError(
+            Problem(
+                code,
+                where,
+                f"is over '{unit}', not over {of}",
+                unit,
+                f"{' '.join(usual)} ...",
+                f"Read another channel, or export it as a {other} over {of}.",
+            )
         )
-        raise JaxbodyError(Problem(code, where, message, unit, f"{' '.join(usual)} ...", hint))
     return np.asarray(x, float) * (read.factor * dimensions[read.dimension])
 
 
@@ -259,12 +266,11 @@ def numeric(values: Any, name: str, where: str) -> np.ndarray:
     """Float64 numbers (n,) or (n, k). Error: NOT_A_NUMBER."""
     array = np.asarray(values)
     if array.dtype.kind not in "biuf" or array.ndim not in (1, 2):
-        message = f"'{name}' holds {array.dtype} of shape {array.shape}"
         raise JaxbodyError(
             Problem(
                 "NOT_A_NUMBER",
                 where,
-                message,
+                f"'{name}' holds {array.dtype} of shape {array.shape}",
                 array.dtype,
                 "numbers, (n,) or (n, k)",
                 "Read another channel.",

@@ -93,17 +93,13 @@ def read_text(
     values = numbers_of(rows, name, separator, decimal, complete=text.endswith(("\n", "\r")))
     if first and not _fits_head(lines[first - 1][1], separator, values.shape[1]):
         (i, head), width = lines[first - 1], values.shape[1]
-        message, limit = (
-            f"names {len(_cells(head, separator))} columns: {head!r:.50}",
-            f"{width}, as line {lines[first][0]} has",
-        )
         raise JaxbodyError(
             Problem(
                 "RAGGED_LINE",
                 f"{name}:{i}",
-                message,
+                f"names {len(_cells(head, separator))} columns: {head!r:.50}",
                 head,
-                limit,
+                f"{width}, as line {lines[first][0]} has",
                 _ragged_hint(width, len(_cells(head, separator)), separator),
             )
         )
@@ -270,16 +266,12 @@ def numbers_of(
                     if last
                     else _ragged_hint(len(row), width, separator)
                 )
-                message, limit = (
-                    f"has {len(row)} cells: {line!r:.50}",
-                    f"{width}, as line {rows[0][0]} has",
-                )
                 problems.add(
                     "TRUNCATED" if last else "RAGGED_LINE",
                     where,
-                    message,
+                    f"has {len(row)} cells: {line!r:.50}",
                     value=len(row),
-                    limit=limit,
+                    limit=f"{width}, as line {rows[0][0]} has",
                     hint=hint,
                 )
             elif comma is not None:
@@ -320,8 +312,14 @@ def numbers_of(
                     or _dated(wrong)
                     or f"{hint} it means a missing sample, leave the cell empty or write nan."
                 )
-                message = f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}"
-                problems.add("BAD_LINE", where, message, value=wrong[0], limit="numbers", hint=hint)
+                problems.add(
+                    "BAD_LINE",
+                    where,
+                    f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}",
+                    value=wrong[0],
+                    limit="numbers",
+                    hint=hint,
+                )
             if len(problems.collected) >= MOST_PROBLEMS:
                 break
     values = np.array([[_number(_pointed(cell, decimal)) for cell in row] for row in cells])

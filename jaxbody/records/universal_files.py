@@ -114,10 +114,6 @@ def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
     for asked, name in pick(names, list(places)).items():
         s = sets[names.index(name) if name in names else places[name]]
         if int(s["func_type"]) not in (0, 1) or np.iscomplexobj(s["data"]):
-            hint = (
-                "Export time responses; jb.read_responses reads frequency responses, and "
-                "jb.PSD.from_record makes densities of records."
-            )
             raise JaxbodyError(
                 Problem(
                     "NOT_A_RECORD",
@@ -125,7 +121,10 @@ def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
                     f"'{name}' {_is(s)}, not a function of time",
                     name,
                     "types 0 and 1",
-                    hint,
+                    (
+                        "Export time responses; jb.read_responses reads frequency responses, and "
+                        "jb.PSD.from_record makes densities of records."
+                    ),
                 )
             )
         times, values = _axes(s, name, path, "s")
@@ -157,27 +156,31 @@ def read_uff_responses(path: Any, wanted: list[str], largest: float) -> dict[str
         responses = {}
         for asked in wanted:
             if asked in others and asked not in names:
-                hint = (
-                    "Export frequency responses, H1 or H2 (function type 4); jb.PSD takes a power "
-                    "spectral density as numbers."
-                )
-                message = f"'{asked}' {_is(others[asked])}, not a frequency response"
                 raise JaxbodyError(
-                    Problem("NOT_A_RESPONSE", path.name, message, asked, "type 4", hint)
+                    Problem(
+                        "NOT_A_RESPONSE",
+                        path.name,
+                        f"'{asked}' {_is(others[asked])}, not a frequency response",
+                        asked,
+                        "type 4",
+                        (
+                            "Export frequency responses, H1 or H2 (function type 4); jb.PSD takes "
+                            "a power spectral density as numbers."
+                        ),
+                    )
                 )
             name = find_name(asked, names, path.name)
             s = sets[names.index(name)]
             x, y = _axes(s, name, path, "Hz")
             if not (np.isfinite(x).all() and np.isfinite(y).all() and len(x) == len(y) > 0):
-                message = (
-                    f"'{asked}' has {len(y)} values at {len(x)} frequencies, or "
-                    "values that are not finite"
-                )
                 raise JaxbodyError(
                     Problem(
                         "NOT_A_RESPONSE",
                         path.name,
-                        message,
+                        (
+                            f"'{asked}' has {len(y)} values at {len(x)} frequencies, or "
+                            "values that are not finite"
+                        ),
                         len(y),
                         "one finite value each",
                         "Export it again.",

@@ -87,13 +87,12 @@ class View(Printed):
         path = Path(path)
         with Problems() as problems:
             if path.suffix not in FORMATS:
-                limit = " ".join(FORMATS)
                 problems.add(
                     "UNKNOWN_FORMAT",
                     path.name,
                     f"has the extension '{path.suffix}'",
                     value=path.suffix,
-                    limit=limit,
+                    limit=" ".join(FORMATS),
                 )
             width = (
                 width
@@ -351,16 +350,15 @@ def _named(what: Any, problems: Problems) -> dict[str, Any]:
         )
     for name, thing in given.items():
         if not isinstance(thing, VIEWED) or isinstance(thing, Tuning):
-            hint = (
-                "Give a model, an equilibrium, a trajectory, modes, curves of a suspension or a "
-                "tuning, or several of them in a dict."
-            )
             problems.add(
                 "WRONG_KIND",
                 f"view['{name}']" if name else "view",
                 f"is {kind_of(thing)}",
                 value=thing,
-                hint=hint,
+                hint=(
+                    "Give a model, an equilibrium, a trajectory, modes, curves of a suspension or "
+                    "a tuning, or several of them in a dict."
+                ),
             )
         elif (thing if isinstance(thing, Model) else thing.model).gravity.ndim > 1:
             problems.add(
@@ -389,14 +387,13 @@ def _shapes(shapes: Any, models: list[Model], problems: Problems) -> dict[str, t
         if name not in known:
             problems.collected.append(unknown(name, "view.shapes", known))
         if not all(isinstance(x, Shape) for x in several):
-            hint = "Give jb.Shape.box(...), or a list of shapes."
             problems.add(
                 "WRONG_KIND",
                 f"view.shapes['{name}']",
                 f"is {kind_of(shape)}",
                 value=shape,
                 limit="a Shape",
-                hint=hint,
+                hint="Give jb.Shape.box(...), or a list of shapes.",
             )
         result[name] = several
     return result

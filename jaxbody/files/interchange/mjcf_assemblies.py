@@ -77,10 +77,15 @@ def joint_of(joints: list[JointOfBody], parent: str, on_parent: Place) -> Joint:
     if len(joints) > 1:
         for joint in joints:
             if joint.kind not in STEPS:
-                message = f"is a {joint.kind} joint, one of several of its body"
-                hint = "Put a body with a small mass between them."
                 raise JaxbodyError(
-                    Problem("WRONG_KIND", joint.where, message, joint.kind, ", ".join(STEPS), hint)
+                    Problem(
+                        "WRONG_KIND",
+                        joint.where,
+                        f"is a {joint.kind} joint, one of several of its body",
+                        joint.kind,
+                        ", ".join(STEPS),
+                        "Put a body with a small mass between them.",
+                    )
                 )
         return Composite(
             parent, [STEPS[joint.kind] for joint in joints], directions=axes, points=at
@@ -287,9 +292,14 @@ def tendon(
 def _body(each: Carried, scale: float) -> Body:
     """A body of the model from its parts."""
     if not each.parts:
-        hint = "Give it a geom or an inertial element."
         raise JaxbodyError(
-            Problem("BAD_MASS", "body", "has joints and no mass", limit="> 0", hint=hint)
+            Problem(
+                "BAD_MASS",
+                "body",
+                "has joints and no mass",
+                limit="> 0",
+                hint="Give it a geom or an inertial element.",
+            )
         )
     whole = Body.of_parts(each.parts)
     return Body(

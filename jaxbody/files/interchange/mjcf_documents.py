@@ -107,13 +107,12 @@ class Attributes:
             )
             return np.array(default, float)
         if sizes and len(numbers) not in sizes:
-            limit = " or ".join(map(str, sizes))
             self.problems.add(
                 "BAD_SHAPE",
                 f"{self.where} {name}",
                 f"has {len(numbers)} numbers",
                 value=text,
-                limit=limit,
+                limit=" or ".join(map(str, sizes)),
             )
             return np.array(default, float)
         if not np.isfinite(numbers).all():
@@ -150,12 +149,11 @@ def _content(path: Path, folder: Path, largest: float, read: set[Path]) -> Node:
     """The root of a file, with the elements of the files that it includes in their places."""
     root = _parsed(path, largest)
     if root.tag not in ROOTS and not read:
-        message = f"has the root element '{root.tag:.60}'"
         raise JaxbodyError(
             Problem(
                 "WRONG_FORMAT",
                 root.where,
-                message,
+                f"has the root element '{root.tag:.60}'",
                 root.tag,
                 ", ".join(ROOTS),
                 "Is it another XML file?",
@@ -175,9 +173,15 @@ def _include(node: Node, folder: Path, largest: float, read: set[Path]) -> None:
             continue
         name = child.attributes.get("file", "")
         if not name or Path(name).is_absolute() or ".." in Path(name).parts:
-            message, limit = f"includes '{name}'", "a file in the folder of this one"
             raise JaxbodyError(
-                Problem("OUTSIDE_FOLDER", child.where, message, name, limit, "Copy it there.")
+                Problem(
+                    "OUTSIDE_FOLDER",
+                    child.where,
+                    f"includes '{name}'",
+                    name,
+                    "a file in the folder of this one",
+                    "Copy it there.",
+                )
             )
         if folder / name in read:
             raise JaxbodyError(

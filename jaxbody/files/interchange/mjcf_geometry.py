@@ -155,14 +155,13 @@ def solid(a: Attributes, place: Place) -> Body | None:
         return None
     if kind not in SIZES or a.flag("shellinertia"):
         what = "is a shell" if kind in SIZES else f"has the type {kind}"
-        hint = 'Give its body an element "inertial", or this geom the mass 0.'
         a.problems.add(
             "MISSING_ENTRY",
             a.where,
             f"{what}, whose inertia is not computed",
             value=kind,
             limit=", ".join(SIZES),
-            hint=hint,
+            hint='Give its body an element "inertial", or this geom the mass 0.',
         )
         return None
     half = _half_sizes(a, kind)

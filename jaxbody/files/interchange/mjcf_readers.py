@@ -199,13 +199,12 @@ class MjcfReader(FramesOfFile):
             )
             self.problems.raise_if_any()
         if self.compiler.text("coordinate", "local") != "local":
-            hint = "Let an older MuJoCo save it with local ones."
             self.problems.add(
                 "WRONG_KIND",
                 self.compiler.where,
                 "has global coordinates",
                 limit="coordinate='local'",
-                hint=hint,
+                hint="Let an older MuJoCo save it with local ones.",
             )
         self.leave_out_sections()
         for node in self.document.all("worldbody"):
@@ -245,11 +244,10 @@ class MjcfReader(FramesOfFile):
         elif node.tag in ("camera", "light"):
             self.leave_out(node.tag, node.where)
         elif node.tag not in ("inertial", "joint", "freejoint"):
-            message = f"is an element '{node.tag:.60}', which may have mass"
             self.problems.add(
                 "UNKNOWN_NAME",
                 node.where,
-                message,
+                f"is an element '{node.tag:.60}', which may have mass",
                 value=node.tag,
                 limit=", ".join(IN_BODIES),
                 hint=BY_MUJOCO,

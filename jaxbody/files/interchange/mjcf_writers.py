@@ -69,27 +69,32 @@ def write_mjcf(model: Model, path: Any) -> None:
             )
         )
     if model.closures:
-        message, hint = (
-            f"has closures ({', '.join(model.closure_names)})",
-            "It takes trees of joints; stiff bushings may close loops.",
-        )
         raise JaxbodyError(
-            Problem("CLOSED_LOOPS", "write_mjcf.model", message, limit="no closures", hint=hint)
+            Problem(
+                "CLOSED_LOOPS",
+                "write_mjcf.model",
+                f"has closures ({', '.join(model.closure_names)})",
+                limit="no closures",
+                hint="It takes trees of joints; stiff bushings may close loops.",
+            )
         )
     if not is_concrete(model):
-        hint = "Write the result of the program."
         raise JaxbodyError(
-            Problem("TRACED", "write_mjcf", "cannot be called inside jit, vmap or grad", hint=hint)
+            Problem(
+                "TRACED",
+                "write_mjcf",
+                "cannot be called inside jit, vmap or grad",
+                hint="Write the result of the program.",
+            )
         )
     if model.gravity.ndim > 1:
-        hint = "Write one of them: jax.tree.map(lambda x: x[0], models)."
         raise JaxbodyError(
             Problem(
                 "BAD_SHAPE",
                 "write_mjcf",
                 f"is a batch of {len(model.gravity)} models",
                 limit="one model",
-                hint=hint,
+                hint="Write one of them: jax.tree.map(lambda x: x[0], models).",
             )
         )
     root = MjcfWriter(model).root()
@@ -168,18 +173,16 @@ class MjcfWriter:
         body = self.model[name]
         moments = np.linalg.eigvalsh(body.inertia)
         if self.steps[name] and moments[0] < LEAST:
-            hint = "Give it a small inertia, also where it does not turn."
-            message = (
-                f"has the smallest principal moment {moments[0]:.3g} kg m2, and MuJoCo needs "
-                "one of each moving body"
-            )
             self.problems.add(
                 "NOT_POSITIVE",
                 f"bodies['{name}']",
-                message,
+                (
+                    f"has the smallest principal moment {moments[0]:.3g} kg m2, and MuJoCo needs "
+                    "one of each moving body"
+                ),
                 value=moments[0],
                 limit=f">= {LEAST}",
-                hint=hint,
+                hint="Give it a small inertia, also where it does not turn.",
             )
         six = np.asarray(body.inertia)[
             *np.array(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))).T
@@ -232,17 +235,16 @@ class MjcfWriter:
                 if isinstance(joint, Free)
                 else f"of the type {type(joint).__name__}"
             )
-            hint = (
-                "Free bodies are in the world there; hinges, guides and balls "
-                "may be on other bodies."
-            )
             self.problems.add(
                 "WRONG_KIND",
                 f"joints['{name}']",
                 f"is {what}",
                 value=joint,
                 limit="what MJCF has",
-                hint=hint,
+                hint=(
+                    "Free bodies are in the world there; hinges, guides and balls "
+                    "may be on other bodies."
+                ),
             )
             return []
         return [(kind, back.R @ axis, back.point(at)) for kind, axis, at in steps]

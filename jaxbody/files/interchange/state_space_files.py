@@ -51,14 +51,13 @@ def write_state_space(system: StateSpace, path: Any) -> None:
             )
         )
     if system.A.ndim > 2:
-        hint = "Write one of them: jax.tree.map(lambda x: x[0], systems)."
         raise JaxbodyError(
             Problem(
                 "BAD_SHAPE",
                 "write_state_space",
                 f"is a batch of {len(system.A)} systems",
                 limit="one system",
-                hint=hint,
+                hint="Write one of them: jax.tree.map(lambda x: x[0], systems).",
             )
         )
     system.raise_if_failed()

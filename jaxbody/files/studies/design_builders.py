@@ -117,15 +117,11 @@ class DesignBuilder:
             and getattr(of, "__module__", None) == kind.partition(":")[0]
         )
         if not (is_function and inspect.signature(of).parameters):
-            message, limit = (
-                f"names '{kind}', which is no function of that module",
-                "a function of the model",
-            )
             self.add(
                 "UNKNOWN_NAME",
-                message,
+                f"names '{kind}', which is no function of that module",
                 kind,
-                limit,
+                "a function of the model",
                 "Name the module that defines it.",
                 *path,
                 "type",
@@ -159,11 +155,14 @@ class DesignBuilder:
     def check(self, stated: dict[str, Any], kind: Quantity, leaves: list[Leaf], *path: str) -> None:
         """Check what a quantity is a function of."""
         if kind.on_roads and not self.values.get("roads"):
-            message, hint = (
+            self.add(
+                "MISSING_ENTRY",
                 "is a quantity of a ride, and there are no roads",
+                None,
+                "roads",
                 'Write roads.NAME = {class = "C", speed = "20 m/s"}.',
+                *path,
             )
-            self.add("MISSING_ENTRY", message, None, "roads", hint, *path)
         if stated["type"] not in QUANTITIES:
             return
         for name in set(stated.get("weights", {})) - set(self.sensors):

@@ -258,10 +258,14 @@ class MeasurementBuilder:
             )
         factor, expected = units.parse(stated, ""), units.parse(unit or "1", "").dimension
         if factor.dimension != expected:
-            limit = f"a unit such as {units.si_words(expected)}"
             raise JaxbodyError(
                 Problem(
-                    "WRONG_DIMENSION", "", f"is in {stated}", stated, limit, "Name another column."
+                    "WRONG_DIMENSION",
+                    "",
+                    f"is in {stated}",
+                    stated,
+                    f"a unit such as {units.si_words(expected)}",
+                    "Name another column.",
                 )
             )
         table = np.stack([column.values * factor.factor for column in found], -1)

@@ -79,11 +79,10 @@ class StudyBuilder:
             {name: value for name, value in values.items() if name not in own}, None, path, {}
         )
         if sensor is not None and not isinstance(sensor, Sensor):
-            message = f"is a {type(sensor).__name__}"
             self.builder.problems.add(
                 "WRONG_KIND",
                 self.builder.document.where(path),
-                message,
+                f"is a {type(sensor).__name__}",
                 value=sensor,
                 limit="a sensor",
             )

@@ -197,16 +197,24 @@ def with_unit(what: str, unit: str) -> str:
 def check_single(where: str, values: Any, ndim: int) -> None:
     """Refuse a batch of results and one that is traced. Errors: BAD_SHAPE, TRACED."""
     if not is_concrete(values):
-        hint = "Draw what the compiled or batched function returns."
         raise JaxbodyError(
-            Problem("TRACED", where, "has no numbers yet inside jit or vmap", hint=hint)
+            Problem(
+                "TRACED",
+                where,
+                "has no numbers yet inside jit or vmap",
+                hint="Draw what the compiled or batched function returns.",
+            )
         )
     if np.ndim(values) != ndim:
-        message, hint = (
-            f"is a batch of {len(values)} results",
-            "Draw one of them: jax.tree.map(lambda x: x[0], results).",
+        raise JaxbodyError(
+            Problem(
+                "BAD_SHAPE",
+                where,
+                f"is a batch of {len(values)} results",
+                limit="one result",
+                hint="Draw one of them: jax.tree.map(lambda x: x[0], results).",
+            )
         )
-        raise JaxbodyError(Problem("BAD_SHAPE", where, message, limit="one result", hint=hint))
 
 
 def check_known(names: tuple[str, ...], known: tuple[str, ...], where: str) -> None:

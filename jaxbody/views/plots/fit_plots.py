@@ -174,12 +174,14 @@ def plot_autocorrelation(
     ]
     records = [x for x in records if x.series and r[x.rows].any() and most_lags(len(x.rows))]
     if not records:
-        message, hint = (
-            f"'{sensor}' has no autocorrelation",
-            f"Choose a sensor with a sequence of {FEWEST} samples or more.",
-        )
         raise JaxbodyError(
-            Problem("NO_DATA", "plot_autocorrelation.sensor", message, sensor, hint=hint)
+            Problem(
+                "NO_DATA",
+                "plot_autocorrelation.sensor",
+                f"'{sensor}' has no autocorrelation",
+                sensor,
+                hint=f"Choose a sensor with a sequence of {FEWEST} samples or more.",
+            )
         )
     ax = axes_or_new(ax, 5.5, 3.0)
     for i, record in enumerate(records):

@@ -387,9 +387,13 @@ def plot_measurement(measurement: Measurement, *, ax: Any = None) -> Any:
         if name in measurement.measured
     }
     if not channels:
-        hint = "Give measured= to the experiment."
         raise JaxbodyError(
-            Problem("NO_DATA", "plot_measurement.measurement", "has no measured channel", hint=hint)
+            Problem(
+                "NO_DATA",
+                "plot_measurement.measurement",
+                "has no measured channel",
+                hint="Give measured= to the experiment.",
+            )
         )
     over, x, unit = measurement.axis(next(iter(channels)))
     x, measured = np.asarray(x), {name: np.asarray(measurement.measured[name]) for name in channels}

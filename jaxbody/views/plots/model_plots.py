@@ -272,9 +272,15 @@ def look_along(view: str) -> np.ndarray:
     """The matrix (2, 3) of a view named by the axes that point right and up, such as "xz".
     Error: BAD_VIEW."""
     if not (len(view) == 2 and view[0] != view[1] and set(view) <= set(AXES)):
-        hint = "Give 'oblique', or the axes that point right and up, such as 'xy'."
         raise JaxbodyError(
-            Problem("BAD_VIEW", "view", f"is {view!r}", view, "two of x, y, z", hint)
+            Problem(
+                "BAD_VIEW",
+                "view",
+                f"is {view!r}",
+                view,
+                "two of x, y, z",
+                "Give 'oblique', or the axes that point right and up, such as 'xy'.",
+            )
         )
     return np.eye(3)[[AXES.index(axis) for axis in view]]
 

@@ -286,17 +286,13 @@ def plot_force_strokes(
     check_known(elements or (), model.element_names, "plot_force_strokes.elements")
     late = times >= (times[0] if start is None else start)
     if late.sum() < 2:
-        message, limit = (
-            f"leaves {late.sum()} samples",
-            f"{time_text(times[0], times)} to {time_text(times[-1], times)} s",
-        )
         raise JaxbodyError(
             Problem(
                 "NO_DATA",
                 "plot_force_strokes.start",
-                message,
+                f"leaves {late.sum()} samples",
                 start,
-                limit,
+                f"{time_text(times[0], times)} to {time_text(times[-1], times)} s",
                 "Give an earlier time.",
             )
         )

@@ -115,13 +115,14 @@ def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any
         if not response.unit(response.outputs[i], response.inputs[j])
     ]
     if not ratios:
-        message, hint = (
-            "has no output in the unit of an input",
-            "Use displacements for inputs and outputs, or forces for both.",
-        )
         raise JaxbodyError(
             Problem(
-                "BAD_UNIT", "plot_transmissibility.response", message, response, "a ratio", hint
+                "BAD_UNIT",
+                "plot_transmissibility.response",
+                "has no output in the unit of an input",
+                response,
+                "a ratio",
+                "Use displacements for inputs and outputs, or forces for both.",
             )
         )
     ax = axes_or_new(ax, 7.0 if len(ratios) <= MANY else 9.0, 3.4)
@@ -179,18 +180,14 @@ def plot_dynamic_stiffness(
         label, size = STIFFNESS_UNITS[units]
         panels.setdefault(label, {})[name] = values[above] / size
     if not panels:
-        message, hint = (
-            "has no force over a displacement",
-            "Give outputs in m of inputs in N, or pairs={name: (force, displacement)}.",
-        )
         raise JaxbodyError(
             Problem(
                 "BAD_UNIT",
                 "plot_dynamic_stiffness.response",
-                message,
+                "has no force over a displacement",
                 response,
                 "N/m or N m/rad",
-                hint,
+                "Give outputs in m of inputs in N, or pairs={name: (force, displacement)}.",
             )
         )
     ax = axes_or_new(ax, 7.0, 2.2 + 2.2 * len(panels))
@@ -288,18 +285,14 @@ def _ratios(
             for name in pair
         ]
         if tuple(units) not in STIFFNESS_UNITS or len(inputs) == 2:
-            message, hint = (
-                f"is {pair[0]} [{units[0]}] over {pair[1]} [{units[1]}]",
-                "Give (force, displacement), one of them an output.",
-            )
             raise JaxbodyError(
                 Problem(
                     "BAD_UNIT",
                     f"plot_dynamic_stiffness.pairs['{label}']",
-                    message,
+                    f"is {pair[0]} [{units[0]}] over {pair[1]} [{units[1]}]",
                     pair,
                     "N/m or N m/rad",
-                    hint,
+                    "Give (force, displacement), one of them an output.",
                 )
             )
         found[label] = (units[0], units[1]), force / moved

@@ -73,7 +73,6 @@ def along(trajectory: Trajectory, most: int, forces: bool = False, title: str = 
 
     Errors: BAD_SHAPE for a batch, NONFINITE where nothing is finite."""
     if trajectory.times.ndim > 1 or not is_concrete(trajectory.state.q):
-        hint = "View one sample of the batch: jax.tree.map(lambda x: x[0], trajectory)."
         raise JaxbodyError(
             Problem(
                 "BAD_SHAPE",
@@ -81,7 +80,7 @@ def along(trajectory: Trajectory, most: int, forces: bool = False, title: str = 
                 "is a batch of trajectories",
                 trajectory.times.shape,
                 "one trajectory",
-                hint,
+                "View one sample of the batch: jax.tree.map(lambda x: x[0], trajectory).",
             )
         )
     finite = np.isfinite(np.asarray(trajectory.state.q)).all(-1)
@@ -159,13 +158,16 @@ def vibrating(
     q = (model.reference if state is None else state).q
     shape: Any = np.asarray(modes.shapes)[: model.layout.nv, number - 1]
     if not np.isfinite(shape).all():
-        hint = (
-            "It is one of several with the same frequency: their shapes are not unique while "
-            "they are differentiated."
-        )
         raise JaxbodyError(
             Problem(
-                "NONFINITE", "view.number", f"mode {number} has no finite shape", number, hint=hint
+                "NONFINITE",
+                "view.number",
+                f"mode {number} has no finite shape",
+                number,
+                hint=(
+                    "It is one of several with the same frequency: their shapes are not unique "
+                    "while they are differentiated."
+                ),
             )
         )
     rest = still(model, State(q, jnp.zeros(model.layout.nv, q.dtype)))

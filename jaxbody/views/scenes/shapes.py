@@ -138,13 +138,13 @@ class Shape:
                     else np.zeros(3)
                 )
                 if not spread[2] > 1e-9 * spread[0]:
-                    hint = "Give four points or more that are not in one plane, or use Shape.box."
                     problems.add(
                         "BAD_SHAPE",
                         "Shape.hull points",
                         "span no volume",
                         value=rows.shape,
-                        hint=hint,
+                        hint="Give four points or more that are not in one plane, "
+                        "or use Shape.box.",
                     )
         return cls(hull(np.asarray(rows)), color, opacity)
 
@@ -261,14 +261,13 @@ def _look(color: str | None, opacity: float, problems: Problems) -> tuple[str | 
     from matplotlib.colors import is_color_like, to_hex
 
     if color is not None and not is_color_like(color):
-        hint = 'Give a color of matplotlib, such as "tab:blue" or "#1f6fb4".'
         problems.add(
             "WRONG_KIND",
             "Shape.color",
             f"is {color!r:.60}",
             value=color,
             limit="a color",
-            hint=hint,
+            hint='Give a color of matplotlib, such as "tab:blue" or "#1f6fb4".',
         )
         color = None
     if not 0 <= opacity <= 1:
