@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.core.source_files import check_file, writing
+from jaxbody.core.errors import JaxbodyError, Problems
+from jaxbody.core.source_files import check_file, extension_of, writing
 from jaxbody.core.tables import Printed, PrintedTable, in_numpy, number
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.validations import Validation
@@ -103,39 +103,25 @@ def report(
     (True, False)
     """
     path = Path(path)
-    found = [
-        Problem(
-            "WRONG_KIND",
-            f"report['{name}']",
-            f"is a {type(result).__name__}",
-            result,
-            "a result of jaxbody",
-        )
-        for name, result in results.items()
-        if not isinstance(result, Printed)
-    ]
-    if path.suffix != ".html":
-        found.append(
-            Problem(
-                "UNKNOWN_FORMAT",
-                path.name,
-                f"has the extension '{path.suffix}'",
-                path.suffix,
-                ".html",
-            )
-        )
-    if not results:
-        found.append(
-            Problem(
+    with Problems() as problems:
+        for name, result in results.items():
+            if not isinstance(result, Printed):
+                problems.add(
+                    "WRONG_KIND",
+                    f"report['{name}']",
+                    f"is a {type(result).__name__}",
+                    value=result,
+                    limit="a result of jaxbody",
+                )
+        problems.gather(lambda: extension_of(path, ".html"))
+        if not results:
+            problems.add(
                 "NO_DATA",
                 "report.results",
                 "is empty",
                 limit="at least one",
                 hint='Give {"Modes": modes}.',
             )
-        )
-    if found:
-        raise JaxbodyError(*found)
     hashes = [(Path(file).name, _hash(Path(file))) for file in files]
     sections = [
         f"<section id='s{i}'>{_section(name, result)}</section>"
@@ -253,44 +239,34 @@ def _of_motion(run: Trajectory) -> Iterator[tuple[str, Any]]:
     yield "Forces of the elements", plots.plot_forces(run)
 
 
-def _of_fit(fit: Fit) -> Iterator[tuple[str, Any]]:
+def _of_fit(fit: Fit) -> Pictures:
     """The records with the largest misfits, if there are many, and correlations."""
-    records, note = _drawn(fit, "plot_fit(fit, run=..., sensor=...)")
-    yield from note
-    for run, sensor in records:
-        yield (
-            f"{run}, {sensor}: measured and fitted, with the residual",
-            plots.plot_fit(fit, run=run, sensor=sensor),
-        )
+    yield from _records(fit, "plot_fit(fit", "measured and fitted, with the residual")
     if fit.uncertainty is not None and fit.u.size > 1:
         yield "Correlations of the estimates", plots.plot_correlations(fit)
 
 
-def _of_validation(validation: Validation) -> Iterator[tuple[str, Any]]:
-    records, note = _drawn(validation, "plot_validation(validation, run=..., sensor=...)")
-    yield from note
-    for run, sensor in records:
-        yield (
-            f"{run}, {sensor}: measured, and predicted without a fit to it",
-            validation.plot(run=run, sensor=sensor),
-        )
-
-
-def _drawn(
-    result: Fit | Validation, others: str
-) -> tuple[list[tuple[str, str]], list[tuple[str, None]]]:
-    """The records that are drawn, those with the largest misfits if there are many, and then
-    a note."""
-    records = [(run, sensor) for run, sensors in result.predicted.items() for sensor in sensors]
-    if len(records) <= MOST_RECORDS:
-        return records, []
-    which = (
-        f"{MOST_RECORDS} of {len(records)} records are drawn, those with the largest residuals "
-        "relative to the measured variation."
+def _of_validation(validation: Validation) -> Pictures:
+    return _records(
+        validation,
+        "plot_validation(validation",
+        "measured, and predicted without a fit to it",
     )
-    return sorted(records, key=lambda record: -misfit(result, *record))[:MOST_RECORDS], [
-        (f"{which} jaxbody.plots.{others} draws any other.", None)
-    ]
+
+
+def _records(result: Fit | Validation, drawn_by: str, what: str) -> Pictures:
+    """The records, those with the largest misfits if there are many, after a note."""
+    records = [(run, sensor) for run, sensors in result.predicted.items() for sensor in sensors]
+    if len(records) > MOST_RECORDS:
+        yield (
+            f"{MOST_RECORDS} of {len(records)} records are drawn, those with the largest residuals "
+            "relative to the measured variation. "
+            f"jaxbody.plots.{drawn_by}, run=..., sensor=...) draws any other.",
+            None,
+        )
+        records = sorted(records, key=lambda record: -misfit(result, *record))[:MOST_RECORDS]
+    for run, sensor in records:
+        yield f"{run}, {sensor}: {what}", result.plot(run=run, sensor=sensor)
 
 
 def misfit(fit: Fit | Validation, run: str, sensor: str) -> float:

@@ -1,5 +1,5 @@
-"""Files of a user: existence, kind, size and encoding before they are read, and the error of a file
-that cannot be written."""
+"""Files of a user: extension, existence, kind, size and encoding before they are read, and the
+error of a file that cannot be written."""
 
 from __future__ import annotations
 
@@ -85,6 +85,24 @@ def check_size(
         raise JaxbodyError(
             Problem("TOO_LARGE", name, f"has {size:.4g} {what}", size, f"{largest:.4g} bytes", hint)
         )
+
+
+def extension_of(path: Path, *known: str, hint: str = "") -> str:
+    """The extension of a path in small letters, one of those known, such as ".toml".
+    Error: UNKNOWN_FORMAT."""
+    extension = path.suffix.lower()
+    if extension not in known:
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_FORMAT",
+                path.name,
+                f"has the extension '{path.suffix}'",
+                path.suffix,
+                " ".join(known),
+                hint,
+            )
+        )
+    return extension
 
 
 def decoded(data: bytes, name: str, encoding: str) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.core.source_files import check_file, decoded
+from jaxbody.core.source_files import check_file, decoded, extension_of
 
 EntryPath = tuple[str | int, ...]  # of an entry: ("elements", "AB", "a", 1)
 DEEPEST = 20
@@ -80,19 +80,8 @@ def read_document(path: Path, largest: float = LARGEST) -> Document:
     Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, ENCODING, WRONG_FORMAT,
     UNKNOWN_FORMAT, SYNTAX, DUPLICATE_NAME."""
     check_file(path, largest, MEMORY, "--largest")
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in ("toml", "json"):
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_FORMAT",
-                path.name,
-                f"has the extension '{path.suffix}'",
-                path.suffix,
-                ".toml .json",
-                "A model file is TOML or JSON.",
-            )
-        )
-    return parse_document(decoded(path.read_bytes(), path.name, "utf-8"), path.name, kind)
+    kind = extension_of(path, ".toml", ".json", hint="A model file is TOML or JSON.")
+    return parse_document(decoded(path.read_bytes(), path.name, "utf-8"), path.name, kind[1:])
 
 
 def parse_document(text: str, name: str, kind: str = "toml") -> Document:

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.core.source_files import writing
+from jaxbody.core.source_files import extension_of, writing
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import LARGEST, read_document
 from jaxbody.files.schemas import checked_values
@@ -76,19 +75,9 @@ def write_model(model: Model, path: Any, *, allow: Sequence[str] = ()) -> None:
     """
     path = Path(path)
     values = values_of(model, allow)
-    if path.suffix not in (".toml", ".json"):
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_FORMAT",
-                path.name,
-                f"has the extension '{path.suffix}'",
-                path.suffix,
-                ".toml .json",
-            )
-        )
     text = (
         toml_of(values)
-        if path.suffix == ".toml"
+        if extension_of(path, ".toml", ".json") == ".toml"
         else json.dumps(values, indent=1, ensure_ascii=False) + "\n"
     )
     with writing(path):

@@ -18,7 +18,7 @@ import numpy as np
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.compilation.plain_data import Unnamed, text_of, value_of
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.core.source_files import check_file, check_size, replacing, writing
+from jaxbody.core.source_files import check_file, check_size, extension_of, replacing, writing
 
 FORMAT = 2  # 1: classes in the packages of before 2026-11-29
 CONTENTS = "results.json"
@@ -47,16 +47,7 @@ def write_results(results: Any, path: Any, *, allow: Sequence[str] = ()) -> None
     [1.411, 8.796]
     """
     path = Path(path)
-    if path.suffix != ".zip":
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_FORMAT",
-                path.name,
-                f"has the extension '{path.suffix}'",
-                path.suffix,
-                ".zip",
-            )
-        )
+    extension_of(path, ".zip")
     if not is_concrete(results):
         raise JaxbodyError(
             Problem(
@@ -161,12 +152,16 @@ def read_results(path: Any, *, allow: Sequence[str] = (), largest: float = 1e9) 
     try:
         return value_of(json.dumps(contents["results"]), arrays, allow)
     except ValueError as error:
-        hint = (
-            "Read it with the jaxbody that wrote it"
-            + f", {contents.get('jaxbody')}, or allow=[...] the module that it names."
-        )
         raise JaxbodyError(
-            Problem("NOT_ALLOWED", path.name, f"cannot be read: {error!s:.200}", hint=hint)
+            Problem(
+                "NOT_ALLOWED",
+                path.name,
+                f"cannot be read: {error!s:.200}",
+                hint=(
+                    "Read it with the jaxbody that wrote it"
+                    + f", {contents.get('jaxbody')}, or allow=[...] the module that it names."
+                ),
+            )
         ) from None
 
 

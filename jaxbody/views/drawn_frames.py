@@ -67,11 +67,11 @@ class Raster:
             rows = np.flatnonzero(
                 (extent > step // 2) & (extent <= step) & ((high - low) > 0).all(1)
             )
-            for part in np.array_split(rows, max(1, -(-len(rows) * step**2 // MOST))):
-                if len(part):
-                    found.append(
-                        self._inside(part, corners[part], depths[part], low[part], int(step))
-                    )
+            found += [
+                self._inside(part, corners[part], depths[part], low[part], int(step))
+                for part in np.array_split(rows, max(1, -(-len(rows) * step**2 // MOST)))
+                if len(part)
+            ]
         if not found:
             return np.zeros(0, int), np.zeros(0, np.float32), np.zeros(0, int)
         pixel, nearness, owner = (np.concatenate(column) for column in zip(*found, strict=True))
@@ -144,21 +144,21 @@ class Painter:
         sides = high - low + 2 * MARGIN * (high - low).max()
         ratio = float(np.clip(sides[0] / sides[1], *RATIOS))
         width = 2 * round((min(WIDTH, TALLEST * ratio) if width is None else width) / 2)
-        self.width, height = width, 2 * round(width / ratio / 2)
-        figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI * FINER)
+        self.width, self.height = width, 2 * round(width / ratio / 2)
+        figure = Figure(figsize=(width / DPI, self.height / DPI), dpi=DPI * FINER)
         self.canvas = FigureCanvasAgg(figure)
         self.ax = figure.add_axes((0, 0, 1, 1))
         self.ax.set_axis_off()
         self.middle, self.half = (
             (low + high) / 2,
-            max(sides[0] / width, sides[1] / height) / 2 * np.array([width, height]),
+            max(sides[0] / width, sides[1] / self.height) / 2 * np.array([width, self.height]),
         )
         self._widen(1.0)
         fine = FINE * animation.size
         self.meshes = [_divided(part.mesh, fine, part.scale[0]) for part in animation.parts]
         self.edges = [_edges(part.mesh, fine) if part.edged else None for part in animation.parts]
         self.background: Any = figure.figimage(
-            np.full((height * FINER, self.width * FINER, 3), 255, np.uint8), zorder=-1
+            np.full((self.height * FINER, self.width * FINER, 3), 255, np.uint8), zorder=-1
         )
         self.trails: Any = LineCollection([], linewidths=1.6, zorder=3)
         self.ax.add_collection(self.trails, autolim=False)
@@ -200,7 +200,10 @@ class Painter:
         from PIL import Image
 
         self.background.set_data(self._drawn(i))
-        self._draw_trails(i)
+        trails = self.animation.trails
+        drawn = slice(0, i + 1) if self.animation.moves else slice(None)
+        self.trails.set_segments([self.camera.project(x.points[drawn])[0] for x in trails])
+        self.trails.set_color([trail.color for trail in trails])
         self.clock.set_text(self.animation.clock[i])
         for label, text in self.names:
             text.xy = self.camera.project(label.p[min(i, len(label.p) - 1)][None])[0][0]
@@ -332,18 +335,6 @@ class Painter:
             - part.over
         )
         return corners, depths, _colors(part, np.full(len(corners), DARK))
-
-    def _draw_trails(self, i: int) -> None:
-        trails = self.animation.trails
-        self.trails.set_segments(
-            [
-                self.camera.project(
-                    trail.points[: i + 1] if self.animation.moves else trail.points
-                )[0]
-                for trail in trails
-            ]
-        )
-        self.trails.set_color([trail.color for trail in trails])
 
 
 def _colors(part: DrawnPart, brightness: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -81,18 +82,14 @@ def save_mp4(path: Path, painter: Painter) -> None:
     counts = np.diff(np.round(np.cumsum([0, *pauses]) * rate / 1000)).astype(int)
     with writing(path):
         path.open("wb").close()  # ffmpeg would say this in its own way
-    writer = None
-    for array, count in zip(_drawn(painter, frames, path.name), counts, strict=True):
-        if writer is None:
-            height, width = array.shape[:2]
-            writer = ffmpeg.write_frames(
-                str(path), (width, height), fps=rate, macro_block_size=2, quality=7
-            )
-            writer.send(None)
-        for _ in range(count):
-            writer.send(np.ascontiguousarray(array))
-    if writer is not None:
-        writer.close()
+    size = painter.width, painter.height
+    with closing(
+        ffmpeg.write_frames(str(path), size, fps=rate, macro_block_size=2, quality=7)
+    ) as writer:
+        writer.send(None)
+        for array, count in zip(_drawn(painter, frames, path.name), counts, strict=True):
+            for _ in range(count):
+                writer.send(np.ascontiguousarray(array))
 
 
 def _frames(animation: Animation, rate: int) -> tuple[list[int], list[int]]:
@@ -109,8 +106,7 @@ def _frames(animation: Animation, rate: int) -> tuple[list[int], list[int]]:
         len(animation.seconds) - 1,
     )
     shown, first = np.unique(frames, return_index=True)
-    starts = np.append(wanted[first], duration)
-    ticks = np.maximum(np.diff(np.round(starts * 100)), 2)
+    ticks = np.maximum(np.diff(np.round(np.append(wanted[first], duration) * 100)), 2)
     return shown.tolist(), [int(10 * tick) for tick in ticks]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxbody.core.arguments import checked_dict, kind_of, positive_number, whole_number
 from jaxbody.core.arrays import checked, concrete, vector
 from jaxbody.core.errors import Problems, unknown
-from jaxbody.core.source_files import writing
+from jaxbody.core.source_files import extension_of, writing
 from jaxbody.core.tables import Printed, PrintedTable, counted
 from jaxbody.design.tuning_results import Tuning
 from jaxbody.mechanics.equilibria import Equilibrium
@@ -86,29 +86,22 @@ class View(Printed):
         install 'jaxbody[view]'`."""
         path = Path(path)
         with Problems() as problems:
-            if path.suffix not in FORMATS:
-                problems.add(
-                    "UNKNOWN_FORMAT",
-                    path.name,
-                    f"has the extension '{path.suffix}'",
-                    value=path.suffix,
-                    limit=" ".join(FORMATS),
-                )
+            extension = problems.gather(lambda: extension_of(path, *FORMATS))
             width = (
                 width
                 if width is None
                 else whole_number(width, "View.save width", problems, least=100)
             )
-        if path.suffix == ".html":
+        if extension == ".html":
             text = self.to_html()
             with writing(path):
                 path.write_text(text, encoding="utf-8")
             return path
         painter = Painter(self.animation, self.camera, width, names=self.names)
-        if path.suffix == ".png":
+        if extension == ".png":
             save_png(path, painter, self._frame(at))
         else:
-            (save_gif if path.suffix == ".gif" else save_mp4)(path, painter)
+            (save_gif if extension == ".gif" else save_mp4)(path, painter)
         return path
 
     def plot(self, *, at: float = 0.0, ax: Any = None) -> Any:
@@ -459,8 +452,7 @@ def _speed(given: dict[str, Any], speed: float | None) -> float | None:
     if SHORTEST <= longest <= LONGEST:
         return 1.0
     wanted = longest / (USUAL if longest < SHORTEST else LONGEST)
-    power = 10.0 ** np.floor(np.log10(wanted) + 1e-9)
-    steps = np.array([1, 2, 5, 10]) * power
+    steps = np.array([1, 2, 5, 10]) * 10.0 ** np.floor(np.log10(wanted) + 1e-9)
     return float(
         steps[steps <= wanted * (1 + 1e-9)].max()
         if longest < SHORTEST

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.core.source_files import writing
+from jaxbody.core.source_files import extension_of, writing
 from jaxbody.files.interchange.mjcf_geometry import ORIGIN, Place
 from jaxbody.geometry.points_and_orientations import matrix
 from jaxbody.model.elements.bushings import Bushing
@@ -58,16 +58,7 @@ def write_mjcf(model: Model, path: Any) -> None:
     193000.0
     """
     path = Path(path)
-    if path.suffix.lower() != ".xml":
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_FORMAT",
-                path.name,
-                f"has the extension '{path.suffix}'",
-                path.suffix,
-                ".xml",
-            )
-        )
+    extension_of(path, ".xml")
     if model.closures:
         raise JaxbodyError(
             Problem(
@@ -340,7 +331,7 @@ def _twists(
     turns, n, (k, c) = (
         [i for i, kind in enumerate(kinds) if kind != "slide"],
         np.asarray(element.axis),
-        map(_coefficient, _laws(element)),
+        map(_coefficient, (element.spring, element.damper)),
     )
     if (
         len(turns) != 1
@@ -393,10 +384,6 @@ def _ball(element: Bushing) -> list[tuple[float, float, float]] | None:
         if np.asarray(element.damping)[3:, 3:].any() or np.abs(K - K[0, 0] * np.eye(3)).max()
         else [(float(K[0, 0]), 0.0, 0.0)]
     )
-
-
-def _laws(element: Torsion | SpringDamper) -> tuple[Law | None, Law | None]:
-    return element.spring, element.damper
 
 
 def _row(numbers: Any) -> str:

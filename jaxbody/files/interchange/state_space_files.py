@@ -10,7 +10,7 @@ import numpy as np
 from scipy.io import savemat
 
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.core.source_files import writing
+from jaxbody.core.source_files import extension_of, writing
 from jaxbody.vibration.state_spaces import StateSpace
 
 
@@ -40,16 +40,7 @@ def write_state_space(system: StateSpace, path: Any) -> None:
     (6, 6)
     """
     path = Path(path)
-    if path.suffix.lower() != ".mat":
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_FORMAT",
-                path.name,
-                f"has the extension '{path.suffix}'",
-                path.suffix,
-                ".mat",
-            )
-        )
+    extension_of(path, ".mat")
     if system.A.ndim > 2:
         raise JaxbodyError(
             Problem(

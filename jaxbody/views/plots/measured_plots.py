@@ -245,13 +245,18 @@ def _draw_response(
         axes.plot(f, other, color=COLORS[0], lw=1.2, zorder=3)
     ax.set_yscale("log")
     ax.set_ylabel(with_unit(f"magnitude of {sensor}", experiment.channels[sensor].unit))
+    _phases_over(f, below)
+    _explain(ax, points[:1], word)
+    return ax
+
+
+def _phases_over(f: np.ndarray, below: Any) -> None:
+    """The axes of phases over frequency, logarithmic over a decade or more."""
     below.set_xlabel("frequency [Hz]")
     degrees(below, "phase")
     if f[0] > 0 and f[-1] >= WIDE * f[0]:
-        ax.set_xscale("log")
+        below.set_xscale("log")
         hertz(below, f)
-    _explain(ax, points[:1], word)
-    return ax
 
 
 def _explain(ax: Any, points: list[Any], word: str) -> None:
@@ -437,11 +442,7 @@ def _measured_responses(ax: Any, f: np.ndarray, pairs: dict[str, tuple[str, np.n
         axes.set_yscale("log")
         axes.set_ylabel(with_unit("magnitude", unit))
         legend(axes, len(members))
-    below.set_xlabel("frequency [Hz]")
-    degrees(below, "phase")
-    if f[0] > 0 and f[-1] >= WIDE * f[0]:
-        ax.set_xscale("log")
-        hertz(below, f)
+    _phases_over(f, below)
     return ax
 
 

@@ -25,6 +25,7 @@ from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_state
 from jaxbody.model.states import State
+from jaxbody.model.storage import KindTable
 from jaxbody.vibration.damped_modes import ComplexModes
 from jaxbody.vibration.linearizations import Linearization
 from jaxbody.vibration.natural_modes import Modes
@@ -190,25 +191,26 @@ class Scene:
             p, R = pose[frame]
             return p + R @ np.asarray(point)
 
-        self.ends, links = {}, {}
-        for table in self.model.attached:
-            links |= dict(zip(table.names, table.links, strict=True))
-            for name, link, a, b in zip(
-                table.names,
-                table.links,
-                *(np.asarray(x) for x in table.rows.points[:2]),
-                strict=True,
-            ):
-                self.ends[name] = (in_world(link[0], a), in_world(link[1], b))
-        self.joined = {}
-        for table in self.model.closures:
-            for name, link in zip(table.names, table.links, strict=True):
-                closure = table.row(name)
-                if not isinstance(closure, Coupling | Equation):  # which have no place
-                    self.joined[name], links[name] = (
-                        (in_world(link[0], closure.a), in_world(link[1], closure.b)),
-                        link,
-                    )
+        def ends_in(tables: tuple[KindTable, ...]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+            """The first two ends of each row, by name."""
+            found = {}
+            for table in tables:
+                points = (np.asarray(x) for x in table.rows.points[:2])
+                for name, link, a, b in zip(table.names, table.links, *points, strict=True):
+                    found[name] = in_world(link[0], a), in_world(link[1], b)
+            return found
+
+        closures = tuple(
+            table
+            for table in self.model.closures
+            if not isinstance(table.rows, Coupling | Equation)  # which have no place
+        )
+        self.ends, self.joined = ends_in(self.model.attached), ends_in(closures)
+        links = {
+            name: link
+            for table in (*self.model.attached, *closures)
+            for name, link in zip(table.names, table.links, strict=True)
+        }
         self.centers = {name: in_world(name, self.model[name].com) for name in layout.bodies}
         parents = {
             name: parent
@@ -501,28 +503,18 @@ def _outline(ax, seen, size, fill, edge, alpha, ghost) -> None:
 
 
 def _hull(points: np.ndarray, tolerance: float) -> np.ndarray:
-    """Convex hull in the plane, counterclockwise (A. M. Andrew, Information Processing Letters 9
-    (1979) 216)."""
+    """Convex hull in the plane, counterclockwise; the ends of points on a line."""
+    from scipy.spatial import ConvexHull
+
     points = points[np.lexsort(points.T[::-1])]
     points = points[
         np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > tolerance])
     ]
     if len(points) < 3:
         return points
-
-    def half(points):
-        chain: list[np.ndarray] = []
-        for p in points:
-            while len(chain) > 1 and _area(chain[-2], chain[-1], p) <= 0:
-                chain.pop()
-            chain.append(p)
-        return chain[:-1]
-
-    return np.array(half(points) + half(points[::-1]))
-
-
-def _area(a, b, c) -> float:
-    return float((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
+    if np.linalg.svd(points - points.mean(0), compute_uv=False)[1] <= tolerance:
+        return points[[0, -1]]
+    return points[ConvexHull(points).vertices]
 
 
 @program

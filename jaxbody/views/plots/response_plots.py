@@ -47,25 +47,14 @@ def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> A
     """
     check_single("plot_frequency_response.response", response.frequencies, 1)
     f, size, phase = _above_0_hz(response)
+    phase = phase - 2 * np.pi * np.round(phase[..., :1] / (2 * np.pi))
     pairs = _pairs(response)
-    panels: dict[str, list[int]] = {}
-    for k, (i, j, _) in enumerate(pairs):
-        panels.setdefault(response.unit(response.outputs[i], response.inputs[j]), []).append(k)
+    panels: dict[str, Any] = {}
+    for i, j, name in pairs:
+        unit = response.unit(response.outputs[i], response.inputs[j])
+        panels.setdefault(unit, {})[name] = size[i, j], phase[i, j], look(response, i, j)
     ax = axes_or_new(ax, 7.0 if len(pairs) <= MANY else 9.0, 2.2 + 2.2 * len(panels))
-    *others, below = axes_below(ax, *[1.0] * (len(panels) - 1), 0.55)
-    for axes, (unit, members) in zip((ax, *others), panels.items(), strict=True):
-        for k in members:
-            i, j, name = pairs[k]
-            turns = np.round(phase[i, j, 0] / (2 * np.pi))
-            axes.loglog(f, size[i, j], label=name, lw=1.5, **look(response, i, j))
-            below.semilogx(
-                f, np.rad2deg(phase[i, j] - 2 * np.pi * turns), lw=1.5, **look(response, i, j)
-            )
-        axes.set_ylabel(with_unit("magnitude", unit))
-        legend(axes, len(members))
-    hertz(below, f)
-    degrees(below, "phase")
-    return ax
+    return _over_frequency(ax, f, panels, "magnitude", "phase")
 
 
 def plot_element_stiffness(stiffness: DynamicStiffness, *, ax: Any = None) -> Any:
@@ -172,13 +161,12 @@ def plot_dynamic_stiffness(
     """
     check_single("plot_dynamic_stiffness.response", response.frequencies, 1)
     f = np.asarray(response.frequencies)
-    above = f > 0
-    panels: dict[str, dict[str, np.ndarray]] = {}
+    panels: dict[str, Any] = {}
     for name, (units, values) in (
         _stiffnesses(response) if pairs is None else _ratios(response, pairs)
     ).items():
-        label, size = STIFFNESS_UNITS[units]
-        panels.setdefault(label, {})[name] = values[above] / size
+        (label, size), K = STIFFNESS_UNITS[units], values[f > 0]
+        panels.setdefault(label, {})[name] = np.abs(K) / size, np.unwrap(np.angle(K)), None
     if not panels:
         raise JaxbodyError(
             Problem(
@@ -191,24 +179,36 @@ def plot_dynamic_stiffness(
             )
         )
     ax = axes_or_new(ax, 7.0, 2.2 + 2.2 * len(panels))
-    *others, below = axes_below(ax, *[1.0] * (len(panels) - 1), 0.55)
-    count = 0
-    for axes, (unit, lines) in zip((ax, *others), panels.items(), strict=True):
-        for name, values in lines.items():
-            axes.loglog(f[above], np.abs(values), label=name, lw=1.5, **style(count))
-            below.semilogx(
-                f[above], np.rad2deg(np.unwrap(np.angle(values))), lw=1.5, **style(count)
-            )
-            count += 1
-        axes.set_ylabel(with_unit("dynamic stiffness", unit))
-        plain_numbers(axes, np.concatenate([np.abs(x) for x in lines.values()]))
-        legend(axes, len(lines))
-    hertz(below, f[above])
-    degrees(below, "loss angle")
-    return ax
+    return _over_frequency(ax, f[f > 0], panels, "dynamic stiffness", "loss angle", plain=True)
 
 
 # and the size of the unit in SI
+def _over_frequency(
+    ax: Any,
+    f: np.ndarray,
+    panels: dict[str, dict[str, tuple[Any, Any, Any]]],
+    what: str,
+    angle: str,
+    *,
+    plain: bool = False,
+) -> Any:
+    """Magnitudes in a panel for each unit, {unit: {name: (magnitudes, angles [rad], look)}}, and
+    all angles below; a look that is None is that of the next line. plain: as in `plain_numbers`."""
+    *others, below = axes_below(ax, *[1.0] * (len(panels) - 1), 0.55)
+    for axes, (unit, lines) in zip((ax, *others), panels.items(), strict=True):
+        for name, (size, angles, look) in lines.items():
+            look = {"lw": 1.5} | (look or style(len(below.lines)))
+            axes.loglog(f, size, label=name, **look)
+            below.semilogx(f, np.rad2deg(angles), **look)
+        axes.set_ylabel(with_unit(what, unit))
+        if plain:
+            plain_numbers(axes, np.concatenate([size for size, *_ in lines.values()]))
+        legend(axes, len(lines))
+    hertz(below, f)
+    degrees(below, angle)
+    return ax
+
+
 STIFFNESS_UNITS = {("N", "m"): ("N/mm", 1e3), ("N m", "rad"): ("N m/rad", 1.0)}
 
 
@@ -403,13 +403,8 @@ def look(response: FrequencyResponse, i: int, j: int) -> dict[str, Any]:
 def hertz(ax: Any, f: np.ndarray) -> None:
     """A logarithmic frequency axis with plain numbers: 1, 2, 5 of each decade, or 1 only where
     there are many decades."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    subs = (1.0, 2.0, 5.0) if f[-1] / f[0] < 3000 else (1.0,)
     ax.set(xlabel="frequency [Hz]", xlim=(f[0], f[-1]))
-    ax.xaxis.set_major_locator(LogLocator(subs=subs))
-    ax.xaxis.set_major_formatter("{x:g}")
-    ax.xaxis.set_minor_formatter(NullFormatter())
+    _plain_ticks(ax.xaxis, (1.0, 2.0, 5.0) if f[-1] / f[0] < 3000 else (1.0,))
 
 
 def degrees(ax: Any, what: str) -> None:
@@ -426,9 +421,14 @@ def degrees(ax: Any, what: str) -> None:
 def plain_numbers(ax: Any, values: np.ndarray) -> None:
     """Plain numbers on a logarithmic ordinate of less than two decades, which has few powers
     of ten."""
+    if np.nanmax(values) < 100 * np.nanmin(values):
+        _plain_ticks(ax.yaxis, (1.0, 2.0, 5.0))
+
+
+def _plain_ticks(axis: Any, parts: tuple[float, ...]) -> None:
+    """Ticks of a logarithmic axis at these parts of each decade, written as plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    if np.nanmax(values) < 100 * np.nanmin(values):
-        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        ax.yaxis.set_major_formatter("{x:g}")
-        ax.yaxis.set_minor_formatter(NullFormatter())
+    axis.set_major_locator(LogLocator(subs=parts))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())

@@ -11,10 +11,11 @@ from jaxbody.model.elements.contacts import Tyre
 from jaxbody.model.joints.combined_joints import Combined, Composite, Planar
 from jaxbody.model.joints.joints import Ball, Guide, Hinge
 from jaxbody.model.layouts import WORLD
+from jaxbody.model.storage import KindTable
 from jaxbody.views.plots.canvases import COLORS, GRAY, INK, LIGHT
 from jaxbody.views.scenes.animations import DrawnPart, NameLabel
 from jaxbody.views.scenes.meshes import Mesh, box, cylinder, hull, joined, ribbon, sphere
-from jaxbody.views.scenes.pose_sequences import PoseSequence, attaching, marks_of
+from jaxbody.views.scenes.pose_sequences import PoseSequence, attaching, marks, places_of
 from jaxbody.views.scenes.road_parts import hub_of
 from jaxbody.views.scenes.shapes import THICK, Shape, axes_along, solid_of_body
 
@@ -31,8 +32,7 @@ def parts_of_bodies(
     model, parts, labels = sequence.model, [], []
     own = points_of_frames(sequence)
     for i, name in enumerate(model.layout.bodies):
-        body, row = model[name], sequence.row(name)
-        p, R, color = sequence.p[:, row], sequence.R[:, row], COLORS[i % len(COLORS)]
+        body, (p, R), color = model[name], sequence.pose(name), COLORS[i % len(COLORS)]
         com = np.asarray(body.com, float)
         if name in shapes:
             parts += _shaped(("bodies", name), shapes[name], color, p, R)
@@ -94,8 +94,7 @@ def parts_of_supports(
     own = points_of_frames(sequence)
     board = _board(sequence, size, up) if len(model.layout.supports) == 1 else None
     for name in (*model.layout.supports, WORLD):
-        row = sequence.row(name)
-        p, R = sequence.p[:, row], sequence.R[:, row]
+        p, R = sequence.pose(name)
         feet = [_foot(point, direction, size) for point, direction in _feet(sequence, name)]
         if feet:
             parts.append(
@@ -137,9 +136,8 @@ def parts_of_joints(sequence: PoseSequence, size: float) -> list[DrawnPart]:
     pin = joined([cylinder(r, -2.2 * r, 2.2 * r), cylinder(0.25 * r, -6 * r, 6 * r, sides=8)])
     rail = cylinder(0.004 * size, -0.1 * size, 0.1 * size, sides=8)
     for name, parent in zip(model.layout.bodies, model.layout.parents, strict=True):
-        joint, row = model.joint(name), sequence.row(parent)
-        p, R = sequence.p[:, row], sequence.R[:, row]
-        origin = R[0].T @ (sequence.p[0, sequence.row(name)] - p[0])
+        joint, (p, R) = model.joint(name), sequence.pose(parent)
+        origin = R[0].T @ (sequence.pose(name)[0][0] - p[0])
         at = origin if joint.at is None else np.asarray(joint.at, float)
         lines: list[tuple[Mesh, Any, np.ndarray]] = []
         if isinstance(joint, Hinge):
@@ -211,8 +209,8 @@ def up_of(model: Any) -> np.ndarray:
 def is_flat(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray | None:
     """The horizontal normal of the plane in which all marks of a flat model lie in the first frame;
     None for other models."""
-    marks = np.stack([sequence.points(name, point)[0] for name, point in marks_of(sequence.model)])
-    _, spread, rows = np.linalg.svd(marks - marks.mean(0), full_matrices=True)
+    places = marks(sequence)[0]
+    _, spread, rows = np.linalg.svd(places - places.mean(0), full_matrices=True)
     spread = np.concatenate([spread, np.zeros(3)])[:3]
     if spread[2] > FLAT * size or spread[1] <= FLAT * size or abs(rows[2] @ up) > 0.1:
         return None
@@ -225,41 +223,35 @@ def points_of_frames(sequence: PoseSequence) -> dict[str, np.ndarray]:
     model = sequence.model
     places: dict[str, list[np.ndarray]] = {name: [] for name in model.layout.frames}
     for table in attaching(model):
-        for end, points in enumerate(table.rows.points):
-            for link, point in zip(table.links, np.asarray(points, float), strict=True):
-                places[link[end]].append(point)
+        for frame, point in places_of(table):
+            places[frame].append(point)
     for name, parent in zip(model.layout.bodies, model.layout.parents, strict=True):
         joint = model.joint(name)
-        if not isinstance(joint, Hinge | Ball | Combined) or isinstance(joint, Planar):
-            continue
-        row, on = sequence.row(name), sequence.row(parent)
-        at = sequence.p[0, row] if joint.at is None else sequence.points(parent, joint.at)[0]
-        for frame, i in ((name, row), (parent, on)):
-            places[frame].append(sequence.R[0, i].T @ (at - sequence.p[0, i]))
+        if isinstance(joint, Hinge | Ball | Combined) and not isinstance(joint, Planar):
+            fixed = (name, np.zeros(3)) if joint.at is None else (parent, joint.at)
+            at = sequence.points(*fixed)[0]
+            for frame in (name, parent):
+                p, R = sequence.pose(frame)
+                places[frame].append(R[0].T @ (at - p[0]))
     return {name: np.array(rows).reshape(-1, 3) for name, rows in places.items()}
+
+
+def _along_lines(sequence: PoseSequence) -> list[KindTable]:
+    """The tables of elements along lines."""
+    return [table for table in sequence.model.elements if hasattr(table.rows, "free_length")]
 
 
 def _attached(sequence: PoseSequence, name: str) -> list[np.ndarray]:
     """The ends of line elements on a frame."""
-    points = []
-    for table in sequence.model.elements:
-        if hasattr(table.rows, "free_length"):
-            for end, rows in enumerate(table.rows.points):
-                points += [
-                    row
-                    for link, row in zip(table.links, np.asarray(rows, float), strict=True)
-                    if link[end] == name
-                ]
-    return points
+    places = [place for table in _along_lines(sequence) for place in places_of(table)]
+    return [point for frame, point in places if frame == name]
 
 
 def _feet(sequence: PoseSequence, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
     """(point, outward direction), in the axes of a support or of the world, where elements along a
     line end on it."""
-    feet, row = [], sequence.row(name)
-    for table in sequence.model.elements:
-        if not hasattr(table.rows, "free_length"):
-            continue
+    feet, (_, R) = [], sequence.pose(name)
+    for table in _along_lines(sequence):
         a, b = (np.asarray(x, float) for x in table.rows.points)
         for link, *points in zip(table.links, a, b, strict=True):
             for end in range(2):
@@ -270,7 +262,7 @@ def _feet(sequence: PoseSequence, name: str) -> list[tuple[np.ndarray, np.ndarra
                     )[0]
                     length = np.linalg.norm(d)
                     d = d / length if length > 0 else np.array([0.0, 0, -1])
-                    feet.append((points[end], sequence.R[0, row].T @ d))
+                    feet.append((points[end], R[0].T @ d))
     return feet
 
 
@@ -293,9 +285,8 @@ def _board(sequence: PoseSequence, size: float, up: np.ndarray) -> Mesh | None:
     normal = is_flat(sequence, size, up)
     if normal is None:
         return None
-    marks = np.stack([sequence.points(name, point)[0] for name, point in marks_of(sequence.model)])
     axes = np.stack([np.cross(up, normal), up, normal], -1)
-    inside = marks @ axes
+    inside = marks(sequence)[0] @ axes
     low, high = inside.min(0) - 0.08 * size, inside.max(0) + 0.08 * size
     middle = (low + high) / 2
     middle[2] = low[2] + 0.08 * size - 0.07 * size

@@ -10,7 +10,7 @@ import numpy as np
 from jaxbody.geometry.closures import AlongAxis, Ball, Closure, Hinge, Inline, Weld
 from jaxbody.model.models import Model
 from jaxbody.views.plots.canvases import COLORS, GRAY, INK
-from jaxbody.views.scenes.animations import DrawnPart, NameLabel, rod
+from jaxbody.views.scenes.animations import DrawnPart, rod
 from jaxbody.views.scenes.meshes import box, cylinder, joined, sphere
 from jaxbody.views.scenes.pose_sequences import PoseSequence, attaching
 from jaxbody.views.scenes.shapes import axes_along
@@ -31,23 +31,11 @@ def placed_closures(model: Model) -> list[tuple[str, Closure]]:
 def parts_of_closures(sequence: PoseSequence, size: float) -> list[DrawnPart]:
     """The parts of all closures; what is one point in space is drawn on the first of the
     two frames."""
-    parts: list[DrawnPart] = []
-    for name, closure in placed_closures(sequence.model):
-        parts += _parts(name, closure, sequence, size)
-    return parts
-
-
-def names_of_rods(sequence: PoseSequence) -> list[NameLabel]:
-    """The name of each rod at its middle; other closures are where bodies meet, which
-    have names."""
-    labels = []
-    for name, closure in placed_closures(sequence.model):
-        if is_link(closure):
-            A, B = _ends(closure, sequence)
-            labels.append(
-                NameLabel(("names of closures", name), name, (A + B) / 2, GRAY, "element")
-            )
-    return labels
+    return [
+        part
+        for name, closure in placed_closures(sequence.model)
+        for part in _parts(name, closure, sequence, size)
+    ]
 
 
 def is_link(closure: Closure) -> bool:
@@ -56,8 +44,8 @@ def is_link(closure: Closure) -> bool:
 
 
 def _parts(name: str, closure: Any, sequence: PoseSequence, size: float) -> list[DrawnPart]:
-    A, B = _ends(closure, sequence)
-    R, r = sequence.R[:, sequence.row(closure.between[0])], 0.012 * size
+    (A, B), (_, R) = sequence.ends(closure), sequence.pose(closure.between[0])
+    r = 0.012 * size
     if is_link(closure):
         ends = [
             DrawnPart(("closures", name, end), sphere(1.3 * r), INK, at, R)
@@ -82,18 +70,9 @@ def _parts(name: str, closure: Any, sequence: PoseSequence, size: float) -> list
     ]
 
 
-def _ends(closure: Closure, sequence: PoseSequence) -> list[np.ndarray]:
-    """The points of both ends in each frame (n, 3)."""
-    return [
-        sequence.points(frame, point)
-        for frame, point in zip(closure.between, closure.points, strict=True)
-    ]
-
-
 def _rail(closure: AlongAxis, A: np.ndarray, B: np.ndarray, R: np.ndarray, size: float) -> Any:
     """A rail along z from the first point, over all that the second one passes."""
-    n = R @ np.asarray(closure.axis, float)
-    places = np.sum((B - A) * n, axis=1)
+    places = np.sum((B - A) * (R @ np.asarray(closure.axis, float)), axis=1)
     return cylinder(
         0.004 * size,
         min(places.min(), 0.0) - 0.06 * size,

@@ -38,18 +38,15 @@ TUBE = 0.55  # length of a damper's tube over that of the damper in the first fr
 
 def parts_of_elements(sequence: PoseSequence, size: float, up: np.ndarray) -> list[DrawnPart]:
     """The parts of all elements but tyres."""
-    parts: list[DrawnPart] = []
-    for table in sequence.model.attached:
-        for name in table.names:
-            element = table.row(name)
-            if isinstance(element, Tyre):
-                continue
-            ends = [
-                sequence.points(frame, point)
-                for frame, point in zip(element.between, element.points, strict=True)
-            ]
-            parts += _parts(name, element, ends, sequence, size, up)
-    return parts
+    elements = [
+        (name, table.row(name)) for table in sequence.model.attached for name in table.names
+    ]
+    return [
+        part
+        for name, element in elements
+        if not isinstance(element, Tyre)
+        for part in _parts(name, element, sequence.ends(element), sequence, size, up)
+    ]
 
 
 def _parts(
@@ -144,9 +141,11 @@ def _bushing(
 ) -> list[DrawnPart]:
     """A rubber ring on the frame of the second end about a pin on that of the first; its axis is
     the one nearest to up at rest."""
-    R_a = sequence.R[:, sequence.row(element.between[0])] @ np.asarray(matrix(element.orientation))
-    R_b = sequence.R[:, sequence.row(element.between[1])] @ np.asarray(
-        matrix(element.orientation_b)
+    R_a, R_b = (
+        sequence.pose(frame)[1] @ np.asarray(matrix(q))
+        for frame, q in zip(
+            element.between, (element.orientation, element.orientation_b), strict=True
+        )
     )
     # z of the mesh to that axis
     turn = np.roll(np.eye(3), int(np.argmax(np.abs(R_b[0].T @ up))) - 2, axis=0)
@@ -173,7 +172,7 @@ def _torsion(
     name: str, element: Torsion, ends, sequence: PoseSequence, size: float
 ) -> list[DrawnPart]:
     """A flat spiral about the axis on the first frame, whose outer end is an arm on the second."""
-    R_a, R_b = (sequence.R[:, sequence.row(frame)] for frame in element.between)
+    R_a, R_b = (sequence.pose(frame)[1] for frame in element.between)
     axes = np.asarray(matrix(element.orientation)) @ axes_along(np.asarray(element.axis, float))
     in_b = R_b[0].T @ R_a[0] @ axes
     r = 0.035 * size
@@ -192,8 +191,8 @@ def _anti_roll_bar(
     """A bar on the body beside the line between the two wheels at rest, with a lever to
     each wheel."""
     left, right, _ = ends
-    line, row = left[0] - right[0], sequence.row(element.between[2])
-    normal = sequence.R[0, row] @ np.asarray(element.axis, float)
+    line, (p, R) = left[0] - right[0], sequence.pose(element.between[2])
+    normal = R[0] @ np.asarray(element.axis, float)
     aside = np.cross(normal, line)
     length = np.linalg.norm(aside)
     aside = 0.16 * (aside if length > 0 else across(normal) * np.linalg.norm(line))
@@ -201,8 +200,7 @@ def _anti_roll_bar(
 
     def on_body(at: np.ndarray) -> np.ndarray:
         """The world positions in all frames of a point of the body, given in the first frame."""
-        fixed = sequence.R[0, row].T @ (at - sequence.p[0, row])
-        return sequence.p[:, row] + sequence.R[:, row] @ fixed
+        return p + R @ (R[0].T @ (at - p[0]))
 
     corners = [on_body(left[0] - inward + aside), on_body(right[0] + inward + aside)]
     mesh = cylinder(0.0055 * size, sides=10)

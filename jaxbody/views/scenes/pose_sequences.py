@@ -52,22 +52,30 @@ class PoseSequence:
     roads: dict[str, Road] = field(default_factory=dict)  # {support: road under it}
     wheel: Wheel | None = None  # that is drawn, beside those of tyres
 
-    def row(self, name: str) -> int:
-        return self.model.layout.frame(name)
+    def pose(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (n, 3) and orientations (n, 3, 3) of a frame."""
+        row = self.model.layout.frame(name)
+        return self.p[:, row], self.R[:, row]
 
     def points(self, name: str, point: Any) -> np.ndarray:
         """World positions (n, 3) of a point of a frame."""
-        return self.p[:, self.row(name)] + self.R[:, self.row(name)] @ np.asarray(point, float)
+        p, R = self.pose(name)
+        return p + R @ np.asarray(point, float)
+
+    def ends(self, thing: Any) -> list[np.ndarray]:
+        """World positions (n, 3) of the points that an element or a closure is between."""
+        places = zip(thing.between, thing.points, strict=True)
+        return [self.points(frame, point) for frame, point in places]
 
 
-def still(model: Model, state: State | None = None, title: str = "") -> PoseSequence:
+def still(model: Model, state: State | None = None) -> PoseSequence:
     """One state of a model; None takes the reference pose."""
     state = model.reference if state is None else state
     check_state(model, state, "state")
-    return PoseSequence(model, np.zeros(1), *_configurations(model, state.q[None]), title)
+    return PoseSequence(model, np.zeros(1), *_configurations(model, state.q[None]))
 
 
-def along(trajectory: Trajectory, most: int, forces: bool = False, title: str = "") -> PoseSequence:
+def along(trajectory: Trajectory, most: int, forces: bool = False) -> PoseSequence:
     """The samples of a motion nearest to `most` equal steps of time; those after a failure are
     left out.
 
@@ -110,7 +118,6 @@ def along(trajectory: Trajectory, most: int, forces: bool = False, title: str = 
         for name, motion in zip(model.layout.supports, trajectory.motions, strict=False)
         if isinstance(motion, Road)
     }
-    forces_by_name = {name: np.asarray(force) for name, force in exerted.items()}
     chosen = times[rows]
     step = np.diff(chosen).min(initial=1.0)
     clock = tuple(
@@ -121,10 +128,9 @@ def along(trajectory: Trajectory, most: int, forces: bool = False, title: str = 
         chosen,
         np.asarray(frames.p),
         np.asarray(frames.R),
-        title,
-        clock,
-        forces_by_name,
-        roads,
+        clock=clock,
+        forces={name: np.asarray(force) for name, force in exerted.items()},
+        roads=roads,
     )
 
 
@@ -145,14 +151,13 @@ def vibrating(
     Error: UNKNOWN_MODE."""
     model, count = modes.model, modes.frequency.shape[0]
     if not 1 <= number <= count:
-        limit = f"1 to {count}"
         raise JaxbodyError(
             Problem(
                 "UNKNOWN_MODE",
                 "view.number",
-                f"is {number}; there are modes {limit}",
+                f"is {number}; there are modes 1 to {count}",
                 number,
-                limit,
+                f"1 to {count}",
             )
         )
     q = (model.reference if state is None else state).q
@@ -176,7 +181,7 @@ def vibrating(
     trial = 1e-6 * size / max(np.abs(shape).max(), np.finfo(float).tiny)
     trials = PoseSequence(model, np.zeros(2), *_poses(model, q, trial * extremes))
     largest = (
-        np.linalg.norm(np.linalg.norm(_marks(trials) - _marks(rest), axis=-1), axis=0).max() / trial
+        np.linalg.norm(np.linalg.norm(marks(trials) - marks(rest), axis=-1), axis=0).max() / trial
     )
     # where nothing is attached off O
     largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
@@ -195,7 +200,7 @@ def vibrating(
     return PoseSequence(model, SECONDS * steps, p, R, title, clock)
 
 
-def over_travel(curves: SuspensionCurves, title: str = "") -> PoseSequence:
+def over_travel(curves: SuspensionCurves) -> PoseSequence:
     """The configurations of a suspension in the order of its curves, in equal steps of time; those
     beyond reach are left out.
 
@@ -224,8 +229,7 @@ def over_travel(curves: SuspensionCurves, title: str = "") -> PoseSequence:
         times,
         p,
         R,
-        title,
-        tuple(", ".join(parts) for parts in shown),
+        clock=tuple(", ".join(parts) for parts in shown),
         wheel=curves.wheel,
     )
 
@@ -243,20 +247,13 @@ def nearest(times: np.ndarray, most: int) -> np.ndarray:
     return np.unique(np.where(wanted - times[before] <= times[after] - wanted, before, after))
 
 
-def marks_of(model: Model) -> list[tuple[str, np.ndarray]]:
-    """(frame, point): centers of mass and origins of bodies, ends of elements and closures."""
-    places = [
-        (name, point)
-        for name in model.layout.bodies
-        for point in (np.asarray(model[name].com), np.zeros(3))
+def places_of(table: KindTable) -> list[tuple[str, np.ndarray]]:
+    """(frame, point) of each end of elements or closures."""
+    return [
+        (link[end], point)
+        for end, points in enumerate(table.rows.points)
+        for link, point in zip(table.links, np.asarray(points, float), strict=True)
     ]
-    for table in attaching(model):
-        for end, points in enumerate(table.rows.points):
-            places += [
-                (link[end], point)
-                for link, point in zip(table.links, np.asarray(points), strict=True)
-            ]
-    return places
 
 
 def attaching(model: Model) -> list[KindTable]:
@@ -270,13 +267,18 @@ def attaching(model: Model) -> list[KindTable]:
 def size_of_sequence(sequence: PoseSequence) -> float:
     """The longest side of the box around the attached points and centers of mass in the first
     frame; 1 m for a point."""
-    marks = _marks(sequence)[0]
-    return float(np.ptp(marks, axis=0).max()) or 1.0
+    return float(np.ptp(marks(sequence)[0], axis=0).max()) or 1.0
 
 
-def _marks(sequence: PoseSequence) -> np.ndarray:
-    """World positions (n, marks, 3)."""
-    return np.stack([sequence.points(name, point) for name, point in marks_of(sequence.model)], 1)
+def marks(sequence: PoseSequence) -> np.ndarray:
+    """World positions (n, marks, 3) of centers of mass, origins of bodies, and the ends of elements
+    and closures."""
+    model = sequence.model
+    places = [
+        (name, point) for name in model.layout.bodies for point in (model[name].com, np.zeros(3))
+    ]
+    places += [place for table in attaching(model) for place in places_of(table)]
+    return np.stack([sequence.points(name, point) for name, point in places], 1)
 
 
 def _poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

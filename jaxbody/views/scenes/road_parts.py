@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxbody.model.elements.contacts import Tyre
 from jaxbody.model.inputs.roads import Road
@@ -39,38 +40,37 @@ def parts_of_roads(sequence: PoseSequence, size: float) -> list[DrawnPart]:
         strips.setdefault(key, strip)
         drawn.add(support)
 
-    for table in sequence.model.elements:
-        for name in table.names:
-            element = table.row(name)
-            if isinstance(element, Tyre) and float(element.radius) > 0:
-                parts += _wheel(name, element, sequence)
-                normal, width = np.asarray(element.axis, float), 1.5 * WIDTH * float(element.radius)
-                add(name, element.between[1], np.asarray(element.b, float), normal, width)
+    for name, element in _tyres(sequence):
+        parts += _wheel(name, element, sequence)
+        normal, width = np.asarray(element.axis, float), 1.5 * WIDTH * float(element.radius)
+        add(name, element.between[1], np.asarray(element.b, float), normal, width)
     for support in sequence.roads:
         if support not in drawn:
             add(support, support, np.zeros(3), np.array([0.0, 0, 1]), 0.1 * size)
     return parts + [part for strip in strips.values() for part in strip]
 
 
+def _tyres(sequence: PoseSequence) -> list[tuple[str, Tyre]]:
+    """The tyres that have a radius, by name."""
+    tables = [table for table in sequence.model.elements if isinstance(table.rows, Tyre)]
+    tyres = [(name, table.row(name)) for table in tables for name in table.names]
+    return [(name, element) for name, element in tyres if float(element.radius) > 0]
+
+
 def hub_of(sequence: PoseSequence, body: str, points: np.ndarray) -> Mesh | None:
     """The hub of the wheel that a body is, in its axes; None for a body without a tyre, or with
     points outside of it."""
-    for table in sequence.model.elements:
-        for name, link in zip(table.names, table.links, strict=True):
-            element = table.row(name)
-            if isinstance(element, Tyre) and link[0] == body and float(element.radius) > 0:
-                r = float(element.radius)
-                R = (
-                    sequence.R[0, sequence.row(body)].T
-                    @ sequence.R[0, sequence.row(link[1])]
-                    @ _axes_of_wheel(element)
-                )
-                center, w = np.asarray(element.a, float), WIDTH * r
-                inside = (points - center) @ R
-                if (np.linalg.norm(inside[:, :2], axis=1) < r).all() and (
-                    np.abs(inside[:, 2]) < w
-                ).all():
-                    return cylinder(HUB * r, -0.45 * w, 0.45 * w).placed(center, R)
+    for _, element in _tyres(sequence):
+        on, road = element.between
+        if on == body:
+            r, R = float(element.radius), sequence.pose(body)[1][0].T @ sequence.pose(road)[1][0]
+            R = R @ _axes_of_wheel(element)
+            center, w = np.asarray(element.a, float), WIDTH * r
+            inside = (points - center) @ R
+            if (np.linalg.norm(inside[:, :2], axis=1) < r).all() and (
+                np.abs(inside[:, 2]) < w
+            ).all():
+                return cylinder(HUB * r, -0.45 * w, 0.45 * w).placed(center, R)
     return None
 
 
@@ -96,16 +96,8 @@ def _wheel(name: str, element: Tyre, sequence: PoseSequence) -> list[DrawnPart]:
     angle = (
         np.zeros(len(sequence.times)) if road is None else float(road.speed) * sequence.times / r
     )
-    c, s, zero = np.cos(angle), np.sin(angle), 0 * angle
-    spin = np.stack(
-        [
-            np.stack([c, -s, zero], -1),
-            np.stack([s, c, zero], -1),
-            np.stack([zero, zero, zero + 1], -1),
-        ],
-        -2,
-    )
-    R = sequence.R[:, sequence.row(element.between[1])] @ axes @ spin
+    spin = Rotation.from_euler("z", angle).as_matrix()
+    R = sequence.pose(element.between[1])[1] @ axes @ spin
     w = WIDTH * r
     rim = cylinder(RIM * r, -0.38 * w, 0.38 * w)
     holes = []
@@ -129,7 +121,7 @@ def parts_of_wheel(sequence: PoseSequence) -> list[DrawnPart]:
         return []
     r, R = (
         float(wheel.radius),
-        sequence.R[:, sequence.row(wheel.on)] @ axes_along(np.asarray(wheel.axis, float)),
+        sequence.pose(wheel.on)[1] @ axes_along(np.asarray(wheel.axis, float)),
     )
     return [
         DrawnPart(
@@ -154,7 +146,7 @@ def _strip(
 ) -> list[DrawnPart]:
     """A strip of road through a point of a support at rest; one that passes under it
     moves backwards."""
-    road, row, reach = sequence.roads.get(support), sequence.row(support), AHEAD * size
+    road, reach = sequence.roads.get(support), AHEAD * size
     axes, thick = _axes_of_road(normal), 0.01 * size
     if road is None:
         flat, at = (
@@ -167,7 +159,7 @@ def _strip(
                 flat,
                 ASPHALT,
                 at,
-                sequence.R[:, row] @ axes,
+                sequence.pose(support)[1] @ axes,
                 framed=False,
             )
         ]

@@ -18,7 +18,7 @@ from jaxbody.views.scenes.body_parts import (
     parts_of_supports,
     up_of,
 )
-from jaxbody.views.scenes.closure_parts import names_of_rods, parts_of_closures
+from jaxbody.views.scenes.closure_parts import is_link, parts_of_closures, placed_closures
 from jaxbody.views.scenes.element_parts import parts_of_elements
 from jaxbody.views.scenes.meshes import arrow
 from jaxbody.views.scenes.pose_sequences import PoseSequence, size_of_sequence
@@ -69,22 +69,20 @@ def animation_of(
         scale = LONGEST * size / (longest_force or largest or 1.0)
         parts += _arrows(sequence, size, scale)
         notes.append(f"arrows: {LONGEST * size / scale:.3g} N are {LONGEST * size:.3g} m long")
-    names += more_names + _names_of_elements(sequence) + names_of_rods(sequence)
+    names += more_names + _names_at_middles(sequence)
     paths = [
         Trail(("trails", name), sequence.points(frame, point), COLORS[1])
         for name, frame, point in trails
     ]
-    right = _right(sequence, size, up)
     seen_from = SEEN_FROM if is_flat(sequence, size, up) is None else FLAT_SEEN_FROM
-    seconds = (sequence.times - sequence.times[0]) / speed
     return Animation(
-        seconds,
+        (sequence.times - sequence.times[0]) / speed,
         sequence.clock,
         tuple(parts),
         tuple(names),
         tuple(paths),
         up,
-        right,
+        _right(sequence, size, up),
         size,
         seen_from,
         sequence.title,
@@ -94,8 +92,7 @@ def animation_of(
 
 def with_ground(animation: Animation) -> Animation:
     """The animation on a grid at the height of its lowest point."""
-    points = animation.outline()
-    part, note = ground(points, animation.up, animation.right, animation.size)
+    part, note = ground(animation.outline(), animation.up, animation.right, animation.size)
     return replace(animation, parts=(part, *animation.parts), notes=(*animation.notes, note))
 
 
@@ -110,8 +107,7 @@ def side_by_side(animations: Mapping[str, Animation]) -> Animation:
         points = animation.outline()
         along = points @ first.right
         shift = (offset - along.min()) * first.right
-        width = np.ptp(along)
-        offset += width * (1 + GAP)
+        offset += np.ptp(along) * (1 + GAP)
         moved = animation.shown_at(longest.seconds).moved(shift, name)
         # the last away from the camera
         axes = np.stack([first.right, first.up, -np.cross(first.right, first.up)], -1)
@@ -144,36 +140,26 @@ def _arrows(sequence: PoseSequence, size: float, scale: float) -> list[DrawnPart
     mesh, parts = arrow(0.012 * size, 0.3), []
     for name, force in sequence.forces.items():
         element = sequence.model[name]
-        for i, (frame, point) in enumerate(zip(element.between, element.points, strict=True)):
+        for i, (frame, at) in enumerate(zip(element.between, sequence.ends(element), strict=True)):
             if frame in sequence.model.layout.bodies:
-                at = sequence.points(frame, point)
-                parts.append(
-                    replace(
-                        rod(
-                            ("forces", name, f"on {frame}"),
-                            mesh,
-                            FORCE,
-                            at,
-                            at + scale * force[:, i],
-                        ),
-                        over=0.05 * size,
-                    )
-                )
+                path, tip = ("forces", name, f"on {frame}"), at + scale * force[:, i]
+                parts.append(replace(rod(path, mesh, FORCE, at, tip), over=0.05 * size))
     return parts
 
 
-def _names_of_elements(sequence: PoseSequence) -> list[NameLabel]:
-    model, labels = sequence.model, []
-    for name in model.element_names:
-        element = model[name]
-        ends = [
-            sequence.points(frame, point)
-            for frame, point in zip(element.between[:2], element.points[:2], strict=True)
-        ]
-        labels.append(
-            NameLabel(("names of elements", name), name, (ends[0] + ends[1]) / 2, GRAY, "element")
-        )
-    return labels
+def _names_at_middles(sequence: PoseSequence) -> list[NameLabel]:
+    """The names of elements and of rods; other closures are where bodies have their own."""
+    model = sequence.model
+    named = [("names of elements", name, model[name]) for name in model.element_names]
+    named += [
+        ("names of closures", name, closure)
+        for name, closure in placed_closures(model)
+        if is_link(closure)
+    ]
+    return [
+        NameLabel((group, name), name, np.mean(sequence.ends(thing)[:2], 0), GRAY, "element")
+        for group, name, thing in named
+    ]
 
 
 def _right(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray:
@@ -183,7 +169,7 @@ def _right(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray:
     if normal is not None:
         return np.cross(up, normal)
     spread = np.ptp(sequence.p[0], axis=0)
-    x, y = ([0, 1, 2][i] for i in [i for i in range(3) if i != int(np.argmax(np.abs(up)))])
+    x, y = (i for i in range(3) if i != int(np.argmax(np.abs(up))))
     axis = np.eye(3)[x if spread[x] >= 0.5 * spread[y] else y]
     rest = axis - (axis @ up) * up
     return rest / np.linalg.norm(rest)

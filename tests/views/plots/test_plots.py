@@ -8,7 +8,6 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from scipy.spatial import ConvexHull
 
 import jaxbody as jb
 from jaxbody import plots
@@ -346,12 +345,18 @@ def test_a_mode_is_drawn_in_both_extremes(model, ax):
 
 @pytest.mark.parametrize("count", [3, 5, 30])
 def test_outlines_are_convex_hulls(rng, count):
+    """Counterclockwise, of points that are given, with no point outside."""
     points = np.round(rng.normal(size=(count, 2)), 2)
-    mine = model_plots._hull(np.concatenate([points, points[:2]]), 1e-9)
-    theirs = points[ConvexHull(points).vertices]
-    assert {tuple(p) for p in mine} == {tuple(p) for p in theirs}
-    turns = [model_plots._area(mine[i - 2], mine[i - 1], mine[i]) for i in range(len(mine))]
-    assert min(turns) > 0
+    hull = model_plots._hull(np.concatenate([points, points[:2]]), 1e-9)
+    assert {tuple(p) for p in hull} <= {tuple(p) for p in points}
+    for begin, end in zip(hull, np.roll(hull, -1, 0), strict=True):
+        along, past = end - begin, points - begin
+        assert (along[0] * past[:, 1] - along[1] * past[:, 0] >= -1e-12).all()
+
+
+def test_an_outline_of_points_on_a_line_is_the_line():
+    line = np.linspace([1.0, 2.0], [3.0, 0.0], 5)
+    assert model_plots._hull(line[[2, 0, 4, 1, 3]], 1e-9).tolist() == [[1, 2], [3, 0]]
 
 
 def test_a_zigzag_ends_where_the_spring_ends(rng):
