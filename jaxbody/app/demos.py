@@ -89,7 +89,13 @@ def run(out: Path, seed: int) -> int:
     lin = jb.linearize(plate, eq)
     modes = jb.modes(lin)
     print(modes)
-    figures = [draw_plate(plate, out / "plate.png"), draw_modes(lin, modes, out / "modes.png")]
+    with figure(out / "plate.png", 6.5, 4.6) as (ax,):
+        jb.plots.draw_model(plate, ax=ax).set_title(
+            "the plate, its springs and the base", fontsize=9
+        )
+    with figure(out / "modes.png", 11.0, 6.2, 2, 3) as axes:
+        for i, ax in enumerate(axes, 1):
+            jb.plots.draw_mode(lin, modes, i, ax=ax)
     trajectory = jb.simulate(plate, times, motion=motion, initial=eq.state)
     report("The simulated motion:")
     print(trajectory)
@@ -98,14 +104,28 @@ def run(out: Path, seed: int) -> int:
         f"Measuring the corner C with {1000 * NOISE:g} mm of noise, then fitting the stiffnesses "
         "with optax from a start 30 % too stiff ..."
     )
-    figures.append(draw_motion(trajectory, out / "motion.png"))
+    with figure(out / "motion.png", 8.0, 7.0, 2, 1, height_ratios=(1.6, 1.0)) as (above, below):
+        jb.plots.plot_trajectory(trajectory, ax=above)
+        jb.plots.plot_forces(trajectory, ax=below)
     measured = jb.measure(trajectory, sensors, noise=NOISE, key=jax.random.key(seed))
     experiment = jb.Experiment(
         times, motion=motion, initial=eq.state, sensors=sensors, measured=measured
     )
     fit = jb.fit(guess, {"run1": experiment}, free=["*.stiffness"], method=optax.lbfgs())
-    figures.append(draw_fit(fit, out / "fit.png"))
+    with figure(out / "fit.png", 14.0, 4.4, 1, 3, width_ratios=(1.0, 1.25, 0.65)) as (
+        left,
+        middle,
+        right,
+    ):
+        jb.plots.draw_model(fit.model, ax=left).set_title(
+            "the plate on its vibrating base", fontsize=9
+        )
+        jb.plots.plot_fit(fit, ax=middle).set_title(
+            "motion of its upper right corner, measured and fitted", fontsize=9
+        )
+        jb.plots.plot_history(fit, ax=right).set_title("cost of the fit", fontsize=9)
     agree = compare_stiffnesses(fit, {"AB": k, "CD": k, "EF": kt})
+    figures = (out / f"{name}.png" for name in ("plate", "modes", "motion", "fit"))
     report("Figures: " + ", ".join(map(str, figures)))
     report("Done." if agree else "The estimates are too far from the true values.")
     return 0 if agree else 1
@@ -235,41 +255,3 @@ def figure(
     new = Figure(figsize=(width, height), layout="constrained")
     yield new.subplots(rows, columns, squeeze=False, gridspec_kw=ratios).ravel()
     new.savefig(path, dpi=130)
-
-
-def draw_plate(plate: Any, path: Path) -> Path:
-    """Draw the plate at rest."""
-    with figure(path, 6.5, 4.6) as (ax,):
-        jb.plots.draw_model(plate, ax=ax).set_title(
-            "the plate, its springs and the base", fontsize=9
-        )
-    return path
-
-
-def draw_modes(lin: Any, modes: Any, path: Path) -> Path:
-    """Draw all six modes."""
-    with figure(path, 11.0, 6.2, 2, 3) as axes:
-        for i, ax in enumerate(axes):
-            jb.plots.draw_mode(lin, modes, i + 1, ax=ax)
-    return path
-
-
-def draw_motion(trajectory: Any, path: Path) -> Path:
-    """Draw positions and tensions over time."""
-    with figure(path, 8.0, 7.0, 2, 1, height_ratios=(1.6, 1.0)) as (above, below):
-        jb.plots.plot_trajectory(trajectory, ax=above)
-        jb.plots.plot_forces(trajectory, ax=below)
-    return path
-
-
-def draw_fit(fit: Any, path: Path) -> Path:
-    """Draw the model, the record with the fit, and the history of the cost."""
-    with figure(path, 14.0, 4.4, 1, 3, width_ratios=(1.0, 1.25, 0.65)) as (left, middle, right):
-        jb.plots.draw_model(fit.model, ax=left).set_title(
-            "the plate on its vibrating base", fontsize=9
-        )
-        jb.plots.plot_fit(fit, ax=middle).set_title(
-            "motion of its upper right corner, measured and fitted", fontsize=9
-        )
-        jb.plots.plot_history(fit, ax=right).set_title("cost of the fit", fontsize=9)
-    return path

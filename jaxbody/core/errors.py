@@ -135,12 +135,17 @@ class Problems:
     ) -> None:
         self.collected.append(Problem(code, where, message, value, limit, hint))
 
-    def gather(self, function: Callable[[], Any]) -> Any:
-        """The result of `function`; None if it raises, and its problems are collected."""
+    def gather(
+        self,
+        function: Callable[[], Any],
+        placed: Callable[[Problem], Problem] = lambda problem: problem,
+    ) -> Any:
+        """The result of `function`; None if it raises, and its problems are collected, each as
+        `placed` makes it, such as at its line of a file."""
         try:
             return function()
         except JaxbodyError as error:
-            self.collected += error.problems
+            self.collected += map(placed, error.problems)
             return None
 
     def raise_if_any(self) -> None:

@@ -9,7 +9,7 @@ import inspect
 import json
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxbody.core import units
-from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.files.documents import Document, EntryPath, shown
 from jaxbody.files.kinds import (
     CLOSURES,
@@ -81,10 +81,9 @@ class Builder:
         self.problems.raise_if_any()
         if "gravity" in self.values:
             parts["gravity"] = self.values["gravity"]
-        try:
-            return Model(**parts)
-        except JaxbodyError as error:
-            raise JaxbodyError(*map(self.placed_in_model, error.problems)) from None
+        model = self.problems.gather(lambda: Model(**parts), self.placed_in_model)
+        self.problems.raise_if_any()
+        return model
 
     def know_coordinates(self, joints: dict[str, Joint | None]) -> None:
         """Complete the coordinates that are known by those of joints of the user's own."""
@@ -205,15 +204,10 @@ class Builder:
             if name not in (*IN_PLACE, "channels", "time")
         }
         time = {"time": _column(values["time"])} if "time" in values else {}
-        try:
-            record = (
-                None if file is None else read_record(file, channels=columns, **time, **options)
-            )
-        except JaxbodyError as error:
-            self.problems.collected += [
-                self._of_column(problem, values, path) for problem in error.problems
-            ]
-            return None
+        record = file and self.problems.gather(
+            lambda: read_record(file, channels=columns, **time, **options),
+            lambda problem: self._of_column(problem, values, path),
+        )
         return record if record is None or "part" not in values else record.part(*values["part"])
 
     def _of_column(self, problem: Problem, values: dict[str, Any], path: EntryPath) -> Problem:
@@ -330,18 +324,22 @@ class Builder:
         """Numbers in SI, whose unit the schema does not know."""
         return in_SI(value, unit, {}, self.check.system, self.document.where(path), self.problems)
 
+    def unknown(self, name: str, known: Iterable[str], path: EntryPath) -> None:
+        self.problems.collected.append(unknown(name, self.document.where(path), tuple(known)))
+
+    def measurement(self, kind: Any, given: dict[str, Any], model: Model, path: EntryPath) -> Any:
+        """A measurement by its constructor, if it fits the model."""
+        made = self.gather(path, kind.__name__, lambda: kind(**given))
+        if made is not None:
+            self.gather(path, "", lambda: made.check(model, ""))
+        return made
+
     def gather(self, path: EntryPath, kind: str, make: Callable[[], Any]) -> Any:
         """What `make` returns; None with its problems, at their lines, where it fails. It does not
         warn of large angles, whose unit the document states."""
-        try:
-            with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", message=MORE_THAN_A_TURN)
-                return make()
-        except JaxbodyError as error:
-            self.problems.collected += [
-                self.placed(problem, path, kind) for problem in error.problems
-            ]
-            return None
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=MORE_THAN_A_TURN)
+            return self.problems.gather(make, lambda problem: self.placed(problem, path, kind))
 
     def own(self, name: str, path: EntryPath) -> type | None:
         """A class of the user's from a module that is allowed."""

@@ -187,52 +187,57 @@ class _Expected:
 def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ...]) -> Any:
     if isinstance(value, list):
         return [_converted(x, expected, (*index, (i, len(value)))) for i, x in enumerate(value)]
-    if isinstance(value, str):
-        return _of_text(value, expected, index)
+    read = _of_text if isinstance(value, str) else _of_number
+    numbers = expected.problems.gather(lambda: read(value, expected, index))
+    return 0.0 if numbers is None else numbers
+
+
+def _of_number(value: Any, expected: _Expected, index: tuple[tuple[int, int], ...]) -> float:
+    """A number without a unit. Errors: NOT_A_NUMBER, NO_UNIT."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        message = f"is {value!r:.60}, which is not a number"
-        expected.problems.add(
-            "NOT_A_NUMBER",
-            expected.where,
-            message,
-            value=value,
-            limit="a number, or a text with its unit",
+        raise JaxbodyError(
+            Problem(
+                "NOT_A_NUMBER",
+                expected.where,
+                f"is {value!r:.60}, which is not a number",
+                value,
+                "a number, or a text with its unit",
+            )
         )
-        return 0.0
     unit, dimension, value = expected.unit(index), expected.dimension(index), _float(value)
     if dimension == units.NONE or value == 0 or not math.isfinite(value):
         return value
+    si = units.si_words(dimension)
     if expected.system is None:
-        si = units.si_words(dimension)
-        expected.problems.add(
-            "NO_UNIT",
-            expected.where,
-            f"is {value:g} without a unit",
-            value=value,
-            limit=f"a unit such as {si}",
-            hint=f'Write "{value:g} {si}", or units = "SI" at the top of the file.',
+        raise JaxbodyError(
+            Problem(
+                "NO_UNIT",
+                expected.where,
+                f"is {value:g} without a unit",
+                value,
+                f"a unit such as {si}",
+                f'Write "{value:g} {si}", or units = "SI" at the top of the file.',
+            )
         )
-        return 0.0
     meant = times(value, expected.system.factor(unit))
     if not expected.system.states(unit):
-        si, of = units.si_words(dimension), expected.system.derived
-        message = (
-            f"is {value:g} without a unit, which would be {meant:.6g} {si} by the units of the file"
-        )
+        of = expected.system.derived
         also = (
             ""
             if dimension == units.ACCELERATION
             else f', or add {of} = "{"kg" if of == "mass" else "N"}" to the units of the file'
         )
-        expected.problems.add(
-            "NO_UNIT",
-            expected.where,
-            message,
-            value=value,
-            limit=f"a unit such as {si}",
-            hint=f'Write "{value:g} {si}"{also}.',
+        raise JaxbodyError(
+            Problem(
+                "NO_UNIT",
+                expected.where,
+                f"is {value:g} without a unit, which would be {meant:.6g} {si} by the units of "
+                "the file",
+                value,
+                f"a unit such as {si}",
+                f'Write "{value:g} {si}"{also}.',
+            )
         )
-        return 0.0
     _warn_of_degrees([value], dimension, expected.system.angle, expected.where)
     return meant
 
@@ -269,23 +274,20 @@ def times(value: float, factor: float) -> float:
 def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...]) -> Any:
     match = NUMBERS.match(text.strip()) if len(text) <= LONGEST else None
     if match is None:
-        expected.problems.add(
-            "NOT_A_NUMBER",
-            expected.where,
-            f"is {text!r:.60}",
-            value=text,
-            limit='a number with its unit, such as "21 N/mm"',
+        raise JaxbodyError(
+            Problem(
+                "NOT_A_NUMBER",
+                expected.where,
+                f"is {text!r:.60}",
+                text,
+                'a number with its unit, such as "21 N/mm"',
+            )
         )
-        return 0.0
     numbers = [float(number) for number in re.findall(NUMBER, match.group())]
     written = text.strip()[match.end() :].strip()
     if not written:
         return _converted(numbers if len(numbers) > 1 else numbers[0], expected, index)
-    try:
-        unit = units.parse(written, expected.where)
-    except JaxbodyError as error:
-        expected.problems.collected += error.problems
-        return 0.0
+    unit = units.parse(written, expected.where)
     wanted = (
         [expected.dimension((*index, (i, len(numbers)))) for i in range(len(numbers))]
         if len(numbers) > 1
@@ -293,8 +295,7 @@ def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...])
     )
     for dimension in wanted:
         if dimension != unit.dimension:
-            expected.problems.collected.append(_mismatch(text, unit, dimension, expected.where))
-            return 0.0
+            raise JaxbodyError(_mismatch(text, unit, dimension, expected.where))
     _warn_of_degrees(numbers, unit.dimension, unit.factor, expected.where)
     values = [times(number, unit.factor) for number in numbers]
     return values if len(values) > 1 else values[0]

@@ -145,10 +145,10 @@ class Writer:
             if argument.role == "end":
                 name, point = next(ends)
                 values[argument.name] = [name, numbers_of(point)]
-                continue
-            value = getattr(thing, argument.field, None)
-            if value is not None and not _same(value, argument.default):
-                values[argument.name] = self.value(value, argument, f"{where}.{argument.name}")
+            else:
+                value = getattr(thing, argument.field, None)
+                if value is not None and not _same(value, argument.default):
+                    values[argument.name] = self.value(value, argument, f"{where}.{argument.name}")
         return values
 
     def value(self, value: Any, argument: Argument, where: str) -> Any:

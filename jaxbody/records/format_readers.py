@@ -197,8 +197,7 @@ def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> C
             )
             values = numeric(data[()], name, path.name)
             if transposed and values.ndim == 2:
-                values = values.T[:, 0] if 1 in values.shape and values.shape[0] == 1 else values.T
-                values = values[0] if values.ndim == 2 and values.shape[0] == 1 else values
+                values = values.ravel() if 1 in values.shape else values.T
             columns[asked] = Column(
                 values,
                 unit.decode() if isinstance(unit, bytes) else None if unit is None else str(unit),

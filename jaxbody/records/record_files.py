@@ -149,15 +149,10 @@ def read_record(
                 limit="columns of one length",
                 hint="Read them as separate channels.",
             )
-            continue
-        agreed = agreed_unit(
-            unit,
-            {contents.columns[column].unit for column in columns},
-            f"{name}['{key}']",
-            problems,
-            notes,
-        )
-        given[key] = (parts[0] if len(parts) == 1 else np.stack(parts, 1), agreed)
+        else:
+            in_file = {contents.columns[column].unit for column in columns}
+            agreed = agreed_unit(unit, in_file, f"{name}['{key}']", problems, notes)
+            given[key] = (parts[0] if len(parts) == 1 else np.stack(parts, 1), agreed)
     problems.raise_if_any()
     record = Record(times, given, time_unit=time_unit, name=name, **options)
     record.notes = (*notes, *record.notes)
@@ -225,21 +220,18 @@ def agreed_unit(
             theirs = units.parse(str(word), where)
         except JaxbodyError:
             notes.append(f"{where}: '{word}' in the file, read as {stated}")
-            continue
-        ours = units.parse(stated, where)
-        if (theirs.dimension, round(theirs.factor / ours.factor, 9)) != (ours.dimension, 1.0):
-            hint = (
-                "Leave the unit out to use that of the file, or give the numbers to Record "
-                "with the correct unit."
-            )
-            problems.add(
-                "UNIT_CONFLICT",
-                where,
-                f"is in '{word}' in the file, not in '{stated}'",
-                value=stated,
-                limit=str(word),
-                hint=hint,
-            )
+        else:
+            ours = units.parse(stated, where)
+            if (theirs.dimension, round(theirs.factor / ours.factor, 9)) != (ours.dimension, 1.0):
+                problems.add(
+                    "UNIT_CONFLICT",
+                    where,
+                    f"is in '{word}' in the file, not in '{stated}'",
+                    value=stated,
+                    limit=str(word),
+                    hint="Leave the unit out to use that of the file, or give the numbers to "
+                    "Record with the correct unit.",
+                )
     return stated
 
 

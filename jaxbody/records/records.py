@@ -3,6 +3,7 @@ request only."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -79,19 +80,18 @@ class Record(Labeled, tables.Printed):
             given = _channels(channels, name, problems)
             t = _times(times, time_unit, rate, given, name, problems)
         for key in [key for key, (x, _) in given.items() if len(x) != len(t)]:
-            message, limit = f"has {len(given[key][0])} samples", f"{len(t)}, as many as times"
-            hint = (
-                "It looks transposed: give values.T."
-                if given[key][0].shape[-1] == len(t)
-                else "One row per time."
-            )
+            x, _ = given[key]
             problems.add(
                 "BAD_SHAPE",
                 f"{name}['{key}']",
-                message,
-                value=given[key][0].shape,
-                limit=limit,
-                hint=hint,
+                f"has {len(x)} samples",
+                value=x.shape,
+                limit=f"{len(t)}, as many as times",
+                hint=(
+                    "It looks transposed: give values.T."
+                    if x.shape[-1] == len(t)
+                    else "One row per time."
+                ),
             )
         problems.raise_if_any()
         if drop_duplicates:
@@ -219,7 +219,6 @@ def _check_options(rate: Any, fill: Any, max_gap: Any, drop: Any, problems: Prob
 def _channels(
     channels: Any, name: str, problems: Problems
 ) -> dict[str, tuple[np.ndarray, units.Unit]]:
-    given = {}
     if not isinstance(channels, dict) or not channels:
         problems.add(
             "NO_DATA",
@@ -229,40 +228,39 @@ def _channels(
             limit="at least one channel",
             hint='Give channels={"acc": (values, "m/s2")}.',
         )
-        return given
-    for key, pair in channels.items():
-        where = f"{name}['{key}']"
-        if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], str):
-            problems.add(
+        return {}
+    read = {
+        key: problems.gather(partial(_channel, pair, f"{name}['{key}']"))
+        for key, pair in channels.items()
+    }
+    return {key: pair for key, pair in read.items() if pair is not None}
+
+
+def _channel(pair: Any, where: str) -> tuple[np.ndarray, units.Unit]:
+    """The values and the unit of a channel. Errors: NO_UNIT, NO_DATA, BAD_SHAPE, those of both."""
+    if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], str):
+        raise JaxbodyError(
+            Problem(
                 "NO_UNIT",
                 where,
                 "has no unit",
                 limit='(values, "m/s2")',
                 hint='State it, or "1" for numbers without a unit.',
             )
-            continue
-        read = problems.gather(
-            lambda pair=pair, where=where: (
-                np.asarray(float_array(pair[0], where)),
-                units.parse(pair[1], where),
-            )
         )
-        if read is None:
-            continue
-        x, unit = read
-        if x.ndim not in (1, 2) or x.size == 0:
-            code = "NO_DATA" if x.size == 0 else "BAD_SHAPE"
-            problems.add(
-                code,
+    x, unit = np.asarray(float_array(pair[0], where)), units.parse(pair[1], where)
+    if x.ndim not in (1, 2) or x.size == 0:
+        raise JaxbodyError(
+            Problem(
+                "NO_DATA" if x.size == 0 else "BAD_SHAPE",
                 where,
                 f"has shape {x.shape}",
-                value=x.shape,
-                limit="(n,) or (n, k)",
-                hint="One row per time.",
+                x.shape,
+                "(n,) or (n, k)",
+                "One row per time.",
             )
-            continue
-        given[key] = (x, unit)
-    return given
+        )
+    return x, unit
 
 
 def _times(

@@ -116,19 +116,18 @@ def filled(
             short = [
                 np.arange(i, j) for i, j in edges if j - i <= max_gap and i > 0 and j < len(column)
             ]
-            if not short or (~gone).sum() < 4:
-                continue
-            at = np.concatenate(short)
-            between = (
-                CubicSpline(new[~gone], column[~gone])
-                if fill == "spline"
-                else lambda s, c=column, g=gone: np.interp(s, new[~g], c[~g])
-            )
-            rows[at, k] = between(new[at])
-            notes.append(
-                f"filled {counted(len(at), 'sample')} of '{key}'"
-                + (f"[{k}]" if x.ndim == 2 else "")
-                + f" by {fill}"
-            )
+            if short and (~gone).sum() >= 4:
+                at = np.concatenate(short)
+                s, known = new[~gone], column[~gone]
+                rows[at, k] = (
+                    CubicSpline(s, known)(new[at])
+                    if fill == "spline"
+                    else np.interp(new[at], s, known)
+                )
+                notes.append(
+                    f"filled {counted(len(at), 'sample')} of '{key}'"
+                    + (f"[{k}]" if x.ndim == 2 else "")
+                    + f" by {fill}"
+                )
         out[key] = (rows.reshape(len(new), *x.shape[1:]), unit)
     return new, out

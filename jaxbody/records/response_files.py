@@ -52,12 +52,11 @@ def read_responses(
                     limit="one set",
                     hint="Read it separately.",
                 )
-                continue
-            factors = [
-                _factor(*both, where, problems)
-                for both in ((above, response.above), (below, response.below))
-            ]
-            measured[pair] = response.values * factors[0] / factors[1]
+            else:
+                factor = _factor(above, response.above, where, problems)
+                measured[pair] = (
+                    response.values * factor / _factor(below, response.below, where, problems)
+                )
     if grid is None:
         raise JaxbodyError(
             Problem(

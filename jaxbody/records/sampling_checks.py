@@ -88,13 +88,16 @@ def even_samples(
     known = None if t is None else concrete(t)
     if known is not None and not evenly_spaced(known):
         steps = np.diff(known)
-        message = f"has steps from {steps.min():.6g} to {steps.max():.6g} s"
-        hint = (
-            "Read the record with rate= if it was sampled evenly, with fill= if samples are "
+        problems.add(
+            "NOT_UNIFORM",
+            where[0],
+            f"has steps from {steps.min():.6g} to {steps.max():.6g} s",
+            value=steps,
+            limit="equal steps",
+            hint="Read the record with rate= if it was sampled evenly, with fill= if samples are "
             "missing; or interpolate it at even times, "
+            "scipy.interpolate.CubicSpline(times, values)(even).",
         )
-        hint += "scipy.interpolate.CubicSpline(times, values)(even)."
-        problems.add("NOT_UNIFORM", where[0], message, value=steps, limit="equal steps", hint=hint)
     if t is None:
         return problems.gather(lambda: float_array(values, where[1])), 1.0
     return checked(values, (t.shape,), where[1], problems, "One value for each time."), (

@@ -151,9 +151,14 @@ def find_name(
             )
         )
     near = difflib.get_close_matches(str(asked), names, 3, 0.5)
-    hint = (f"Did you mean {' or '.join(near)}? " if near else "") + _shown(names)
     raise JaxbodyError(
-        Problem("UNKNOWN_CHANNEL", where, f"has no channel '{asked}'", asked, hint=hint)
+        Problem(
+            "UNKNOWN_CHANNEL",
+            where,
+            f"has no channel '{asked}'",
+            asked,
+            hint=(f"Did you mean {' or '.join(near)}? " if near else "") + _shown(names),
+        )
     )
 
 
@@ -238,15 +243,14 @@ def reader_errors(path: Path, kind: str) -> Iterator[None]:
             )
         ) from None
     except Exception as error:
-        message = (
-            f"cannot be read as {kind}: {type(error).__name__}: "
-            f"{str(error).splitlines()[0] if str(error) else ''}"
-        )[:200]
         raise JaxbodyError(
             Problem(
                 "UNREADABLE",
                 path.name,
-                message,
+                (
+                    f"cannot be read as {kind}: {type(error).__name__}: "
+                    f"{str(error).splitlines()[0] if str(error) else ''}"
+                )[:200],
                 path,
                 hint="Is it complete, and was it closed by the program that wrote it?",
             )

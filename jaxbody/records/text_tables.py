@@ -106,12 +106,18 @@ def read_text(
     names, units, used = _heads([line for _, line in lines[:first]], separator, values.shape[1])
     if any(NUMBER.fullmatch(cell) and cell for cell in names) and used:
         i, line = lines[first - used]
-        hint = (
-            _thousands(_cells(line, separator))
-            or f"If it is neither names nor numbers, give skip={i}."
-        )
         raise JaxbodyError(
-            Problem("BAD_LINE", f"{name}:{i}", f"is {line!r:.60}", line, "names or numbers", hint)
+            Problem(
+                "BAD_LINE",
+                f"{name}:{i}",
+                f"is {line!r:.60}",
+                line,
+                "names or numbers",
+                (
+                    _thousands(_cells(line, separator))
+                    or f"If it is neither names nor numbers, give skip={i}."
+                ),
+            )
         )
     columns = {
         head: Column(values[:, k], unit)
@@ -261,33 +267,28 @@ def numbers_of(
             comma = next((cell for cell in wrong if COMMA_NUMBER.fullmatch(cell)), None)
             if len(row) != width:
                 last = k == len(rows) - 1 and not complete and len(row) < width
-                hint = (
-                    "The file ends within a line: copy it again, or give footer=1."
-                    if last
-                    else _ragged_hint(len(row), width, separator)
-                )
                 problems.add(
                     "TRUNCATED" if last else "RAGGED_LINE",
                     where,
                     f"has {len(row)} cells: {line!r:.50}",
                     value=len(row),
                     limit=f"{width}, as line {rows[0][0]} has",
-                    hint=hint,
+                    hint=(
+                        "The file ends within a line: copy it again, or give footer=1."
+                        if last
+                        else _ragged_hint(len(row), width, separator)
+                    ),
                 )
             elif comma is not None:
-                hint = f'It may be a decimal comma: give decimal=",", separator="{separator}".'
-                hint += (
-                    " If it separates thousands, write numbers without it."
-                    if THOUSANDS.fullmatch(comma)
-                    else ""
-                )
+                thousands = " If it separates thousands, write numbers without it."
                 problems.add(
                     "DECIMAL_COMMA",
                     where,
                     f"has {comma!r}",
                     value=comma,
                     limit="a decimal point",
-                    hint=hint,
+                    hint=f'It may be a decimal comma: give decimal=",", separator="{separator}".'
+                    + (thousands if THOUSANDS.fullmatch(comma) else ""),
                 )
             elif wrong and wrong[0].lower().lstrip("+-") in ("inf", "infinity", "1.#inf"):
                 problems.add(
@@ -307,18 +308,17 @@ def numbers_of(
                     if at_end
                     else "Numbers follow: if"
                 )
-                hint = (
-                    _thousands(wrong)
-                    or _dated(wrong)
-                    or f"{hint} it means a missing sample, leave the cell empty or write nan."
-                )
                 problems.add(
                     "BAD_LINE",
                     where,
                     f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}",
                     value=wrong[0],
                     limit="numbers",
-                    hint=hint,
+                    hint=(
+                        _thousands(wrong)
+                        or _dated(wrong)
+                        or f"{hint} it means a missing sample, leave the cell empty or write nan."
+                    ),
                 )
             if len(problems.collected) >= MOST_PROBLEMS:
                 break

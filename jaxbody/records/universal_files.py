@@ -64,17 +64,24 @@ def sets_of(path: Path) -> list[dict[str, Any]]:
     file = pyuff.UFF(str(path))
     kinds = [int(kind) for kind in file.get_set_types()]
     if 58 not in kinds:
-        message = (
-            f"has no function of time or response (set 58), only sets {sorted(set(kinds))}"
-            if kinds
-            else "has no complete set: it is no universal file, or is cut off"
+        raise JaxbodyError(
+            Problem(
+                "WRONG_FORMAT",
+                path.name,
+                (
+                    f"has no function of time or response (set 58), only sets {sorted(set(kinds))}"
+                    if kinds
+                    else "has no complete set: it is no universal file, or is cut off"
+                ),
+                kinds,
+                "sets 58",
+                (
+                    "Export responses as functions (set 58)."
+                    if kinds
+                    else 'Check the extension, or give format="...".'
+                ),
+            )
         )
-        hint = (
-            "Export responses as functions (set 58)."
-            if kinds
-            else 'Check the extension, or give format="...".'
-        )
-        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, kinds, "sets 58", hint))
     return [file.read_sets(i) for i, kind in enumerate(kinds) if kind == 58]
 
 

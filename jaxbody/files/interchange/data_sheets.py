@@ -228,7 +228,7 @@ def read_mounts(
                     "DUPLICATE_NAME", where, f"'{name}' is the name of a mount above", value=name
                 )
             mount = problems.gather(
-                lambda values=values, where=where: _mount(values, bodies, where)
+                lambda values=values, where=where: _mount(values, bodies, where, problems)
             )
             if mount is not None:
                 mounts[name] = mount
@@ -249,7 +249,9 @@ def mounted_frames(path: Any, *, largest: float = LARGEST) -> tuple[list[str], l
     return list(dict.fromkeys(first)), [name for name in dict.fromkeys(second) if name not in first]
 
 
-def _mount(values: dict[str, Any], bodies: Mapping[str, Body | Support], where: str) -> Bushing:
+def _mount(
+    values: dict[str, Any], bodies: Mapping[str, Body | Support], where: str, problems: Problems
+) -> Bushing | None:
     """The bushing of one line, whose two frames coincide in the reference pose."""
     own = [*bodies, "world", "world"]
     ends, point = (
@@ -273,20 +275,16 @@ def _mount(values: dict[str, Any], bodies: Mapping[str, Body | Support], where: 
         stiffness, damping = stiffness[:3], damping[:3]
     else:
         stiffness, damping = np.diag(stiffness), np.diag(damping)
-    try:
-        return Bushing(
+    return problems.gather(
+        lambda: Bushing(
             *places,
             stiffness=stiffness,
             damping=damping,
             orientation=turns[0],
             orientation_b=turns[1],
-        )
-    except JaxbodyError as error:
-        problems = [
-            Problem(x.code, f"{where} {x.where}", x.message, x.value, x.limit, x.hint)
-            for x in error.problems
-        ]
-        raise JaxbodyError(*problems) from None
+        ),
+        lambda problem: replace(problem, where=f"{where} {problem.where}"),
+    )
 
 
 HARD_POINT_COLUMNS = Columns(("name",), dict.fromkeys(AXES, "m"), ("name", *AXES))

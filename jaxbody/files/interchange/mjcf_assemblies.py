@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,8 @@ class JointOfBody:
 
 def joint_of(joints: list[JointOfBody], parent: str, on_parent: Place) -> Joint:
     """The joint that carries a body, in the parent's frame. Error: WRONG_KIND."""
+    if not joints:
+        return Fixed(parent)
     first = joints[0]
     if len(joints) == 1 and first.kind == "free":
         if parent != WORLD:
@@ -157,14 +159,7 @@ class FramesOfFile(ABC):
 
     def gather(self, where: str, make: Callable[[], Any]) -> Any:
         """What `make` returns; None with its problems, at their line, where it fails."""
-        try:
-            return make()
-        except JaxbodyError as error:
-            self.problems.collected += [
-                Problem(x.code, f"{where} {x.where}", x.message, x.value, x.limit, x.hint)
-                for x in error.problems
-            ]
-            return None
+        return self.problems.gather(make, lambda x: replace(x, where=f"{where} {x.where}"))
 
     def leave_out_sections(self) -> None:
         """What the file says besides bodies, joints and tendons."""
@@ -224,7 +219,10 @@ class FramesOfFile(ABC):
             for name, each in moving.items()
         }
         joints = {
-            name: self.gather(each.where, lambda each=each: _joint(each))
+            name: self.gather(
+                each.where,
+                lambda each=each: joint_of(each.joints, each.parent, each.on_parent),
+            )
             for name, each in moving.items()
         }
         supports = {
@@ -309,7 +307,3 @@ def _body(each: Carried, scale: float) -> Body:
         position=each.place.p,
         orientation=each.place.q,
     )
-
-
-def _joint(each: Carried) -> Joint:
-    return joint_of(each.joints, each.parent, each.on_parent) if each.joints else Fixed(each.parent)

@@ -10,7 +10,6 @@ from typing import Any
 import jax
 
 from jaxbody.core import units
-from jaxbody.core.errors import unknown
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import EntryPath
 from jaxbody.files.studies.design_quantities import (
@@ -39,16 +38,12 @@ class DesignBuilder:
     values: dict[str, Any]
     path: EntryPath
 
-    def where(self, *parts: str) -> str:
-        return self.builder.document.where((*self.path, *parts))
-
     def add(self, code: str, message: str, value: Any, limit: str, hint: str, *parts: str) -> None:
-        self.builder.problems.add(
-            code, self.where(*parts), message, value=value, limit=limit, hint=hint
-        )
+        where = self.builder.document.where((*self.path, *parts))
+        self.builder.problems.add(code, where, message, value=value, limit=limit, hint=hint)
 
     def unknown(self, name: str, known: Any, *parts: str) -> None:
-        self.builder.problems.collected.append(unknown(name, self.where(*parts), tuple(known)))
+        self.builder.unknown(name, known, (*self.path, *parts))
 
     def design(self) -> dict[str, Any]:
         """The arguments of `tune` beside the model, but for bounds and catalogues."""

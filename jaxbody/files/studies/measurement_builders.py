@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxbody.core import units
 from jaxbody.core.arrays import float_array
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import EntryPath
 from jaxbody.files.studies.measured_sections import OF_FILES
@@ -47,11 +47,10 @@ class MeasurementBuilder:
         """Whether this entry has problems already, so that the constructor need not be called."""
         return len(self.builder.problems.collected) > self.before
 
-    def where(self, *parts: str) -> str:
-        return self.builder.document.where((*self.path, *parts))
-
     def add(self, code: str, message: str, limit: str, *parts: str) -> None:
-        self.builder.problems.add(code, self.where(*parts), message, limit=limit)
+        self.builder.problems.add(
+            code, self.builder.document.where((*self.path, *parts)), message, limit=limit
+        )
 
     def modes(self) -> MeasuredModes | None:
         """The result of a modal test."""
@@ -76,7 +75,6 @@ class MeasurementBuilder:
         """Measured frequency responses."""
         inputs = {name: self.input(value, name) for name, value in self.values["inputs"].items()}
         of_outputs = component_units(self.sensors, self.model)
-        pairs: dict[tuple[str, str], dict[str, Any]] = {}
         for section in ("measured", "noise"):
             for output, by_input in self.values.get(section, {}).items():
                 self.known(output, of_outputs, section, output)
@@ -92,14 +90,12 @@ class MeasurementBuilder:
         unit = {pair: response_unit(of_outputs[pair[0]], inputs[pair[1]].unit) for pair in pairs}
         frequencies, measured = (
             self.of_universal_file(pairs)
-            if self.in_universal_file(pairs)
+            if any("response" in value for value in pairs.values())
             else self.of_numbers(pairs, unit)
         )
-        outputs = {
-            name: self.sensors[name]
-            for name in self.sensors
-            if any(self.sensor_of(y) == name for y, _ in pairs)
-        }
+        # an output may be a component of what a sensor reads
+        read = {y if y in self.sensors else y.rpartition(".")[0] for y, _ in pairs}
+        outputs = {name: sensor for name, sensor in self.sensors.items() if name in read}
         given: dict[str, Any] = {
             "frequencies": frequencies,
             "inputs": inputs,
@@ -120,20 +116,11 @@ class MeasurementBuilder:
 
     def made(self, kind: Any, given: dict[str, Any]) -> Any:
         """The measurement, if it fits the model."""
-        if self.failed:
-            return None
-        measured = self.builder.gather(self.path, kind.__name__, lambda: kind(**given))
-        if measured is not None:
-            self.builder.gather(self.path, "", lambda: measured.check(self.model, ""))
-        return measured
+        return None if self.failed else self.builder.measurement(kind, given, self.model, self.path)
 
     def known(self, name: str, names: Any, *parts: str) -> None:
         if name not in names:
-            self.builder.problems.collected.append(unknown(name, self.where(*parts), tuple(names)))
-
-    def sensor_of(self, output: str) -> str:
-        """The sensor of an output, which may be a component of its reading, "acc.x"."""
-        return output if output in self.sensors else output.rpartition(".")[0]
+            self.builder.unknown(name, names, (*self.path, *parts))
 
     def input(self, value: dict[str, Any], name: str) -> Any:
         """A force on a body, or the motion of a support, of the model."""
@@ -147,9 +134,6 @@ class MeasurementBuilder:
         if problem is not None:
             self.builder.problems.collected.append(problem)
         return made
-
-    def in_universal_file(self, pairs: dict[tuple[str, str], dict[str, Any]]) -> bool:
-        return any("response" in value for value in pairs.values())
 
     def of_universal_file(self, pairs: dict[tuple[str, str], dict[str, Any]]) -> tuple[Any, Any]:
         """Frequencies and responses of a universal file."""
@@ -179,17 +163,13 @@ class MeasurementBuilder:
             pair: (value.get("response"), *value.get("units", (None, None)))
             for pair, value in pairs.items()
         }
-        problems = Problems()
-        read = file and problems.gather(lambda: read_responses(file, asked))
-        for problem in problems.collected:
-            stated = (
-                replace(problem, hint='Write units = ["m/s2", "N"] beside the response.')
-                if problem.code == "NO_UNIT"
-                else problem
-            )
-            self.builder.problems.collected.append(
-                self.builder.placed(stated, (*self.path, "file"), "")
-            )
+
+        def placed(problem: Problem) -> Problem:
+            hint = 'Write units = ["m/s2", "N"] beside the response.'
+            stated = replace(problem, hint=hint) if problem.code == "NO_UNIT" else problem
+            return self.builder.placed(stated, (*self.path, "file"), "")
+
+        read = file and self.builder.problems.gather(lambda: read_responses(file, asked), placed)
         return read or (None, None)
 
     def of_numbers(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from jaxbody.core.arrays import device_array, shaped
-from jaxbody.core.errors import Problems, unknown
+from jaxbody.core.errors import Problems
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import EntryPath
 from jaxbody.fitting.experiments.measurements import Measurement
@@ -28,15 +28,11 @@ class StudyBuilder:
     builder: Builder
     model: Model
 
-    @property
-    def values(self) -> dict[str, Any]:
-        return self.builder.values
-
     def named(
         self, section: str, make: Any, values: dict[str, Any] | None = None, path: EntryPath = ()
     ) -> dict[str, Any]:
         """The objects of a section, or of a table at a path."""
-        given = self.values.get(section, {}) if values is None else values
+        given = self.builder.values.get(section, {}) if values is None else values
         return {
             name: made
             for name, value in given.items()
@@ -50,8 +46,7 @@ class StudyBuilder:
         motions = self.named("motion", self.builder.motion, values, path)
         known = self.model.layout.supports
         for name in set(motions) - set(known):
-            where = self.builder.document.where((*path, "motion", name))
-            self.builder.problems.collected.append(unknown(name, where, known))
+            self.builder.unknown(name, known, (*path, "motion", name))
         return {name: motion for name, motion in motions.items() if name in known}
 
     def loads(self, values: dict[str, Any] | None = None, path: EntryPath = ()) -> dict[str, Load]:
@@ -114,7 +109,7 @@ class StudyBuilder:
         """The experiments that validate the fit, and are not part of it."""
         return [
             name
-            for name, values in self.values.get("experiments", {}).items()
+            for name, values in self.builder.values.get("experiments", {}).items()
             if values.get("validate")
         ]
 
@@ -135,16 +130,14 @@ class StudyBuilder:
             known = {"MeasuredModes": measured.modes, "MeasuredResponse": measured.response}
             if kind in known:
                 return known[kind]()
-            self.builder.problems.collected.append(
-                unknown(kind, self.builder.document.where((*path, "type")), ("Experiment", *known))
-            )
+            self.builder.unknown(kind, ("Experiment", *known), (*path, "type"))
             return None
         from jaxbody.fitting.experiments.experiments import Experiment  # likewise
 
         record, before = self.builder.record(values["record"]), len(self.builder.problems.collected)
         channels = self.builder.values["records"][values["record"]]["channels"]
         chosen = values.get(
-            "sensors", [name for name in self.values.get("sensors", {}) if name in channels]
+            "sensors", [name for name in self.builder.values.get("sensors", {}) if name in channels]
         )
         given: dict[str, Any] = {
             "sensors": {name: sensors[name] for name in chosen if name in sensors},
@@ -161,18 +154,14 @@ class StudyBuilder:
             }
         if "leave_out" in values:
             given["leave_out"] = values["leave_out"]
-        failed = (
+        # with problems of its parts; the constructor would report what follows from these
+        if (
             record is None
             or set(chosen) - set(sensors)
             or len(self.builder.problems.collected) > before
-        )
-        # with problems of its parts; the constructor would report what follows from these
-        if failed:
+        ):
             return None
-        experiment = self.builder.gather(path, "Experiment", lambda: Experiment(**given))
-        if experiment is not None:
-            self.builder.gather(path, "", lambda: experiment.check(self.model, ""))
-        return experiment
+        return self.builder.measurement(Experiment, given, self.model, path)
 
     def level(self, name: str, value: Any, sensors: dict[str, Sensor], path: EntryPath) -> Any:
         """The noise of a sensor; an unknown name is left to `Experiment`."""
@@ -206,7 +195,7 @@ class StudyBuilder:
 
     def fit(self, experiments: dict[str, Any]) -> dict[str, Any]:
         """The arguments of `fit`. The unit of a bound or a prior is that of its parameter."""
-        given = dict(self.values.get("fit", {}))
+        given = dict(self.builder.values.get("fit", {}))
         leaves = [
             *leaves_of(self.model),
             *(leaf for name, run in experiments.items() for leaf in leaves_of(run, f"{name}.")),
@@ -226,7 +215,7 @@ class StudyBuilder:
         """The experiments to fit that could not be made."""
         return [
             name
-            for name in self.values.get("experiments", {})
+            for name in self.builder.values.get("experiments", {})
             if name not in experiments and name not in self.held_out()
         ]
 
