@@ -15,13 +15,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
-import numpy as np
-
 import jaxbody as jb
 from jaxbody.app.changes import set_value
 from jaxbody.app.file_commands import COMMANDS, Outcome
-from jaxbody.app.file_updates import update
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.files.documents import LARGEST, read_document
 from jaxbody.files.schemas import checked_values
@@ -166,7 +162,7 @@ def _prepare() -> None:
 def _new(options: argparse.Namespace, own_process: bool) -> int:
     ready = [name for name in dir(jb.presets) if name[0] != "_"]
     if options.mounts is not None:
-        jax.config.update("jax_enable_x64", True)
+        _use_x64()
         from jaxbody.app.new_files import text_of_mounts
 
         print(text_of_mounts(options.mounts), end="")
@@ -186,7 +182,7 @@ def _new(options: argparse.Namespace, own_process: bool) -> int:
     )
     if len(chosen) != 1:
         raise JaxbodyError(unknown(options.model, "new", tuple(ready)))
-    jax.config.update("jax_enable_x64", True)
+    _use_x64()
     from jaxbody.app.new_files import text_of
 
     print(text_of(chosen[0]), end="")
@@ -210,9 +206,11 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
     for text in options.set:
         set_value(document, text)
     values = checked_values(document)
-    jax.config.update("jax_enable_x64", True)
+    _use_x64()
     if own_process:
         _prepare()
+    import numpy as np
+
     from jaxbody.files.studies.study_files import study_of
 
     study = study_of(
@@ -234,8 +232,16 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
 
 def _write(path: Path, document: Any, outcome: Outcome, ok: bool) -> None:
     """Write the values of free parameters into the file, unless the result is not ok."""
+    from jaxbody.app.file_updates import update
+
     if not ok:
         print(f"{path} stays as it was, as the status is not ok")
         return
     left = update(path, document, outcome.space, outcome.trees)
     print(f"wrote {path}" + (f"; not in it: {', '.join(left)}" if left else ""))
+
+
+def _use_x64() -> None:
+    import jax
+
+    jax.config.update("jax_enable_x64", True)

@@ -9,12 +9,8 @@ from dataclasses import dataclass
 from dataclasses import field as attribute
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 import jaxbody as jb
-from jaxbody.app import saved_results
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
-from jaxbody.core.tables import counted
 
 if TYPE_CHECKING:
     from jaxbody.files.studies.study_files import Study
@@ -56,6 +52,8 @@ class Outcome:
 
 
 def _check(study: Study, options: argparse.Namespace) -> Outcome:
+    from jaxbody.core.tables import counted
+
     model = study.model
     counts = {
         "support": model.layout.supports,
@@ -104,6 +102,10 @@ def _modes(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _response(study: Study, options: argparse.Namespace) -> Outcome:
+    import numpy as np
+
+    from jaxbody.app import saved_results
+
     lin, remarks = _linear(study)
     low, high = options.frequencies
     inputs, outputs = _ports(study, options, options.kind)
@@ -116,6 +118,8 @@ def _response(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _random(study: Study, options: argparse.Namespace) -> Outcome:
+    from jaxbody.app import saved_results
+
     lin, remarks = _linear(study)
     inputs, outputs = _ports(study, options, "displacement")
     spectra: Any = dict.fromkeys(inputs, jb.Unevenness.iso(options.road).at_speed(options.speed))
@@ -128,6 +132,8 @@ def _random(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _load_cases(study: Study, options: argparse.Namespace) -> Outcome:
+    from jaxbody.app import saved_results
+
     if not options.case:  # of a report
         raise JaxbodyError(
             Problem(
@@ -144,6 +150,10 @@ def _load_cases(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _simulate(study: Study, options: argparse.Namespace) -> Outcome:
+    import numpy as np
+
+    from jaxbody.app import saved_results
+
     times = np.linspace(0.0, options.duration, round(options.duration / options.interval) + 1)
     trajectory = jb.simulate(
         study.model,
@@ -244,6 +254,8 @@ def _tune(study: Study, options: argparse.Namespace) -> Outcome:
 
 def _report(study: Study, options: argparse.Namespace) -> Outcome:
     """A section for each part that is asked for; a response where inputs and outputs are."""
+    import numpy as np
+
     path, results = options.out or options.file.with_suffix(".html"), {}
     for part in options.part or ("model", "equilibrium", "modes"):
         results |= PARTS[part](study, options)
