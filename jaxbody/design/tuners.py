@@ -37,8 +37,7 @@ from jaxbody.design.design_programs import (
 )
 from jaxbody.design.searches import MET, METHODS, Search, one_thread, run
 from jaxbody.design.tuning_results import Tuning, tuning_of
-from jaxbody.fitting.parameters.spaces import Space, model_of, space_of
-from jaxbody.fitting.parameters.starts import drawn
+from jaxbody.fitting.parameters.spaces import Space, drawn, model_of, space_of
 from jaxbody.model.leaf_paths import matching
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision

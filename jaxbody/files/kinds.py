@@ -43,7 +43,7 @@ from jaxbody.model.laws import (
     spring_laws,
     tabulated_laws,
 )
-from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
+from jaxbody.sensors import gauges, instruments, kinematic_sensors
 from jaxbody.sensors.sensors import Sensor
 
 JOINTS = (
@@ -109,8 +109,8 @@ SENSORS = (
     gauges.StringPotentiometer,
     gauges.LaserVibrometer,
     gauges.LaserDistance,
-    attitudes.BodyPose,
-    attitudes.Orientation,
+    instruments.BodyPose,
+    instruments.Orientation,
 )
 TYPES = {
     kind.__name__: kind

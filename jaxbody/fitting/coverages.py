@@ -33,9 +33,9 @@ from jaxbody.fitting.experiments.measurements import records_of
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.intervals import interval_of_u
 from jaxbody.fitting.residuals import residual_and_jacobian
+from jaxbody.fitting.searches import solve
 from jaxbody.fitting.statistics.noises import ResidualSeries
 from jaxbody.fitting.statistics.uncertainties import assess, check_level, decomposed
-from jaxbody.fitting.traced_fits import solve
 
 BATCH = 16  # replicates in one program
 CLOSE = 1e-6  # tolerance of its search, after which `assessed` takes one more step

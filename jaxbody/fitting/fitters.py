@@ -28,14 +28,11 @@ from jaxbody.core.results import warn_if_failed
 from jaxbody.fitting.checkpoints import resumed, save
 from jaxbody.fitting.experiments.diagnoses import faults, likely_errors
 from jaxbody.fitting.experiments.experiments import Experiment, Integration, check_measurements
-from jaxbody.fitting.experiments.initial_transients import transients
 from jaxbody.fitting.experiments.measurements import Measurement, records_of
 from jaxbody.fitting.experiments.plausibilities import first_frequency
-from jaxbody.fitting.experiments.unexplained_records import unexplained
+from jaxbody.fitting.experiments.unexplained_records import transients, unexplained
 from jaxbody.fitting.fit_results import Fit
-from jaxbody.fitting.least_squares import AT_BOUND, Evaluations, by_scipy
 from jaxbody.fitting.noisy_inputs import noisy_inputs
-from jaxbody.fitting.optax_steps import by_optax
 from jaxbody.fitting.parameters.spaces import Space, model_of, space_of
 from jaxbody.fitting.residuals import (
     EXACT,
@@ -50,9 +47,9 @@ from jaxbody.fitting.residuals import (
     rms_residuals,
     with_estimated_noise,
 )
+from jaxbody.fitting.searches import AT_BOUND, Evaluations, by_optax, by_scipy, solve
 from jaxbody.fitting.statistics.losses import check_loss
 from jaxbody.fitting.statistics.uncertainties import RANK, assess, decomposed
-from jaxbody.fitting.traced_fits import solve
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision
 from jaxbody.motion.simulations import check_steps

@@ -24,9 +24,9 @@ from jaxbody.core.workers.executors import crew_of
 from jaxbody.fitting.experiments.measurements import Measurement
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.fitters import fit
-from jaxbody.fitting.parameters.starts import around
+from jaxbody.fitting.parameters.spaces import around
 from jaxbody.fitting.residuals import Task
-from jaxbody.fitting.traced_fits import solve
+from jaxbody.fitting.searches import solve
 from jaxbody.model.models import Model
 
 # largest distance in u, and of costs relative to 1 + cost, of results that count as one optimum

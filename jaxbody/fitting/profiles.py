@@ -23,9 +23,9 @@ from jaxbody.core.progress_lines import Line, working
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.intervals import widening
-from jaxbody.fitting.least_squares import AT_BOUND, Evaluations, by_scipy
 from jaxbody.fitting.parameters.transforms import Elementwise
 from jaxbody.fitting.residuals import residual_and_jacobian
+from jaxbody.fitting.searches import AT_BOUND, Evaluations, by_scipy
 from jaxbody.fitting.statistics.uncertainties import check_level, quantile
 
 STEPS = 4  # from the optimum to each end of the interval

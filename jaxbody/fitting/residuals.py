@@ -32,7 +32,7 @@ from jaxbody.fitting.parameters.transforms import Positive
 from jaxbody.fitting.statistics.losses import linearized, robust_level, root
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import size_of, take_long
-from jaxbody.sensors.channels import Channel
+from jaxbody.sensors.sensors import Channel
 from jaxbody.vibration.linearizations import Linearization
 
 PRIORS = "priors"  # in place of a measurement's name for residuals of priors

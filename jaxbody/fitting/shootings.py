@@ -38,7 +38,7 @@ from jaxbody.model.states import State
 from jaxbody.motion.sensor_readings import readings
 from jaxbody.motion.simulations import motions_of
 from jaxbody.motion.trajectories import Trajectory
-from jaxbody.sensors.channels import Channel
+from jaxbody.sensors.sensors import Channel
 
 MAX_EVALUATIONS = 50  # for the initial state of a segment
 # standard deviations of gaps between segments, relative to the variation of the state over

@@ -1,11 +1,12 @@
-"""The base class of sensors: the reading of an instrument on a body, and its chain of gain, bias,
-delay and lag.
+"""The base classes of measured channels and of sensors: residuals and noise of a channel; the
+reading of an instrument on a body, and its chain of gain, bias, delay and lag.
 
 Between samples a record x is the polynomial through the twelve nearest ones. For a sine at a tenth
 of the sampling rate the error is 2e-7 of its amplitude, five samples or more from the ends; at a
 fifth of the rate it is 1e-3.
 """
 
+import math
 from abc import abstractmethod
 from math import factorial
 from typing import Any, ClassVar, TypedDict, Unpack
@@ -16,14 +17,83 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import check_kind, checked_dict
-from jaxbody.core.arrays import Array, Float, Int, checked, concrete
+from jaxbody.core.arrays import Array, Float, Int, checked, concrete, module_of
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.geometry.frames import Instant
+from jaxbody.geometry.points_and_orientations import DIRECTIONS
 from jaxbody.geometry.vectors import to_rank
 from jaxbody.model.models import Model
-from jaxbody.sensors.channels import Channel
+
+
+class Channel(eqx.Module):
+    """The base class of sensors and of the channels of other measurements.
+
+    `shape` is that of a reading, `noise_shape` that of a residual. `unit` is that of both; it may
+    hold several, separated by commas, and noise then has one number for each."""
+
+    shape: eqx.AbstractClassVar[tuple[int, ...]]
+    unit: eqx.AbstractClassVar[str]
+    # a time series: neighbors may be correlated, and there are enough samples to estimate the noise
+    series: ClassVar[bool] = True
+    # names of the groups of components, where there are several units
+    parts: ClassVar[tuple[str, ...]] = ()
+
+    def residual(self, reading: Array, measured: Array) -> Float[Array, "*r"]:
+        """Reading minus measured, zero where a sample is missing."""
+        return module_of(reading, measured).where(self.missing(measured), 0.0, reading - measured)
+
+    def missing(self, measured: Any) -> Any:
+        """True for components of a residual whose sample is missing (NaN)."""
+        return module_of(measured).isnan(measured)
+
+    def spread(self, level: Any) -> Any:
+        """Noise levels of the components of a residual, from one number or one for each unit;
+        several as a row of the samples."""
+        if self.units == 1:
+            return level
+        xp = module_of(level)
+        return xp.repeat(xp.broadcast_to(level, (self.units,)), self.noise_shape[-1] // self.units)[
+            None
+        ]
+
+    def pooled(self, x: Any) -> Any:
+        """The sum of the components of residuals over all samples: one number for each unit."""
+        return (
+            x.sum()
+            if self.units == 1
+            else x.reshape(-1, self.units, self.noise_shape[-1] // self.units).sum((0, 2))
+        )
+
+    @property
+    def noise_shape(self) -> tuple[int, ...]:
+        return self.shape
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The names of the components of a residual: "" for a single number, "x" to "rz" for up to
+        six, else their numbers."""
+        shape = self.noise_shape
+        if not shape:
+            return ("",)
+        count = math.prod(shape)
+        return DIRECTIONS[:count] if count <= len(DIRECTIONS) else tuple(map(str, range(count)))
+
+    def unit_on(self, model: Any) -> str:
+        """The unit on a model, where it depends on the kind of an element."""
+        return self.unit
+
+    @property
+    def possible_units(self) -> tuple[str, ...]:
+        """The units that it may have, depending on the kind of an element."""
+        return (self.unit,)
+
+    @property
+    def units(self) -> int:
+        """The number of units, each of the same number of consecutive components."""
+        return self.unit.count(",") + 1
+
 
 POINTS = 12  # of the polynomial
 # in a cell: where the integral of the lag samples x

@@ -1,5 +1,6 @@
-"""The base class of response spectra: the largest response of oscillators to one base acceleration,
-over frequency and damping ratio."""
+"""Response spectra, the largest response of oscillators to one base acceleration over frequency and
+damping ratio: their base class, and design spectra of earthquakes, through points and by the
+parameters of Eurocode 8 and ASCE 7."""
 
 from __future__ import annotations
 
@@ -9,10 +10,13 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from equinox import field
 
 from jaxbody.core import tables
+from jaxbody.core.arguments import check_one_of, positive_number
 from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, float_array
 from jaxbody.core.errors import Problems
+from jaxbody.core.units import GRAVITY
 
 ROUNDING = 1e-9  # relative, of frequencies at the ends of what a spectrum covers
 
@@ -100,3 +104,252 @@ def log_interpolated(
 def as_rows(given: Any) -> Float[Array, "*n"]:
     """Frequencies, or other numbers along them, as an array of the present precision."""
     return device_array(float_array(given, "frequencies"))
+
+
+RIGID = 1e4  # Hz, the highest frequency of formulas that hold up to a rigid body
+SOIL = {  # S, T_B, T_C, T_D of EN 1998-1:2004, tables 3.2 and 3.3, by type and ground
+    1: {
+        "A": (1.0, 0.15, 0.4, 2.0),
+        "B": (1.2, 0.15, 0.5, 2.0),
+        "C": (1.15, 0.2, 0.6, 2.0),
+        "D": (1.35, 0.2, 0.8, 2.0),
+        "E": (1.4, 0.15, 0.5, 2.0),
+    },
+    2: {
+        "A": (1.0, 0.05, 0.25, 1.2),
+        "B": (1.35, 0.05, 0.25, 1.2),
+        "C": (1.5, 0.1, 0.25, 1.2),
+        "D": (1.8, 0.1, 0.3, 1.2),
+        "E": (1.6, 0.05, 0.25, 1.2),
+    },
+}
+# a_vg/a_g, T_B, T_C, T_D, table 3.4
+VERTICAL = {1: (0.9, 0.05, 0.15, 1.0), 2: (0.45, 0.05, 0.15, 1.0)}
+LONGEST = 4.0  # s, the longest period of EN 1998-1, 3.2.2.2
+# ASCE 7-16, table 17.5-1: B by damping
+DAMPING_FACTORS = ((0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5), (0.8, 1.0, 1.2, 1.5, 1.7, 1.9, 2.0))
+
+
+class DesignSpectrum(ResponseSpectrum):
+    """A response spectrum of pseudo-acceleration through points, along straight lines in logarithms
+    of both.
+
+    Args:
+        frequencies: increasing [Hz]
+        values: pseudo-accelerations [m/s2]
+        damping: the damping ratio for which it is stated
+
+    Errors: BAD_FREQUENCY, NOT_POSITIVE, NOT_A_FRACTION, BAD_SHAPE, NON_FINITE.
+
+    >>> spectrum = DesignSpectrum([1.0, 4.0], [2.0, 8.0])
+    >>> round(float(spectrum(2.0)), 9)
+    4.0
+    """
+
+    frequencies: Float[Array, "n"]
+    values: Float[Array, "n"]
+    damping: Float[Array, ""]
+
+    def __init__(self, frequencies, values, *, damping=0.05):
+        with Problems() as problems:
+            n = max(2, np.size(frequencies))
+            f = checked(
+                frequencies,
+                ((n,),),
+                "DesignSpectrum.frequencies",
+                problems,
+                "Give two points or more.",
+            )
+            y = checked(
+                values, ((n,),), "DesignSpectrum.values", problems, "One value for each frequency."
+            )
+            zeta = check_dampings(damping, "DesignSpectrum.damping", problems)
+            known = None if f is None else concrete(f)
+            if known is not None and ((known <= 0).any() or (np.diff(known) <= 0).any()):
+                problems.add(
+                    "BAD_FREQUENCY",
+                    "DesignSpectrum.frequencies",
+                    f"is {known}",
+                    value=known,
+                    limit="positive, increasing",
+                )
+            level = None if y is None else concrete(y)
+            if level is not None and (level <= 0).any():
+                problems.add(
+                    "NOT_POSITIVE",
+                    "DesignSpectrum.values",
+                    f"has {level.min():g}",
+                    value=level,
+                    limit="> 0",
+                )
+        self.frequencies, self.values, self.damping = (
+            device_array(f),
+            device_array(y),
+            device_array(zeta),
+        )
+
+    def covers(self):
+        return self.frequencies[0], self.frequencies[-1]
+
+    def dampings(self):
+        return self.damping, self.damping
+
+    def __call__(self, frequencies, damping=None):
+        """The pseudo-acceleration [m/s2], constant beyond the points; of the stated damping ratio,
+        whatever is given."""
+        return log_interpolated(as_rows(frequencies), self.frequencies, self.values)
+
+    def _tables(self):
+        rows = [(f, y) for f, y in zip(self.frequencies, self.values, strict=True)]
+        heads = ("frequency [Hz]", "pseudo-acceleration [m/s2]")
+        return [
+            tables.PrintedTable(
+                f"Design spectrum, damping ratio {tables.number(self.damping)}", heads, rows
+            )
+        ]
+
+
+class Eurocode8(ResponseSpectrum):
+    """The elastic response spectrum of Eurocode 8, with eta = max(sqrt(10/(5 + 100 zeta)), 0.55)
+    and T = 1/frequency:
+
+        a_g S (1 + T/T_B (2.5 eta - 1))    T <= T_B
+        a_g S 2.5 eta                      T_B <= T <= T_C
+        a_g S 2.5 eta T_C/T                T_C <= T <= T_D
+        a_g S 2.5 eta T_C T_D/T^2          T_D <= T <= 4 s
+
+    and vertically with 3 in the place of 2.5, S = 1 and a_vg in that of a_g.
+
+    Args:
+        acceleration: a_g, the design ground acceleration on ground A, importance factor
+            included [m/s2]
+        ground: A, B, C, D or E
+        type: 1, or 2 where earthquakes are of magnitude 5.5 at most
+        vertical: whether it is the vertical spectrum
+
+    Errors: BAD_OPTION, BAD_NUMBER. Source: EN 1998-1:2004, 3.2.2.2 and 3.2.2.3; national annexes
+    may have other numbers.
+
+    >>> spectrum = Eurocode8(2.0, ground="B")
+    >>> [round(float(x), 9) for x in (spectrum(3.0), spectrum(1.0), spectrum.rigid())]
+    [6.0, 3.0, 2.4]
+    """
+
+    acceleration: Float[Array, ""]
+    ground: str = field(static=True)
+    type: int = field(static=True)
+    vertical: bool = field(static=True)
+
+    def __init__(self, acceleration, ground="A", *, type=1, vertical=False):
+        with Problems() as problems:
+            level = positive_number(acceleration, "Eurocode8.acceleration", problems)
+            check_one_of(ground, SOIL[1], "BAD_OPTION", "Eurocode8.ground", problems)
+            if type not in SOIL:
+                problems.add(
+                    "BAD_OPTION", "Eurocode8.type", f"is {type!r}", value=type, limit="1 or 2"
+                )
+        self.acceleration, self.ground, self.type, self.vertical = (
+            device_array(level),
+            ground,
+            int(type),
+            bool(vertical),
+        )
+
+    @property
+    def parameters(self) -> tuple[float, float, float, float]:
+        """S, or a_vg/a_g of a vertical spectrum, and T_B, T_C and T_D [s]."""
+        return VERTICAL[self.type] if self.vertical else SOIL[self.type][self.ground]
+
+    def covers(self):
+        return 1 / LONGEST, RIGID
+
+    def dampings(self):
+        return 0.0, 1.0
+
+    def rigid(self):
+        """The peak ground acceleration a_g S [m/s2]."""
+        return self.acceleration * self.parameters[0]
+
+    def __call__(self, frequencies, damping=0.05):
+        _, TB, TC, TD = self.parameters
+        T, zeta = jnp.broadcast_arrays(1 / as_rows(frequencies), as_rows(damping))
+        top = (3.0 if self.vertical else 2.5) * jnp.maximum(jnp.sqrt(10 / (5 + 100 * zeta)), 0.55)
+        falls = jnp.where(T <= TC, top, jnp.where(T <= TD, top * TC / T, top * TC * TD / T**2))
+        return self.rigid() * jnp.where(T <= TB, 1 + T / TB * (top - 1), falls)
+
+    def _tables(self):
+        factor, TB, TC, TD = self.parameters
+        rows = [
+            ("a_g [m/s2]", self.acceleration),
+            ("a_vg/a_g" if self.vertical else "S", factor),
+            ("T_B [s]", TB),
+            ("T_C [s]", TC),
+        ]
+        title = (
+            f"Eurocode 8, type {self.type}, ground "
+            f"{self.ground}{', vertical' if self.vertical else ''}"
+        )
+        return [tables.PrintedTable(title, ("", ""), [*rows, ("T_D [s]", TD)])]
+
+
+class ASCE7(ResponseSpectrum):
+    """The design response spectrum of ASCE 7, with T = 1/frequency, T_0 = 0.2 S_D1/S_DS,
+    T_S = S_D1/S_DS and B of the damping ratio:
+
+        S_DS (0.4 + 0.6 T/T_0)    T < T_0
+        S_DS                      T_0 <= T <= T_S
+        S_D1/T                    T_S < T <= T_L
+        S_D1 T_L/T^2              T > T_L
+
+    S_DS and S_D1 over B, S_a at T = 0 as for 5 %.
+
+    Args:
+        short: S_DS, at short periods [g]
+        one_second: S_D1, at 1 s [g]
+        long_period: T_L [s]
+
+    Errors: BAD_NUMBER. Source: ASCE 7-16, 11.4.6; B by its table 17.5-1, in straight lines between
+    its rows.
+
+    >>> spectrum = ASCE7(short=1.0, one_second=0.6)
+    >>> [round(float(x) / 9.80665, 9) for x in (spectrum(4.0), spectrum(0.5), spectrum.rigid())]
+    [1.0, 0.3, 0.4]
+    """
+
+    short: Float[Array, ""]
+    one_second: Float[Array, ""]
+    long_period: Float[Array, ""]
+
+    def __init__(self, short, one_second, *, long_period=8.0):
+        with Problems() as problems:
+            given = [("short", short), ("one_second", one_second), ("long_period", long_period)]
+            numbers = [positive_number(value, f"ASCE7.{name}", problems) for name, value in given]
+        self.short, self.one_second, self.long_period = map(device_array, numbers)
+
+    def covers(self):
+        return 1 / (10 * self.long_period), RIGID
+
+    def dampings(self):
+        return DAMPING_FACTORS[0][0], 1.0
+
+    def rigid(self):
+        """0.4 S_DS [m/s2]."""
+        return 0.4 * self.short * GRAVITY
+
+    def __call__(self, frequencies, damping=0.05):
+        T, zeta = jnp.broadcast_arrays(1 / as_rows(frequencies), as_rows(damping))
+        B = jnp.interp(zeta, *map(jnp.asarray, DAMPING_FACTORS))
+        TS = self.one_second / self.short
+        top, rise = self.short / B, T / (0.2 * TS)
+        falls = jnp.where(T <= TS, top, top * TS / T * jnp.minimum(1.0, self.long_period / T))
+        return GRAVITY * jnp.where(
+            rise < 1, 0.4 * self.short + (top - 0.4 * self.short) * rise, falls
+        )
+
+    def _tables(self):
+        rows = [
+            ("S_DS [g]", self.short),
+            ("S_D1 [g]", self.one_second),
+            ("T_L [s]", self.long_period),
+        ]
+        return [tables.PrintedTable("ASCE 7", ("", ""), rows)]

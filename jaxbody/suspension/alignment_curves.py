@@ -28,7 +28,7 @@ from jaxbody.model.leaf_paths import springs_of
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision
 from jaxbody.model.sizes import scale_of, size_of
-from jaxbody.suspension.driven_positions import (
+from jaxbody.suspension.assemblies import (
     Drive,
     RestingSystem,
     conditions,

@@ -23,8 +23,7 @@ from jaxbody.model.joints.combined_joints import HeavePitchRoll
 from jaxbody.model.joints.joints import Ball, Guide, Hinge, Joint
 from jaxbody.model.models import Model
 from jaxbody.suspension.alignment_curves import SuspensionCurves, suspension_curves
-from jaxbody.suspension.ready_suspensions import DOUBLE_WISHBONE, Points, points_of
-from jaxbody.suspension.suspensions import Suspension
+from jaxbody.suspension.suspensions import DOUBLE_WISHBONE, Points, Suspension, points_of
 from jaxbody.suspension.wheels import Wheel
 
 G = 9.81

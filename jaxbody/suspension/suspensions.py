@@ -1,5 +1,21 @@
 """Suspensions drawn by hard points: a model, and points that are one parameter wherever they are
-used; corners, which are a wheel with its suspension."""
+used. Ready ones: double wishbone, MacPherson strut and five links of one wheel, and a solid axle on
+three trailing links and a Panhard rod.
+
+Ready suspensions of one wheel, by their hard points: double wishbone, MacPherson strut,
+five links.
+
+A hard point is given once, in the axes of the car, x forward, y to the left, z up [m], with the
+wheel in its design position; all bodies have these axes and this origin there. Right wheels have
+points with negative y. The functions can be part of a compiled function of the points, so that
+curves have derivatives by each of them.
+
+
+Ready axles by their hard points: a solid axle on three trailing links and a Panhard rod.
+
+Hard points are in the axes of the car, x forward, y to the left, z up, in meters, in the design
+position; the axle has these axes and this origin there.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +25,16 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
 
-from jaxbody.core.arrays import Array, Float, device_array
+from jaxbody.core.arrays import Array, Float, checked, device_array, is_concrete
 from jaxbody.core.errors import Problems, unknown
+from jaxbody.geometry.closures import Ball as BallClosure
+from jaxbody.geometry.closures import Closure, Inline, Rod
+from jaxbody.model.bodies import Body
+from jaxbody.model.elements.springs import Spring
+from jaxbody.model.joints.joints import Ball, Guide, Hinge, Joint
 from jaxbody.model.models import Model
 from jaxbody.suspension.alignment_curves import SuspensionCurves, suspension_curves
 from jaxbody.suspension.wheels import Wheel
@@ -132,3 +155,415 @@ class Corner(Suspension):
         """The driven readings of its curves: "travel", the rise of the center of the wheel,
         and "steering"."""
         return {"travel": self.wheel, "steering": self.steering}
+
+
+Points = Mapping[str, Any]
+ARM, UPRIGHT, RACK = 4.0, 20.0, 3.0  # kg, for what is not known; curves do not depend on masses
+INERTIA = np.full(3, 0.2)  # kg m2
+
+DOUBLE_WISHBONE = {
+    "lower inner front": (0.25, 0.4, 0.2),
+    "lower inner rear": (-0.25, 0.45, 0.2),
+    "lower outer": (0.0, 0.9, 0.2),
+    "upper inner front": (0.225, 0.35, 0.5),
+    "upper inner rear": (-0.275, 0.35, 0.5),
+    "upper outer": (-0.025, 0.75, 0.5),
+    "tie rod inner": (0.05, 0.2, 0.25),
+    "tie rod outer": (0.15, 0.8, 0.275),
+    "axle inner": (-0.02, 0.8, 0.308426),
+    "wheel center": (-0.02, 0.95, 0.313426),
+    "spring lower": (0.0, 0.7, 0.21),
+    "spring upper": (0.0, 0.55, 0.6),
+}
+_COMMON = (
+    "lower inner front",
+    "lower inner rear",
+    "lower outer",
+    "tie rod inner",
+    "tie rod outer",
+    "axle inner",
+    "wheel center",
+)
+MACPHERSON = {name: DOUBLE_WISHBONE[name] for name in _COMMON} | {"strut upper": (-0.04, 0.7, 0.85)}
+FIVE_LINK = {
+    "lower front inner": (0.22, 0.38, 0.2),
+    "lower front outer": (0.04, 0.66, 0.19),
+    "lower rear inner": (-0.16, 0.36, 0.19),
+    "lower rear outer": (-0.03, 0.66, 0.2),
+    "upper front inner": (0.12, 0.42, 0.5),
+    "upper front outer": (-0.01, 0.61, 0.51),
+    "upper rear inner": (-0.18, 0.4, 0.49),
+    "upper rear outer": (-0.07, 0.62, 0.5),
+    "tie rod inner": (0.12, 0.34, 0.25),
+    "tie rod outer": (0.15, 0.66, 0.26),
+    "axle inner": (0.0, 0.66, 0.298),
+    "wheel center": (0.0, 0.76, 0.3),
+    "spring lower": (-0.03, 0.62, 0.22),
+    "spring upper": (-0.02, 0.52, 0.62),
+}
+LINKS = ("lower front", "lower rear", "upper front", "upper rear")
+LARGEST = 20  # m, between hard points of one suspension
+ACROSS = ("tie rod inner",)  # points that may be on the other side of the car
+
+
+def double_wishbone(
+    hard_points: Points | None = None, *, stiffness=30e3, force=4000.0, radius=0.3
+) -> Corner:
+    """A wheel on two triangular arms, with a tie rod to a rack and a spring on the lower arm.
+
+    Args:
+        hard_points: {name: place [m]} of those that differ from the source; the names are those of
+            `DOUBLE_WISHBONE` beside this function
+        stiffness, force: of the spring [N/m], and its compression in the design position [N]
+        radius: loaded radius of the wheel [m]
+
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT. Source: hard points of the public
+    project suspension-explorer.
+
+    >>> round(float(jnp.rad2deg(double_wishbone().curves(0.0)["camber"][0])), 6)
+    -1.909152
+    """
+    points = _points(DOUBLE_WISHBONE, hard_points, "double_wishbone")
+    lower, upper = points["spring lower"], points["spring upper"]
+    model = Model(
+        bodies=_bodies(points) | {"upper arm": _body(ARM, points, "upper outer")},
+        joints={
+            **_joints(points),
+            "upper arm": _hinge(points, "upper inner front", "upper inner rear"),
+        },
+        closures={
+            "upper ball": BallClosure(
+                ("upper arm", points["upper outer"]), ("upright", points["upper outer"])
+            ),
+            "tie rod": _tie_rod(points),
+        },
+        elements={"spring": spring_between("lower arm", lower, upper, stiffness, force)},
+    )
+    return Corner(
+        model,
+        _wheel(points, radius, points["upper outer"]),
+        hard_points=points,
+        build=double_wishbone,
+    )
+
+
+def macpherson(
+    hard_points: Points | None = None, *, stiffness=30e3, force=4000.0, radius=0.3
+) -> Corner:
+    """A wheel on a lower arm and a strut, which slides in the upright and ends at a ball joint on
+    the body, with a tie rod to a rack; the spring acts along the strut, from the lower ball joint.
+
+    Args:
+        hard_points: {name: place [m]} of those that differ from the source; the names are those of
+            `MACPHERSON` beside this function
+        stiffness, force: of the spring [N/m], and its compression in the design position [N]
+        radius: loaded radius of the wheel [m]
+
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT. Source: hard points of the public
+    project suspension-explorer.
+
+    >>> macpherson().model.closure_names
+    ('strut', 'tie rod')
+    """
+    points = _points(MACPHERSON, hard_points, "macpherson")
+    lower, upper = points["lower outer"], points["strut upper"]
+    model = Model(
+        bodies=_bodies(points),
+        joints=_joints(points),
+        closures={
+            "strut": Inline(("upright", lower), ("world", upper), axis=upper - lower),
+            "tie rod": _tie_rod(points),
+        },
+        elements={"spring": spring_between("upright", lower, upper, stiffness, force)},
+    )
+    return Corner(model, _wheel(points, radius, upper), hard_points=points, build=macpherson)
+
+
+def five_link(
+    hard_points: Points | None = None, *, stiffness=30e3, force=4000.0, radius=0.3
+) -> Corner:
+    """A wheel on four links and a tie rod to a rack, with a spring on the upright. The links have
+    no mass; the upright turns about no fixed line, so that the steering axis of the curves is the
+    screw axis of steering.
+
+    Args:
+        hard_points: {name: place [m]} of those that differ; the names are those of `FIVE_LINK`
+            beside this function
+        stiffness, force: of the spring [N/m], and its compression in the design position [N]
+        radius: loaded radius of the wheel [m]
+
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT.
+
+    >>> corner = five_link({"tie rod outer": [0.15, 0.7, 0.265]})
+    >>> corner.model.closures[0].names
+    ('lower front link', 'lower rear link', 'upper front link', 'upper rear link', 'tie rod')
+    """
+    points = _points(FIVE_LINK, hard_points, "five_link")
+    lower, upper = points["spring lower"], points["spring upper"]
+    links: dict[str, Closure] = {
+        f"{name} link": Rod(
+            ("world", points[f"{name} inner"]), ("upright", points[f"{name} outer"])
+        )
+        for name in LINKS
+    }
+    model = Model(
+        bodies={
+            "upright": _body(UPRIGHT, points, "wheel center"),
+            "rack": _body(RACK, points, "tie rod inner"),
+        },
+        joints={"rack": Guide("world", axis="y")},
+        closures=links | {"tie rod": _tie_rod(points)},
+        elements={"spring": spring_between("upright", lower, upper, stiffness, force)},
+    )
+    return Corner(model, _wheel(points, radius), hard_points=points, build=five_link)
+
+
+def _points(source: Points, given: Points | None, where: str) -> dict[str, Any]:
+    """All hard points: those of the source, and in their place those that are given, on one side of
+    the car."""
+    with Problems() as problems:
+        points = points_of(source, given, f"{where}.hard_points", problems)
+        if not problems.collected and is_concrete(points):
+            _check_side(points, given or {}, where, problems)
+    return points
+
+
+def points_of(
+    source: Points, given: Points | None, where: str, problems: Problems
+) -> dict[str, Any]:
+    """The hard points of the source, and in their place those that are given. Errors: UNKNOWN_NAME,
+    BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT."""
+    points: dict[str, Any] = {name: np.asarray(point) for name, point in source.items()}
+    for name, point in (given or {}).items():
+        place = f"{where}['{name}']"
+        if name not in source:
+            problems.collected.append(unknown(name, place, tuple(source)))
+            continue
+        points[name] = checked(point, ((3,),), place, problems, "Give x, y and z in meters.")
+    if not problems.collected and is_concrete(points):
+        _check_axes(points, where, problems)
+    return points
+
+
+def _check_axes(points: dict[str, Any], where: str, problems: Problems) -> None:
+    """Whether x is forward and z up by what the points are named, and lengths are in meters.
+    Problems: WRONG_SIDE, UNIT."""
+    for axis, i, (ahead, behind) in (
+        ("x forward", 0, ("front", "rear")),
+        ("z up", 2, ("upper", "lower")),
+    ):
+        one, other = (
+            float(np.mean([point[i] for name, point in points.items() if word in name]))
+            for word in (ahead, behind)
+        )
+        if one < other:
+            message = (
+                f"has '{ahead}' points at {axis[0]} = {one:.4g} m on average, and '{behind}' "
+                f"ones at {other:.4g} m"
+            )
+            hint = (
+                f"Is {axis[0]} {'rearward' if i == 0 else 'down'} there? Turn the axes of the "
+                "points: two signs change, not one."
+            )
+            problems.add("WRONG_SIDE", where, message, value=(one, other), limit=axis, hint=hint)
+    if (extent := float(np.ptp(np.array(list(points.values())), 0).max())) > LARGEST:
+        problems.add(
+            "UNIT",
+            where,
+            f"spans {extent:.4g} m",
+            value=extent,
+            limit=f"{LARGEST} m",
+            hint="Give all points in meters, not mm.",
+        )
+
+
+def _check_side(points: dict[str, Any], given: Points, where: str, problems: Problems) -> None:
+    """Whether all points are on the side of the wheel. Problem: WRONG_SIDE."""
+    side = "y > 0 on the left" if points["wheel center"][1] > 0 else "y < 0 on the right"
+    wrong = [
+        name
+        for name, point in points.items()
+        if name not in ACROSS and point[1] * points["wheel center"][1] < 0
+    ]
+    if wrong:
+        listed = ", ".join(f"'{name}' at y = {float(points[name][1]):.6g} m" for name in wrong)
+        own = [name for name in wrong if name not in given]
+        hint = (
+            "Give all points of a right wheel: those that are not given are those of a left one."
+            if own
+            else "Correct the signs of y."
+        )
+        problems.add(
+            "WRONG_SIDE",
+            f"{where}.hard_points",
+            f"has {listed}",
+            value=wrong,
+            limit=f"{side}, as the wheel center",
+            hint=hint,
+        )
+
+
+def _distance(a: Any, b: Any) -> Any:
+    xp: Any = np if is_concrete((a, b)) else jnp
+    return xp.linalg.norm(a - b)
+
+
+def _bodies(points: dict[str, Any]) -> dict[str, Body]:
+    return {
+        "lower arm": _body(ARM, points, "lower outer"),
+        "upright": _body(UPRIGHT, points, "wheel center"),
+        "rack": _body(RACK, points, "tie rod inner"),
+    }
+
+
+def _body(mass: float, points: dict[str, Any], at: str) -> Body:
+    return Body(mass=mass, inertia=INERTIA, com=points[at])
+
+
+def _joints(points: dict[str, Any]) -> dict[str, Joint]:
+    return {
+        "lower arm": _hinge(points, "lower inner front", "lower inner rear"),
+        "upright": Ball("lower arm", at=points["lower outer"]),
+        "rack": Guide("world", axis="y"),
+    }
+
+
+def _hinge(points: dict[str, Any], front: str, rear: str) -> Hinge:
+    return Hinge("world", axis=points[front] - points[rear], at=points[front])
+
+
+def _wheel(points: dict[str, Any], radius: Any, upper: Any = None) -> Wheel:
+    """The wheel; `upper`: the upper point of its steering axis, whose lower one is the lower
+    outer point."""
+    center, kingpin = (
+        points["wheel center"],
+        None if upper is None else [points["lower outer"], upper],
+    )
+    return Wheel(
+        "upright", center=center, axis=center - points["axle inner"], radius=radius, kingpin=kingpin
+    )
+
+
+def _tie_rod(points: dict[str, Any]) -> Rod:
+    return Rod(("rack", points["tie rod inner"]), ("upright", points["tie rod outer"]))
+
+
+def spring_between(on: str, lower: Any, upper: Any, stiffness: Any, force: Any) -> Spring:
+    """The spring from a body up to the car, compressed by `force` in the design position."""
+    return Spring(
+        (on, lower),
+        ("world", upper),
+        stiffness=stiffness,
+        free_length=_distance(upper, lower) + force / stiffness,
+    )
+
+
+# kg, kg m2, for what is not known; curves do not depend on them
+AXLE, AXLE_INERTIA = 80.0, (18.0, 2.0, 18.0)
+
+SOLID_AXLE = {
+    "left lower link front": (0.55, 0.45, 0.28),
+    "left lower link rear": (0.0, 0.5, 0.26),
+    "right lower link front": (0.55, -0.45, 0.28),
+    "right lower link rear": (0.0, -0.5, 0.26),
+    "upper link front": (0.4, 0.0, 0.46),
+    "upper link rear": (0.0, 0.0, 0.48),
+    "Panhard rod body": (-0.12, 0.48, 0.34),
+    "Panhard rod axle": (-0.12, -0.48, 0.32),
+    "left spring lower": (-0.02, 0.5, 0.32),
+    "left spring upper": (-0.02, 0.47, 0.62),
+    "right spring lower": (-0.02, -0.5, 0.32),
+    "right spring upper": (-0.02, -0.47, 0.62),
+    "left wheel center": (0.0, 0.75, 0.31),
+    "right wheel center": (0.0, -0.75, 0.31),
+}
+AXLE_LINKS = {
+    f"{name} link": (f"{name} link front", f"{name} link rear")
+    for name in ("left lower", "right lower", "upper")
+}
+RODS = AXLE_LINKS | {"Panhard rod": ("Panhard rod body", "Panhard rod axle")}
+
+
+class Axle(Suspension):
+    """A suspension of both wheels: `model`, in the design position, whose body "axle" has the axes
+    and the origin of the car; `left` and `right`, its wheels; hard points as of a `Suspension`.
+
+    >>> axle = jb.solid_axle()
+    >>> axle.model.closure_names
+    ('left lower link', 'right lower link', 'upper link', 'Panhard rod')
+    """
+
+    left: Wheel
+    right: Wheel
+
+    @property
+    def wheels(self):
+        return self.left, self.right
+
+    def curves(self, left: Any, right: Any) -> SuspensionCurves:
+        """Curves of the left wheel over the rise of the centers of both [m], numbers or as many as
+        the other has; see `suspension_curves`. Derivatives "left" are those by this wheel alone,
+        with the other held; both together are the bounce of the axle.
+
+        >>> axle = jb.solid_axle()
+        >>> camber = axle.curves([-0.03, 0.0, 0.03], [0.03, 0.0, -0.03])["camber"]  # doctest: +SKIP
+        """
+        drive = {"left": self.left, "right": self.right}
+        return suspension_curves(
+            self.model, drive=drive, over={"left": left, "right": right}, wheel=self.left
+        )
+
+
+def solid_axle(
+    hard_points: Mapping[str, Any] | None = None,
+    *,
+    mass=AXLE,
+    inertia: Any = AXLE_INERTIA,
+    stiffness=30e3,
+    force=4000.0,
+    radius=0.31,
+) -> Axle:
+    """A solid axle on two lower links and an upper one, with a Panhard rod that holds it sideways,
+    and two springs. The links have no mass.
+
+    Args:
+        hard_points: {name: place [m]} of those that differ; the names are those of `SOLID_AXLE`
+            beside this function
+        mass, inertia: of the axle with its wheels [kg, kg m2], about its center of mass midway
+            between the wheels
+        stiffness, force: of each spring [N/m], and its compression in the design position [N]
+        radius: loaded radius of the wheels [m]
+
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT.
+
+    The axle has two freedoms, bounce and roll: with one wheel up by 3 cm and the other down, it
+    leans by 6 cm in its track of 1.5 m.
+
+    >>> curves = solid_axle().curves(0.03, -0.03)
+    >>> round(float(jnp.sin(-curves["camber"][0])), 6)  # of the left wheel
+    0.04
+    """
+    with Problems() as problems:
+        points = points_of(SOLID_AXLE, hard_points, "solid_axle.hard_points", problems)
+    center = (points["left wheel center"] + points["right wheel center"]) / 2
+    springs = {
+        f"{side} spring": spring_between(
+            "axle", points[f"{side} spring lower"], points[f"{side} spring upper"], stiffness, force
+        )
+        for side in ("left", "right")
+    }
+    model = Model(
+        bodies={"axle": Body(mass=mass, inertia=inertia, com=center)},
+        closures={
+            name: Rod(("world", points[on_car]), ("axle", points[on_axle]))
+            for name, (on_car, on_axle) in RODS.items()
+        },
+        elements=springs,
+    )
+    wheels = {
+        side: Wheel(
+            "axle", center=points[f"{side} wheel center"], axis=[0, outward, 0], radius=radius
+        )
+        for side, outward in (("left", 1), ("right", -1))
+    }
+    return Axle(model, **wheels, hard_points=points, build=solid_axle)

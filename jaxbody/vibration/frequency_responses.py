@@ -43,7 +43,7 @@ from jaxbody.sensors.instruments import LoadCell
 from jaxbody.sensors.sensors import Sensor
 from jaxbody.vibration.dynamic_matrices import DynamicMatrices, are_many, is_unstable, solved
 from jaxbody.vibration.linearizations import Linearization, check_system
-from jaxbody.vibration.modal_dampings import NO_MODES, with_modal_damping
+from jaxbody.vibration.natural_modes import NO_MODES, with_modal_damping
 from jaxbody.vibration.ports import Ports, check_ports, port_matrices, reads_matrices
 
 METHODS = ("direct", "modal")

@@ -31,7 +31,7 @@ from jaxbody.vibration.frequency_responses import (
     response_values,
 )
 from jaxbody.vibration.linearizations import Linearization, check_system
-from jaxbody.vibration.modal_dampings import with_modal_damping
+from jaxbody.vibration.natural_modes import with_modal_damping
 from jaxbody.vibration.ports import Ports, check_ports, port_matrices
 from jaxbody.vibration.spectra import Band, CrossPSD, Spectrum, check_spectra, trapezoids
 

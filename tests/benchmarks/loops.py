@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxbody as jb
-from jaxbody.suspension.ready_suspensions import DOUBLE_WISHBONE
+from jaxbody.suspension.suspensions import DOUBLE_WISHBONE
 
 jax.config.update("jax_enable_x64", True)
 TESTS = Path(__file__).parents[1]

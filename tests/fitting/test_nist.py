@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxbody.fitting.least_squares import Evaluations, by_scipy
+from jaxbody.fitting.searches import Evaluations, by_scipy
 from jaxbody.fitting.statistics.noises import ResidualSeries
 from jaxbody.fitting.statistics.uncertainties import assess
 

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 import jaxbody as jb
 from jaxbody.lagrange import potential_energy
-from jaxbody.suspension.driven_positions import drives_of, position
+from jaxbody.suspension.assemblies import drives_of, position
 
 G = 9.81
 # lengths, and where the spring of the slider ends on its line [m]

@@ -15,7 +15,7 @@ from jaxbody.geometry.frames import Pose
 from jaxbody.mechanics.constraints import closed_on
 from jaxbody.model.joints.closure_tables import drawn, gaps
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.suspension.driven_positions import drives_of, position, positions
+from jaxbody.suspension.assemblies import drives_of, position, positions
 
 BAR = jb.Body(mass=1.0, inertia=[1, 1, 1])
 CRANK, COUPLER, ROCKER, GROUND = 0.04, 0.12, 0.08, 0.1

@@ -7,8 +7,7 @@ from typing import Any
 
 from jaxbody.files.kinds import PAIR, PLAIN_TYPES, by_name, named, one_of, table_schema, texts_of
 from jaxbody.fitting.experiments.experiments import Experiment
-from jaxbody.fitting.experiments.measured_modes import UNITS, MeasuredModes
-from jaxbody.fitting.experiments.measured_responses import MeasuredResponse
+from jaxbody.fitting.experiments.measured_responses import UNITS, MeasuredModes, MeasuredResponse
 from jaxbody.records.record_files import read_record
 from jaxbody.records.records import Record
 

@@ -16,8 +16,12 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import EntryPath
 from jaxbody.files.studies.measured_sections import OF_FILES
-from jaxbody.fitting.experiments.measured_modes import UNITS, MeasuredModes
-from jaxbody.fitting.experiments.measured_responses import MeasuredResponse, response_unit
+from jaxbody.fitting.experiments.measured_responses import (
+    UNITS,
+    MeasuredModes,
+    MeasuredResponse,
+    response_unit,
+)
 from jaxbody.model.models import Model
 from jaxbody.records.format_readers import read_columns
 from jaxbody.records.record_files import agreed_unit

@@ -11,7 +11,7 @@ from jaxbody.core.errors import Problems
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import EntryPath
 from jaxbody.fitting.experiments.measurements import Measurement
-from jaxbody.fitting.parameters.ties import ties
+from jaxbody.fitting.parameters.ties_and_bounds import ties
 from jaxbody.model.inputs.loads import Load, loads_of
 from jaxbody.model.inputs.motions import Motion
 from jaxbody.model.leaf_paths import Leaf, leaves_of, matching

@@ -23,11 +23,10 @@ from jaxbody.core.arrays import Array, Int, indices, time_text
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
-from jaxbody.fitting.experiments.correlations import best_shift, centered, correlation
 from jaxbody.fitting.experiments.experiments import Experiment, check_measurements
 from jaxbody.fitting.experiments.measured_responses import small_motions
 from jaxbody.fitting.experiments.measurements import Measurement
-from jaxbody.fitting.statistics.autocorrelations import whiteness
+from jaxbody.fitting.statistics.autocorrelations import best_shift, centered, correlation, whiteness
 from jaxbody.model.models import Model
 from jaxbody.motion.sensor_readings import measure
 from jaxbody.motion.simulations import simulate

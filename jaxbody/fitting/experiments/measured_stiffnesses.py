@@ -11,7 +11,7 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, device_array, float_array, scalar
 from jaxbody.core.errors import Problems, unknown
 from jaxbody.fitting.experiments.measurements import Measurement, check_rows, noise_of
-from jaxbody.sensors.channels import Channel
+from jaxbody.sensors.sensors import Channel
 from jaxbody.vibration.dynamic_stiffnesses import dynamic_stiffness
 from jaxbody.vibration.frequency_responses import check_frequencies
 

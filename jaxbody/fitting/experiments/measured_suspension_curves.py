@@ -14,7 +14,7 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, concrete, device_array, float_array
 from jaxbody.core.errors import Problems, unknown
 from jaxbody.fitting.experiments.measurements import Measurement, check_rows, noise_of
-from jaxbody.sensors.channels import Channel
+from jaxbody.sensors.sensors import Channel
 from jaxbody.suspension.alignment_curves import curve_names, curve_unit, suspension_curves
 from jaxbody.suspension.wheels import Wheel
 

@@ -12,7 +12,7 @@ from jaxbody.core.arrays import Array, as_numpy, concrete, device_array, indices
 from jaxbody.core.errors import Problems
 from jaxbody.core.tables import PlotMethod
 from jaxbody.fitting.statistics.noises import ResidualSeries
-from jaxbody.sensors.channels import Channel
+from jaxbody.sensors.sensors import Channel
 
 
 class Measurement(eqx.Module):

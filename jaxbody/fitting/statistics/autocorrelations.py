@@ -1,5 +1,5 @@
 """Autocorrelation of one record: autocovariances, autoregressions with the order selected by BIC,
-and tests for whiteness.
+and tests for whiteness; its correlation with a prediction, as it is and shifted in time.
 
     r_t = phi_1 r_(t-1) + ... + phi_q r_(t-q) + e_t,   e_t white,   gamma_k = E r_t r_(t+k)
 
@@ -115,3 +115,32 @@ def whiteness(r: np.ndarray) -> Whiteness | None:
     return Whiteness(
         float(rho[1]), float(np.diff(r) @ np.diff(r) / (r @ r)), Q, lags, float(chdtrc(lags, Q))
     )
+
+
+def centered(y: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A record and its prediction from their means, zero for missing samples, and which samples
+    are there."""
+    valid = np.isfinite(y) & np.isfinite(p)
+    return *(np.where(valid, x - np.mean(x, where=valid), 0.0) for x in (y, p)), valid  # pyright: ignore[reportReturnType]
+
+
+def correlation(y: np.ndarray, p: np.ndarray) -> float:
+    """Of two records without means; 0 for a constant one."""
+    size = float(np.sqrt((y @ y) * (p @ p)))
+    return float(y @ p) / size if size else 0.0
+
+
+def best_shift(y: np.ndarray, p: np.ndarray) -> tuple[int, float]:
+    """By how many samples a record is later than its prediction for the largest correlation, up to
+    half the record, and this."""
+    from scipy.signal import correlate, correlation_lags
+
+    lags = correlation_lags(len(y), len(p))
+    near = np.abs(lags) <= len(y) // 2
+    overlap, size = (
+        correlate(a, b, method="fft")[near] for a, b in ((y, p), (y**2, np.ones(len(p))))
+    )
+    other = correlate(np.ones(len(y)), p**2, method="fft")[near]
+    r = overlap / np.sqrt(np.maximum(size * other, np.finfo(float).tiny))
+    best = int(np.argmax(np.abs(r)))
+    return int(lags[near][best]), float(r[best])

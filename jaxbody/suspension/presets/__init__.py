@@ -17,8 +17,8 @@ __getattr__, __dir__, __all__ = late_names(
             "hydraulic_engine_mounts",
             "isolated_table",
             "quarter_car",
+            "rubber_isolators",
             "stewart_table",
         ),
-        "rubber_presets": ("rubber_isolators",),
     },
 )

@@ -13,5 +13,5 @@ from jaxbody.suspension.presets.presets import half_car as half_car
 from jaxbody.suspension.presets.presets import hydraulic_engine_mounts as hydraulic_engine_mounts
 from jaxbody.suspension.presets.presets import isolated_table as isolated_table
 from jaxbody.suspension.presets.presets import quarter_car as quarter_car
+from jaxbody.suspension.presets.presets import rubber_isolators as rubber_isolators
 from jaxbody.suspension.presets.presets import stewart_table as stewart_table
-from jaxbody.suspension.presets.rubber_presets import rubber_isolators as rubber_isolators

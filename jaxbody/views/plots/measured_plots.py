@@ -17,7 +17,7 @@ from jaxbody.fitting.statistics.uncertainties import quantile
 from jaxbody.fitting.validations import Validation
 from jaxbody.model.inputs.base_motions import NAMES, Recovered
 from jaxbody.records.records import Record
-from jaxbody.sensors.channels import Channel
+from jaxbody.sensors.sensors import Channel
 from jaxbody.views.plots.canvases import (
     COLORS,
     INK,

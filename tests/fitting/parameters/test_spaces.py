@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.fitting.parameters.spaces import space_of
-from jaxbody.fitting.parameters.starts import around, drawn
+from jaxbody.fitting.parameters.spaces import around, drawn, space_of
 from jaxbody.fitting.parameters.transforms import Fraction, Ordered, Positive, Shifted
 
 FREE = [

@@ -12,7 +12,7 @@ import jaxbody as jb
 from jaxbody import presets
 from jaxbody.mechanics.constraints import how_open
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.suspension.ready_suspensions import DOUBLE_WISHBONE
+from jaxbody.suspension.suspensions import DOUBLE_WISHBONE
 
 G = 9.81
 WHEELS = ("fl", "fr", "rl", "rr")
