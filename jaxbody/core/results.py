@@ -1,16 +1,25 @@
-"""The base class of results: a status with its message, and printing as small tables."""
+"""The base classes of results: a status with its message, and printing as small tables."""
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
 import jax
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import as_numpy, is_concrete, rows_or_nan
-from jaxbody.core.errors import MESSAGES, MOST_PROBLEMS, JaxbodyError, Problem, Status, warn
+from jaxbody.core.arrays import as_numpy, is_concrete, part_of, rows_or_nan
+from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.errors import (
+    MESSAGES,
+    MOST_PROBLEMS,
+    JaxbodyError,
+    Problem,
+    Status,
+    unknown,
+    warn,
+)
 from jaxbody.core.jax_internals import Tracer
 
 AnyResult = TypeVar("AnyResult", bound="Result")
@@ -78,6 +87,26 @@ class Result(tables.Printed, eqx.Module):
         if codes.ndim:
             message += f"; failed samples {np.argwhere(codes)[:MOST_PROBLEMS].squeeze(-1).tolist()}"
         raise JaxbodyError(Problem(first.name, where, message, value=self.status))
+
+
+class OfOutputs(Labeled, Result):
+    """The base class of results with numbers of each of the `outputs`, in its unit;
+    `response["seat"]` is the `main` one."""
+
+    main: ClassVar[str]
+    word: ClassVar[str] = "response"  # for the result, where an output is unknown
+    outputs: tuple[str, ...] = eqx.field(static=True, kw_only=True)
+    units: tuple[str, ...] = eqx.field(static=True, kw_only=True)
+
+    def __getitem__(self, output: str) -> Any:
+        if output not in self.outputs:
+            raise JaxbodyError(unknown(output, self.word, self.outputs))
+        return part_of(getattr(self, self.main), (..., self.outputs.index(output)))
+
+    def labeled(self, kind: str, variables: dict[str, Any], coordinates: Any = ()) -> Any:
+        """A dataset of these variables, with the units of outputs and the status."""
+        own = {"unit": (("output",), np.array(self.units), ""), "status": ((), self.status, "")}
+        return dataset(variables | own, {"output": list(self.outputs), **dict(coordinates)}, kind)
 
 
 def without_derivatives(tree: Any) -> Any:

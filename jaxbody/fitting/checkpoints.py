@@ -51,10 +51,12 @@ def save(path: str | os.PathLike, task: Task, u: np.ndarray) -> None:
             os.fsync(file.fileno())
     except OSError as error:
         needed = sum(a.nbytes for a in arrays.values())
-        message = f"cannot be written: {error.strerror or error}; {needed} bytes are needed"
         raise JaxbodyError(
             Problem(
-                "NOT_SAVED", str(path), message, hint="An earlier checkpoint there is unchanged."
+                "NOT_SAVED",
+                str(path),
+                f"cannot be written: {error.strerror or error}; {needed} bytes are needed",
+                hint="An earlier checkpoint there is unchanged.",
             )
         ) from None
 
@@ -108,10 +110,16 @@ def _numbers(
     """The array, if it holds finite numbers and has this shape. Error: NO_CHECKPOINT."""
     limit = f"{'positive' if positive else 'finite'} numbers of shape {shape}"
     if value is None or value.dtype.kind != "f" or value.shape != shape:
-        message = (
-            "is missing" if value is None else f"has shape {value.shape} of {value.dtype.name}"
+        raise JaxbodyError(
+            Problem(
+                "NO_CHECKPOINT",
+                where,
+                "is missing" if value is None else f"has shape {value.shape} of {value.dtype.name}",
+                value,
+                limit,
+                RESTART,
+            )
         )
-        raise JaxbodyError(Problem("NO_CHECKPOINT", where, message, value, limit, RESTART))
     if not np.isfinite(value).all() or (positive and not (value > 0).all()):
         raise JaxbodyError(
             Problem("NO_CHECKPOINT", where, f"is {value.tolist()!r:.60}", value, limit, RESTART)
@@ -127,12 +135,11 @@ def check_same(names: list[str], task: Task, where: str) -> None:
         differences = [
             f"'{name}'" for name in [*names, *own] if (name in names) != (name in own)
         ] or ["the order of names"]
-        message = f"is from another fit: they differ in {', '.join(differences[:3])}"
         raise JaxbodyError(
             Problem(
                 "OTHER_FIT",
                 where,
-                message,
+                f"is from another fit: they differ in {', '.join(differences[:3])}",
                 hint="Resume with the same free parameters and experiments.",
             )
         )
@@ -144,13 +151,14 @@ def resumed(earlier, task: Task) -> tuple[np.ndarray, Levels]:
     if isinstance(earlier, str | os.PathLike):
         return load(earlier, task)
     if not isinstance(getattr(earlier, "task", None), Task):
-        limit, hint = (
-            "a fit, or the path of its checkpoint",
-            "Give the result of fit(...) or the path given as checkpoint=.",
-        )
         raise JaxbodyError(
             Problem(
-                "WRONG_KIND", "fit.resume", f"is a {type(earlier).__name__}", earlier, limit, hint
+                "WRONG_KIND",
+                "fit.resume",
+                f"is a {type(earlier).__name__}",
+                earlier,
+                "a fit, or the path of its checkpoint",
+                "Give the result of fit(...) or the path given as checkpoint=.",
             )
         )
     check_same(_names(earlier.task), task, "fit.resume")

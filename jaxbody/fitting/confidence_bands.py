@@ -152,14 +152,16 @@ def _drawn(fit: Fit, f: Callable, level: float, samples: int, key):
     """Standard deviation and quantiles over draws of u from its normal distribution."""
     uncertainty = fit._assessed()
     if uncertainty.rank < len(fit.u):
-        message = "has parameters that are not determined: " + "; ".join(
-            [*uncertainty.words, *fit.at_bound]
+        raise JaxbodyError(
+            Problem(
+                "UNDETERMINED",
+                "fit",
+                "has parameters that are not determined: "
+                + "; ".join([*uncertainty.words, *fit.at_bound]),
+                hint="Fix some of them, or leave out samples=: then results that the data "
+                "determine still have bands.",
+            )
         )
-        hint = (
-            "Fix some of them, or leave out samples=: then results that the data "
-            "determine still have bands."
-        )
-        raise JaxbodyError(Problem("UNDETERMINED", "fit", message, hint=hint))
     values, vectors = np.linalg.eigh(uncertainty.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     u: Float[Array, "samples n"] = (

@@ -183,31 +183,33 @@ def coverage(
         check_key(key, "coverage.key", problems)
         chunks = checked_chunks("coverage", workers, out, chunks, problems, fixed=True)
         if not fit.ok:
-            hint = "Free only what the data determine, and let no bound be active."
             problems.add(
                 "UNDETERMINED",
                 "coverage.fit",
                 f"has the status {Status(int(fit.status)).name}",
                 value=fit.status,
-                hint=hint,
+                hint="Free only what the data determine, and let no bound be active.",
             )
         if fit.task.loss is not None:
-            message = f"has the loss {fit.task.loss!r}, for which the noise is not known"
             problems.add(
                 "BAD_OPTION",
                 "coverage.fit",
-                message,
+                f"has the loss {fit.task.loss!r}, for which the noise is not known",
                 value=fit.task.loss,
                 hint="Fit by least squares.",
             )
     key = jax.random.key(0) if key is None else key
     keys, u = np.asarray(jax.random.key_data(jax.random.split(key, replicates))), np.asarray(fit.u)
-    how: Any = dict(
-        level=level, keys=keys, kind=jax.random.key_impl(key), max_steps=max_evaluations
-    )
     with working("coverage", progress) as line, crew_of(workers, "coverage.workers") as crew:
         line("compiling")
-        batch = _batch(fit, crew, **how)
+        batch = _batch(
+            fit,
+            crew,
+            level=level,
+            keys=keys,
+            kind=jax.random.key_impl(key),
+            max_steps=max_evaluations,
+        )
         results, status = gathered(
             batch,
             crew,
@@ -265,7 +267,6 @@ def _batch(
 
         return jax.vmap(one)(keys)
 
-    owner: Any = dict(owner=assessed, place=(max_steps, kind))
     batch = batch_of(
         fitted,
         tree,
@@ -274,7 +275,8 @@ def _batch(
         width=BATCH,
         where="coverage",
         crew=crew,
-        **owner,
+        owner=assessed,
+        place=(max_steps, kind),
     )
     real = batch.program.results["u"][1]
     types = {name: ((space.size,), real) for name in ("u", "lower", "upper")} | {

@@ -47,7 +47,7 @@ from jaxbody.fitting.residuals import (
     rms_residuals,
     with_estimated_noise,
 )
-from jaxbody.fitting.searches import AT_BOUND, Evaluations, by_optax, by_scipy, solve
+from jaxbody.fitting.searches import AT_BOUND, Evaluations, search, solve
 from jaxbody.fitting.statistics.losses import check_loss
 from jaxbody.fitting.statistics.uncertainties import RANK, assess, decomposed
 from jaxbody.model.models import Model
@@ -197,7 +197,7 @@ def fit(
         try:
             check_start(task, u, *evaluate(u)[:2])
             for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
-                u, converged = _search(evaluate, task, u, method)
+                u, converged = search(evaluate, task, u, method)
                 status = Status.OK if converged else Status.NOT_CONVERGED
                 if not estimated:
                     break
@@ -237,36 +237,26 @@ def _check_method(method: Any, bounds: Any, problems: Problems) -> None:
         )
 
 
-def _search(
-    evaluate: Evaluations, task: Task, u: np.ndarray, method: Any
-) -> tuple[np.ndarray, bool]:
-    """The best u by the method, and whether it converged."""
-    if isinstance(method, str):
-        return by_scipy(evaluate, u, task.space.bounds)
-    if not isinstance(method, optimistix.AbstractLeastSquaresSolver):
-        return by_optax(evaluate, task, u, method, task.space.bounds)
-    best, status, steps = solve(task, u, method, max(evaluate.max_evaluations - evaluate.count, 1))
-    evaluate.count += int(steps)
-    return np.asarray(best), int(status) == Status.OK
-
-
 def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
     """A fit inside jit, vmap and derivatives, where values are unknown."""
     if not isinstance(method, optimistix.AbstractLeastSquaresSolver):
-        hint = "Inside them use optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8)."
         raise JaxbodyError(
             Problem(
-                "TRACED", "fit.method", "does not run inside jit, vmap or grad", method, hint=hint
+                "TRACED",
+                "fit.method",
+                "does not run inside jit, vmap or grad",
+                method,
+                hint="Inside them use optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8).",
             )
         )
     if estimated:
-        hint = (
-            "Give the noise of every measurement: it is estimated outside of "
-            "jit, vmap and grad only."
-        )
         raise JaxbodyError(
             Problem(
-                "NO_NOISE", "fit.experiments", "do not state the noise of all channels", hint=hint
+                "NO_NOISE",
+                "fit.experiments",
+                "do not state the noise of all channels",
+                hint="Give the noise of every measurement: it is estimated outside of "
+                "jit, vmap and grad only.",
             )
         )
     u, status, steps = solve(task, u, method, max_steps)
@@ -370,14 +360,11 @@ def _unexplained(
     """Sentences on records that the fitted model does not explain, and on likely errors of
     measurements there or at the start, which may be nearer to the truth; and whether one of these
     is certain, so that further evaluations are of no use."""
-    residuals = {
-        run: {
-            name: np.asarray(runs[run][1][name]) * channel.spread(np.asarray(task.noise[run][name]))
-            for name, channel in e.channels.items()
-        }
-        for run, e in task.experiments.items()
-    }
-    sentences = unexplained(experiments, residuals, task.loss is not None, integration_error(task))
+    sentences = [
+        *unexplained(
+            experiments, task.misfits(runs), task.loss is not None, integration_error(task)
+        )
+    ]
     fitted = [
         error
         for run, e in experiments.items()
@@ -467,11 +454,14 @@ def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
             else ""
         )
         if message:
-            hint = (
-                "Choose another name, without . * ? [ ], because the paths of an experiment "
-                "begin with its name."
+            problems.add(
+                "BAD_NAME",
+                f"experiments[{name!r}]",
+                message,
+                value=name,
+                hint="Choose another name, without . * ? [ ], because the paths of an experiment "
+                "begin with its name.",
             )
-            problems.add("BAD_NAME", f"experiments[{name!r}]", message, value=name, hint=hint)
     problems.raise_if_any()
     for name, experiment in experiments.items():
         problems.gather(partial(experiment.check, model, name))

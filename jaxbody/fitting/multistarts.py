@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any
 
 import jax
@@ -151,7 +151,8 @@ def multistart(
         points = around(task.space, starts, spread, seed)
         ends, costs, done = [np.asarray(first.u)], [float(first.cost)], 0
         if workers is None and out is None:
-            searched = _searched(task, points, max_evaluations)
+            parts = computed_here(**_search(task, points, max_evaluations))
+            searched = ((part["u"], part["end"], part["cost"]) for part in parts)
         else:
             searched = [
                 _searched_by_workers(task, points, max_evaluations, workers, out, chunks, line)
@@ -165,7 +166,6 @@ def multistart(
                 line(message := f"starts {done} of {starts}: least cost {min(costs):.9g}")
                 if progress:
                     print(message, flush=True)
-        starts = done
         groups = _grouped(np.array(ends), np.array(costs))
         lowest, best = groups[0][0], first
         if lowest == 0:
@@ -193,25 +193,18 @@ def multistart(
         device_array(np.array([ends[group[0]] for group in groups]))
     )
     estimates = {path: values[path] for path in first.paths}
-    hits = np.array(list(map(len, groups)))
     return Multistart(
         best=best,
         cost=cost,
-        hits=hits,
+        hits=np.array([len(group) for group in groups]),
         estimates=estimates,
-        starts=starts + 1,
-        failures=starts + 1 - len(ends),
+        starts=done + 1,
+        failures=done + 1 - len(ends),
         status=best.status,
     )
 
 
 Ends = tuple[np.ndarray, ...]  # u, status and cost at the ends of searches
-
-
-def _searched(task: Task, points: np.ndarray, max_steps: int) -> Iterator[Ends]:
-    """The ends of searches from these points, in batches of one width, in their order."""
-    for part in computed_here(**_search(task, points, max_steps)):
-        yield part["u"], part["end"], part["cost"]
 
 
 def _searched_by_workers(
@@ -248,11 +241,10 @@ def _search(task: Task, points: np.ndarray, max_steps: int) -> dict[str, Any]:
         return jax.vmap(one)(points)
 
     points = points.astype(np.asarray(device_array(points)).dtype)
-    rows = lambda i, j: [points[i:j]]  # noqa: E731
     return dict(
         function=search,
         tree=task,
-        rows=rows,
+        rows=lambda i, j: [points[i:j]],
         count=len(points),
         width=BATCH,
         owner=_search,

@@ -14,7 +14,6 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import jax
 import numpy as np
 
 from jaxbody.core import tables
@@ -152,11 +151,15 @@ def _place(fit: Fit, path: str) -> tuple[int, Any, str]:
     for parameter, part in fit.task.space.parts:
         labels = [parameter.path + label for label in parameter.form.labels()]
         if path in labels and not isinstance(parameter.form, Elementwise):
-            message, hint = (
-                f"'{path}' does not vary independently",
-                "Give a scalar, such as a stiffness, or a number of a vector.",
+            raise JaxbodyError(
+                Problem(
+                    "WRONG_KIND",
+                    "profile.path",
+                    f"'{path}' does not vary independently",
+                    path,
+                    hint="Give a scalar, such as a stiffness, or a number of a vector.",
+                )
             )
-            raise JaxbodyError(Problem("WRONG_KIND", "profile.path", message, path, hint=hint))
         if path in labels:
             number = labels.index(path)
             return (
@@ -172,7 +175,7 @@ def _place(fit: Fit, path: str) -> tuple[int, Any, str]:
 
 def _value(form, k: int, u) -> float:
     """The number k of a leaf, without a compiled program."""
-    return float(jax.tree.map(np.asarray, form).value(np.full(form.size, u)).ravel()[k])
+    return float(form.numbers(np.full(form.size, u))[0][k])
 
 
 class _ProfileSearch:

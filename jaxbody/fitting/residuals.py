@@ -190,6 +190,17 @@ class Task(eqx.Module):
         )
         return r if self.offset is None else r - self.offset
 
+    def misfits(self, runs: ReadingsAndResiduals) -> Levels:
+        """{measurement: {channel: readings minus measured values}}, in their units."""
+        return {
+            run: {
+                name: np.asarray(runs[run][1][name])
+                * channel.spread(np.asarray(self.noise[run][name]))
+                for name, channel in e.channels.items()
+            }
+            for run, e in self.experiments.items()
+        }
+
     def linearized(self, runs: ReadingsAndResiduals, J) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and Jacobian of the least-squares problem with the same optimum and covariance
         as the robust one."""
@@ -286,56 +297,72 @@ def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Le
     """The noise to start with, as stated, or else the standard deviation of the channel over all
     runs; and whether it must be estimated: where the level itself matters (`absolute`), or the
     ratios of several levels."""
-    channels = {name: channel for e in experiments.values() for name, channel in e.channels.items()}
-    spread = {}
-    for name, channel in channels.items():
-        runs = [e for e in experiments.values() if name in e.channels]
-        spread[name] = rms(
-            channel, [residuals_of_mean(e, name) for e in runs], [e.present(name) for e in runs]
-        )
-        spread[name] = module_of(spread[name]).where(spread[name] > 0, spread[name], 1.0)
-    noise = {
-        run: {name: (e.noise or {}).get(name, spread[name]) for name in e.channels}
-        for run, e in experiments.items()
+    spread = {
+        name: module_of(level).where(level > 0, level, 1.0)
+        for name, level in _levels(experiments, residuals_of_means(experiments), None).items()
     }
     stated = [name in (e.noise or {}) for e in experiments.values() for name in e.channels]
     units = sum(np.size(level) for level in spread.values())
-    return noise, not all(stated) and (absolute or units > 1 or any(stated))  # pyright: ignore[reportReturnType]  `get` with a default gives no None
+    estimated = not all(stated) and (absolute or units > 1 or any(stated))
+    return _stated_or(spread, experiments), estimated
 
 
-def residuals_of_mean(experiment: Measurement, name: str) -> Array:
-    """Residuals of a prediction that is the mean of the record at all times."""
-    measured = as_numpy(experiment.measured[name])
-    xp, count = module_of(measured), (measured == measured).sum(0).astype(measured.dtype)
-    mean = xp.nansum(measured, 0) / xp.where(count > 0, count, 1.0)  # a mean of nothing would warn
-    return experiment.channels[name].residual(xp.broadcast_to(mean, measured.shape), measured)
+def _levels(
+    experiments: dict[str, Measurement], misfits: Levels, loss: str | None
+) -> dict[str, Array]:
+    """{channel: its noise level over all runs}."""
+    channels = {name: channel for e in experiments.values() for name, channel in e.channels.items()}
+    levels = {}
+    for name, channel in channels.items():
+        runs = [run for run, e in experiments.items() if name in e.channels]
+        levels[name] = noise_level(
+            channel,
+            [misfits[run][name] for run in runs],
+            [experiments[run].present(name) for run in runs],
+            loss,
+        )
+    return levels
+
+
+def _stated_or(levels: dict[str, Array], experiments: dict[str, Measurement]) -> Levels:
+    """The noise of every channel as stated, or else these levels."""
+    return {
+        run: {name: (e.noise or {}).get(name, levels[name]) for name in e.channels}
+        for run, e in experiments.items()
+    }  # pyright: ignore[reportReturnType]  `get` with a default gives no None
+
+
+def residuals_of_means(experiments: dict[str, Measurement]) -> Levels:
+    """{measurement: {channel: residuals}} of predictions that are the mean of each record at
+    all times."""
+
+    def of(experiment: Measurement, name: str) -> Array:
+        measured = as_numpy(experiment.measured[name])
+        xp, count = module_of(measured), (measured == measured).sum(0).astype(measured.dtype)
+        # a mean of nothing would warn
+        mean = xp.nansum(measured, 0) / xp.where(count > 0, count, 1.0)
+        return experiment.channels[name].residual(xp.broadcast_to(mean, measured.shape), measured)
+
+    return {run: {name: of(e, name) for name in e.channels} for run, e in experiments.items()}
 
 
 def with_estimated_noise(task: Task, runs: ReadingsAndResiduals) -> tuple[Task, bool]:
     """The task with the noise estimated from the residuals, and whether its ratios changed by more
     than PROPORTION."""
-    by_channel: dict[str, tuple[Channel, list, list]] = {}
-    for run, experiment in task.experiments.items():
-        for name, channel in experiment.channels.items():
-            _, residuals, present = by_channel.setdefault(name, (channel, [], []))
-            residuals.append(
-                np.asarray(runs[run][1][name]) * channel.spread(np.asarray(task.noise[run][name]))
-            )
-            present.append(experiment.present(name))
     levels = {
-        name: as_numpy(np.maximum(noise_level(*parts, task.loss), 1e-12))
-        for name, parts in by_channel.items()
+        name: as_numpy(np.maximum(level, 1e-12))
+        for name, level in _levels(task.experiments, task.misfits(runs), task.loss).items()
     }
-    new = {
-        run: {name: (e.noise or {}).get(name, levels[name]) for name in e.channels}
-        for run, e in task.experiments.items()
-    }
-    places = [(run, name) for run in new for name in new[run]]
+    new = _stated_or(levels, task.experiments)
     ratio, fitted = (
         np.concatenate(
-            [np.ravel(of(*place) / np.asarray(task.noise[place[0]][place[1]])) for place in places]
+            [
+                np.ravel(of[run][name] / np.asarray(level))
+                for run, before in task.noise.items()
+                for name, level in before.items()
+            ]
         )
-        for of in (lambda run, name: new[run][name], lambda _, name: levels[name])
+        for of in (new, dict.fromkeys(new, levels))
     )
     if fitted.max() < 1e-9:  # an exact fit has no noise
         return task, False
@@ -349,17 +376,8 @@ def with_estimated_noise(task: Task, runs: ReadingsAndResiduals) -> tuple[Task, 
 def rms_residuals(task: Task, runs: ReadingsAndResiduals) -> Levels:
     """{measurement: {channel: rms residual}}; with a robust loss, an estimate that outliers do
     not increase."""
-
-    def of(run: str, name: str, channel: Channel):
-        residuals = np.asarray(runs[run][1][name]) * channel.spread(
-            np.asarray(task.noise[run][name])
-        )
-        return noise_level(channel, [residuals], [task.experiments[run].present(name)], task.loss)
-
-    return {
-        run: {name: of(run, name, channel) for name, channel in e.channels.items()}
-        for run, e in task.experiments.items()
-    }
+    misfits = task.misfits(runs)
+    return {run: _levels({run: e}, misfits, task.loss) for run, e in task.experiments.items()}
 
 
 def floor(task: Task) -> float:
@@ -400,11 +418,15 @@ def check_start(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> None
                         "Give a larger max_steps or rtol (in a file [fit] max_steps, in a command "
                         "--max-steps), or start nearer."
                     )
-                message = (
-                    f"is not finite from {place} on{component}, at the start of the fit: {why}"
-                )
                 raise JaxbodyError(
-                    Problem("NONFINITE_START", f"{run}.{name}", message, value, "finite", hint)
+                    Problem(
+                        "NONFINITE_START",
+                        f"{run}.{name}",
+                        f"is not finite from {place} on{component}, at the start of the fit: {why}",
+                        value,
+                        "finite",
+                        hint,
+                    )
                 )
     raise JaxbodyError(
         Problem(
@@ -440,11 +462,12 @@ def _check_effects(task: Task, u: np.ndarray, silent: np.ndarray) -> None:
                 space.numbers(u)[0][i],
                 10 ** np.ceil(np.log10(space.numbers(larger)[0][i])),
             )
-            message = (
-                f"starts at {value:.3g} {units[i]}, where its effect on the data is smaller "
-                "than integration errors"
-            )
-            limit, hint = f"{least:.0e} {units[i]} or more", "Start at the size that you expect."
             problems.add(
-                "TINY_START", space.labels[i], message, value=value, limit=limit, hint=hint
+                "TINY_START",
+                space.labels[i],
+                f"starts at {value:.3g} {units[i]}, where its effect on the data is smaller "
+                "than integration errors",
+                value=value,
+                limit=f"{least:.0e} {units[i]} or more",
+                hint="Start at the size that you expect.",
             )

@@ -1,9 +1,11 @@
 """Searches for the least sum of squares of a residual r(u) with its Jacobian, by SciPy, by an optax
 optimizer or by optimistix: each from one u, with the best u and whether it converged.
 
-The optimizer works in coordinates y whitened by the Jacobian, J = U S V', u = u_k + V S^-1 |U'r| y,
-in which the linearized optimum lies at a distance of one. It is restarted from its best point until
-the Gauss-Newton step is small.
+SciPy and optax use one program for r and J, whose evaluations are counted, and are ended by
+Gauss-Newton steps. An optax optimizer works in coordinates y whitened by the Jacobian, J = U S V',
+u = u_k + V S^-1 |U'r| y, in which the linearized optimum lies at a distance of one. It is restarted
+from its best point until the Gauss-Newton step is small. Optimistix is one program by itself, also
+inside jit and vmap, differentiable in forward mode by the implicit function theorem.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from jaxbody.fitting.residuals import (
     Task,
     options_of,
     residual_and_jacobian,
-    residuals_of_mean,
+    residuals_of_means,
 )
 from jaxbody.fitting.statistics.uncertainties import known_directions
 
@@ -37,6 +39,16 @@ SHORTER = 0.9  # largest ratio of a Gauss-Newton step to the step before it
 REMEMBERED = 3  # earlier steps used to accelerate the next one
 ROWS = 512  # rows of a block of the QR decomposition
 AT_BOUND = 1e-6  # largest distance in u from a bound that counts as at the bound
+# smallest decrease of the cost that counts as an improvement, relative to the expected decrease
+SIGNIFICANT = 0.01
+FLAT = 0.02  # gradient norm, relative to the first, below which the coordinates are whitened again
+# decrease of the cost, relative to the expected one, after which the coordinates are whitened again
+SUFFICIENT = 0.75
+FARTHEST = 0.7  # largest change of u for one unit of y: a factor of two for a positive parameter
+MAX_RESTARTS = 100
+MAX_INNER = 80
+PATIENCE = 25  # evaluations without an improvement
+FAILED = 1e6  # cost of a trial that cannot be simulated, where the expected decrease is 1/2
 
 Bounds = tuple[np.ndarray, np.ndarray]
 
@@ -235,18 +247,6 @@ def whitened(
     return (U.T @ r)[known], S[known], Vt[known].T
 
 
-# smallest decrease of the cost that counts as an improvement, relative to the expected decrease
-SIGNIFICANT = 0.01
-FLAT = 0.02  # gradient norm, relative to the first, below which the coordinates are whitened again
-# decrease of the cost, relative to the expected one, after which the coordinates are whitened again
-SUFFICIENT = 0.75
-FARTHEST = 0.7  # largest change of u for one unit of y: a factor of two for a positive parameter
-MAX_RESTARTS = 100
-MAX_INNER = 80
-PATIENCE = 25  # evaluations without an improvement
-FAILED = 1e6  # cost of a trial that cannot be simulated, where the expected decrease is 1/2
-
-
 class WhitenedCoordinates(NamedTuple):
     """u = origin + unwhiten y; costs are counted from |r0|^2/2 at the origin, in units
     of size^2."""
@@ -304,9 +304,7 @@ def _begin(optimizer: Any, y: Float[Array, "m"]) -> Any:
     return optimizer.init(y)
 
 
-def by_optax(
-    evaluate: Evaluations, task: Task, u, optimizer: Any, limits: Bounds
-) -> tuple[np.ndarray, bool]:
+def by_optax(evaluate: Evaluations, task: Task, u, optimizer: Any) -> tuple[np.ndarray, bool]:
     """The optimizer in whitened coordinates, restarted from the best point until the Gauss-Newton
     step is small.
 
@@ -318,7 +316,7 @@ def by_optax(
         projected, S, V = whitened(evaluate.triangle(u))
         step = np.abs(V @ (projected / S)).max(initial=0.0)
         if step <= NEAR:
-            return gauss_newton(evaluate, u, True, limits)
+            return gauss_newton(evaluate, u, True, task.space.bounds)
         if evaluate.exhausted or reach < 1e-6:
             break
         # of the distance to the linearized optimum that is one unit of y
@@ -374,9 +372,9 @@ def _residual_jvp(primals, tangents):
 def _minimize(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
     """The optimum by optimistix, a status and the number of steps."""
     signal = sum(
-        jnp.sum((residuals_of_mean(e, name) / e.channels[name].spread(task.noise[run][name])) ** 2)
-        for run, e in task.experiments.items()
-        for name in e.channels
+        jnp.sum((r / task.experiments[run].channels[name].spread(task.noise[run][name])) ** 2)
+        for run, residuals in residuals_of_means(task.experiments).items()
+        for name, r in residuals.items()
     )
     # scales the residuals to the order of one, which such methods expect
     size = jnp.sqrt(jnp.where(signal > 0, signal, 1.0))
@@ -441,3 +439,16 @@ def solve(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
         )
 
     return optimum(arrays, u, numbers)
+
+
+def search(
+    evaluate: Evaluations, task: Task, u: np.ndarray, method: Any
+) -> tuple[np.ndarray, bool]:
+    """The best u by the method, and whether it converged."""
+    if isinstance(method, str):
+        return by_scipy(evaluate, u, task.space.bounds)
+    if not isinstance(method, optimistix.AbstractLeastSquaresSolver):
+        return by_optax(evaluate, task, u, method)
+    best, status, steps = solve(task, u, method, max(evaluate.max_evaluations - evaluate.count, 1))
+    evaluate.count += int(steps)
+    return np.asarray(best), int(status) == Status.OK

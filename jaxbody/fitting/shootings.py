@@ -231,17 +231,15 @@ def multiple_shooting(
             )
         )
     patterns = [free] if isinstance(free, str) else list(free)
-    joint: Fit | None = None
     with warnings.catch_warnings(), working("multiple shooting", options.get("progress")) as line:
         warnings.simplefilter("ignore", JaxbodyWarning)  # of intermediate fits
         line("initial states of the segments")
-        cut = {
+        joint: Any = None
+        cut: dict[str, Any] = {
             name: _cut(model, name, experiment, segments, options)
             for name, experiment in experiments.items()
         }
         for slack in SLACKS:
-            if joint is not None:
-                model, cut = joint.model, joint.experiments  # pyright: ignore[reportAssignmentType]
             cut = {
                 name: dataclasses.replace(each, slack=device_array(slack))
                 for name, each in cut.items()
@@ -250,13 +248,13 @@ def multiple_shooting(
             joint = fit(
                 model, cut, free=[*patterns, *(f"{name}.nodes.*" for name in cut)], **options
             )  # pyright: ignore[reportArgumentType]
-    assert joint is not None
-    records = {name: each.whole for name, each in joint.experiments.items()}  # pyright: ignore[reportAttributeAccessIssue]
+            model, cut = joint.model, joint.experiments
+    records = {name: each.whole for name, each in cut.items()}
     noise = {
         name: {channel: joint.task.noise[name][channel] for channel in each.channels}
         for name, each in records.items()
     }
-    whole = fit(joint.model, records, free=patterns, **options)
+    whole = fit(model, records, free=patterns, **options)
     limit = WORSE * _cost(joint, noise)
     return whole if np.isfinite(_cost(whole, noise)) and _cost(whole, noise) <= limit else joint
 

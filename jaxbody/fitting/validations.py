@@ -14,16 +14,15 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array
-from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.fitting.experiments.experiments import check_measurements
 from jaxbody.fitting.experiments.measurements import Measurement, records_of
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.parameters.spaces import Space
-from jaxbody.fitting.residuals import Levels, Task, residuals_of_mean
+from jaxbody.fitting.residuals import Levels, Task, options_of, residuals_of_means
 from jaxbody.fitting.statistics.autocorrelations import Whiteness, whiteness
-from jaxbody.model.sizes import take_long
 
 WHITE = 0.01  # p-value from which residuals are reported as white
 
@@ -123,10 +122,7 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     }
     task = Task(Space(fit.model, (), dict(experiments)), noise, fit.task.integration)
     runs = _runs(task)
-    means = {
-        run: ({}, {name: residuals_of_mean(e, name) for name in e.channels})
-        for run, e in experiments.items()
-    }
+    means = {run: ({}, r) for run, r in residuals_of_means(experiments).items()}
     r, signal = np.asarray(task.losses(runs)), np.asarray(task.losses(means))
     fit_noise = {name: level for levels in fit.noise.values() for name, level in levels.items()}
     nrmse, rms, excess, tests, units = {}, {}, {}, {}, {}
@@ -166,6 +162,6 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     )
 
 
-@program_with(lambda task: OPTIMIZED if take_long(task.space.model, *task.times) else QUICK)
+@program_with(options_of)
 def _runs(task: Task):
     return task.runs(jnp.zeros(0))

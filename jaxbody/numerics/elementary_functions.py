@@ -29,6 +29,14 @@ C = [
 ]  # fmt: skip
 
 
+def root(x: Float[Array, "*n"], degree: int = 2) -> Float[Array, "*n"]:
+    """The square root, or that of another degree, with the derivative zero at zero; zero below."""
+    positive = x > 0
+    known = jnp.where(positive, x, 1.0)
+    known = jnp.sqrt(known) if degree == 2 else known ** (1 / degree)
+    return jnp.where(positive, known, jnp.where(jnp.isnan(x), x, 0.0))
+
+
 def polynomial(coefficients: list[float], x: Array) -> Array:
     """sum c_n x^n by Horner's rule."""
     total = jnp.full_like(x, coefficients[-1])

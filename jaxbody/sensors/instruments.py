@@ -34,6 +34,9 @@ class Mounted(Sensor):
     axis: Float[Array, "3"] | None = field("", "direction")
     orientation: Float[Array, "4"] | None = field("", "rotation")
 
+    def __init__(self, on: str, *, axis=None, orientation=None, **chain: Unpack[Chain]):
+        self.mounted(on, (0, 0, 0), axis, orientation, chain)
+
     def mounted(self, on: str, point: Any, axis: Any, orientation: Any, chain: Chain) -> None:
         kind = type(self).__name__
         with Problems() as problems:
@@ -114,10 +117,8 @@ class Gyro(Mounted):
         ((), (3,))
     """
 
+    __init__ = Mounted.__init__  # for type checkers
     unit = "rad/s"
-
-    def __init__(self, on: str, *, axis=None, orientation=None, **chain: Unpack[Chain]):
-        self.mounted(on, (0, 0, 0), axis, orientation, chain)
 
     def reading(self, model, frames):
         row = model.layout.frame(self.on)
@@ -138,10 +139,8 @@ class Tilt(Mounted):
     ((2,), ())
     """
 
+    __init__ = Mounted.__init__  # for type checkers
     unit = "rad"
-
-    def __init__(self, on: str, *, axis=None, orientation=None, **chain: Unpack[Chain]):
-        self.mounted(on, (0, 0, 0), axis, orientation, chain)
 
     @property
     def shape(self):

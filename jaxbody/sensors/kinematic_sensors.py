@@ -38,12 +38,16 @@ class Kinematic(Sensor):
     """The base class of kinematic sensors, with three components in the axes of `relative_to`
     or one.
 
-    Class attribute: `order`, 0 for a displacement, 1 for a velocity, 2 for an acceleration."""
+    Class attribute: `order`, 0 for a displacement, 1 for a velocity, 2 for an acceleration. Each
+    names its `__init__`, as type checkers would take that of a dataclass."""
 
     order: ClassVar[int] = 0
     on: str = eqx.field(static=True, converter=plain)
     axis: Float[Array, "3"] | None = field("", "direction")
     relative_to: str = field(static=True, converter=plain)
+
+    def __init__(self, on: str, *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+        self.placed(on, axis, relative_to, chain)
 
     def placed(self, on: Any, axis: Any, relative_to: Any, chain: Chain, point: Any = None) -> None:
         kind = type(self).__name__
@@ -83,15 +87,13 @@ class Kinematic(Sensor):
         """The change of the displacement, or of the rotation, per unit of each of n coordinates
         that move the frames by their `twists`."""
         row, other = (model.layout.frame(name) for name in self.names)
-        moved = self.moved(frames, row, twists[row])
-        if self.relative_to != WORLD:
-            moved = rotate_back(
-                frames.R[other][None], moved - self.moved(frames, row, twists[other], other)
-            )
+        moved = self.moved(frames, row, twists[row], row)
+        carried = self.moved(frames, row, twists[other], other)
+        moved = rotate_back(frames.R[other][None], moved - carried)
         return moved if self.axis is None else moved @ jnp.asarray(self.axis)
 
     def moved(
-        self, frames: Frame, row: int, twist: Float[Array, "n 6"], carried_by: int | None = None
+        self, frames: Frame, row: int, twist: Float[Array, "n 6"], carried_by: int
     ) -> Float[Array, "n 3"]:
         """The rotation of a frame in world axes, or the displacement of the point when carried
         along by a frame."""
@@ -99,22 +101,17 @@ class Kinematic(Sensor):
 
 
 class KinematicVector(Kinematic):
-    """The base class of those whose reading is a world vector: `absolute`, or `relative` to that of
-    the frame in another row."""
+    """The base class of those whose reading is a vector, `relative` to the frame in another row, in
+    world axes."""
+
+    __init__ = Kinematic.__init__
 
     @abstractmethod
-    def absolute(self, model: Model, frames: Instant, row: int) -> Float[Array, "3"]: ...
-
-    @abstractmethod
-    def relative(
-        self, model: Model, frames: Instant, row: int, other: int
-    ) -> Float[Array, "3"]: ...
+    def relative(self, frames: Instant, row: int, other: int) -> Float[Array, "3"]: ...
 
     def reading(self, model, frames):
         row, other = (model.layout.frame(name) for name in self.names)
-        if self.relative_to == WORLD:
-            return self.along(self.absolute(model, frames, row))
-        return self.along(rotate_back(frames.R[other], self.relative(model, frames, row, other)))
+        return self.along(rotate_back(frames.R[other], self.relative(frames, row, other)))
 
 
 class KinematicOfPoint(KinematicVector):
@@ -122,8 +119,19 @@ class KinematicOfPoint(KinematicVector):
 
     point: Float[Array, "3"] = field("m")
 
-    def moved(self, frames, row, twist, carried_by=None):
-        arm = frames[row].point(self.point) - frames.p[row if carried_by is None else carried_by]
+    def __init__(
+        self,
+        on: str,
+        point=(0, 0, 0),
+        *,
+        axis=None,
+        relative_to: str = WORLD,
+        **chain: Unpack[Chain],
+    ):
+        self.placed(on, axis, relative_to, chain, point)
+
+    def moved(self, frames, row, twist, carried_by):
+        arm = frames[row].point(self.point) - frames.p[carried_by]
         return twist[:, :3] + cross(twist[:, 3:], arm[None])
 
 
@@ -145,24 +153,11 @@ class Position(KinematicOfPoint):
     ((3,), ())
     """
 
+    __init__ = KinematicOfPoint.__init__
     unit = "m"
 
-    def __init__(
-        self,
-        on: str,
-        point=(0, 0, 0),
-        *,
-        axis=None,
-        relative_to: str = WORLD,
-        **chain: Unpack[Chain],
-    ):
-        self.placed(on, axis, relative_to, chain, point)
-
-    def absolute(self, model, frames, row):
-        return frames[row].point(self.point)
-
-    def relative(self, model, frames, row, other):
-        return self.absolute(model, frames, row) - frames.p[other]
+    def relative(self, frames, row, other):
+        return frames[row].point(self.point) - frames.p[other]
 
 
 class Velocity(KinematicOfPoint):
@@ -175,26 +170,13 @@ class Velocity(KinematicOfPoint):
     'm/s'
     """
 
+    __init__ = KinematicOfPoint.__init__
     unit = "m/s"
     order = 1
 
-    def __init__(
-        self,
-        on: str,
-        point=(0, 0, 0),
-        *,
-        axis=None,
-        relative_to: str = WORLD,
-        **chain: Unpack[Chain],
-    ):
-        self.placed(on, axis, relative_to, chain, point)
-
-    def absolute(self, model, frames, row):
-        return frames[row].velocity(self.point)
-
-    def relative(self, model, frames, row, other):
+    def relative(self, frames, row, other):
         r = frames[row].point(self.point) - frames.p[other]
-        return self.absolute(model, frames, row) - frames.v[other] - cross(frames.w[other], r)
+        return frames[row].velocity(self.point) - frames.v[other] - cross(frames.w[other], r)
 
 
 class Acceleration(KinematicOfPoint):
@@ -214,30 +196,17 @@ class Acceleration(KinematicOfPoint):
     [-10.0, -10.0]
     """
 
+    __init__ = KinematicOfPoint.__init__
     unit = "m/s2"
     order = 2
     accelerations = True
 
-    def __init__(
-        self,
-        on: str,
-        point=(0, 0, 0),
-        *,
-        axis=None,
-        relative_to: str = WORLD,
-        **chain: Unpack[Chain],
-    ):
-        self.placed(on, axis, relative_to, chain, point)
-
-    def absolute(self, model, frames, row):
-        return frames.acceleration(row, self.point)
-
-    def relative(self, model, frames, row, other):
+    def relative(self, frames, row, other):
         assert frames.a is not None and frames.alpha is not None
         r, w = frames[row].point(self.point) - frames.p[other], frames.w[other]
         u = frames[row].velocity(self.point) - frames.v[other] - cross(w, r)
         return (
-            self.absolute(model, frames, row)
+            frames.acceleration(row, self.point)
             - frames.a[other]
             - cross(frames.alpha[other], r)
             - cross(w, cross(w, r) + 2 * u)
@@ -261,10 +230,8 @@ class Rotation(Kinematic):
     'rad'
     """
 
+    __init__ = Kinematic.__init__
     unit = "rad"
-
-    def __init__(self, on: str, *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
-        self.placed(on, axis, relative_to, chain)
 
     def reading(self, model, frames):
         R_0, B_0 = (pose_at_reference(model, name).R for name in self.names)
@@ -290,16 +257,11 @@ class AngularVelocity(KinematicVector):
     (3,)
     """
 
+    __init__ = Kinematic.__init__
     unit = "rad/s"
     order = 1
 
-    def __init__(self, on: str, *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
-        self.placed(on, axis, relative_to, chain)
-
-    def absolute(self, model, frames, row):
-        return frames.w[row]
-
-    def relative(self, model, frames, row, other):
+    def relative(self, frames, row, other):
         return frames.w[row] - frames.w[other]
 
 
@@ -311,17 +273,11 @@ class AngularAcceleration(KinematicVector):
     'rad/s2'
     """
 
+    __init__ = Kinematic.__init__
     unit = "rad/s2"
     order = 2
     accelerations = True
 
-    def __init__(self, on: str, *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
-        self.placed(on, axis, relative_to, chain)
-
-    def absolute(self, model, frames, row):
-        assert frames.alpha is not None
-        return frames.alpha[row]
-
-    def relative(self, model, frames, row, other):
+    def relative(self, frames, row, other):
         assert frames.alpha is not None
         return frames.alpha[row] - frames.alpha[other] - cross(frames.w[other], frames.w[row])

@@ -8,7 +8,6 @@ fifth of the rate it is 1e-3.
 
 import math
 from abc import abstractmethod
-from math import factorial
 from typing import Any, ClassVar, TypedDict, Unpack
 
 import equinox as eqx
@@ -182,7 +181,7 @@ def _weights(z: Float[Array, "m"]) -> Float[Array, "m q"]:
     for k in range(len(NODES)):
         total = jnp.zeros_like(z)
         for n in reversed(range(TERMS)):
-            total = total * near + 1 / (factorial(n) * (n + k + 1))
+            total = total * near + 1 / (math.factorial(n) * (n + k + 1))
         series.append(near * jnp.exp(-near) * total)
         recursion.append(1 - (k + 1) / far * recursion[-1])
     moments = jnp.where(z[:, None] < SERIES, jnp.stack(series, -1), jnp.stack(recursion[:-1], -1))
@@ -425,8 +424,7 @@ def noise_levels(
     ).items():
         place = f"{where}['{name}']"
         if name not in sensors:
-            problem = unknown(name, place, tuple(sensors))
-            problems.add(problem.code, place, problem.message, value=name, hint=problem.hint)
+            problems.collected.append(unknown(name, place, tuple(sensors)))
             continue
         units = sensors[name].units
         level = checked(

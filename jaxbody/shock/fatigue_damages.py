@@ -28,11 +28,10 @@ from equinox import field
 
 from jaxbody.core import tables, units
 from jaxbody.core.arguments import check_one_of, checked_dict, positive_number
-from jaxbody.core.arrays import Array, Float, Int, device_array, is_concrete, part_of
+from jaxbody.core.arrays import Array, Float, Int, device_array, is_concrete
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, import_extra, unknown
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import OfOutputs, warn_if_failed
 from jaxbody.records.records import Record
 from jaxbody.shock.peak_factors import moments
 from jaxbody.vibration.random_responses import RandomResponse
@@ -100,38 +99,25 @@ class SNCurve(eqx.Module):
         return self.cycles * (self.level / jnp.asarray(ranges)) ** self.exponent
 
 
-class FatigueDamage(Labeled, Result):
+class FatigueDamage(OfOutputs):
     """Miner's `damage` of each output in `duration` [s]; it fails at 1, after `life` [s].
     `damage["anchor"]` is one; `cycles` counted, or expected, in the duration, and the constant
     `range` [unit] that as often does the same damage."""
 
-    index = "output"
+    index, main, word = "output", "damage", "damage"
     damage: Float[Array, "ny"]
     life: Float[Array, "ny"]
     cycles: Float[Array, "ny"]
     range: Float[Array, "ny"]
     duration: Float[Array, ""]
     status: Int[Array, ""]
-    outputs: tuple[str, ...] = field(static=True)
-    units: tuple[str, ...] = field(static=True)
     method: str = field(static=True)
-
-    def __getitem__(self, output: str) -> Float[Array, ""]:
-        if output not in self.outputs:
-            raise JaxbodyError(unknown(output, "damage", self.outputs))
-        return part_of(self.damage, (..., self.outputs.index(output)))
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: all numbers by output."""
         stated = {"damage": "", "life": "s", "cycles": "", "range": "unit"}
-        variables: dict[str, Any] = {
-            name: (("output",), getattr(self, name), unit) for name, unit in stated.items()
-        }
-        variables |= {
-            "unit": (("output",), np.array(self.units), ""),
-            "status": ((), self.status, ""),
-        }
-        return dataset(variables, {"output": list(self.outputs)}, f"fatigue damage, {self.method}")
+        variables = {name: (("output",), getattr(self, name), u) for name, u in stated.items()}
+        return self.labeled(f"fatigue damage, {self.method}", variables)
 
     @tables.summarized("Fatigue damage", 1, damage="damage")
     def _tables(self) -> list[tables.PrintedTable]:
@@ -236,7 +222,7 @@ def fatigue_damage(
         rows = np.array([source.outputs.index(name) for name in names], int)
         arrays = _expected(source, rows, tuple(given.values()), device_array(T), method)
     return warn_if_failed(
-        FatigueDamage(*arrays, names, tuple(stated[name] for name in names), method)
+        FatigueDamage(*arrays, method, outputs=names, units=tuple(stated[name] for name in names))
     )
 
 

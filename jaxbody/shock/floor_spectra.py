@@ -25,17 +25,20 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import warn_if_failed
 from jaxbody.numerics.eigenproblems import together
+from jaxbody.numerics.elementary_functions import root
 from jaxbody.records.sampling_checks import IRREGULAR
-from jaxbody.shock.modal_responses import ModalExcitation, excited, modal_excitation, root
 from jaxbody.shock.oscillators import history, poles
 from jaxbody.shock.response_spectra import ResponseSpectrum, check_dampings
 from jaxbody.shock.shock_spectra import ShockSpectrum, check_record, spectrum_values
 from jaxbody.shock.spectrum_responses import (
+    ModalExcitation,
     check_covered,
     check_without_lag,
     checked_ratios,
     checked_spectra,
     covered,
+    excited,
+    modal_excitation,
     with_damping,
 )
 from jaxbody.vibration.frequency_responses import check_frequencies

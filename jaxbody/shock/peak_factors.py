@@ -35,12 +35,10 @@ from jaxbody.core.arrays import (
     concrete,
     device_array,
     float_array,
-    part_of,
 )
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import OfOutputs, warn_if_failed
 from jaxbody.vibration.random_responses import RandomResponse
 
 
@@ -112,12 +110,12 @@ HIGHEST, POINTS = 12.0, 2400
 HALVINGS = 60
 
 
-class PeakFactors(Labeled, Result):
+class PeakFactors(OfOutputs):
     """Of each output the peak `factor`, its standard `deviation` (NaN for a probability) and the
     `maximum` = factor rms in its unit; `peaks["seat"]` is the maximum of one. `rate` [1/s] of zero
     crossings in both directions, and the `bandwidth` delta, 0 for a sine."""
 
-    index = "output"
+    index, main, word = "output", "maximum", "peaks"
     factor: Float[Array, "ny"]
     deviation: Float[Array, "ny"]
     maximum: Float[Array, "ny"]
@@ -126,14 +124,7 @@ class PeakFactors(Labeled, Result):
     bandwidth: Float[Array, "ny"]
     duration: Float[Array, ""]
     status: Int[Array, ""]
-    outputs: tuple[str, ...] = field(static=True)
-    units: tuple[str, ...] = field(static=True)
     formula: str = field(static=True)
-
-    def __getitem__(self, output: str) -> Float[Array, ""]:
-        if output not in self.outputs:
-            raise JaxbodyError(unknown(output, "peaks", self.outputs))
-        return part_of(self.maximum, (..., self.outputs.index(output)))
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: all numbers by output."""
@@ -145,14 +136,8 @@ class PeakFactors(Labeled, Result):
             "rate": "1/s",
             "bandwidth": "",
         }
-        variables: dict[str, Any] = {
-            name: (("output",), getattr(self, name), unit) for name, unit in units.items()
-        }
-        variables |= {
-            "unit": (("output",), np.array(self.units), ""),
-            "status": ((), self.status, ""),
-        }
-        return dataset(variables, {"output": list(self.outputs)}, f"peak factors, {self.formula}")
+        variables = {name: (("output",), getattr(self, name), u) for name, u in units.items()}
+        return self.labeled(f"peak factors, {self.formula}", variables)
 
     @tables.summarized("Peak factors", 1, maximum="maximum")
     def _tables(self) -> list[tables.PrintedTable]:
@@ -235,7 +220,9 @@ def peak_factor(
                 hint=hint,
             )
     values = _peaks(response, device_array(T), formula, p)
-    return warn_if_failed(PeakFactors(*values, response.outputs, response.units, formula))
+    return warn_if_failed(
+        PeakFactors(*values, formula, outputs=response.outputs, units=response.units)
+    )
 
 
 @program

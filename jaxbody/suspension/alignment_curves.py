@@ -307,10 +307,7 @@ def _targets(drives: tuple[Drive, ...], over: Mapping[str, Any], where: str) -> 
     with Problems() as problems:
         for name in over:
             if name not in names:
-                problem = unknown(name, f"{where}.over", names)
-                problems.add(
-                    problem.code, problem.where, problem.message, value=name, hint=problem.hint
-                )
+                problems.collected.append(unknown(name, f"{where}.over", names))
         lengths = {n for x in over.values() if (n := np.shape(x)) != ()}
         shape = next(iter(lengths), (1,))
         for name in names:

@@ -4,10 +4,8 @@ driven positions, in which some readings have prescribed values too.
     c(q) = 0,   r_i(q) - r_i(q_0) = x_i
 
 q_0 is the assembled reference. A reading r is a sensor with one number, or a coordinate, "rack.q".
-
-
-In equilibrium, what closures and driven readings leave free is at rest under
-its elements, weights and loads.
+In equilibrium, what closures and driven readings leave free is at rest under its elements, weights
+and loads.
 
     C(q) = 0: closures and readings,   dV/dDelta - Q + C_q' mu = 0
 

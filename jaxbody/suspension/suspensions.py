@@ -2,19 +2,10 @@
 used. Ready ones: double wishbone, MacPherson strut and five links of one wheel, and a solid axle on
 three trailing links and a Panhard rod.
 
-Ready suspensions of one wheel, by their hard points: double wishbone, MacPherson strut,
-five links.
-
 A hard point is given once, in the axes of the car, x forward, y to the left, z up [m], with the
 wheel in its design position; all bodies have these axes and this origin there. Right wheels have
 points with negative y. The functions can be part of a compiled function of the points, so that
 curves have derivatives by each of them.
-
-
-Ready axles by their hard points: a solid axle on three trailing links and a Panhard rod.
-
-Hard points are in the axes of the car, x forward, y to the left, z up, in meters, in the design
-position; the axle has these axes and this origin there.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ a step K (1 + s/(Q5 w5) + (s/w5)^2)/(1 + s/(Q6 w6) + (s/w6)^2) (w5/w6)^2. Parame
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -22,6 +23,7 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.results import Result
+from jaxbody.numerics.elementary_functions import root
 from jaxbody.records.sampling_checks import even_samples
 from jaxbody.vibration.frequency_responses import check_frequencies
 from jaxbody.vibration.random_responses import RandomResponse, root_mean_square
@@ -168,16 +170,8 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
     psd, rms = _weighted(
         response.psd, response.rms, response.frequencies, response.weights, rows, names
     )
-    return RandomResponse(
-        response.frequencies,
-        psd,
-        rms,
-        response.weights,
-        response.coarse,
-        response.status,
-        tuple(weights),
-        tuple(map(_unit, names)),
-    )
+    units = tuple(map(_unit, names))
+    return dataclasses.replace(response, psd=psd, rms=rms, outputs=tuple(weights), units=units)
 
 
 @program
@@ -251,22 +245,16 @@ def _weighted_signal(a: Float[Array, "nt"], step: Float[Array, ""], name: str, p
     n = len(a) + padding
     W = _weighting(name, jnp.fft.rfftfreq(n) / step)
     values = jnp.fft.irfft(jnp.fft.rfft(a, n) * W, n)[: len(a)]
-    rms, peak = _root(jnp.mean(values**2), 2), jnp.max(jnp.abs(values))
+    rms, peak = root(jnp.mean(values**2)), jnp.max(jnp.abs(values))
     return values, rms, peak, peak / jnp.where(rms > 0, rms, 1.0), dose(values, step)
 
 
 def dose(values: Float[Array, "nt"], step: Any) -> Float[Array, "nt"]:
     """(int a^4 dt)^(1/4) from the beginning to each time, by trapezoids."""
     fourth = values**4
-    return _root(
+    return root(
         jnp.concatenate([jnp.zeros(1), jnp.cumsum((fourth[1:] + fourth[:-1]) / 2)]) * step, 4
     )
-
-
-def _root(x: Array, n: int) -> Array:
-    """x^(1/n), whose derivative at zero is zero."""
-    positive = x > 0
-    return jnp.where(positive, jnp.where(positive, x, 1.0) ** (1 / n), 0.0)
 
 
 def _unit(name: str) -> str:

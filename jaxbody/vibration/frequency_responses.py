@@ -31,7 +31,7 @@ from jaxbody.core.arrays import (
 )
 from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.core.datasets import Labeled, dataset
-from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.hessians import configuration_at
@@ -197,45 +197,46 @@ def frequency_response(
     (u, ins, u_units), (y, sensors, y_units) = check_ports(
         lin, inputs, outputs, "frequency_response"
     )
-    for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
-        check_without_force_sensors(option, f"frequency_response.{what}", sensors, lin.model)
-    eta = check_loss_factors(loss_factor, lin.model, "frequency_response.loss_factor")
     if method not in METHODS:
-        with Problems() as problems:
-            problems.add(
-                "BAD_METHOD",
-                "frequency_response.method",
-                f"is {method!r}",
-                value=method,
-                limit=" ".join(METHODS),
-            )
-    check_inner_rows(
-        lin, "frequency_response", loss_factor=loss_factor, modal_damping=modal_damping
-    )
+        limit = " ".join(METHODS)
+        raise JaxbodyError(
+            Problem("BAD_METHOD", "frequency_response.method", f"is {method!r}", method, limit)
+        )
     check_memory("frequency_response", lin.model, f.size if method == "direct" else 0)
     static = is_concrete(f) and not np.asarray(f).all()
     if static:
         _check_bounded_at_rest(u, ins)
-    lin = with_modal_damping(lin, modal_damping, "frequency_response.modal_damping")
+    lin, eta = damped(lin, sensors, loss_factor, modal_damping, "frequency_response")
     values, status = response_values(lin, f, port_matrices(lin, ins, sensors), eta, method, static)
     return warn_if_failed(FrequencyResponse(f, values, status, u, y, u_units, y_units))
 
 
-def check_inner_rows(lin: Linearization, where: str, **options: Any) -> None:
-    """Elements with memory have damping of their own: no other is added to a system with their
-    rows. Error: MEMORY."""
+def damped(
+    lin: Linearization,
+    sensors: tuple[Sensor, ...],
+    loss_factor: Any,
+    modal_damping: Any,
+    where: str,
+) -> tuple[Linearization, Float[Array, "ne"] | None]:
+    """The system with modal damping, and the loss factors of its elements. Elements with memory
+    have damping of their own: no other is added to a system with their rows. Errors: MEMORY and
+    those of the checks of both."""
+    options = {"loss_factor": loss_factor, "modal_damping": modal_damping}
+    for name, given in options.items():
+        check_without_force_sensors(given, f"{where}.{name}", sensors, lin.model)
+    eta = check_loss_factors(loss_factor, lin.model, f"{where}.loss_factor")
     with Problems() as problems:
-        for name, given in options.items() if lin.inner else ():
-            if given is not None:
-                hint = "Give the linear system's `condensed`, or leave the option out."
+        for name, given in options.items():
+            if lin.inner and given is not None:
                 problems.add(
                     "MEMORY",
                     f"{where}.{name}",
                     "is given beside elements with memory",
                     value=given,
                     limit="None",
-                    hint=hint,
+                    hint="Give the linear system's `condensed`, or leave the option out.",
                 )
+    return with_modal_damping(lin, modal_damping, f"{where}.modal_damping"), eta
 
 
 def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:

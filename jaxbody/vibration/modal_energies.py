@@ -22,7 +22,7 @@ from jaxbody.mechanics.internal_coordinates import inner_rows
 from jaxbody.model.joints.element_tables import inertial_tables, of_table
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
-from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
+from jaxbody.numerics.eigenproblems import ZERO, averaged, natural, refused_in_clusters
 from jaxbody.vibration.linearizations import Linearization, check_system
 from jaxbody.vibration.mode_names import AXES, direction_names, mark_note, mode_names, upward_axis
 from jaxbody.vibration.natural_modes import modes_of, without_inner_rows
@@ -278,9 +278,7 @@ def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str,
 
 @program
 def _energies(lin: Linearization) -> tuple[Array, ...]:
-    frequency, *_, status = modes_of(lin)
-    values, shapes = natural(lin.K, lin.M)
-    cluster = clusters(values)
+    frequency, shapes, _, values, cluster, status = modes_of(lin)
 
     def share(part, whole, least):
         """In percent, averaged over clusters; zero where the total is zero."""

@@ -20,6 +20,7 @@ from jaxbody.geometry.vectors import axial, cross, dot, rotate, rotate_back, ske
 from jaxbody.model.joints.joints import Free
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.numerics.eigenproblems import natural
+from jaxbody.numerics.elementary_functions import root
 from jaxbody.vibration.linearizations import Linearization, check_system
 
 
@@ -260,9 +261,7 @@ def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) 
     m, k = dot(r, M @ r), dot(r, K @ r)
     force = K @ r - k / m * (M @ r)
     square = dot(force, jnp.linalg.solve(M, force)) / m
-    coupling = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0) / jnp.abs(
-        k / m
-    )
+    coupling = root(square) / jnp.abs(k / m)
     frequency = jnp.where(k > 0, jnp.sqrt(jnp.where(k > 0, k / m, 1.0)), jnp.nan) / (2 * jnp.pi)
     status = jnp.where(k > 0, Status.OK.value, Status.UNSTABLE.value)
     return TorqueRollAxis(p + arm, n, m, k, frequency, coupling, status, body)

@@ -1,8 +1,8 @@
 """Natural frequencies and modes of small motions, K phi = w^2 M phi, and modal damping: a damping
 ratio for each, of the motion relative to the quasi-static response to the supports.
 
-With K phi = w^2 M phi, phi' M phi = 1 and x = Delta - K^-1 K~ Xi, each mode dissipates the power 2
-zeta w (phi' M x')^2, which adds to C, C~ and C_bb
+With phi' M phi = 1 and x = Delta - K^-1 K~ Xi, each mode dissipates the power
+2 zeta w (phi' M x')^2, which adds to C, C~ and C_bb
 
     M phi (2 zeta w) phi' M,    M phi (2 zeta/w) phi' K~,    K~' phi (2 zeta/w^3) phi' K~
 
@@ -217,7 +217,7 @@ def without_inner_rows(lin: Linearization, stiffness: str, where: str) -> Linear
 @program
 def _modes(lin: Linearization) -> Modes:
     frequency, shapes, damping_ratio, eigenvalues, cluster, status = modes_of(lin)
-    shapes = lin.expanded(shapes)
+    shapes = lin.expanded(refused_in_clusters(shapes, cluster))
     if lin.dependent is not None:  # the largest of all coordinates is positive
         shapes = shapes * jnp.sign(
             jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), 0)[None], 0)
@@ -260,14 +260,7 @@ def modes_of(lin: Linearization) -> tuple[Array, ...]:
     )(lin.K)
     frequency = jnp.where(skew, jnp.nan, frequency)
     status = jnp.where(skew, Status.NOT_SYMMETRIC.value, status)
-    return (
-        frequency,
-        refused_in_clusters(shapes, cluster),
-        damping,
-        values,
-        cluster,
-        lin.kept_status(status),
-    )
+    return frequency, shapes, damping, values, cluster, lin.kept_status(status)
 
 
 NO_MODES = (Status.UNSTABLE, Status.NOT_SYMMETRIC, Status.SINGULAR_M, Status.NONFINITE)
@@ -305,10 +298,8 @@ def with_modal_damping(lin: Linearization, ratios: Any, where: str) -> Lineariza
 
 @program_with(OPTIMIZED)
 def _added(lin: Linearization, ratios: Float[Array, "nv"]) -> tuple[Array, ...]:
-    *_, status = modes_of(lin)
-    values, shapes = natural(lin.K, lin.M)
-    cluster, top = clusters(values), jnp.max(jnp.abs(values), initial=0.0)
-    oscillates = values > ZERO * top
+    _, shapes, _, values, cluster, status = modes_of(lin)
+    oscillates = values > ZERO * jnp.max(jnp.abs(values), initial=0.0)
     zeta = averaged(ratios, cluster)
     fixed, phi = jax.lax.stop_gradient((values, shapes))
     shared = together(cluster) & (jnp.sum(together(cluster), 0) > 1)[None]

@@ -11,27 +11,23 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import field
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Complex, Float, Int, is_concrete, part_of
+from jaxbody.core.arrays import Array, Float, Int, is_concrete
 from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
-from jaxbody.core.datasets import Labeled, dataset
-from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.errors import Problems, Status, unknown
+from jaxbody.core.results import OfOutputs, warn_if_failed
 from jaxbody.model.inputs.port_inputs import KINDS, UNITS
 from jaxbody.model.preconditions import check_memory
+from jaxbody.numerics.elementary_functions import root
 from jaxbody.numerics.precisions import reachable
 from jaxbody.vibration.dynamic_matrices import DynamicMatrices, are_many, free_motions
 from jaxbody.vibration.frequency_responses import (
     check_frequencies,
-    check_inner_rows,
-    check_loss_factors,
-    check_without_force_sensors,
+    damped,
     response_values,
 )
 from jaxbody.vibration.linearizations import Linearization, check_system
-from jaxbody.vibration.natural_modes import with_modal_damping
 from jaxbody.vibration.ports import Ports, check_ports, port_matrices
 from jaxbody.vibration.spectra import Band, CrossPSD, Spectrum, check_spectra, trapezoids
 
@@ -40,7 +36,7 @@ COARSE = 0.03
 NEAR = 1e-6  # of a resonance: from here to twice as far an undamped peak falls to a fourth
 
 
-class RandomResponse(Labeled, Result):
+class RandomResponse(OfOutputs):
     """One-sided power spectral densities `psd` (outputs, frequencies), per hertz, of outputs in
     their `units`, over `frequencies` [Hz], and `rms` over these. `response["seat"]` is the rms of
     one. `status` COARSE if an rms changes by more than 3 % when every other frequency is left out,
@@ -48,35 +44,23 @@ class RandomResponse(Labeled, Result):
     contain it is infinite), NOT_POSITIVE if the coherences are contradictory, or that of the
     frequency response."""
 
-    index = "frequency"
+    index, main = "frequency", "rms"
     frequencies: Float[Array, "nf"]
     psd: Float[Array, "ny nf"]
     rms: Float[Array, "ny"]
     weights: Float[Array, "nf"]
     coarse: Float[Array, "nf"]
     status: Int[Array, ""]
-    outputs: tuple[str, ...] = field(static=True)
-    units: tuple[str, ...] = field(static=True)
-
-    def __getitem__(self, output: str) -> Float[Array, ""]:
-        if output not in self.outputs:
-            raise JaxbodyError(unknown(output, "response", self.outputs))
-        return part_of(self.rms, (..., self.outputs.index(output)))
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: psd by `output` and `frequency`, rms by `output`."""
         variables = {
             "psd": (("output", "frequency"), self.psd, "unit^2/Hz"),
             "rms": (("output",), self.rms, "unit"),
-            "unit": (("output",), np.array(self.units), ""),
-            "status": ((), self.status, ""),
         }
         f = np.asarray(self.frequencies)
-        coordinates = {
-            "output": list(self.outputs),
-            "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"}),
-        }
-        return dataset(variables, coordinates, "random response")
+        f = ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"})
+        return self.labeled("random response", variables, {"frequency": f})
 
     def explain(self) -> str:
         infinite = np.flatnonzero(np.isinf(self.rms))
@@ -163,29 +147,21 @@ def random_response(
         f = check_frequencies(frequencies, "random_response.frequencies")
         _check_band(f)
         weights, coarse = trapezoids(f)
-    for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
-        check_without_force_sensors(option, f"random_response.{what}", sensors, lin.model)
-    eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor")
-    check_inner_rows(lin, "random_response", loss_factor=loss_factor, modal_damping=modal_damping)
     check_memory("random_response", lin.model, f.size)
-    lin = with_modal_damping(lin, modal_damping, "random_response.modal_damping")
+    lin, eta = damped(lin, sensors, loss_factor, modal_damping, "random_response")
     psd, rms, status = _random_response(
         lin, f, weights, coarse, port_matrices(lin, ins, sensors), ins, names, spectra, eta
     )
-    return warn_if_failed(RandomResponse(f, psd, rms, weights, coarse, status, y, y_units))
+    return warn_if_failed(
+        RandomResponse(f, psd, rms, weights, coarse, status, outputs=y, units=y_units)
+    )
 
 
 def root_mean_square(
     psd: Float[Array, "ny nf"], weights: Float[Array, "*w nf"]
 ) -> Float[Array, "ny"]:
     """The root of the integral; its derivative at zero is zero."""
-    square = jnp.sum(psd * jnp.atleast_2d(weights), -1)
-    positive = square > 0
-    return jnp.where(
-        jnp.isnan(square),
-        square,
-        jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0),
-    )
+    return root(jnp.sum(psd * jnp.atleast_2d(weights), -1))
 
 
 def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
@@ -213,7 +189,8 @@ def _random_response(
     if isinstance(spectra, CrossPSD):
         order = np.array([spectra.names.index(name) for name in names])
         R = spectra.correlation(f)[order][:, order]
-        psd = hermitian_form(H * jnp.sqrt(S)[None].astype(H.dtype), R)
+        H = H * jnp.sqrt(S)[None].astype(H.dtype)
+        psd = jnp.sum(H[:, :, None] * R[None] * H.conj()[:, None], (1, 2)).real
         positive = spectra.positive(f)
     else:
         psd = jnp.sum((H.real**2 + H.imag**2) * S[None], 1)
@@ -243,30 +220,6 @@ def _beside_resonances(lin: Linearization, f: Float[Array, "nf"]) -> Float[Array
         jnp.arange(1, 3, dtype=f.dtype), (within == resonances).astype(f.dtype)
     )
     return jax.lax.stop_gradient((within[None] * (1 + near)).ravel())
-
-
-@jax.custom_jvp
-def hermitian_form(
-    x: Complex[Array, "ny n nf"], R: Complex[Array, "n n nf"]
-) -> Float[Array, "ny nf"]:
-    """sum_ij x_i R_ij conj(x_j), R = R^H; its derivative in x is 2 Re sum_i dx_i w_i,
-    w = R conj(x)."""
-    return _real_sum(x, _weighted(R, x))
-
-
-@hermitian_form.defjvp
-def _hermitian_form_jvp(primals, tangents):
-    (x, R), (dx, dR) = primals, tangents
-    w = _weighted(R, x)
-    return _real_sum(x, w), 2 * _real_sum(dx, w) + _real_sum(x, _weighted(dR, x))
-
-
-def _weighted(R, x):
-    return sum((R[None, :, j] * x[:, j, None].conj() for j in range(x.shape[1])), jnp.zeros_like(x))
-
-
-def _real_sum(x, w):
-    return jnp.sum(x.real * w.real - x.imag * w.imag, 1)
 
 
 def _order(spectrum: Spectrum, port: Any) -> int:

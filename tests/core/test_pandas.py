@@ -1,6 +1,8 @@
 """Results as tables of pandas: the numbers of the results, with units, for every class that has
 labeled arrays."""
 
+import inspect
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -111,5 +113,9 @@ def test_every_class_with_labeled_arrays_has_its_dimension():
 
     for name in dir(jb):
         getattr(jb, name)
-    classes = {kind for kind in below(Labeled) if kind.__module__.startswith("jaxbody.")}
+    classes = {
+        kind
+        for kind in below(Labeled)
+        if kind.__module__.startswith("jaxbody.") and not inspect.isabstract(kind)
+    }
     assert len(classes) >= 15 and all(isinstance(kind.index, str) for kind in classes)

@@ -177,7 +177,8 @@ def test_several_seats_are_summed_and_several_tyres_averaged():
     weights = np.gradient(f) * np.where((f == f[0]) | (f == f[-1]), 0.5, 1.0)
     rms = np.sqrt(np.sum(psd * weights, 1))
     names, units = ("z", "x", "y", "left", "right"), ("m/s2",) * 3 + ("N",) * 2
-    ride = RandomResponse(*map(jnp.asarray, (f, psd, rms, weights, weights, 0)), names, units)
+    arrays = map(jnp.asarray, (f, psd, rms, weights, weights, 0))
+    ride = RandomResponse(*arrays, outputs=names, units=units)
     gains = [np.abs(np.asarray(jb.weighting(name, f))) ** 2 for name in ("Wk", "Wd", "Wd")]
     felt = np.sum([np.trapezoid(s * gain, f) for s, gain in zip(S, gains, strict=True)])
     np.testing.assert_allclose(

@@ -12,7 +12,7 @@ from accelerograms import el_centro_in_g, noise_record
 from scipy.signal import lsim
 
 import jaxbody as jb
-from jaxbody.shock.modal_responses import correlations
+from jaxbody.shock.spectrum_responses import correlations
 
 CQC = {0.3: 0.00512768817, 0.5: 0.0184864518, 0.8: 0.165634665, 0.9: 0.473027683, 0.95: 0.791406378}
 

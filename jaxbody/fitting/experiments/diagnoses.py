@@ -11,6 +11,7 @@ estimates of a fit would hide such errors.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,6 +96,9 @@ EXPLAINED = 0.5
 UNLIKELY = 6e-5
 EARTH = (9.7, 9.9)  # m/s2
 BETTER = 0.7  # relative cost below which another arrangement of channels or axes is reported
+
+
+Remarks = Iterator[tuple[str, str]]  # codes and words
 
 
 @dataclass(frozen=True)
@@ -219,13 +223,16 @@ def likely_errors(
     for key, (y, p, unit) in channels.items():
         compared.append(_compared(key, times, y, p, step))
         kind = type(experiment.sensors[key.removeprefix(f"{name}.").partition("[")[0]]).__name__
-        own = _wrapped(key, times, y, p, unit) or _remarks(compared[-1])
+        own = _wrapped(key, times, y, p, unit) or [*_remarks(compared[-1])]
         words += own if any(code in OWN for code, _ in own) else own + _aside(key, y, p, unit, kind)
-    arranged = _swapped(channels) + _mirrored(name, experiment, readings)
+    arranged = [*_swapped(channels), *_mirrored(name, experiment, readings)]
     named = arranged + [remark for remark in words if remark[0] in OWN]
-    return compared, words + arranged + _unrelated(channels, named, step) + _without_gravity(
-        name, model, experiment, readings
-    )
+    return compared, [
+        *words,
+        *arranged,
+        *_unrelated(channels, named, step),
+        *_without_gravity(name, model, experiment, readings),
+    ]
 
 
 def faults(errors: list[tuple[str, str]]) -> list[tuple[str, str]]:
@@ -245,15 +252,10 @@ def _wrapped(
             first = time_text(times[valid[1 + np.argmax(jumps)]], times)
             message = (
                 f"{name} jumps by about {label} {jumps.sum()} times, first at t = {first} s, and "
-                "its prediction does not: "
+                "its prediction does not: add up its turns, "
+                f"np.unwrap(x{', period=360' if turn == 360 else ''})"
             )
-            return [
-                (
-                    "WRAPPED",
-                    message
-                    + f"add up its turns, np.unwrap(x{', period=360' if turn == 360 else ''})",
-                )
-            ]
+            return [("WRAPPED", message)]
     return []
 
 
@@ -268,16 +270,11 @@ def _aside(name: str, y: np.ndarray, p: np.ndarray, unit: str, kind: str) -> lis
         np.abs(y)
     ):
         return []
-    remedy = OFFSETS.get(kind, "subtract it, or free its bias in the fit")
-    return [
-        (
-            "OFFSET",
-            (
-                f"{name} is {abs(offset):.4g} {unit} {'above' if offset > 0 else 'below'} the "
-                f"prediction throughout: {remedy}"
-            ),
-        )
-    ]
+    message = (
+        f"{name} is {abs(offset):.4g} {unit} {'above' if offset > 0 else 'below'} the prediction "
+        f"throughout: {OFFSETS.get(kind, 'subtract it, or free its bias in the fit')}"
+    )
+    return [("OFFSET", message)]
 
 
 def _of_numbers(
@@ -306,7 +303,7 @@ def _of_numbers(
                 if np.iscomplexobj(y)
                 else []
             )
-            words += turned or _remarks(compared[-1], FACTORS | OF_MODES)
+            words += turned or [*_remarks(compared[-1], FACTORS | OF_MODES)]
     return compared, words
 
 
@@ -333,28 +330,18 @@ def _turned(
         )
         return [("OTHER_RESPONSE", message)]
     real, imaginary = (
-        correlation(a, b)
-        for a, b in (((y / abs(y)).real, (p / abs(p)).real), ((y / abs(y)).imag, (p / abs(p)).imag))
+        correlation(part(y / abs(y)), part(p / abs(p))) for part in (np.real, np.imag)
     )
     if min(abs(real), abs(imaginary)) < AGREED or min(real, imaginary) > 0:
         return []
     if real < 0 and imaginary < 0:
-        return [
-            (
-                "GAIN_FACTOR",
-                f"{name} is the negative of the prediction: is its sign or its axis reversed?",
-            )
-        ]
-    what = "the conjugate" if real > 0 else "the negative conjugate"
-    return [
-        (
-            "CONJUGATED",
-            (
-                f"{name} is {what} of the prediction: its phases are those of exp(-i 2 pi f "
-                "t); give np.conj of it"
-            ),
-        )
-    ]
+        message = f"{name} is the negative of the prediction: is its sign or its axis reversed?"
+        return [("GAIN_FACTOR", message)]
+    message = (
+        f"{name} is {'the conjugate' if real > 0 else 'the negative conjugate'} of the prediction: "
+        "its phases are those of exp(-i 2 pi f t); give np.conj of it"
+    )
+    return [("CONJUGATED", message)]
 
 
 def _components(
@@ -374,8 +361,8 @@ def _components(
     return components
 
 
-def _fit(columns: list[np.ndarray], y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Coefficients, their standard errors for white noise, and the rms residual."""
+def _fit(columns: list[np.ndarray], y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients, and their standard errors for white noise."""
     A = np.stack(columns, 1)
     c, _, rank, _ = np.linalg.lstsq(A, y, rcond=ALIKE)
     residual = y - A @ c
@@ -385,7 +372,7 @@ def _fit(columns: list[np.ndarray], y: np.ndarray) -> tuple[np.ndarray, np.ndarr
         if rank == A.shape[1]
         else np.full(len(c), np.inf)
     )
-    return c, e, float(np.sqrt(np.mean(residual**2)))
+    return c, e
 
 
 def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: float) -> Compared:
@@ -393,70 +380,43 @@ def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: 
     from scipy.interpolate import CubicSpline
 
     valid = np.isfinite(y) & np.isfinite(p)
-    spread = np.std(y[valid])
-    if valid.sum() < 8 or not np.ptp(p[valid]) or not spread:
-        return Compared(
-            name,
-            np.nan,
-            np.nan,
-            np.nan,
-            np.nan,
-            float(np.sqrt(np.mean((y - p)[valid] ** 2)) / spread) if spread else np.nan,
-        )
-    spline, delay, error, gain = CubicSpline(times[valid], p[valid]), 0.0, np.inf, 1.0
+    (y, p, t), length = (x[valid] for x in (y, p, times)), times[-1] - times[0]
+    spread = np.std(y)
+    residual = float(np.sqrt(np.mean((y - p) ** 2)) / spread) if spread else np.nan
+    if len(y) < 8 or not np.ptp(p) or not spread:
+        return Compared(name, np.nan, np.nan, np.nan, np.nan, residual)
+    spline, delay, error, gain = CubicSpline(t, p), 0.0, np.inf, 1.0
     for _ in range(3):
-        t = np.clip(times[valid] - delay, times[valid][0], times[valid][-1])
-        c, e, _ = _fit([np.ones(len(t)), spline(t), -spline(t, 1)], y[valid])
+        at = np.clip(t - delay, t[0], t[-1])
+        c, e = _fit([np.ones(len(at)), spline(at), -spline(at, 1)], y)
         gain = c[1]
-        if not gain or abs(c[2] / gain) > 0.1 * (times[-1] - times[0]):
+        if not gain or abs(c[2] / gain) > 0.1 * length:
             break
         delay, error = delay + c[2] / gain, e[2] / abs(gain)
-    residual = np.sqrt(np.mean((y - p)[valid] ** 2)) / spread
+    correlated = float(np.corrcoef(y, p)[0, 1])
     return Compared(
-        name,
-        float(gain),
-        float(np.corrcoef(y[valid], p[valid])[0, 1]),
-        float(delay / step),
-        float(error / step),
-        float(residual),
+        name, float(gain), correlated, float(delay / step), float(error / step), residual
     )
 
 
-def _remarks(c: Compared, factors: dict[float, str] = FACTORS) -> list[tuple[str, str]]:
-    remarks = []
-    if abs(c.correlation) > CORRELATED:
-        near = next((f for f in factors if abs(np.log(abs(c.gain) / f)) < CLOSE), None)
-        if near is not None:
-            remarks.append(
-                ("GAIN_FACTOR", f"{c.name} is {c.gain:.4g} times the prediction: {factors[near]}")
-            )
-        elif c.gain < 0:
-            remarks.append(
-                (
-                    "GAIN_FACTOR",
-                    (
-                        f"{c.name} is {c.gain:.4g} times the prediction: is its sign "
-                        "or its axis reversed?"
-                    ),
-                )
-            )
-        if abs(c.delay) > max(LATE, SIGNIFICANT * c.delay_error):
-            late = "later" if c.delay > 0 else "earlier"
-            remarks.append(
-                (
-                    "DELAY",
-                    (
-                        f"{c.name} is {abs(c.delay):.3g} samples {late} than the prediction: free "
-                        "its delay in the fit"
-                    ),
-                )
-            )
-    return remarks
+def _remarks(c: Compared, factors: dict[float, str] = FACTORS) -> Remarks:
+    """Remarks on a gain and on a delay."""
+    if not abs(c.correlation) > CORRELATED:
+        return
+    reversed_ = "is its sign or its axis reversed?" if c.gain < 0 else ""
+    near = (why for f, why in factors.items() if abs(np.log(abs(c.gain) / f)) < CLOSE)
+    if why := next(near, reversed_):
+        yield "GAIN_FACTOR", f"{c.name} is {c.gain:.4g} times the prediction: {why}"
+    if abs(c.delay) > max(LATE, SIGNIFICANT * c.delay_error):
+        yield (
+            "DELAY",
+            f"{c.name} is {abs(c.delay):.3g} samples {'later' if c.delay > 0 else 'earlier'} than "
+            "the prediction: free its delay in the fit",
+        )
 
 
-def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, str]]) -> list[tuple[str, str]]:
+def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, str]]) -> Remarks:
     """Remarks on pairs of channels of one unit that fit better when exchanged."""
-    remarks = []
     for (a, (y, p, unit)), (b, (z, q, other)) in itertools.combinations(channels.items(), 2):
         valid = np.isfinite(y) & np.isfinite(z)
         if unit != other or not valid.any():
@@ -467,25 +427,16 @@ def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, str]]) -> list[tu
             np.sum((y - q) ** 2 + (z - p) ** 2),
         )
         if exchanged < BETTER * recorded:
-            lower = 100 * (1 - exchanged / recorded)
-            remarks.append(
-                (
-                    "SWAPPED",
-                    (
-                        f"{a} and {b} fit better when exchanged, with {lower:.0f} % lower cost: "
-                        "are their cables swapped?"
-                    ),
-                )
+            yield (
+                "SWAPPED",
+                f"{a} and {b} fit better when exchanged, with "
+                f"{100 * (1 - exchanged / recorded):.0f} % lower cost: are their cables swapped?",
             )
-    return remarks
 
 
-def _mirrored(
-    run: str, experiment: Experiment, readings: dict[str, np.ndarray]
-) -> list[tuple[str, str]]:
+def _mirrored(run: str, experiment: Experiment, readings: dict[str, np.ndarray]) -> Remarks:
     """Remarks on vectors that a reflection aligns with the prediction much better than any rotation
     (Kabsch algorithm)."""
-    remarks = []
     for name, p in readings.items():
         y = np.asarray(experiment.measured[name])
         if y.ndim != 2 or y.shape[1] != 3:
@@ -499,27 +450,18 @@ def _mirrored(
             power - 2 * S.sum(),
         )
         if np.linalg.det(U @ Vt) < 0 and mirrored < BETTER * rotated and rotated > ROUNDED * power:
-            remarks.append(
-                (
-                    "LEFT_HANDED",
-                    (
-                        f"{run}.{name} agrees with the model only when mirrored: are "
-                        "its axes left-handed?"
-                    ),
-                )
+            yield (
+                "LEFT_HANDED",
+                f"{run}.{name} agrees with the model only when mirrored: are its axes left-handed?",
             )
-    return remarks
 
 
-def _unrelated(
-    channels: dict[str, Any], arranged: list[tuple[str, str]], step: float
-) -> list[tuple[str, str]]:
+def _unrelated(channels: dict[str, Any], arranged: list[tuple[str, str]], step: float) -> Remarks:
     """Remarks on channels that hardly follow their prediction, with what they follow instead; not
     on those that are arranged otherwise.
 
     In a record of a small motion in much noise a correlation is low too; its difference from the
     prediction then is white noise."""
-    remarks = []
     without_means = {name: centered(y, p) for name, (y, p, _) in channels.items()}
     for name, (y, p, valid) in without_means.items():
         test, r = whiteness((y - p)[valid]), correlation(y, p)
@@ -528,9 +470,8 @@ def _unrelated(
             continue
         message = (
             f"{name} hardly follows the prediction, correlation {r:.2g}, R2 {r**2:.2g}: is it the "
-            "right channel, with the right sign, unit "
+            "right channel, with the right sign, unit and times, or is the guess far off?"
         )
-        message += "and times, or is the guess far off?"
         near = max(
             (other for other in without_means if other != name),
             key=lambda other: correlation(y, without_means[other][1]) ** 2,
@@ -544,16 +485,15 @@ def _unrelated(
                 f" It follows it {abs(late) * step:.3g} s {'later' if late > 0 else 'earlier'}, "
                 f"correlation {of_shift:.2g}."
             )
-        remarks.append(("UNCORRELATED", message))
-    return remarks
+        yield "UNCORRELATED", message
 
 
 def _without_gravity(
     run: str, model: Model, experiment: Experiment, readings: dict[str, np.ndarray]
-) -> list[tuple[str, str]]:
+) -> Remarks:
     """Remarks on accelerometers whose record lacks gravity, or has gravity that the model does
     not have."""
-    remarks, g = [], float(np.linalg.norm(model.gravity))
+    g = float(np.linalg.norm(model.gravity))
     for name, sensor in experiment.sensors.items():
         if not isinstance(sensor, Accelerometer):
             continue
@@ -567,20 +507,15 @@ def _without_gravity(
             for x in (y, p)
         )
         if expected > HEAVY * g > 0 and mean < LIGHT * expected:
-            hint = (
-                "was gravity removed from the record? Add it again, or remove gravity and the sag "
-                "that it causes from the model"
-            )
-            remarks.append(
-                (
-                    "GRAVITY",
-                    (
-                        f"{run}.{name} is {mean:.3g} m/s2 on average, but an accelerometer reads "
-                        f"{expected:.4g}: {hint}"
-                    ),
-                )
+            yield (
+                "GRAVITY",
+                f"{run}.{name} is {mean:.3g} m/s2 on average, but an accelerometer reads "
+                f"{expected:.4g}: was gravity removed from the record? Add it again, or remove "
+                "gravity and the sag that it causes from the model",
             )
         if not g and EARTH[0] <= mean <= EARTH[1]:
-            hint = "it reads gravity, but the model has none; give it gravity="
-            remarks.append(("GRAVITY", f"{run}.{name} is {mean:.4g} m/s2 on average: {hint}"))
-    return remarks
+            yield (
+                "GRAVITY",
+                f"{run}.{name} is {mean:.4g} m/s2 on average: it reads gravity, but the model has "
+                "none; give it gravity=",
+            )

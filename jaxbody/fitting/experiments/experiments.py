@@ -2,6 +2,7 @@
 one run."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import diffrax
@@ -339,7 +340,9 @@ class Experiment(Measurement):
                 for name in self.sensors
                 if (problem := self._delay_problem(name)) is not None
             ]
-            problems.collected = [_under(where, problem) for problem in problems.collected]
+            problems.collected = [
+                replace(problem, where=f"{where}.{problem.where}") for problem in problems.collected
+            ]
 
     def _delay_problem(self, name: str) -> Problem | None:
         """The problem BAD_DELAY if a sensor's delay leaves no measured sample to compare with."""
@@ -350,20 +353,14 @@ class Experiment(Measurement):
         if (np.asarray(sensor.weight(self.times)) * present).any():
             return None
         length = float(self.times[-1] - self.times[0])
-        message = (
-            f"is {float(sensor.delay):.6g} s in a record of {length:.6g} s: no measured sample is "
-            "left to compare with"
-        )
-        hint = (
-            "Is it in milliseconds? Give it in seconds; it is usually a small part of the record."
-        )
         return Problem(
             "BAD_DELAY",
             f"sensors['{name}'].delay",
-            message,
+            f"is {float(sensor.delay):.6g} s in a record of {length:.6g} s: no measured sample is "
+            "left to compare with",
             float(sensor.delay),
             f"-{length:.6g} to {length:.6g} s",
-            hint,
+            "Is it in milliseconds? Give it in seconds; it is usually a small part of the record.",
         )
 
 
@@ -373,15 +370,16 @@ def check_measurements(experiments: Mapping[str, Measurement], where: str) -> Pr
     problems = Problems()
     if not isinstance(experiments, dict):
         kind = type(experiments).__name__
-        message = (
-            f"is one {kind} without a name"
-            if isinstance(experiments, Measurement)
-            else f"is a {kind}"
-        )
-        hint = 'Write {"run": experiment}: paths and tables contain the name.'
         raise JaxbodyError(
             Problem(
-                "WRONG_KIND", where, message, experiments, "a dict of experiments by name", hint
+                "WRONG_KIND",
+                where,
+                f"is one {kind} without a name"
+                if isinstance(experiments, Measurement)
+                else f"is a {kind}",
+                experiments,
+                "a dict of experiments by name",
+                'Write {"run": experiment}: paths and tables contain the name.',
             )
         )
     if not experiments:
@@ -396,9 +394,12 @@ def check_measurements(experiments: Mapping[str, Measurement], where: str) -> Pr
                 limit="Experiment",
             )
         elif not experiment.measured:
-            hint = "Give measured=, a record or arrays; `measure` of a simulated motion makes some."
             problems.add(
-                "NO_DATA", f"experiments[{name!r}]", "is a plan, without measured data", hint=hint
+                "NO_DATA",
+                f"experiments[{name!r}]",
+                "is a plan, without measured data",
+                hint="Give measured=, a record or arrays; `measure` of a simulated motion makes "
+                "some.",
             )
     return problems
 
@@ -409,37 +410,35 @@ def _of_record(
     """The times and channels of a record for these sensors, each of the quantity that its sensor
     reads, unless a gain changes it."""
     if times is not None:
-        hint = "Leave them out; record.part(0, 2) is a part of it."
         problems.add(
             "BAD_OPTION",
             "Experiment.times",
             "are given besides a record, which has its own",
             value=times,
-            hint=hint,
+            hint="Leave them out; record.part(0, 2) is a part of it.",
         )
     for name, sensor in sensors.items():
         where = f"Experiment.measured['{name}']"
         if name not in record.channels:
-            hint = f"Name the sensor as its channel: {', '.join(record.channels)}."
             problems.add(
-                "UNKNOWN_CHANNEL", where, "is no channel of the record", value=name, hint=hint
+                "UNKNOWN_CHANNEL",
+                where,
+                "is no channel of the record",
+                value=name,
+                hint=f"Name the sensor as its channel: {', '.join(record.channels)}.",
             )
         elif (
             isinstance(sensor, Sensor)
             and sensor.gain is None
             and record.units[name] not in (expected := [*map(_si, sensor.possible_units)])
         ):
-            message, hint = (
-                f"is in '{record.units[name]}'",
-                "Give a sensor that reads this quantity, or a gain that converts to it.",
-            )
             problems.add(
                 "WRONG_DIMENSION",
                 where,
-                message,
+                f"is in '{record.units[name]}'",
                 value=record.units[name],
                 limit=" or ".join(map(repr, expected)),
-                hint=hint,
+                hint="Give a sensor that reads this quantity, or a gain that converts to it.",
             )
     return record.times, {
         name: record.channels[name] for name in sensors if name in record.channels
@@ -451,17 +450,6 @@ def _si(unit: str) -> str:
     return unit if "," in unit else parse(unit or "1", "unit").si
 
 
-def _under(where: str, problem):
-    return type(problem)(
-        problem.code,
-        f"{where}.{problem.where}",
-        problem.message,
-        problem.value,
-        problem.limit,
-        problem.hint,
-    )
-
-
 def _kept(leave_out: Any, times, problems: Problems):
     """Which samples are used: those after the part that is left out; None for all."""
     duration = None if times is None or not is_concrete(times) else float(times[-1] - times[0])
@@ -471,26 +459,17 @@ def _kept(leave_out: Any, times, problems: Problems):
         and leave_out >= 0
     )
     if not valid or (duration is not None and not leave_out < duration):
-        limit = "0 s or more" + (
-            "" if duration is None else f", less than the {duration:.6g} s of the record"
-        )
-        hint = "Give the duration of the initial transient in seconds."
         problems.add(
             "BAD_NUMBER",
             "Experiment.leave_out",
             f"is {leave_out!r:.40}",
             value=leave_out,
-            limit=limit,
-            hint=hint,
+            limit="0 s or more"
+            + ("" if duration is None else f", less than the {duration:.6g} s of the record"),
+            hint="Give the duration of the initial transient in seconds.",
         )
         return None
     return None if times is None or not leave_out else times - times[0] >= leave_out * (1 - 1e-9)
-
-
-def _warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -> None:
-    """Warn of dead or saturated channels; single components may be constant, as in plane motion."""
-    constant = (rows == rows[:1]).all(0)
-    warn_of_rails(rows if constant.all() else rows[:, ~constant], times, where, unit)
 
 
 def _samples(name: str, sensor: Any, value: Any, times, kept, problems: Problems):
@@ -513,21 +492,18 @@ def _samples(name: str, sensor: Any, value: Any, times, kept, problems: Problems
     if array.size == 0:
         problems.add("NO_DATA", where, "is empty", value=array.shape, limit=str(shape))
     elif array.shape != shape:
-        hint = (
-            "It seems to be transposed: give measured.T."
-            if array.T.shape == shape
-            else (
-                f"Give one row for each time; a {type(sensor).__name__} has "
-                f"{sensor.shape or 'one number'}."
-            )
-        )
         problems.add(
             "BAD_SHAPE",
             where,
             f"has shape {array.shape}",
             value=array.shape,
             limit=str(shape),
-            hint=hint,
+            hint="It seems to be transposed: give measured.T."
+            if array.T.shape == shape
+            else (
+                f"Give one row for each time; a {type(sensor).__name__} has "
+                f"{sensor.shape or 'one number'}."
+            ),
         )
     elif isinstance(array, np.ndarray):
         missing = np.isnan(array).reshape(len(times), -1)
@@ -550,7 +526,11 @@ def _samples(name: str, sensor: Any, value: Any, times, kept, problems: Problems
                 hint="Leave out the sensor, or use one for the components that were measured.",
             )
         if (known := concrete(times)) is not None:
-            _warn_of_rails(array.reshape(len(known), -1), known, where, sensor.unit)
+            rows = array.reshape(len(known), -1)
+            constant = (rows == rows[:1]).all(0)
+            # single components may be constant, as in plane motion
+            rows = rows if constant.all() else rows[:, ~constant]
+            warn_of_rails(rows, known, where, sensor.unit)
         fraction = missing.mean()
         if MANY_MISSING < fraction < 1:
             warn("MISSING", f"{where} lacks {100 * fraction:.0f} % of its samples")

@@ -3,17 +3,22 @@ outputs, and the natural frequencies, damping ratios and mode shapes of a modal 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import field
 
 from jaxbody.core.arrays import Array, Complex, Float, concrete, device_array, float_array
 from jaxbody.core.errors import Problems, Status, unknown
-from jaxbody.fitting.experiments.measurements import Measurement, noise_of
+from jaxbody.fitting.experiments.measurements import (
+    ByFrequency,
+    Measurement,
+    NumberChannel,
+    check_rows,
+    noise_of,
+)
 from jaxbody.mechanics.equilibria import equilibrium
 from jaxbody.model.models import Model
 from jaxbody.sensors.sensors import Channel, Sensor
@@ -33,8 +38,8 @@ class ResponseChannel(Channel):
     """One complex response; its residuals are the real and imaginary parts, each with the noise
     level as standard deviation."""
 
-    shape = ()
-    unit: str = eqx.field(static=True, default=(""))  # pyright: ignore[reportIncompatibleVariableOverride]
+    shape: ClassVar[tuple[int, ...]] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    unit: str = eqx.field(static=True, default="")  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def residual(self, reading, measured):
         difference = jnp.where(jnp.isnan(measured), 0.0, reading - measured)
@@ -49,7 +54,7 @@ class ResponseChannel(Channel):
         return level[:, None] if level.size > 1 else level
 
 
-class MeasuredResponse(Measurement):
+class MeasuredResponse(ByFrequency):
     """Measured frequency responses for a fit.
 
     Args:
@@ -136,7 +141,7 @@ class MeasuredResponse(Measurement):
         units = {
             pair: response_unit(outputs[pair[0]], self.inputs[pair[1]].unit) for pair in self.pairs
         }
-        return {_name(pair): ResponseChannel(unit=unit) for pair, unit in units.items()}  # pyright: ignore[reportCallIssue]  the class states the shape
+        return {_name(pair): ResponseChannel(unit=unit) for pair, unit in units.items()}
 
     def named(self):
         return {
@@ -163,12 +168,6 @@ class MeasuredResponse(Measurement):
 
     def explain(self, model, integration):
         return equilibrium_status(model)
-
-    def axis(self, channel):
-        return "frequency", self.frequencies, "Hz"
-
-    def place(self, row):
-        return f"{float(self.frequencies[row]):.6g} Hz", float(self.frequencies[row])
 
     def _loss_factors(self):
         return (
@@ -212,36 +211,19 @@ def _complex(value: Any, shape: tuple[int, ...], where: str, problems: Problems)
             "NOT_A_NUMBER", where, f"is {value!r:.60}", value=value, limit="complex numbers"
         )
         return np.zeros(shape)
-    if array.shape != shape:
-        problems.add(
-            "BAD_SHAPE",
-            where,
-            f"has shape {array.shape}",
-            value=array.shape,
-            limit=str(shape),
-            hint="One for each frequency.",
-        )
-    elif np.isinf(array).any():
-        problems.add(
-            "NON_FINITE",
-            where,
-            "has infinite values",
-            limit="finite, or NaN for frequencies to leave out",
-        )
-    elif np.isnan(array).all():
-        problems.add("ALL_NAN", where, "has only NaN", hint="Leave out this pair.")
+    check_rows(
+        array,
+        shape,
+        where,
+        problems,
+        missing="frequencies to leave out",
+        hint="One for each frequency.",
+        remedy="Leave out this pair.",
+    )
     return array
 
 
 UNITS = {"frequency": "Hz", "damping_ratio": "", "shapes": ""}
-
-
-class ModalChannel(Channel):
-    """One number or shape for each mode."""
-
-    series = False
-    unit: str = field(static=True)  # pyright: ignore[reportIncompatibleVariableOverride]
-    shape = ()
 
 
 class MeasuredModes(Measurement):
@@ -277,7 +259,7 @@ class MeasuredModes(Measurement):
     measured: dict[str, Float[Array, "nm ..."]]
     noise: dict[str, Float[Array, "..."]] | None
     sensors: dict[str, Sensor]
-    number: tuple[int, ...] | None = field(static=True)
+    number: tuple[int, ...] | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -313,28 +295,18 @@ class MeasuredModes(Measurement):
                 )
             for name, array in arrays.items():
                 where, values = f"MeasuredModes.{name}", concrete(array)
-                if array.shape != expected[name]:
-                    hint = (
-                        "A row for each mode, a column for each sensor."
+                if array.size or array.shape != expected[name]:
+                    check_rows(
+                        array,
+                        expected[name],
+                        where,
+                        problems,
+                        missing="a missing number",
+                        hint="A row for each mode, a column for each sensor."
                         if name == "shapes"
-                        else "One number for each mode."
+                        else "One number for each mode.",
                     )
-                    problems.add(
-                        "BAD_SHAPE",
-                        where,
-                        f"has shape {array.shape}",
-                        value=array.shape,
-                        limit=str(expected[name]),
-                        hint=hint,
-                    )
-                elif values is not None and np.isinf(values).any():
-                    problems.add(
-                        "NON_FINITE",
-                        where,
-                        "has infinite values",
-                        limit="finite, or NaN for a missing number",
-                    )
-                elif name == "frequency" and values is not None and (values < 0).any():
+                if name == "frequency" and values is not None and (values < 0).any():
                     least = float(np.nanmin(values))
                     problems.add(
                         "BAD_FREQUENCY",
@@ -344,16 +316,11 @@ class MeasuredModes(Measurement):
                         limit=">= 0",
                         hint="Give NaN for a missing number.",
                     )
-                elif values is not None and values.size and np.isnan(values).all():
-                    problems.add("ALL_NAN", where, "has only NaN", hint="Leave it out.")
             if pairing not in ("order", "mac") or (pairing == "mac" and shapes is None):
-                message = f"is {pairing!r}" + (
-                    ", but there are no shapes" if pairing == "mac" else ""
-                )
                 problems.add(
                     "BAD_PAIRING",
                     "MeasuredModes.pairing",
-                    message,
+                    f"is {pairing!r}" + (", but there are no shapes" if pairing == "mac" else ""),
                     value=pairing,
                     limit='"order", or "mac" with shapes',
                 )
@@ -383,8 +350,11 @@ class MeasuredModes(Measurement):
 
     @property
     def channels(self):
-        # its shape is a class attribute
-        return {name: ModalChannel(unit) for name, unit in UNITS.items() if name in self.measured}  # pyright: ignore[reportCallIssue]
+        return {
+            name: NumberChannel(unit=unit, series=False)
+            for name, unit in UNITS.items()
+            if name in self.measured
+        }
 
     def named(self):
         return dict(self.sensors)
@@ -395,25 +365,21 @@ class MeasuredModes(Measurement):
                 outputs = outputs_of(model, self.sensors, where, problems)
                 for name, unit in zip(outputs.names, outputs.units, strict=True):
                     if unit not in ("m", "rad"):
-                        limit = "positions and rotations, such as jb.Position"
                         problems.add(
                             "WRONG_KIND",
                             f"{where}.sensors['{name}']",
                             f"reads {unit}",
                             value=unit,
-                            limit=limit,
+                            limit="positions and rotations, such as jb.Position",
                         )
             count = len(model.layout.with_mass)
             if max(self.number or (len(self.measured["frequency"]) - 1,)) >= count:
-                message = (
-                    "has more modes than the model"
-                    if self.number is None
-                    else "is compared with a mode that the model does not have"
-                )
                 problems.add(
                     "BAD_SHAPE",
                     f"{where}.frequency",
-                    message,
+                    "has more modes than the model"
+                    if self.number is None
+                    else "is compared with a mode that the model does not have",
                     value=self.number,
                     limit=f"{count} modes",
                 )
@@ -427,18 +393,10 @@ class MeasuredModes(Measurement):
             at_sensors = (
                 at_sensors if ports.chains is None else at_sensors * ports.chains.gain[:, None]
             )
-        if self.number is not None:
-            which: Any = np.array(self.number)
-        else:
-            which = jnp.argmax(
-                mac(
-                    *(
-                        jax.lax.stop_gradient(x)
-                        for x in (at_sensors, jnp.nan_to_num(self.measured["shapes"]).T)
-                    )
-                ),
-                axis=0,
-            )
+        which: Any = np.array(self.number)
+        if self.number is None:
+            both = jax.lax.stop_gradient((at_sensors, jnp.nan_to_num(self.measured["shapes"]).T))
+            which = jnp.argmax(mac(*both), axis=0)
         readings = {
             "frequency": predicted.frequency[which],
             "damping_ratio": predicted.damping_ratio[which],

@@ -10,20 +10,17 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, device_array, float_array, scalar
 from jaxbody.core.errors import Problems, unknown
-from jaxbody.fitting.experiments.measurements import Measurement, check_rows, noise_of
-from jaxbody.sensors.sensors import Channel
+from jaxbody.fitting.experiments.measurements import (
+    ByFrequency,
+    NumberChannel,
+    check_rows,
+    noise_of,
+)
 from jaxbody.vibration.dynamic_stiffnesses import dynamic_stiffness
 from jaxbody.vibration.frequency_responses import check_frequencies
 
 
-class StiffnessChannel(Channel):
-    """Magnitude or loss angle of a dynamic stiffness."""
-
-    shape = ()
-    unit: str = eqx.field(static=True, default=("N/m"))  # pyright: ignore[reportIncompatibleVariableOverride]
-
-
-class MeasuredStiffness(Measurement):
+class MeasuredStiffness(ByFrequency):
     """The measured dynamic stiffness of one element, by itself: the model has no part in it but
     this element.
 
@@ -87,19 +84,15 @@ class MeasuredStiffness(Measurement):
                     "NO_DATA", "MeasuredStiffness", "has no data", limit="magnitude= or loss_angle="
                 )
             for name, array in arrays.items():
-                check_rows(
-                    array, shape, f"MeasuredStiffness.{name}", "frequencies", str(shape), problems
-                )
+                where = f"MeasuredStiffness.{name}"
+                check_rows(array, shape, where, problems, missing="frequencies to leave out")
             levels = noise_of(noise or {}, arrays, "MeasuredStiffness.noise", problems)
-            size = (
-                None
-                if amplitude is None
-                else scalar(amplitude, "MeasuredStiffness.amplitude", problems)
-            )
+            if amplitude is not None:
+                amplitude = scalar(amplitude, "MeasuredStiffness.amplitude", problems)
             force = scalar(preload, "MeasuredStiffness.preload", problems)
         self.element, self.direction = str(element), direction
         self.frequencies = checked  # pyright: ignore[reportAttributeAccessIssue]
-        self.amplitude = None if size is None else device_array(size)
+        self.amplitude = None if amplitude is None else device_array(amplitude)
         self.preload = device_array(force)
         self.measured = {name: device_array(array) for name, array in arrays.items()}
         self.noise = levels or None
@@ -107,7 +100,7 @@ class MeasuredStiffness(Measurement):
     @property
     def channels(self):
         units = {"magnitude": "N/m", "loss_angle": "rad"}
-        return {name: StiffnessChannel(unit=units[name]) for name in self.measured}  # pyright: ignore[reportCallIssue]
+        return {name: NumberChannel(unit=units[name]) for name in self.measured}
 
     def check(self, model, where):
         with Problems() as problems:
@@ -117,9 +110,8 @@ class MeasuredStiffness(Measurement):
                 problems.gather(lambda: self._predicted(model))
 
     def _predicted(self, model) -> Any:
-        element = model[self.element]
         return dynamic_stiffness(
-            element,
+            model[self.element],
             self.frequencies,
             preload=self.preload,
             amplitude=self.amplitude,
@@ -132,9 +124,3 @@ class MeasuredStiffness(Measurement):
 
     def explain(self, model, integration):
         return self._predicted(model).report()
-
-    def axis(self, channel):
-        return "frequency", self.frequencies, "Hz"
-
-    def place(self, row):
-        return f"{float(self.frequencies[row]):.6g} Hz", float(self.frequencies[row])

@@ -13,17 +13,14 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, concrete, device_array, float_array
 from jaxbody.core.errors import Problems, unknown
-from jaxbody.fitting.experiments.measurements import Measurement, check_rows, noise_of
-from jaxbody.sensors.sensors import Channel
+from jaxbody.fitting.experiments.measurements import (
+    Measurement,
+    NumberChannel,
+    check_rows,
+    noise_of,
+)
 from jaxbody.suspension.alignment_curves import curve_names, curve_unit, suspension_curves
 from jaxbody.suspension.wheels import Wheel
-
-
-class CurveChannel(Channel):
-    """One curve."""
-
-    shape = ()
-    unit: str = eqx.field(static=True, default=(""))  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class MeasuredCurves(Measurement):
@@ -86,9 +83,13 @@ class MeasuredCurves(Measurement):
                 )
             shape = (max((np.size(x) for x in over.values()), default=0),)
             for name, array in arrays.items():
-                limit = f"{shape}, a number for each row of over"
                 check_rows(
-                    array, shape, f"MeasuredCurves.measured['{name}']", "rows", limit, problems
+                    array,
+                    shape,
+                    f"MeasuredCurves.measured['{name}']",
+                    problems,
+                    missing="rows to leave out",
+                    limit=f"{shape}, a number for each row of over",
                 )
             levels = noise_of(noise or {}, arrays, "MeasuredCurves.noise", problems)
         self.wheel = wheel
@@ -109,7 +110,7 @@ class MeasuredCurves(Measurement):
 
     @property
     def channels(self):
-        return {name: CurveChannel(unit=curve_unit(name)) for name in self.measured}  # pyright: ignore[reportCallIssue]
+        return {name: NumberChannel(unit=curve_unit(name)) for name in self.measured}
 
     def named(self):
         return {

@@ -78,25 +78,64 @@ class Measurement(eqx.Module):
         return ~self.channels[name].missing(as_numpy(self.measured[name]))
 
 
+class ByFrequency(Measurement):
+    """The base class of numbers by frequency [Hz]."""
+
+    frequencies: eqx.AbstractVar[Array]
+
+    def axis(self, channel):
+        return "frequency", self.frequencies, "Hz"
+
+    def place(self, row):
+        return f"{float(self.frequencies[row]):.6g} Hz", float(self.frequencies[row])
+
+
+class NumberChannel(Channel):
+    """A channel of one number in each row, such as one curve; `series` as in `Channel`."""
+
+    shape: ClassVar[tuple[int, ...]] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    unit: str = eqx.field(static=True, default="")  # pyright: ignore[reportIncompatibleVariableOverride]
+    series: bool = eqx.field(static=True, default=True)  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
 def check_rows(
-    array: Any, shape: tuple[int, ...], where: str, rows: str, limit: str, problems: Problems
+    array: Any,
+    shape: tuple[int, ...],
+    where: str,
+    problems: Problems,
+    *,
+    missing: str,
+    limit: str = "",
+    hint: str = "",
+    remedy: str = "Leave it out.",
 ) -> None:
-    """Check measured numbers, one for each of some rows, with NaN for rows to leave out; errors go
-    to `problems`."""
+    """Check measured numbers, one for each of some rows; errors go to `problems`.
+
+    Args:
+        array: the numbers.
+        shape: theirs.
+        where: name of the argument, for messages.
+        problems: collects BAD_SHAPE, NON_FINITE, ALL_NAN.
+        missing: what a NaN stands for.
+        limit, hint: of a wrong shape, by default the shape and none.
+        remedy: hint where all numbers are missing.
+    """
     known = concrete(array)
     if np.shape(array) != shape:
         problems.add(
-            "BAD_SHAPE", where, f"has shape {np.shape(array)}", value=np.shape(array), limit=limit
+            "BAD_SHAPE",
+            where,
+            f"has shape {np.shape(array)}",
+            value=np.shape(array),
+            limit=limit or str(shape),
+            hint=hint,
         )
     elif known is not None and np.isinf(known).any():
         problems.add(
-            "NON_FINITE",
-            where,
-            "has infinite values",
-            limit=f"finite, or NaN for {rows} to leave out",
+            "NON_FINITE", where, "has infinite values", limit=f"finite, or NaN for {missing}"
         )
     elif known is not None and np.isnan(known).all():
-        problems.add("ALL_NAN", where, "has only NaN", hint="Leave it out.")
+        problems.add("ALL_NAN", where, "has only NaN", hint=remedy)
 
 
 def noise_of(
@@ -120,9 +159,12 @@ def noise_of(
                 limit=", ".join(map(str, measured)),
             )
         elif np.shape(deviation) not in shapes:
-            limit = " or ".join(map(str, dict.fromkeys(shapes)))
             problems.add(
-                "BAD_SHAPE", place, f"has shape {np.shape(deviation)}", value=deviation, limit=limit
+                "BAD_SHAPE",
+                place,
+                f"has shape {np.shape(deviation)}",
+                value=deviation,
+                limit=" or ".join(map(str, dict.fromkeys(shapes))),
             )
         elif (
             isinstance(deviation, np.ndarray)

@@ -110,14 +110,13 @@ def plausibility(
             )
 
     for name, ratio in _gyration_ratios(model).items():
-        remark = "is the inertia in kg m2, about the center of mass, and are the points in meters?"
         note(
             "GYRATION",
             f"radius of gyration of '{name}' over its extent",
             ratio,
             "",
             GYRATION,
-            remark,
+            "is the inertia in kg m2, about the center of mass, and are the points in meters?",
         )
     size = float(size_of(model))
     density = float(np.sum(model.bodies.rows.mass)) / size**3
@@ -131,8 +130,14 @@ def plausibility(
     )
     first, sag = (float(x) for x in _scales(_at_reference(model)))
     if np.isfinite(first):
-        remark = "are stiffnesses in N/m and masses in kg?"
-        note("FREQUENCY", "first natural frequency", first, "Hz", FREQUENCIES, remark)
+        note(
+            "FREQUENCY",
+            "first natural frequency",
+            first,
+            "Hz",
+            FREQUENCIES,
+            "are stiffnesses in N/m and masses in kg?",
+        )
     g = float(np.linalg.norm(model.gravity))
     if g:
         note("GRAVITY", "gravity", g, "m/s2", EARTH, "is it in m/s2?")

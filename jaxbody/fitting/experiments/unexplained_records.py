@@ -5,11 +5,13 @@ variation of the record itself, and predictions that begin far from its first sa
 
 for one component of a channel, unless its residuals may be noise: as large as stated, or white and
 not correlated with the prediction, as in a noisy record of a small motion. Frequency responses,
-modes and curves vary about zero, not about their mean.
+modes and curves vary about zero, not about their mean. Remedies for a beginning are a start at
+rest, or leaving out the initial transient.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -56,7 +58,7 @@ def unexplained(
     residuals: dict[str, dict[str, Any]],
     robust: bool,
     least: float,
-) -> list[str]:
+) -> Iterator[str]:
     """A sentence on each such record.
 
     Args:
@@ -65,7 +67,6 @@ def unexplained(
         robust: whether outliers do not count
         least: rms of residuals that is integration error
     """
-    sentences = []
     for run, experiment in experiments.items():
         components = [
             c
@@ -90,14 +91,13 @@ def unexplained(
                 and not noisy
             ):
                 sizes = [f"{x:.3g} {c.unit}".rstrip() for x in (size, variation)]
-                sentences.append(
+                yield (
                     f"the residuals of {c.name} have a rms of {sizes[0]}, where the record itself "
                     f"varies by {sizes[1]}"
                 )
-    return sentences
 
 
-def _components(run: str, name: str, experiment: Measurement, r: np.ndarray) -> list[Component]:
+def _components(run: str, name: str, experiment: Measurement, r: np.ndarray) -> Iterator[Component]:
     channel, measured, in_time = (
         experiment.channels[name],
         np.asarray(experiment.measured[name]),
@@ -115,26 +115,16 @@ def _components(run: str, name: str, experiment: Measurement, r: np.ndarray) -> 
     columns: list[Any] = (
         [slice(None)] if np.iscomplexobj(measured) else [[i] for i in range(r.shape[1])]
     )
-    components = []
     for i, own in enumerate(columns):
-        rows, unit = present[:, own], units[i * len(units) // len(columns)].strip()
-        if rows.any():
-            label = f"{run}.{name}{labels[i] if len(columns) > 1 else ''}"
-            components.append(
-                Component(
-                    label,
-                    unit,
-                    r[:, own][rows],
-                    v[:, own][rows],
-                    float(np.median(level[:, own][rows])),
-                    in_time,
-                )
+        if (rows := present[:, own]).any():
+            yield Component(
+                f"{run}.{name}{labels[i] if len(columns) > 1 else ''}",
+                units[i * len(units) // len(columns)].strip(),
+                r[:, own][rows],
+                v[:, own][rows],
+                float(np.median(level[:, own][rows])),
+                in_time,
             )
-    return components
-
-
-def _rms(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(x**2))) if x.size else 0.0
 
 
 def _related(r: np.ndarray, p: np.ndarray) -> bool:
@@ -162,9 +152,8 @@ def transients(
     predicted: dict[str, dict[str, Any]],
     noise: dict[str, Any],
     integration: Integration,
-) -> list[str]:
-    """A remark with the remedy for each such run."""
-    words = []
+) -> Iterator[str]:
+    """A remark with the remedy for each run that begins far from its first samples."""
     for run, experiment in experiments.items():
         if not isinstance(experiment, Experiment) or len(experiment.times) < MIN_SAMPLES:
             continue
@@ -173,11 +162,12 @@ def transients(
         valid = np.flatnonzero(np.isfinite(size))
         if len(valid) < MIN_SAMPLES:
             continue
-        late, first = (
-            _rms_of_start(size[valid[len(valid) // 2 :]]),
-            _rms_of_start(size[valid[:count]]),
-        )
-        signal = _rms_of_start(_sizes(experiment, _means(experiment), noise[run]))
+        late, first = _rms(size[valid[len(valid) // 2 :]]), _rms(size[valid[:count]])
+        means = {
+            name: np.broadcast_to(np.nanmean(x, 0), np.shape(x))
+            for name, x in experiment.measured.items()
+        }
+        signal = _rms(_sizes(experiment, means, noise[run]))
         if first < max(NOTABLE * late, SIGNAL * signal):
             continue
         remark = (
@@ -191,11 +181,11 @@ def transients(
                 Rest(),
                 is_leaf=lambda x: x is None or isinstance(x, State),
             )
-            other = _rms_of_start(
+            other = _rms(
                 _sizes(rest, _readings(model, rest, integration), noise[run])[valid[:count]]
             )
             if other < BETTER * first:
-                words.append(
+                yield (
                     f'{remark}, with initial="rest" only {other / late:.2g} times: start it in '
                     "equilibrium on its base"
                 )
@@ -206,26 +196,16 @@ def transients(
         blocks = [
             i
             for i in range(0, len(valid) // 2, count)
-            if _rms_of_start(size[valid[i : i + count]]) > SETTLED * late
+            if _rms(size[valid[i : i + count]]) > SETTLED * late
         ]
         settled = times[valid[min(blocks[-1] + count, len(valid) - 1)]]
-        free = ", or free its initial state" if isinstance(experiment.initial, State) else ""
-        words.append(
-            f"{remark}: leave out the initial transient with leave_out={settled:.3g}{free}"
+        yield f"{remark}: leave out the initial transient with leave_out={settled:.3g}" + (
+            ", or free its initial state" if isinstance(experiment.initial, State) else ""
         )
-    return words
 
 
-def _rms_of_start(x: np.ndarray) -> float:
+def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(np.square(x)))) if np.isfinite(x).any() else np.nan
-
-
-def _means(experiment: Experiment) -> dict[str, Any]:
-    """Predictions that are the mean of each record at all times."""
-    return {
-        name: np.broadcast_to(np.nanmean(x, 0), np.shape(x))
-        for name, x in experiment.measured.items()
-    }
 
 
 def _sizes(
@@ -234,11 +214,9 @@ def _sizes(
     """The rms of residuals over noise at each time; NaN where all samples are missing."""
     squares, counts = np.zeros(len(experiment.times)), np.zeros(len(experiment.times))
     for name, channel in experiment.channels.items():
-        r = np.asarray(experiment.residual(name, np.asarray(readings[name]))) / channel.spread(
-            np.asarray(noise[name])
-        )
-        r = r.reshape(len(squares), -1)
-        squares += np.sum(r**2, 1)
+        r = experiment.residual(name, np.asarray(readings[name]))
+        r = np.asarray(r) / channel.spread(np.asarray(noise[name]))
+        squares += np.sum(r.reshape(len(squares), -1) ** 2, 1)
         counts += np.sum(np.asarray(experiment.present(name)).reshape(len(squares), -1), 1)
     return np.sqrt(np.where(counts > 0, squares / np.maximum(counts, 1), np.nan))
 

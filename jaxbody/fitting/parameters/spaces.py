@@ -3,7 +3,8 @@ which are zero at the start.
 
 Each parameter states the leaves it sets, the factors of ties between them, its form as a function
 of u, its bounds and its prior. A design space is a fit's parameters without runs. The hard points
-of a suspension are parameters by their names, which move all that has them.
+of a suspension are parameters by their names, which move all that has them. Searches may begin at
+random points between the bounds of u.
 """
 
 from __future__ import annotations
@@ -228,17 +229,13 @@ def space_of(
             priors, f"{where}.priors", "path: (mean, standard deviation)", problems
         )
         if not isinstance(free, str | Iterable):
-            limit, hint = (
-                "paths or patterns",
-                'Name the unknowns: free=["*.stiffness", "mass.mass"].',
-            )
             problems.add(
                 "WRONG_KIND",
                 f"{where}.free",
                 f"is {free!r:.60}",
                 value=free,
-                limit=limit,
-                hint=hint,
+                limit="paths or patterns",
+                hint='Name the unknowns: free=["*.stiffness", "mass.mass"].',
             )
             problems.raise_if_any()
         own = [*leaves_of(model), *([] if suspension is None else hard_points_of(suspension))]
@@ -416,8 +413,11 @@ def _drawn(
     if not isinstance(form, Elementwise):
         return SPREAD * rng.normal(size=shape)
     if not np.isfinite(high - low).all():
-        limit, hint = "both finite", "Random starts need bounds."
         problems.add(
-            "NO_BOUNDS", f"{where}['{parameter.path}']", "is missing", limit=limit, hint=hint
+            "NO_BOUNDS",
+            f"{where}['{parameter.path}']",
+            "is missing",
+            limit="both finite",
+            hint="Random starts need bounds.",
         )
     return rng.uniform(low, high, shape) if not problems.collected else np.zeros(shape)

@@ -67,14 +67,13 @@ def ties(
         for entry, parts in sides.items()
         if len(parts) > 1 and not all(pattern for pattern, _ in parts)
     ]:
-        limit, hint = "a path on both sides", 'Write "left.stiffness = right.stiffness".'
         problems.add(
             "UNKNOWN_PATH",
             where,
             f"'{entry}' ties nothing on one side",
             value=entry,
-            limit=limit,
-            hint=hint,
+            limit="a path on both sides",
+            hint='Write "left.stiffness = right.stiffness".',
         )
         sides[entry] = [part for part in sides[entry] if part[0]]
     named = dict.fromkeys(pattern for parts in sides.values() for pattern, _ in parts)
@@ -86,20 +85,22 @@ def ties(
         for pattern, factor in parts:
             for leaf in matched[pattern]:
                 if not np.array_equal(selected.setdefault(leaf, factor), factor):
-                    message = f"'{entry}' ties {leaf.path} to itself with another factor"
                     problems.add(
                         "BAD_TIE",
                         where,
-                        message,
+                        f"'{entry}' ties {leaf.path} to itself with another factor",
                         value=entry,
                         limit="two parameters",
                         hint="Name the other one.",
                     )
         for leaf in selected:
             if leaf in listed:
-                message = f"lists {leaf.path} twice, also by '{entry}'"
                 problems.add(
-                    "LISTED_TWICE", where, message, value=entry, hint="List each parameter once."
+                    "LISTED_TWICE",
+                    where,
+                    f"lists {leaf.path} twice, also by '{entry}'",
+                    value=entry,
+                    hint="List each parameter once.",
                 )
         listed |= set(selected)
         first = next(iter(selected.values()), 1.0)
@@ -134,13 +135,12 @@ def _side(text: str, where: str, problems: Problems) -> tuple[str, Any]:
     except (TypeError, ValueError):
         factor = np.zeros(())
     if factor.ndim > 1 or not (np.isfinite(factor) & (factor != 0)).all():
-        limit = "a nonzero number or a list of nonzero numbers"
         problems.add(
             "BAD_TIE",
             where,
             f"has the factor {parts[2]}",
             value=text,
-            limit=limit,
+            limit="a nonzero number or a list of nonzero numbers",
             hint='Write "left.a = right.a * [1, -1, 1]".',
         )
         return parts[1], 1.0
@@ -173,22 +173,21 @@ def check_alike(tie: Tie, starts: list[Any], form: Parametrization, problems: Pr
             else ()
         )
         if factor != 1.0 and np.shape(factor) not in allowed:
-            limit = "scalars and vectors, by a number or one for each; rows in order, by a number"
             problems.add(
                 "BAD_TIE",
                 leaf.path,
                 f"of shape {start.shape} cannot be tied by {tied}",
                 value=factor,
-                limit=limit,
+                limit="scalars and vectors, by a number or one for each; rows in order, by a "
+                "number",
             )
         elif start.shape != values[0].shape or not np.allclose(
             start, times(values[0], factor), rtol=ALIKE, atol=0
         ):
-            message = f"starts at {start}, but {tied}, and {first.path} starts at {values[0]}"
             problems.add(
                 "TIED_APART",
                 leaf.path,
-                message,
+                f"starts at {start}, but {tied}, and {first.path} starts at {values[0]}",
                 value=start,
                 hint="Set matching values with jb.replace.",
             )
@@ -211,8 +210,6 @@ def equation(paths: Iterable[str], factors: Iterable[Factor]) -> str:
 
 # leaves of a parameter, their factors, and what is given for them
 Given = Iterable[tuple[Leaf, Factor, Any]]
-
-Limits = tuple[np.ndarray, np.ndarray]
 
 
 def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
@@ -242,22 +239,23 @@ def limits_of(
     for leaf, factor, given in bounds:
         at, pair = f"{where}['{leaf.path}']", pair_of(given, start.shape)
         if not isinstance(form, Elementwise | Problem):
-            hint = (
-                "Give bounds for scalars, and for vectors whose numbers do not "
-                "depend on each other."
+            problems.add(
+                "BAD_BOUNDS",
+                at,
+                "cannot have bounds",
+                hint="Give bounds for scalars, and for vectors whose numbers do not "
+                "depend on each other.",
             )
-            problems.add("BAD_BOUNDS", at, "cannot have bounds", hint=hint)
         elif pair is None:
             problems.add("BAD_BOUNDS", at, f"is {given!r:.60}", value=given, limit="(lower, upper)")
         elif np.isnan(pair).any():
-            hint = "Give -inf or inf for a side without a bound."
             problems.add(
                 "BAD_BOUNDS",
                 at,
                 f"is {given!r:.60}, which has a NaN",
                 value=given,
                 limit="numbers",
-                hint=hint,
+                hint="Give -inf or inf for a side without a bound.",
             )
         elif not (pair[0] < pair[1]).all():
             problems.add(
@@ -272,16 +270,12 @@ def limits_of(
             outside = np.maximum(ends[0] - np.asarray(start), np.asarray(start) - ends[1]).max()
             # a tuned model may be outside by round-off
             if outside > ALIKE * np.abs(np.where(np.isfinite(ends), ends, 0.0)).max():
-                message, limit = (
-                    f"excludes the start {np.asarray(start)}, which is outside by {outside:.4g}",
-                    f"{given[0]} to {given[1]}",
-                )
                 problems.add(
                     "START_OUTSIDE",
                     at,
-                    message,
+                    f"excludes the start {np.asarray(start)}, which is outside by {outside:.4g}",
                     value=start,
-                    limit=limit,
+                    limit=f"{given[0]} to {given[1]}",
                     hint="Change the start or the bound.",
                 )
             elif not (np.maximum(low, ends[0]) < np.minimum(high, ends[1])).all():

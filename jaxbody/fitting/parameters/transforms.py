@@ -44,7 +44,7 @@ class Parametrization(eqx.Module):
     @property
     def size(self) -> int:
         """The length of u."""
-        return self.start.size
+        return len(self.labels())
 
     @abstractmethod
     def value(self, u: Float[Array, "n"]) -> Float[Array, "*x"]: ...
@@ -172,7 +172,7 @@ class Ordered(Parametrization):
         return np.r_[fraction, np.full(self.size - 1, np.log1p(fraction))]
 
     def labels(self):
-        return ["[0]", *(f"[{i}] - [{i - 1}]" for i in range(1, self.size))]
+        return ["[0]", *(f"[{i}] - [{i - 1}]" for i in range(1, len(self.start)))]
 
     def ended(self, u):
         return np.where((u < -FAR) & (np.arange(len(u)) > 0), "zero", "")
@@ -180,11 +180,6 @@ class Ordered(Parametrization):
 
 class Definite(Parametrization):
     """X = L(u) L(u)'."""
-
-    @property
-    def size(self) -> int:
-        n = self.start.shape[0]
-        return n * (n + 1) // 2
 
     def value(self, u):
         n = self.start.shape[0]
@@ -215,10 +210,6 @@ class Inertia(Parametrization):
     Slotine, IEEE Robotics and Automation Letters 3 (2018) 60); its principal moments then satisfy
     the triangle inequality."""
 
-    @property
-    def size(self) -> int:
-        return 6
-
     def value(self, u):
         S = Definite(0.5 * jnp.trace(self.start) * jnp.eye(3) - self.start).value(u)
         return jnp.trace(S) * jnp.eye(3) - S
@@ -232,10 +223,6 @@ class Inertia(Parametrization):
 class Rotated(Parametrization):
     """q = exp(u) q0."""
 
-    @property
-    def size(self) -> int:
-        return 3
-
     def value(self, u):
         return rotations.multiply(rotations.exp_quaternion(u), self.start)
 
@@ -245,10 +232,6 @@ class Rotated(Parametrization):
 
 class Direction(Parametrization):
     """n = (n0 + B u)/|n0 + B u|, for each row of several."""
-
-    @property
-    def size(self) -> int:
-        return 2 * (self.start.size // 3)
 
     def value(self, u):
         tilt = tilted if self.start.ndim == 1 else jax.vmap(tilted)
@@ -276,10 +259,6 @@ class InitialConfiguration(Parametrization):
     """Coordinates q of an initial state, or of several in rows: q = q0 (+) u in the chart."""
 
     model: Model
-
-    @property
-    def size(self) -> int:
-        return int(np.prod(self.start.shape[:-1])) * self.model.layout.nv
 
     def value(self, u):
         retract, lead = Chart(self.model).retract, self.start.shape[:-1]

@@ -17,6 +17,7 @@ expected value,
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -151,11 +152,9 @@ def noise_of(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> Noi
     of_known = Q[known].T @ Q[known]
     variances = _variances(pieces)
     white = of_known + sum(variances[one.record.group][0] * one.square for one in pieces)
+    plain = [one for one in pieces if not one.order]
     colored = [one for one in pieces if one.order]
-    plain, freedoms = (
-        [one for one in pieces if not one.order],
-        _variances([one for one in pieces if not one.order]),
-    )
+    freedoms = _variances(plain)
     for one in plain:
         one.process = Autoregression(np.zeros(0), freedoms[one.record.group][0])
     rest = of_known + sum(one.covariance(one.process) for one in plain)
@@ -207,7 +206,7 @@ def _variances(pieces: list[_Piece]) -> dict[str, tuple[float, float]]:
     }
 
 
-def _parts(one: _Piece) -> list[np.ndarray]:
+def _parts(one: _Piece) -> Iterator[np.ndarray]:
     """Changes of Q' Omega Q for standard errors of the variance and of phi, whose Yule-Walker
     covariance is variance/n Gamma^-1."""
     from scipy.linalg import toeplitz
@@ -216,20 +215,18 @@ def _parts(one: _Piece) -> list[np.ndarray]:
     w, V = np.linalg.eigh(toeplitz(autocovariances(process, q)))
     # residuals of an exact fit may be a single wave
     spread = V * np.sqrt(process.variance / (one.n * np.maximum(w, SINGULAR * w[-1])))
-    parts = [np.sqrt(2 / max(one.n - one.fitted - q, 1.0)) * one.covariance(process)]
+    yield np.sqrt(2 / max(one.n - one.fitted - q, 1.0)) * one.covariance(process)
     for change in STEP * spread.T:
         ends = [
             one.covariance(Autoregression(process.phi + sign * change, process.variance))
             for sign in (1, -1)
         ]
-        parts.append((ends[0] - ends[1]) / (2 * STEP))
-    return parts
+        yield (ends[0] - ends[1]) / (2 * STEP)
 
 
-def _pairs(pieces: list[_Piece]) -> list[tuple[_Piece, _Piece, float]]:
+def _pairs(pieces: list[_Piece]) -> Iterator[tuple[_Piece, _Piece, float]]:
     """Pairs of records sampled together and the correlation of their innovations, where any pair
     among them is significantly correlated."""
-    pairs = []
     together: dict[tuple[str, bytes], list[_Piece]] = {}
     for one in pieces:
         if one.record.series and one.n >= FEWEST and one.process.variance > 0:
@@ -244,5 +241,5 @@ def _pairs(pieces: list[_Piece]) -> list[tuple[_Piece, _Piece, float]]:
         i, j = np.triu_indices(len(members), 1)
         n = members[0].n
         if n * np.max(rho[i, j] ** 2) > np.log(n) + 2 * np.log(len(i)):
-            pairs += [(members[a], members[b], float(rho[a, b])) for a, b in zip(i, j, strict=True)]
-    return pairs
+            for a, b in zip(i, j, strict=True):
+                yield members[a], members[b], float(rho[a, b])

@@ -18,8 +18,6 @@ from jaxbody.model.elements.springs import Spring
 from jaxbody.model.elements.torsions import AntiRollBar
 from jaxbody.model.joints.combined_joints import HeavePitch, HeavePitchRoll, Translation
 from jaxbody.model.joints.joints import Guide, Hinge
-from jaxbody.model.laws.laws import Linear, Sum
-from jaxbody.model.laws.rubber_laws import Maxwell
 from jaxbody.model.models import Model
 
 G = 9.81
@@ -350,6 +348,11 @@ def hydraulic_engine_mounts(
     )
 
 
+def _corners(at: Any) -> list[tuple[Any, Any, Any]]:
+    """The points at (+-ax, +-ay, -az)."""
+    return [(x, y, -at[2]) for x in (at[0], -at[0]) for y in (at[1], -at[1])]
+
+
 def isolated_table(
     *,
     mass=200.0,
@@ -374,8 +377,6 @@ def isolated_table(
     >>> isolated_table().element_names[0]
     'isolator 1'
     """
-    ax, ay, az = at
-    points = [(x, y, -az) for x in (ax, -ax) for y in (ay, -ay)]
     return Model(
         bodies={"table": Body(mass=mass, inertia=mass * np.asarray(gyration) ** 2)},
         supports={"floor": Support()},
@@ -383,7 +384,7 @@ def isolated_table(
             f"isolator {i}": Bushing(
                 ("table", p), ("floor", p), stiffness=stiffness, damping=damping
             )
-            for i, p in enumerate(points, 1)
+            for i, p in enumerate(_corners(at), 1)
         },
         gravity=[0, 0, -gravity],
     )
@@ -581,18 +582,18 @@ def rubber_isolators(
     >>> [round(float(x)) for x in K.magnitude]
     [43184, 66308]
     """
-    ax, ay, az = at
-    points = [(x, y, -az) for x in (ax, -ax) for y in (ay, -ay)]
-    laws = [
-        Sum(Linear(k), *(Maxwell(stiffness=g * k, relaxation_time=tau) for g, tau in prony))
-        for k in stiffness
-    ]
+
+    def isolator(k):
+        branches = (laws.Maxwell(stiffness=g * k, relaxation_time=tau) for g, tau in prony)
+        return laws.Sum(laws.Linear(k), *branches)
+
+    x, y, z = map(isolator, stiffness)
     return Model(
         bodies={"instrument": Body(mass=mass, inertia=mass * np.asarray(gyration) ** 2)},
         supports={"floor": Support()},
         elements={
-            f"isolator {i}": Mount(("instrument", p), ("floor", p), x=laws[0], y=laws[1], z=laws[2])
-            for i, p in enumerate(points, 1)
+            f"isolator {i}": Mount(("instrument", p), ("floor", p), x=x, y=y, z=z)
+            for i, p in enumerate(_corners(at), 1)
         },
         gravity=[0, 0, -gravity],
     )
