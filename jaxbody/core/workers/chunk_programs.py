@@ -18,8 +18,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
-from importlib import metadata
-from pathlib import Path
+from importlib import metadata, resources
 from typing import Any
 
 import jax
@@ -170,9 +169,17 @@ def types_of(arrays: dict[str, Any], axes: int = 0) -> Types:
 def hash_of_source() -> str:
     """A hash of all files of jaxbody."""
     source = hashlib.sha256()
-    for file in sorted(Path(__file__).parents[2].rglob("*.py")):
+    for file in sorted(_sources(resources.files("jaxbody")), key=str):  # also in a zip
         source.update(file.read_bytes())
     return source.hexdigest()
+
+
+def _sources(folder: Any) -> list[Any]:
+    return [
+        file
+        for x in folder.iterdir()
+        for file in (_sources(x) if x.is_dir() else [x] if x.name.endswith(".py") else [])
+    ]
 
 
 @functools.cache

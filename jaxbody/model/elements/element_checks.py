@@ -4,6 +4,7 @@ results of their functions."""
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -11,7 +12,7 @@ import numpy as np
 
 from jaxbody.core.arguments import check_returned, is_own
 from jaxbody.core.arrays import concrete, float_array
-from jaxbody.core.errors import JaxbodyError, Problems
+from jaxbody.core.errors import Problems
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.laws.law_states import memories
 from jaxbody.model.laws.laws import Law, parts
@@ -22,14 +23,14 @@ def check_leaves(problems: Problems, where: str, thing: Any) -> None:
     static fields."""
     for keys, leaf in jax.tree_util.tree_leaves_with_path(thing):
         if not isinstance(leaf, np.ndarray | jax.Array):
-            try:
-                float_array(leaf, where + jax.tree_util.keystr(keys))
-            except JaxbodyError as error:
-                hint = (
-                    "Declare what is not a number as a static field: mode: str = "
-                    "equinox.field(static=True)."
-                )
-                problems.collected += [replace(problem, hint=hint) for problem in error.problems]
+            problems.gather(
+                partial(float_array, leaf, where + jax.tree_util.keystr(keys)),
+                lambda problem: replace(
+                    problem,
+                    hint="Declare what is not a number as a static field: mode: str = "
+                    "equinox.field(static=True).",
+                ),
+            )
 
 
 def check_laws(problems: Problems, elements: dict[str, Element]) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 
 from jaxbody.core.arrays import time_text
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.geometry.points_and_orientations import matrix
 from jaxbody.model.elements.torsions import Torsion
 from jaxbody.model.models import Model
 from jaxbody.motion.trajectories import Trajectory
@@ -248,8 +247,7 @@ def _values(trajectory: Trajectory) -> np.ndarray:
     for block in layout.joints:
         own, start = q[:, layout.q_slices[block.owner]], rest[layout.q_slices[block.owner]]
         if block.quaternion:
-            R = np.array([matrix(q) for q in own[:, -4:]])
-            columns += [own[:, :-4] - start[:-4], _turns(R, start[-4:])]
+            columns += [own[:, :-4] - start[:-4], _turns(_matrices(own[:, -4:]), start[-4:])]
         else:
             columns.append(own - start)
     return np.concatenate(columns, 1)
@@ -387,6 +385,14 @@ def _moving(lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         for name, values in lines.items()
         if widths[name] > 1e-6 * max(widths.values()) and widths[name] > 1e-12
     }
+
+
+def _matrices(quaternions: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    out, good = np.full((len(quaternions), 3, 3), np.nan), np.isfinite(quaternions).all(1)
+    out[good] = Rotation.from_quat(quaternions[good][:, [1, 2, 3, 0]]).as_matrix()
+    return out
 
 
 def _turns(R: np.ndarray, start: np.ndarray) -> np.ndarray:
