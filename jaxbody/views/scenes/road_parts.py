@@ -96,7 +96,7 @@ def _wheel(name: str, element: Tyre, sequence: PoseSequence) -> list[DrawnPart]:
     angle = (
         np.zeros(len(sequence.times)) if road is None else float(road.speed) * sequence.times / r
     )
-    spin = Rotation.from_euler("z", angle).as_matrix()
+    spin = Rotation.from_euler("z", angle[:, None]).as_matrix()
     R = sequence.pose(element.between[1])[1] @ axes @ spin
     w = WIDTH * r
     rim = cylinder(RIM * r, -0.38 * w, 0.38 * w)
