@@ -19,8 +19,6 @@ import jaxbody as jb
 from jaxbody import laws
 
 jax.config.update("jax_enable_x64", True)
-if __name__ == "__main__":  # the process is this script's
-    jb.fast_loops()
 shared = pathlib.Path(
     os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).parents[2] / "shared" / "data")
 )

@@ -14,8 +14,6 @@ import numpy as np
 import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
-if __name__ == "__main__":  # the process is this script's
-    jb.fast_loops()
 # x along the crankshaft, y across, z up; published stiffnesses
 model = jb.presets.engine_on_mounts(gravity=9.81)
 

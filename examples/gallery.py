@@ -27,8 +27,6 @@ import jaxbody as jb
 from jaxbody import plots
 
 jax.config.update("jax_enable_x64", True)
-if __name__ == "__main__":  # the process is this script's
-    jb.fast_loops()
 WHEELS = ("fl", "fr", "rl", "rr")
 noise = np.random.default_rng(24)
 

@@ -25,8 +25,6 @@ from scipy.optimize import curve_fit
 
 import jaxbody as jb
 
-if __name__ == "__main__":
-    jb.fast_loops()
 jax.config.update("jax_enable_x64", True)
 shared = pathlib.Path(
     os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).parents[2] / "shared" / "data")

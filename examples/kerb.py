@@ -17,8 +17,6 @@ from jaxbody import laws
 from jaxbody.views.plots.canvases import style, tidy
 
 jax.config.update("jax_enable_x64", True)
-if __name__ == "__main__":  # the process is this script's
-    jb.fast_loops()
 up, g = [0, 0, 1], 9.81
 # from the center of mass, x forward, y left
 wheels = {"fl": (1.2, 0.75), "fr": (1.2, -0.75), "rl": (-1.4, 0.75), "rr": (-1.4, -0.75)}

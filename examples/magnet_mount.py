@@ -30,8 +30,6 @@ from scipy.integrate import solve_ivp
 
 import jaxbody as jb
 
-if __name__ == "__main__":
-    jb.fast_loops()
 jax.config.update("jax_enable_x64", True)
 MASS, G, DRAWN = 2.0, 9.81, 0.06
 

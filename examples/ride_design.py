@@ -9,7 +9,6 @@ differences follows. `python examples/ride_design.py ride.png` saves the figure.
 import sys
 import time
 from fnmatch import fnmatch
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +21,6 @@ from jaxbody import plots
 from jaxbody.views.plots.canvases import COLORS
 
 jax.config.update("jax_enable_x64", True)
-if __name__ == "__main__":  # the process is this script's
-    jb.fast_loops()
 car = jb.presets.full_car()
 wheels = ("fl", "fr", "rl", "rr")
 road, band = jb.Unevenness.iso("C"), jb.Band(0.2, 40.0, points=201)
@@ -143,7 +140,7 @@ names = {
 }
 
 
-@partial(jax.jit, compiler_options=jb.quick_options())
+@jax.jit
 def numbers(u):
     x = jnp.where(factors, start * jnp.exp(u), start + size * u)
     values = evaluate(

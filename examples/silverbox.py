@@ -29,8 +29,6 @@ from scipy.interpolate import CubicSpline
 
 import jaxbody as jb
 
-if __name__ == "__main__":
-    jb.fast_loops()  # several times faster for so small a model and so long a record
 jax.config.update("jax_enable_x64", True)
 file = Path(os.environ.get("JAXBODY_DATA", "../../shared/data"), "silverbox", "SNLS80mV.csv.gz")
 assert file.exists(), f"There is no {file}: set JAXBODY_DATA to the folder of the measured data."

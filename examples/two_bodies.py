@@ -8,8 +8,6 @@ import optax
 import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
-if __name__ == "__main__":  # the process is this script's
-    jb.fast_loops()
 lean = jnp.array([0.966, 0.069, 0.138, 0.207])  # a rotation by 30 degrees about (1, 2, 3)
 eyes = {
     "rope1": [0.30, 0.20, 0.10],

@@ -39,7 +39,7 @@ _MODULES = {  # that are public themselves
 _NAMES = {
     "app.reports": ("report",),
     "core.compilation.compilations": ("compile_times",),
-    "core.compilation.compile_options": ("fast_loops", "jit", "quick_options"),
+    "core.compilation.compile_options": ("jit",),
     "core.compilation.kept_programs": ("keep_programs",),
     "core.errors": ("JaxbodyError", "JaxbodyWarning", "Status", "codes"),
     "design.fronts": ("Front", "pareto"),

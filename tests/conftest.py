@@ -32,10 +32,10 @@ beartyped = beartype(conf=BeartypeConf(is_pep484_tower=True))
 
 
 def pytest_configure(config):
-    """XLA compiles in less time, as compiling is most of what tests do: all programs as with
-    `jaxbody.quick_options`, those of the quick tests and of those with annotations checked without
-    optimization, each in one piece (a fifth less time), and once for all workers. The others, and
-    those chosen for every Python, run what users run."""
+    """XLA compiles in less time, as compiling is most of what tests do: all programs without
+    fusion emitters where XLA has a choice, those of the quick tests and of those with annotations
+    checked without optimization, each in one piece (a fifth less time), and once for all workers.
+    The others, and those chosen for every Python, run what users run."""
     if config.option.typed:
         jaxtyping.install_import_hook("jaxbody", "conftest.beartyped")
     if config.option.nans:

@@ -151,8 +151,7 @@ def _demo(options: argparse.Namespace, own_process: bool) -> int:
 
 
 def _prepare() -> None:
-    """Fast loops, programs kept for the next run."""
-    jb.fast_loops()
+    """Programs are kept for the next run."""
     try:
         jb.keep_programs()
     except JaxbodyError as error:

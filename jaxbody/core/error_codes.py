@@ -303,7 +303,6 @@ TINY_START: a parameter starts so small that it has no numerical effect on the d
     size that you expect
 TOO_LARGE: too much memory or too many points would be needed -> reduce the model, batch, file or
     resolution
-TOO_LATE: an option is set after JAX has started -> set it before anything is computed
 TOO_SHORT: a record is too short for the frequencies that are asked of it -> add zeros after it, or
     leave these frequencies out
 TRACED: a value is not available inside jit, vmap or grad -> read it from the result of the compiled

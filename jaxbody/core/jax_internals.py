@@ -55,17 +55,6 @@ def outermost() -> bool:
         return False
 
 
-def started() -> bool:
-    """Whether JAX has looked for devices. False where JAX cannot tell: options that are set too
-    late then have no effect."""
-    try:
-        from jax._src import xla_bridge
-
-        return xla_bridge.backends_are_initialized()
-    except (ImportError, AttributeError):
-        return False
-
-
 def chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
     """Those of x that are chosen, in their order."""
     return [y for y, c in zip(x, which, strict=True) if c]

@@ -68,8 +68,6 @@ vibration/dynamic_matrices.py
 model/inputs/motions.py
     Harmonic [a sine for each row]    one sine and cosine where frequencies are equal: T3 31 to 28
 core/compilation/compile_options.py
-    fast_loops                        small loops as one function: T1 3.5 to 0.9 ms, before jaxlib
-                                      0.12; wide vectors: T3 6.8 to 5.0
     OPTIMIZED                         compiling a motion 1.3 to 0.7 s; jaxlib 0.12 has no such
                                       option
     QUICK                             first frequencies 3.9 to 2.4 s

@@ -178,7 +178,6 @@ def main():
     parser.add_argument("--rho", nargs="+", type=float, default=RHO)
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    jb.fast_loops()
     lines = [
         "# Coverage of 95 % intervals",
         "",

@@ -2,10 +2,10 @@
 parameters that start 30 % off.
 
 `python tests/benchmarks/identification.py` prints the time of the first fit of a new process (cold)
-and the median of further fits (warm). The targets are 15 s and 1 s. `--fast` calls
-jaxbody.fast_loops(). `--peer` fits a free decay of the same plate, 10 s at 1 kHz, with jaxbody and
-with MuJoCo's sysid (pip install 'mujoco[sysid]>=4'): its default optimizer, finite differences over
-threads, RK4 at 1 ms, and residuals divided by the noise, as here. The target is 20 times faster.
+and the median of further fits (warm). The targets are 15 s and 1 s. `--peer` fits a free decay
+of the same plate, 10 s at 1 kHz, with jaxbody and with MuJoCo's sysid
+(pip install 'mujoco[sysid]>=4'): its default optimizer, finite differences over threads, RK4 at
+1 ms, and residuals divided by the noise, as here. The target is 20 times faster.
 """
 
 import argparse
@@ -247,11 +247,8 @@ def beside_mujoco():
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fast", action="store_true")
     parser.add_argument("--peer", action="store_true")
     options = parser.parse_args()
-    if options.fast:
-        jb.fast_loops()
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore", jb.JaxbodyWarning)
     beside_mujoco() if options.peer else shaken()

@@ -191,7 +191,6 @@ def car():
 
 def main():
     warnings.simplefilter("ignore", jb.JaxbodyWarning)
-    jb.fast_loops()
     for name in sys.argv[1:] or ("step", "curves", "design", "car"):
         {"step": step, "curves": curves, "design": design, "car": car}[name]()
 

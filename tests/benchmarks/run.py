@@ -8,7 +8,6 @@ Needs g++. Includes MuJoCo, Exudyn and SciPy if they are installed.
     --rounds N           how often each function is timed (default 13; slow functions 3 times)
     --job NAME           only this job: plate or three
     --only TEXT          only tasks whose name begins with TEXT, such as "T4"
-    --fast               with fast_loops, for a jaxlib before 0.12
     --no-peers           C only
     --write              put the tables into the manual's page of speed, between its two marks
 
@@ -90,9 +89,7 @@ def main(chosen: argparse.Namespace) -> None:
             "--only",
             chosen.only,
         ]
-        results[job] = child(
-            *arguments, *["--no-peers"] * chosen.no_peers, *["--fast"] * chosen.fast
-        )
+        results[job] = child(*arguments, *["--no-peers"] * chosen.no_peers)
         show(results[job])
     if chosen.only:
         return
@@ -213,16 +210,12 @@ if __name__ == "__main__":
     parser.add_argument("--rounds", type=int, default=13)
     parser.add_argument("--job", choices=JOBS)
     parser.add_argument("--only", default="")
-    for name in ("fast", "no-peers", "write"):
+    for name in ("no-peers", "write"):
         parser.add_argument(f"--{name}", action="store_true")
     for name in ("measure", "compilation"):
         parser.add_argument(f"--{name}", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--start", choices=STARTS, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
-    if chosen.fast and chosen.measure:
-        import jaxbody
-
-        jaxbody.fast_loops()
     if chosen.measure:
         print(
             json.dumps(

@@ -23,7 +23,6 @@ import numpy as np
 import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
-jb.fast_loops()
 
 SEED = 2026
 OFF = 1.3, 0.7, 0.7, 1.3, 0.7, 1.3  # times the truth, from where fits set out

@@ -148,19 +148,6 @@ def test_whether_anything_is_being_traced(monkeypatch):
     assert not jax_internals.outermost()
 
 
-def test_whether_jax_has_looked_for_devices(monkeypatch):
-    program = (
-        "import jax; from jaxbody.core.jax_internals import started; print(started()); "
-        "jax.devices(); print(started())"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=300
-    )
-    assert done.stdout.split() == ["False", "True"], done.stderr
-    monkeypatch.delattr("jax._src.xla_bridge.backends_are_initialized")
-    assert not jax_internals.started()
-
-
 def test_programs_lose_what_their_results_do_not_need(monkeypatch):
     traced = jax.make_jaxpr(lambda x: (jnp.sin(x), jnp.cos(x))[0])(1.0)
     kept = jax_internals.only_what_is_needed(traced)

@@ -4,7 +4,6 @@ and a part of others inside them."""
 from __future__ import annotations
 
 import functools
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -15,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.compilation.compilations import Compiled
-from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.core.jax_internals import outermost, started, without_manual_axes
+from jaxbody.core.jax_internals import outermost, without_manual_axes
 
 ARRAYS = (jax.Array, np.ndarray, np.generic)
 
@@ -81,19 +79,14 @@ def joined(arrays: Sequence[Any], remainder: Remainder) -> Any:
 Options = tuple[tuple[str, Any], ...]  # of XLA, names and values
 F = TypeVar("F", bound=Callable[..., Any])
 
-HOLDER = "--xla_backend_extra_options="
-OPTION = "xla_cpu_small_while_loop_byte_threshold"
-# in bits, 512 for all that the processor has; XLA's default is 256
-WIDTH = "--xla_cpu_prefer_vector_width="
 # without them programs compile in two thirds of the time and run as fast
 EMITTERS = "xla_cpu_use_fusion_emitters"
 VERSION = tuple(map(int, version("jaxlib").split(".")[:2]))
 HAS_EMITTERS = VERSION < (0, 11)  # later ones always use them
-# one function for each loop slows later ones: T1 0.82 to 1.04 of C, T2 1.8 to 2.6, T4 0.64 to 0.79
-HAS_SLOW_LOOPS = VERSION < (0, 12)
 OPTIMIZED: Options = ((EMITTERS, False),) if HAS_EMITTERS else ()
 WIDE: Options = ((EMITTERS, True),) if HAS_EMITTERS else ()
-# loops over a thousand numbers or so run in two thirds of the time
+# in bits, 512 for all that the processor has; XLA's default is 256. Loops over a thousand numbers
+# or so run in two thirds of the time
 WIDE += (("xla_cpu_prefer_vector_width", 512),)
 # compiles in half the time of OPTIMIZED; programs take up to three times as long
 QUICK: Options = (
@@ -194,62 +187,3 @@ class _Programs:
             x64, tree, tuple(None if isinstance(x, ARRAYS) else (type(x), x) for x in leaves)
         )
         return joined(*self.jitted(function, options)(*arrays))
-
-
-def fast_loops() -> bool:
-    """Let XLA before jaxlib 0.12 compile every loop on a CPU into one function; simulations of
-    small models then run 2 to 5 times as fast.
-
-    From jaxlib 0.12 on it does nothing and returns False: loops are fast there, and the option
-    slows them by a fifth.
-
-    Without it such a jaxlib makes one function only of loops that carry less than 1024 bytes. The
-    widest vector instructions are enabled too. The options apply to all that JAX compiles in this
-    process and its child processes, so jaxbody sets them only when you call this function. Call it
-    before the first computation; other options in `XLA_FLAGS` are kept. Results change by rounding
-    only. Loops over long vectors become slower, because they then run on one core: 100 steps on a
-    vector of 1e6 took twice the time on two cores.
-
-    Errors: TOO_LATE where JAX has already looked for devices, unless the option is set.
-
-    >>> done = fast_loops()  # doctest: +SKIP
-    """
-    flags = os.environ.get("XLA_FLAGS", "").split()
-    if any(OPTION in flag for flag in flags):
-        return True
-    if not HAS_SLOW_LOOPS:
-        return False
-    if started():
-        hint = "Call jaxbody.fast_loops() before any array is made."
-        raise JaxbodyError(
-            Problem(
-                "TOO_LATE",
-                "fast_loops",
-                "JAX has already started on its devices, so the option has no effect",
-                hint=hint,
-            )
-        )
-    others = [flag for flag in flags if not flag.startswith(HOLDER)]
-    # XLA uses only the last of several
-    held = [flag.removeprefix(HOLDER) for flag in flags if flag.startswith(HOLDER)]
-    width = [] if any(flag.startswith(WIDTH) for flag in flags) else [WIDTH + "512"]
-    os.environ["XLA_FLAGS"] = " ".join(
-        [*others, *width, HOLDER + ",".join([*held[-1:], f"{OPTION}=100000000"])]
-    )
-    return True
-
-
-def quick_options() -> dict[str, Any]:
-    """Options for `jax.jit` with which your own programs compile in two thirds of the time or less
-    on a CPU.
-
-    jaxbody's own functions already use them. Simulations and frequencies run just as fast; a
-    training step of a neural network took 1.4 times as long. The options are empty where XLA does
-    not have them: jaxlib 0.10 does, 0.12 does not.
-
-    >>> import jax
-    >>> free_fall = jax.jit(lambda t: 9.81 * t**2 / 2, compiler_options=quick_options())
-    >>> float(free_fall(2.0))
-    19.62
-    """
-    return dict(OPTIMIZED)

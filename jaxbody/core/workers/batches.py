@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from jaxbody.core.arrays import device_array
-from jaxbody.core.compilation.compile_options import quick_options
+from jaxbody.core.compilation.compile_options import OPTIMIZED
 from jaxbody.core.errors import Problems, Status, warn
 from jaxbody.core.workers.chunk_programs import (
     ChunkProgram,
@@ -108,7 +108,7 @@ def computed_here(
 
     def compiled(width: int) -> Any:
         given = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in one]
-        return jax.jit(apart, compiler_options=quick_options()).lower(shared, given).compile()
+        return jax.jit(apart, compiler_options=dict(OPTIMIZED)).lower(shared, given).compile()
 
     def fitting() -> tuple[Any, int]:
         program = compiled(width)
@@ -321,7 +321,7 @@ def store_of(
         "width": program.width,
         **dict(program.versions),
     }
-    plan |= {"x64": program.x64, "fast_loops": program.fast, "program": program.name[:16]}
+    plan |= {"x64": program.x64, "program": program.name[:16]}
     given = types_of(dict(zip(inputs, batch.rows(0, 1), strict=True)), 1)
     return ChunkStore(
         Path(out),

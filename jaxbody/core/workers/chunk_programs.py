@@ -16,7 +16,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib import metadata, resources
 from typing import Any
@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import AxisType, PartitionSpec
 
-from jaxbody.core.compilation.compile_options import OPTION, fast_loops, quick_options
+from jaxbody.core.compilation.compile_options import OPTIMIZED
 from jaxbody.core.errors import JaxbodyError, Problem
 
 KEPT = 16  # programs that a worker keeps, and a caller of one function
@@ -55,7 +55,6 @@ class ChunkProgram:
     results: Types  # of one row
     options: tuple[tuple[str, Any], ...]  # of compilation
     x64: bool
-    fast: bool  # whether `fast_loops` is set
     versions: tuple[tuple[str, str], ...]
 
     def __call__(
@@ -80,13 +79,6 @@ class ChunkProgram:
             return kept(_loaded, self.name, lambda: _compiled(self))
 
     def _check(self) -> None:
-        if self.fast and not _fast():
-            with suppress(JaxbodyError):  # JAX has started already
-                fast_loops()
-        if self.fast and not _fast():
-            raise other_worker("has started JAX without fast_loops", "fast_loops")
-        if _fast() and not self.fast:
-            raise other_worker("has fast_loops set", "JAX without it")
         for (name, own), (_, wanted) in zip(versions(), self.versions, strict=True):
             if own != wanted:
                 raise other_worker(f"has {name} {own}", f"{name} {wanted}")
@@ -137,7 +129,7 @@ def exported(
             Problem("NOT_SENT", where, message, limit="a program without callbacks", hint=hint)
         ) from error
     x64: bool = jax.config.read("jax_enable_x64")
-    rest: Any = (width, results, tuple(quick_options().items()), x64, _fast(), versions())
+    rest: Any = (width, results, OPTIMIZED, x64, versions())
     return ChunkProgram(hashlib.sha256(f"{text} {rest}".encode()).hexdigest(), data, *rest)
 
 
@@ -192,10 +184,6 @@ def versions() -> tuple[tuple[str, str], ...]:
         *libraries,
         ("device", jax.default_backend()),
     )
-
-
-def _fast() -> bool:
-    return OPTION in os.environ.get("XLA_FLAGS", "")
 
 
 def precision(x64: bool) -> AbstractContextManager:

@@ -14,7 +14,6 @@ import pytest
 import rigs
 
 import jaxbody as jb
-from jaxbody.core.compilation.compile_options import HAS_SLOW_LOOPS
 
 pytestmark = pytest.mark.everywhere
 
@@ -99,64 +98,6 @@ def test_a_program_that_runs_while_another_is_traced_is_counted_once():
     assert spent.seconds <= elapsed
 
 
-FAST = """
-import os
-import jax
-import jaxbody as jb
-print(jb.fast_loops(), jb.fast_loops(), os.environ["XLA_FLAGS"])
-import jax.numpy as jnp
-x = jax.lax.fori_loop(0, 100, lambda i, x: jnp.cos(x), jnp.ones(300000))
-print(abs(x - 0.7390851332).max() < 1e-6, jb.fast_loops())
-"""
-LATE = """
-import os
-import jax
-import jax.numpy as jnp
-import jaxbody as jb
-jnp.ones(3)
-try:
-    jb.fast_loops()
-except jb.JaxbodyError as error:
-    print(error.code, "before any array" in str(error), "threshold" in os.environ["XLA_FLAGS"])
-"""
-before_012 = pytest.mark.skipif(
-    not HAS_SLOW_LOOPS, reason="from jaxlib 0.12 on fast_loops does nothing"
-)
-
-
-@before_012
-@pytest.mark.long
-def test_fast_loops_are_set_once_beside_what_is_there():
-    held = "--xla_backend_extra_options="
-    flags = f"--xla_cpu_prefer_vector_width=128 {held}xla_cpu_disable_new_fusion_emitters=false"
-    message = run(FAST)
-    width = "--xla_cpu_prefer_vector_width=512"
-    assert message == [
-        f"True True {width} {held}xla_cpu_small_while_loop_byte_threshold=100000000",
-        "True True",
-    ]
-    assert (
-        message[0].split()[2:]
-        == run(FAST, XLA_FLAGS="--xla_cpu_multi_thread_eigen=true")[0].split()[3:]
-    )
-    kept = run(FAST.split("import jax.numpy")[0], XLA_FLAGS=flags)[0]
-    assert kept.endswith(flags + ",xla_cpu_small_while_loop_byte_threshold=100000000")
-
-
-@before_012
-@pytest.mark.long
-def test_fast_loops_come_too_late_after_the_first_array():
-    assert run(LATE) == ["TOO_LATE True False"]
-
-
-@pytest.mark.skipif(HAS_SLOW_LOOPS, reason="before jaxlib 0.12 fast_loops sets options")
-def test_fast_loops_do_nothing_where_loops_are_fast():
-    assert run(FAST, XLA_FLAGS="--xla_cpu_multi_thread_eigen=true") == [
-        "False False --xla_cpu_multi_thread_eigen=true",
-        "True False",
-    ]
-
-
 CACHED = """
 import sys
 import jax
@@ -165,11 +106,10 @@ jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 import jaxbody as jb
 model = jb.presets.quarter_car()
-jb.quick_options()  # tries what XLA knows; where it does not know it (jaxlib 0.12), there is no program to keep
 with jb.compile_times() as spent:
     trajectory = jb.simulate(model, [0.0, 0.1])
 print(spent.cached, spent.count)
-"""  # noqa: E501
+"""
 
 
 @pytest.mark.long

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
+from jaxbody.core.compilation.compile_options import OPTIMIZED
 from jaxbody.core.workers import chunk_programs
 from jaxbody.core.workers.chunk_programs import compute_chunk, exported
 
@@ -46,7 +47,7 @@ def test_a_chunk_has_the_bits_of_the_function_itself(program):
     answer = compute_chunk(program, SHARED, ROWS)
     for first in (0, 8, 16):
         rows = [x[np.minimum(np.arange(first, first + 8), 22)] for x in ROWS]
-        direct = jax.jit(function, compiler_options=jb.quick_options())(SHARED, rows)
+        direct = jax.jit(function, compiler_options=dict(OPTIMIZED))(SHARED, rows)
         for name, x in direct.items():
             assert (answer.results[name][first : first + 8] == np.asarray(x)[: 23 - first]).all(), (
                 name
@@ -140,12 +141,7 @@ def test_a_worker_of_another_version_is_refused_by_name(program, monkeypatch):
     )
 
 
-def test_a_worker_of_another_precision_or_with_other_loops_is_refused(program, monkeypatch):
-    answer = compute_chunk(dataclasses.replace(program, name="fast", fast=True), SHARED, ROWS)
-    assert (
-        answer.refused.code == "OTHER_WORKER"
-        and answer.refused.message == "has started JAX without fast_loops"
-    )
+def test_a_worker_of_another_precision_is_refused(program, monkeypatch):
     monkeypatch.setattr(chunk_programs, "precision", lambda x64: jax.enable_x64(False))
     answer = compute_chunk(program, SHARED, ROWS)
     assert (
@@ -186,6 +182,7 @@ import jax
 import numpy as np
 jax.config.update("jax_enable_x64", True)
 import jaxbody as jb
+from jaxbody.core.compilation.compile_options import OPTIMIZED
 from jaxbody.core.workers import chunk_programs
 car = jb.presets.quarter_car(damping=1500.0)
 times = np.linspace(0.0, 0.2, 3)
@@ -249,6 +246,7 @@ def test_threads_of_one_process_compute_one_after_the_other(monkeypatch):
 FROM_A_ZIP = """
 import sys
 sys.path.insert(0, {archive!r})
+from jaxbody.core.compilation.compile_options import OPTIMIZED
 from jaxbody.core.workers import chunk_programs
 assert chunk_programs.__file__.startswith({archive!r})
 print(chunk_programs.hash_of_source())
