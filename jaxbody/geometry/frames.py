@@ -23,6 +23,9 @@ class Pose(eqx.Module):
     p: Float[Array, "*n 3"]
     R: Float[Array, "*n 3 3"]
 
+    def __getitem__(self, rows) -> Pose:
+        return Pose(self.p[rows], self.R[rows])
+
     def point(self, a_B: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """World position p + R a of a point fixed in the frame."""
         return self.p + rotate(self.R, a_B)

@@ -18,7 +18,6 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry.vectors import cross, dot, product, skew, to_rank
 from jaxbody.numerics.elementary_functions import polynomial, sincos
-from jaxbody.numerics.xla_workarounds import kept
 
 TERMS = 12  # of the power series in theta^2 < 1: 1e-16 up to the fourth derivative
 SINC = [(-1) ** n / factorial(2 * n + 1) for n in range(TERMS)]  # sin(t)/t
@@ -50,11 +49,10 @@ def _coefficients(x: Array) -> tuple[Array, Array]:
     near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
     t = jnp.sqrt(far)
     sin, cos = sincos(t)
-    a, b = (
+    return (
         jnp.where(small, polynomial(SINC, near), sin / t),
         jnp.where(small, polynomial(COSC, near), (1 - cos) / far),
     )
-    return kept(a), kept(b)
 
 
 @jax.jit
@@ -91,7 +89,7 @@ def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
     t = jnp.sqrt(far)
     third = [(-1) ** n / factorial(2 * n + 3) for n in range(TERMS)]  # (t - sin(t))/t^3
-    c = kept(jnp.where(small, polynomial(third, near), (t - sincos(t)[0]) / (far * t)))
+    c = jnp.where(small, polynomial(third, near), (t - sincos(t)[0]) / (far * t))
     P = skew(phi)
     return (
         to_rank(np.eye(3, dtype=P.dtype), P.ndim)

@@ -13,6 +13,9 @@ import jax.numpy as jnp
 
 from jaxbody.core.arrays import Array, Float
 
+# below, the fifth power of 1/sqrt x in higher derivatives would overflow, and inf * 0 is NaN
+NOTHING = 1e-80
+
 
 @jax.jit
 def dot(a: Float[Array, "*#n k"], b: Float[Array, "*#n k"]) -> Float[Array, "*#n"]:
@@ -69,6 +72,13 @@ def skew(a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3 3"]:
     return jnp.stack(
         [jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)], -2
     )
+
+
+def inverse_length(d: Float[Array, "*n k"]) -> Float[Array, "*n"]:
+    """1/|d| over the last axis, zero with zero derivatives where |d| is below 1e-40."""
+    square = dot(d, d)
+    some = square > NOTHING
+    return jnp.where(some, jax.lax.rsqrt(jnp.where(some, square, 1.0)), 0.0)
 
 
 def to_rank(a: Any, rank: int) -> Any:

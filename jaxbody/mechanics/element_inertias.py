@@ -15,23 +15,23 @@ import jax.numpy as jnp
 from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.model.elements.elements import Element
-from jaxbody.model.joints.element_tables import end_rows, inertial_tables, of_table
+from jaxbody.model.joints.element_tables import (
+    end_rows,
+    inertial_tables,
+    of_table,
+    summed_on_frames,
+)
 from jaxbody.model.models import Model
 from jaxbody.model.storage import KindTable
-from jaxbody.numerics.xla_workarounds import sums, take
 
 
 def accelerated(model: Model, now: Instant, table: KindTable, function) -> Any:
     """function(element, (A, B, ...), their derivatives in time) of the elements of one table, for
     the accelerations of the frames."""
-    ends = [
-        [_rows(frames, row) for row in end_rows(model, table)] for frames in (now, now.changes())
-    ]
-    return jax.vmap(function)(table.rows, *map(tuple, ends))
-
-
-def _rows(frames: Frame, row) -> Frame:
-    return Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w)))
+    ends = (
+        tuple(frames[rows] for rows in end_rows(model, table)) for frames in (now, now.changes())
+    )
+    return jax.vmap(function)(table.rows, *ends)
 
 
 def inertial_wrenches(
@@ -39,21 +39,13 @@ def inertial_wrenches(
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
     """Force and moment about its origin that the inertia of elements exerts on each frame, in
     world axes."""
-    ends, forces, moments = [], [], []
-    for table in inertial_tables(model):
-        for end, (F, M) in enumerate(
-            accelerated(
-                model, now, table, lambda element, *frames: element.inertial_wrenches(*frames)
-            )
-        ):
-            ends += [model.layout.frame(link[end]) for link in table.links]
-            forces.append(F)
-            moments.append(M)
-    acting = [
-        [i for i, end in enumerate(ends) if end == frame]
-        for frame in range(len(model.layout.frames))
-    ]
-    return sums(jnp.concatenate(forces), acting), sums(jnp.concatenate(moments), acting)
+    tables = inertial_tables(model)
+    by_table = [accelerated(model, now, table, _inertial_wrenches) for table in tables]
+    return summed_on_frames(model, tables, by_table)
+
+
+def _inertial_wrenches(element: Element, frames, rates):
+    return element.inertial_wrenches(frames, rates)
 
 
 def element_inertia(

@@ -44,7 +44,6 @@ from jaxbody.numerics.lanes import LANES, in_lanes
 from jaxbody.numerics.precisions import NEWTON, reachable
 from jaxbody.numerics.small_systems import is_definite, solve_if_definite
 from jaxbody.numerics.symmetric_eigenvalues import number_below
-from jaxbody.numerics.xla_workarounds import any_of_batch
 
 # Newton decrement, relative to size and largest stiffness; the remaining error is its square
 TOLERANCE = 1e-10
@@ -134,12 +133,7 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
     def active(carry):
         return ~carry[5] & (carry[6] < max_steps)
 
-    def masked(carry):
-        return jax.tree.map(lambda new, old: jnp.where(active(carry), new, old), step(carry), carry)
-
-    best, trial, _, _, _, done, steps = jax.lax.while_loop(
-        lambda carry: any_of_batch(active(carry)), masked, start
-    )
+    best, trial, _, _, _, done, steps = jax.lax.while_loop(active, step, start)
     return jnp.where(done, trial, best[0]), eigenvalue_signs(best[3]), done, steps
 
 
@@ -158,7 +152,7 @@ def eigenvalue_signs(
         return negative, not_positive > negative
 
     definite = is_definite(K - zero * np.eye(len(K), dtype=K.dtype))
-    return jax.lax.cond(any_of_batch(~definite), counted, lambda: none)
+    return jax.lax.cond(~definite, counted, lambda: none)
 
 
 # distance from the start, in sizes of the model, beyond which the model falls without limit
@@ -222,7 +216,7 @@ def search_under_loads(
     changes of gravity.
 
     There are two programs, because few models need the second; inside a user's program both are
-    part of it."""
+    part of it, and the second takes no steps where the first has settled."""
     search, settled = along_path(model, unloaded, applied, many)
 
     def descended():
@@ -232,7 +226,7 @@ def search_under_loads(
 
     if is_concrete(settled):
         return search if np.asarray(settled).all() else descended()
-    return jax.lax.cond(any_of_batch(~jnp.all(settled)), descended, lambda: search)
+    return descended()
 
 
 @program
@@ -288,7 +282,8 @@ def _by_descent(
 
     def one(applied, others):
         on_path, settled = others
-        descent = search_by_descent(coordinates, start, max_steps, applied)
+        steps = jnp.where(settled, 0, max_steps)
+        descent = search_by_descent(coordinates, start, steps, applied)
         dead = jnp.isfinite(
             dead_forces(configuration_at(coordinates, descent.q, base=False), applied).V
         )

@@ -47,7 +47,7 @@ from jaxbody.model.joints.kinematics import Coordinates, jacobian
 from jaxbody.model.layouts import Layout
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
-from jaxbody.numerics.xla_workarounds import sums, take
+from jaxbody.numerics.xla_workarounds import sums
 
 Vector = Float[Array, "n"]
 Square = Float[Array, "n n"]
@@ -239,7 +239,7 @@ def _collected(parts: list[tuple[Array, list[int | None]]], n: int) -> Array:
     targets = [index for _, indices in parts for index in indices if index is not None]
     if not targets:
         return jnp.zeros((n, *parts[0][0].shape[1:]), parts[0][0].dtype)
-    rows = jnp.concatenate([take(part, np.array(rows)) for part, rows in kept if rows])
+    rows = jnp.concatenate([part[np.array(rows)] for part, rows in kept if rows])
     groups = [[i for i, target in enumerate(targets) if target == index] for index in range(n)]
     return sums(rows.reshape(len(rows), -1), groups).reshape(n, *rows.shape[1:])
 

@@ -13,7 +13,6 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
 from jaxbody.model.states import State
-from jaxbody.numerics.xla_workarounds import take
 
 WORLD = "world"
 MOVES = ("move along x", "move along y", "move along z")
@@ -179,7 +178,7 @@ class Layout:
         rows = np.array(
             [np.arange(slices[name].start, slices[name].stop) for name in owners], dtype=int
         )
-        return take(x, rows.ravel()).reshape(rows.shape)
+        return x[rows]
 
     def joined(self, pieces: list[tuple[tuple[str, ...], Array]]) -> Array:
         """The rows of all owners with rows in q and v, given for some at a time, in the order of

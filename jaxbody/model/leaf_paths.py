@@ -39,7 +39,6 @@ from jaxbody.model.elements.user_energies import unwrapped
 from jaxbody.model.joints.joints import Joint
 from jaxbody.model.laws.laws import Law
 from jaxbody.model.models import Model, refuse_batch
-from jaxbody.numerics.xla_workarounds import put
 
 
 @dataclass(frozen=True)
@@ -207,7 +206,7 @@ def _put(array: Array, leaves: Sequence[Leaf], block: Array) -> Array:
     if leaves[0].row is None or rows == list(range(array.shape[axis])):
         return block
     if not is_concrete((array, block)):
-        return put(array, np.array(rows), block, axis)
+        return jnp.asarray(array).at[(*[slice(None)] * axis, np.array(rows))].set(block)
     changed = np.array(array)
     changed[(*[slice(None)] * axis, np.array(rows))] = block
     return device_array(changed)

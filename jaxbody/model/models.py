@@ -50,7 +50,6 @@ from jaxbody.model.model_checks import (
 from jaxbody.model.states import State
 from jaxbody.model.storage import KindTable, tabulate, tabulate_by_structure
 from jaxbody.numerics.small_systems import independent_rows
-from jaxbody.numerics.xla_workarounds import take
 
 CLOSED = 1e-6  # of the largest distance of a point: the reference pose is drawn closed
 DISPLACED = 0.3  # of such a distance, or in rad: away from singular positions
@@ -361,11 +360,8 @@ def _places(names: tuple[str, ...], order: tuple[str, ...]) -> np.ndarray:
 def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
     """Pose of each body on its parent in the reference pose, rows in the order of the bodies, from
     its pose in the world."""
-    parents = _poses_at(
-        _joined_poses(_world(bodies), supports, bodies),
-        _places(model.layout.parents, model.layout.frames),
-    )
-    return parents.inverse() @ bodies
+    poses = _joined_poses(_world(bodies), supports, bodies)
+    return poses[_places(model.layout.parents, model.layout.frames)].inverse() @ bodies
 
 
 @program
@@ -381,13 +377,7 @@ def at_reference(model: Model, rest: Pose, supports: Pose, bodies: Pose) -> Stat
     state = at_rest_in(model, rest)
     if not model.layout.nz:
         return state
-    world = Pose(jnp.zeros((1, 3), bodies.p.dtype), np.eye(3, dtype=bodies.R.dtype)[None])
-    poses = Pose(
-        *(
-            jnp.concatenate([getattr(x, name) for x in (world, supports, bodies)])
-            for name in ("p", "R")
-        )
-    )
+    poses = _joined_poses(_world(bodies), supports, bodies)
     return State(state.q, state.v, rest_states(model, poses))
 
 
@@ -396,9 +386,7 @@ def at_rest_in(model: Model, rest: Pose) -> State:
 
     def of(table: KindTable) -> tuple[tuple[str, ...], Array]:
         rows = _places(table.names, model.layout.bodies)
-        return table.names, jax.vmap(lambda joint, pose: joint.rest(pose))(
-            table.rows, _poses_at(rest, rows)
-        )
+        return table.names, jax.vmap(lambda joint, pose: joint.rest(pose))(table.rows, rest[rows])
 
     q = model.layout.joined([of(table) for table in model.joints])
     return State(q, jnp.zeros(model.layout.nv, q.dtype))
@@ -478,7 +466,7 @@ def _closure_slopes(
     )
     coordinates = []
     for table in model.joints:
-        parent = _poses_at(known, _places(table.links, tuple(order)))
+        parent = known[_places(table.links, tuple(order))]
 
         def moved(joint, q, delta, parent, rest):
             q = joint.retract(q, delta)
@@ -490,13 +478,13 @@ def _closure_slopes(
             layout.rows_of(table.names, delta, layout.v_slices),
         )
         own, axes, coordinate_rows = jax.vmap(moved)(
-            table.rows, place, move, parent, _poses_at(rest, _places(table.names, layout.bodies))
+            table.rows, place, move, parent, rest[_places(table.names, layout.bodies)]
         )
         known, order = _joined_poses(known, own), [*order, *table.names]
         coordinates.append((table.names, coordinate_rows))
         linear.append((table.names, axes[0]))
         angular.append((table.names, axes[1]))
-    frames = _poses_at(known, _places(layout.frames, tuple(order)))
+    frames = known[_places(layout.frames, tuple(order))]
     moves, turns, movers = layout.joined(linear), layout.joined(angular), layout.movers[: layout.nv]
     carried = jnp.asarray(layout.carries[movers].T, q.dtype)[..., None]
     arms = frames.p[:, None] - frames.p[movers][None]
@@ -518,10 +506,11 @@ def _closure_slopes(
             return *poses, *moving, as_slide(jnp.zeros(len(table), q.dtype))
         A, B = (_places(end, layout.frames) for end in zip(*table.links, strict=True))
         return (
-            *(_poses_at(frames, end) for end in (A, B)),
+            frames[A],
+            frames[B],
             twists[A],
             twists[B],
-            _poses_at(drawn, A).inverse() @ _poses_at(drawn, B),
+            drawn[A].inverse() @ drawn[B],
         )
 
     for table in model.closures:
@@ -552,8 +541,3 @@ def _world(like: Pose) -> Pose:
 
 def _joined_poses(*parts: Pose) -> Pose:
     return Pose(*(jnp.concatenate([getattr(x, name) for x in parts]) for name in ("p", "R")))
-
-
-def _poses_at(frames: Pose, rows: np.ndarray) -> Pose:
-    """Some rows of a table of poses."""
-    return Pose(take(frames.p, rows), take(frames.R, rows))

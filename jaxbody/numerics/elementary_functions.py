@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 
 from jaxbody.core.arrays import Array, Float
-from jaxbody.numerics.xla_workarounds import kept
 
 HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
 S = [
@@ -72,7 +71,7 @@ def sincos(x: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"
     turn = n - 4 * jnp.floor(n / 4)
     odd = (turn == 1) | (turn == 3)
     s, c = jnp.where(odd, c, s), jnp.where(odd, s, c)
-    return kept(jnp.where(turn >= 2, -s, s)), kept(jnp.where((turn == 1) | (turn == 2), -c, c))
+    return jnp.where(turn >= 2, -s, s), jnp.where((turn == 1) | (turn == 2), -c, c)
 
 
 @sincos.defjvp

@@ -45,7 +45,7 @@ from jaxbody.core.jax_internals import (
     without_high_operations,
 )
 from jaxbody.numerics.symmetric_eigenvalues import eigenvalues
-from jaxbody.numerics.xla_workarounds import as_kept, plain_max, sum_p
+from jaxbody.numerics.xla_workarounds import sum_p
 
 LANES = 32
 ELEMENTWISE = {
@@ -140,7 +140,6 @@ APART = {
     "sort",
     "stop_gradient",
     "triangular_solve",
-    "while",
 }  # left to jax.vmap, which is fast for them, or as they are rare
 SWITCHED_OFF = ContextVar("lanes switched off", default=False)
 
@@ -376,12 +375,8 @@ class Lanes:
                     *(self._spread(a, o, shape) for a, o in zip(x, on, strict=True)), **p
                 )
             ]
-        if name == "kept_in_lanes":
-            return [as_kept(x[0])]
         if name == "reduce_sum" and jnp.issubdtype(x[0].dtype, jnp.floating):
             return [sum_p.bind(x[0], axes=tuple(p["axes"]))]
-        if name == "reduce_max" and jnp.issubdtype(x[0].dtype, jnp.floating):
-            return [plain_max(x[0], tuple(p["axes"]))]
         if name in SAME_AXES:
             return same_operation(eqn, x)
         if name in ("concatenate", "stack"):
@@ -431,8 +426,10 @@ class Lanes:
             return [jnp.any(x[0], -1)]
         if name == "custom_jvp_call":
             return self._with_own_rule(eqn, on, x)
-        if name == "while" and not reach_of_while(p, on)[0]:
+        if name == "while":
             return self._while(p, on, x)
+        if name == "cond" and on[0] and len(p["branches"]) == 2:
+            return self._cond(eqn, on, x)
         if name == "scan":
             return self._scan(eqn, on, x)
         if name not in APART:
@@ -478,20 +475,40 @@ class Lanes:
 
         return call(*x)
 
+    def _cond(self, eqn, on, x):
+        """Both branches, the second only where a lane takes it."""
+        wanted = [True] * len(eqn.outvars)
+        first, second = (
+            lambda branch=branch: self.run(branch, on[1:], x[1:], wanted)
+            for branch in eqn.params["branches"]
+        )
+        takes, seldom = x[0].astype(bool), first()
+        often = lax.cond(jnp.any(takes), second, lambda: seldom)
+        return [jnp.where(takes, b, a) for a, b in zip(seldom, often, strict=True)]
+
     def _while(self, p, on, x):
+        """A loop whose lanes end apart goes on until the last one has ended; those that have ended
+        keep what they carry."""
         a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
-        _, carry = reach_of_while(p, on)
+        apart, carry = reach_of_while(p, on)
+        carry = [True] * len(carry) if apart else carry
+
+        def goes_on(c):
+            return self.run(p["cond_jaxpr"], on[:a] + carry, [*x[:a], *c])[0]
+
+        def step(c):
+            after = self.run(p["body_jaxpr"], on[a:b] + carry, [*x[a:b], *c], carry)
+            if not apart:
+                return after
+            return [jnp.where(goes_on(c), new, old) for new, old in zip(after, c, strict=True)]
+
         start = [
             self._spread(v, o, av.shape) if c else v
             for v, o, c, av in zip(
                 x[b:], on[b:], carry, p["body_jaxpr"].in_avals[b - a :], strict=True
             )
         ]
-        return lax.while_loop(
-            lambda c: self.run(p["cond_jaxpr"], on[:a] + carry, [*x[:a], *c])[0],
-            lambda c: self.run(p["body_jaxpr"], on[a:b] + carry, [*x[a:b], *c], carry),
-            start,
-        )
+        return lax.while_loop(lambda c: jnp.any(goes_on(c)), step, start)
 
     def _scan(self, eqn, on, x):
         a, b = parts_of_scan(eqn)

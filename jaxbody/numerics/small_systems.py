@@ -10,7 +10,6 @@ import numpy as np
 from jax import lax
 
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.numerics.xla_workarounds import kept
 
 LARGEST_UNROLLED = 30
 DEPENDENT = 1e-8  # of the longest row
@@ -32,7 +31,7 @@ def is_definite(A: Float[Array, "n n"]) -> Bool[Array, ""]:
         A, definite = carry
         row = lax.dynamic_index_in_dim(A, k, keepdims=False)
         pivot = lax.dynamic_index_in_dim(row, k, keepdims=False)
-        return A - kept(row)[:, None] * kept(row / pivot)[None], definite & (pivot > 0)
+        return A - row[:, None] * (row / pivot)[None], definite & (pivot > 0)
 
     return lax.fori_loop(0, len(A), clear, (A, jnp.array(True)))[1]
 
@@ -52,7 +51,7 @@ def solve_if_definite(
         pivots.append(Ab[i, 0])
         row = Ab[i, 1:] / Ab[i, 0]
         Ab = jnp.where((np.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row[None])
-    return kept(Ab[:, 0]), jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)
+    return Ab[:, 0], jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)
 
 
 def _by_cholesky(L: Float[Array, "n n"], b: Float[Array, "n m"]) -> Float[Array, "n m"]:

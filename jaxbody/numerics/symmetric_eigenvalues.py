@@ -19,7 +19,7 @@ import numpy as np
 from jax import lax
 
 from jaxbody.core.arrays import Array, Float, Int
-from jaxbody.numerics.xla_workarounds import any_of_batch, kept
+from jaxbody.numerics.xla_workarounds import any_of_batch
 
 SWEEPS = 30  # most sweeps for each eigenvalue; three are usual
 
@@ -57,10 +57,10 @@ def _tridiagonal(A: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array
     def reflect(k, A):
         x = jnp.where(row > k, _at(A, k), 0.0)
         first, length = _at(x, k + 1), jnp.sqrt(jnp.sum(x * x))
-        v = kept(jnp.where(row == k + 1, first + jnp.where(first < 0, -length, length), x))
+        v = jnp.where(row == k + 1, first + jnp.where(first < 0, -length, length), x)
         beta = _inverse_unless_zero(length * (length + jnp.abs(first)))  # 2/v'v
         p = beta * jnp.sum(A * v[None], 1)
-        w = kept(p - beta / 2 * jnp.sum(p * v) * v)
+        w = p - beta / 2 * jnp.sum(p * v) * v
         return A - v[:, None] * w[None] - w[:, None] * v[None]
 
     A = lax.fori_loop(0, len(A) - 2, reflect, A)

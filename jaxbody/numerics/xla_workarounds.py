@@ -9,25 +9,16 @@ a workaround is still needed, replace it by the plain form, run tests/benchmarks
 the plain form where nothing is lost.
 
 In this file
-    kept [x]                          cheap numbers are computed again in each fusion that uses
-                                      them: T3 11 to 6.6, T1 1.57 to 1.39
     plain_sum, sum_p [reduce_sum]     large sums are library calls, which keep a loop from being
                                       compiled whole: T3 18 to 11
-    plain_max [reduce_max]            the same for maxima: T4 of three bodies 3.6 to 2.5
     any_of_batch [jnp.any]            a loop that ends by member is masked, and left to jax.vmap: T4
                                       2.1 to 1.75
     sums [zeros.at[rows].add]         gather and scatter break a loop: T4 of three bodies 4.6 to
                                       3.6, T1 of them 0.75 to 0.55
     carried [the carry itself]        tracing residuals and Jacobian of a fit: operations staged
                                       19900 to 13900
-    put [x.at[rows].set(block)]       the same
-    take [x[rows]]                    the same: with two other changes, frequencies from 2853 to
-                                      2705 operations
-    inverse_root [lax.rsqrt]          not a vector instruction: with LANES = 40 T3 3.0 to 2.2, of
-                                      three bodies 2.6 to 2.1
 geometry/vectors.py
     dot, rotate, product [@]          a matrix product in a loop is not fused: see the table below
-    cross [jnp.cross]                 no gain
 numerics/elementary_functions.py
     sincos [jnp.sin, jnp.cos]         the C library computes one number after another: T1 1.75 to
                                       1.57, T3 28 to 18
@@ -43,14 +34,13 @@ numerics/symmetric_eigenvalues.py
 numerics/lanes.py
     in_lanes [jax.vmap]               members last, as vectors of three leave registers empty: K of
                                       10000 designs 27 to 3.4 ms
-    LANES = 32 [64]                   fusions beyond a cost are split between threads: T3 without
-                                      fast_loops 15 to 10
+    LANES = 32 [64]                   fusions beyond a cost are split between threads: T3 15 to 10
 numerics/eigenproblems.py
     SWEPT = 128 [32]                  short loops take longer to call than to run: eigenvalues of T4
-                                      63 to 40 ms without fast_loops
+                                      63 to 40 ms
 numerics/step_blocks.py
     LANES = 40 [32]                   loops over 32 or fewer are unrolled before they become vector
-                                      instructions: see inverse_root
+                                      instructions
 numerics/runge_kutta_steps.py
     _sum [jnp.tensordot]              a sum over stages is not a vector instruction: with drives of
                                       all stages at once T3 49 to 31
@@ -77,17 +67,17 @@ core/workers/chunk_programs.py
 core/workers/executors.py
     processes                         the same, for executors of threads
 
-One workaround replaced by the plain form, all others kept: processor time in ms, 640 members of T3
-and 2560 of T4, jaxlib 0.10.2, fast_loops, 2026-11-22, on a busy machine; differences below a fifth
-are scatter.
+A workaround replaced by the plain form, over today's form, jaxlib 0.12, 2026-11-29, one body;
+differences below a tenth are scatter:
 
-                     T1     T3     T4                             T1     T3     T4
-    nothing          0.31   4.2    6.0       @ for sums           0.67   17.8   10.6
-    x, not kept(x)   0.38   8.0    5.5       jnp.sin, jnp.cos     0.53   5.0    7.0
-    reduce_sum       0.34   4.7    13.3      jnp.cross            0.33   3.7    5.5
-    reduce_max       0.33   4.4    7.0       cholesky             0.33   4.8    12.3
-    jnp.any          0.36   4.7    60        eigvalsh             0.35   4.6    13.4
-    zeros.at.add     2.44   16.2   12.9      x[rows]              0.37   5.4    7.0
+                   T1    T2    T3    T4                         T1    T2    T3    T4
+    reduce_sum     1     1     1     1.7    @ for sums          2.1   2     2.8   1.9
+    jnp.any        1.1   1.1   1     6.5    zeros.at.add        4     2.5   2.6   2.1
+    eigvalsh       1.3   1.3   1     2      jnp.sin, jnp.cos    1.4   1.1   1     1
+    LANES = 32     1     1     1.1   1
+
+Plain since then, together for 1.05, 1.24, 1.21 and 1.06, of three bodies 1.1, 1, 1 and 1.2:
+x[rows], x.at[rows].set, lax.rsqrt, jnp.max, and numbers that several fusions compute again.
 """
 
 from __future__ import annotations
@@ -104,10 +94,7 @@ from jax import lax
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.jax_internals import new_operation, same_numbers, shaped
 
-FEW_PARTS = 8  # most slices in place of a gather, whose derivative adds into rows
 FEW_RUNS = 64  # most slices in a sum; compiling more would cost more than running a gather
-# below, the fifth power of 1/sqrt x in higher derivatives would overflow, and inf * 0 is NaN
-NOTHING = 1e-80
 
 # Operations of batches in lanes
 
@@ -118,32 +105,12 @@ _any_p = same_numbers(
 )
 any_of_batch: Callable[[Bool[Array, "*n"]], Bool[Array, "*n"]] = _any_p.bind
 
-# The same numbers, computed once by a batch in lanes; XLA would compute them again in each fusion,
-# and for each element, that uses them.
-_kept_p = same_numbers(
-    "kept_in_lanes",
-    batch=lambda args, axes: (_kept_p.bind(args[0]), axes[0]),
-    transpose=lambda cotangent, x: [cotangent],
-)
-kept: Callable[[Array], Array] = _kept_p.bind
 
-
-def as_kept(x: Array) -> Array:
-    """x / 1, because XLA does not fuse a division into several users; XLA must not know that the
-    divisor is 1."""
-    return x / jnp.where(x == x, 1.0, jnp.nan)
-
-
-# Reducers that XLA does not recognize: it passes large reductions to a library, whose calls keep a
-# loop from being compiled whole. They must still be sums and maxima, as XLA merges sums of sums.
+# A reducer that XLA does not recognize: it passes large reductions to a library, whose calls keep a
+# loop from being compiled whole. It must still be a sum, as XLA merges sums of sums.
 def plain_sum(x: Array, axes: tuple) -> Array:
     """The sum over axes, never by a call of a library."""
     return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
-
-
-def plain_max(x: Array, axes: tuple) -> Array:
-    """The maximum over axes, never by a call of a library."""
-    return lax.reduce(x, np.array(-np.inf, x.dtype), lambda a, b: -lax.min(-a, -b), axes)
 
 
 def _spread_back(cotangent, x, axes):
@@ -189,36 +156,13 @@ def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]
     """The sum of the rows of each group: over slices where groups are a few runs of consecutive
     rows, else by a padded gather."""
     if all(len(rows) == 1 for rows in groups):
-        return take(x, np.concatenate(groups))
+        return x[np.concatenate(groups)]
     runs = [_runs(rows) for rows in groups]
     if sum(map(len, runs)) <= FEW_RUNS:
         return lax.concatenate([_sum_of_runs(x, group) for group in runs], 0)
     most = max(len(rows) for rows in groups)
     padded = np.array([rows + [len(x)] * (most - len(rows)) for rows in groups])
     return jnp.sum(jnp.concatenate([x, jnp.zeros((1, x.shape[1]), x.dtype)])[padded], 1)
-
-
-def take(x: Array, rows: np.ndarray, axis: int = 0) -> Array:
-    """x[rows] for constant rows; slices where they are all the same or few runs of consecutive
-    ones, which a compiled loop can fuse."""
-    runs, n = _runs(rows), x.shape[axis]
-    if len(runs) == 1:
-        return x if len(rows) == n else _slice(x, rows, axis)
-    if len(rows) and (rows == rows[0]).all():
-        return jnp.broadcast_to(
-            _slice(x, rows[:1], axis), (*x.shape[:axis], len(rows), *x.shape[axis + 1 :])
-        )
-    if 0 < len(runs) <= FEW_PARTS:
-        return lax.concatenate([_slice(x, run, axis) for run in runs], axis)
-    return x[(*[slice(None)] * axis, rows)]
-
-
-def put(x: Array, rows: np.ndarray, block: Array, axis: int = 0) -> Array:
-    """x.at[rows].set(block) for constant rows, taken from both."""
-    n = x.shape[axis]
-    source = np.arange(n)
-    source[rows] = n + np.arange(len(rows))
-    return take(lax.concatenate([x, block.astype(x.dtype)], axis), source, axis)
 
 
 def _runs(rows: Any) -> list[np.ndarray]:
@@ -234,25 +178,6 @@ def _sum_of_runs(x: Float[Array, "m k"], runs: list[np.ndarray]) -> Float[Array,
     return functools.reduce(lax.add, parts) if parts else jnp.zeros((1, x.shape[1]), x.dtype)
 
 
-def _slice(x: Array, run: np.ndarray, axis: int = 0) -> Array:
+def _slice(x: Array, run: np.ndarray) -> Array:
     """The rows of a run, staged in a fifth of the time that JAX takes to interpret an index."""
-    return lax.slice_in_dim(x, int(run[0]), int(run[-1]) + 1, axis=axis)
-
-
-@jax.custom_jvp
-def inverse_root(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """1/sqrt x as sqrt(x)/x, zero with zero derivatives for x below 1e-80; XLA's own function has
-    no vector instruction on a CPU.
-
-    >>> float(inverse_root(jnp.array(4.0))), float(inverse_root(jnp.array(0.0)))
-    (0.5, 0.0)
-    """
-    some = x > NOTHING
-    return jnp.where(some, jnp.sqrt(x), 0.0) / jnp.where(some, x, 1.0)
-
-
-@inverse_root.defjvp
-def _inverse_root_jvp(primals, tangents):
-    (x,), (dx,) = primals, tangents
-    y = inverse_root(x)
-    return y, -0.5 * y * y * y * dx
+    return lax.slice_in_dim(x, int(run[0]), int(run[-1]) + 1)

@@ -330,3 +330,15 @@ def test_no_second_derivative_is_nan(rng, name):
     weights = rng.normal(size=f(points[0]).shape)
     second = jax.jit(jax.vmap(jax.hessian(lambda w: jnp.sum(weights * f(w)))))(points)
     assert np.isfinite(second).all()
+
+
+def test_an_inverse_length_is_zero_with_zero_derivatives_at_length_zero():
+    length = np.sqrt(2**2 + 3**2 + 6**2)
+    d = jnp.array([[2.0, 3.0, 6.0], [0.0, 0.0, 0.0], [1e-41, 0.0, 0.0]])
+    np.testing.assert_allclose(vectors.inverse_length(d), [1 / length, 0.0, 0.0], rtol=1e-15)
+    slopes = jax.vmap(jax.grad(vectors.inverse_length))(d)  # -d/|d|^3
+    np.testing.assert_allclose(slopes, [-d[0] / length**3, *np.zeros((2, 3))], rtol=1e-15)
+    fifth = vectors.inverse_length
+    for _ in range(5):
+        fifth = jax.jacfwd(fifth)
+    assert np.isfinite(jax.vmap(fifth)(d)).all()

@@ -3,13 +3,12 @@
 import re
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxbody.numerics import xla_workarounds
-from jaxbody.numerics.xla_workarounds import FEW_PARTS, FEW_RUNS, inverse_root, sums, take
+from jaxbody.numerics.xla_workarounds import FEW_RUNS, sums
 
 PACKAGE = Path(xla_workarounds.__file__).parents[1]
 HERE = "numerics/xla_workarounds.py"
@@ -52,23 +51,3 @@ def test_rows_are_summed_by_groups(rng, groups):
     x = rng.normal(size=(2 * FEW_RUNS, 3))
     exact = [sum((x[i] for i in rows), np.zeros(3)) for rows in groups]
     np.testing.assert_allclose(sums(jnp.asarray(x), groups), exact, rtol=0, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    "rows", [[1, 2, 3], [0, 1, 2, 3], [2, 2], [3, 0], [1, 1, 2, 0], [3, 2, 1, 0] * FEW_PARTS, []]
-)
-def test_rows_are_taken(rng, rows):
-    """Their cotangents are added."""
-    x, rows = rng.normal(size=(4, 3)), np.array(rows, int)
-    taken, pull = jax.vjp(lambda x: take(x, rows), jnp.asarray(x))
-    np.testing.assert_array_equal(taken, x[rows])
-    w, back = rng.normal(size=(len(rows), 3)), np.zeros((4, 3))
-    np.add.at(back, rows, w)
-    np.testing.assert_allclose(pull(jnp.asarray(w))[0], back, rtol=0, atol=1e-14)
-
-
-@pytest.mark.long
-def test_inverse_root_is_zero_where_its_argument_is():
-    np.testing.assert_allclose(
-        inverse_root(jnp.array([4.0, 0.25, 0.0])), [0.5, 2.0, 0.0], rtol=1e-15
-    )

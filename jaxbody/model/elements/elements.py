@@ -21,8 +21,7 @@ from jaxbody.geometry import rotations
 from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import Kind, field, in_domain, kind_of
 from jaxbody.geometry.frames import Frame, Pose, Wrench
-from jaxbody.geometry.vectors import cross, dot, product, rotate
-from jaxbody.numerics.xla_workarounds import inverse_root, kept
+from jaxbody.geometry.vectors import cross, dot, inverse_length, product, rotate
 
 MEANT = "If this is intended, give allow_negative=True."
 ALLOWED = {
@@ -267,19 +266,18 @@ class LineElement(Element):
     def wrenches(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         """Closed form: the tension along AB."""
         arm_a, arm_b = rotate(A.R, self.a), rotate(B.R, self.b)
-        d = kept((B.p - A.p) + (arm_b - arm_a))
-        rate = kept((B.v - A.v) + (cross(B.w, arm_b) - cross(A.w, arm_a)))
+        d = (B.p - A.p) + (arm_b - arm_a)
+        rate = (B.v - A.v) + (cross(B.w, arm_b) - cross(A.w, arm_a))
         L, u = length_and_direction(d)
         k0, rest, _ = self.split(L)
-        force = kept(k0 * d + (self.damper_tension(L - self.free_length, dot(u, rate)) + rest) * u)
+        force = k0 * d + (self.damper_tension(L - self.free_length, dot(u, rate)) + rest) * u
         return (force, cross(arm_a, force)), (-force, cross(force, arm_b))
 
 
 def length_and_direction(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """|d| and d/|d|, both zero with zero derivatives at d = 0."""
-    square = dot(d, d)
-    inverse = inverse_root(square)
-    return square * inverse, d * inverse
+    inverse = inverse_length(d)
+    return dot(d, d) * inverse, d * inverse
 
 
 def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:

@@ -13,10 +13,18 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame
-from jaxbody.geometry.vectors import cross, dot, product, rotate, rotate_back, skew, to_rank
+from jaxbody.geometry.vectors import (
+    cross,
+    dot,
+    inverse_length,
+    product,
+    rotate,
+    rotate_back,
+    skew,
+    to_rank,
+)
 from jaxbody.model.elements.bushings import FramePair
 from jaxbody.model.elements.elements import Element, LineElement, length_and_direction, turned
-from jaxbody.numerics.xla_workarounds import inverse_root
 
 DeformationSlopes = tuple[Float[Array, "*rows 6"], ...]  # of each frame of an element
 # Positions and signs in a block: of h, of Q, and of the components of x and y
@@ -114,9 +122,8 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlo
     the length."""
     a, b = rotate(A.R, line.a), rotate(B.R, line.b)
     d = (B.p - A.p) + (b - a)
-    square = dot(d, d)
-    inverse = inverse_root(square)
-    k0, rest, rate = _states_held(line.split, square * inverse)
+    inverse = inverse_length(d)
+    k0, rest, rate = _states_held(line.split, dot(d, d) * inverse)
     h = k0 + rest * inverse
     c = (rate - rest * inverse) * inverse**2
     g_a, g_b = (jnp.concatenate([d, cross(arm, d)]) for arm in (a, b))

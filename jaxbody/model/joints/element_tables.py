@@ -19,7 +19,7 @@ from jaxbody.model.laws.law_states import Held, Relaxed, memories
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 from jaxbody.model.storage import KindTable
-from jaxbody.numerics.xla_workarounds import sums, take
+from jaxbody.numerics.xla_workarounds import sums
 
 Xi = Float[Array, "ns 6"] | None
 
@@ -55,11 +55,7 @@ def inertial_tables(model: Model) -> list[KindTable]:
 
 def of_table(model: Model, frames: Frame, table: KindTable, function) -> Any:
     """function(element, A, B, ...) of the elements of one table."""
-    end_frames = [
-        Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w)))
-        for row in end_rows(model, table)
-    ]
-    return jax.vmap(function)(table.rows, *end_frames)
+    return jax.vmap(function)(table.rows, *(frames[rows] for rows in end_rows(model, table)))
 
 
 def end_rows(model: Model, table: KindTable) -> list[np.ndarray]:
@@ -74,32 +70,35 @@ def wrenches(
     model: Model, frames: Any, loads: tuple[Load, ...] = ()
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
     """Force and moment about its origin that elements, gravity and loads exert on each frame, in
-    world axes; loads need an Instant.
-
-    Forces on a frame are summed by padded gathers; adding into rows would split a compiled loop."""
-    ends, forces, moments = [], [], []
-    for table, end_frames in zip(
-        model.elements, each_element(model, frames, lambda s, *F: s.wrenches(*F)), strict=True
-    ):
-        for end, (F, M) in enumerate(end_frames):
-            ends += [model.layout.frame(link[end]) for link in table.links]
-            forces.append(F)
-            moments.append(M)
-    bodies = model.bodies.rows
+    world axes; loads need an Instant."""
+    bodies, layout = model.bodies.rows, model.layout
     weight = bodies.mass[:, None] * model.gravity[None]
-    forces.append(weight)
-    moments.append(cross(rotate(frames.R[model.layout.first_body :], bodies.com), weight))
-    ends += list(range(model.layout.first_body, len(model.layout.frames)))
+    moment = cross(rotate(frames.R[layout.first_body :], bodies.com), weight)
+    acting = [(layout.bodies, (weight, moment))]
     for load in loads:
-        F, M = load.wrench(frames.frame(model.layout.frame(load.on)))
-        ends.append(model.layout.frame(load.on))
-        forces.append(F[None])
-        moments.append(M[None])
-    acting = [
-        [i for i, end in enumerate(ends) if end == frame]
-        for frame in range(len(model.layout.frames))
+        F, M = load.wrench(frames.frame(layout.frame(load.on)))
+        acting.append(((load.on,), (F[None], M[None])))
+    by_table = each_element(model, frames, lambda s, *F: s.wrenches(*F))
+    return summed_on_frames(model, model.elements, by_table, acting)
+
+
+def summed_on_frames(
+    model: Model, tables: Any, by_table: Any, others: Any = ()
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """The force and the moment on each frame: from a wrench on each end of the elements of some
+    tables, and from others, (names of frames, wrenches)."""
+    parts = [
+        (end, wrench)
+        for table, wrenches in zip(tables, by_table, strict=True)
+        for end, wrench in zip(zip(*table.links, strict=True), wrenches, strict=True)
     ]
-    return sums(jnp.concatenate(forces), acting), sums(jnp.concatenate(moments), acting)
+    parts += others
+    names = [name for on, _ in parts for name in on]
+    acting = [[i for i, name in enumerate(names) if name == frame] for frame in model.layout.frames]
+    forces, moments = (
+        jnp.concatenate(x) for x in zip(*(wrench for _, wrench in parts), strict=True)
+    )
+    return sums(forces, acting), sums(moments, acting)
 
 
 def state_rates(model: Model, frames: Frame) -> Float[Array, "nz"]:

@@ -20,7 +20,6 @@ from jaxbody.model.inputs.signals import Signal
 from jaxbody.model.layouts import Layout
 from jaxbody.model.models import Model, at_reference, body_poses, rest_poses, support_poses
 from jaxbody.model.states import State
-from jaxbody.numerics.xla_workarounds import take
 
 Motions = tuple[Signal, ...]  # of six numbers, one per support, in their order
 
@@ -118,15 +117,16 @@ class Coordinates(Chart):
         for table, (q_rows, v_rows) in self._each(
             lambda joint, q, v: (q, v), (q, layout.q_slices), (v, layout.v_slices)
         ):
-            parent = _rows(known, [order.index(name) for name in table.links])
+            parent = known[np.array([order.index(name) for name in table.links])]
             bodies = np.array([layout.bodies.index(name) for name in table.names])
-            rest = Pose(take(self.rest.p, bodies), take(self.rest.R, bodies))
-            frame, axes = jax.vmap(_joint_frame)(table.rows, q_rows, v_rows, parent, rest)
+            frame, axes = jax.vmap(_joint_frame)(
+                table.rows, q_rows, v_rows, parent, self.rest[bodies]
+            )
             known = stack([known, frame])
             order += table.names
             linear.append((table.names, axes[0]))
             angular.append((table.names, axes[1]))
-        return _rows(known, [order.index(name) for name in layout.frames]), (
+        return known[np.array([order.index(name) for name in layout.frames])], (
             layout.joined(linear),
             layout.joined(angular),
         )
@@ -170,12 +170,8 @@ def jacobian(
     with six columns for each support, of bodies and supports."""
     rows, movers = layout.moving(base=len(linear) > layout.nv), layout.movers[: len(linear)]
     mask = jnp.asarray(layout.carries[np.ix_(movers, rows)].T, frames.p.dtype)[..., None]
-    arms = take(frames.p, rows)[:, None] - take(frames.p, movers)[None]
+    arms = frames.p[rows][:, None] - frames.p[movers][None]
     return mask * (linear[None] + cross(angular[None], arms)), mask * angular[None]
-
-
-def _rows(frames: Frame, rows: list[int]) -> Frame:
-    return Frame(*(take(x, np.array(rows)) for x in (frames.p, frames.R, frames.v, frames.w)))
 
 
 def _joint_frame(joint, q, v, parent: Frame, rest: Pose):
