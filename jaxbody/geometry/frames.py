@@ -7,6 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
@@ -24,7 +25,7 @@ class Pose(eqx.Module):
     R: Float[Array, "*n 3 3"]
 
     def __getitem__(self, rows) -> Pose:
-        return Pose(self.p[rows], self.R[rows])
+        return Pose(*(_rows(x, rows) for x in (self.p, self.R)))
 
     def point(self, a_B: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """World position p + R a of a point fixed in the frame."""
@@ -62,7 +63,7 @@ class Frame(Pose):
         return self.v + cross(self.w, rotate(self.R, a_B))
 
     def __getitem__(self, rows) -> Frame:
-        return Frame(self.p[rows], self.R[rows], self.v[rows], self.w[rows])
+        return Frame(*(_rows(x, rows) for x in (self.p, self.R, self.v, self.w)))
 
     def rates(self) -> Pose:
         """The time derivative of the pose: (v, [w] R)."""
@@ -112,6 +113,12 @@ class Instant(Frame):
         assert self.a is not None and self.alpha is not None
         r, w = rotate(self.R[row], a_B), self.w[row]
         return self.a[row] + cross(self.alpha[row], r) + cross(w, cross(w, r))
+
+
+def _rows(x: Array, rows: Any) -> Array:
+    """x[rows]; of an array of rows in two operations, where JAX asks first whether one is
+    negative."""
+    return jnp.take(x, rows, 0, mode="clip") if isinstance(rows, np.ndarray) else x[rows]
 
 
 def stack(frames: list[Frame]) -> Frame:

@@ -148,8 +148,8 @@ def eigenvalue_signs(
     zero = reachable(singular, K.dtype) * jnp.sqrt(jnp.sum(K * K)) + jnp.finfo(K.dtype).tiny
 
     def counted():
-        negative, not_positive = number_below(K, zero * np.array([-1.0, 1.0], K.dtype))
-        return negative, not_positive > negative
+        below = number_below(K, zero * np.array([-1.0, 1.0], K.dtype))
+        return below[0], below[1] > below[0]
 
     definite = is_definite(K - zero * np.eye(len(K), dtype=K.dtype))
     return jax.lax.cond(~definite, counted, lambda: none)

@@ -232,14 +232,8 @@ def _projected(J: Array | None, H: Float[Array, "frames 6 frames 6"]) -> Square:
 
 def _collected(parts: list[tuple[Array, list[int | None]]], n: int) -> Array:
     """The sum of the rows for each of n indices; rows whose index is None are left out."""
-    kept = [
-        (part, [i for i, index in enumerate(indices) if index is not None])
-        for part, indices in parts
-    ]
-    targets = [index for _, indices in parts for index in indices if index is not None]
-    if not targets:
-        return jnp.zeros((n, *parts[0][0].shape[1:]), parts[0][0].dtype)
-    rows = jnp.concatenate([part[np.array(rows)] for part, rows in kept if rows])
+    rows = jnp.concatenate([part for part, _ in parts])
+    targets = [index for _, indices in parts for index in indices]
     groups = [[i for i, target in enumerate(targets) if target == index] for index in range(n)]
     return sums(rows.reshape(len(rows), -1), groups).reshape(n, *rows.shape[1:])
 

@@ -45,9 +45,8 @@ numerics/runge_kutta_steps.py
     _sum [jnp.tensordot]              a sum over stages is not a vector instruction: with drives of
                                       all stages at once T3 49 to 31
 model/elements/second_derivatives.py
-    Block [6 x 6 matrices]            sums of parts instead of joined blocks: T4 1.6 to 1.4
-    whole [jnp.block]                 joined parts are copied one number after another: with kept
-                                      solutions T4 0.75 to 0.50
+    Block [6 x 6 matrices]            sums of parts instead of matrices: jaxlib 0.12, T4 41 to 25 ms
+    whole [jnp.block]                 joined parts are copied one number after another: 53 to 25 ms
 mechanics/equilibrium_solvers.py
     2 * LANES [LANES]                 for up to six coordinates calls of fusions take longer than
                                       memory: equilibria of T4 72 to 48 ms
@@ -76,7 +75,7 @@ differences below a tenth are scatter:
     eigvalsh       1.3   1.3   1     2      jnp.sin, jnp.cos    1.4   1.1   1     1
     LANES = 32     1     1     1.1   1
 
-Plain since then, together for 1.05, 1.24, 1.21 and 1.06, of three bodies 1.1, 1, 1 and 1.2:
+Plain since then, together for 1.1, 1.26, 1.23 and 1.1, of three bodies 1.1, 1.05, 1 and 1.23:
 x[rows], x.at[rows].set, lax.rsqrt, jnp.max, and numbers that several fusions compute again.
 """
 
