@@ -6,6 +6,7 @@ from hypothesis import reject
 
 import jaxbody as jb
 from jaxbody.files.kinds import CLOSURES, ELEMENTS, JOINTS
+from jaxbody.geometry import rotations
 from jaxbody.geometry.closures import AlongAxis
 
 NUMBERS = st.floats(-1e9, 1e9, allow_subnormal=True) | st.sampled_from(
@@ -51,7 +52,7 @@ SOME_LAWS = (
 
 
 def inertia(moments, q):
-    R = np.asarray(jb.geometry.orientations.matrix(np.asarray(q)))
+    R = np.asarray(rotations.matrix(np.asarray(q)))
     a, b, c = moments
     return R @ np.diag([a + b, b + c, c + a]) @ R.T
 

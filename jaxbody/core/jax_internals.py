@@ -223,27 +223,13 @@ def shaped(shape: tuple[int, ...], dtype: Any) -> ShapedArray:
 # Functions that are independent of devices are therefore traced without these types.
 
 
-def without_manual_axes(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, extended to trees of arrays; inside it, no array varies over the axes of
-    a mesh."""
-
-    @functools.wraps(function)
-    def call(*args):
-        axes = frozenset().union(
-            *(_varying(jax.typeof(x)) for x in jax.tree.leaves(args) if isinstance(x, jax.Array))
-        )
-        if not axes:
-            return function(*args)
-        return _each_array(
-            lambda x: _shown_p.bind(x, axes=axes),
-            function(*_each_array(lambda x: _hidden(x, axes), args)),
-        )
-
-    return call
-
-
-def _each_array(function: Callable[[Array], Array], tree: Any) -> Any:
-    return jax.tree.map(lambda x: function(x) if isinstance(x, jax.Array) else x, tree)
+def without_manual_axes(arrays: Sequence[Any]) -> tuple[Sequence[Any], Callable[[Any], Any]]:
+    """Arrays of which none varies over the axes of a mesh, and the function with which a result of
+    them does again."""
+    axes = frozenset().union(*(_varying(jax.typeof(x)) for x in arrays))
+    if not axes:
+        return arrays, lambda x: x
+    return [_hidden(x, axes) for x in arrays], lambda x: _shown_p.bind(x, axes=axes)
 
 
 def _hidden(x: Array, axes: frozenset) -> Array:

@@ -183,18 +183,15 @@ def in_lanes(
     name = name or f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
 
     def wrapped(*args):
-        leaves, tree = jax.tree.flatten(args)
-        leaves = [jnp.asarray(x) for x in leaves]
-        traced, out = jax.make_jaxpr(lambda *x: function(*tree.unflatten(x)), return_shape=True)(
-            *leaves
-        )
+        args = jax.tree.map(jnp.asarray, args)
+        traced, out = jax.make_jaxpr(function, return_shape=True)(*args)
         traced = only_what_is_needed(traced)
         open_jaxpr = traced.jaxpr.replace(
             constvars=[], invars=[*traced.jaxpr.constvars, *traced.jaxpr.invars]
         )
         results = _lanes_p.bind(
             *traced.consts,
-            *leaves,
+            *jax.tree.leaves(args),
             jaxpr=ClosedJaxpr(open_jaxpr, []),
             reversible=reversible,
             lanes=lanes,

@@ -82,11 +82,11 @@ FILES = {
     "equilibrium": 41,
     "linearize": 31,
     "modes": 12,
-    "random_response": 36,
-    "fit": 55,
-    "tune": 25,
+    "random_response": 35,
+    "fit": 56,
+    "tune": 24,
 }  # at most
-FRAMES = {"simulate to diffeqsolve": 7, "linearize to a spring's Hessian": 15}
+FRAMES = {"simulate to diffeqsolve": 5, "linearize to a spring's Hessian": 12}
 
 
 @pytest.mark.long

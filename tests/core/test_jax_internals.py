@@ -30,10 +30,10 @@ LOOPS_ON_TWO = """
 from jaxbody.core.jax_internals import without_manual_axes
 
 @jax.jit
-@without_manual_axes
 def looped(x, c):
     "A loop that begins with a constant, which does not vary over the devices."
-    return jax.lax.fori_loop(0, 3, lambda i, y: y * jnp.sin(x) * c + 1, jnp.ones(()))
+    (x, c), shown = without_manual_axes((x, c))
+    return shown(jax.lax.fori_loop(0, 3, lambda i, y: y * jnp.sin(x) * c + 1, jnp.ones(())))
 
 x = jnp.arange(1.0, 5.0)
 a = np.sin(x)

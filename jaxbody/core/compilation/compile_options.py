@@ -39,6 +39,7 @@ class ArrayFunction:
 
     function: Callable[..., Any]
     name: str
+    compiled: Compiled | None  # of a driver, which is told of a trace
     tree: Any  # of args
     # leaves of args with their types (1, 1.0 and True are equal); None for arrays
     others: tuple[tuple[type, Any] | None, ...]
@@ -48,10 +49,14 @@ class ArrayFunction:
         return self.name
 
     def __call__(self, *arrays: Any) -> tuple[list[Any], Remainder]:
-        given = iter(arrays)
+        given, shown = arrays, lambda x: x
+        if self.compiled:  # independent of devices, as functions of the user may not be
+            self.compiled.begin()
+            given, shown = without_manual_axes(arrays)
+        given = iter(given)
         leaves = [next(given) if other is None else other[1] for other in self.others]
         results, remainder = separated(self.function(*jax.tree.unflatten(self.tree, leaves)))
-        return list(map(without_weak_type, results)), remainder
+        return [without_weak_type(shown(x)) for x in results], remainder
 
 
 def without_weak_type(x: Any) -> Any:
@@ -146,13 +151,8 @@ def program_with(options: Options | Callable[..., Options]) -> Callable[[F], F]:
     none: JAX takes no options there."""
 
     def driver_of(function):
-        compiled, inner = Compiled(function), without_manual_axes(function)
-
-        def noted(*args):
-            compiled.begin()
-            return inner(*args)
-
-        programs = _Programs(noted, function.__name__)
+        compiled = Compiled(function)
+        programs = _Programs(function, function.__name__, compiled)
 
         @functools.wraps(function)
         def driver(*args):
@@ -170,9 +170,9 @@ class _Programs:
     """The programs of a function, one for each structure of its arguments with all in it that is
     no array."""
 
-    def __init__(self, function: Callable[..., Any], name: str):
+    def __init__(self, function: Callable[..., Any], name: str, compiled: Compiled | None = None):
         self.of_arrays = functools.lru_cache(STRUCTURES)(
-            lambda x64, *fixed: ArrayFunction(function, name, *fixed)
+            lambda x64, *fixed: ArrayFunction(function, name, compiled, *fixed)
         )
         self.jitted = functools.lru_cache(STRUCTURES)(
             lambda function, options: jax.jit(function, compiler_options=dict(options) or None)
