@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -353,7 +353,8 @@ def _cell(element: Element, name: str) -> Any:
     return text_of(element, name) if isinstance(value, Law) else value
 
 
-def _places(names: tuple[str, ...], order: tuple[str, ...]) -> np.ndarray:
+def places(names: Sequence[str], order: Sequence[str]) -> np.ndarray:
+    """The rows of names in a table of this order."""
     return np.array([order.index(name) for name in names], dtype=int)
 
 
@@ -361,7 +362,7 @@ def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
     """Pose of each body on its parent in the reference pose, rows in the order of the bodies, from
     its pose in the world."""
     poses = _joined_poses(_world(bodies), supports, bodies)
-    return poses[_places(model.layout.parents, model.layout.frames)].inverse() @ bodies
+    return poses[places(model.layout.parents, model.layout.frames)].inverse() @ bodies
 
 
 @program
@@ -385,7 +386,7 @@ def at_rest_in(model: Model, rest: Pose) -> State:
     """The state in which bodies are at rest in these poses relative to their parents."""
 
     def of(table: KindTable) -> tuple[tuple[str, ...], Array]:
-        rows = _places(table.names, model.layout.bodies)
+        rows = places(table.names, model.layout.bodies)
         return table.names, jax.vmap(lambda joint, pose: joint.rest(pose))(table.rows, rest[rows])
 
     q = model.layout.joined([of(table) for table in model.joints])
@@ -466,7 +467,7 @@ def _closure_slopes(
     )
     coordinates = []
     for table in model.joints:
-        parent = known[_places(table.links, tuple(order))]
+        parent = known[places(table.links, order)]
 
         def moved(joint, q, delta, parent, rest):
             q = joint.retract(q, delta)
@@ -478,13 +479,13 @@ def _closure_slopes(
             layout.rows_of(table.names, delta, layout.v_slices),
         )
         own, axes, coordinate_rows = jax.vmap(moved)(
-            table.rows, place, move, parent, rest[_places(table.names, layout.bodies)]
+            table.rows, place, move, parent, rest[places(table.names, layout.bodies)]
         )
         known, order = _joined_poses(known, own), [*order, *table.names]
         coordinates.append((table.names, coordinate_rows))
         linear.append((table.names, axes[0]))
         angular.append((table.names, axes[1]))
-    frames = known[_places(layout.frames, tuple(order))]
+    frames = known[places(layout.frames, order)]
     moves, turns, movers = layout.joined(linear), layout.joined(angular), layout.movers[: layout.nv]
     carried = jnp.asarray(layout.carries[movers].T, q.dtype)[..., None]
     arms = frames.p[:, None] - frames.p[movers][None]
@@ -497,14 +498,13 @@ def _closure_slopes(
         """The poses of both ends, their twists per unit of each speed, and the pose of the second
         on the first as drawn."""
         if isinstance(table.rows, Coupling):
-            places = [layout.coordinate_places[path] for path in (table.rows.of, table.rows.by)]
-            poses = [as_slide(jnp.broadcast_to(q[i], len(table))) for i, _ in places]
+            rows = [layout.coordinate_places[path] for path in (table.rows.of, table.rows.by)]
+            poses = [as_slide(jnp.broadcast_to(q[i], len(table))) for i, _ in rows]
             moving = [
-                jnp.zeros((len(table), layout.nv, 6), q.dtype).at[:, j, 0].set(1.0)
-                for _, j in places
+                jnp.zeros((len(table), layout.nv, 6), q.dtype).at[:, j, 0].set(1.0) for _, j in rows
             ]
             return *poses, *moving, as_slide(jnp.zeros(len(table), q.dtype))
-        A, B = (_places(end, layout.frames) for end in zip(*table.links, strict=True))
+        A, B = (places(end, layout.frames) for end in zip(*table.links, strict=True))
         return (
             frames[A],
             frames[B],

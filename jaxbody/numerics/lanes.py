@@ -473,15 +473,15 @@ class Lanes:
         return call(*x)
 
     def _cond(self, eqn, on, x):
-        """Both branches, the second only where a lane takes it."""
-        wanted = [True] * len(eqn.outvars)
-        first, second = (
-            lambda branch=branch: self.run(branch, on[1:], x[1:], wanted)
-            for branch in eqn.params["branches"]
-        )
-        takes, seldom = x[0].astype(bool), first()
-        often = lax.cond(jnp.any(takes), second, lambda: seldom)
-        return [jnp.where(takes, b, a) for a, b in zip(seldom, often, strict=True)]
+        """Both branches, that of True only where a lane takes it."""
+
+        def result(branch):
+            return self.run(branch, on[1:], x[1:], [True] * len(eqn.outvars))
+
+        of_false, of_true = eqn.params["branches"]
+        takes, otherwise = x[0].astype(bool), result(of_false)
+        taken = lax.cond(jnp.any(takes), lambda: result(of_true), lambda: otherwise)
+        return [jnp.where(takes, a, b) for a, b in zip(taken, otherwise, strict=True)]
 
     def _while(self, p, on, x):
         """A loop whose lanes end apart goes on until the last one has ended; those that have ended
@@ -497,7 +497,8 @@ class Lanes:
             after = self.run(p["body_jaxpr"], on[a:b] + carry, [*x[a:b], *c], carry)
             if not apart:
                 return after
-            return [jnp.where(goes_on(c), new, old) for new, old in zip(after, c, strict=True)]
+            active = goes_on(c)
+            return [jnp.where(active, new, old) for new, old in zip(after, c, strict=True)]
 
         start = [
             self._spread(v, o, av.shape) if c else v

@@ -11,7 +11,7 @@ the plain form where nothing is lost.
 In this file
     plain_sum, sum_p [reduce_sum]     large sums are library calls, which keep a loop from being
                                       compiled whole: T3 18 to 11
-    any_of_batch [jnp.any]            a loop that ends by member is masked, and left to jax.vmap: T4
+    any_of_batch [jnp.any]            members of a batch share their counts of steps and sweeps: T4
                                       2.1 to 1.75
     sums [zeros.at[rows].add]         gather and scatter break a loop: T4 of three bodies 4.6 to
                                       3.6, T1 of them 0.75 to 0.55
@@ -71,9 +71,8 @@ differences below a tenth are scatter:
 
                    T1    T2    T3    T4                         T1    T2    T3    T4
     reduce_sum     1     1     1     1.7    @ for sums          2.1   2     2.8   1.9
-    jnp.any        1.1   1.1   1     6.5    zeros.at.add        4     2.5   2.6   2.1
-    eigvalsh       1.3   1.3   1     2      jnp.sin, jnp.cos    1.4   1.1   1     1
-    LANES = 32     1     1     1.1   1
+    eigvalsh       1.3   1.3   1     2      zeros.at.add        4     2.5   2.6   2.1
+    LANES = 32     1     1     1.1   1      jnp.sin, jnp.cos    1.4   1.1   1     1
 
 Plain since then, together for 1.1, 1.26, 1.23 and 1.1, of three bodies 1.1, 1.05, 1 and 1.23:
 x[rows], x.at[rows].set, lax.rsqrt, jnp.max, and numbers that several fusions compute again.

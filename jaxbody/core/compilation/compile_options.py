@@ -39,7 +39,7 @@ class ArrayFunction:
 
     function: Callable[..., Any]
     name: str
-    compiled: Compiled | None  # of a driver, which is told of a trace
+    compiled: Compiled | None  # of a driver: what notes its traces
     tree: Any  # of args
     # leaves of args with their types (1, 1.0 and True are equal); None for arrays
     others: tuple[tuple[type, Any] | None, ...]

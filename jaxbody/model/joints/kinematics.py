@@ -18,7 +18,14 @@ from jaxbody.geometry.frames import Frame, Instant, Pose, stack
 from jaxbody.geometry.vectors import cross, rotate
 from jaxbody.model.inputs.signals import Signal
 from jaxbody.model.layouts import Layout
-from jaxbody.model.models import Model, at_reference, body_poses, rest_poses, support_poses
+from jaxbody.model.models import (
+    Model,
+    at_reference,
+    body_poses,
+    places,
+    rest_poses,
+    support_poses,
+)
 from jaxbody.model.states import State
 
 Motions = tuple[Signal, ...]  # of six numbers, one per support, in their order
@@ -117,16 +124,14 @@ class Coordinates(Chart):
         for table, (q_rows, v_rows) in self._each(
             lambda joint, q, v: (q, v), (q, layout.q_slices), (v, layout.v_slices)
         ):
-            parent = known[np.array([order.index(name) for name in table.links])]
-            bodies = np.array([layout.bodies.index(name) for name in table.names])
-            frame, axes = jax.vmap(_joint_frame)(
-                table.rows, q_rows, v_rows, parent, self.rest[bodies]
-            )
+            parent = known[places(table.links, order)]
+            rest = self.rest[places(table.names, layout.bodies)]
+            frame, axes = jax.vmap(_joint_frame)(table.rows, q_rows, v_rows, parent, rest)
             known = stack([known, frame])
             order += table.names
             linear.append((table.names, axes[0]))
             angular.append((table.names, axes[1]))
-        return known[np.array([order.index(name) for name in layout.frames])], (
+        return known[places(layout.frames, order)], (
             layout.joined(linear),
             layout.joined(angular),
         )
