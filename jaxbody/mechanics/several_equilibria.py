@@ -37,10 +37,11 @@ DESCENT_STEPS, NEWTON_STEPS = 200, 60
 
 
 class Equilibria(Result):
-    """Equilibria in order of energy: `solutions` (n Equilibrium objects), and arrays (n,):
-    `energies` [J], `stable`, `negative` (number of negative eigenvalues of K), `distances` (largest
-    displacement of a body from the reference pose [m]) and `hits` (number of searches that ended
-    there). `status` is NOT_CONVERGED if no search ended at an equilibrium."""
+    """Equilibria in order of energy, those of equal energy in order of distance: `solutions` (n
+    Equilibrium objects), and arrays (n,): `energies` [J], `stable`, `negative` (number of negative
+    eigenvalues of K), `distances` (largest displacement of a body from the reference pose [m]) and
+    `hits` (number of searches that ended there). `status` is NOT_CONVERGED if no search ended at an
+    equilibrium."""
 
     status: Any
     solutions: tuple[Equilibrium, ...]
@@ -142,11 +143,19 @@ def find_equilibria(
         else:
             distinct.append(eq)
             hits.append(1)
-    distances = [float(distance_between(model, eq.state.q, model.reference.q)) for eq in distinct]
+    distances = np.array(
+        [distance_between(model, eq.state.q, model.reference.q) for eq in distinct]
+    )
+    levels = np.cumsum(np.diff([eq.energy for eq in distinct], prepend=-np.inf) > tolerance)
+    order = np.lexsort((distances, levels))
     code = Status.OK if distinct else Status.NOT_CONVERGED
     return warn_if_failed(
         Equilibria(
-            np.array(code.value), tuple(distinct), np.array(distances), np.array(hits), len(status)
+            np.array(code.value),
+            tuple(distinct[i] for i in order),
+            distances[order],
+            np.array(hits, int)[order],
+            len(status),
         )
     )
 
