@@ -50,12 +50,12 @@ def save(path: str | os.PathLike, task: Task, u: np.ndarray) -> None:
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
-        needed = sum(a.nbytes for a in arrays.values())
         raise JaxbodyError(
             Problem(
                 "NOT_SAVED",
                 str(path),
-                f"cannot be written: {error.strerror or error}; {needed} bytes are needed",
+                f"cannot be written: {error.strerror or error}; "
+                f"{sum(a.nbytes for a in arrays.values())} bytes are needed",
                 hint="An earlier checkpoint there is unchanged.",
             )
         ) from None
@@ -94,13 +94,14 @@ def load(path: str | os.PathLike, task: Task) -> tuple[np.ndarray, Levels]:
     for i, (run, name) in enumerate(
         (run, name) for run, levels in task.noise.items() for name in levels
     ):
-        level = _numbers(
-            arrays.get(f"noise{i}"),
-            np.shape(task.noise[run][name]),
-            f"{where}: noise of {run}.{name}",
-            positive=True,
+        noise[run][name] = device_array(
+            _numbers(
+                arrays.get(f"noise{i}"),
+                np.shape(task.noise[run][name]),
+                f"{where}: noise of {run}.{name}",
+                positive=True,
+            )
         )
-        noise[run][name] = device_array(level)
     return _numbers(arrays["u"], (task.space.size,), f"{where}: u"), noise
 
 
@@ -109,22 +110,15 @@ def _numbers(
 ) -> np.ndarray:
     """The array, if it holds finite numbers and has this shape. Error: NO_CHECKPOINT."""
     limit = f"{'positive' if positive else 'finite'} numbers of shape {shape}"
-    if value is None or value.dtype.kind != "f" or value.shape != shape:
-        raise JaxbodyError(
-            Problem(
-                "NO_CHECKPOINT",
-                where,
-                "is missing" if value is None else f"has shape {value.shape} of {value.dtype.name}",
-                value,
-                limit,
-                RESTART,
-            )
-        )
-    if not np.isfinite(value).all() or (positive and not (value > 0).all()):
-        raise JaxbodyError(
-            Problem("NO_CHECKPOINT", where, f"is {value.tolist()!r:.60}", value, limit, RESTART)
-        )
-    return value
+    if value is None:
+        message = "is missing"
+    elif value.dtype.kind != "f" or value.shape != shape:
+        message = f"has shape {value.shape} of {value.dtype.name}"
+    elif not np.isfinite(value).all() or (positive and not (value > 0).all()):
+        message = f"is {value.tolist()!r:.60}"
+    else:
+        return value
+    raise JaxbodyError(Problem("NO_CHECKPOINT", where, message, value, limit, RESTART))
 
 
 def check_same(names: list[str], task: Task, where: str) -> None:

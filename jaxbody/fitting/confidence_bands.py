@@ -108,10 +108,6 @@ def bands(
     f = jit(lambda u: function(fit.task.space.place(u)[0]))
     value = f(fit.u)
     if not isinstance(value, jax.Array | np.ndarray) or jnp.iscomplexobj(value):
-        hint = (
-            "Return one array; for complex numbers, magnitude and phase or real "
-            "and imaginary parts."
-        )
         kind = "complex numbers" if jnp.iscomplexobj(value) else f"a {type(value).__name__}"
         raise JaxbodyError(
             Problem(
@@ -120,7 +116,8 @@ def bands(
                 f"returns {kind}",
                 value,
                 "an array of real numbers",
-                hint,
+                "Return one array; for complex numbers, magnitude and phase or real "
+                "and imaginary parts.",
             )
         )
     value = np.asarray(value, float)
@@ -134,7 +131,6 @@ def bands(
         error = np.where(finite, error, np.inf)
         half_width = quantile(level, freedom) * error
         low, high = value - half_width, value + half_width
-    ok = finite.all() and np.isfinite(value).all()
     return warn_if_failed(
         Bands(
             value=value,
@@ -143,7 +139,9 @@ def bands(
             upper=np.asarray(high),
             degrees_of_freedom=freedom,
             level=level,
-            status=np.asarray(Status.OK if ok else Status.NONFINITE),
+            status=np.asarray(
+                Status.OK if finite.all() and np.isfinite(value).all() else Status.NONFINITE
+            ),
         )
     )
 

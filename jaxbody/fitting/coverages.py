@@ -101,19 +101,19 @@ class Coverage(Result):
         return self.deviation / self.stated
 
     def _tables(self) -> list[tables.PrintedTable]:
-        share = [
-            f"{100 * x:.1f} +- {100 * e:.1f}"
-            for x, e in zip(self.contained, self.standard_error, strict=True)
-        ]
-        columns = (share, self.bias, self.ratio)
+        columns = (self.parameters, self.contained, self.standard_error, self.bias, self.ratio)
         rows = [
-            (name, one, float(b), float(s))
-            for name, one, b, s in zip(self.parameters, *columns, strict=True)
+            (name, f"{100 * share:.1f} +- {100 * error:.1f}", float(bias), float(ratio))
+            for name, share, error, bias, ratio in zip(*columns, strict=True)
         ]
         heads = ("parameter", "contained, %", "bias over deviation", "deviation over stated")
-        note = f"{len(self.status)} replicates: {self.report()}"
         return [
-            tables.PrintedTable(f"Coverage of {100 * self.level:g} % intervals", heads, rows, note)
+            tables.PrintedTable(
+                f"Coverage of {100 * self.level:g} % intervals",
+                heads,
+                rows,
+                f"{len(self.status)} replicates: {self.report()}",
+            )
         ]
 
 
@@ -241,7 +241,8 @@ def _batch(
     """Replicates as a batch: fitted by a program, assessed by NumPy in the same process."""
     records, space = records_of(fit.task.experiments), fit.task.space
     stated = {
-        record.name: _channel(record) in (fit.task.experiments[record.run].noise or {})
+        record.name: record.group.rsplit(" ", 1)[0]
+        in (fit.task.experiments[record.run].noise or {})
         for record in records
     }
     r, J, _ = residual_and_jacobian(fit.task, fit.u)
@@ -249,7 +250,6 @@ def _batch(
         parameter.form.start.size for parameter in space.parameters if parameter.prior is not None
     )
     levels = _levels(np.asarray(r), np.asarray(J), records, stated, priors)
-    tree = fit.task, fit.u, r, device_array(levels)
 
     def fitted(tree, keys):
         task, start, r, level = tree
@@ -269,7 +269,7 @@ def _batch(
 
     batch = batch_of(
         fitted,
-        tree,
+        (fit.task, fit.u, r, device_array(levels)),
         lambda i, j: [keys[i:j]],
         len(keys),
         width=BATCH,
@@ -282,12 +282,11 @@ def _batch(
     types = {name: ((space.size,), real) for name in ("u", "lower", "upper")} | {
         "end": batch.program.results["end"]
     }
-    by = partial(assessed, names=space.names, records=records, stated=stated, level=level)
-    return dataclasses.replace(batch, function=by, types=types)
-
-
-def _channel(record: ResidualSeries) -> str:
-    return record.group.rsplit(" ", 1)[0]
+    return dataclasses.replace(
+        batch,
+        function=partial(assessed, names=space.names, records=records, stated=stated, level=level),
+        types=types,
+    )
 
 
 def _levels(
@@ -314,10 +313,9 @@ def _levels(
 
 def _groups(records: list[ResidualSeries]) -> dict[str, np.ndarray]:
     """The rows of all records of one noise level."""
-    names = dict.fromkeys(record.group for record in records)
     return {
-        name: np.concatenate([record.rows for record in records if record.group == name])
-        for name in names
+        group: np.concatenate([record.rows for record in records if record.group == group])
+        for group in dict.fromkeys(record.group for record in records)
     }
 
 
@@ -336,10 +334,8 @@ def assessed(
     As in a fit, each group of records whose noise is not stated has the weight of its residuals;
     one more step is taken with these weights.
     """
-    ended, groups = (
-        program(shared, rows),
-        _groups([record for record in records if not stated[record.name]]),
-    )
+    ended = program(shared, rows)
+    groups = _groups([record for record in records if not stated[record.name]])
     estimates = []
     for u, end, r, J in zip(*(ended[name] for name in ("u", "end", "r", "J")), strict=True):
         if end != Status.OK:

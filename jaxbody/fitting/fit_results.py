@@ -171,12 +171,13 @@ class Fit(Labeled, Result):
         if status == Status.FAR_OFF and self.at_bound:
             return f"it ends with {', '.join(self.at_bound)}"
         if status == Status.AT_BOUND:
-            given = any(label.endswith(("(lower)", "(upper)")) for label in self.at_bound)
-            note = (
-                "; its interval is one-sided, the other parameters are "
-                "estimated with it fixed there"
-            )
-            return ", ".join(self.at_bound) + (note if given else "")
+            details = ", ".join(self.at_bound)
+            if any(label.endswith(("(lower)", "(upper)")) for label in self.at_bound):
+                details += (
+                    "; its interval is one-sided, the other parameters are "
+                    "estimated with it fixed there"
+                )
+            return details
         after = (
             f"after {tables.counted(int(self.evaluations), 'evaluation')}; the best so far is kept"
         )
@@ -186,35 +187,36 @@ class Fit(Labeled, Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset of estimates and standard errors by path."""
-        names, estimates, errors, intervals = [], [], [], self.intervals(0.95)
-        ends = [
-            np.concatenate([np.ravel(interval[side]) for interval in intervals.values()])
-            for side in (0, 1)
-        ]
-        for path, value in self.estimates.items():
-            value = np.asarray(value)
-            names += [path + index for index in indices(value.shape)]
-            estimates += value.ravel().tolist()
-            errors += np.asarray(self.standard_errors[path]).ravel().tolist()
+        estimates, intervals = self.estimates, self.intervals(LEVEL).values()
+        columns = {
+            "estimate": estimates.values(),
+            "standard_error": self.standard_errors.values(),
+            "lower": [low for low, _ in intervals],
+            "upper": [high for _, high in intervals],
+        }
         variables: dict[str, tuple[tuple[str, ...], Any, str]] = {
-            "estimate": (("parameter",), estimates, ""),
-            "standard_error": (("parameter",), errors, ""),
-            "lower": (("parameter",), ends[0], ""),
-            "upper": (("parameter",), ends[1], ""),
+            name: (("parameter",), np.concatenate([*map(np.ravel, arrays)]), "")
+            for name, arrays in columns.items()
+        }
+        variables |= {
             "singular_value": (("direction",), self.singular_values, ""),
             "status": ((), self.status, ""),
         }
-        coordinates: dict[str, Any] = {"parameter": names}
+        coordinates: dict[str, Any] = {
+            "parameter": [
+                path + index
+                for path, value in estimates.items()
+                for index in indices(np.shape(value))
+            ]
+        }
         for run, sensors in self.predicted.items():
             experiment = self.experiments[run]
             for name, values in sensors.items():
                 over, where, unit = experiment.axis(name)
                 row = f"{run}_{over}"
                 coordinates[row] = (row, np.asarray(where), {"units": unit})
-                dimensions, unit = (
-                    (row, *(f"{run}_{name}_component",) * (np.ndim(values) - 1)),
-                    experiment.channels[name].unit,
-                )
+                dimensions = (row, *(f"{run}_{name}_component",) * (np.ndim(values) - 1))
+                unit = experiment.channels[name].unit
                 variables[f"{run}_{name}_predicted"] = (dimensions, values, unit)
                 variables[f"{run}_{name}_measured"] = (dimensions, experiment.measured[name], unit)
         return dataset(variables, coordinates, "fit")
@@ -265,12 +267,12 @@ class Fit(Labeled, Result):
             for row in self._rms_rows(run, name, levels)
         ]
         u = self.uncertainty
-        counts = (
-            tables.counted(u.samples, "sample"),
-            tables.counted(int(self.evaluations), "evaluation"),
-        )
-        notes = [f"{', '.join(counts)}, {u.noise}; {self.report()}"]
-        notes += u.about_noise() + (list(self.remarks) if self.ok else [])
+        notes = [
+            f"{tables.counted(u.samples, 'sample')}, "
+            f"{tables.counted(int(self.evaluations), 'evaluation')}, {u.noise}; {self.report()}",
+            *u.about_noise(),
+            *(self.remarks if self.ok else ()),
+        ]
         heads = (
             "parameter",
             "estimate",

@@ -17,18 +17,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import whole_number
-from jaxbody.core.arrays import device_array, is_concrete
+from jaxbody.core.arrays import Array, Float, device_array, is_concrete
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
 from jaxbody.fitting.checkpoints import resumed, save
 from jaxbody.fitting.experiments.diagnoses import faults, likely_errors
-from jaxbody.fitting.experiments.experiments import Experiment, Integration, check_measurements
-from jaxbody.fitting.experiments.measurements import Measurement, records_of
+from jaxbody.fitting.experiments.experiments import Experiment, Integration
+from jaxbody.fitting.experiments.measurements import (
+    Measurement,
+    check_measurements,
+    records_of,
+)
 from jaxbody.fitting.experiments.plausibilities import first_frequency
 from jaxbody.fitting.experiments.unexplained_records import transients, unexplained
 from jaxbody.fitting.fit_results import Fit
@@ -231,9 +234,12 @@ def _check_method(method: Any, bounds: Any, problems: Problems) -> None:
         hasattr(method, "init") and hasattr(method, "update")
     )
     if not (least_squares or known):
-        allowed = 'an optax optimizer, "least_squares" or an optimistix least-squares solver'
         problems.add(
-            "UNKNOWN_METHOD", "fit.method", f"is {method!r:.60}", value=method, limit=allowed
+            "UNKNOWN_METHOD",
+            "fit.method",
+            f"is {method!r:.60}",
+            value=method,
+            limit='an optax optimizer, "least_squares" or an optimistix least-squares solver',
         )
 
 
@@ -288,10 +294,9 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
     inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
     paths, exact = [parameter.path for parameter in space.parameters], EXACT * floor(task)
     ends = _ends(task, np.asarray(u), r, J)
-    G, linearized = [np.asarray(slopes[path]) for path in paths], task.linearized(runs, J)
     uncertainty = assess(
-        *linearized,
-        G,
+        *task.linearized(runs, J),
+        [np.asarray(slopes[path]) for path in paths],
         paths,
         space.names,
         records_of(space.runs),
@@ -319,21 +324,15 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
             (at_bound, Status.AT_BOUND),
         )
         status = next((code for condition, code in conditions if condition), Status.OK)
-    noisy = (
-        noisy_inputs(task, device_array(u), runs)
-        if status == Status.OK or (status == Status.FAR_OFF and not certain)
-        else []
-    )
-    if noisy:
-        status = Status.NOISY_INPUT
-    remarks = (*errors, *noisy)
-    remarks += (
-        ()
-        if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED)
-        else _remedies(evaluate, task, status)
-    )
+    remarks = [*errors]
+    if status == Status.OK or (status == Status.FAR_OFF and not certain):
+        noisy = noisy_inputs(task, device_array(u), runs)
+        status = Status.NOISY_INPUT if noisy else status
+        remarks += noisy
+    if status not in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED):
+        remarks += _remedies(evaluate, task, status)
     if np.linalg.norm(r) > exact:
-        remarks += tuple(transients(model, experiments, predicted, task.noise, task.integration))
+        remarks += transients(model, experiments, predicted, task.noise, task.integration)
     return Fit(
         model=model,
         suspension=design if isinstance(design, Suspension) else None,
@@ -350,7 +349,7 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
         failed=evaluate.failed,
         at_bound=at_bound,
         rounds=tuple(evaluate.rounds),
-        remarks=remarks,
+        remarks=tuple(remarks),
     )
 
 
@@ -407,9 +406,12 @@ def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray
 
 def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, ...]:
     """Remedies for records that are too short, or else for a search that did not converge."""
-    runs = {name: run for name, run in task.experiments.items() if isinstance(run, Experiment)}
-    period = 1 / first_frequency(task.space.model) if runs else np.nan
-    durations = {name: float(np.ptp(run.times)) for name, run in runs.items()}
+    durations = {
+        name: float(np.ptp(run.times))
+        for name, run in task.experiments.items()
+        if isinstance(run, Experiment)
+    }
+    period = 1 / first_frequency(task.space.model) if durations else np.nan
     short = [
         f"'{name}' lasts {duration:.3g} s"
         for name, duration in durations.items()
@@ -417,19 +419,13 @@ def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, .
     ]
     if short:
         return (
-            (
-                f"{', '.join(short)}, a small part of the first natural period of {period:.3g} s: "
-                "record longer, or free fewer parameters"
-            ),
+            f"{', '.join(short)}, a small part of the first natural period of {period:.3g} s: "
+            "record longer, or free fewer parameters",
         )
     if status != Status.NOT_CONVERGED:
         return ()
-    return (
-        (
-            "give a better initial guess, or "
-            f"{'more max_evaluations' if evaluate.exhausted else 'another method'}"
-        ),
-    )
+    remedy = "more max_evaluations" if evaluate.exhausted else "another method"
+    return (f"give a better initial guess, or {remedy}",)
 
 
 def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:

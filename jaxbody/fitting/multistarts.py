@@ -69,8 +69,14 @@ class Multistart(Result):
             (str(i + 1), cost, str(count), *(float(paths[path][i, 0]) for path in scalars))
             for i, (cost, count) in enumerate(zip(self.cost, self.hits, strict=True))
         ]
-        note = f"{self.starts} starts, {self.failures} of which did not converge; {self.report()}"
-        return [tables.PrintedTable("Optima", ("", "cost", "starts", *scalars), rows, note)]
+        return [
+            tables.PrintedTable(
+                "Optima",
+                ("", "cost", "starts", *scalars),
+                rows,
+                f"{self.starts} starts, {self.failures} of which did not converge; {self.report()}",
+            )
+        ]
 
 
 def multistart(
@@ -151,8 +157,10 @@ def multistart(
         points = around(task.space, starts, spread, seed)
         ends, costs, done = [np.asarray(first.u)], [float(first.cost)], 0
         if workers is None and out is None:
-            parts = computed_here(**_search(task, points, max_evaluations))
-            searched = ((part["u"], part["end"], part["cost"]) for part in parts)
+            searched = (
+                (part["u"], part["end"], part["cost"])
+                for part in computed_here(**_search(task, points, max_evaluations))
+            )
         else:
             searched = [
                 _searched_by_workers(task, points, max_evaluations, workers, out, chunks, line)
@@ -172,14 +180,13 @@ def multistart(
             for each in caught:
                 warn_of(each.message)  # pyright: ignore
         else:
-            start = dataclasses.replace(first, u=device_array(ends[lowest]))
             best = fit(
                 model,
                 experiments,
                 free=free,
                 bounds=bounds,
                 progress=progress,
-                resume=start,
+                resume=dataclasses.replace(first, u=device_array(ends[lowest])),
                 **options,
             )
     cost = np.array([costs[group[0]] for group in groups])
@@ -192,12 +199,11 @@ def multistart(
     values = jax.vmap(task.space.values)(
         device_array(np.array([ends[group[0]] for group in groups]))
     )
-    estimates = {path: values[path] for path in first.paths}
     return Multistart(
         best=best,
         cost=cost,
         hits=np.array([len(group) for group in groups]),
-        estimates=estimates,
+        estimates={path: values[path] for path in first.paths},
         starts=done + 1,
         failures=done + 1 - len(ends),
         status=best.status,

@@ -68,12 +68,11 @@ def noisy_inputs(task: Task, u: Float[Array, "n"], runs: ReadingsAndResiduals) -
             noisy.append(f"'{name}'")
     if not noisy:
         return []
-    sentence = (
+    return [
         f"the readings of {', '.join(noisy)} do not follow the fast part of the motion or load "
         "that is imposed there: it is noise of that record, which moves the model alone; "
         "filter the record (forward and backward, as scipy.signal.sosfiltfilt does)"
-    )
-    return [sentence]
+    ]
 
 
 def _is_record(x: Any) -> bool:
@@ -85,10 +84,13 @@ def _inputs(experiment: Experiment) -> Any:
 
 
 def _smoothed(experiment: Experiment) -> Experiment:
-    smooth = jax.tree.map(
-        lambda x: _smooth(x) if _is_record(x) else x, _inputs(experiment), is_leaf=_is_record
+    return eqx.tree_at(
+        _inputs,
+        experiment,
+        replace_fn=lambda inputs: jax.tree.map(
+            lambda x: _smooth(x) if _is_record(x) else x, inputs, is_leaf=_is_record
+        ),
     )
-    return eqx.tree_at(_inputs, experiment, smooth)
 
 
 def _smooth(record: Any) -> Any:

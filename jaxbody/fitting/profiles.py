@@ -72,13 +72,13 @@ class Profile(Result):
             for x, t, c in zip(self.values, self.tau, self.cost, strict=True)
         ]
         low, high = self.interval
-        note = (
+        notes = [
             f"{100 * self.level:g} % interval {low:.6g} to {high:.6g}, estimate "
-            f"{self.estimate:.6g}; {self.report()}"
-        )
-        note = "\n".join([note, *filter(None, [widening(self.degrees_of_freedom, self.level)])])
-        value = f"value [{self.unit}]" if self.unit else "value"
-        return [tables.PrintedTable(f"Profile of {self.path}", (value, "tau", "cost"), rows, note)]
+            f"{self.estimate:.6g}; {self.report()}",
+            *filter(None, [widening(self.degrees_of_freedom, self.level)]),
+        ]
+        heads = (f"value [{self.unit}]" if self.unit else "value", "tau", "cost")
+        return [tables.PrintedTable(f"Profile of {self.path}", heads, rows, "\n".join(notes))]
 
 
 def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None = None) -> Profile:
@@ -115,17 +115,16 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
     """
     check_level(level, "profile.level")
     i, value, unit = _place(fit, path)
-    optimum = (np.asarray(fit.u), 0.0, float(fit.cost))
     with working("profile", progress) as line:
         search = _ProfileSearch(fit, i, level)
         sides = [search.points(sign, line) for sign in (-1, 1)]
-    points = [*sides[0][::-1], optimum, *sides[1]]
+    points = [*sides[0][::-1], (np.asarray(fit.u), 0.0, float(fit.cost)), *sides[1]]
     u, tau, cost = (np.array(x) for x in zip(*points, strict=True))
-    ends = [search.end(side, sign) for side, sign in zip(sides, (-1, 1), strict=True)]
-    lower = cost.min() < float(fit.cost) - LOWER * search.kappa
-    status = np.asarray(Status.OK if search.converged and not lower else Status.NOT_CONVERGED)
+    converged = search.converged and cost.min() >= float(fit.cost) - LOWER * search.kappa
     with np.errstate(over="ignore"):
-        low, high = (value(end) for end in ends)
+        low, high = (
+            value(search.end(side, sign)) for side, sign in zip(sides, (-1, 1), strict=True)
+        )
         values = np.array([value(x) for x in u[:, i]])
     return warn_if_failed(
         Profile(
@@ -139,7 +138,7 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
             cost=cost,
             u=u,
             interval=(low, high),
-            status=status,
+            status=np.asarray(Status.OK if converged else Status.NOT_CONVERGED),
             unit=unit,
         )
     )

@@ -25,8 +25,7 @@ from jaxbody.core.arrays import Array, Bool, Float, Int, as_numpy, device_array,
 from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, Options, program_with
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.fitting.experiments.experiments import Experiment, Integration
-from jaxbody.fitting.experiments.measured_responses import small_motions
-from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.experiments.measurements import Measurement, small_motions
 from jaxbody.fitting.parameters.spaces import Parameter, Space
 from jaxbody.fitting.parameters.transforms import Positive
 from jaxbody.fitting.statistics.losses import linearized, robust_level, root
@@ -45,10 +44,8 @@ def colors_of(space: Space) -> Int[np.ndarray, "n"]:
     colors = np.zeros(space.size, int)
     for parameter, part in space.parts:
         if parameter.run:
-            i, row = (
-                np.arange(parameter.form.size),
-                parameter.form.size // _parts(parameter, space.runs[parameter.run]),
-            )
+            i = np.arange(parameter.form.size)
+            row = len(i) // _parts(parameter, space.runs[parameter.run])
             colors[part] = used[parameter.run] + i % row + row * (i // row % 2)
             used[parameter.run] = colors[part].max() + 1
     shared = np.concatenate(
@@ -106,11 +103,6 @@ class Task(eqx.Module):
     @property
     def experiments(self) -> dict[str, Measurement]:
         return self.space.runs
-
-    @property
-    def times(self) -> list[Float[Array, "_"]]:
-        """Those of all motions [s]."""
-        return [run.times for run in self.experiments.values() if isinstance(run, Experiment)]
 
     @property
     def priors(self) -> dict[str, tuple[Array, Array]]:
@@ -186,7 +178,10 @@ class Task(eqx.Module):
         """All residuals in one vector, with the loss applied: sorted by name as jit sorts dicts,
         those of priors last."""
         r = jnp.concatenate(
-            [root(r, None if run == PRIORS else self.loss) for run, r in _rows(runs).items()]
+            [
+                root(runs[run][1][name].ravel(), None if run == PRIORS else self.loss)
+                for run, name in _channels(runs)
+            ]
         )
         return r if self.offset is None else r - self.offset
 
@@ -204,33 +199,29 @@ class Task(eqx.Module):
     def linearized(self, runs: ReadingsAndResiduals, J) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and Jacobian of the least-squares problem with the same optimum and covariance
         as the robust one."""
-        raw: dict[str, Any] = dict(_rows(jax.tree.map(np.asarray, runs)))
-        prior = raw.pop(PRIORS, np.zeros(0))
-        r, m = np.concatenate(list(raw.values())), len(J) - len(prior)
-        present = [
-            self.experiments[run].present(name).ravel()
-            for run in _order(self.experiments)
-            for name in sorted(runs[run][1])
-        ]
-        r, data = linearized(r, J[:m], np.concatenate(present), self.loss)
-        return np.concatenate([r, prior]), np.concatenate([data, J[m:]])
+        channels = _channels(runs)
+        r = np.concatenate([np.ravel(runs[run][1][name]) for run, name in channels])
+        present = np.concatenate(
+            [self.experiments[run].present(name).ravel() for run, name in channels if run != PRIORS]
+        )
+        m = len(present)
+        data_r, data_J = linearized(r[:m], J[:m], present, self.loss)
+        return np.concatenate([data_r, r[m:]]), np.concatenate([data_J, J[m:]])
 
 
-def _rows(runs: ReadingsAndResiduals) -> dict[str, Array]:
-    """The residuals of each measurement as one vector."""
-    parts = {
-        run: [runs[run][1][name].ravel() for name in sorted(runs[run][1])] for run in _order(runs)
-    }
-    return {run: module_of(*own).concatenate(own) for run, own in parts.items()}
-
-
-def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
-    return sorted(runs, key=lambda run: (run == PRIORS, run))
+def _channels(runs: ReadingsAndResiduals) -> list[tuple[str, str]]:
+    """(measurement, channel) in the order of the residuals: by name, priors last."""
+    return [
+        (run, name)
+        for run in sorted(runs, key=lambda run: (run == PRIORS, run))
+        for name in sorted(runs[run][1])
+    ]
 
 
 def options_of(task: Task, *_: Any) -> Options:
     """Options for programs that simulate the runs of a task."""
-    return OPTIMIZED if take_long(task.space.model, *task.times) else QUICK
+    times = [run.times for run in task.experiments.values() if isinstance(run, Experiment)]
+    return OPTIMIZED if take_long(task.space.model, *times) else QUICK
 
 
 @program_with(options_of)
@@ -250,9 +241,7 @@ def residual_and_jacobian(
         lambda seed: jax.jvp(evaluate, (u,), (seed,), has_aux=True), 1, (None, 1, None)
     )(seeds)
     blocks = [
-        moved_rows(task.space, run, name, runs[run][1][name].size)
-        for run in _order(runs)
-        for name in sorted(runs[run][1])
+        moved_rows(task.space, run, name, runs[run][1][name].size) for run, name in _channels(runs)
     ]
     return r, jnp.where(jnp.concatenate(blocks), sums[:, colors], 0.0), runs
 
@@ -383,13 +372,13 @@ def rms_residuals(task: Task, runs: ReadingsAndResiduals) -> Levels:
 def floor(task: Task) -> float:
     """The norm of a column of the Jacobian below which it is only integration error: an error of
     rtol times the size of the model in every residual."""
-    weights = [
+    counts_and_levels = [
         (e.measured[name].size, task.noise[run][name])
         for run, e in task.experiments.items()
         for name in e.channels
     ]
-    weight = np.sqrt(sum(n * np.mean(1 / np.asarray(level) ** 2) for n, level in weights))
-    return integration_error(task) * weight
+    squares = sum(n * np.mean(1 / np.asarray(level) ** 2) for n, level in counts_and_levels)
+    return integration_error(task) * np.sqrt(squares)
 
 
 def integration_error(task: Task) -> float:
@@ -458,10 +447,8 @@ def _check_effects(task: Task, u: np.ndarray, silent: np.ndarray) -> None:
     small &= effects(larger) > hidden if small.any() else False
     with Problems() as problems:
         for i in np.flatnonzero(small):
-            value, least = (
-                space.numbers(u)[0][i],
-                10 ** np.ceil(np.log10(space.numbers(larger)[0][i])),
-            )
+            value = space.numbers(u)[0][i]
+            least = 10 ** np.ceil(np.log10(space.numbers(larger)[0][i]))
             problems.add(
                 "TINY_START",
                 space.labels[i],

@@ -165,7 +165,6 @@ def by_scipy(evaluate: Evaluations, u, limits: Bounds) -> tuple[np.ndarray, bool
     rejected step."""
     from scipy.optimize import least_squares
 
-    evaluations_left = max(evaluate.max_evaluations - evaluate.count, 1)
     # the first trust region then depends on u and not on the noise level
     size = np.linalg.norm(evaluate(u)[0]) or 1.0
 
@@ -184,7 +183,8 @@ def by_scipy(evaluate: Evaluations, u, limits: Bounds) -> tuple[np.ndarray, bool
             lambda u: evaluate.triangle(u)[0] / size, np.asarray(u),
             jacobian,  # pyright: ignore[reportArgumentType]  SciPy takes functions, too
             limits,
-            x_scale="jac", xtol=1e-11, ftol=1e-15, gtol=1e-15, max_nfev=evaluations_left,
+            x_scale="jac", xtol=1e-11, ftol=1e-15, gtol=1e-15,
+            max_nfev=max(evaluate.max_evaluations - evaluate.count, 1),
         )  # fmt: skip
     except _NearOptimum as near:
         return gauss_newton(evaluate, near.u, True, limits)
@@ -387,12 +387,9 @@ def _minimize(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Arra
         max_steps=max_steps,
         throw=False,
     )
-    failed = result.result != optimistix.RESULTS.successful
-    return (
-        result.value,
-        jnp.where(failed, Status.NOT_CONVERGED.value, Status.OK.value),
-        result.stats["num_steps"],
-    )
+    converged = result.result == optimistix.RESULTS.successful
+    status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)
+    return result.value, status, result.stats["num_steps"]
 
 
 @program_with(options_of)

@@ -25,8 +25,12 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, device_array
 from jaxbody.core.errors import JaxbodyError, JaxbodyWarning, Problem
 from jaxbody.core.progress_lines import working
-from jaxbody.fitting.experiments.experiments import Experiment, Integration, check_measurements
-from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.experiments.experiments import Experiment, Integration
+from jaxbody.fitting.experiments.measurements import (
+    Measurement,
+    NumberChannel,
+    check_measurements,
+)
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.fitters import fit
 from jaxbody.fitting.residuals import first_noise
@@ -38,7 +42,6 @@ from jaxbody.model.states import State
 from jaxbody.motion.sensor_readings import readings
 from jaxbody.motion.simulations import motions_of
 from jaxbody.motion.trajectories import Trajectory
-from jaxbody.sensors.sensors import Channel
 
 MAX_EVALUATIONS = 50  # for the initial state of a segment
 # standard deviations of gaps between segments, relative to the variation of the state over
@@ -53,14 +56,6 @@ SLACKS = (
 # ratio of the cost of the whole record to that of the segments above which the fit of the segments
 # is returned
 WORSE = 1.01
-
-
-class Continuity(Channel):
-    """Gaps of the state between segments, over the scale of each component."""
-
-    shape = ()
-    unit = ""
-    series = False
 
 
 class Segments(Measurement):
@@ -86,8 +81,8 @@ class Segments(Measurement):
 
     @property
     def channels(self):
-        # the fields are class attributes
-        return {**self.whole.channels, ("continuity"): Continuity()}  # pyright: ignore[reportCallIssue]
+        # gaps of the state between segments, over the scale of each component
+        return {**self.whole.channels, "continuity": NumberChannel(series=False)}
 
     def residual(self, name, reading):
         return reading if name == "continuity" else self.whole.residual(name, reading)
@@ -131,13 +126,11 @@ class Segments(Measurement):
         motions, loads = motions_of(model, self.whole.motion), tuple(self.whole.loads.values())
         first = first_state(self.whole, model)
         first = completed(model, first, frames_at_time(model, motions, self.whole.times[0], first))
-        initial_states = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), first, self.nodes)
-
-        def segment(times, initial):
-            return integration.trajectory(model, times, motions, loads, initial)
-
-        parts = jax.vmap(segment)(
-            self.whole.times[starts[:, None] + np.arange(rows)], initial_states
+        parts = jax.vmap(
+            lambda times, initial: integration.trajectory(model, times, motions, loads, initial)
+        )(
+            self.whole.times[starts[:, None] + np.arange(rows)],
+            jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), first, self.nodes),
         )
         ends = jax.tree.map(lambda x: x[np.arange(self.count - 1), np.diff(starts)], parts.state)
         gaps = jax.tree.leaves(
@@ -146,17 +139,13 @@ class Segments(Measurement):
             )
         )
         owner = self._segment_of_samples()
-        joined = jax.tree.map(
-            lambda x: x[owner, np.arange(len(owner)) - starts[owner]], parts.state
-        )
-        end = jax.tree.map(lambda x: x[-1], parts.end)
-        times, status = self.whole.times, jnp.max(parts.status)
+        row = np.arange(len(owner)) - starts[owner]
         whole = Trajectory(
-            times=times,
-            state=joined,
-            status=status,
+            times=self.whole.times,
+            state=jax.tree.map(lambda x: x[owner, row], parts.state),
+            status=jnp.max(parts.status),
             statistics={},
-            end=end,
+            end=jax.tree.map(lambda x: x[-1], parts.end),
             model=model,
             motions=motions,
             loads=loads,
@@ -267,15 +256,13 @@ def first_state(experiment: Experiment, model: Model) -> State:
 
 def _cost(result: Fit, noise: dict[str, dict[str, Array]]) -> float:
     """1/2 r'r of the measured channels, with this noise."""
-    total = 0.0
-    for name, channels in noise.items():
-        experiment = result.experiments[name]
-        for channel, level in channels.items():
-            r = experiment.residual(channel, result.predicted[name][channel]) / experiment.channels[
-                channel
-            ].spread(level)
-            total += 0.5 * float(jnp.sum(r**2))
-    return total
+    residuals = (
+        result.experiments[run].residual(name, result.predicted[run][name])
+        / result.experiments[run].channels[name].spread(level)
+        for run, levels in noise.items()
+        for name, level in levels.items()
+    )
+    return sum(0.5 * float(jnp.sum(r**2)) for r in residuals)
 
 
 def _cut(
@@ -290,17 +277,16 @@ def _cut(
         if field.name in options
     }
     state = first_state(experiment, model)
-    start = first_noise({name: experiment}, absolute=False)[0][name], state
     whole = eqx.tree_at(
         lambda e: (e.noise, e.initial),
         experiment,
-        start,
+        (first_noise({name: experiment}, absolute=False)[0][name], state),
         is_leaf=lambda x: x is None or isinstance(x, Rest),
     )
     motions: list[State] = []
     for i, following in zip(starts, [*starts[1:], starts[-1]], strict=True):
         record = {channel: x[i : i + rows] for channel, x in whole.measured.items()}
-        part = eqx.tree_at(
+        part: Any = eqx.tree_at(
             lambda e: (e.times, e.measured, e.initial),
             whole,
             (whole.times[i : i + rows], record, state),
@@ -313,7 +299,6 @@ def _cut(
                 max_evaluations=MAX_EVALUATIONS,
                 **how,
             ).experiments[name]
-            assert isinstance(part, Experiment)
         motions.append(part.trajectory(model, Integration(**how)).state)
         state = jax.tree.map(lambda x, last=following - i: x[last], motions[-1])
     nodes = jax.tree.map(lambda *x: jnp.stack([each[0] for each in x]), *motions[1:])
@@ -324,5 +309,6 @@ def _cut(
         largest = jnp.max(size, initial=0.0)
         return jnp.maximum(size, 1e-3 * jnp.where(largest > 0, largest, 1.0))
 
-    sizes = jax.tree.map(scale, *motions)
-    return Segments(experiment, nodes, sizes, device_array(SLACKS[0]), count)  # pyright: ignore[reportCallIssue]
+    return Segments(  # pyright: ignore[reportCallIssue]
+        experiment, nodes, jax.tree.map(scale, *motions), device_array(SLACKS[0]), count
+    )

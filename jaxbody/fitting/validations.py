@@ -17,8 +17,11 @@ from jaxbody.core.arrays import Array
 from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.fitting.experiments.experiments import check_measurements
-from jaxbody.fitting.experiments.measurements import Measurement, records_of
+from jaxbody.fitting.experiments.measurements import (
+    Measurement,
+    check_measurements,
+    records_of,
+)
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.parameters.spaces import Space
 from jaxbody.fitting.residuals import Levels, Task, options_of, residuals_of_means
@@ -144,7 +147,6 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
         for run, e in experiments.items()
         if not all(np.isfinite(x).all() for x in runs[run][1].values())
     }
-    status = np.asarray(Status.NONFINITE if failed else Status.OK)
     predicted, residuals = ({run: both[k] for run, both in runs.items()} for k in (0, 1))
     return warn_if_failed(
         Validation(
@@ -157,7 +159,7 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
             predicted=predicted,
             residuals=residuals,
             failed=failed,
-            status=status,
+            status=np.asarray(Status.NONFINITE if failed else Status.OK),
         )
     )
 

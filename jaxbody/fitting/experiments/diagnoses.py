@@ -24,14 +24,18 @@ from jaxbody.core.arrays import Array, Int, indices, time_text
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
-from jaxbody.fitting.experiments.experiments import Experiment, check_measurements
-from jaxbody.fitting.experiments.measured_responses import small_motions
-from jaxbody.fitting.experiments.measurements import Measurement
+from jaxbody.fitting.experiments.experiments import Experiment
+from jaxbody.fitting.experiments.measurements import (
+    Measurement,
+    check_measurements,
+    small_motions,
+)
 from jaxbody.fitting.statistics.autocorrelations import best_shift, centered, correlation, whiteness
 from jaxbody.model.models import Model
 from jaxbody.motion.sensor_readings import measure
 from jaxbody.motion.simulations import simulate
 from jaxbody.sensors.instruments import Accelerometer
+from jaxbody.sensors.sensors import Sensor
 
 FACTORS = {
     1000.0: "is it in thousandths of the sensor's unit (mm instead of m)?",
@@ -60,8 +64,7 @@ OFFSETS = {
     "Displacement": "is it a place? Use Position",
 }
 ROUNDED = 1e-9  # offset relative to the record that is rounding
-# ratio of the highest to the lowest frequency from which a power of the frequency is looked for
-SPAN = 3.0
+
 OWN = ("WRAPPED", "GAIN_FACTOR")  # which explain an offset or a low correlation
 FAULTS = (
     "GAIN_FACTOR",
@@ -84,12 +87,7 @@ CLOSE = 0.05  # largest difference of the logarithms of a gain and a factor
 CORRELATED = 0.8  # smallest correlation for which gain and delay are considered
 LATE = 0.05  # smallest delay that is reported, in samples
 SIGNIFICANT = 4.0  # and in standard errors
-# smallest predicted mean of an accelerometer, relative to gravity, for which gravity is checked
-HEAVY = 0.3
-LIGHT = 0.2  # measured mean, relative to the predicted one, below which gravity counts as missing
-# smallest singular value of prediction and derivative, relative to the largest, for which there is
-# a delay
-ALIKE = 1e-6
+
 # share of the variation of a record that its prediction explains, r2, below which it is reported
 EXPLAINED = 0.5
 # unless the rest is white noise, of which this is the p-value at four standard errors
@@ -220,17 +218,17 @@ def likely_errors(
     compared, words = [], []
     channels, times = _components(name, experiment, readings), np.asarray(experiment.times)
     step = np.median(np.diff(times))
-    for key, (y, p, unit) in channels.items():
+    for key, (y, p, sensor) in channels.items():
         compared.append(_compared(key, times, y, p, step))
-        kind = type(experiment.sensors[key.removeprefix(f"{name}.").partition("[")[0]]).__name__
-        own = _wrapped(key, times, y, p, unit) or [*_remarks(compared[-1])]
-        words += own if any(code in OWN for code, _ in own) else own + _aside(key, y, p, unit, kind)
+        own = [*_wrapped(key, times, y, p, sensor.unit)] or [*_remarks(compared[-1])]
+        if not any(code in OWN for code, _ in own):
+            own += _aside(key, y, p, sensor)
+        words += own
     arranged = [*_swapped(channels), *_mirrored(name, experiment, readings)]
-    named = arranged + [remark for remark in words if remark[0] in OWN]
     return compared, [
         *words,
         *arranged,
-        *_unrelated(channels, named, step),
+        *_unrelated(channels, arranged + [word for word in words if word[0] in OWN], step),
         *_without_gravity(name, model, experiment, readings),
     ]
 
@@ -240,9 +238,7 @@ def faults(errors: list[tuple[str, str]]) -> list[tuple[str, str]]:
     return [error for error in errors if error[0] in FAULTS]
 
 
-def _wrapped(
-    name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, unit: str
-) -> list[tuple[str, str]]:
+def _wrapped(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, unit: str) -> Remarks:
     """A remark on an angle that starts again after each turn."""
     valid = np.flatnonzero(np.isfinite(y) & np.isfinite(p))
     for label, turn in TURNS.items() if unit == "rad" else ():
@@ -250,31 +246,30 @@ def _wrapped(
         jumps = (np.abs(steps - 1) < TURN) & (np.abs(np.diff(p[valid])) < TURN * 2 * np.pi)
         if jumps.any() and (steps[~jumps] < TURN).all():
             first = time_text(times[valid[1 + np.argmax(jumps)]], times)
-            message = (
+            yield (
+                "WRAPPED",
                 f"{name} jumps by about {label} {jumps.sum()} times, first at t = {first} s, and "
                 "its prediction does not: add up its turns, "
-                f"np.unwrap(x{', period=360' if turn == 360 else ''})"
+                f"np.unwrap(x{', period=360' if turn == 360 else ''})",
             )
-            return [("WRAPPED", message)]
-    return []
+            return
 
 
-def _aside(name: str, y: np.ndarray, p: np.ndarray, unit: str, kind: str) -> list[tuple[str, str]]:
+def _aside(name: str, y: np.ndarray, p: np.ndarray, sensor: Sensor) -> Remarks:
     """A remark on a record with a constant offset; not on an accelerometer, which may
     lack gravity."""
     off = (y - p)[np.isfinite(y) & np.isfinite(p)]
-    if not off.size or kind == "Accelerometer":
-        return []
+    if not off.size or isinstance(sensor, Accelerometer):
+        return
     offset = float(np.mean(off))
-    if abs(offset) <= max(ASIDE * np.std(off), np.nanstd(y)) or abs(offset) < ROUNDED * np.nanmax(
-        np.abs(y)
-    ):
-        return []
-    message = (
-        f"{name} is {abs(offset):.4g} {unit} {'above' if offset > 0 else 'below'} the prediction "
-        f"throughout: {OFFSETS.get(kind, 'subtract it, or free its bias in the fit')}"
-    )
-    return [("OFFSET", message)]
+    notable = abs(offset) > max(ASIDE * np.std(off), np.nanstd(y))
+    if notable and abs(offset) >= ROUNDED * np.nanmax(np.abs(y)):
+        remedy = OFFSETS.get(type(sensor).__name__, "subtract it, or free its bias in the fit")
+        yield (
+            "OFFSET",
+            f"{name} is {abs(offset):.4g} {sensor.unit} {'above' if offset > 0 else 'below'} the "
+            f"prediction throughout: {remedy}",
+        )
 
 
 def _of_numbers(
@@ -298,81 +293,72 @@ def _of_numbers(
             )
             gain = product / float(np.vdot(other, other).real)
             compared.append(Compared(key, gain, product / size, np.nan, np.nan, float(residual)))
-            turned = (
-                _turned(key, np.asarray(measurement.axis(name)[1])[valid], own, other)
-                if np.iscomplexobj(y)
-                else []
-            )
-            words += turned or [*_remarks(compared[-1], FACTORS | OF_MODES)]
+            frequencies = np.asarray(measurement.axis(name)[1])[valid]
+            turned = [*_turned(key, frequencies, own, other)] if np.iscomplexobj(y) else []
+            words += turned or _remarks(compared[-1], FACTORS | OF_MODES)
     return compared, words
 
 
-def _turned(
-    name: str, frequencies: np.ndarray, y: np.ndarray, p: np.ndarray
-) -> list[tuple[str, str]]:
+def _turned(name: str, frequencies: np.ndarray, y: np.ndarray, p: np.ndarray) -> Remarks:
     """A remark on responses of another derivative or with phases of another sign, by their phases
     alone: resonances of a guess are elsewhere, where its magnitudes tell nothing."""
     if len(y) < 8 or not (np.abs(y) * np.abs(p)).all():
-        return []
-    powers = (
+        return
+    power = (
         np.polyfit(np.log(frequencies), np.log(np.abs(y) / np.abs(p)), 1)[0]
         if frequencies.min() > 0
         else 0.0
     )
-    if (
-        frequencies.max() > SPAN * frequencies.min()
-        and round(powers) in POWERS
-        and abs(powers - round(powers)) < 0.25
-    ):
-        message = (
-            f"{name} grows as f^{round(powers)} relative to the prediction: is it "
-            f"{POWERS[round(powers)]}? Use a sensor that reads it"
-        )
-        return [("OTHER_RESPONSE", message)]
+    wide = frequencies.max() > 3 * frequencies.min()
     real, imaginary = (
         correlation(part(y / abs(y)), part(p / abs(p))) for part in (np.real, np.imag)
     )
-    if min(abs(real), abs(imaginary)) < AGREED or min(real, imaginary) > 0:
-        return []
-    if real < 0 and imaginary < 0:
-        message = f"{name} is the negative of the prediction: is its sign or its axis reversed?"
-        return [("GAIN_FACTOR", message)]
-    message = (
-        f"{name} is {'the conjugate' if real > 0 else 'the negative conjugate'} of the prediction: "
-        "its phases are those of exp(-i 2 pi f t); give np.conj of it"
-    )
-    return [("CONJUGATED", message)]
+    if wide and round(power) in POWERS and abs(power - round(power)) < 0.25:
+        yield (
+            "OTHER_RESPONSE",
+            f"{name} grows as f^{round(power)} relative to the prediction: is it "
+            f"{POWERS[round(power)]}? Use a sensor that reads it",
+        )
+    elif max(real, imaginary) <= -AGREED:
+        yield (
+            "GAIN_FACTOR",
+            f"{name} is the negative of the prediction: is its sign or its axis reversed?",
+        )
+    elif min(real, imaginary) <= -AGREED and max(real, imaginary) >= AGREED:
+        yield (
+            "CONJUGATED",
+            f"{name} is {'the conjugate' if real > 0 else 'the negative conjugate'} of the "
+            "prediction: its phases are those of exp(-i 2 pi f t); give np.conj of it",
+        )
 
 
 def _components(
     run: str, experiment: Experiment, readings: dict[str, np.ndarray]
-) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
-    """{name: (measured, predicted, unit)} of every component of channels that are scalars or
+) -> dict[str, tuple[np.ndarray, np.ndarray, Sensor]]:
+    """{name: (measured, predicted, sensor)} of every component of channels that are scalars or
     vectors, not of poses."""
     components = {}
     for name, sensor in experiment.sensors.items():
         y, p = np.asarray(experiment.measured[name]), readings[name]
         if y.ndim == 1:
-            components[f"{run}.{name}"] = (y, p, sensor.unit)
+            components[f"{run}.{name}"] = (y, p, sensor)
         elif y.shape[1] <= 3:
             components |= {
-                f"{run}.{name}[{k}]": (y[:, k], p[:, k], sensor.unit) for k in range(y.shape[1])
+                f"{run}.{name}[{k}]": (y[:, k], p[:, k], sensor) for k in range(y.shape[1])
             }
     return components
 
 
 def _fit(columns: list[np.ndarray], y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients, and their standard errors for white noise."""
+    """Coefficients, and their standard errors for white noise, infinite for columns that are nearly
+    dependent."""
     A = np.stack(columns, 1)
-    c, _, rank, _ = np.linalg.lstsq(A, y, rcond=ALIKE)
+    c, _, rank, _ = np.linalg.lstsq(A, y, rcond=1e-6)
+    if rank < A.shape[1]:
+        return c, np.full(len(c), np.inf)
     residual = y - A @ c
     s2 = residual @ residual / max(len(y) - A.shape[1], 1)
-    e = (
-        np.sqrt(s2 * np.diag(np.linalg.pinv(A.T @ A)))
-        if rank == A.shape[1]
-        else np.full(len(c), np.inf)
-    )
-    return c, e
+    return c, np.sqrt(s2 * np.diag(np.linalg.pinv(A.T @ A)))
 
 
 def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: float) -> Compared:
@@ -393,9 +379,13 @@ def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: 
         if not gain or abs(c[2] / gain) > 0.1 * length:
             break
         delay, error = delay + c[2] / gain, e[2] / abs(gain)
-    correlated = float(np.corrcoef(y, p)[0, 1])
     return Compared(
-        name, float(gain), correlated, float(delay / step), float(error / step), residual
+        name,
+        gain=float(gain),
+        correlation=float(np.corrcoef(y, p)[0, 1]),
+        delay=float(delay / step),
+        delay_error=float(error / step),
+        residual=residual,
     )
 
 
@@ -415,11 +405,11 @@ def _remarks(c: Compared, factors: dict[float, str] = FACTORS) -> Remarks:
         )
 
 
-def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, str]]) -> Remarks:
+def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, Sensor]]) -> Remarks:
     """Remarks on pairs of channels of one unit that fit better when exchanged."""
-    for (a, (y, p, unit)), (b, (z, q, other)) in itertools.combinations(channels.items(), 2):
+    for (a, (y, p, first)), (b, (z, q, second)) in itertools.combinations(channels.items(), 2):
         valid = np.isfinite(y) & np.isfinite(z)
-        if unit != other or not valid.any():
+        if first.unit != second.unit or not valid.any():
             continue
         y, z, p, q = (x[valid] - x[valid].mean() for x in (y, z, p, q))
         recorded, exchanged = (
@@ -506,7 +496,7 @@ def _without_gravity(
             )
             for x in (y, p)
         )
-        if expected > HEAVY * g > 0 and mean < LIGHT * expected:
+        if expected > 0.3 * g > 0 and mean < 0.2 * expected:
             yield (
                 "GRAVITY",
                 f"{run}.{name} is {mean:.3g} m/s2 on average, but an accelerometer reads "

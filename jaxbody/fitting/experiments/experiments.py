@@ -1,7 +1,6 @@
 """Experiments: the sample times, base motions, loads, initial state and sensor records of
 one run."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +22,7 @@ from jaxbody.core.arrays import (
     module_of,
     time_text,
 )
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
+from jaxbody.core.errors import JaxbodyError, Problems, warn
 from jaxbody.core.units import parse
 from jaxbody.fitting.experiments.measurements import Measurement
 from jaxbody.mechanics.quasi_static_states import Rest, as_initial, initial_state_of, rest_state
@@ -175,10 +174,9 @@ class Experiment(Measurement):
         for name in [
             n for n in (*sensors, *measured) if (n in sensors) != (n in measured) and not plan
         ]:
-            which = "measured" if name in sensors else "sensors"
             problems.add(
                 "UNKNOWN_NAME",
-                f"Experiment.{which}",
+                f"Experiment.{'measured' if name in sensors else 'sensors'}",
                 f"lacks '{name}'",
                 value=name,
                 hint="Every sensor needs its measured array, under the same name.",
@@ -189,12 +187,10 @@ class Experiment(Measurement):
             for name, sensor in sensors.items()
             if name in measured
         }
-        valid = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
-        levels = (
-            None
-            if noise is None
-            else noise_levels(valid, noise, "Experiment.noise", problems, zero=False)
-        )
+        levels = None
+        if noise is not None:
+            valid = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
+            levels = noise_levels(valid, noise, "Experiment.noise", problems, zero=False)
         self.initial = as_initial(initial)
         if initial is not None:
             check_kind(
@@ -204,31 +200,14 @@ class Experiment(Measurement):
                 'jb.State(q, v) or "rest"',
                 problems,
             )
-        reserved = {"initial": "is reserved"} | dict.fromkeys(
-            motion, "is the name of a support too"
-        )
-        for kind, names in (("loads", loads), ("sensors", sensors)):
-            for name in [name for name in names if name in reserved]:
-                where, hint = f"Experiment.{kind}['{name}']", "Paths need different names."
-                problems.add("DUPLICATE_NAME", where, reserved[name], value=name, hint=hint)
-            reserved |= dict.fromkeys(names, "is the name of a load too")
-        for name in sensors:
-            if not isinstance(name, str) or not name or set(name) & set(".*?[]"):
-                problems.add(
-                    "BAD_NAME",
-                    f"Experiment.sensors[{name!r}]",
-                    "is not a valid name",
-                    value=name,
-                    hint="Give a text without . * ? [ ], as paths contain it.",
-                )
+        _check_names(motion, loads, sensors, problems)
         problems.raise_if_any()
         self.times = device_array(checked)
         self.motion = motions
-        self.loads = {name: jax.tree.map(device_array, load) for name, load in loads.items()}
-        self.sensors = {
-            name: jax.tree.map(device_array, sensor) for name, sensor in sensors.items()
-        }
-        self.measured = {name: device_array(a) for name, a in arrays.items()}
+        self.loads, self.sensors, self.measured = (
+            {name: jax.tree.map(device_array, part) for name, part in parts.items()}
+            for parts in (loads, sensors, arrays)
+        )
         self.noise = (
             None
             if levels is None
@@ -291,29 +270,25 @@ class Experiment(Measurement):
         }
 
     def absent(self):
-        hint = (
-            "The experiment has no initial state: give it initial=State(q, v), or the "
-            ".state of an equilibrium."
-        )
-        if isinstance(self.initial, Rest):
+        stages = {
+            f"{name}.{stage}": f"Sensor '{name}' has no {stage}: construct it with {option}."
+            for name, sensor in self.sensors.items()
+            for stage, option in sensor.absent().items()
+        }
+        if isinstance(self.initial, State):
             hint = (
-                "The experiment begins at rest, which follows from the model: give it "
-                "initial=State(q, v) for a free initial state."
-            )
-        missing: dict[str, str] = {
-            "initial.z": (
                 "The initial state has no z: give it State(q, v, z), or the "
                 ".state of an equilibrium."
             )
-        }
-        if not isinstance(self.initial, State):
-            missing = {f"initial.{part}": hint for part in "qvz"}
-        for name, sensor in self.sensors.items():
-            for stage, option in sensor.absent().items():
-                missing[f"{name}.{stage}"] = (
-                    f"Sensor '{name}' has no {stage}: construct it with {option}."
-                )
-        return missing
+            return {"initial.z": hint, **stages}
+        hint = (
+            "The experiment begins at rest, which follows from the model: give it "
+            "initial=State(q, v) for a free initial state."
+            if isinstance(self.initial, Rest)
+            else "The experiment has no initial state: give it initial=State(q, v), or the "
+            ".state of an equilibrium."
+        )
+        return {**{f"initial.{part}": hint for part in "qvz"}, **stages}
 
     def scale_of(self, path, unit):
         """1 for a gain, which may have either sign, the sampling interval for a delay, the rms of
@@ -335,73 +310,59 @@ class Experiment(Measurement):
                     lambda: check_run(model, self.times, motions, self.loads, self.initial)
                 )
             problems.gather(lambda: check_sensors(self.sensors, model, "sensors"))
-            problems.collected += [
-                problem
-                for name in self.sensors
-                if (problem := self._delay_problem(name)) is not None
-            ]
+            for name in self.sensors:
+                self._check_delay(name, problems)
             problems.collected = [
                 replace(problem, where=f"{where}.{problem.where}") for problem in problems.collected
             ]
 
-    def _delay_problem(self, name: str) -> Problem | None:
-        """The problem BAD_DELAY if a sensor's delay leaves no measured sample to compare with."""
+    def _check_delay(self, name: str, problems: Problems) -> None:
+        """Check that a sensor's delay leaves a measured sample to compare with.
+        Error: BAD_DELAY."""
         sensor = self.sensors[name]
         if sensor.delay is None or not is_concrete(sensor.delay, self.times, self.measured[name]):
-            return None
+            return
         present = self.present(name).reshape(len(self.times), -1).any(1)
-        if (np.asarray(sensor.weight(self.times)) * present).any():
-            return None
-        length = float(self.times[-1] - self.times[0])
-        return Problem(
-            "BAD_DELAY",
-            f"sensors['{name}'].delay",
-            f"is {float(sensor.delay):.6g} s in a record of {length:.6g} s: no measured sample is "
-            "left to compare with",
-            float(sensor.delay),
-            f"-{length:.6g} to {length:.6g} s",
-            "Is it in milliseconds? Give it in seconds; it is usually a small part of the record.",
-        )
+        if not (np.asarray(sensor.weight(self.times)) * present).any():
+            length = float(self.times[-1] - self.times[0])
+            problems.add(
+                "BAD_DELAY",
+                f"sensors['{name}'].delay",
+                f"is {float(sensor.delay):.6g} s in a record of {length:.6g} s: no measured sample "
+                "is left to compare with",
+                value=float(sensor.delay),
+                limit=f"-{length:.6g} to {length:.6g} s",
+                hint="Is it in milliseconds? Give it in seconds; it is usually a small part of the "
+                "record.",
+            )
 
 
-def check_measurements(experiments: Mapping[str, Measurement], where: str) -> Problems:
-    """Problems of measurements by name, to which the caller may add others. Error: WRONG_KIND if
-    they are not a dict."""
-    problems = Problems()
-    if not isinstance(experiments, dict):
-        kind = type(experiments).__name__
-        raise JaxbodyError(
-            Problem(
-                "WRONG_KIND",
-                where,
-                f"is one {kind} without a name"
-                if isinstance(experiments, Measurement)
-                else f"is a {kind}",
-                experiments,
-                "a dict of experiments by name",
-                'Write {"run": experiment}: paths and tables contain the name.',
-            )
-        )
-    if not experiments:
-        problems.add("NO_DATA", where, "is empty", limit="at least one Experiment")
-    for name, experiment in experiments.items():
-        if not isinstance(experiment, Measurement):
+def _check_names(
+    motion: dict[str, Any], loads: dict[str, Any], sensors: dict[str, Any], problems: Problems
+) -> None:
+    """Check that paths can name each part: names of loads and sensors differ from those of the
+    motions and from each other. Errors: DUPLICATE_NAME, BAD_NAME."""
+    used = {"initial": "is reserved"} | dict.fromkeys(motion, "is the name of a support too")
+    for kind, names in (("loads", loads), ("sensors", sensors)):
+        for name in names:
+            if name in used:
+                problems.add(
+                    "DUPLICATE_NAME",
+                    f"Experiment.{kind}['{name}']",
+                    used[name],
+                    value=name,
+                    hint="Paths need different names.",
+                )
+        used |= dict.fromkeys(names, "is the name of a load too")
+    for name in sensors:
+        if not isinstance(name, str) or not name or set(name) & set(".*?[]"):
             problems.add(
-                "WRONG_KIND",
-                f"experiments[{name!r}]",
-                f"is a {type(experiment).__name__}",
-                value=experiment,
-                limit="Experiment",
+                "BAD_NAME",
+                f"Experiment.sensors[{name!r}]",
+                "is not a valid name",
+                value=name,
+                hint="Give a text without . * ? [ ], as paths contain it.",
             )
-        elif not experiment.measured:
-            problems.add(
-                "NO_DATA",
-                f"experiments[{name!r}]",
-                "is a plan, without measured data",
-                hint="Give measured=, a record or arrays; `measure` of a simulated motion makes "
-                "some.",
-            )
-    return problems
 
 
 def _of_record(

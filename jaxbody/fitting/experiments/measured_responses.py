@@ -3,7 +3,7 @@ outputs, and the natural frequencies, damping ratios and mode shapes of a modal 
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Complex, Float, concrete, device_array, float_array
-from jaxbody.core.errors import Problems, Status, unknown
+from jaxbody.core.errors import Problems, unknown
 from jaxbody.fitting.experiments.measurements import (
     ByFrequency,
     Measurement,
@@ -19,27 +19,21 @@ from jaxbody.fitting.experiments.measurements import (
     check_rows,
     noise_of,
 )
-from jaxbody.mechanics.equilibria import equilibrium
-from jaxbody.model.models import Model
-from jaxbody.sensors.sensors import Channel, Sensor
+from jaxbody.sensors.sensors import Sensor
 from jaxbody.vibration.frequency_responses import (
     check_frequencies,
     check_loss_factors,
     check_without_force_sensors,
     frequency_response,
 )
-from jaxbody.vibration.linearizations import Linearization, linearize
 from jaxbody.vibration.mode_branches import mac
 from jaxbody.vibration.natural_modes import modes
 from jaxbody.vibration.ports import component_units, inputs_of, outputs_of, port_matrices
 
 
-class ResponseChannel(Channel):
+class ResponseChannel(NumberChannel):
     """One complex response; its residuals are the real and imaginary parts, each with the noise
     level as standard deviation."""
-
-    shape: ClassVar[tuple[int, ...]] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
-    unit: str = eqx.field(static=True, default="")  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def residual(self, reading, measured):
         difference = jnp.where(jnp.isnan(measured), 0.0, reading - measured)
@@ -113,14 +107,9 @@ class MeasuredResponse(ByFrequency):
                     if name not in ports:
                         problems.collected.append(unknown(str(name), where, tuple(ports)))
                 arrays[pair] = _complex(value, shape, where, problems)
-            given = (
-                noise
-                if isinstance(noise, dict)
-                else {}
-                if noise is None
-                else dict.fromkeys(measured, noise)
-            )
-            levels = noise_of(given, arrays, "MeasuredResponse.noise", problems)
+            if not isinstance(noise, dict):
+                noise = {} if noise is None else dict.fromkeys(measured, noise)
+            levels = noise_of(noise, arrays, "MeasuredResponse.noise", problems)
         self.frequencies = checked  # pyright: ignore[reportAttributeAccessIssue]
         self.inputs, self.outputs = dict(inputs), dict(outputs)
         by_element = loss_factor if isinstance(loss_factor, dict) else {"all": loss_factor}
@@ -130,9 +119,7 @@ class MeasuredResponse(ByFrequency):
             else {name: device_array(x) for name, x in by_element.items()}
         )
         self.measured = {_name(pair): jnp.asarray(x) for pair, x in arrays.items()}
-        self.noise = (
-            {_name(pair): level for pair, level in levels.items()} if noise is not None else None
-        )
+        self.noise = {_name(pair): level for pair, level in levels.items()} or None
         self.pairs = tuple(arrays)
 
     @property
@@ -166,25 +153,12 @@ class MeasuredResponse(ByFrequency):
         )
         return {_name(pair): responses[pair] for pair in self.pairs}
 
-    def explain(self, model, integration):
-        return equilibrium_status(model)
-
     def _loss_factors(self):
         return (
             self.loss_factor
             if self.loss_factor is None or "all" not in self.loss_factor
             else self.loss_factor["all"]
         )
-
-
-def small_motions(model: Model) -> Linearization:
-    """Small motions about the equilibrium that a search from the reference pose reaches."""
-    return linearize(model, equilibrium(model))
-
-
-def equilibrium_status(model: Model) -> str:
-    """The status of this linearization, for messages."""
-    return Status(int(small_motions(model).status)).name + " at the equilibrium"
 
 
 def _name(pair: tuple[str, str]) -> str:
@@ -339,13 +313,12 @@ class MeasuredModes(Measurement):
                     value=number,
                     limit=f"{count} different numbers from 0 up",
                 )
-            levels = noise_of(noise or {}, arrays, "MeasuredModes.noise", problems)
+            self.noise = noise_of(noise or {}, arrays, "MeasuredModes.noise", problems) or None
         if "shapes" in arrays:
             arrays["shapes"] = arrays["shapes"] / np.sqrt(
                 np.nansum(arrays["shapes"] ** 2, 1, keepdims=True)
             )
         self.measured = {name: device_array(array) for name, array in arrays.items()}
-        self.noise = levels or None
         self.number = numbers if pairing == "order" else None
 
     @property
@@ -410,9 +383,6 @@ class MeasuredModes(Measurement):
             )
             readings["shapes"] = scale[:, None] * x
         return {name: readings[name] for name in self.measured}
-
-    def explain(self, model, integration):
-        return equilibrium_status(model)
 
     def axis(self, channel):
         return "mode", np.arange(1, 1 + len(self.measured[channel])), ""

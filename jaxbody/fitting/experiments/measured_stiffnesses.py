@@ -84,9 +84,14 @@ class MeasuredStiffness(ByFrequency):
                     "NO_DATA", "MeasuredStiffness", "has no data", limit="magnitude= or loss_angle="
                 )
             for name, array in arrays.items():
-                where = f"MeasuredStiffness.{name}"
-                check_rows(array, shape, where, problems, missing="frequencies to leave out")
-            levels = noise_of(noise or {}, arrays, "MeasuredStiffness.noise", problems)
+                check_rows(
+                    array,
+                    shape,
+                    f"MeasuredStiffness.{name}",
+                    problems,
+                    missing="frequencies to leave out",
+                )
+            self.noise = noise_of(noise or {}, arrays, "MeasuredStiffness.noise", problems) or None
             if amplitude is not None:
                 amplitude = scalar(amplitude, "MeasuredStiffness.amplitude", problems)
             force = scalar(preload, "MeasuredStiffness.preload", problems)
@@ -95,7 +100,6 @@ class MeasuredStiffness(ByFrequency):
         self.amplitude = None if amplitude is None else device_array(amplitude)
         self.preload = device_array(force)
         self.measured = {name: device_array(array) for name, array in arrays.items()}
-        self.noise = levels or None
 
     @property
     def channels(self):

@@ -91,7 +91,7 @@ class MeasuredCurves(Measurement):
                     missing="rows to leave out",
                     limit=f"{shape}, a number for each row of over",
                 )
-            levels = noise_of(noise or {}, arrays, "MeasuredCurves.noise", problems)
+            self.noise = noise_of(noise or {}, arrays, "MeasuredCurves.noise", problems) or None
         self.wheel = wheel
         self.driven = {
             name: jax.tree.map(device_array, by)
@@ -106,7 +106,6 @@ class MeasuredCurves(Measurement):
             for name, x in over.items()
         }
         self.measured = {name: device_array(array) for name, array in arrays.items()}
-        self.noise = levels or None
 
     @property
     def channels(self):

@@ -9,10 +9,13 @@ import equinox as eqx
 import numpy as np
 
 from jaxbody.core.arrays import Array, as_numpy, concrete, device_array, indices
-from jaxbody.core.errors import Problems
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.tables import PlotMethod
 from jaxbody.fitting.statistics.noises import ResidualSeries
+from jaxbody.mechanics.equilibria import equilibrium
+from jaxbody.model.models import Model
 from jaxbody.sensors.sensors import Channel
+from jaxbody.vibration.linearizations import Linearization, linearize
 
 
 class Measurement(eqx.Module):
@@ -63,6 +66,8 @@ class Measurement(eqx.Module):
 
     def explain(self, model: Any, integration: Any) -> str:
         """The reason why readings are not finite."""
+        if self.linear:
+            return f"{Status(int(small_motions(model).status)).name} at the equilibrium"
         return "the model has no finite prediction there"
 
     @abstractmethod
@@ -76,6 +81,11 @@ class Measurement(eqx.Module):
     def present(self, name: str) -> Array:
         """Which components of the residuals of a channel have samples."""
         return ~self.channels[name].missing(as_numpy(self.measured[name]))
+
+
+def small_motions(model: Model) -> Linearization:
+    """Small motions about the equilibrium that a search from the reference pose reaches."""
+    return linearize(model, equilibrium(model))
 
 
 class ByFrequency(Measurement):
@@ -96,6 +106,46 @@ class NumberChannel(Channel):
     shape: ClassVar[tuple[int, ...]] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
     unit: str = eqx.field(static=True, default="")  # pyright: ignore[reportIncompatibleVariableOverride]
     series: bool = eqx.field(static=True, default=True)  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
+def check_measurements(experiments: Mapping[str, Measurement], where: str) -> Problems:
+    """Problems of measurements by name, to which the caller may add others. Error: WRONG_KIND if
+    they are not a dict."""
+    problems = Problems()
+    if not isinstance(experiments, dict):
+        kind = type(experiments).__name__
+        raise JaxbodyError(
+            Problem(
+                "WRONG_KIND",
+                where,
+                f"is one {kind} without a name"
+                if isinstance(experiments, Measurement)
+                else f"is a {kind}",
+                experiments,
+                "a dict of experiments by name",
+                'Write {"run": experiment}: paths and tables contain the name.',
+            )
+        )
+    if not experiments:
+        problems.add("NO_DATA", where, "is empty", limit="at least one Experiment")
+    for name, experiment in experiments.items():
+        if not isinstance(experiment, Measurement):
+            problems.add(
+                "WRONG_KIND",
+                f"experiments[{name!r}]",
+                f"is a {type(experiment).__name__}",
+                value=experiment,
+                limit="Experiment",
+            )
+        elif not experiment.measured:
+            problems.add(
+                "NO_DATA",
+                f"experiments[{name!r}]",
+                "is a plan, without measured data",
+                hint="Give measured=, a record or arrays; `measure` of a simulated motion makes "
+                "some.",
+            )
+    return problems
 
 
 def check_rows(
@@ -196,17 +246,15 @@ def records_of(experiments: dict[str, Measurement]) -> list[ResidualSeries]:
             )[0]
             for i, (label, unit) in enumerate(zip(labels, units, strict=True)):
                 times = np.flatnonzero(present[:, i])
-                rows = first + times * present.shape[1] + i
-                stated = not channel.series and name in (experiment.noise or {})
                 records.append(
                     ResidualSeries(
-                        f"{run}.{name}{label}",
-                        f"{name} {unit}",
-                        run,
-                        rows,
-                        times,
-                        channel.series,
-                        stated,
+                        name=f"{run}.{name}{label}",
+                        group=f"{name} {unit}",
+                        run=run,
+                        rows=first + times * present.shape[1] + i,
+                        times=times,
+                        series=channel.series,
+                        known=not channel.series and name in (experiment.noise or {}),
                     )
                 )
             first += present.size

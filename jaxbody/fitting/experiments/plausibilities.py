@@ -48,12 +48,11 @@ class Plausibility(Result):
     words: tuple[str, ...] = eqx.field(static=True)
 
     def _tables(self) -> list[tables.PrintedTable]:
-        rows = [(quantity, *number) for quantity, number in self.numbers.items()]
         return [
             tables.PrintedTable(
                 "Plausibility",
                 ("", "value", "", "usual"),
-                rows,
+                [(quantity, *number) for quantity, number in self.numbers.items()],
                 "\n".join(self.words) or "no remarks",
             )
         ]
@@ -119,16 +118,15 @@ def plausibility(
             "is the inertia in kg m2, about the center of mass, and are the points in meters?",
         )
     size = float(size_of(model))
-    density = float(np.sum(model.bodies.rows.mass)) / size**3
     note(
         "DENSITY",
         "mass over the cube of the size of the model",
-        density,
+        float(np.sum(model.bodies.rows.mass)) / size**3,
         "kg/m3",
         DENSITY,
         "are masses in kg and points in meters?",
     )
-    first, sag = (float(x) for x in _scales(_at_reference(model)))
+    first, sag = (float(x) for x in _scales(linearize(model, model.reference)))
     if np.isfinite(first):
         note(
             "FREQUENCY",
@@ -145,22 +143,20 @@ def plausibility(
     if np.isfinite(sag) and sag:
         note("SAG", "sag under gravity over the size of the model", sag, "", SAG, remark)
     if not g and first > 0:
-        soft = GRAVITY / (2 * np.pi * first) ** 2 / size
         note(
             "SAG",
             "sag along the first mode, were there gravity, over the size of the model",
-            soft,
+            GRAVITY / (2 * np.pi * first) ** 2 / size,
             "",
             SOFT,
             remark,
         )
     for name, run in (experiments or {}).items():
         if np.isfinite(first) and len(np.atleast_1d(getattr(run, "times", ()))) > 1:
-            ratio = first * float(np.median(np.diff(run.times)))
             note(
                 "TIME_UNIT",
                 f"step of '{name}' over the first period",
-                ratio,
+                first * float(np.median(np.diff(run.times))),
                 "",
                 STEPS,
                 "are its times in seconds?",
@@ -200,11 +196,7 @@ def _gyration_ratios(model: Model) -> dict[str, float]:
 def first_frequency(model: Model) -> float:
     """The first natural frequency [Hz] at the reference pose that is not zero; NaN
     without stiffness."""
-    return float(_scales(_at_reference(model))[0])
-
-
-def _at_reference(model: Model) -> Linearization:
-    return linearize(model, model.reference)
+    return float(_scales(linearize(model, model.reference))[0])
 
 
 @program

@@ -298,7 +298,6 @@ def space_of(
                 for leaf, factor in tie.items()
                 for given in expected.get(leaf, ())
             ]
-            prior = prior_of(form, given, f"{where}.priors", problems)
             parameters.append(
                 Parameter(
                     tuple((owner[leaf], leaf) for leaf in tie),
@@ -306,7 +305,7 @@ def space_of(
                     form,
                     low,
                     high,
-                    prior,
+                    prior_of(form, given, f"{where}.priors", problems),
                 )
             )
     return Space(model, tuple(parameters), runs, suspension)
@@ -354,10 +353,6 @@ def units_of(leaf: Leaf, model: Model, value: Array) -> list[str]:
     return list(row) * (value.size // len(row))
 
 
-# standard deviation of u of directions, matrices and rows in order, which have no bounds
-SPREAD = 0.3
-
-
 def around(space: Space, count: int, spread: float, seed: int) -> np.ndarray:
     """Points (count, n) of a Sobol sequence between the bounds of u; without a bound from -spread
     or up to spread."""
@@ -367,10 +362,8 @@ def around(space: Space, count: int, spread: float, seed: int) -> np.ndarray:
         np.where(np.isfinite(end), end, sign * spread)
         for end, sign in zip(space.bounds, (-1, 1), strict=True)
     )
-    unit = qmc.Sobol(len(low), rng=np.random.default_rng(seed)).random_base2(
-        int(np.ceil(np.log2(count)))
-    )[:count]
-    return low + (high - low) * unit
+    sequence = qmc.Sobol(len(low), rng=np.random.default_rng(seed))
+    return low + (high - low) * sequence.random_base2((count - 1).bit_length())[:count]
 
 
 def drawn(
@@ -402,16 +395,14 @@ def _drawn(
 ):
     form, shape = parameter.form, (count, parameter.form.size)
     if isinstance(form, Rotated):
-        q = rng.normal(size=(count, 4))
-        q = q / np.linalg.norm(q, axis=1, keepdims=True)
-        sine = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
-        angle = 2 * np.arctan2(sine, q[:, :1])
-        return q[:, 1:] / sine * np.where(angle > np.pi, angle - 2 * np.pi, angle)
+        from scipy.spatial.transform import Rotation  # slow to import
+
+        return Rotation.from_quat(rng.normal(size=(count, 4)), scalar_first=True).as_rotvec()
     if isinstance(form, Fraction):  # bounded by its domain
         ends = [np.asarray(form.value(end)) for end in (low, high)]
         return np.array([form.inverse(rng.uniform(*ends)) for _ in range(count)])
     if not isinstance(form, Elementwise):
-        return SPREAD * rng.normal(size=shape)
+        return 0.3 * rng.normal(size=shape)  # directions, matrices, rows in order: without bounds
     if not np.isfinite(high - low).all():
         problems.add(
             "NO_BOUNDS",

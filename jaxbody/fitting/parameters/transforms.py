@@ -194,10 +194,8 @@ class Definite(Parametrization):
 
     def labels(self):
         n = self.start.shape[0]
-        rows, columns = np.tril_indices(n, -1)
-        return [f"[{i},{i}]" for i in range(n)] + [
-            f"[{i},{j}]" for i, j in zip(rows, columns, strict=True)
-        ]
+        below = zip(*np.tril_indices(n, -1), strict=True)
+        return [f"[{i},{i}]" for i in range(n)] + [f"[{i},{j}]" for i, j in below]
 
     def ended(self, u):
         return np.where((2 * u < -FAR) & (np.arange(len(u)) < len(self.start)), "zero", "")
@@ -238,10 +236,9 @@ class Direction(Parametrization):
         return tilt(self.start, u.reshape(*self.start.shape[:-1], 2))
 
     def labels(self):
-        rows = np.ndindex(self.start.shape[:-1])
         return [
             f"[{', '.join(map(str, (*row, tilt)))}]"
-            for row in rows
+            for row in np.ndindex(self.start.shape[:-1])
             for tilt in ("tilt 1", "tilt 2")
         ]
 
@@ -265,10 +262,9 @@ class InitialConfiguration(Parametrization):
         return (jax.vmap(retract) if lead else retract)(self.start, u.reshape(*lead, -1))
 
     def labels(self):
-        rows = np.ndindex(self.start.shape[:-1])
         return [
             f"[{', '.join(map(str, (*row, name)))}]"
-            for row in rows
+            for row in np.ndindex(self.start.shape[:-1])
             for name in self.model.layout.coordinates
         ]
 
@@ -296,11 +292,8 @@ def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametr
         if 0 < len(zero) < value.size:  # such as a bushing that is damped along x alone
             hint = (
                 f"{path} is free as a whole, and its {', '.join(zero)} are zero. {hint[:-1]} there "
-                "as well; or leave it fixed, and free "
-            )
-            hint += (
-                "the number of an element of its own that acts along one direction, such as the "
-                "damper of a SpringDamper."
+                "as well; or leave it fixed, and free the number of an element of its own that "
+                "acts along one direction, such as the damper of a SpringDamper."
             )
         return Problem("START_ON_BOUND", path, f"starts at {value}, {problem}", value, limit, hint)
     return form(start)

@@ -24,8 +24,6 @@ from jaxbody.core.arrays import Array, Float, as_numpy
 from jaxbody.core.errors import JaxbodyError, Problem
 
 LOSSES = {"soft_l1": 1.345, "cauchy": 2.385}
-# standard deviations at which residuals are clipped in the estimate of the noise level
-CLIPPED = 1.345
 
 
 def check_loss(loss: str | None, where: str) -> None:
@@ -70,7 +68,7 @@ def linearized(r, J, present: np.ndarray, loss: str | None) -> tuple[np.ndarray,
 def robust_level(mean_of_clipped_squares, start: Array) -> Array:
     """Noise level s by Huber's Proposal 2: the mean of min((r/s)^2, c^2), a given function of s and
     c, equals E min(z^2, c^2) for a standard normal z."""
-    c = CLIPPED
+    c = 1.345  # standard deviations at which residuals are clipped
     tail, density = 0.5 * math.erfc(c / math.sqrt(2)), math.exp(-c * c / 2) / math.sqrt(2 * math.pi)
     expected = (1 - 2 * tail) - 2 * c * density + 2 * c * c * tail
     s = start

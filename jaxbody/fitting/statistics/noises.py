@@ -40,7 +40,7 @@ ROUNDS = 4
 # smallest eigenvalue of autocovariances, relative to the largest, that is more than round-off
 SINGULAR = 1e-12
 LEAST = 0.5  # smallest number of degrees of freedom from which a variance is estimated
-ALL = ""
+
 STEP = 1e-4  # of central differences, in standard errors
 
 
@@ -193,17 +193,18 @@ def _variances(pieces: list[_Piece]) -> dict[str, tuple[float, float]]:
 
     A group without degrees of freedom has the variance of all groups together; if these have none
     either, the variance is one, that of the stated noise."""
-    left = {group: [0.0, 0.0] for group in [*(one.record.group for one in pieces), ALL]}
-    for one in pieces:
-        for group in (one.record.group, ALL):
-            left[group][0] += float(one.r @ one.r)
-            left[group][1] += one.n - one.fitted
-    square, freedom = left.pop(ALL)
-    pooled = (square / freedom, freedom) if freedom > LEAST else (1.0, 1.0)
+    pooled = _variance(pieces, (1.0, 1.0))
     return {
-        group: (square / freedom, freedom) if freedom > LEAST else pooled
-        for group, (square, freedom) in left.items()
+        group: _variance([one for one in pieces if one.record.group == group], pooled)
+        for group in dict.fromkeys(one.record.group for one in pieces)
     }
+
+
+def _variance(pieces: list[_Piece], otherwise: tuple[float, float]) -> tuple[float, float]:
+    """(r'r/(n - p), n - p) over some pieces, or `otherwise` without degrees of freedom."""
+    freedom = sum(one.n - one.fitted for one in pieces)
+    square = sum(float(one.r @ one.r) for one in pieces)
+    return (square / freedom, freedom) if freedom > LEAST else otherwise
 
 
 def _parts(one: _Piece) -> Iterator[np.ndarray]:

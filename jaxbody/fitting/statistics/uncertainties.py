@@ -13,7 +13,6 @@ error. Neither has a parameter at its bound; the others are estimated with it fi
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -44,8 +43,6 @@ def check_level(level: float, where: str) -> None:
 CORRELATED = 0.1  # lag-one correlation of residuals that is reported, if it is also significant
 SIGNIFICANT = 3.0  # standard deviations of the pooled lag-one correlation of white noise
 TOGETHER = 0.3  # correlation of two records that is reported
-# component in a null direction, relative to the whole, that makes a parameter undetermined
-TOUCHED = 1e-3
 # probability of residuals this large, given the stated noise, below which they are reported
 UNLIKELY = 1e-3
 RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
@@ -85,10 +82,7 @@ class Uncertainty(eqx.Module):
     def spread(self, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard errors, infinite where not determined, and degrees of freedom, of numbers whose
         gradients in u are the rows of G."""
-        error, freedom = _spread(G, self.covariance, self.parts)
-        size = np.linalg.norm(G, axis=1)
-        touched = np.linalg.norm(G @ self.null, axis=1) > TOUCHED * np.where(size > 0, size, 1)
-        return np.where(touched, np.inf, error), freedom
+        return _spread(G, self.covariance, self.parts, self.null)
 
     @property
     def factor(self) -> float:
@@ -164,13 +158,16 @@ class Uncertainty(eqx.Module):
 
 
 def _spread(
-    G: np.ndarray, covariance: np.ndarray, parts: np.ndarray
+    G: np.ndarray, covariance: np.ndarray, parts: np.ndarray, null: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     v = np.einsum("ij,ij->i", G @ covariance, G)
     changes = np.einsum("lij,ij->li", G @ parts, G)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = np.where(v > 0, 2 * v**2 / (changes**2).sum(0), np.inf)
-    return np.sqrt(np.maximum(v, 0.0)), np.maximum(freedom, 1.0)
+    size = np.linalg.norm(G, axis=1)
+    # a smaller component in a null direction is round-off
+    undetermined = np.linalg.norm(G @ null, axis=1) > 1e-3 * np.where(size > 0, size, 1)
+    return np.where(undetermined, np.inf, np.sqrt(np.maximum(v, 0.0))), np.maximum(freedom, 1.0)
 
 
 def known_directions(S: np.ndarray) -> np.ndarray:
@@ -218,39 +215,37 @@ def assess(
     noise, back = _noise_and_map(
         r, inside, records, (U, S, Vt, known) if inside.all() else decomposed(J[:, inside])
     )
-    covariance, white, *parts = (back @ M @ back.T for M in (noise.M, noise.white, *noise.parts))
+    covariance, white, *changes = (back @ M @ back.T for M in (noise.M, noise.white, *noise.parts))
+    parts = np.reshape(changes, (len(changes), *covariance.shape))
     ineffective = [
         label
         for label, silent in zip(labels, ~J.any(0) & ~np.asarray(ended), strict=True)
         if silent
     ]
-    tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in records}
     correlation, significant = lag_one(r, U[:, known], records)
-    uncertainty = Uncertainty(
-        covariance,
-        white,
-        np.reshape(parts, (len(parts), *covariance.shape)),
-        null,
-        slopes,
-        {},
-        S,
-        int(known.sum()),
-        in_words(np.where(ended, 0.0, Vt[~known]).T, labels, ineffective),
-        ineffective,
-        correlation,
-        significant and bool(r @ r > exact**2),
-        tests,
-        noise.orders,
-        noise.pairs,
-        _at_bounds(r, J, inside, records),
-        _beyond_stated(r, U[:, known], records),
-        sum(len(c.rows) for c in records),
+    return Uncertainty(
+        covariance=covariance,
+        white_covariance=white,
+        parts=parts,
+        null=null,
+        slopes=slopes,
+        standard_errors={
+            path: _spread(G.reshape(-1, len(S)), covariance, parts, null)[0].reshape(G.shape[:-1])
+            for path, G in zip(paths, slopes, strict=True)
+        },
+        singular_values=S,
+        rank=int(known.sum()),
+        words=in_words(np.where(ended, 0.0, Vt[~known]).T, labels, ineffective),
+        ineffective=ineffective,
+        correlation=correlation,
+        correlated=significant and bool(r @ r > exact**2),
+        whiteness={c.name: whiteness(r[c.rows]) if c.series else None for c in records},
+        orders=noise.orders,
+        pairs=noise.pairs,
+        at_bounds=_at_bounds(r, J, inside, records),
+        beyond_stated=_beyond_stated(r, U[:, known], records),
+        samples=sum(len(c.rows) for c in records),
     )
-    errors = {
-        path: uncertainty.spread(G.reshape(-1, len(S)))[0].reshape(G.shape[:-1])
-        for path, G in zip(paths, slopes, strict=True)
-    }
-    return replace(uncertainty, standard_errors=errors)
 
 
 def _noise_and_map(r, inside, records: list[ResidualSeries], parts) -> tuple[Noise, np.ndarray]:
@@ -285,9 +280,11 @@ def _at_bounds(
         one[i] = True
         noise, back = _noise_and_map(r, one, records, decomposed(J[:, one]))
         parts = np.reshape([back @ M @ back.T for M in noise.parts], (-1, J.shape[1], J.shape[1]))
-        error, freedom = _spread(np.eye(J.shape[1])[[i]], back @ noise.M @ back.T, parts)
+        (error,), (freedom,) = _spread(
+            np.eye(J.shape[1])[[i]], back @ noise.M @ back.T, parts, np.zeros((J.shape[1], 0))
+        )
         curvature = 1 / float((back @ back.T)[i, i])
-        at_bounds[int(i)] = (float(J[:, i] @ r), curvature, float(error[0]), float(freedom[0]))
+        at_bounds[int(i)] = (float(J[:, i] @ r), curvature, float(error), float(freedom))
     return at_bounds
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 import jaxbody as jb
 from jaxbody import plots
-from jaxbody.fitting.experiments.measured_responses import small_motions
+from jaxbody.fitting.experiments.measurements import small_motions
 
 # Two masses in a row on a base: base - k1, c1 - m1 - k2, c2 - m2.
 TRUTH = {
