@@ -30,7 +30,7 @@ from jaxbody.fitting.residuals import (
     residual_and_jacobian,
     residuals_of_means,
 )
-from jaxbody.fitting.statistics.uncertainties import known_directions
+from jaxbody.fitting.statistics.uncertainties import decomposed
 
 NEAR = 1e-4  # largest Gauss-Newton step in u from which Gauss-Newton steps finish the search
 # norm of the part of the residual that the parameters still explain, relative to the whole
@@ -242,8 +242,7 @@ def whitened(
     r, J = triangle
     if not np.isfinite(r).all():
         return np.array([np.inf]), np.ones(1), np.zeros((J[:, columns].shape[1], 1))
-    U, S, Vt = np.linalg.svd(J[:, columns], full_matrices=False)
-    known = known_directions(S)
+    U, S, Vt, known = decomposed(J[:, columns])
     return (U.T @ r)[known], S[known], Vt[known].T
 
 

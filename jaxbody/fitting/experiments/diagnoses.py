@@ -30,7 +30,13 @@ from jaxbody.fitting.experiments.measurements import (
     check_measurements,
     small_motions,
 )
-from jaxbody.fitting.statistics.autocorrelations import best_shift, centered, correlation, whiteness
+from jaxbody.fitting.statistics.autocorrelations import (
+    UNLIKELY,
+    best_shift,
+    centered,
+    correlation,
+    whiteness,
+)
 from jaxbody.model.models import Model
 from jaxbody.motion.sensor_readings import measure
 from jaxbody.motion.simulations import simulate
@@ -89,9 +95,9 @@ LATE = 0.05  # smallest delay that is reported, in samples
 SIGNIFICANT = 4.0  # and in standard errors
 
 # share of the variation of a record that its prediction explains, r2, below which it is reported
+# unless the rest is white noise
 EXPLAINED = 0.5
-# unless the rest is white noise, of which this is the p-value at four standard errors
-UNLIKELY = 6e-5
+
 EARTH = (9.7, 9.9)  # m/s2
 BETTER = 0.7  # relative cost below which another arrangement of channels or axes is reported
 

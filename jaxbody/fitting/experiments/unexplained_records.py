@@ -21,7 +21,7 @@ from jaxbody.core.arrays import Float, indices
 from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
 from jaxbody.fitting.experiments.experiments import Experiment, Integration
 from jaxbody.fitting.experiments.measurements import Measurement
-from jaxbody.fitting.statistics.autocorrelations import whiteness
+from jaxbody.fitting.statistics.autocorrelations import UNLIKELY, whiteness
 from jaxbody.mechanics.quasi_static_states import Rest
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import take_long
@@ -34,7 +34,7 @@ UNEXPLAINED = 0.5
 SMALL = 0.1
 SHORT = 2.0  # as UNEXPLAINED, for records that are too short to tell noise from motion
 STATED = 2.0  # residuals relative to the stated noise up to which they are noise
-UNLIKELY = 6e-5  # p-value of white noise, at four standard errors
+
 SIGNIFICANT = 4.0  # correlation of residuals and prediction, in standard errors
 # residuals beyond so many standard deviations do not count where a robust loss was chosen
 OUTLIERS = 5.0

@@ -16,6 +16,7 @@ import numpy as np
 # largest partial autocorrelation; beyond it a finite record looks like a random walk
 SHARPEST = 0.995
 FEWEST = 20  # smallest number of samples for an analysis of autocorrelation
+UNLIKELY = 6e-5  # p-value of a test at four standard errors, below which residuals are not white
 
 
 class Autoregression(NamedTuple):

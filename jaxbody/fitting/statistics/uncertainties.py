@@ -170,17 +170,12 @@ def _spread(
     return np.where(undetermined, np.inf, np.sqrt(np.maximum(v, 0.0))), np.maximum(freedom, 1.0)
 
 
-def known_directions(S: np.ndarray) -> np.ndarray:
-    """Which singular values of the Jacobian in u differ from zero."""
-    return RANK * S.max(initial=0.0) < S
-
-
 def decomposed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """J = U S V' with a square V', and which of S differ from zero."""
     # fewer residuals than parameters leave directions unknown too
     few = np.zeros((max(J.shape[1] - J.shape[0], 0), J.shape[1]))
     U, S, Vt = np.linalg.svd(np.concatenate([J, few]), full_matrices=False)
-    return U[: len(J)], S, Vt, known_directions(S)
+    return U[: len(J)], S, Vt, RANK * S.max(initial=0.0) < S
 
 
 def assess(
