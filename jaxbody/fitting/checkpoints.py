@@ -1,4 +1,4 @@
-"""Checkpoints of a fit: files with the best u so far, the noise levels, and the name of
+"""Checkpoints of a fit: files with the best parameters u so far, the noise levels, and the name of
 each number."""
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ RESTART = "Leave out resume= to start again."
 
 
 def _names(task: Task) -> list[str]:
-    """The names of all numbers of a checkpoint, in order."""
+    """Return the names of all numbers in a checkpoint, in the order in which they are stored."""
     return [
         *task.space.names,
         *(f"noise of {run}.{name}" for run, levels in task.noise.items() for name in levels),
@@ -27,7 +27,7 @@ def _names(task: Task) -> list[str]:
 
 def save(path: str | os.PathLike, task: Task, u: np.ndarray) -> None:
     """Write a checkpoint to a temporary file and rename it, so that a crash or a full disk leaves
-    the old checkpoint intact."""
+    the old checkpoint intact. Error: NOT_SAVED."""
     path = Path(path)
     if path.exists() and not path.is_file():
         raise JaxbodyError(
@@ -62,8 +62,8 @@ def save(path: str | os.PathLike, task: Task, u: np.ndarray) -> None:
 
 
 def load(path: str | os.PathLike, task: Task) -> tuple[np.ndarray, Levels]:
-    """u and the noise levels from a checkpoint of the same task. Errors:
-    NO_CHECKPOINT, OTHER_FIT."""
+    """Read u and the noise levels from the checkpoint of a fit with the same parameters and
+    channels. Errors: NO_CHECKPOINT, OTHER_FIT."""
     where = str(path)
     if not Path(path).is_file():
         raise JaxbodyError(Problem("NO_CHECKPOINT", where, "is not a regular file", hint=RESTART))
@@ -108,7 +108,8 @@ def load(path: str | os.PathLike, task: Task) -> tuple[np.ndarray, Levels]:
 def _numbers(
     value: Any, shape: tuple[int, ...], where: str, *, positive: bool = False
 ) -> np.ndarray:
-    """The array, if it holds finite numbers and has this shape. Error: NO_CHECKPOINT."""
+    """Return `value` after checking that it holds finite (or positive) numbers and has this shape.
+    Error: NO_CHECKPOINT."""
     limit = f"{'positive' if positive else 'finite'} numbers of shape {shape}"
     if value is None:
         message = "is missing"
@@ -122,8 +123,8 @@ def _numbers(
 
 
 def check_same(names: list[str], task: Task, where: str) -> None:
-    """Check that a checkpoint is from a fit of the same parameters to the same channels.
-    Error: OTHER_FIT."""
+    """Check that a checkpoint with these `names` belongs to a fit of the same parameters to the
+    same channels as `task`. Error: OTHER_FIT."""
     own = _names(task)
     if names != own:
         differences = [
@@ -140,8 +141,8 @@ def check_same(names: list[str], task: Task, where: str) -> None:
 
 
 def resumed(earlier, task: Task) -> tuple[np.ndarray, Levels]:
-    """u and the noise levels of an earlier fit or a checkpoint file. Errors: WRONG_KIND,
-    NO_CHECKPOINT, OTHER_FIT."""
+    """Return u and the noise levels of an earlier fit, given as its result or as the path of its
+    checkpoint. Errors: WRONG_KIND, NO_CHECKPOINT, OTHER_FIT."""
     if isinstance(earlier, str | os.PathLike):
         return load(earlier, task)
     if not isinstance(getattr(earlier, "task", None), Task):

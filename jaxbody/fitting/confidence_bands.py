@@ -1,5 +1,5 @@
-"""Confidence bands: the uncertainty of a fit carried over to any result of the fitted model, such
-as a frequency or a response.
+"""Confidence bands: the uncertainty of a fit propagated to any result of the fitted model, such as
+a frequency or a response.
 
     v = G C G',    G = df/du
 
@@ -63,7 +63,7 @@ def bands(
     samples: int | None = None,
     key: PRNGKeyArray | None = None,
 ) -> Bands:
-    """Value, standard error and confidence interval of a JAX function of the fitted model.
+    """Return value, standard error and confidence interval of a JAX function of the fitted model.
 
     Args:
         fit: the result of `fit`.
@@ -74,8 +74,8 @@ def bands(
             By default derivatives are used.
         key: random key of the draws, for instance jax.random.key(0).
 
-    Equal natural frequencies have no derivatives one by one: use their sum or mean, a response,
-    or draws.
+    Equal natural frequencies have no individual derivatives: use their sum or mean, a response, or
+    draws.
 
     Errors: WRONG_KIND for a function that does not return an array of real numbers,
     BAD_LEVEL, NO_KEY, UNDETERMINED for draws if the data do not determine all parameters,
@@ -147,7 +147,8 @@ def bands(
 
 
 def _drawn(fit: Fit, f: Callable, level: float, samples: int, key):
-    """Standard deviation and quantiles over draws of u from its normal distribution."""
+    """Return standard deviation, lower and upper quantiles, and which numbers are finite, of f(u)
+    over random draws of u from its normal distribution. Error: UNDETERMINED."""
     uncertainty = fit._assessed()
     if uncertainty.rank < len(fit.u):
         raise JaxbodyError(

@@ -1,9 +1,9 @@
-"""Coverage: how often intervals contain the parameters that a record was made with, by fits of many
-simulated records.
+"""Coverage: how often confidence intervals contain the true parameters, from fits of many simulated
+records.
 
     minimize |r(u) - r(u*) - e|^2 over u,    e normal and independent
 
-u* are the estimates of a fit: each replicate has the residuals of a record that they predict, with
+u* are the estimates of a fit. Each replicate has the residuals of a record that u* predicts, with
 new noise e.
 """
 
@@ -38,18 +38,19 @@ from jaxbody.fitting.statistics.noises import ResidualSeries
 from jaxbody.fitting.statistics.uncertainties import assess, check_level, decomposed
 
 BATCH = 16  # replicates in one program
-CLOSE = 1e-6  # tolerance of its search, after which `assessed` takes one more step
+CLOSE = 1e-6  # tolerance of the search in a replicate; `assessed` takes one more step
 
 
 class Coverage(Result):
-    """Result of `coverage`, for each of n `parameters`: the share of replicates whose intervals at
-    `level` `contained` the value that the records were made with, its `standard_error`, the `bias`
-    of the estimates relative to their standard deviation, and the `ratio` of this deviation to the
-    standard error that the fit states.
+    """Result of `coverage`, for each of n `parameters`.
 
-    `u` (N, n), the estimates of the replicates in the coordinates of the fit, zero at its initial
-    guess, with the ends `lower` and `upper` of their intervals; `truth` (n,), the u of the fit;
-    `stated` (n,), its standard errors; `status` (N,) of each replicate.
+    `contained`: share of the replicates whose interval at `level` contains the true value, with its
+    `standard_error`; `bias`: mean error of the estimates over their standard deviation `deviation`;
+    `ratio`: this deviation over the standard error stated by the fit.
+
+    `u` (N, n): estimates of the replicates in the coordinates of the fit, zero at its initial
+    guess, with the ends `lower` and `upper` of their intervals; `truth` (n,): the u of the fit;
+    `stated` (n,): its standard errors; `status` (N,): status of each replicate.
 
     >>> import inspect
     >>> inspect.signature(coverage).return_annotation  # the result of coverage
@@ -72,7 +73,7 @@ class Coverage(Result):
 
     @property
     def standard_error(self) -> Float[np.ndarray, "n"]:
-        """Of a share that is `level`."""
+        """The standard error of `contained` if the true share is `level`."""
         return np.full(
             len(self.truth), np.sqrt(self.level * (1 - self.level) / max(self.ok.sum(), 1))
         )
@@ -129,13 +130,13 @@ def coverage(
     chunks: Iterable[int] | None = None,
     progress: bool | None = None,
 ) -> Coverage:
-    """How often the intervals of a fit would contain the true parameters, if the model were right
-    and its estimates the truth.
+    """Compute how often the intervals of a fit would contain the true parameters if the model were
+    right and its estimates the truth.
 
-    Records are made with the estimates and new noise, white and as strong as stated, or else as the
-    residuals of the fit, and fitted again from the estimates by the Levenberg-Marquardt method,
-    with noise levels and intervals estimated as `fit` does. Intervals that are too narrow, because
-    the problem is nonlinear or samples are few, contain less than they state.
+    Records are simulated with the estimates and new white noise, of the stated level or else that
+    of the residuals. They are fitted from the estimates by the Levenberg-Marquardt method, with
+    noise levels and intervals estimated as in `fit`. Intervals that are too narrow, because the
+    problem is nonlinear or samples are few, contain the true value less often than `level`.
 
     Args:
         fit: the result of `fit`, with status OK.
@@ -143,16 +144,16 @@ def coverage(
         level: confidence level of the intervals.
         key: random key of the noise; None takes jax.random.key(0).
         max_evaluations: largest number of steps of each fit.
-        workers: None, a number of processes, or an executor, as in `sweep`; the numbers are
+        workers: None, a number of processes, or an executor, as in `sweep`; the results are
             the same.
-        out: path of a Zarr store to which each 16 replicates are written when they are done, as in
-            `sweep`: the same call continues an interrupted one.
-        chunks: numbers of the 16 replicates that this call computes, such as range(i, n, k) for job
-            i of k; None: all.
+        out: path of a Zarr store to which every 16 replicates are written when they are done, as in
+            `sweep`: the same call continues an interrupted one. By default none.
+        chunks: indices of the chunks of 16 replicates that this call computes, such as
+            range(i, n, k) for job i of k; None: all.
         progress: None shows a line after five seconds on a terminal or in a notebook, False
             is silent.
 
-    Bounds do not act in the replicates. Ctrl-C returns the replicates that are done.
+    Bounds are ignored in the replicates. Ctrl-C returns the replicates that are done.
 
     Errors: UNDETERMINED for a fit with another status than OK, BAD_OPTION for one with a robust
     loss, TRACED, BAD_NUMBER, BAD_LEVEL, WRONG_KIND for a key, BAD_CHUNK, BAD_WORKERS, NOT_SENT,
@@ -238,7 +239,8 @@ def coverage(
 def _batch(
     fit: Fit, crew: Any, *, level: float, keys: np.ndarray, kind: Any, max_steps: int
 ) -> Any:
-    """Replicates as a batch: fitted by a program, assessed by NumPy in the same process."""
+    """Return the batch of replicates: a program fits them, NumPy computes their intervals in the
+    same process."""
     records, space = records_of(fit.task.experiments), fit.task.space
     stated = {
         record.name: record.group.rsplit(" ", 1)[0]
@@ -296,8 +298,8 @@ def _levels(
     stated: dict[str, bool],
     priors: int,
 ) -> np.ndarray:
-    """The standard deviation of each residual: 1 where the noise is stated, and of the last ones,
-    those of priors; otherwise that of its group, without bias; 0 for missing samples."""
+    """Return the standard deviation of each residual: 1 where the noise is stated and for priors,
+    which come last; otherwise the unbiased estimate of its group; 0 for missing samples."""
     U, _, _, known = decomposed(J)
     level = np.zeros(len(r))
     level[len(r) - priors :] = 1.0
@@ -312,7 +314,7 @@ def _levels(
 
 
 def _groups(records: list[ResidualSeries]) -> dict[str, np.ndarray]:
-    """The rows of all records of one noise level."""
+    """Return {group: rows of all its records}; records of a group share one noise level."""
     return {
         group: np.concatenate([record.rows for record in records if record.group == group])
         for group in dict.fromkeys(record.group for record in records)
@@ -329,11 +331,10 @@ def assessed(
     stated: dict[str, bool],
     level: float,
 ) -> dict[str, np.ndarray]:
-    """In a worker: estimates and intervals of replicates.
+    """Compute estimates and intervals of replicates, in a worker process.
 
-    As in a fit, each group of records whose noise is not stated has the weight of its residuals;
-    one more step is taken with these weights.
-    """
+    As in a fit, each group of records whose noise is not stated is weighted by its residuals; one
+    more step is taken with these weights."""
     ended = program(shared, rows)
     groups = _groups([record for record in records if not stated[record.name]])
     estimates = []

@@ -22,14 +22,14 @@ from jaxbody.model.models import Model
 from jaxbody.suspension.suspensions import Suspension
 
 LEVEL = 0.95  # of the printed intervals
-FLAT = 1e-9  # slope of a number, relative to the largest of its leaf, that counts as zero
+FLAT = 1e-9  # slope of a number, relative to the largest slope of its leaf, that counts as zero
 
 
 class Fit(Labeled, Result):
     """Result of a fit: estimates, their uncertainty, residuals.
 
-    `model` and `experiments` hold the estimates, and `suspension` if one was fitted.
-    By path: `estimates`, `standard_errors` (infinite for what the data do not determine),
+    `model` and `experiments` contain the estimates, and `suspension` if one was fitted. By path:
+    `estimates`, `standard_errors` (infinite where the data do not determine a parameter),
     `intervals(level)` and their `degrees_of_freedom`. `unidentified` lists combinations of
     parameters that the data do not determine, `at_bound` the parameters at a bound. `covariance`
     and `limits` are those of u, `singular_values` those of the Jacobian with scaled columns.
@@ -107,9 +107,9 @@ class Fit(Labeled, Result):
         }
 
     def _unknown_to_second_order(self) -> dict[str, np.ndarray]:
-        """Which numbers of an undetermined direction or orientation have a first derivative of
-        zero, such as the z component of an axis along z: their standard errors to first order would
-        be zero."""
+        """Return {path: True for numbers without a standard error to first order}: numbers of an
+        undetermined direction or orientation whose first derivatives are zero, such as the z
+        component of an axis along z."""
         u = self._assessed()
         error, _ = u.spread(np.eye(self.u.size))
         unknown = {}
@@ -124,8 +124,8 @@ class Fit(Labeled, Result):
         return unknown
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
-        """Confidence intervals {path: (lower, upper)}: by logarithms for positive parameters,
-        one-sided at a bound. Error: BAD_LEVEL."""
+        """Return confidence intervals {path: (lower, upper)}, from logarithms for positive
+        parameters, one-sided at a bound. Error: BAD_LEVEL."""
         check_level(level, "fit.intervals.level")
         intervals = intervals_of(
             self.task.space, np.asarray(self.u), self.estimates, self._assessed(), level
@@ -138,8 +138,8 @@ class Fit(Labeled, Result):
 
     @property
     def degrees_of_freedom(self) -> dict[str, np.ndarray]:
-        """{path: degrees of freedom} of Student's t in the intervals: few if samples are few or
-        noise is correlated over many samples."""
+        """{path: degrees of freedom} of Student's t in the intervals: few for few samples or for
+        noise that is correlated over many samples."""
         return freedoms_of(self.task.space, self._assessed())
 
     @property
@@ -186,7 +186,8 @@ class Fit(Labeled, Result):
         return after if status == Status.NOT_CONVERGED else ""
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset of estimates and standard errors by path."""
+        """Return an xarray.Dataset of estimates and standard errors by path, with predictions and
+        measured values."""
         estimates, intervals = self.estimates, self.intervals(LEVEL).values()
         columns = {
             "estimate": estimates.values(),
@@ -298,7 +299,7 @@ class Fit(Labeled, Result):
         ]
 
     def _rms_rows(self, run: str, name: str, levels: Array) -> list[tuple[str, float, str]]:
-        """Table rows with the rms residuals of a sensor, one for each of its units."""
+        """Return table rows with the rms residuals of a sensor, one for each of its units."""
         channel = self.experiments[run].channels[name]
         parts = [f" {part}" for part in channel.parts] or [""] * channel.units
         return [

@@ -1,5 +1,5 @@
-"""Fits of parameters to measurements: least squares with exact derivatives, by SciPy, optax
-or optimistix.
+"""Fits of parameters to measurements: least squares with exact derivatives, by SciPy, optax or
+optimistix.
 
 r = (reading(u) - measured)/noise,    minimize 1/2 r'r over u
 """
@@ -58,10 +58,10 @@ from jaxbody.model.preconditions import check_precision
 from jaxbody.motion.simulations import check_steps
 from jaxbody.suspension.suspensions import Suspension
 
-# largest effect of a parameter that ended at the limit of its domain, relative to the residuals or
-# the largest effect
+# largest effect with which a parameter counts as ended at the limit of its domain, relative to the
+# residuals or the largest effect of any direction
 SMALL = 1e-3
-ZERO = 2 * RANK  # such an effect that other parameters cannot have, which counts as zero
+ZERO = 2 * RANK  # the same for the part of its effect that other parameters cannot have
 SHORT = 0.25  # shortest record, relative to the first natural period
 # largest number of times that the noise of each channel is estimated and the fit repeated
 ROUNDS = 5
@@ -87,10 +87,10 @@ def fit(
     checkpoint: str | os.PathLike | None = None,
     allow_float32: bool = False,
 ) -> Fit:
-    """Least-squares estimates of free parameters from measurements.
+    """Estimate free parameters from measurements by least squares.
 
     Args:
-        model: the initial guess; a `Suspension` has its hard points as parameters by their names,
+        model: the initial guess; the hard points of a `Suspension` are parameters by their names,
             free=["lower outer"], in meters.
         experiments: {name: Experiment, MeasuredResponse, MeasuredModes, MeasuredStiffness
             or MeasuredCurves}.
@@ -104,7 +104,7 @@ def fit(
         bounds: {path or pattern: (lower, upper)} in the unit of the parameter, for "least_squares"
             only; by default none.
         priors: {path or pattern: (mean, standard deviation)} of normal distributions, for scalars
-            and vectors; each counts as one more measurement.
+            and vectors; each counts as one more measurement. By default none.
         loss: None for least squares; "soft_l1" or "cauchy" for data with outliers (`losses`).
         rtol, solver, stepsize_controller, dt0: as in `simulate`.
         max_steps: largest number of integration steps of a run; by default 10,000, or 30 for each
@@ -118,13 +118,13 @@ def fit(
         allow_float32: accept single precision, which loses half of the digits.
 
     Stiffness, damping and mass stay positive, quaternions keep unit length, and an inertia stays
-    one of positive masses. Parameters that the data do not determine are listed in words, without
-    numbers. Noise that an experiment does not state is estimated for each channel from the
-    residuals, and the fit is repeated with it. A trial that cannot be simulated is a rejected step.
-    Ctrl-C ends the fit with the best estimates so far and status INTERRUPTED.
+    that of positive masses. Parameters that the data do not determine are listed in words, without
+    numbers. If an experiment does not state the noise of a channel, it is estimated from the
+    residuals and the fit is repeated. A trial that cannot be simulated is a rejected step. Ctrl-C
+    ends the fit with the best estimates so far and status INTERRUPTED.
 
     Constant steps are several times faster for many experiments in one batch, or for an input with
-    kinks at samples that coincide with steps; they do not control the error, so compare with a
+    kinks at samples that coincide with steps. They do not control the error: compare with a
     shorter dt0.
 
     Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART,
@@ -244,7 +244,7 @@ def _check_method(method: Any, bounds: Any, problems: Problems) -> None:
 
 
 def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
-    """A fit inside jit, vmap and derivatives, where values are unknown."""
+    """Fit inside jit, vmap or derivatives, where values are unknown. Errors: TRACED, NO_NOISE."""
     if not isinstance(method, optimistix.AbstractLeastSquaresSolver):
         raise JaxbodyError(
             Problem(
@@ -356,9 +356,12 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
 def _unexplained(
     task: Task, model: Model, experiments: dict[str, Measurement], runs: ReadingsAndResiduals
 ) -> tuple[list[str], bool]:
-    """Sentences on records that the fitted model does not explain, and on likely errors of
-    measurements there or at the start, which may be nearer to the truth; and whether one of these
-    is certain, so that further evaluations are of no use."""
+    """Return sentences on records that the fitted model does not explain and on likely errors of
+    measurements, and whether one of these errors is certain, so that further evaluations are
+    useless.
+
+    The errors are found by comparison with the fitted model or with the initial guess, which may be
+    closer to the truth."""
     sentences = [
         *unexplained(
             experiments, task.misfits(runs), task.loss is not None, integration_error(task)
@@ -390,13 +393,13 @@ def _unexplained(
 def _placed(
     space: Space, u: Float[Array, "n"]
 ) -> tuple[Model | Suspension, dict[str, Measurement], dict[str, Array]]:
-    """Model or suspension and runs at u, and d values/du of each parameter."""
+    """Return model or suspension and runs at u, and d values/du of each parameter."""
     return *space.designed(u), jax.jacfwd(space.values)(u)
 
 
 def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray:
-    """The limit of its domain that each u is near, as a word, if moving closer to the limit has no
-    effect on the readings; "" for the others."""
+    """Return the limit of its domain that each u is near, as a word, if moving closer to this limit
+    does not affect the readings; "" for the others."""
     ends = task.space.ended(u)
     _, S, Vt, _ = decomposed(J)
     size = max(np.linalg.norm(r), S.max()) or 1.0
@@ -405,7 +408,8 @@ def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray
 
 
 def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, ...]:
-    """Remedies for records that are too short, or else for a search that did not converge."""
+    """Return remedies for records that are too short, or else for a search that did not
+    converge."""
     durations = {
         name: float(np.ptp(run.times))
         for name, run in task.experiments.items()

@@ -25,7 +25,7 @@ FEW = 13  # degrees of freedom below which Student's t widens 95 % intervals by 
 
 
 def interval_of_u(u: np.ndarray, uncertainty: Uncertainty, level: float) -> Interval:
-    """(lower, upper) of each u, infinite where the data do not determine it."""
+    """Return (lower, upper) of each u, infinite where the data do not determine it."""
     error, freedom = uncertainty.spread(np.eye(len(u)))
     half_width = quantile(level, freedom) * error
     low, high = u - half_width, u + half_width
@@ -44,8 +44,8 @@ def interval_of_u(u: np.ndarray, uncertainty: Uncertainty, level: float) -> Inte
 def intervals_of(
     space: Space, u: np.ndarray, values: dict[str, Any], uncertainty: Uncertainty, level: float
 ) -> dict[str, Interval]:
-    """{path: (lower, upper)}, arrays like the leaf; for the elements of a matrix or a direction
-    from their standard errors."""
+    """Return {path: (lower, upper)}, arrays of the shape of the leaf; for the elements of a matrix
+    or a direction from their standard errors."""
     low, high = interval_of_u(u, uncertainty, level)
     intervals = {}
     for (parameter, own), G in zip(space.parts, uncertainty.slopes, strict=True):
@@ -65,7 +65,8 @@ def intervals_of(
 
 
 def freedoms_of(space: Space, uncertainty: Uncertainty) -> dict[str, np.ndarray]:
-    """{path: degrees of freedom} of Student's t in these intervals, arrays like the leaf."""
+    """Return {path: degrees of freedom} of Student's t in these intervals, arrays of the shape of
+    the leaf."""
     freedoms = {}
     for (parameter, own), G in zip(space.parts, uncertainty.slopes, strict=True):
         _, freedom = uncertainty.spread(G.reshape(-1, G.shape[-1]))
@@ -81,8 +82,8 @@ def freedoms_of(space: Space, uncertainty: Uncertainty) -> dict[str, np.ndarray]
 
 
 def widening(freedom: Any, level: float) -> str:
-    """A note that few degrees of freedom widen the intervals, and by how much; empty if there
-    are many."""
+    """Return a note by how much few degrees of freedom widen the intervals, "" if there are
+    many."""
     least = np.min(freedom, initial=np.inf)
     if not least < FEW:
         return ""

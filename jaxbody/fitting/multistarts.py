@@ -29,7 +29,7 @@ from jaxbody.fitting.residuals import Task
 from jaxbody.fitting.searches import solve
 from jaxbody.model.models import Model
 
-# largest distance in u, and of costs relative to 1 + cost, of results that count as one optimum
+# largest differences of u, and of costs relative to 1 + cost, between results of one optimum
 SAME = 1e-3
 # largest difference of costs (negative log-likelihoods) at which another optimum explains the data
 # about as well
@@ -38,11 +38,11 @@ BATCH = 16  # starts in one program
 
 
 class Multistart(Result):
-    """The distinct optima, by increasing `cost` (n,), with `estimates` {path: (n, ...)} and `hits`:
-    the number of starts that reached each.
+    """The distinct optima, in order of their `cost` (n,), with `estimates` {path: (n, ...)} and
+    `hits` (n,), the number of starts that reached each.
 
-    `best`: the fit with the lowest cost; `starts`: the number of all starts; `failures`: the number
-    of those that did not converge.
+    `best`: the fit with the lowest cost; `starts`: number of all starts; `failures`: number of
+    starts that did not converge.
 
     >>> import inspect
     >>> inspect.signature(multistart).return_annotation  # the result of multistart
@@ -95,11 +95,11 @@ def multistart(
     progress: bool | None = None,
     **options: Any,
 ) -> Multistart:
-    """Fits from several initial guesses, to find the global optimum and any others.
+    """Fit from several initial guesses, to find the global optimum and any other optima.
 
-    First `fit` from the values of the model, then the Levenberg-Marquardt method from `starts`
-    Sobol points, with the noise estimated by the first fit; last, `fit` again from the best result,
-    if it is another optimum. Only the first and last fits enforce the bounds.
+    `fit` runs from the values of the model, then the Levenberg-Marquardt method from `starts` Sobol
+    points, with the noise estimated by the first fit, and last `fit` from the best result, if it is
+    another optimum. Only the first and last fits enforce the bounds.
 
     Args:
         model, experiments, free: as in `fit`.
@@ -110,12 +110,12 @@ def multistart(
         seed: random seed of the Sobol points.
         bounds: as in `fit`; where they are finite, the initial guesses lie between them.
         max_evaluations: largest number of steps from each initial guess.
-        workers: None, a number of processes, or an executor, as in `sweep`; the numbers are
+        workers: None, a number of processes, or an executor, as in `sweep`; the results are
             the same.
-        out: path of a Zarr store to which the ends of each 16 starts are written when they are
-            done, as in `sweep`: the same call continues an interrupted one.
-        chunks: numbers of the 16 starts that this call computes, such as range(i, n, k) for job i
-            of k; None: all.
+        out: path of a Zarr store to which the ends of every 16 starts are written when they are
+            done, as in `sweep`: the same call continues an interrupted one. By default none.
+        chunks: indices of the chunks of 16 starts that this call computes, such as range(i, n, k)
+            for job i of k; None: all.
         progress: as in `fit`.
         options: other options of `fit`.
 
@@ -216,7 +216,8 @@ Ends = tuple[np.ndarray, ...]  # u, status and cost at the ends of searches
 def _searched_by_workers(
     task: Task, points: np.ndarray, max_steps: int, workers: Any, out: Any, chunks: Any, line: Line
 ) -> Ends:
-    """The ends of all searches; those that were not made have the status LOST or INTERRUPTED."""
+    """Return u, status and cost at the ends of all searches; searches that were not made have the
+    status LOST or INTERRUPTED."""
     with crew_of(workers, "multistart.workers") as crew:
         batch = batch_of(**_search(task, points, max_steps), where="multistart", crew=crew)
         results, status = gathered(
@@ -234,7 +235,8 @@ def _searched_by_workers(
 
 
 def _search(task: Task, points: np.ndarray, max_steps: int) -> dict[str, Any]:
-    """The batch of searches from these points: for each u, status and cost at its end."""
+    """Return the arguments of a batch of searches from these points, which gives u, status and cost
+    at the end of each."""
 
     def search(task, points):
         def one(start):
@@ -259,7 +261,7 @@ def _search(task: Task, points: np.ndarray, max_steps: int) -> dict[str, Any]:
 
 
 def _grouped(ends: np.ndarray, costs: np.ndarray) -> list[list[int]]:
-    """Indices of results grouped by optimum, in order of cost."""
+    """Return indices of results grouped by optimum, in order of cost."""
     groups: list[list[int]] = []
     for i in np.argsort(costs, kind="stable"):
         for group in groups:

@@ -1,13 +1,13 @@
-"""Records of imposed motions and loads whose noise acts on the model: the readings that were
-measured do not follow their fast part.
+"""Noise in records of imposed motions and loads, which acts on the model alone: the measured
+readings do not follow the fast part of the record.
 
     h = prediction - prediction with smoothed records,    b = h'r/h'h
 
-r are the residuals, predicted minus measured, of both r and h the second differences in time. What
-was really imposed is in the measured readings too, and the fit leaves nothing like h in r: b = 0.
-Noise of the record is in the prediction alone: b = 1, a little more because smoothing leaves a part
-of it. It acts as a force that the model does not have, and least squares makes its effect small:
-estimates are biased, in long records by many standard errors.
+r are the residuals, predicted minus measured; of both r and h second differences in time are taken.
+A motion that was really imposed is contained in the measured readings too, so that the fit leaves
+nothing like h in r: b = 0. Noise of the record is contained in the prediction alone: b = 1, a
+little more because smoothing leaves a part of it. It acts as a force that the model does not have,
+and least squares reduces its effect: estimates are biased, in long records by many standard errors.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from jaxbody.model.inputs.motions import Sampled
 from jaxbody.model.inputs.samples import curvatures, integrals
 from jaxbody.model.inputs.signals import Samples
 
-# of the differences that a smoothed record lacks: sin^6(w h/2) of a wave, all at the highest
+# of the differences that smoothing removes: sin^6(w h/2) of a wave, all of it at the highest
 # frequency, 0.02 at a third of it
 ORDER = 6
-# b of noise; that of what a model lacks is any number, as sixth differences of a slow motion
+# limits of b for noise; errors of the model give any b, because sixth differences of slow motions
 # are small
 LEAST, MOST = 0.5, 3.0
-UNLIKELY = 1e-3  # probability that the residuals of any run without such noise are as like h
+UNLIKELY = 1e-3  # probability that residuals without such noise are as similar to h in any run
 
 
 def noisy_inputs(task: Task, u: Float[Array, "n"], runs: ReadingsAndResiduals) -> list[str]:
-    """A sentence if there are such records in experiments of a fit that ended at u with
-    these `runs`."""
+    """Return one sentence that names the experiments with noisy input records, for a fit that ended
+    at u with the readings and residuals `runs`; an empty list if there are none."""
     from scipy.special import ndtri
 
     experiments = {
@@ -94,7 +94,8 @@ def _smoothed(experiment: Experiment) -> Experiment:
 
 
 def _smooth(record: Any) -> Any:
-    """Without its fast part; from accelerations, these without it."""
+    """Return the record without its fast part; if it was made from accelerations, from smoothed
+    accelerations."""
     if isinstance(record, Sampled) and record.rough:
         t, x, m = (np.asarray(part) for part in (record.times, record.values, record.curvatures))
         y = _slow(m)
@@ -107,7 +108,7 @@ def _smooth(record: Any) -> Any:
 
 
 def _slow(y: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "n *k"]:
-    """y - (-1)^(ORDER/2) delta^ORDER y/2^ORDER, the ends as they are."""
+    """Return y - (-1)^(ORDER/2) delta^ORDER y/2^ORDER; the ends are unchanged."""
     half, y = ORDER // 2, y.copy()
     y[half:-half] -= (-1) ** half * np.diff(y, ORDER, axis=0) / 2**ORDER
     return y

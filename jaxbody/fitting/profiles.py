@@ -29,22 +29,21 @@ from jaxbody.fitting.statistics.uncertainties import check_level, quantile
 
 STEPS = 4  # from the optimum to each end of the interval
 GROWTH = 3.0  # largest ratio of a step to the one before
-ROBUST_STEP = 0.1  # of the differences for the curvature of a robust loss, in standard errors
+ROBUST_STEP = 0.1  # step of differences for the curvature of a robust loss, in standard errors
 MAX_POINTS = 20  # on each side
 MAX_EVALUATIONS = 60  # for one point
-# relative to kappa, decrease of the cost below that of the fit which is more than round-off
+# decrease of the cost below that of the fit, relative to kappa, above which it is not round-off
 LOWER = 1e-6
 
 
 class Profile(Result):
-    """The profile of the parameter `path`.
+    """The profile likelihood of the parameter `path`.
 
     At each of the `values`: `tau`, the signed root of the increase of the cost; the least `cost`;
     and `u`, all parameters. The `interval` at `level` ends where |tau| is `limit`, the quantile of
     Student's t for the `degrees_of_freedom`; it is infinite on a side where the cost does not
     increase enough, and one-sided at a bound. `status` is NOT_CONVERGED if the search for a point
-    did not converge, or found a lower cost than that of the fit.
-    """
+    did not converge or its cost is lower than that of the fit."""
 
     path: str
     estimate: float
@@ -82,7 +81,8 @@ class Profile(Result):
 
 
 def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None = None) -> Profile:
-    """The profile of one free parameter, from the optimum to both ends of its confidence interval.
+    """Compute the profile of one free parameter, from the optimum to both ends of its confidence
+    interval.
 
     Args:
         fit: the result of `fit`.
@@ -145,7 +145,8 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
 
 
 def _place(fit: Fit, path: str) -> tuple[int, Any, str]:
-    """The index of the parameter in u, and its value as a function of that u."""
+    """Return the index of the parameter in u, its value as a function of that u, and its unit.
+    Errors: UNKNOWN_PATH, WRONG_KIND."""
     fit._assessed()
     for parameter, part in fit.task.space.parts:
         labels = [parameter.path + label for label in parameter.form.labels()]
@@ -173,13 +174,13 @@ def _place(fit: Fit, path: str) -> tuple[int, Any, str]:
 
 
 def _value(form, k: int, u) -> float:
-    """The number k of a leaf, without a compiled program."""
+    """Return number k of a leaf whose u are all `u`, without a compiled program."""
     return float(form.numbers(np.full(form.size, u))[0][k])
 
 
 class _ProfileSearch:
-    """Points along u_i from the optimum; the other parameters are optimized from an extrapolation
-    of the last two points."""
+    """Points along u_i from the optimum. The search for the other parameters begins at an
+    extrapolation of the last two points."""
 
     def __init__(self, fit: Fit, i: int, level: float):
         self.fit, self.i, uncertainty = fit, i, fit._assessed()
@@ -197,9 +198,9 @@ class _ProfileSearch:
         self.converged = True
 
     def _curvature(self) -> float:
-        """The curvature of the cost along u_i, with the parameters inside their bounds adjusted:
-        by Gauss-Newton; for a robust loss, whose curvature outliers reduce, by differences of
-        the gradient."""
+        """Return the curvature of the cost along u_i, with the parameters inside their bounds
+        adjusted: by Gauss-Newton; for a robust loss, whose curvature outliers reduce, by
+        differences of the gradient."""
         fit, i = self.fit, self.i
         _, J, runs = self.evaluate(fit.u)
         _, J = fit.task.linearized(runs, np.asarray(J))
@@ -218,8 +219,8 @@ class _ProfileSearch:
         return float(slopes[0] - slopes[1]) / (2 * ROBUST_STEP * self.error)
 
     def points(self, sign: int, line: Line) -> list[tuple[np.ndarray, float, float]]:
-        """(u, tau, cost) of points on one side, from the optimum to just beyond the end of the
-        interval or to a bound."""
+        """Return (u, tau, cost) of points on one side, from the optimum to just beyond the end of
+        the interval or to a bound."""
         points = [(np.asarray(self.fit.u), 0.0, float(self.fit.cost))]
         step = self.t / STEPS * (self.error if np.isfinite(self.error) else 1.0)
         bound = self.limits[0 if sign < 0 else 1][self.i]
@@ -242,8 +243,8 @@ class _ProfileSearch:
         return points[1:]
 
     def _at(self, x: float, points) -> tuple[np.ndarray | None, float]:
-        """u and cost of the optimum with u_i = x; None if the model cannot be simulated at
-        the start."""
+        """Return u and cost of the optimum with u_i = x; None if the model cannot be simulated at
+        the initial guess."""
         rest = np.arange(len(points[-1][0])) != self.i
         start = points[-1][0].copy()
         if len(points) > 1:
@@ -271,8 +272,8 @@ class _ProfileSearch:
         return u, 0.5 * float(r @ r)
 
     def end(self, side: list, sign: int) -> float:
-        """u_i where |tau| is t, by monotone cubic interpolation; the bound, or infinity, if |tau|
-        stays below t."""
+        """Return u_i where |tau| is t, by monotone cubic interpolation; if |tau| stays below t, the
+        bound or infinity."""
         from scipy.interpolate import PchipInterpolator
 
         optimum = float(self.fit.u[self.i])

@@ -1,15 +1,12 @@
 """Residuals of all measurements over their noise as a function of the free parameters u, their
-Jacobian by colors, and estimates of that noise.
+Jacobian by colors, and estimates of the noise.
 
-Columns of a Jacobian with nonzeros in different rows are evaluated together: all u of one color
-share a tangent.
+    r(u) = (reading(u) - measured)/noise
 
-Parameters of different measurements change different residuals, and so do the initial states of
-every other segment of a record. Source: A. Curtis, M. Powell, J. Reid, On the estimation of sparse
-Jacobian matrices, J. Inst. Math. Appl. 13 (1974) 117.
-
-
-r(u) = (reading(u) - measured)/noise
+Columns of the Jacobian with nonzeros in different rows are evaluated together: all u of one color
+share a tangent. Parameters of different measurements affect different residuals, and so do the
+initial states of every other segment of a record. Source: A. Curtis, M. Powell, J. Reid, On the
+estimation of sparse Jacobian matrices, J. Inst. Math. Appl. 13 (1974) 117.
 """
 
 from __future__ import annotations
@@ -38,8 +35,8 @@ PRIORS = "priors"  # in place of a measurement's name for residuals of priors
 
 
 def colors_of(space: Space) -> Int[np.ndarray, "n"]:
-    """The color of each u: parameters of one measurement reuse the colors of the others, shared
-    parameters have colors of their own."""
+    """Return the color of each u. Parameters of different measurements share colors; parameters
+    shared by measurements have colors of their own."""
     used = dict.fromkeys(space.runs, 0)
     colors = np.zeros(space.size, int)
     for parameter, part in space.parts:
@@ -56,7 +53,7 @@ def colors_of(space: Space) -> Int[np.ndarray, "n"]:
 
 
 def moved_rows(space: Space, run: str, channel: str, size: int) -> Bool[Array, "{size} n"]:
-    """Which residuals of a channel depend on each u."""
+    """Return which residuals of a channel depend on each u."""
 
     def rows_of(parameter: Parameter) -> Array:
         n = parameter.form.size
@@ -71,17 +68,17 @@ def moved_rows(space: Space, run: str, channel: str, size: int) -> Bool[Array, "
 
 
 def _parts(parameter: Parameter, run: Measurement) -> int:
-    """The number of parts of a parameter that change different rows, such as the initial states
-    of segments."""
+    """Return the number of parts of a parameter that affect different rows, such as the initial
+    states of segments."""
     masks = [run.moved_rows(parameter.path, channel) for channel in run.channels]
     return max(1 if rows is None else rows.shape[1] for rows in masks)
 
 
 # residuals up to this many times the integration tolerance are integration error, not noise
 EXACT = 100
-# of a parameter that starts too small, relative to integration errors; smaller ones are rounding
+# smallest effect of a parameter that is more than round-off, relative to integration errors
 LEAST_EFFECT = 1e-6
-VISIBLE = 10.0  # effect relative to integration errors of a start that is recommended
+VISIBLE = 10.0  # effect of a recommended start, relative to integration errors
 # relative change of the ratio of two noise levels above which the fit is repeated
 PROPORTION = 0.01
 
@@ -91,8 +88,8 @@ ReadingsAndResiduals = dict[str, tuple[dict[str, Array], dict[str, Array]]]
 
 
 class Task(eqx.Module):
-    """A least-squares problem: `runs(u)` and `residual(u)` of all measurements of a space, less an
-    `offset` if there is one."""
+    """A least-squares problem: `runs(u)`, readings and residuals of all measurements of a space;
+    `residual(u)`, all residuals in one vector, minus an `offset` if there is one."""
 
     space: Space
     noise: Levels
@@ -115,8 +112,7 @@ class Task(eqx.Module):
 
     @property
     def absolute(self) -> bool:
-        """Whether the optimum depends on the noise levels themselves and not only on
-        their ratios."""
+        """True if the optimum depends on the noise levels themselves, not only on their ratios."""
         return self.loss is not None or bool(self.priors)
 
     def readings_and_residuals(
@@ -126,7 +122,8 @@ class Task(eqx.Module):
         experiment: Measurement,
         noise: dict[str, Array],
     ) -> tuple[dict[str, Array], dict[str, Array]]:
-        """Readings of one measurement, and its residuals over noise, zero for missing samples."""
+        """Return the readings of one measurement, and its residuals over noise, zero for missing
+        samples."""
         readings = experiment.readings(model, self.integration, lin)
         residuals = {
             name: experiment.residual(name, readings[name]) / channel.spread(noise[name])
@@ -135,7 +132,7 @@ class Task(eqx.Module):
         return readings, residuals
 
     def runs(self, u: Float[Array, "n"]) -> ReadingsAndResiduals:
-        """Readings and residuals of every measurement; measurements of equal structure are
+        """Return readings and residuals of every measurement; measurements of equal structure are
         evaluated in one batch."""
         model, runs = self.space.place(u)
         lin = (
@@ -175,8 +172,8 @@ class Task(eqx.Module):
         return self.losses(self.runs(u))
 
     def losses(self, runs: ReadingsAndResiduals) -> Float[Array, "m"]:
-        """All residuals in one vector, with the loss applied: sorted by name as jit sorts dicts,
-        those of priors last."""
+        """Return all residuals in one vector, with the loss applied: sorted by name as jit sorts
+        dicts, those of priors last."""
         r = jnp.concatenate(
             [
                 root(runs[run][1][name].ravel(), None if run == PRIORS else self.loss)
@@ -186,7 +183,7 @@ class Task(eqx.Module):
         return r if self.offset is None else r - self.offset
 
     def misfits(self, runs: ReadingsAndResiduals) -> Levels:
-        """{measurement: {channel: readings minus measured values}}, in their units."""
+        """Return {measurement: {channel: readings minus measured values}}, in their units."""
         return {
             run: {
                 name: np.asarray(runs[run][1][name])
@@ -197,8 +194,8 @@ class Task(eqx.Module):
         }
 
     def linearized(self, runs: ReadingsAndResiduals, J) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals and Jacobian of the least-squares problem with the same optimum and covariance
-        as the robust one."""
+        """Return residuals and Jacobian of the least-squares problem with the same optimum and
+        covariance as the robust problem."""
         channels = _channels(runs)
         r = np.concatenate([np.ravel(runs[run][1][name]) for run, name in channels])
         present = np.concatenate(
@@ -210,7 +207,7 @@ class Task(eqx.Module):
 
 
 def _channels(runs: ReadingsAndResiduals) -> list[tuple[str, str]]:
-    """(measurement, channel) in the order of the residuals: by name, priors last."""
+    """Return (measurement, channel) in the order of the residuals: by name, priors last."""
     return [
         (run, name)
         for run in sorted(runs, key=lambda run: (run == PRIORS, run))
@@ -219,7 +216,7 @@ def _channels(runs: ReadingsAndResiduals) -> list[tuple[str, str]]:
 
 
 def options_of(task: Task, *_: Any) -> Options:
-    """Options for programs that simulate the runs of a task."""
+    """Return the compiler options of programs that simulate the runs of a task."""
     times = [run.times for run in task.experiments.values() if isinstance(run, Experiment)]
     return OPTIMIZED if take_long(task.space.model, *times) else QUICK
 
@@ -228,8 +225,8 @@ def options_of(task: Task, *_: Any) -> Options:
 def residual_and_jacobian(
     task: Task, u: Float[Array, "n"]
 ) -> tuple[Array, Array, ReadingsAndResiduals]:
-    """r, dr/du and the readings and residuals by channel, in one program, because compiling costs
-    more than running."""
+    """Return r, dr/du and the readings and residuals by channel, from one program, because
+    compiling takes longer than running."""
 
     def evaluate(u):
         runs = task.runs(u)
@@ -247,8 +244,8 @@ def residual_and_jacobian(
 
 
 def shared_structure(experiments: dict[str, Measurement]) -> list[list[str]]:
-    """Groups of names of measurements with equal structure and shapes, which can be evaluated in
-    one batch."""
+    """Return groups of names of measurements with equal structure and shapes, which can be
+    evaluated in one batch."""
     groups: dict[Any, list[str]] = {}
     for name, experiment in experiments.items():
         leaves, treedef = jax.tree.flatten(experiment)
@@ -259,7 +256,8 @@ def shared_structure(experiments: dict[str, Measurement]) -> list[list[str]]:
 # of a channel without samples, or without residuals
 @np.errstate(divide="ignore", invalid="ignore")
 def rms(channel: Channel, residuals: list, present: list) -> Array:
-    """Root mean square over all records of a channel: one number for each of its units."""
+    """Return the root mean square over all records of a channel, one number for each of its
+    units."""
     squares = sum(channel.pooled(as_numpy(r) ** 2) for r in residuals)
     return as_numpy(
         (squares / sum(channel.pooled(as_numpy(mask).astype(float)) for mask in present)) ** 0.5
@@ -268,7 +266,7 @@ def rms(channel: Channel, residuals: list, present: list) -> Array:
 
 @np.errstate(divide="ignore", invalid="ignore")
 def noise_level(channel: Channel, residuals: list, present: list, loss: str | None) -> Array:
-    """The noise estimated from residuals: their rms, or with a robust loss an estimate that
+    """Return the noise estimated from residuals: their rms, or with a robust loss an estimate that
     outliers do not increase."""
     if loss is None:
         return rms(channel, residuals, present)
@@ -283,9 +281,11 @@ def noise_level(channel: Channel, residuals: list, present: list, loss: str | No
 
 
 def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Levels, bool]:
-    """The noise to start with, as stated, or else the standard deviation of the channel over all
-    runs; and whether it must be estimated: where the level itself matters (`absolute`), or the
-    ratios of several levels."""
+    """Return the initial noise levels, and whether they must be estimated.
+
+    Levels are those stated, or else the standard deviation of the channel over all runs. Estimates
+    are needed if not all are stated and the level itself matters (`absolute`), or the ratios of
+    several levels."""
     spread = {
         name: module_of(level).where(level > 0, level, 1.0)
         for name, level in _levels(experiments, residuals_of_means(experiments), None).items()
@@ -299,7 +299,7 @@ def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Le
 def _levels(
     experiments: dict[str, Measurement], misfits: Levels, loss: str | None
 ) -> dict[str, Array]:
-    """{channel: its noise level over all runs}."""
+    """Return {channel: its noise level over all runs}."""
     channels = {name: channel for e in experiments.values() for name, channel in e.channels.items()}
     levels = {}
     for name, channel in channels.items():
@@ -314,7 +314,7 @@ def _levels(
 
 
 def _stated_or(levels: dict[str, Array], experiments: dict[str, Measurement]) -> Levels:
-    """The noise of every channel as stated, or else these levels."""
+    """Return the noise of every channel as stated, or else from `levels`."""
     return {
         run: {name: (e.noise or {}).get(name, levels[name]) for name in e.channels}
         for run, e in experiments.items()
@@ -322,8 +322,8 @@ def _stated_or(levels: dict[str, Array], experiments: dict[str, Measurement]) ->
 
 
 def residuals_of_means(experiments: dict[str, Measurement]) -> Levels:
-    """{measurement: {channel: residuals}} of predictions that are the mean of each record at
-    all times."""
+    """Return {measurement: {channel: residuals}} of constant predictions, the mean of each
+    record."""
 
     def of(experiment: Measurement, name: str) -> Array:
         measured = as_numpy(experiment.measured[name])
@@ -336,8 +336,8 @@ def residuals_of_means(experiments: dict[str, Measurement]) -> Levels:
 
 
 def with_estimated_noise(task: Task, runs: ReadingsAndResiduals) -> tuple[Task, bool]:
-    """The task with the noise estimated from the residuals, and whether its ratios changed by more
-    than PROPORTION."""
+    """Return the task with the noise estimated from the residuals, and whether the ratios of noise
+    levels changed by more than PROPORTION."""
     levels = {
         name: as_numpy(np.maximum(level, 1e-12))
         for name, level in _levels(task.experiments, task.misfits(runs), task.loss).items()
@@ -363,15 +363,15 @@ def with_estimated_noise(task: Task, runs: ReadingsAndResiduals) -> tuple[Task, 
 
 
 def rms_residuals(task: Task, runs: ReadingsAndResiduals) -> Levels:
-    """{measurement: {channel: rms residual}}; with a robust loss, an estimate that outliers do
-    not increase."""
+    """Return {measurement: {channel: rms residual}}; with a robust loss, an estimate that outliers
+    do not increase."""
     misfits = task.misfits(runs)
     return {run: _levels({run: e}, misfits, task.loss) for run, e in task.experiments.items()}
 
 
 def floor(task: Task) -> float:
-    """The norm of a column of the Jacobian below which it is only integration error: an error of
-    rtol times the size of the model in every residual."""
+    """Return the norm of a column of the Jacobian up to which it is only integration error: an
+    error of rtol times the size of the model in every residual."""
     counts_and_levels = [
         (e.measured[name].size, task.noise[run][name])
         for run, e in task.experiments.items()
@@ -382,13 +382,14 @@ def floor(task: Task) -> float:
 
 
 def integration_error(task: Task) -> float:
-    """An error of rtol times the size of the model."""
+    """Return an integration error of rtol times the size of the model."""
     return float(task.integration.rtol) * float(size_of(task.space.model))
 
 
 def check_start(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> None:
     """Check that the residuals are finite at the start, and that all positive parameters have an
-    effect there. Errors: NONFINITE_START, with the first residual that is not, TINY_START."""
+    effect there. Errors: NONFINITE_START, with the first residual that is not finite,
+    TINY_START."""
     if np.isfinite(r).all():
         _check_effects(task, u, ~J.any(0))
         return
@@ -426,7 +427,7 @@ def check_start(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> None
 
 def _check_effects(task: Task, u: np.ndarray, silent: np.ndarray) -> None:
     """Check that no positive parameter starts so small that integration errors hide its effect,
-    which grows with it. Error: TINY_START, with a size from which it has an effect, as is tried."""
+    which grows with it. Error: TINY_START, with a size that was found to have an effect."""
     space, hidden = task.space, floor(task)
     units = [
         unit

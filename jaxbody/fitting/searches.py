@@ -1,11 +1,11 @@
 """Searches for the least sum of squares of a residual r(u) with its Jacobian, by SciPy, by an optax
-optimizer or by optimistix: each from one u, with the best u and whether it converged.
+optimizer or by optimistix. Each starts from one u and returns the best u and whether it converged.
 
-SciPy and optax use one program for r and J, whose evaluations are counted, and are ended by
-Gauss-Newton steps. An optax optimizer works in coordinates y whitened by the Jacobian, J = U S V',
+SciPy and optax use one program for r and J, whose evaluations are counted; Gauss-Newton steps
+finish the search. An optax optimizer works in coordinates y whitened by the Jacobian, J = U S V',
 u = u_k + V S^-1 |U'r| y, in which the linearized optimum lies at a distance of one. It is restarted
-from its best point until the Gauss-Newton step is small. Optimistix is one program by itself, also
-inside jit and vmap, differentiable in forward mode by the implicit function theorem.
+from its best point until the Gauss-Newton step is small. A search by optimistix is one program,
+also inside jit and vmap, differentiable in forward mode by the implicit function theorem.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from jaxbody.fitting.residuals import (
 from jaxbody.fitting.statistics.uncertainties import decomposed
 
 NEAR = 1e-4  # largest Gauss-Newton step in u from which Gauss-Newton steps finish the search
-# norm of the part of the residual that the parameters still explain, relative to the whole
+# norm of the part of the residual that the parameters can still reduce, relative to the whole
 CONVERGED = 1e-9
 SHORTER = 0.9  # largest ratio of a Gauss-Newton step to the step before it
 REMEMBERED = 3  # earlier steps used to accelerate the next one
@@ -57,9 +57,9 @@ class Evaluations:
     """Residual and Jacobian of `function(u)` -> (r, J, auxiliary), with a count of evaluations. A
     trial that fails has residuals of NaN.
 
-    `floor`: largest norm of a column of J that is round-off, which is set to zero. `best`: the
-    u of the least cost so far, also passed to `improved`. `line` receives a message after
-    every evaluation."""
+    `floor`: norm of a column of J up to which it is round-off and set to zero. `best`: the u of the
+    lowest cost so far, also passed to `improved`. `line` is called with a message after every
+    evaluation."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class Evaluations:
         self.rounds: list[int] = []  # counts at which the function was replaced
 
     def __call__(self, u) -> tuple[np.ndarray, np.ndarray, Any]:
-        """r, J and what else the function returns."""
+        """Return r, J and the auxiliary result of the function."""
         key = np.asarray(u).tobytes()
         if self._last is not None and self._last[0] == key:
             return self._last[1]
@@ -114,9 +114,9 @@ class Evaluations:
         return self._last[1]
 
     def triangle(self, u) -> tuple[np.ndarray, np.ndarray]:
-        """(r, J) reduced by a QR decomposition to as many rows as [J r] has columns. Scalar
-        products of r and the columns of J, and so Gauss-Newton steps, cost and gradient at u,
-        are preserved."""
+        """Return (r, J) reduced by a QR decomposition to as many rows as [J r] has columns. Scalar
+        products of r and the columns of J are preserved, and so are Gauss-Newton steps, cost and
+        gradient at u."""
         result = self(u)
         if self._last_triangle is None or self._last_triangle[0] is not result:
             self._last_triangle = (result, triangle(*result[:2]))
@@ -139,8 +139,8 @@ class Evaluations:
 
 
 def triangle(r: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The last column of the triangle T of [J r] = Q T, and its other columns; computed for blocks
-    of rows that fit into the cache, then for all."""
+    """Return the last column of the triangle T of [J r] = Q T, and its other columns, computed for
+    blocks of rows that fit into the cache, then for all."""
     T = np.concatenate([J, r[:, None]], 1)
     n, whole = T.shape[1], len(r) // ROWS * ROWS
     if len(T) < 4 * n:
@@ -161,8 +161,8 @@ class _NearOptimum(Exception):
 
 
 def by_scipy(evaluate: Evaluations, u, limits: Bounds) -> tuple[np.ndarray, bool]:
-    """Bounded least squares until Gauss-Newton steps can finish the search; a residual of NaN is a
-    rejected step."""
+    """Minimize bounded least squares with SciPy until Gauss-Newton steps can finish the search; a
+    residual of NaN is a rejected step."""
     from scipy.optimize import least_squares
 
     # the first trust region then depends on u and not on the noise level
@@ -194,7 +194,7 @@ def by_scipy(evaluate: Evaluations, u, limits: Bounds) -> tuple[np.ndarray, bool
 def gauss_newton(
     evaluate: Evaluations, u, converged: bool, limits: Bounds
 ) -> tuple[np.ndarray, bool]:
-    """Gauss-Newton steps as long as each is shorter than the one before; near the optimum,
+    """Take Gauss-Newton steps as long as each is shorter than the one before; near the optimum,
     integration errors hide changes of the cost."""
     u = np.asarray(u)
     inside = np.all(np.abs(u - np.stack(limits)) > AT_BOUND, axis=0)
@@ -223,10 +223,11 @@ def gauss_newton(
 
 
 def _accelerated(steps: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """The next u by Anderson acceleration: with large residuals, Gauss-Newton steps converge
+    """Return the next u by Anderson acceleration: with large residuals, Gauss-Newton steps converge
     only linearly.
 
-    u + d - (dU + dD) c, where c minimizes |d - dD c| (D. G. Anderson, J. ACM 12 (1965) 547)"""
+        u + d - (dU + dD) c, where c minimizes |d - dD c| (D. G. Anderson, J. ACM 12 (1965) 547)
+    """
     u, d = steps[-1]
     if len(steps) == 1:
         return u + d
@@ -237,7 +238,7 @@ def _accelerated(steps: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
 def whitened(
     triangle: tuple[np.ndarray, np.ndarray], columns: Any = slice(None)
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """U'r, S and V of J = U S V', without the directions that the data do not determine: the
+    """Return U'r, S and V of J = U S V', without the directions that the data do not determine: the
     Gauss-Newton step is -V S^-1 U'r."""
     r, J = triangle
     if not np.isfinite(r).all():
@@ -256,7 +257,7 @@ class WhitenedCoordinates(NamedTuple):
     size: Float[Array, ""]
 
     def value_and_gradient(self, r, J) -> tuple[Array, Array]:
-        """The cost, by (r - r0)'(r + r0)/2 without cancellation, and its gradient W'J'r."""
+        """Return the cost, by (r - r0)'(r + r0)/2 without cancellation, and its gradient W'J'r."""
         xp = module_of(r)
         failed = ~(xp.isfinite(r).all() & xp.isfinite(J).all())
         value, gradient = (
@@ -276,7 +277,7 @@ def _step(
     value: Array,
     gradient: Array,
 ) -> tuple[Any, Any]:
-    """y and the state of the optimizer after one step from y, where the cost has this value
+    """Return y and the state of the optimizer after one step from y, where the cost has this value
     and gradient."""
 
     def value_and_gradient(y):
@@ -299,16 +300,16 @@ def _step(
 
 @program
 def _begin(optimizer: Any, y: Float[Array, "m"]) -> Any:
-    """The state of the optimizer at y."""
+    """Return the state of the optimizer at y."""
     return optimizer.init(y)
 
 
 def by_optax(evaluate: Evaluations, task: Task, u, optimizer: Any) -> tuple[np.ndarray, bool]:
-    """The optimizer in whitened coordinates, restarted from the best point until the Gauss-Newton
-    step is small.
+    """Run the optimizer in whitened coordinates, restarted from the best point until the
+    Gauss-Newton step is small.
 
-    Within about a hundredth of a standard error, integration errors make the cost too rough to
-    descend; there Gauss-Newton steps take over, which do not use the cost."""
+    Within about a hundredth of a standard error, integration errors make the cost too rough for a
+    descent; there Gauss-Newton steps, which do not use the cost, finish the search."""
     u, reach = np.asarray(u), 1.0
     for _ in range(MAX_RESTARTS):
         r0 = evaluate(u)[0]
@@ -330,7 +331,8 @@ def by_optax(evaluate: Evaluations, task: Task, u, optimizer: Any) -> tuple[np.n
 def _descend(
     evaluate: Evaluations, task: Task, optimizer: Any, at: WhitenedCoordinates, sufficient: float
 ) -> np.ndarray | None:
-    """The best y of the optimizer from 0, or None without a significant decrease of the cost."""
+    """Return the best y of the optimizer from y = 0, or None without a significant decrease of the
+    cost."""
     y = np.zeros(at.unwhiten.shape[1], at.r0.dtype)
     state = _begin(optimizer, y)
     best, lowest, improved_at, first = None, -SIGNIFICANT / 2, evaluate.count, None
@@ -356,7 +358,7 @@ def _descend(
 # not jax.custom_jvp: the task's solver and step controller may contain functions
 @eqx.filter_custom_jvp
 def _residual(task: Task, size, u):
-    """r/size, with the Jacobian that is evaluated together with r as its derivative, because JAX
+    """Return r/size, differentiated by the Jacobian that is evaluated together with r, because JAX
     would otherwise run the simulation twice."""
     return residual_and_jacobian(task, u)[0] / size
 
@@ -369,7 +371,7 @@ def _residual_jvp(primals, tangents):
 
 
 def _minimize(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
-    """The optimum by optimistix, a status and the number of steps."""
+    """Return the optimum by optimistix, a status and the number of steps."""
     signal = sum(
         jnp.sum((r / task.experiments[run].channels[name].spread(task.noise[run][name])) ** 2)
         for run, residuals in residuals_of_means(task.experiments).items()
@@ -393,9 +395,10 @@ def _minimize(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Arra
 
 @program_with(options_of)
 def solve(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
-    """`_minimize` with its derivative: one program, also inside jit and vmap.
+    """Return the result of `_minimize`, as one program with its derivative, also inside jit and
+    vmap.
 
-    H du = -dg for the change dg of the gradient of the cost at fixed u, H the exact Hessian of
+    H du = -dg for the change dg of the gradient of the cost at fixed u, with the exact Hessian H of
     the cost."""
     numbers, rest = eqx.partition(method, eqx.is_array)
     arrays, static = eqx.partition(task, eqx.is_array)
@@ -415,8 +418,8 @@ def solve(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
         u, status, steps = optimum(*primals)
 
         def gradient(along):
-            """The gradient of the cost after steps of u and of the task along its tangent; one
-            program for both derivatives."""
+            """Return the gradient of the cost after steps of u and of the task along its tangent;
+            one program for both derivatives."""
             moved = jax.tree.map(
                 lambda x, dx: x if dx.dtype == jax.dtypes.float0 else x + along[-1] * dx,
                 arrays,
@@ -440,7 +443,7 @@ def solve(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
 def search(
     evaluate: Evaluations, task: Task, u: np.ndarray, method: Any
 ) -> tuple[np.ndarray, bool]:
-    """The best u by the method, and whether it converged."""
+    """Return the best u by the method, and whether it converged."""
     if isinstance(method, str):
         return by_scipy(evaluate, u, task.space.bounds)
     if not isinstance(method, optimistix.AbstractLeastSquaresSolver):

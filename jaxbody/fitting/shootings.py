@@ -1,5 +1,5 @@
-"""Multiple shooting: a long or chaotic record is cut into segments with initial states of their
-own, which the fit makes continuous.
+"""Multiple shooting: a long or chaotic record is cut into segments, whose initial states are fitted
+too until the segments are continuous.
 
     minimize 1/2 sum ((reading - measured)/noise)^2
              + 1/2 sum ((end of segment k - start of segment k+1)/(slack scale))^2
@@ -59,8 +59,9 @@ WORSE = 1.01
 
 
 class Segments(Measurement):
-    """A record in `count` segments, with `nodes`, the initial states of the second and
-    later ones."""
+    """A record in `count` segments. `nodes`: initial states of the second and later segments;
+    `scale`: variation of each component of the state; `slack`: standard deviation of the gaps
+    between segments, relative to `scale`."""
 
     whole: Experiment
     nodes: State
@@ -91,8 +92,8 @@ class Segments(Measurement):
         return {**self.whole.named(), "nodes": self.nodes}
 
     def moved_rows(self, path, channel):
-        """Readings in a segment depend on its initial state; a gap depends on the initial states of
-        both segments."""
+        """Return which rows depend on which initial states: readings in a segment on its own, a gap
+        on those of both its segments."""
         depend_on_past = any(
             sensor.delay is not None or sensor.lag is not None
             for sensor in self.whole.sensors.values()
@@ -154,7 +155,7 @@ class Segments(Measurement):
 
 
 def cuts(samples: int, count: int) -> tuple[np.ndarray, int]:
-    """The first sample of each segment, and the number of samples in a segment; each segment
+    """Return the first sample of each segment, and the number of samples in a segment; each segment
     reaches the first sample of the next one."""
     rows = -(-(samples - 1) // count) + 1
     return np.round(np.linspace(0, samples - rows, count)).astype(int), rows
@@ -168,13 +169,12 @@ def multiple_shooting(
     segments: int,
     **options: Any,
 ) -> Fit:
-    """A fit of long or chaotic records by multiple shooting, and from its result a fit of the
-    whole records.
+    """Fit long or chaotic records by multiple shooting, then fit the whole records from the result.
 
     Args:
         model, experiments, free: as in `fit`; the experiments are records in time.
-        segments: number of segments of each record, large enough that a simulated motion stays near
-            the measured one within each.
+        segments: number of segments of each record, so large that a simulated motion stays near the
+            measured one within each.
         options: other options of `fit`.
 
     The initial states of the segments are fitted together with the parameters; the gaps between
@@ -249,13 +249,13 @@ def multiple_shooting(
 
 
 def first_state(experiment: Experiment, model: Model) -> State:
-    """The initial state of an experiment: its own, rest, or the reference pose."""
+    """Return the initial state of an experiment: as stated, at rest, or the reference pose."""
     given = experiment.start(model, motions_of(model, experiment.motion))
     return model.reference if given is None else given
 
 
 def _cost(result: Fit, noise: dict[str, dict[str, Array]]) -> float:
-    """1/2 r'r of the measured channels, with this noise."""
+    """Return 1/2 r'r of the measured channels for these noise levels."""
     residuals = (
         result.experiments[run].residual(name, result.predicted[run][name])
         / result.experiments[run].channels[name].spread(level)
@@ -268,8 +268,8 @@ def _cost(result: Fit, noise: dict[str, dict[str, Array]]) -> float:
 def _cut(
     model: Model, name: str, experiment: Experiment, count: int, options: dict[str, Any]
 ) -> Segments:
-    """An experiment in segments. Each starts from the end of the one before, with its initial state
-    fitted to its part of the record."""
+    """Return an experiment in segments. Each starts from the end of the one before, with its
+    initial state fitted to its part of the record."""
     starts, rows = cuts(len(experiment.times), count)
     how = {
         field.name: options[field.name]

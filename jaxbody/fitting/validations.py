@@ -35,10 +35,9 @@ class Validation(Result):
 
     `nrmse`; `rms` of the residuals in the unit of the channel; `excess`, its ratio to the noise
     estimated by the fit; and `whiteness`, None for short records and for measurements that are no
-    time series. `experiments` holds the runs, `predicted` and `residuals` are {run: {channel:
+    time series. `experiments` contains the runs, `predicted` and `residuals` are {run: {channel:
     array}}. `status` is NONFINITE if a run cannot be simulated with the fitted model; `failed`
-    gives the reasons.
-    """
+    gives the reasons."""
 
     experiments: dict[str, Measurement]
     nrmse: dict[str, float]

@@ -1,11 +1,11 @@
-"""Likely errors of measurements, by comparison with a model: units, signs, delays, offsets, wrapped
-angles, swapped channels, left-handed axes, conjugated responses.
+"""Likely errors in measured channels, found by comparison with a model: wrong units, signs, delays,
+offsets, wrapped angles, swapped channels, left-handed axes, conjugated responses.
 
     measured(t) ~ offset + gain reading(t - delay),    measured ~ gain reading for what is not a
                                                        record in time
 
-for every channel, by least squares. Use it before a fit, with a model that is roughly right; the
-estimates of a fit would hide such errors.
+for every channel, by least squares. Use it before a fit, with a model that is roughly right: a fit
+would hide such errors in its estimates.
 """
 
 from __future__ import annotations
@@ -60,19 +60,19 @@ OF_MODES = {
     1 / (2 * np.pi): "is it in Hz instead of rad/s?",
     60.0: "is it per minute?",
 }
-TURNS = {"360 degrees": 360.0, "2 pi": 2 * np.pi}  # of an angle that starts again after each turn
-TURN = 0.3  # largest difference of a jump from a turn, and of the prediction beside it, in turns
-# offset of a record, relative to what is left without it, from which it is reported; it is also
-# larger than the variation
+TURNS = {"360 degrees": 360.0, "2 pi": 2 * np.pi}  # at which a wrapped angle restarts
+# largest difference of a jump from one turn, and largest jump of its prediction, in turns
+TURN = 0.3
+# smallest offset of a record that is reported, relative to the residual without it; it must also
+# exceed the variation of the record
 ASIDE = 3.0
 OFFSETS = {
     "Position": "is it a displacement? Use Displacement",
     "Displacement": "is it a place? Use Position",
 }
-ROUNDED = 1e-9  # offset relative to the record that is rounding
-
-OWN = ("WRAPPED", "GAIN_FACTOR")  # which explain an offset or a low correlation
-FAULTS = (
+ROUNDED = 1e-9  # offset, relative to the record, below which it is round-off
+OWN = ("WRAPPED", "GAIN_FACTOR")  # errors that explain an offset or a low correlation
+FAULTS = (  # errors with which a fit cannot be right
     "GAIN_FACTOR",
     "WRAPPED",
     "SWAPPED",
@@ -81,7 +81,7 @@ FAULTS = (
     "CONJUGATED",
     "OTHER_RESPONSE",
 )
-# correlation of real or imaginary parts of responses that is reported if its sign is wrong
+# correlation of real or imaginary parts of responses from which a wrong sign is reported
 AGREED = 0.5
 POWERS = {
     2: "an acceleration",
@@ -92,23 +92,23 @@ POWERS = {
 CLOSE = 0.05  # largest difference of the logarithms of a gain and a factor
 CORRELATED = 0.8  # smallest correlation for which gain and delay are considered
 LATE = 0.05  # smallest delay that is reported, in samples
-SIGNIFICANT = 4.0  # and in standard errors
-
-# share of the variation of a record that its prediction explains, r2, below which it is reported
-# unless the rest is white noise
+SIGNIFICANT = 4.0  # smallest delay that is reported, in standard errors
+# share r2 of the variation of a record explained by its prediction, below which the channel is
+# reported, unless the rest is white noise
 EXPLAINED = 0.5
 
 EARTH = (9.7, 9.9)  # m/s2
 BETTER = 0.7  # relative cost below which another arrangement of channels or axes is reported
 
 
-Remarks = Iterator[tuple[str, str]]  # codes and words
+Remarks = Iterator[tuple[str, str]]  # (code, message)
 
 
 @dataclass(frozen=True)
 class Compared:
-    """Comparison of one component of a channel with the prediction; without delays for what is not
-    a record in time."""
+    """Comparison of one component of a channel with its prediction. `delay` and its standard error
+    `delay_error` [samples] are NaN for measurements that are not records in time; `residual` is
+    relative to the variation of the record."""
 
     name: str
     gain: float
@@ -119,8 +119,8 @@ class Compared:
 
 
 class Diagnosis(Result):
-    """Result of `diagnose`: `channels`, for each component gain, correlation, delay in samples with
-    its standard error, and residual relative to the signal; `words`, likely errors."""
+    """Result of `diagnose`: `channels`, the gain, correlation, delay and residual of each
+    component, as in `Compared`; `words`, descriptions of likely errors."""
 
     status: Int[Array, ""]
     channels: tuple[Compared, ...] = eqx.field(static=True)
@@ -144,7 +144,7 @@ def diagnose(
     progress: bool | None = None,
     **options: Any,
 ) -> Diagnosis:
-    """Likely errors of measured channels, from a comparison with the predictions of the model
+    """Report likely errors of measured channels by comparison with the predictions of a model,
     without a fit.
 
     Args:
@@ -153,18 +153,19 @@ def diagnose(
             or MeasuredCurves}.
         progress: None shows progress on a terminal or in a notebook after five seconds, False
             is silent.
-        options: those of `simulate`.
+        options: options of `simulate`, such as rtol.
 
-    Warns GAIN_FACTOR for a gain near 1000, 100, 57.3, 9.81, 39.4 or their inverses, or negative;
-    WRAPPED for an angle that jumps by whole turns where the prediction does not; OFFSET for a
-    record that is off by more than its variation and three times the rest; CONJUGATED for responses
-    with phases of the other sign; OTHER_RESPONSE for those of another derivative, such as
-    accelerances; DELAY for a delay of more than 0.05 samples and 4 standard errors of white noise;
-    SWAPPED for two channels whose cost is 30 % lower when exchanged; LEFT_HANDED for three axes
-    that agree with the model only after a reflection; UNCORRELATED for a prediction that explains
-    less than half of the variation of the record, r2 < 0.5, where the difference of both is no
-    white noise: in a noisy record of a small motion it is; GRAVITY for an accelerometer's record
-    without gravity, or with gravity that the model does not have.
+    Warns GAIN_FACTOR for a gain near 1000, 100, 57.3, 9.81, 39.4 or their inverses, or a negative
+    gain; WRAPPED for an angle that jumps by whole turns where the prediction does not; OFFSET for a
+    constant offset larger than the variation of the record and than three times the remaining
+    difference; CONJUGATED for responses with phases of opposite sign; OTHER_RESPONSE for responses
+    of another derivative, such as accelerances; DELAY for a delay of more than 0.05 samples and 4
+    standard errors for white noise; SWAPPED for two channels whose cost is 30 % lower when
+    exchanged; LEFT_HANDED for three axes that agree with the model only after a reflection;
+    UNCORRELATED for a prediction that explains less than half of the variation of the record,
+    r2 < 0.5, unless their difference is white noise, as in a noisy record of a small motion;
+    GRAVITY for an accelerometer record without gravity, or with gravity that the model does
+    not have.
     Errors: those of `simulate`, WRONG_KIND, NO_DATA.
 
     >>> times = jnp.linspace(0, 1, 50)
@@ -216,8 +217,8 @@ def _predicted(model: Model, experiment: Measurement, options: dict[str, Any]) -
 def likely_errors(
     model: Model, name: str, experiment: Measurement, predicted: dict[str, Any]
 ) -> tuple[list[Compared], list[tuple[str, str]]]:
-    """The comparison of each component of a measurement with its prediction, and the codes and
-    words of likely errors."""
+    """Compare each component of a measurement with `predicted`; return the comparisons and the
+    (code, message) of each likely error."""
     readings = {key: np.asarray(x) for key, x in predicted.items()}
     if not isinstance(experiment, Experiment):
         return _of_numbers(name, experiment, readings)
@@ -240,12 +241,12 @@ def likely_errors(
 
 
 def faults(errors: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Those with which a fit cannot be right."""
+    """Return the errors that no fit can make up for, those with a code in FAULTS."""
     return [error for error in errors if error[0] in FAULTS]
 
 
 def _wrapped(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, unit: str) -> Remarks:
-    """A remark on an angle that starts again after each turn."""
+    """Yield a remark on an angle that restarts after each turn."""
     valid = np.flatnonzero(np.isfinite(y) & np.isfinite(p))
     for label, turn in TURNS.items() if unit == "rad" else ():
         steps = np.abs(np.diff(y[valid])) / turn
@@ -262,7 +263,7 @@ def _wrapped(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, unit: s
 
 
 def _aside(name: str, y: np.ndarray, p: np.ndarray, sensor: Sensor) -> Remarks:
-    """A remark on a record with a constant offset; not on an accelerometer, which may
+    """Yield a remark on a record with a constant offset; none for accelerometers, whose records may
     lack gravity."""
     off = (y - p)[np.isfinite(y) & np.isfinite(p)]
     if not off.size or isinstance(sensor, Accelerometer):
@@ -281,8 +282,8 @@ def _aside(name: str, y: np.ndarray, p: np.ndarray, sensor: Sensor) -> Remarks:
 def _of_numbers(
     run: str, measurement: Measurement, readings: dict[str, np.ndarray]
 ) -> tuple[list[Compared], list[tuple[str, str]]]:
-    """The same for what is not a record in time: responses, modes, stiffnesses and curves, which
-    vary about zero."""
+    """Compare measurements that are not records in time with their predictions: responses, modes,
+    stiffnesses and curves, which vary about zero. Return the same as `likely_errors`."""
     compared, words = [], []
     for name in measurement.channels:
         y, p = np.asarray(measurement.measured[name]), readings[name]
@@ -306,8 +307,9 @@ def _of_numbers(
 
 
 def _turned(name: str, frequencies: np.ndarray, y: np.ndarray, p: np.ndarray) -> Remarks:
-    """A remark on responses of another derivative or with phases of another sign, by their phases
-    alone: resonances of a guess are elsewhere, where its magnitudes tell nothing."""
+    """Yield a remark on responses of another derivative, or with phases of another sign. Only
+    phases show the sign: an initial guess has its resonances at other frequencies, so that
+    magnitudes differ."""
     if len(y) < 8 or not (np.abs(y) * np.abs(p)).all():
         return
     power = (
@@ -341,8 +343,8 @@ def _turned(name: str, frequencies: np.ndarray, y: np.ndarray, p: np.ndarray) ->
 def _components(
     run: str, experiment: Experiment, readings: dict[str, np.ndarray]
 ) -> dict[str, tuple[np.ndarray, np.ndarray, Sensor]]:
-    """{name: (measured, predicted, sensor)} of every component of channels that are scalars or
-    vectors, not of poses."""
+    """Return {name: (measured, predicted, sensor)} for every component of scalar and vector
+    channels; poses are left out."""
     components = {}
     for name, sensor in experiment.sensors.items():
         y, p = np.asarray(experiment.measured[name]), readings[name]
@@ -356,8 +358,8 @@ def _components(
 
 
 def _fit(columns: list[np.ndarray], y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients, and their standard errors for white noise, infinite for columns that are nearly
-    dependent."""
+    """Return the coefficients of a linear least-squares fit of y by `columns` and their standard
+    errors for white noise, infinite if the columns are nearly dependent."""
     A = np.stack(columns, 1)
     c, _, rank, _ = np.linalg.lstsq(A, y, rcond=1e-6)
     if rank < A.shape[1]:
@@ -368,7 +370,8 @@ def _fit(columns: list[np.ndarray], y: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: float) -> Compared:
-    """Gain g and delay d of y relative to p, by iterated linear fits of y ~ c0 + g (p - d p')."""
+    """Estimate gain g and delay d of y relative to p by iterated linear fits y ~ c0 + g (p - d
+    p')."""
     from scipy.interpolate import CubicSpline
 
     valid = np.isfinite(y) & np.isfinite(p)
@@ -396,7 +399,7 @@ def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: 
 
 
 def _remarks(c: Compared, factors: dict[float, str] = FACTORS) -> Remarks:
-    """Remarks on a gain and on a delay."""
+    """Yield remarks on a gain near one of `factors` or negative, and on a delay."""
     if not abs(c.correlation) > CORRELATED:
         return
     reversed_ = "is its sign or its axis reversed?" if c.gain < 0 else ""
@@ -412,7 +415,7 @@ def _remarks(c: Compared, factors: dict[float, str] = FACTORS) -> Remarks:
 
 
 def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, Sensor]]) -> Remarks:
-    """Remarks on pairs of channels of one unit that fit better when exchanged."""
+    """Yield remarks on pairs of channels of one unit that fit better when exchanged."""
     for (a, (y, p, first)), (b, (z, q, second)) in itertools.combinations(channels.items(), 2):
         valid = np.isfinite(y) & np.isfinite(z)
         if first.unit != second.unit or not valid.any():
@@ -431,8 +434,8 @@ def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, Sensor]]) -> Rema
 
 
 def _mirrored(run: str, experiment: Experiment, readings: dict[str, np.ndarray]) -> Remarks:
-    """Remarks on vectors that a reflection aligns with the prediction much better than any rotation
-    (Kabsch algorithm)."""
+    """Yield remarks on vectors that a reflection aligns with the prediction much better than any
+    rotation (Kabsch algorithm)."""
     for name, p in readings.items():
         y = np.asarray(experiment.measured[name])
         if y.ndim != 2 or y.shape[1] != 3:
@@ -453,11 +456,11 @@ def _mirrored(run: str, experiment: Experiment, readings: dict[str, np.ndarray])
 
 
 def _unrelated(channels: dict[str, Any], arranged: list[tuple[str, str]], step: float) -> Remarks:
-    """Remarks on channels that hardly follow their prediction, with what they follow instead; not
-    on those that are arranged otherwise.
+    """Yield remarks on channels that hardly follow their prediction, with what they follow instead;
+    none for channels named in the remarks `arranged`.
 
-    In a record of a small motion in much noise a correlation is low too; its difference from the
-    prediction then is white noise."""
+    A record of a small motion in strong noise has a low correlation too; its difference from the
+    prediction is then white noise."""
     without_means = {name: centered(y, p) for name, (y, p, _) in channels.items()}
     for name, (y, p, valid) in without_means.items():
         test, r = whiteness((y - p)[valid]), correlation(y, p)
@@ -487,8 +490,8 @@ def _unrelated(channels: dict[str, Any], arranged: list[tuple[str, str]], step: 
 def _without_gravity(
     run: str, model: Model, experiment: Experiment, readings: dict[str, np.ndarray]
 ) -> Remarks:
-    """Remarks on accelerometers whose record lacks gravity, or has gravity that the model does
-    not have."""
+    """Yield remarks on accelerometers whose record lacks gravity, or contains gravity that the
+    model does not have."""
     g = float(np.linalg.norm(model.gravity))
     for name, sensor in experiment.sensors.items():
         if not isinstance(sensor, Accelerometer):

@@ -1,5 +1,5 @@
-"""Experiments: the sample times, base motions, loads, initial state and sensor records of
-one run."""
+"""Experiments: the sample times, base motions, loads, initial state and sensor records of one
+run."""
 
 from dataclasses import replace
 from typing import Any
@@ -40,7 +40,7 @@ from jaxbody.records.records import Record
 from jaxbody.records.sampling_checks import warn_of_rails
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
 
-MANY_MISSING = 0.2
+MANY_MISSING = 0.2  # share of missing samples of a record above which a warning is issued
 MAX_STEPS = 10_000  # of a run of a fit, or as many for each sample as in `simulate`
 
 
@@ -82,23 +82,23 @@ class Integration(eqx.Module):
 
 
 class Experiment(Measurement):
-    """One measured run, or the plan of one.
+    """One measured run, or a planned one.
 
     Args:
-        times: [s] (nt,); None: those of the record.
+        times: [s] (nt,); None: the times of the record.
         sensors: {name: sensor}.
         measured: {name: array (nt, ...)} for every sensor, NaN for missing samples; or a Record,
-            as `read_record` returns it, which has a channel for every sensor, under the same name
-            and in a unit of the same quantity; its other channels are not used. None: a plan,
+            as returned by `read_record`, with a channel for every sensor, under the same name and
+            in a unit of the same quantity; its other channels are not used. None: a planned run,
             without data.
         motion: {support: motion}; a support without an entry is at rest.
         loads: {name: load}; by default none.
         initial: the state at times[0], or "rest", the equilibrium on the supports with their
-            positions and velocities at times[0], which is computed again for every trial of a fit;
+            positions and velocities at times[0], which is recomputed for every trial of a fit;
             by default the reference pose at rest.
         noise: standard deviations, one number or {sensor: one number}, for a pose two numbers, in
             meters and radians; by default estimated from the residuals.
-        leave_out: duration of the initial transient [s], whose samples become NaN.
+        leave_out: duration of the initial transient [s], whose samples become NaN; by default 0.
 
     Errors, all at once: times as in `simulate`, T_RANGE for times that a motion does not cover,
     NO_TIME, BAD_SHAPE, NO_DATA, ALL_NAN for a channel, NON_FINITE, BAD_QUATERNION, BAD_NOISE,
@@ -219,7 +219,7 @@ class Experiment(Measurement):
         return self.sensors
 
     def start(self, model: Model, motions: Motions) -> State | None:
-        """The state at times[0]; None for the reference pose."""
+        """Return the state at times[0], or None for the reference pose."""
         return (
             rest_state(model, motions, self.times[0])[0]
             if isinstance(self.initial, Rest)
@@ -227,7 +227,7 @@ class Experiment(Measurement):
         )
 
     def trajectory(self, model: Model, integration: Integration) -> Trajectory:
-        """The simulated motion of the run."""
+        """Return the simulated motion of the run."""
         motions = motions_of(model, self.motion)
         return integration.trajectory(
             model, self.times, motions, tuple(self.loads.values()), self.start(model, motions)
@@ -261,7 +261,7 @@ class Experiment(Measurement):
         return f"t = {time_text(self.times[row], self.times)} s", float(self.times[row])
 
     def named(self):
-        """The parts with names in paths: the initial state, the motions, the loads, the sensors."""
+        """Return the parts with names in paths: initial state, motions, loads, sensors."""
         return {
             **({} if not isinstance(self.initial, State) else {"initial": self.initial}),
             **self.motion,
@@ -291,8 +291,8 @@ class Experiment(Measurement):
         return {**{f"initial.{part}": hint for part in "qvz"}, **stages}
 
     def scale_of(self, path, unit):
-        """1 for a gain, which may have either sign, the sampling interval for a delay, the rms of
-        the record for a bias or a start."""
+        """Return 1 for a gain, which may have either sign, the sampling interval for a delay, the
+        rms of the record for a bias or an initial value."""
         name, _, stage = path.rpartition(".")
         if name not in self.sensors or stage not in self.sensors[name].stages:
             return None
@@ -317,8 +317,8 @@ class Experiment(Measurement):
             ]
 
     def _check_delay(self, name: str, problems: Problems) -> None:
-        """Check that a sensor's delay leaves a measured sample to compare with.
-        Error: BAD_DELAY."""
+        """Check that a sensor's delay leaves a measured sample to compare with. Error:
+        BAD_DELAY."""
         sensor = self.sensors[name]
         if sensor.delay is None or not is_concrete(sensor.delay, self.times, self.measured[name]):
             return
@@ -340,8 +340,8 @@ class Experiment(Measurement):
 def _check_names(
     motion: dict[str, Any], loads: dict[str, Any], sensors: dict[str, Any], problems: Problems
 ) -> None:
-    """Check that paths can name each part: names of loads and sensors differ from those of the
-    motions and from each other. Errors: DUPLICATE_NAME, BAD_NAME."""
+    """Check that paths can name each part: loads and sensors have names that differ from each other
+    and from those of the motions. Errors: DUPLICATE_NAME, BAD_NAME."""
     used = {"initial": "is reserved"} | dict.fromkeys(motion, "is the name of a support too")
     for kind, names in (("loads", loads), ("sensors", sensors)):
         for name in names:
@@ -368,8 +368,8 @@ def _check_names(
 def _of_record(
     record: Record, times: Any, sensors: dict[str, Any], problems: Problems
 ) -> tuple[Any, dict[str, Any]]:
-    """The times and channels of a record for these sensors, each of the quantity that its sensor
-    reads, unless a gain changes it."""
+    """Return the times and channels of a record for `sensors`, after checking that each channel has
+    the quantity that its sensor reads, unless the sensor has a gain."""
     if times is not None:
         problems.add(
             "BAD_OPTION",
@@ -407,12 +407,12 @@ def _of_record(
 
 
 def _si(unit: str) -> str:
-    """The name of a sensor's unit as records write it; several units stay as they are."""
+    """Return the name of a sensor's unit as records spell it; several units stay unchanged."""
     return unit if "," in unit else parse(unit or "1", "unit").si
 
 
 def _kept(leave_out: Any, times, problems: Problems):
-    """Which samples are used: those after the part that is left out; None for all."""
+    """Return which samples are used, those after `leave_out` seconds; None for all."""
     duration = None if times is None or not is_concrete(times) else float(times[-1] - times[0])
     valid = (
         isinstance(leave_out, int | float | np.number)
@@ -434,8 +434,8 @@ def _kept(leave_out: Any, times, problems: Problems):
 
 
 def _samples(name: str, sensor: Any, value: Any, times, kept, problems: Problems):
-    """The measured array of a sensor, with NaN for samples that are left out; its errors are added
-    to `problems`."""
+    """Return the measured array of a sensor, with NaN for samples that are left out; errors are
+    added to `problems`."""
     where = f"Experiment.measured['{name}']"
     if not isinstance(sensor, Sensor):
         problems.add(

@@ -1,5 +1,5 @@
 """Measured small motions for fits: frequency responses, complex numbers from named inputs to named
-outputs, and the natural frequencies, damping ratios and mode shapes of a modal test."""
+outputs, and natural frequencies, damping ratios and mode shapes of a modal test."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from jaxbody.vibration.ports import component_units, inputs_of, outputs_of, port
 
 
 class ResponseChannel(NumberChannel):
-    """One complex response; its residuals are the real and imaginary parts, each with the noise
-    level as standard deviation."""
+    """One complex response. Its residuals are the real and the imaginary part; the noise level is
+    the standard deviation of each."""
 
     def residual(self, reading, measured):
         difference = jnp.where(jnp.isnan(measured), 0.0, reading - measured)
@@ -57,9 +57,8 @@ class MeasuredResponse(ByFrequency):
         measured: {(output, input): complex (nf,)} for any number of pairs, NaN for frequencies to
             leave out.
         noise: the standard deviation of the real part and of the imaginary part, one number
-            or {(output, input): one number or one for each frequency}. For a coherence g2
-            with n averages it is |H| sqrt((1 - g2)/(2 n g2)). By default it is estimated from
-            the residuals.
+            or {(output, input): one number or one for each frequency}. For a coherence g2 of n
+            averages it is |H| sqrt((1 - g2)/(2 n g2)). By default estimated from the residuals.
         loss_factor: as in `frequency_response`; its paths are "hammer.loss_factor.AB" or
             "hammer.loss_factor.all". By default none.
 
@@ -166,7 +165,7 @@ def _name(pair: tuple[str, str]) -> str:
 
 
 def response_unit(above: str, below: str) -> str:
-    """The unit of a response, "m/N"; "" for a ratio."""
+    """Return the unit of a response from the units of output and input, "m/N"; "" for a ratio."""
     if above == below:
         return ""
     return (
@@ -201,22 +200,22 @@ UNITS = {"frequency": "Hz", "damping_ratio": "", "shapes": ""}
 
 
 class MeasuredModes(Measurement):
-    """Result of a modal test with `nm` natural modes, for a fit.
+    """Result of a modal test with `nm` natural modes, as measurements for a fit.
 
     Args:
         frequency: [Hz] (nm,); NaN for a missing number here and below.
         damping_ratio: (nm,); by default not measured.
         shapes: real mode shapes (nm, ns) at the `sensors`, in their order; by default not measured.
-        sensors: {name: sensor} of positions or rotations; of several numbers each component is a
-            column of `shapes`.
-        number: the mode of the model that each measured mode is compared with, 0 for the lowest; by
-            default 0 to nm - 1.
-        pairing: "order" for the modes of `number`; "mac" for the mode with the highest modal
-            assurance criterion at the sensors.
+        sensors: {name: sensor} of positions or rotations; each component of a sensor is a column
+            of `shapes`.
+        number: index of the mode of the model with which each measured mode is compared, 0 for the
+            lowest; by default 0 to nm - 1.
+        pairing: "order" compares with the modes in `number`; "mac" with the mode of the highest
+            modal assurance criterion at the sensors.
         noise: standard deviations {"frequency": [Hz], "damping_ratio": ..., "shapes": ...}, each
             one number or one for each measured number; by default estimated from the residuals.
 
-    Scale and sign of shapes do not matter: a measured shape x/|x| is compared with the nearest
+    Scale and sign of shapes are arbitrary: a measured shape x/|x| is compared with the nearest
     multiple of the shape of the model.
 
     Errors, all at once: NO_DATA, BAD_SHAPE, BAD_FREQUENCY, NON_FINITE, ALL_NAN, BAD_NOISE,

@@ -21,17 +21,17 @@ from jaxbody.vibration.frequency_responses import check_frequencies
 
 
 class MeasuredStiffness(ByFrequency):
-    """The measured dynamic stiffness of one element, by itself: the model has no part in it but
-    this element.
+    """The measured dynamic stiffness of one element. Only this element of the model is used.
 
     Args:
         element: name of the element
         frequencies: [Hz] (nf,)
         magnitude: |K| (nf,) [N/m, N m/rad], NaN for frequencies to leave out
         loss_angle: angle of K (nf,) [rad], likewise; at least one of the two is needed
-        amplitude: of the deformation [m, rad], as in `dynamic_stiffness`; by default small
-        preload: static force [N, N m]
-        direction: of a Mount: x, y, z, rx, ry or rz
+        amplitude: amplitude of the deformation [m, rad], as in `dynamic_stiffness`; by default
+            small
+        preload: static force or moment [N, N m], by default 0
+        direction: direction of a Mount: x, y, z, rx, ry or rz
         noise: {"magnitude": standard deviation, "loss_angle": ...}, each one number or one for each
             frequency; by default estimated
 

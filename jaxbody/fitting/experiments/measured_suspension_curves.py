@@ -1,5 +1,5 @@
-"""Measured curves of a suspension for fits: angles and places of a wheel over its travel
-and steering."""
+"""Measured curves of a suspension for fits: angles and positions of a wheel over its travel and
+steering."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from jaxbody.suspension.wheels import Wheel
 
 
 class MeasuredCurves(Measurement):
-    """Measured curves of a suspension for a fit, as a kinematics test rig records them.
+    """Measured curves of a suspension for a fit, as recorded by a kinematics test rig.
 
     Args:
         wheel: the wheel, in the frame of its body.
-        drive: {name: wheel, sensor or "rack.q"}, as in `suspension_curves`; a wheel stands for the
-            rise of its center.
+        drive: {name: wheel, sensor or "rack.q"}, as in `suspension_curves`; a wheel means the rise
+            of its center.
         over: {name: values (n,), or one number}: changes of the driven readings from the design
             position [m or rad].
         measured: {curve: (n,)} in SI units, angles in rad, by the names of `suspension_curves`:
@@ -37,8 +37,8 @@ class MeasuredCurves(Measurement):
         noise: standard deviations {curve: one number or one for each row}; by default estimated
             from the residuals.
 
-    In a fit of a suspension its hard points move the wheel here too. A row that a trial cannot
-    reach has no prediction: a rejected step.
+    In a fit of a suspension, moved hard points also move this wheel. A trial that cannot reach
+    every row is a rejected step.
 
     Errors, all at once: NO_DATA, BAD_SHAPE, NON_FINITE, ALL_NAN, BAD_NOISE, UNKNOWN_NAME, and those
     of `suspension_curves`.
@@ -57,7 +57,7 @@ class MeasuredCurves(Measurement):
 
     wheel: Wheel
     driven: dict[str, Any]
-    # the drives, with their paths if they are no sensors
+    # (name, path) of each drive; the path is None for sensors and wheels, which are in `driven`
     order: tuple[tuple[str, str | None], ...] = eqx.field(static=True)
     over: dict[str, Float[Array, "n"]]
     measured: dict[str, Float[Array, "n"]]

@@ -1,5 +1,5 @@
-"""The interface of measurements to fits: records in time, frequency responses and modes are all
-residuals by channel."""
+"""The interface between measurements and fits: records in time, frequency responses, modes and
+curves are all residuals by channel; checks of measured numbers."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -19,9 +19,9 @@ from jaxbody.vibration.linearizations import Linearization, linearize
 
 
 class Measurement(eqx.Module):
-    """Base class of measurements: `measured` numbers by channel, `noise`, their standard deviations
-    if stated, and `readings`, the predictions of a model for them; `linear`: from small motions
-    about its equilibrium, which all measurements of a model share."""
+    """Base class of measurements. `measured`: numbers by channel; `noise`: their standard
+    deviations, where stated; `linear`: True if predictions follow from small motions about the
+    equilibrium, which are computed once for all such measurements."""
 
     linear: ClassVar[bool] = False
     plot = PlotMethod()
@@ -34,62 +34,63 @@ class Measurement(eqx.Module):
 
     @abstractmethod
     def readings(self, model: Any, integration: Any, lin: Any) -> dict[str, Array]:
-        """{channel: array like `measured`}, NaN where the model has no prediction. `lin`: its
-        linearization if `linear`."""
+        """Return the predictions {channel: array like `measured`}, NaN where the model has none.
+        `lin`: linearization of the model if `linear`."""
 
     def residual(self, name: str, reading: Array) -> Array:
-        """Reading minus measured value of a channel, zero for missing samples."""
+        """Return reading minus measured value of a channel, zero for missing samples."""
         return self.channels[name].residual(reading, self.measured[name])
 
     def named(self) -> dict[str, Any]:
-        """The parts that have names in paths."""
+        """Return the parts that have names in paths."""
         return {}
 
     def absent(self) -> dict[str, str]:
-        """{path: hint} of optional parts that are not given."""
+        """Return {path: hint} of optional parts that are not given."""
         return {}
 
     def on(self, before: Any, after: Any) -> Any:
-        """The measurement after the hard points of a suspension have moved."""
+        """Return the measurement after the hard points of a suspension have moved."""
         return self
 
     def scale_of(self, path: str, unit: str) -> Any:
-        """The scale s in x0 + s u of a number of this measurement in a fit; None for its
-        own size."""
+        """Return the scale s of a number of this measurement in its transform x0 + s u; None for
+        the size of the number itself."""
 
     def moved_rows(self, path: str, channel: str) -> Array | None:
-        """(rows, parts) of booleans: which rows of a channel depend on each part of a leaf of this
-        measurement, at most two consecutive parts for a row. None: all rows depend on all parts."""
+        """Return which rows of a channel depend on each part of a leaf of this measurement,
+        booleans (rows, parts) with at most two consecutive parts for each row; None if all rows
+        depend on all parts."""
 
     def check(self, model: Any, where: str) -> None:
-        """Raise errors if the measurement does not match the model."""
+        """Check that the measurement matches the model."""
 
     def explain(self, model: Any, integration: Any) -> str:
-        """The reason why readings are not finite."""
+        """Return the reason why readings are not finite."""
         if self.linear:
             return f"{Status(int(small_motions(model).status)).name} at the equilibrium"
         return "the model has no finite prediction there"
 
     @abstractmethod
     def axis(self, channel: str) -> tuple[str, Array | np.ndarray, str]:
-        """The independent variable of a channel's record: name, values, unit."""
+        """Return the independent variable of a channel: name, values, unit."""
 
     @abstractmethod
     def place(self, row: int) -> tuple[str, float]:
-        """The time, frequency or mode of a row of `measured`, as text and as a number."""
+        """Return the time, frequency or mode of a row of `measured`, as text and as a number."""
 
     def present(self, name: str) -> Array:
-        """Which components of the residuals of a channel have samples."""
+        """Return which components of the residuals of a channel have samples."""
         return ~self.channels[name].missing(as_numpy(self.measured[name]))
 
 
 def small_motions(model: Model) -> Linearization:
-    """Small motions about the equilibrium that a search from the reference pose reaches."""
+    """Linearize the model about the equilibrium that a search from the reference pose reaches."""
     return linearize(model, equilibrium(model))
 
 
 class ByFrequency(Measurement):
-    """The base class of numbers by frequency [Hz]."""
+    """Base class of measurements with one row for each frequency [Hz]."""
 
     frequencies: eqx.AbstractVar[Array]
 
@@ -101,7 +102,7 @@ class ByFrequency(Measurement):
 
 
 class NumberChannel(Channel):
-    """A channel of one number in each row, such as one curve; `series` as in `Channel`."""
+    """A channel with one number in each row, such as one curve; `series` as in `Channel`."""
 
     shape: ClassVar[tuple[int, ...]] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
     unit: str = eqx.field(static=True, default="")  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -109,8 +110,8 @@ class NumberChannel(Channel):
 
 
 def check_measurements(experiments: Mapping[str, Measurement], where: str) -> Problems:
-    """Problems of measurements by name, to which the caller may add others. Error: WRONG_KIND if
-    they are not a dict."""
+    """Return the problems of measurements by name, to which the caller may add others. Error:
+    WRONG_KIND if `experiments` is not a dict."""
     problems = Problems()
     if not isinstance(experiments, dict):
         kind = type(experiments).__name__
@@ -159,16 +160,16 @@ def check_rows(
     hint: str = "",
     remedy: str = "Leave it out.",
 ) -> None:
-    """Check measured numbers, one for each of some rows; errors go to `problems`.
+    """Check measured numbers, one for each row; errors are added to `problems`.
 
     Args:
         array: the numbers.
-        shape: theirs.
+        shape: required shape of `array`.
         where: name of the argument, for messages.
         problems: collects BAD_SHAPE, NON_FINITE, ALL_NAN.
-        missing: what a NaN stands for.
-        limit, hint: of a wrong shape, by default the shape and none.
-        remedy: hint where all numbers are missing.
+        missing: meaning of a NaN, for messages.
+        limit, hint: texts for a wrong shape; by default the shape, and no hint.
+        remedy: hint if all numbers are missing.
     """
     known = concrete(array)
     if np.shape(array) != shape:
@@ -191,8 +192,8 @@ def check_rows(
 def noise_of(
     given: dict[Any, Any], measured: dict[Any, Any], where: str, problems: Problems
 ) -> dict[Any, Any]:
-    """Standard deviations of measured quantities, each one number or one for each measured number;
-    errors go to `problems`."""
+    """Return the standard deviations of measured quantities, each one number or one for each
+    measured number; errors are added to `problems`."""
     levels = {}
     for name, level in given.items():
         place, deviation = (
@@ -234,8 +235,8 @@ def noise_of(
 
 
 def records_of(experiments: dict[str, Measurement]) -> list[ResidualSeries]:
-    """The records of the residuals of all measurements, in the same order; all runs share one noise
-    level for each unit of a channel."""
+    """Return the records of the residuals of all measurements, in the order of the residuals. All
+    runs share one noise level for each unit of a channel."""
     records, first = [], 0
     for run, experiment in sorted(experiments.items()):
         for name, channel in sorted(experiment.channels.items()):

@@ -1,5 +1,6 @@
-"""Plausibility checks: the size of numbers that a wrong unit changes by orders of magnitude, such
-as millimeters for meters, and geometry that is drawn apart or does not stay as it is drawn."""
+"""Plausibility checks: quantities that a wrong unit changes by orders of magnitude, such as
+millimeters for meters; connected frames that are drawn apart; equilibria far from the drawn
+pose."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ from jaxbody.vibration.linearizations import Linearization, linearize
 GYRATION = (0.02, 5.0)  # relative to the distance of the farthest attachment point
 FREQUENCIES = (0.01, 1e5)  # Hz
 SAG = (1e-9, 1.0)  # relative to the size of the model
-# the same of the first mode of a model without gravity, which may move across it
+# SAG for the first mode of a model without gravity, which may be perpendicular to gravity
 SOFT = (1e-9, 5.0)
 DENSITY = (0.01, 1e5)  # kg/m3
 EARTH = (9.7, 9.9)  # m/s2
@@ -40,8 +41,8 @@ ZERO = 1e-9  # eigenvalue relative to the largest that counts as zero
 
 
 class Plausibility(Result):
-    """Result of `plausibility`: `numbers` {quantity: (value, unit, usual range)} and `words` on
-    those outside of their range."""
+    """Result of `plausibility`: `numbers` {quantity: (value, unit, usual range)}, and `words`,
+    remarks on quantities outside their range."""
 
     status: Int[Array, ""]
     numbers: dict[str, tuple[float, str, str]] = eqx.field(static=True)
@@ -61,21 +62,19 @@ class Plausibility(Result):
 def plausibility(
     model: Model | Suspension, experiments: dict[str, Any] | None = None
 ) -> Plausibility:
-    """Quantities of a model or a suspension that a wrong unit changes by orders of magnitude,
-    compared with their usual ranges at the reference pose or, with closures, at the nearest
-    configuration that fulfils them.
+    """Compare quantities that a wrong unit changes by orders of magnitude with their usual ranges,
+    at the reference pose or, with closures, at the nearest configuration that fulfills them.
 
     These are the radius of gyration of each body that can rotate, relative to its farthest
     attachment point (detects kg mm2, or an inertia about another point); the mass of all bodies
     over the cube of the size of the model (mm, g, t); the first natural frequency f and the sag
-    under gravity (N/mm, mm), of a model without gravity that which it would have along its first
-    mode, g/(2 pi f)^2 with 9.81 m/s2; gravity itself; and the sampling step of `experiments`
-    relative to the first natural period (ms).
+    under gravity (N/mm, mm), for a model without gravity the sag along its first mode under
+    g = 9.81 m/s2, g/(2 pi f)^2; gravity itself; and the sampling step of `experiments` relative to
+    the first natural period (ms).
 
-    Named are also mounts whose two frames are drawn more than a twentieth of the size apart, or
-    turned by more than 5 degrees; torsions whose axis is not the same at both ends; and an
-    equilibrium 0.3 of the size or 30 degrees from the drawn pose, as of a pendulum that is
-    drawn sideways.
+    Also reported are mounts whose two frames are drawn more than a twentieth of the size apart, or
+    turned by more than 5 degrees; torsions whose axes differ at the two ends; and an equilibrium
+    0.3 of the size or 30 degrees from the drawn pose, as for a pendulum that is drawn sideways.
 
     Warns GYRATION, DENSITY, FREQUENCY, SAG, GRAVITY (neither zero nor 9.7 to 9.9 m/s2), TIME_UNIT,
     DRAWN_APART, FAR_FROM_DRAWN, FLOAT32. Errors: X64_CHANGED.
@@ -161,19 +160,18 @@ def plausibility(
                 STEPS,
                 "are its times in seconds?",
             )
-    words += [("DRAWN_APART", said) for said in drawn_apart(model)]
+    words += [("DRAWN_APART", message) for message in drawn_apart(model)]
     if model.layout.nv and not unattached(model):
-        words += [
-            ("FAR_FROM_DRAWN", said) for said in equilibrium_of(model, None, MOST_STEPS, None).far
-        ]
+        far = equilibrium_of(model, None, MOST_STEPS, None).far
+        words += [("FAR_FROM_DRAWN", message) for message in far]
     for code, message in words:
         warn(code, message)
     return Plausibility(jnp.asarray(Status.OK), numbers, tuple(message for _, message in words))
 
 
 def _gyration_ratios(model: Model) -> dict[str, float]:
-    """sqrt(largest moment/mass) over the distance from center of mass to farthest attachment point,
-    of bodies that can rotate."""
+    """Return {body: sqrt(largest moment/mass) over the distance from its center of mass to its
+    farthest attachment point} for bodies that can rotate."""
     ratios = {}
     for name in model.layout.bodies:
         body = model[name]
@@ -194,14 +192,14 @@ def _gyration_ratios(model: Model) -> dict[str, float]:
 
 
 def first_frequency(model: Model) -> float:
-    """The first natural frequency [Hz] at the reference pose that is not zero; NaN
-    without stiffness."""
+    """Return the lowest nonzero natural frequency [Hz] at the reference pose; NaN without
+    stiffness."""
     return float(_scales(linearize(model, model.reference))[0])
 
 
 @program
 def _scales(lin: Linearization) -> tuple[Array, Array]:
-    """The first nonzero natural frequency [Hz], from |eigenvalues|, and the largest static
+    """Return the lowest nonzero natural frequency [Hz], from |eigenvalues|, and the largest static
     displacement under gravity of modes with stiffness, relative to the size of the model; NaN
     without stiffness."""
     model, state, (M, K) = lin.model, lin.state, lin.quasistatic

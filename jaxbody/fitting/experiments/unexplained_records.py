@@ -1,12 +1,12 @@
-"""Records that a fitted model does not explain: residuals that are not clearly smaller than the
-variation of the record itself, and predictions that begin far from its first samples.
+"""Records that a fitted model does not explain: their residuals are not clearly smaller than their
+variation, or the prediction begins far from the first samples.
 
     rms(y - p) > UNEXPLAINED rms(y - mean y)
 
 for one component of a channel, unless its residuals may be noise: as large as stated, or white and
 not correlated with the prediction, as in a noisy record of a small motion. Frequency responses,
-modes and curves vary about zero, not about their mean. Remedies for a beginning are a start at
-rest, or leaving out the initial transient.
+modes and curves vary about zero, not about their mean. Remedies for a wrong beginning are a start
+at rest, or leaving out the initial transient.
 """
 
 from __future__ import annotations
@@ -29,11 +29,10 @@ from jaxbody.model.states import State
 
 # rms of residuals relative to the variation of the record; noise of 30 % of the motion leaves 0.29
 UNEXPLAINED = 0.5
-# variation or residual relative to that of the largest component of the same unit, below which one
-# does not count
+# smallest variation or residual that counts, relative to the largest component of the same unit
 SMALL = 0.1
 SHORT = 2.0  # as UNEXPLAINED, for records that are too short to tell noise from motion
-STATED = 2.0  # residuals relative to the stated noise up to which they are noise
+STATED = 2.0  # residuals relative to the stated noise, up to which they are noise
 
 SIGNIFICANT = 4.0  # correlation of residuals and prediction, in standard errors
 # residuals beyond so many standard deviations do not count where a robust loss was chosen
@@ -41,9 +40,9 @@ OUTLIERS = 5.0
 
 
 class Component(NamedTuple):
-    """Residuals r = p - y of one component of a channel, of both parts if it is complex; v, those
-    of a prediction without motion; the stated noise, zero if it is not stated; whether it is a
-    record in time."""
+    """Residuals of one component of a channel, or of real and imaginary part together: r = p - y of
+    the fit, v of a prediction without motion; `noise` as stated, zero if it is not; `in_time`: True
+    for a record in time."""
 
     name: str
     unit: str
@@ -59,13 +58,13 @@ def unexplained(
     robust: bool,
     least: float,
 ) -> Iterator[str]:
-    """A sentence on each such record.
+    """Yield a sentence on each record that the fitted model does not explain.
 
     Args:
         experiments: the measurements
         residuals: {measurement: {channel: predicted minus measured}}, in their units
-        robust: whether outliers do not count
-        least: rms of residuals that is integration error
+        robust: True to ignore outliers
+        least: rms of residuals up to which they are integration error
     """
     for run, experiment in experiments.items():
         components = [
@@ -128,20 +127,19 @@ def _components(run: str, name: str, experiment: Measurement, r: np.ndarray) -> 
 
 
 def _related(r: np.ndarray, p: np.ndarray) -> bool:
-    """Whether residuals follow a prediction more than noise does, rho sqrt(n) > SIGNIFICANT."""
+    """Return whether residuals r follow a prediction p more than noise does, rho sqrt(n) >
+    SIGNIFICANT."""
     p = p - np.mean(p)
     return bool(abs(p @ r) > SIGNIFICANT * np.sqrt((p @ p) * (r @ r) / len(r)))
 
 
 MIN_SAMPLES = 40  # of a run that is checked
 FIRST = 0.05  # part of a run that counts as its beginning
-# residual of the beginning, relative to that of the second half, from which a start at rest
-# is tried
-NOTABLE = 2.0
-# residual of the beginning, relative to that of the second half, from which a remark is made
-FAR = 4.0
-SIGNAL = 0.05  # residual relative to the measured signal below which no remark is made
-SETTLED = 2.0  # residual relative to that of the second half below which a run has settled
+# residuals of the beginning relative to those of the second half:
+NOTABLE = 2.0  # from which a start at rest is tried
+FAR = 4.0  # from which a remark is made
+SETTLED = 2.0  # below which a run has settled
+SIGNAL = 0.05  # residual, relative to the measured signal, below which no remark is made
 # residual of a start at rest, relative to the present one, below which it is recommended
 BETTER = 0.5
 
@@ -153,7 +151,8 @@ def transients(
     noise: dict[str, Any],
     integration: Integration,
 ) -> Iterator[str]:
-    """A remark with the remedy for each run that begins far from its first samples."""
+    """Yield a remark with its remedy for each run whose prediction begins far from the first
+    samples."""
     for run, experiment in experiments.items():
         if not isinstance(experiment, Experiment) or len(experiment.times) < MIN_SAMPLES:
             continue
@@ -211,7 +210,7 @@ def _rms(x: np.ndarray) -> float:
 def _sizes(
     experiment: Experiment, readings: dict[str, Any], noise: dict[str, Any]
 ) -> Float[np.ndarray, "nt"]:
-    """The rms of residuals over noise at each time; NaN where all samples are missing."""
+    """Return the rms of residuals over noise at each time; NaN where all samples are missing."""
     squares, counts = np.zeros(len(experiment.times)), np.zeros(len(experiment.times))
     for name, channel in experiment.channels.items():
         r = experiment.residual(name, np.asarray(readings[name]))

@@ -1,10 +1,10 @@
-"""The space of free parameters of a fit or a design: model and runs as a function of numbers u,
+"""The space of free parameters of a fit or a design: model and runs as functions of numbers u,
 which are zero at the start.
 
-Each parameter states the leaves it sets, the factors of ties between them, its form as a function
-of u, its bounds and its prior. A design space is a fit's parameters without runs. The hard points
-of a suspension are parameters by their names, which move all that has them. Searches may begin at
-random points between the bounds of u.
+Each parameter contains the leaves that it sets, the factors of ties between them, its form as a
+function of u, its bounds and its prior. The space of a design is that of a fit without runs. The
+hard points of a suspension are parameters by their names and move every part attached to them.
+Searches may begin at random points between the bounds of u.
 """
 
 from __future__ import annotations
@@ -48,9 +48,11 @@ from jaxbody.suspension.suspensions import Suspension
 
 
 class Parameter(eqx.Module):
-    """A free parameter: the leaves it sets, several if tied by factors, each of the model or its
-    suspension ("") or of a run; its form as a function of its u, the bounds of these u; its prior,
-    a mean and a standard deviation."""
+    """A free parameter.
+
+    `places`: (owner, leaf) of the leaves that it sets, several if they are tied by `factors`; the
+    owner is a run, or "" for the model or its suspension. `form`: its value as a function of its u;
+    `low` and `high`: bounds of these u; `prior`: mean and standard deviation."""
 
     places: tuple[tuple[str, Leaf], ...] = eqx.field(static=True)
     factors: tuple[Factor, ...] = eqx.field(static=True)
@@ -66,19 +68,20 @@ class Parameter(eqx.Module):
 
     @property
     def run(self) -> str:
-        """The run, if it affects the readings of only one; else ""."""
+        """The run, if the parameter affects the readings of only one; else ""."""
         owners = {owner for owner, _ in self.places}
         return owners.pop() if len(owners) == 1 else ""
 
     def name(self, most: int | None = None) -> str:
-        """The paths of its leaves, of at most so many: "left.stiffness = right.stiffness"."""
+        """Return the paths of its leaves, at most `most` of them: "left.stiffness =
+        right.stiffness"."""
         more = " = ..." if most is not None and len(self.places) > most else ""
         return equation([leaf.path for _, leaf in self.places[:most]], self.factors[:most]) + more
 
 
 class Space(eqx.Module):
-    """A model, the suspension that it is of if it is of one, and the runs of its measurements as
-    functions of u: `place(u)`."""
+    """A model, its suspension if there is one, and the runs of its measurements as functions of u:
+    `place(u)`."""
 
     model: Model
     parameters: tuple[Parameter, ...]
@@ -91,7 +94,7 @@ class Space(eqx.Module):
 
     @property
     def parts(self) -> list[tuple[Parameter, slice]]:
-        """Each parameter and its part of u."""
+        """Each parameter with its part of u."""
         ends = np.cumsum([0, *(parameter.form.size for parameter in self.parameters)]).tolist()
         return [
             (parameter, slice(i, j))
@@ -100,7 +103,7 @@ class Space(eqx.Module):
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """The least and the largest u."""
+        """The lower and the upper bounds of u."""
         low, high = (
             [np.zeros(0), *(getattr(parameter, end) for parameter in self.parameters)]
             for end in ("low", "high")
@@ -109,7 +112,7 @@ class Space(eqx.Module):
 
     @property
     def labels(self) -> list[str]:
-        """The name of each u by the first path: "AB.stiffness", "mount 1.a[0]"."""
+        """The name of each u by its first path: "AB.stiffness", "mount 1.a[0]"."""
         return [
             parameter.path + suffix
             for parameter in self.parameters
@@ -118,7 +121,7 @@ class Space(eqx.Module):
 
     @property
     def names(self) -> list[str]:
-        """The name of each u by all paths: "left.stiffness = right.stiffness"."""
+        """The name of each u by all its paths: "left.stiffness = right.stiffness"."""
         return [
             parameter.name() + suffix
             for parameter in self.parameters
@@ -126,20 +129,20 @@ class Space(eqx.Module):
         ]
 
     def units(self, parameter: Parameter) -> list[str]:
-        """The unit of each number of a parameter."""
+        """Return the unit of each number of a parameter."""
         return units_of(parameter.places[0][1], self.model, parameter.form.start)
 
     def values(self, u: Float[Array, "n"]) -> dict[str, Array]:
-        """{path of each parameter's first leaf: value}."""
+        """Return {path of the first leaf: value} of each parameter."""
         return {parameter.path: parameter.form.value(u[own]) for parameter, own in self.parts}
 
     def place(self, u: Float[Array, "n"]) -> tuple[Model, dict[str, Any]]:
-        """The model and the runs at u."""
+        """Return the model and the runs at u."""
         design, runs = self.designed(u)
         return model_of(design), runs
 
     def designed(self, u: Float[Array, "n"]) -> tuple[Model | Suspension, dict[str, Any]]:
-        """The suspension, or else the model, and the runs at u."""
+        """Return the suspension, or else the model, and the runs at u."""
         values = self.values(u)
         new: dict[str, dict[Leaf, Array]] = {owner: {} for owner in ("", *self.runs)}
         for parameter in self.parameters:
@@ -164,31 +167,31 @@ class Space(eqx.Module):
         ), runs
 
     def numbers(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The number that each u determines and its derivative with respect to u; for orientations
-        and matrices, u itself and 1."""
+        """Return the number that each u determines and its derivative with respect to u; for
+        orientations and matrices u itself and 1."""
         x, slopes = zip(
             *(parameter.form.numbers(u[own]) for parameter, own in self.parts), strict=True
         )
         return np.concatenate(x), np.concatenate(slopes)
 
     def ended(self, u: np.ndarray) -> np.ndarray:
-        """The limit of its domain that each u is near, as a word; "" for the others."""
+        """Return the limit of its domain that each u is near, as a word; "" for the others."""
         return np.concatenate([parameter.form.ended(u[own]) for parameter, own in self.parts])
 
 
 def model_of(design: Model | Suspension) -> Model:
-    """The model of a suspension, or the model itself."""
+    """Return the model of a suspension, or the model itself."""
     return design.model if isinstance(design, Suspension) else design
 
 
 def arrays_of(model: Model, suspension: Suspension | None) -> list[Any]:
-    """The arrays that the leaves of a design count: those of the model, then the hard points of
-    its suspension."""
+    """Return the arrays that the leaves of a design refer to by index: those of the model, then the
+    hard points of its suspension."""
     return jax.tree.leaves(model if suspension is None else (model, suspension.hard_points))
 
 
 def hard_points_of(suspension: Suspension) -> list[Leaf]:
-    """The leaves of the hard points, in the order of `arrays_of`."""
+    """Return the leaves of the hard points, in the order of `arrays_of`."""
     first = jax.tree.structure(suspension.model).num_leaves
     return [
         Leaf(name, first + i, None, 1, Kind("m"))
@@ -206,17 +209,17 @@ def space_of(
     priors: dict[str, Any] | None = None,
     between: bool = False,
 ) -> Space:
-    """The space of the free parameters.
+    """Return the space of the free parameters.
 
     Args:
         design: the start: a model, or a suspension, whose hard points are paths by their names.
         free: paths, patterns and ties, of the model and the runs.
-        where: name of the function that is called, for messages.
-        runs: {name: measurement}, none by default.
+        where: name of the calling function, for messages.
+        runs: {name: measurement}, by default none.
         bounds, priors: {path or pattern: (lower, upper)} and {path or pattern: (mean,
-            standard deviation)}.
-        between: whether u is scaled by the bounds, so that a lower bound of zero is reached, which
-            a logarithm never does.
+            standard deviation)}, by default none.
+        between: True to scale u by the bounds, so that a lower bound of zero can be reached, which
+            a logarithm never reaches.
 
     Errors: WRONG_KIND, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE,
     START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_PRIOR.
@@ -314,7 +317,7 @@ def space_of(
 def _by_leaf(
     leaves: list[Leaf], given: dict[str, Any], where: str, problems: Problems
 ) -> dict[Leaf, list[Any]]:
-    """What is given for each leaf, by all patterns that match it."""
+    """Return {leaf: values in `given`}, for all patterns that match the leaf."""
     values: dict[Leaf, list[Any]] = {}
     for pattern, matches in matching(leaves, given, where, problems).items():
         for leaf in matches:
@@ -323,7 +326,7 @@ def _by_leaf(
 
 
 def _of_run(form: Shifted, scale: Any) -> Shifted:
-    """x0 + s u with a scale that suits an instrument; unchanged if there is none."""
+    """Return x0 + s u with the scale s of an instrument; the form itself if there is none."""
     return (
         form
         if scale is None
@@ -334,8 +337,8 @@ def _of_run(form: Shifted, scale: Any) -> Shifted:
 def _between(
     form: Parametrization | Problem, start: Array, low: np.ndarray, high: np.ndarray, size: Any
 ) -> Parametrization | Problem:
-    """x0 + s u with half the distance between the bounds as s; also for a positive number whose
-    lower bound is zero."""
+    """Return x0 + s u with s half the distance between the bounds, also for a positive number with
+    a lower bound of zero; the form itself if a bound is infinite."""
     finite = np.isfinite(high - low).all()
     if isinstance(form, Shifted):
         return Shifted(start, device_array((high - low).max() / 2)) if finite else form
@@ -345,8 +348,8 @@ def _between(
 
 
 def units_of(leaf: Leaf, model: Model, value: Array) -> list[str]:
-    """The unit of each number of a leaf, for an initial state those of the coordinates; "" for
-    none, as of a quaternion, or if unknown."""
+    """Return the unit of each number of a leaf, for an initial state those of the coordinates; ""
+    for none, as of a quaternion, or if unknown."""
     if leaf.kind.domain not in ("configuration", "speeds"):
         return fields.units_of(leaf.kind, value.shape)
     row = model.layout.v_units if leaf.kind.domain == "speeds" else model.layout.q_units
@@ -354,8 +357,8 @@ def units_of(leaf: Leaf, model: Model, value: Array) -> list[str]:
 
 
 def around(space: Space, count: int, spread: float, seed: int) -> np.ndarray:
-    """Points (count, n) of a Sobol sequence between the bounds of u; without a bound from -spread
-    or up to spread."""
+    """Return `count` points (count, n) of a Sobol sequence between the bounds of u; where u has no
+    bound, -spread or spread is used."""
     from scipy.stats import qmc
 
     low, high = (
@@ -369,9 +372,9 @@ def around(space: Space, count: int, spread: float, seed: int) -> np.ndarray:
 def drawn(
     space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any, where: str
 ) -> np.ndarray:
-    """The model, and random starts, uniform between these bounds of u, (count, n). Orientations are
-    uniform over all rotations, fractions uniform between their bounds or in their domain; no key
-    means that of 0. Error: NO_BOUNDS."""
+    """Return u = 0 and random starts (count, n), uniform between the bounds `low` and `high` of u.
+    Orientations are uniform over all rotations, fractions uniform between their bounds or in their
+    domain. Without a key that of 0 is used. Error: NO_BOUNDS."""
     if count == 1:
         return np.zeros((1, space.size))
     key = jax.random.key(0) if key is None else key

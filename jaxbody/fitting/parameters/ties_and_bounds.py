@@ -1,9 +1,9 @@
 """Free paths and patterns: single leaves, or leaves tied by "left.k = right.k", also with factors,
-"left.a = right.a * [1, -1, 1]"; and bounds and priors of a free parameter, those of all its leaves
-as those of the first, checked against its start.
+"left.a = right.a * [1, -1, 1]"; bounds and priors of a free parameter, converted from all its
+leaves to the first and checked against its start.
 
-A leaf is x f in the value x of the first leaf: bounds a <= x f <= b are a/f <= x <= b/f, and change
-sides for f < 0.
+A leaf is x f, where x is the value of the first leaf: bounds a <= x f <= b are a/f <= x <= b/f, and
+exchange sides for f < 0.
 """
 
 from __future__ import annotations
@@ -40,15 +40,16 @@ def ties(
     problems: Problems,
     absent: dict[str, str] | None = None,
 ) -> list[Tie]:
-    """The free parameters: each leaf of a path or pattern is one, and all leaves of "a = b" or
-    "a = b * factor" together, where the factor is a number or a list of numbers.
+    """Return the free parameters as {leaf: factor}. Each leaf of a path or pattern is one; all
+    leaves of "a = b" or "a = b * factor" are one together, where the factor is a number or a list
+    of numbers.
 
     Args:
         leaves: all leaves that paths may name.
         free: paths, patterns and ties.
         where: name of the argument, for messages.
         problems: collects the errors.
-        absent: {path: hint} of leaves that do not exist but could, by default none.
+        absent: {path: hint} of optional leaves that are not given, by default none.
     """
     entries, paths = [str(entry) for entry in free], [leaf.path for leaf in leaves]
     for entry in [entry for i, entry in enumerate(entries) if entry in entries[:i]]:
@@ -119,14 +120,14 @@ def ties(
 
 
 def _split(entry: str, paths: list[str]) -> list[str]:
-    """The sides of a tie. A name may have an equals sign in it, without spaces around it."""
+    """Return the sides of a tie. A name may contain an equals sign without spaces around it."""
     if any(fnmatchcase(path, entry) for path in paths):
         return [entry]
     return re.split(r"\s=\s" if re.search(r"\s=\s", entry) else "=", entry)
 
 
 def _side(text: str, where: str, problems: Problems) -> tuple[str, Any]:
-    """The pattern and the factor of "pattern * factor"."""
+    """Return the pattern and the factor of "pattern * factor"."""
     parts = re.fullmatch(r"(.*\S)\s+\*\s+(\S.*)", text.strip())
     if parts is None:
         return text.strip(), 1.0
@@ -153,13 +154,13 @@ def _ratio(first: Any, own: Any) -> Factor:
 
 
 def times(x: Any, factor: Factor) -> Any:
-    """The value of a leaf from the value of the first leaf of its tie."""
+    """Return the value of a leaf from the value `x` of the first leaf of its tie."""
     return x if factor == 1.0 else x * np.asarray(factor)
 
 
 def check_alike(tie: Tie, starts: list[Any], form: Parametrization, problems: Problems) -> None:
-    """Check that the starts of tied leaves agree with the tie; only scalars and vectors may have
-    factors. Errors: TIED_APART, BAD_TIE."""
+    """Check that the starts of tied leaves agree with the tie, and that only scalars and vectors
+    have factors. Errors: TIED_APART, BAD_TIE."""
     first, values = next(iter(tie)), [concrete(start) for start in starts]
     for (leaf, factor), start in zip(tie.items(), values, strict=True):
         if start is None or values[0] is None:
@@ -194,7 +195,7 @@ def check_alike(tie: Tie, starts: list[Any], form: Parametrization, problems: Pr
 
 
 def equation(paths: Iterable[str], factors: Iterable[Factor]) -> str:
-    """The text of a tie: "left.a = right.a * [1, -1, 1]"."""
+    """Return the text of a tie: "left.a = right.a * [1, -1, 1]"."""
 
     def side(path: str, factor: Factor) -> str:
         inverse = 1 / np.asarray(factor)
@@ -208,13 +209,12 @@ def equation(paths: Iterable[str], factors: Iterable[Factor]) -> str:
     return " = ".join(map(side, paths, factors))
 
 
-# leaves of a parameter, their factors, and what is given for them
-Given = Iterable[tuple[Leaf, Factor, Any]]
+Given = Iterable[tuple[Leaf, Factor, Any]]  # leaves, their factors, and their bounds or priors
 
 
 def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
-    """A pair (lower, upper) or (mean, deviation) as arrays of this shape; None if it is not a pair
-    of numbers."""
+    """Return a pair (lower, upper) or (mean, deviation) as arrays of this shape; None if it is not
+    a pair of numbers."""
     try:
         lower, upper = given
         return [np.broadcast_to(np.asarray(end, float), shape) for end in (lower, upper)]
@@ -225,11 +225,11 @@ def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
 def limits_of(
     form: Parametrization | Problem, start: Array, bounds: Given, where: str, problems: Problems
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The largest lower and the smallest upper bound of the first leaf, -inf and inf
-    without bounds.
+    """Return the largest lower and the smallest upper bound of the first leaf, -inf and inf without
+    bounds.
 
     Args:
-        form: the parametrization, or the problem of a start at a limit of the domain.
+        form: the parametrization, or the problem if the start is at a limit of the domain.
         start: the value of the first leaf.
         bounds: pairs (lower, upper) of the leaves.
         where: name of the argument, for messages.
@@ -293,8 +293,8 @@ def limits_of(
 def prior_of(
     form: Parametrization, priors: Given, where: str, problems: Problems
 ) -> tuple[Array, Array] | None:
-    """Mean and standard deviation of the first leaf, as arrays of its shape; None without a prior.
-    Problem: BAD_PRIOR."""
+    """Return mean and standard deviation of the first leaf, as arrays of its shape; None without a
+    prior. Error: BAD_PRIOR."""
     prior = None
     for leaf, factor, given in priors:
         at, pair = f"{where}['{leaf.path}']", pair_of(given, form.start.shape)

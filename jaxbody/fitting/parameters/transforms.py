@@ -31,8 +31,8 @@ from jaxbody.model.leaf_paths import Leaf
 from jaxbody.model.models import Model
 
 FAR = 5.0  # in u: less than a hundredth of the start, which counts as zero if it has no effect
-ROUNDING = 1e-15  # relative to its start, of a value at a bound of zero
-# of the u of a step in a row: 1e-11 of its start, so that rounding does not make two numbers equal
+ROUNDING = 1e-15  # value relative to its start, below which it is zero, at a bound of zero
+# smallest u of a step in a row: 1e-11 of its start, so that rounding makes no two numbers equal
 LEAST = -25.0
 
 
@@ -50,40 +50,40 @@ class Parametrization(eqx.Module):
     def value(self, u: Float[Array, "n"]) -> Float[Array, "*x"]: ...
 
     def labels(self) -> list[str]:
-        """The suffix of each u: "", or its index."""
+        """Return the suffix of each u: "", or its index."""
         return indices(self.start.shape)
 
     def numbers(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The number that each u determines and its derivative with respect to u; u itself and 1 if
-        it determines none alone."""
+        """Return the number that each u determines and its derivative with respect to u; u itself
+        and 1 if a number depends on several u."""
         return u, np.ones_like(u)
 
     def changed(self, fraction: float) -> np.ndarray:
-        """The u that changes each number by this fraction of itself, or of its scale if it may have
-        either sign."""
+        """Return the u that changes each number by this fraction of itself, or of its scale if it
+        may have either sign."""
         return np.full(self.size, fraction)
 
     def unbounded(self) -> tuple[np.ndarray, np.ndarray]:
-        """The bounds of u where none are given."""
+        """Return the bounds of u if none are given."""
         return np.full(self.size, -np.inf), np.full(self.size, np.inf)
 
     def ended(self, u: np.ndarray) -> np.ndarray:
-        """The limit of the domain that each u is near, as a word: "zero" for a value far below the
-        start; "" for the others."""
+        """Return the limit of the domain that each u is near, as a word: "zero" for a value far
+        below the start; "" for the others."""
         return np.full(u.shape, "")
 
 
 class Elementwise(Parametrization):
-    """Each number is an increasing function of one u, so that bounds of the number are bounds
-    of u."""
+    """Each number is an increasing function of one u, so that bounds of the number are bounds of
+    u."""
 
     @abstractmethod
     def inverse(self, x: Any) -> np.ndarray:
-        """The u of a value, infinite at the limits of the domain and beyond."""
+        """Return the u of a value, infinite at the limits of the domain and beyond."""
 
     @abstractmethod
     def slope(self, x: np.ndarray) -> np.ndarray:
-        """dx/du."""
+        """Return dx/du at the value x."""
 
     def numbers(self, u):
         x = np.asarray(jax.tree.map(np.asarray, self).value(u)).ravel()
@@ -155,7 +155,7 @@ class Ordered(Parametrization):
         return module_of(u).cumsum(self._steps(u))
 
     def _steps(self, u: Any) -> Any:
-        """The first number, and the step to each other one."""
+        """Return the first number, and the step to each following one."""
         xp = module_of(u)
         return xp.concatenate(
             [
@@ -244,7 +244,7 @@ class Direction(Parametrization):
 
 
 def tilted(n: Float[Array, "3"], u: Float[Array, "2"]) -> Float[Array, "3"]:
-    """A direction tilted along two directions normal to it."""
+    """Return the direction n tilted along two directions normal to it."""
     other = jnp.eye(3, dtype=u.dtype)[jnp.argmin(jnp.abs(n))]
     b = cross(n, other)
     b = b / jnp.sqrt(dot(b, b))
@@ -270,8 +270,8 @@ class InitialConfiguration(Parametrization):
 
 
 def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametrization | Problem:
-    """The parametrization for the domain of a leaf, or the problem START_ON_BOUND if its start is
-    at a limit of the domain."""
+    """Return the parametrization for the domain of a leaf, or the problem START_ON_BOUND if its
+    start is at a limit of the domain."""
     path, domain, value = leaf.path, leaf.kind.domain, concrete(start)
     if domain == "configuration":
         return InitialConfiguration(start, model)
@@ -300,7 +300,8 @@ def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametr
 
 
 def _thick(inertia: np.ndarray) -> bool:
-    """Whether the body is neither flat nor thin, so that its second moments are positive."""
+    """Return whether the body is neither flat nor thin, so that its second moments of mass are
+    positive."""
     moments = np.linalg.eigvalsh(inertia)
     return bool(moments[0] + moments[1] - moments[2] > 1e-9 * moments.sum())
 

@@ -1,5 +1,5 @@
 """Autocorrelation of one record: autocovariances, autoregressions with the order selected by BIC,
-and tests for whiteness; its correlation with a prediction, as it is and shifted in time.
+and tests for whiteness; correlation of a record with a prediction, also shifted in time.
 
     r_t = phi_1 r_(t-1) + ... + phi_q r_(t-q) + e_t,   e_t white,   gamma_k = E r_t r_(t+k)
 
@@ -27,12 +27,12 @@ class Autoregression(NamedTuple):
 
 
 def products(r: np.ndarray, most: int) -> np.ndarray:
-    """Sums of r_t r_(t+k), k = 0 ... most."""
+    """Return the sums of r_t r_(t+k), k = 0 ... `most`."""
     return np.array([r[k:] @ r[: len(r) - k] for k in range(most + 1)])
 
 
 def autoregressions(gamma: np.ndarray) -> list[Autoregression]:
-    """Autoregressions of all orders up to len(gamma) - 1, by Durbin's recursion; partial
+    """Return the autoregressions of all orders up to len(gamma) - 1, by Durbin's recursion; partial
     autocorrelations are limited to SHARPEST."""
     phi, variance = np.zeros(0), float(gamma[0])
     processes = [Autoregression(phi, variance)]
@@ -48,12 +48,12 @@ def autoregressions(gamma: np.ndarray) -> list[Autoregression]:
 
 
 def most_lags(n: int) -> int:
-    """The largest order considered for n samples."""
+    """Return the largest order considered for n samples."""
     return 0 if n < FEWEST else int(min(10 * np.log10(n), n / 10))
 
 
 def chosen_order(r: np.ndarray) -> int:
-    """The order with the smallest n log(variance) + q log(n)."""
+    """Return the order with the smallest n log(variance) + q log(n)."""
     n = len(r)
     if most_lags(n) == 0 or not r.any():
         return 0
@@ -68,8 +68,8 @@ def chosen_order(r: np.ndarray) -> int:
 
 
 def autocovariances(process: Autoregression, n: int) -> np.ndarray:
-    """gamma_0 ... gamma_(n-1) of a stationary autoregression, by the Yule-Walker equations and then
-    the recursion."""
+    """Return gamma_0 ... gamma_(n-1) of a stationary autoregression, by the Yule-Walker equations
+    and then the recursion."""
     phi, variance = process
     q = len(phi)
     A = np.eye(q + 1)
@@ -86,7 +86,7 @@ def autocovariances(process: Autoregression, n: int) -> np.ndarray:
 
 
 def innovations(process: Autoregression, r: np.ndarray) -> np.ndarray:
-    """The innovations e_t."""
+    """Return the innovations e_t."""
     return np.convolve(np.append(1.0, -process.phi), r)[: len(r)]
 
 
@@ -102,7 +102,7 @@ class Whiteness(NamedTuple):
 
 
 def whiteness(r: np.ndarray) -> Whiteness | None:
-    """Tests of a record for whiteness; None if it is too short or zero.
+    """Test a record for whiteness; return None if it is too short or zero.
 
     Q = n (n + 2) sum_k rho_k^2/(n - k),   d = sum (r_t - r_(t-1))^2 / sum r_t^2
     """
@@ -119,21 +119,21 @@ def whiteness(r: np.ndarray) -> Whiteness | None:
 
 
 def centered(y: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A record and its prediction from their means, zero for missing samples, and which samples
-    are there."""
+    """Return a record and its prediction minus their means, zero for missing samples, and which
+    samples are present."""
     valid = np.isfinite(y) & np.isfinite(p)
     return *(np.where(valid, x - np.mean(x, where=valid), 0.0) for x in (y, p)), valid  # pyright: ignore[reportReturnType]
 
 
 def correlation(y: np.ndarray, p: np.ndarray) -> float:
-    """Of two records without means; 0 for a constant one."""
+    """Return the correlation of two records without means; 0 for a constant record."""
     size = float(np.sqrt((y @ y) * (p @ p)))
     return float(y @ p) / size if size else 0.0
 
 
 def best_shift(y: np.ndarray, p: np.ndarray) -> tuple[int, float]:
-    """By how many samples a record is later than its prediction for the largest correlation, up to
-    half the record, and this."""
+    """Return by how many samples a record is later than its prediction for the largest correlation,
+    up to half the record, and this correlation."""
     from scipy.signal import correlate, correlation_lags
 
     lags = correlation_lags(len(y), len(p))

@@ -35,7 +35,7 @@ def check_loss(loss: str | None, where: str) -> None:
 
 
 def root(r: Float[Array, "*m"], loss: str | None) -> Float[Array, "*m"]:
-    """sign(r) sqrt(2 rho(r))."""
+    """Return sign(r) sqrt(2 rho(r))."""
     if loss is None:
         return r
     z = (r / LOSSES[loss]) ** 2
@@ -47,8 +47,8 @@ def root(r: Float[Array, "*m"], loss: str | None) -> Float[Array, "*m"]:
 
 
 def linearized(r, J, present: np.ndarray, loss: str | None) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals r* and Jacobian J* of the least-squares problem that has the same optimum and
-    covariance as the loss.
+    """Return residuals r* and Jacobian J* of the least-squares problem that has the same optimum
+    and covariance as the loss.
 
         r* = rho'(r)/mean rho''(r),   J* = dr/du
 
@@ -66,8 +66,9 @@ def linearized(r, J, present: np.ndarray, loss: str | None) -> tuple[np.ndarray,
 
 
 def robust_level(mean_of_clipped_squares, start: Array) -> Array:
-    """Noise level s by Huber's Proposal 2: the mean of min((r/s)^2, c^2), a given function of s and
-    c, equals E min(z^2, c^2) for a standard normal z."""
+    """Return the noise level s by Huber's Proposal 2: the mean of min((r/s)^2, c^2), a given
+    function of s and c, equals E min(z^2, c^2) for a standard normal z. `start`: initial guess of
+    s."""
     c = 1.345  # standard deviations at which residuals are clipped
     tail, density = 0.5 * math.erfc(c / math.sqrt(2)), math.exp(-c * c / 2) / math.sqrt(2 * math.pi)
     expected = (1 - 2 * tail) - 2 * c * density + 2 * c * c * tail

@@ -65,9 +65,9 @@ class ResidualSeries(NamedTuple):
 class Noise:
     """The estimated noise.
 
-    `M`: covariance of Q'e; `parts`: changes of M when one of its estimates, which are independent,
-    changes by its standard error; `white`: M if all noise were white; `orders`: orders of the
-    autoregressions, by record; `pairs`: correlations of innovations, by pairs of records."""
+    `M`: covariance of Q'e; `parts`: changes of M if one of its estimates, which are independent,
+    changes by its standard error; `white`: M if all noise were white; `orders`: {record: order of
+    its autoregression}; `pairs`: {pair of records: correlation of their innovations}."""
 
     M: np.ndarray
     parts: np.ndarray
@@ -97,11 +97,11 @@ class _Piece:
 
     @cached_property
     def overlaps(self) -> np.ndarray:
-        """sum_t Q_t . Q_(t+l), l = 0 ... n - 1"""
+        """sum_t Q_t . Q_(t+l), l = 0 ... n - 1."""
         return np.fft.irfft((np.abs(self.waves) ** 2).sum(1), 2 * self.n)[: self.n]
 
     def covariance(self, process: Autoregression) -> np.ndarray:
-        """Q' Omega Q of an autoregression."""
+        """Return Q' Omega Q of an autoregression."""
         if len(process.phi) == 0:
             return process.variance * self.square
         gamma = autocovariances(process, self.n)
@@ -110,13 +110,14 @@ class _Piece:
         )
 
     def cross_covariance(self, other: _Piece, S: np.ndarray) -> np.ndarray:
-        """Q_a' Omega Q_b from a cross spectrum S."""
+        """Return Q_a' Omega Q_b from a cross spectrum S."""
         weight = np.full(len(S), 1.0 / self.n)
         weight[[0, -1]] /= 2
         return np.real(self.waves.conj().T @ ((S * weight)[:, None] * other.waves))
 
     def common_covariance(self, other: _Piece) -> np.ndarray:
-        """Q_a' H_a H_b' Q_b, from innovations of variance one that both records have in common."""
+        """Return Q_a' H_a H_b' Q_b, for innovations of variance one that both records have in
+        common."""
         if self.order == other.order == 0:
             return self.Q.T @ other.Q
         H, G = (
@@ -125,9 +126,11 @@ class _Piece:
         return self.cross_covariance(other, H * G.conj())
 
     def corrected(self, M: np.ndarray) -> Autoregression:
-        """The process from the products of residuals and those that the fit has removed, as
-        expected from the process and M; the process itself where no process has such
-        autocovariances, as of residuals that an unfinished fit has left."""
+        """Return the process whose expected products of residuals, after the fit has removed a part
+        of the noise with covariance M, are those observed.
+
+        If no process has such autocovariances, as for residuals of an unfinished fit, return the
+        process unchanged."""
         from scipy.linalg import toeplitz
 
         n, sums, gamma = self.n, products(self.r, self.order), autocovariances(self.process, self.n)
@@ -141,8 +144,8 @@ class _Piece:
 
 
 def noise_of(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> Noise:
-    """The noise from residuals r, an orthonormal basis Q of the columns of the Jacobian, and
-    the records.
+    """Return the noise estimated from residuals r, an orthonormal basis Q of the columns of the
+    Jacobian, and the records.
 
     Rows that belong to no record, such as those of priors, and rows of known noise have the
     standard deviation one."""
@@ -188,8 +191,8 @@ def noise_of(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> Noi
 
 
 def _variances(pieces: list[_Piece]) -> dict[str, tuple[float, float]]:
-    """{group: (variance r'r/(n - p), degrees of freedom n - p)}, where the parameters use p degrees
-    of freedom.
+    """Return {group: (variance r'r/(n - p), degrees of freedom n - p)}, where the parameters use p
+    degrees of freedom.
 
     A group without degrees of freedom has the variance of all groups together; if these have none
     either, the variance is one, that of the stated noise."""
@@ -201,14 +204,15 @@ def _variances(pieces: list[_Piece]) -> dict[str, tuple[float, float]]:
 
 
 def _variance(pieces: list[_Piece], otherwise: tuple[float, float]) -> tuple[float, float]:
-    """(r'r/(n - p), n - p) over some pieces, or `otherwise` without degrees of freedom."""
+    """Return (r'r/(n - p), n - p) of all `pieces`, or `otherwise` if they have no degrees of
+    freedom."""
     freedom = sum(one.n - one.fitted for one in pieces)
     square = sum(float(one.r @ one.r) for one in pieces)
     return (square / freedom, freedom) if freedom > LEAST else otherwise
 
 
 def _parts(one: _Piece) -> Iterator[np.ndarray]:
-    """Changes of Q' Omega Q for standard errors of the variance and of phi, whose Yule-Walker
+    """Yield changes of Q' Omega Q for standard errors of the variance and of phi, whose Yule-Walker
     covariance is variance/n Gamma^-1."""
     from scipy.linalg import toeplitz
 
@@ -226,7 +230,7 @@ def _parts(one: _Piece) -> Iterator[np.ndarray]:
 
 
 def _pairs(pieces: list[_Piece]) -> Iterator[tuple[_Piece, _Piece, float]]:
-    """Pairs of records sampled together and the correlation of their innovations, where any pair
+    """Yield pairs of records sampled together and the correlation of their innovations, if any pair
     among them is significantly correlated."""
     together: dict[tuple[str, bytes], list[_Piece]] = {}
     for one in pieces:

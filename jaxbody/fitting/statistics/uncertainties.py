@@ -1,5 +1,5 @@
-"""Uncertainty of estimates: covariance from the Jacobian and the estimated noise, quantiles, and in
-words what the data do not determine.
+"""Uncertainty of estimates: covariance from the Jacobian and the estimated noise, quantiles, and
+descriptions of what the data do not determine.
 
     J = Q R,    covariance of u = R^-1 M R^-T
 
@@ -24,7 +24,8 @@ from jaxbody.fitting.statistics.noises import LEAST, Noise, ResidualSeries, nois
 
 
 def quantile(level: float, freedom: Any, *, sides: int = 2) -> np.ndarray:
-    """Quantile of Student's t for a confidence level with `freedom` degrees of freedom."""
+    """Return the quantile of Student's t for a confidence level with `freedom` degrees of freedom,
+    for two-sided intervals by default."""
     from scipy.special import stdtrit  # as scipy.stats, which takes 0.4 s to import, does
 
     return np.asarray(stdtrit(freedom, 1 - (1 - level) / sides))
@@ -52,13 +53,14 @@ class Uncertainty(eqx.Module):
     """The uncertainty of a fit.
 
     `covariance`: covariance of u; `white_covariance`: the same for white noise; `parts`: changes of
-    the covariance for standard errors of the noise estimates; `singular_values`, `rank`, `null`
-    directions and these in `words`; `ineffective`: parameters without effect on the data.
-    `whiteness`, `orders`, `correlation`: tests of residuals by record, orders of their
-    autoregressions, pooled correlation at lag one; `pairs`: correlations between records.
-    `at_bounds` {index of a u at its bound: slope of the cost, its curvature with all others free,
-    standard error without the bound, degrees of freedom}. `beyond_stated`: ratio of residuals to
-    the stated noise where they exceed it."""
+    the covariance for standard errors of the noise estimates; `singular_values`, `rank`, `null`:
+    singular values of the scaled Jacobian, their number without zeros, and null directions, which
+    `words` describes; `ineffective`: parameters without effect on the data. `whiteness`: test of
+    the residuals of each record; `orders`: orders of the autoregressions; `correlation`: pooled
+    correlation of residuals at lag one; `pairs`: correlations between records. `at_bounds` {index
+    of a u at its bound: slope of the cost, its curvature with all others free, standard error
+    without the bound, degrees of freedom}. `beyond_stated`: ratio of residuals to the stated noise
+    where they exceed it."""
 
     covariance: np.ndarray
     white_covariance: np.ndarray
@@ -80,14 +82,14 @@ class Uncertainty(eqx.Module):
     samples: int
 
     def spread(self, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Standard errors, infinite where not determined, and degrees of freedom, of numbers whose
-        gradients in u are the rows of G."""
+        """Return standard errors, infinite where not determined, and degrees of freedom of numbers
+        whose gradients in u are the rows of G."""
         return _spread(G, self.covariance, self.parts, self.null)
 
     @property
     def factor(self) -> float:
-        """Ratio of the standard error to that for white noise, for the parameter where they
-        differ most."""
+        """Ratio of the standard error to that for white noise, for the parameter with the largest
+        difference."""
         ratio = np.sqrt(
             np.diag(self.covariance)[self._positive]
             / np.diag(self.white_covariance)[self._positive]
@@ -116,7 +118,7 @@ class Uncertainty(eqx.Module):
         return f"{low}" if low == high else f"{low} to {high}" if low else f"up to {high}"
 
     def _effect_of_correlation(self) -> str:
-        """The effect of correlated residuals on standard errors, in words."""
+        """Describe the effect of correlated residuals on standard errors."""
         if not any(self.orders.values()):
             return (
                 ", but no autoregression describes them better than white noise, which "
@@ -135,7 +137,7 @@ class Uncertainty(eqx.Module):
         )
 
     def about_noise(self) -> list[str]:
-        """Remarks on residuals that differ from white noise of the stated level."""
+        """Return remarks on residuals that differ from white noise of the stated level."""
         remarks = []
         if self.correlated:
             remarks.append(
@@ -171,7 +173,7 @@ def _spread(
 
 
 def decomposed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """J = U S V' with a square V', and which of S differ from zero."""
+    """Return U, S, V' of J = U S V' with a square V', and which of S differ from zero."""
     # fewer residuals than parameters leave directions unknown too
     few = np.zeros((max(J.shape[1] - J.shape[0], 0), J.shape[1]))
     U, S, Vt = np.linalg.svd(np.concatenate([J, few]), full_matrices=False)
@@ -190,17 +192,17 @@ def assess(
     ended=False,
     exact=0.0,
 ) -> Uncertainty:
-    """The uncertainty of estimates.
+    """Return the uncertainty of estimates.
 
     Args:
         r: residuals, in units of their noise
-        J: Jacobian of r in the unknowns u
+        J: Jacobian of r with respect to the unknowns u
         slopes: derivatives of the leaves with respect to u
         paths: names of the leaves
         labels: names of the unknowns
         records: series of residuals in r
         inside: False for unknowns at a bound; None: all True
-        ended: True for unknowns that went to the end of their domain, where they have no effect
+        ended: True for unknowns at the end of their domain, where they have no effect
         exact: norm of r up to which residuals are round-off
     """
     J = np.where(ended, 0.0, J)
@@ -244,8 +246,8 @@ def assess(
 
 
 def _noise_and_map(r, inside, records: list[ResidualSeries], parts) -> tuple[Noise, np.ndarray]:
-    """The noise in Q'e and its linear map to u, for the columns of J that are `inside`, with their
-    decomposition `parts`."""
+    """Return the noise in Q'e and its linear map to u, for the columns of J that are `inside`, with
+    their decomposition `parts`."""
     U, S, Vt, known = parts
     back = np.zeros((len(inside), known.sum()))
     back[inside] = Vt[known].T / S[known]
@@ -284,8 +286,8 @@ def _at_bounds(
 
 
 def in_words(null: np.ndarray, labels: list[str], ineffective: list[str]) -> list[str]:
-    """Null directions in words, "AB.stiffness up with CD.stiffness down", with few parameters in
-    each, by elimination. Of what is equally large the first counts, whatever rounding says."""
+    """Describe null directions, "AB.stiffness up with CD.stiffness down", with few parameters in
+    each, by elimination. Of components that are equal up to round-off the first is the pivot."""
     words = [f"{label} has no effect on the data" for label in ineffective]
     moving = [i for i, label in enumerate(labels) if label not in ineffective]
     for row in _echelon(null[moving].T):
@@ -307,7 +309,7 @@ def _size(x: np.ndarray) -> np.ndarray:
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:
-    """The reduced echelon form of the span of rows, by elimination with complete pivoting;
+    """Return the reduced echelon form of the span of rows, by elimination with complete pivoting;
     negligible rows are dropped."""
     A = rows.copy()
     done: list[int] = []
@@ -326,8 +328,8 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
 
 
 def lag_one(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> tuple[float, bool]:
-    """The pooled lag-one correlation of all records, and whether it is significant and
-    above CORRELATED.
+    """Return the pooled lag-one correlation of all records, and whether it is significant and above
+    CORRELATED.
 
     It is compared with that of white noise after a fit, (I - QQ')e, because a fit of many
     parameters leaves white noise correlated."""
