@@ -3,14 +3,22 @@ outputs, and natural frequencies, damping ratios and mode shapes of a modal test
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Complex, Float, concrete, device_array, float_array
+from jaxbody.core.arrays import (
+    Array,
+    Complex,
+    Float,
+    concrete,
+    device_array,
+    float_array,
+    module_of,
+)
 from jaxbody.core.errors import Problems, unknown
 from jaxbody.fitting.experiments.measurements import (
     ByFrequency,
@@ -19,7 +27,7 @@ from jaxbody.fitting.experiments.measurements import (
     check_rows,
     noise_of,
 )
-from jaxbody.sensors.sensors import Sensor
+from jaxbody.sensors.sensors import Channel, Sensor
 from jaxbody.vibration.frequency_responses import (
     check_frequencies,
     check_loss_factors,
@@ -31,17 +39,20 @@ from jaxbody.vibration.natural_modes import modes
 from jaxbody.vibration.ports import component_units, inputs_of, outputs_of, port_matrices
 
 
-class ResponseChannel(NumberChannel):
+class ResponseChannel(Channel):
     """One complex response. Its residuals are the real and the imaginary part; the noise level is
     the standard deviation of each."""
+
+    shape: ClassVar[tuple[int, ...]] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    unit: str = eqx.field(static=True, default="")  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def residual(self, reading, measured):
         difference = jnp.where(jnp.isnan(measured), 0.0, reading - measured)
         return jnp.stack([difference.real, difference.imag], -1)
 
     def missing(self, measured):
-        one = np if isinstance(measured, np.ndarray) else jnp
-        return one.stack([one.isnan(measured)] * 2, -1)
+        xp = module_of(measured)
+        return xp.stack([xp.isnan(measured)] * 2, -1)
 
     def spread(self, level):
         level = jnp.asarray(level)

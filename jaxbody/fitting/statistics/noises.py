@@ -241,8 +241,7 @@ def _pairs(pieces: list[_Piece]) -> Iterator[tuple[_Piece, _Piece, float]]:
         members = [one for one in members if np.ptp(one.r) > 0]
         if len(members) < 2:
             continue
-        E = np.array([innovations(one.process, one.r) for one in members])
-        rho = np.corrcoef(E)
+        rho = np.corrcoef([innovations(one.process, one.r) for one in members])
         i, j = np.triu_indices(len(members), 1)
         n = members[0].n
         if n * np.max(rho[i, j] ** 2) > np.log(n) + 2 * np.log(len(i)):

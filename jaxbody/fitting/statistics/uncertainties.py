@@ -5,10 +5,10 @@ descriptions of what the data do not determine.
 
 M is the covariance of Q'e (`noises`); for white noise of one level it is s^2 I with
 s^2 = r'r/(samples - parameters).
-A variance v that is estimated has 2 v^2/var(v) degrees of freedom (F. E. Satterthwaite, Biometrics
+An estimated variance v has 2 v^2/var(v) degrees of freedom (F. E. Satterthwaite, Biometrics
 Bull. 2 (1946) 110); intervals use Student's t with this number. Directions of u with a negligible
 singular value do not change the readings. Parameters that such a direction changes have no standard
-error. Neither has a parameter at its bound; the others are estimated with it fixed.
+error, nor has a parameter at its bound; the others are estimated with it fixed.
 """
 
 from __future__ import annotations
@@ -314,16 +314,15 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
     A = rows.copy()
     done: list[int] = []
     while A.size and len(done) < len(A):
-        left = [i for i in range(len(A)) if i not in done]
-        i, j = np.unravel_index(np.argmax(_size(A[left])), A[left].shape)
-        i = left[i]
+        size = _size(A)
+        size[done] = -1.0
+        i, j = np.unravel_index(np.argmax(size), A.shape)
         if abs(A[i, j]) < 1e-3:
             break
         A[i] /= A[i, j]
-        for other in range(len(A)):
-            if other != i:
-                A[other] -= A[other, j] * A[i]
-        done.append(i)
+        others = np.arange(len(A)) != i
+        A[others] -= np.outer(A[others, j], A[i])
+        done.append(int(i))
     return A[sorted(done)]
 
 
