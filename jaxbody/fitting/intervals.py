@@ -5,9 +5,11 @@ values so that these stay physically possible.
                                          of freedom of s
 
 At a bound the interval has one side and follows from the likelihood. It ends at the distance d of u
-from the bound over which the cost increases as much as over t standard errors at an optimum: 2 g
-d + h d^2 = t^2 h s^2, with g and h the slope and the curvature of the cost at the bound when the
-other parameters are adjusted.
+from the bound over which the cost increases as much as over t standard errors at an optimum:
+
+    2 g d + h d^2 = t^2 h s^2
+
+with slope g and curvature h of the cost at the bound when the other parameters are adjusted.
 """
 
 from __future__ import annotations
