@@ -165,6 +165,14 @@ def resisting(model: Any, z: Z) -> Any:
     )
 
 
+def end_rows(model: Any, table: KindTable) -> list[np.ndarray]:
+    """The rows in the table of frames of each end of the elements or closures of a table."""
+    return [
+        np.array([model.layout.frame(name) for name in end])
+        for end in zip(*table.links, strict=True)
+    ]
+
+
 def rest_states(model: Any, poses: Pose, z: Z | None = None) -> Z:
     """z at rest in these poses of all frames: coordinates relaxed, others as in z, by default 0."""
     if not model.layout.nz:
@@ -172,11 +180,7 @@ def rest_states(model: Any, poses: Pose, z: Z | None = None) -> Z:
     parts = []
     for table in relaxed(model, z).elements:
         if memories(table.rows, Relaxed):
-            ends = [
-                np.array([model.layout.frame(name) for name in end])
-                for end in zip(*table.links, strict=True)
-            ]
-            at = [Pose(poses.p[rows], poses.R[rows]) for rows in ends]
+            at = [Pose(poses.p[rows], poses.R[rows]) for rows in end_rows(model, table)]
             parts.append(
                 jax.vmap(lambda element, *at: element.rest_states(element.deformation(*at)))(
                     table.rows, *at

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -16,14 +16,12 @@ from jaxbody.core.arrays import Array, Float, device_array, functions_as_nodes, 
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.late_binding import handed_down
-from jaxbody.geometry import rotations
 from jaxbody.geometry.closures import Closure, Coupling, as_slide
 from jaxbody.geometry.descriptions import text_of
 from jaxbody.geometry.fields import field, kind_of, units_of
 from jaxbody.geometry.frames import Pose
-from jaxbody.geometry.vectors import cross
 from jaxbody.model.bodies import Body, Support, warn_of_points
-from jaxbody.model.element_states import blocks_of, rest_states
+from jaxbody.model.element_states import blocks_of, end_rows
 from jaxbody.model.elements.element_checks import check_laws, check_leaves
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.elements.user_energies import (
@@ -35,6 +33,14 @@ from jaxbody.model.elements.user_energies import (
     unwrapped,
 )
 from jaxbody.model.joints.joints import Free, Joint
+from jaxbody.model.joints.kinematics import (
+    Coordinates,
+    at_rest_in,
+    drawn_poses,
+    jacobian,
+)
+from jaxbody.model.joints.kinematics import body_poses as body_poses  # for mechanics.equilibria
+from jaxbody.model.joints.kinematics import rest_poses as rest_poses  # and quasi_static_states
 from jaxbody.model.laws.laws import Law
 from jaxbody.model.layouts import WORLD, Layout
 from jaxbody.model.model_checks import (
@@ -353,70 +359,18 @@ def _cell(element: Element, name: str) -> Any:
     return text_of(element, name) if isinstance(value, Law) else value
 
 
-def places(names: Sequence[str], order: Sequence[str]) -> np.ndarray:
-    """The rows of names in a table of this order."""
-    return np.array([order.index(name) for name in names], dtype=int)
-
-
-def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
-    """Pose of each body on its parent in the reference pose, rows in the order of the bodies, from
-    its pose in the world."""
-    poses = _joined_poses(_world(bodies), supports, bodies)
-    return poses[places(model.layout.parents, model.layout.frames)].inverse() @ bodies
-
-
 @program
 def drawn_reference(model: Model) -> State:
     """The state of rest in the reference pose as it is drawn."""
-    supports, bodies = support_poses(model), body_poses(model)
-    return at_reference(model, rest_poses(model, supports, bodies), supports, bodies)
-
-
-def at_reference(model: Model, rest: Pose, supports: Pose, bodies: Pose) -> State:
-    """The state of rest in the reference pose, in which bodies have these poses relative to their
-    parents; elements with memory are relaxed."""
-    state = at_rest_in(model, rest)
-    if not model.layout.nz:
-        return state
-    poses = _joined_poses(_world(bodies), supports, bodies)
-    return State(state.q, state.v, rest_states(model, poses))
-
-
-def at_rest_in(model: Model, rest: Pose) -> State:
-    """The state in which bodies are at rest in these poses relative to their parents."""
-
-    def of(table: KindTable) -> tuple[tuple[str, ...], Array]:
-        rows = places(table.names, model.layout.bodies)
-        return table.names, jax.vmap(lambda joint, pose: joint.rest(pose))(table.rows, rest[rows])
-
-    q = model.layout.joined([of(table) for table in model.joints])
-    return State(q, jnp.zeros(model.layout.nv, q.dtype))
-
-
-def support_poses(model: Model) -> Pose:
-    """Poses of the supports in the reference pose."""
-    supports = model.supports.rows
-    return Pose(supports.position, rotations.matrix(supports.orientation))
-
-
-def body_poses(model: Model) -> Pose:
-    """Poses of the bodies in the reference pose."""
-    bodies = model.bodies.rows
-    return Pose(bodies.position, rotations.matrix(bodies.orientation))
+    return Coordinates(model).reference
 
 
 def pose_at_reference(model: Model, name: str) -> Pose:
     """The pose of a body, of a support or of the world in the reference pose."""
-    layout = model.layout
-    if name == WORLD:
-        return Pose(jnp.zeros(3, model.gravity.dtype), jnp.eye(3, dtype=model.gravity.dtype))
-    poses, names = (
-        (support_poses(model), layout.supports)
-        if name in layout.supports
-        else (body_poses(model), layout.bodies)
-    )
-    i = names.index(name)
-    return Pose(poses.p[i], poses.R[i])
+    coordinates = Coordinates(model)
+    poses = drawn_poses(coordinates.supports, coordinates.bodies)
+    row = model.layout.frame(name)
+    return Pose(poses.p[row], poses.R[row])
 
 
 def independent_speeds(model: Model) -> tuple[int, ...] | None:
@@ -445,99 +399,48 @@ def _closure_slopes(
 ) -> tuple[Float[Array, "n nv"], Float[Array, ""]]:
     """dc/dDelta of all closures, by increments in meters, displaced from the reference pose by
     such; and the largest |c| over the largest distance of a point."""
-    layout, supports, bodies = model.layout, support_poses(model), body_poses(model)
-    rest = rest_poses(model, supports, bodies)
-    length = jnp.max(
-        jnp.stack(
-            [
-                jnp.max(jnp.abs(x), initial=0.0)
-                for table in model.closures
-                for x in table.rows.points
-            ]
-        )
-    )
+    layout, coordinates = model.layout, Coordinates(model)
+    points = [jnp.ravel(x) for table in model.closures for x in table.rows.points]
+    length = jnp.max(jnp.abs(jnp.concatenate(points)), initial=0.0)
     length = jnp.where(length > 0, length, 1.0)
-    q, delta = at_rest_in(model, rest).q, delta * jnp.where(layout.turns, 1.0, length)
-    drawn = _joined_poses(_world(bodies), supports, bodies)
-    known, order, linear, angular = (
-        _joined_poses(_world(bodies), supports),
-        list(layout.frames[: layout.first_body]),
-        [],
-        [],
-    )
-    coordinates = []
-    for table in model.joints:
-        parent = known[places(table.links, order)]
-
-        def moved(joint, q, delta, parent, rest):
-            q = joint.retract(q, delta)
-            pose = joint.pose(q, parent, rest)
-            return pose, joint.axes(q, parent, pose), q
-
-        place, move = (
-            layout.rows_of(table.names, q, layout.q_slices),
-            layout.rows_of(table.names, delta, layout.v_slices),
-        )
-        own, axes, coordinate_rows = jax.vmap(moved)(
-            table.rows, place, move, parent, rest[places(table.names, layout.bodies)]
-        )
-        known, order = _joined_poses(known, own), [*order, *table.names]
-        coordinates.append((table.names, coordinate_rows))
-        linear.append((table.names, axes[0]))
-        angular.append((table.names, axes[1]))
-    frames = known[places(layout.frames, order)]
-    moves, turns, movers = layout.joined(linear), layout.joined(angular), layout.movers[: layout.nv]
-    carried = jnp.asarray(layout.carries[movers].T, q.dtype)[..., None]
-    arms = frames.p[:, None] - frames.p[movers][None]
-    twists = jnp.concatenate(
-        [carried * (moves[None] + cross(turns[None], arms)), carried * turns[None]], -1
-    )
-    slopes, gaps, q = [], [], layout.joined(coordinates)
+    delta = delta * jnp.where(layout.turns, 1.0, length)
+    q = coordinates.retract(at_rest_in(model, coordinates.rest).q, delta)
+    supports = coordinates.supports.at_rest()
+    frames, axes = coordinates.frames_and_axes(q, jnp.zeros_like(delta), supports)
+    twists = jnp.concatenate(jacobian(layout, frames, *axes), -1)
+    still = jnp.zeros((layout.first_body, *twists.shape[1:]), q.dtype)
+    poses, twists = frames.pose(), jnp.concatenate([still, twists])
+    drawn = drawn_poses(coordinates.supports, coordinates.bodies)
 
     def ends(table: KindTable):
         """The poses of both ends, their twists per unit of each speed, and the pose of the second
         on the first as drawn."""
         if isinstance(table.rows, Coupling):
             rows = [layout.coordinate_places[path] for path in (table.rows.of, table.rows.by)]
-            poses = [as_slide(jnp.broadcast_to(q[i], len(table))) for i, _ in rows]
+            slides = [as_slide(jnp.broadcast_to(q[i], len(table))) for i, _ in rows]
             moving = [
                 jnp.zeros((len(table), layout.nv, 6), q.dtype).at[:, j, 0].set(1.0) for _, j in rows
             ]
-            return *poses, *moving, as_slide(jnp.zeros(len(table), q.dtype))
-        A, B = (places(end, layout.frames) for end in zip(*table.links, strict=True))
-        return (
-            frames[A],
-            frames[B],
-            twists[A],
-            twists[B],
-            drawn[A].inverse() @ drawn[B],
-        )
+            return *slides, *moving, as_slide(jnp.zeros(len(table), q.dtype))
+        A, B = end_rows(model, table)
+        return poses[A], poses[B], twists[A], twists[B], drawn[A].inverse() @ drawn[B]
 
+    def of(closure, A, B, twist_A, twist_B, rest):
+        def gap(xi):
+            return closure.gap(A.displaced(xi[0]), B.displaced(xi[1]), rest)
+
+        zero = jnp.zeros((2, 6), q.dtype)
+        slopes = jnp.einsum("nei,evi->nv", jax.jacfwd(gap)(zero), jnp.stack([twist_A, twist_B]))
+        return slopes, gap(zero)
+
+    slopes, gaps = [], []
     for table in model.closures:
-
-        def of(closure, A, B, twist_A, twist_B, rest):
-            def gap(xi):
-                return closure.gap(A.displaced(xi[0]), B.displaced(xi[1]), rest)
-
-            zero = jnp.zeros((2, 6), q.dtype)
-            return jnp.einsum(
-                "nei,evi->nv", jax.jacfwd(gap)(zero), jnp.stack([twist_A, twist_B])
-            ), gap(zero)
-
         J, c = jax.vmap(of)(table.rows, *ends(table))
-        of_angle = np.array([row.startswith("turn") for row in table.rows.rows])
-        unit = jnp.where(of_angle, length, 1.0)
+        unit = jnp.where([row.startswith("turn") for row in table.rows.rows], length, 1.0)
         slopes.append((J * unit[None, :, None]).reshape(-1, layout.nv))
         gaps.append((c * unit[None]).ravel())
-    return jnp.concatenate(slopes) * jnp.where(layout.turns, 1 / length, 1.0)[None], jnp.max(
-        jnp.abs(jnp.concatenate(gaps))
-    ) / length
-
-
-def _world(like: Pose) -> Pose:
-    """The pose of the world."""
-    return Pose(jnp.zeros((1, 3), like.p.dtype), np.eye(3, dtype=like.R.dtype)[None])
-
-
-def _joined_poses(*parts: Pose) -> Pose:
-    return Pose(*(jnp.concatenate([getattr(x, name) for x in parts]) for name in ("p", "R")))
+    meters = jnp.where(layout.turns, 1 / length, 1.0)
+    return (
+        jnp.concatenate(slopes) * meters[None],
+        jnp.max(jnp.abs(jnp.concatenate(gaps))) / length,
+    )

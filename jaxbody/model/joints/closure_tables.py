@@ -13,7 +13,8 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry.closures import Coupling, as_slide
 from jaxbody.geometry.frames import Frame, Pose
-from jaxbody.model.joints.kinematics import Coordinates, with_world
+from jaxbody.model.element_states import end_rows
+from jaxbody.model.joints.kinematics import Coordinates, drawn_poses
 from jaxbody.model.layouts import Layout
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import size_of
@@ -92,10 +93,10 @@ def drawn(coordinates: Coordinates) -> list[Pose]:
     are now, for each table of closures."""
     model = coordinates.model
     coordinates = Coordinates(model)
-    poses = with_world(coordinates.supports.at_rest(), coordinates.bodies.at_rest()).pose()
+    poses = drawn_poses(coordinates.supports, coordinates.bodies)
     return [
         A.inverse() @ B
-        for A, B in (_ends(poses, _frames(model.layout, table)) for table in model.closures)
+        for A, B in (_ends(poses, end_rows(model, table)) for table in model.closures)
     ]
 
 
@@ -120,7 +121,7 @@ def each_closure(
         places = (
             _couplings(model.layout, table)
             if isinstance(table.rows, Coupling)
-            else _frames(model.layout, table)
+            else end_rows(model, table)
         )
         tables = of_coordinates if isinstance(table.rows, Coupling) else of_frames
         found.append(
@@ -135,11 +136,6 @@ def _couplings(layout: Layout, table: KindTable) -> list[np.ndarray]:
     """The rows of both coordinates of each coupling, in tables of coordinates."""
     paths = list(layout.coordinate_places)
     return [np.full(len(table), paths.index(path)) for path in (table.rows.of, table.rows.by)]
-
-
-def _frames(layout: Layout, table: KindTable) -> list[np.ndarray]:
-    """The rows of both ends of each closure, in tables of frames."""
-    return [np.array([layout.frame(link[end]) for link in table.links]) for end in (0, 1)]
 
 
 def _ends(values: Any, places: list[np.ndarray]) -> tuple[Any, Any]:

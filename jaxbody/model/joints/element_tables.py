@@ -7,12 +7,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, rotate
-from jaxbody.model.element_states import relaxed, rest_states
+from jaxbody.model.element_states import end_rows, relaxed, rest_states
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.laws.law_states import Held, Relaxed, memories
@@ -56,14 +55,6 @@ def inertial_tables(model: Model) -> list[KindTable]:
 def of_table(model: Model, frames: Frame, table: KindTable, function) -> Any:
     """function(element, A, B, ...) of the elements of one table."""
     return jax.vmap(function)(table.rows, *(frames[rows] for rows in end_rows(model, table)))
-
-
-def end_rows(model: Model, table: KindTable) -> list[np.ndarray]:
-    """The rows in the table of frames of each end of the elements."""
-    return [
-        np.array([model.layout.frame(name) for name in end])
-        for end in zip(*table.links, strict=True)
-    ]
 
 
 def wrenches(

@@ -3,6 +3,7 @@ rows world, supports, bodies."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -16,25 +17,56 @@ from jaxbody.core.errors import Problems, unknown
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Instant, Pose, stack
 from jaxbody.geometry.vectors import cross, rotate
+from jaxbody.model.element_states import rest_states
 from jaxbody.model.inputs.signals import Signal
 from jaxbody.model.layouts import Layout
-from jaxbody.model.models import (
-    Model,
-    at_reference,
-    body_poses,
-    places,
-    rest_poses,
-    support_poses,
-)
 from jaxbody.model.states import State
+from jaxbody.model.storage import KindTable
 
 Motions = tuple[Signal, ...]  # of six numbers, one per support, in their order
+
+
+def places(names: Sequence[str], order: Sequence[str]) -> np.ndarray:
+    """The rows of names in a table of this order."""
+    return np.array([order.index(name) for name in names], dtype=int)
+
+
+def rest_poses(model: Any, supports: Pose, bodies: Pose) -> Pose:
+    """Pose of each body on its parent in the reference pose, rows in the order of the bodies, from
+    its pose in the world."""
+    poses = drawn_poses(supports, bodies)
+    return poses[places(model.layout.parents, model.layout.frames)].inverse() @ bodies
+
+
+def at_rest_in(model: Any, rest: Pose) -> State:
+    """The state in which bodies are at rest in these poses relative to their parents."""
+
+    def of(table: KindTable) -> tuple[tuple[str, ...], Array]:
+        rows = places(table.names, model.layout.bodies)
+        return table.names, jax.vmap(lambda joint, pose: joint.rest(pose))(table.rows, rest[rows])
+
+    q = model.layout.joined([of(table) for table in model.joints])
+    return State(q, jnp.zeros(model.layout.nv, q.dtype))
+
+
+def body_poses(model: Any) -> Pose:
+    """Poses of the bodies in the reference pose."""
+    return _poses(model.bodies)
+
+
+def _poses(table: KindTable) -> Pose:
+    return Pose(table.rows.position, rotations.matrix(table.rows.orientation))
+
+
+def drawn_poses(supports: Pose, bodies: Pose) -> Pose:
+    """The poses of all frames, the world, supports and bodies, from those of the latter."""
+    return with_world(supports.at_rest(), bodies.at_rest()).pose()
 
 
 class Chart(eqx.Module):
     """The coordinates q of the joints of a model, their increments Delta and the speeds v."""
 
-    model: Model
+    model: Any
 
     def _each(self, function, *vectors: tuple[Array, dict[str, slice]]):
         """(names, function(joint, row, ...)) of each table of joints; `vectors` are q or v with
@@ -81,15 +113,18 @@ class Coordinates(Chart):
     bodies: Pose
     rest: Pose
 
-    def __init__(self, model: Model):
+    def __init__(self, model: Any):
         self.model = model
-        self.supports, self.bodies = support_poses(model), body_poses(model)
+        self.supports, self.bodies = _poses(model.supports), body_poses(model)
         self.rest = rest_poses(model, self.supports, self.bodies)
 
     @property
     def reference(self) -> State:
-        """The state of rest in the reference pose."""
-        return at_reference(self.model, self.rest, self.supports, self.bodies)
+        """The state of rest in the reference pose as it is drawn; elements with memory are
+        relaxed."""
+        q = at_rest_in(self.model, self.rest).q
+        poses = drawn_poses(self.supports, self.bodies)
+        return State(q, jnp.zeros(self.model.layout.nv, q.dtype), rest_states(self.model, poses))
 
     def supports_at(self, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
         """Frames of the supports displaced by Xi from their reference poses, with the rate Xi'."""
@@ -146,7 +181,7 @@ def imposed(
     )
 
 
-def displacements(model: Model, given: Any, where: str, problems: Problems) -> Float[Array, "ns 6"]:
+def displacements(model: Any, given: Any, where: str, problems: Problems) -> Float[Array, "ns 6"]:
     """Xi of the supports, or its rate, from {support: six numbers}, 0 for those left out, or from a
     row for each support. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
     names = model.layout.supports
@@ -189,7 +224,7 @@ def _joint_frame(joint, q, v, parent: Frame, rest: Pose):
     return Frame(pose.p, pose.R, velocity, w), (linear, angular)
 
 
-def frames_at_time(model: Model, motions: Motions, t, state: State) -> Instant:
+def frames_at_time(model: Any, motions: Motions, t, state: State) -> Instant:
     """The table of frames at a time and state."""
     coordinates = Coordinates(model)
     return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t)).at_time(
@@ -198,7 +233,7 @@ def frames_at_time(model: Model, motions: Motions, t, state: State) -> Instant:
 
 
 def frames_displaced(
-    model: Model, state: State, delta: Float[Array, "nv"], xi: Float[Array, "*ns 6"] | None = None
+    model: Any, state: State, delta: Float[Array, "nv"], xi: Float[Array, "*ns 6"] | None = None
 ) -> Frame:
     """The table of frames at q (+) Delta, at rest, with the supports displaced by Xi."""
     coordinates = Coordinates(model)
@@ -207,7 +242,7 @@ def frames_displaced(
     return coordinates.frames(coordinates.retract(state.q, delta), jnp.zeros_like(delta), supports)
 
 
-def retract(model: Model, q, delta) -> Float[Array, "nq"]:
+def retract(model: Any, q, delta) -> Float[Array, "nq"]:
     """q (+) Delta: the coordinates after small displacements Delta, one for each speed; of a free
     body its displacement [m] and rotation vector [rad], in world axes.
 
@@ -219,5 +254,5 @@ def retract(model: Model, q, delta) -> Float[Array, "nq"]:
 
 
 @eqx.filter_jit
-def _retract(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
+def _retract(model: Any, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
     return Chart(model).retract(q, delta)
