@@ -4,15 +4,15 @@ reference pose."""
 from __future__ import annotations
 
 import unicodedata
+from dataclasses import replace
 from typing import Any
 
-import jax
 import numpy as np
 
 from jaxbody.core.arguments import check_kind
-from jaxbody.core.arrays import concrete
+from jaxbody.core.arrays import concrete, is_concrete
 from jaxbody.core.errors import Problems, unknown, warn
-from jaxbody.geometry.closures import Coupling, Rod
+from jaxbody.geometry.closures import Closure, Coupling, Rod
 from jaxbody.geometry.points_and_orientations import matrix
 from jaxbody.model.bodies import warn_of_tiny
 from jaxbody.model.elements.bushings import FramePair
@@ -24,9 +24,10 @@ from jaxbody.model.layouts import WORLD, Layout
 from jaxbody.model.storage import KindTable
 
 LARGEST_TURN = 179.0  # degrees, of a bushing in the reference pose
+ANY_FRAME = "a body, a support or world"
 
 
-def check_names(problems: Problems, **groups: dict[str, Any]) -> None:
+def check_names(problems: Problems, groups: dict[str, dict[str, Any]]) -> None:
     """Check that every name belongs to one object. Errors: BAD_NAME, DUPLICATE_NAME;
     warns LOOK_ALIKE."""
     seen: dict[str, str] = {}
@@ -82,50 +83,27 @@ def of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) 
     return {name: thing for name, thing in things.items() if isinstance(thing, kind)}
 
 
-def check_links(
-    problems: Problems, bodies, supports, groups: dict[str, dict[str, Any]], joints
-) -> None:
+def check_links(problems: Problems, bodies, supports, elements, joints, closures) -> None:
     """Check that elements, closures and joints end on existing parts, and every chain of joints on
     the world or a support."""
     frames = (*bodies, *supports, WORLD)
-    for group, name, thing in [
-        (group, *each) for group, things in groups.items() for each in things.items()
-    ]:
-        for end in thing.between:
-            if end not in frames:
-                problem = unknown(end, f"{group}[{name!r}]", frames)
-                limit = "a body, a support or world"
-                problems.add(
-                    "UNKNOWN_BODY",
-                    problem.where,
-                    f"body or support {problem.message}",
-                    value=end,
-                    limit=limit,
-                    hint=problem.hint,
+
+    def check(name: str, known: tuple[str, ...], where: str, what: str, limit: str) -> None:
+        if name not in known:
+            problem = unknown(name, where, known)
+            problems.collected.append(
+                replace(
+                    problem, code="UNKNOWN_BODY", message=f"{what} {problem.message}", limit=limit
                 )
+            )
+
+    for group, parts in (("elements", elements), ("closures", closures)):
+        for name, part in parts.items():
+            for end in part.between:
+                check(end, frames, f"{group}[{name!r}]", "body or support", ANY_FRAME)
     for name, joint in joints.items():
-        if name not in bodies:
-            problem = unknown(name, f"joints[{name!r}]", tuple(bodies))
-            problems.add(
-                "UNKNOWN_BODY",
-                problem.where,
-                f"body {problem.message}",
-                value=name,
-                limit="a body",
-                hint=problem.hint,
-            )
-        if joint.parent not in frames:
-            problem = unknown(joint.parent, f"joints[{name!r}]", frames)
-            limit = "a body, a support or world"
-            problems.add(
-                "UNKNOWN_BODY",
-                problem.where,
-                f"parent {problem.message}",
-                value=joint.parent,
-                limit=limit,
-                hint=problem.hint,
-            )
-    for name in joints:
+        check(name, tuple(bodies), f"joints[{name!r}]", "body", "a body")
+        check(joint.parent, frames, f"joints[{name!r}]", "parent", ANY_FRAME)
         chain = [name]
         while chain[-1] in joints and len(chain) <= len(joints) + 1:
             chain.append(joints[chain[-1]].parent)
@@ -144,27 +122,17 @@ def check_links(
             )
 
 
-def counted(problems: Problems, closures: dict[str, Any], layout: Layout) -> dict[str, Any]:
-    """The closures, couplings with the units of their coordinates. Error: UNKNOWN_NAME."""
+def counted(problems: Problems, name: str, closure: Closure, layout: Layout) -> Closure:
+    """The closure; a coupling with the unit of its coordinate. Error: UNKNOWN_NAME."""
+    if not isinstance(closure, Coupling):
+        return closure
     known = layout.coordinate_places
-    result = dict(closures)
-    for name, closure in closures.items():
-        if not isinstance(closure, Coupling):
-            continue
-        wrong = [path for path in (closure.of, closure.by) if path not in known]
-        for path in wrong:
-            problem = unknown(path, f"closures[{name!r}]", tuple(known))
-            problems.add(
-                problem.code,
-                problem.where,
-                problem.message,
-                value=path,
-                limit="a coordinate of a joint",
-                hint=problem.hint,
-            )
-        if not wrong:
-            result[name] = closure.counted_in(layout.q_units[known[closure.of][0]])
-    return result
+    wrong = [path for path in (closure.of, closure.by) if path not in known]
+    problems.collected += [
+        replace(unknown(path, f"closures[{name!r}]", tuple(known)), limit="a coordinate of a joint")
+        for path in wrong
+    ]
+    return closure if wrong else closure.counted_in(layout.q_units[known[closure.of][0]])
 
 
 def check_movable(problems: Problems, closures: dict[str, Any], layout: Layout) -> None:
@@ -189,15 +157,13 @@ def check_movable(problems: Problems, closures: dict[str, Any], layout: Layout) 
                 if len(on) == 1
                 else "neither of which moves but by imposed motion"
             )
-            message = f"joins '{A}' and '{B}', {why}"
-            hint = "Leave it out, or give one of the bodies between them a joint that moves."
             problems.add(
                 "RIGID",
                 f"closures[{name!r}]",
-                message,
+                f"joins '{A}' and '{B}', {why}",
                 value=name,
                 limit="frames that move relative to each other",
-                hint=hint,
+                hint="Leave it out, or give one of the bodies between them a joint that moves.",
             )
 
 
@@ -205,18 +171,16 @@ def check_slopes(closures: tuple[KindTable, ...], finite: np.ndarray) -> None:
     """Check that the conditions of closures have slopes in the reference pose, row by row.
     Error: NON_FINITE."""
     of_rows = [name for table in closures for name in table.names for _ in table.rows.rows]
-    bad = [name for name, good in zip(of_rows, finite, strict=True) if not good]
-    message = "has slopes that are not finite in the reference pose"
-    hint = "Draw it where its condition is smooth, or square a distance."
+    bad = dict.fromkeys(name for name, good in zip(of_rows, finite, strict=True) if not good)
     with Problems() as problems:
-        for name in dict.fromkeys(bad):
+        for name in bad:
             problems.add(
                 "NON_FINITE",
                 f"closures[{name!r}]",
-                message,
+                "has slopes that are not finite in the reference pose",
                 value=name,
                 limit="finite slopes",
-                hint=hint,
+                hint="Draw it where its condition is smooth, or square a distance.",
             )
 
 
@@ -226,24 +190,15 @@ def check_reference(
     """Check that in the reference pose every line and every rod drawn to its length has a
     direction, and that every bushing and torsion spring is turned by less than half a turn, where
     its deformation jumps."""
-    for where, part in (
-        (f"{group}[{name!r}]", part)
-        for group, parts in groups.items()
-        for name, part in parts.items()
-    ):
-        check = next((check for kind, check in CHECKS if isinstance(part, kind)), None)
-        if check is None or not set(part.between) <= set(places):
-            continue
-        numbers = [
-            concrete(x) for x in jax.tree.leaves((part, [places[end] for end in part.between]))
-        ]
-        if all(x is not None for x in numbers):
-            check(
-                problems,
-                where,
-                part,
-                *((p, matrix(o)) for p, o in (places[end] for end in part.between)),
-            )
+    for group, parts in groups.items():
+        for name, part in parts.items():
+            check = next((check for kind, check in CHECKS.items() if isinstance(part, kind)), None)
+            if check is None or not set(part.between) <= set(places):
+                continue
+            ends = [places[end] for end in part.between]
+            if is_concrete(part, ends):
+                frames = ((position, matrix(orientation)) for position, orientation in ends)
+                check(problems, f"{group}[{name!r}]", part, *frames)
 
 
 def _check_length(problems: Problems, where: str, line, A, B) -> None:
@@ -287,7 +242,7 @@ def _check_turn(problems: Problems, where: str, element, A, B) -> None:
         )
 
 
-def warn_of_oddities(bodies, supports, elements) -> None:
+def warn_of_oddities(bodies, elements) -> None:
     """Warn of values that are allowed but rarely intended."""
     masses, inertias = (
         [concrete(body.mass) for body in bodies.values()],
@@ -306,10 +261,7 @@ def warn_of_oddities(bodies, supports, elements) -> None:
             )
 
 
-CHECKS = (
-    (LineElement, _check_length),
-    (Inerter, _check_length),
-    (Rod, _check_length),
-    (FramePair, _check_turn),
-    (Torsion, _check_turn),
-)
+CHECKS = {
+    LineElement | Inerter | Rod: _check_length,
+    FramePair | Torsion: _check_turn,
+}

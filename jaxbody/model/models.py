@@ -57,6 +57,14 @@ from jaxbody.model.states import State
 from jaxbody.model.storage import KindTable, tabulate, tabulate_by_structure
 from jaxbody.numerics.small_systems import independent_rows
 
+KINDS = {
+    "bodies": Body,
+    "supports": Support,
+    "elements": Element,
+    "joints": Joint,
+    "closures": Closure,
+}
+OWN_FUNCTIONS = {"energies": OwnEnergy, "dissipations": OwnDissipation}
 CLOSED = 1e-6  # of the largest distance of a point: the reference pose is drawn closed
 DISPLACED = 0.3  # of such a distance, or in rad: away from singular positions
 # of pivots: of such coordinates the last depends on the others, so that the first stay independent
@@ -118,92 +126,69 @@ class Model(tables.Printed, eqx.Module):
         energies: dict[str, Any] | None = None,
         dissipations: dict[str, Any] | None = None,
     ):
+        given = {
+            "bodies": (bodies, "name: jb.Body(...)"),
+            "supports": (supports, "name: jb.Support(...)"),
+            "elements": (elements, "name: jb.Spring(...)"),
+            "joints": (joints, "name: jb.Hinge(...)"),
+            "closures": (closures, "name: jb.closures.Ball(...)"),
+            "energies": (energies, "name: a function of frames"),
+            "dissipations": (dissipations, "name: a function of frames"),
+        }
         with Problems() as problems:
-            bodies, supports = (
-                checked_dict(bodies, "bodies", "name: jb.Body(...)", problems),
-                checked_dict(supports, "supports", "name: jb.Support(...)", problems),
-            )
-            elements, joints, closures = (
-                checked_dict(elements, "elements", "name: jb.Spring(...)", problems),
-                checked_dict(joints, "joints", "name: jb.Hinge(...)", problems),
-                checked_dict(closures, "closures", "name: jb.closures.Ball(...)", problems),
-            )
-            energies, dissipations = (
-                checked_dict(energies, "energies", "name: a function of frames", problems),
-                checked_dict(dissipations, "dissipations", "name: a function of frames", problems),
-            )
-        names: Any = {
-            "bodies": bodies,
-            "supports": supports,
-            "elements": elements,
-            "closures": closures,
+            parts = {
+                group: checked_dict(things, group, example, problems)
+                for group, (things, example) in given.items()
+            }
+        # a joint has the name of its body
+        check_names(problems, {group: parts[group] for group in parts if group != "joints"})
+        groups = {
+            group: of_kind(problems, group, parts[group], kind) for group, kind in KINDS.items()
         }
-        check_names(problems, **names, energies=energies, dissipations=dissipations)
-        bodies, supports = (
-            of_kind(problems, "bodies", bodies, Body),
-            of_kind(problems, "supports", supports, Support),
-        )
-        elements, joints = (
-            of_kind(problems, "elements", elements, Element),
-            of_kind(problems, "joints", joints, Joint),
-        )
-        closures = of_kind(problems, "closures", closures, Closure)
-        check_links(
-            problems, bodies, supports, {"elements": elements, "closures": closures}, joints
-        )
+        bodies, supports, elements, joints, closures = groups.values()
+        check_links(problems, **groups)
         gravity = vector(gravity, "gravity", problems)
-        elements = {name: functions_as_nodes(element) for name, element in elements.items()}
-        drawn = {
-            WORLD: NOWHERE,
-            **{
-                name: (each.position, each.orientation)
-                for name, each in {**supports, **bodies}.items()
-            },
-        }
-        elements = {
-            name: element.as_drawn(*(drawn.get(end, NOWHERE)[1] for end in element.between))
-            for name, element in elements.items()
+        drawn = {WORLD: NOWHERE} | {
+            name: (each.position, each.orientation) for name, each in (supports | bodies).items()
         }
         for name, element in elements.items():
-            check_leaves(problems, f"elements[{name!r}]", element)
+            turns = (drawn.get(end, NOWHERE)[1] for end in element.between)
+            elements[name] = functions_as_nodes(element).as_drawn(*turns)
+            check_leaves(problems, f"elements[{name!r}]", elements[name])
         check_laws(problems, elements)
-        elements |= own_functions(problems, "energies", OwnEnergy, energies, drawn)
-        elements |= own_functions(problems, "dissipations", OwnDissipation, dissipations, drawn)
+        for group, kind in OWN_FUNCTIONS.items():
+            elements |= own_functions(problems, group, kind, parts[group], drawn)
         check_reference(problems, drawn, {"elements": elements, "closures": closures})
         problems.raise_if_any()
-        every_joint = {name: joints.get(name, Free()) for name in bodies}
-        parents, blocks = zip(
-            *((joint.parent, joint.block(name)) for name, joint in every_joint.items()), strict=True
-        )
+        joints = {name: joints.get(name, Free()) for name in bodies}
+        parents = tuple(joint.parent for joint in joints.values())
+        blocks = tuple(joint.block(name) for name, joint in joints.items())
         self.elements = tabulate_by_structure(elements)
         self.layout = Layout(
             tuple(bodies), tuple(supports), parents, blocks + blocks_of(self.elements)
         )
-        by_depth = {
-            name: every_joint[name]
-            for name in sorted(bodies, key=lambda name: self.layout.depths[name])
-        }
+        depth = self.layout.depths.__getitem__
         self.bodies = tabulate(bodies)
         self.supports = tabulate(supports, Support())
-        self.joints = tabulate_by_structure(by_depth, lambda name: self.layout.depths[name])
+        self.joints = tabulate_by_structure(
+            {name: joints[name] for name in sorted(bodies, key=depth)}, depth
+        )
         with Problems() as problems:
-            closures = counted(
-                problems,
-                {name: functions_as_nodes(closure) for name, closure in closures.items()},
-                self.layout,
-            )
+            closures = {
+                name: functions_as_nodes(counted(problems, name, closure, self.layout))
+                for name, closure in closures.items()
+            }
             check_movable(problems, closures, self.layout)
         self.closures = tabulate_by_structure(closures)
         self.gravity = device_array(gravity)
         self.independent = None
         self.independent = independent_speeds(self)
-        warn_of_oddities(bodies, supports, elements)
-        carrying = {joint.parent for joint in every_joint.values()}
+        warn_of_oddities(bodies, elements)
         warn_of_points(
             {
                 name: body
                 for name, body in bodies.items()
-                if isinstance(every_joint[name], Free) and name not in carrying
+                if isinstance(joints[name], Free) and name not in parents
             }
         )
 
@@ -253,26 +238,21 @@ class Model(tables.Printed, eqx.Module):
 
     def parts(self) -> dict[str, Any]:
         """The arguments of which this model can be built again."""
-        kinds = (("energies", OwnEnergy), ("dissipations", OwnDissipation))
-        names: Any = {
+        names: dict[str, Any] = {
             group: [
                 n for table in self.elements if isinstance(table.rows, kind) for n in table.names
             ]
-            for group, kind in kinds
+            for group, kind in OWN_FUNCTIONS.items()
         }
         names |= {
             "bodies": self.layout.bodies,
             "supports": self.layout.supports,
             "elements": self.element_names,
+            "closures": self.closure_names,
         }
-        names |= {"closures": self.closure_names}
-        found: dict[str, Any] = {
-            group: {name: self[name] for name in each} for group, each in names.items()
-        }
-        return found | {
-            "joints": {name: self.joint(name) for name in self.layout.bodies},
-            "gravity": self.gravity,
-        }
+        parts = {group: {name: self[name] for name in each} for group, each in names.items()}
+        joints = {name: self.joint(name) for name in self.layout.bodies}
+        return {**parts, "joints": joints, "gravity": self.gravity}
 
     @property
     def reference(self) -> State:
@@ -436,7 +416,8 @@ def _closure_slopes(
     slopes, gaps = [], []
     for table in model.closures:
         J, c = jax.vmap(of)(table.rows, *ends(table))
-        unit = jnp.where([row.startswith("turn") for row in table.rows.rows], length, 1.0)
+        turns = np.array([row.startswith("turn") for row in table.rows.rows])
+        unit = jnp.where(turns, length, 1.0)
         slopes.append((J * unit[None, :, None]).reshape(-1, layout.nv))
         gaps.append((c * unit[None]).ravel())
     meters = jnp.where(layout.turns, 1 / length, 1.0)
