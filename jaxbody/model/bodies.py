@@ -79,7 +79,6 @@ class Body(Described, eqx.Module):
         (0.107143, 0.005214)
         """
         if not parts or not all(isinstance(part, Body) for part in parts):
-            hint = "Give [jb.Body(...), ...], each with its position and orientation in the whole."
             raise JaxbodyError(
                 Problem(
                     "NO_PARTS",
@@ -87,7 +86,8 @@ class Body(Described, eqx.Module):
                     f"has {parts!r:.60}",
                     parts,
                     "one body or more",
-                    hint,
+                    "Give [jb.Body(...), ...], each with its position and orientation in the "
+                    "whole.",
                 )
             )
         turns = [matrix(part.orientation) for part in parts]

@@ -82,13 +82,18 @@ def _bound(model: Any, make: Callable[..., Any], *states: Z) -> Any:
 
 def _check_given(model: Any, z: Z) -> None:
     if len(z) != model.layout.nz:
-        hint = "Give states with z, such as those of equilibrium(model) or model.reference."
-        message = (
-            f"is missing or has {len(z)} numbers; the model has elements with "
-            f"{model.layout.nz} states"
-        )
         raise JaxbodyError(
-            Problem("MEMORY", "state.z", message, len(z), f"{model.layout.nz}", hint)
+            Problem(
+                "MEMORY",
+                "state.z",
+                (
+                    f"is missing or has {len(z)} numbers; the model has elements with "
+                    f"{model.layout.nz} states"
+                ),
+                len(z),
+                f"{model.layout.nz}",
+                "Give states with z, such as those of equilibrium(model) or model.reference.",
+            )
         )
 
 

@@ -91,18 +91,14 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
     numbers = numbered(tree)
     if not isinstance(tree, Model):
         if not hasattr(tree, "named"):
-            limit, hint = (
-                "a model or an experiment",
-                'Numbers of a part have paths in its model, such as "engine.mass".',
-            )
             raise JaxbodyError(
                 Problem(
                     "WRONG_KIND",
                     "paths or replace",
                     f"got a {type(tree).__name__}",
                     tree,
-                    limit,
-                    hint,
+                    "a model or an experiment",
+                    'Numbers of a part have paths in its model, such as "engine.mass".',
                 )
             )
         roots, parts = tree.named(), numbers.named().items()
@@ -167,12 +163,19 @@ def matching(
         if not matches[pattern]:
             paths = [leaf.path for leaf in leaves]
             near = difflib.get_close_matches(str(pattern), paths, 3, 0.5) or paths[:3]
-            hint = next(
-                (how for path, how in (absent or {}).items() if fnmatchcase(path, str(pattern))),
-                f"Did you mean {' or '.join(near)}?",
-            )
             problems.add(
-                "UNKNOWN_PATH", where, f"'{pattern}' matches nothing.", value=pattern, hint=hint
+                "UNKNOWN_PATH",
+                where,
+                f"'{pattern}' matches nothing.",
+                value=pattern,
+                hint=next(
+                    (
+                        how
+                        for path, how in (absent or {}).items()
+                        if fnmatchcase(path, str(pattern))
+                    ),
+                    f"Did you mean {' or '.join(near)}?",
+                ),
             )
     if not collect:
         problems.raise_if_any()
@@ -426,14 +429,13 @@ def _made(leaf: Leaf, known: np.ndarray, where: str, problems: Problems) -> Any:
         )
     elif domain == "rotation" and (np.abs(length - 1) > 1e-3).any():
         worst = float(length.ravel()[np.argmax(np.abs(length - 1))])
-        hint = "Divide it by its length; the order is w, x, y, z."
         problems.add(
             "BAD_QUATERNION",
             where,
             f"has length {worst:.6g}",
             value=known,
             limit="1 within 1e-3",
-            hint=hint,
+            hint="Divide it by its length; the order is w, x, y, z.",
         )
     else:
         return of_unit_length(known)

@@ -324,12 +324,15 @@ class Model(tables.Printed, eqx.Module):
 def refuse_batch(model: Model, where: str) -> None:
     """Refuse a batch of models. Error: BAD_SHAPE."""
     if model.gravity.ndim > 1:
-        message, hint = (
-            f"is a batch of {len(model.gravity)} models",
-            "Use jax.vmap; one of them is jax.tree.map(lambda x: x[0], models).",
-        )
         raise JaxbodyError(
-            Problem("BAD_SHAPE", where, message, np.shape(model.gravity), "one model", hint)
+            Problem(
+                "BAD_SHAPE",
+                where,
+                f"is a batch of {len(model.gravity)} models",
+                np.shape(model.gravity),
+                "one model",
+                "Use jax.vmap; one of them is jax.tree.map(lambda x: x[0], models).",
+            )
         )
 
 

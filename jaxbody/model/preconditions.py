@@ -70,17 +70,13 @@ def check_precision(where: str, model: Model, *, allow_float32: bool | None = Tr
 def check_independent(where: str, model: Model) -> None:
     """Refuse a model whose independent coordinates are not known. Error: CLOSED_LOOPS."""
     if model.independent is None:
-        message, hint = (
-            "was built from numbers that are being traced",
-            "Build it outside of jit and change its numbers by jb.replace.",
-        )
         raise JaxbodyError(
             Problem(
                 "CLOSED_LOOPS",
                 f"{where}.model",
-                message,
+                "was built from numbers that are being traced",
                 limit="a model with closures and given numbers",
-                hint=hint,
+                hint="Build it outside of jit and change its numbers by jb.replace.",
             )
         )
 
@@ -88,12 +84,15 @@ def check_independent(where: str, model: Model) -> None:
 def check_moves(where: str, model: Model) -> None:
     """Refuse a model without coordinates. Error: NOTHING_MOVES."""
     if not model.layout.nv:
-        message, hint = (
-            "has no body that can move: all are fixed or driven",
-            "Free a body; jb.equilibrium gives the forces on supports.",
-        )
         raise JaxbodyError(
-            Problem("NOTHING_MOVES", f"{where}.model", message, 0, "a coordinate or more", hint)
+            Problem(
+                "NOTHING_MOVES",
+                f"{where}.model",
+                "has no body that can move: all are fixed or driven",
+                0,
+                "a coordinate or more",
+                "Free a body; jb.equilibrium gives the forces on supports.",
+            )
         )
 
 
@@ -108,19 +107,22 @@ def check_memory(where: str, model: Model, frequencies: int = 0) -> None:
             f" at {frequencies} frequencies" if at_frequencies > needed else "",
             needed + at_frequencies,
         )
-        message = (
-            f"has {coordinates} coordinates and {elements} elements, whose matrices{at} need about "
-            f"{needed / 1e9:.3g} GB"
-        )
         fewer = (
             "Give fewer frequencies at a time"
             if at
             else "Join bodies that move together (jb.Fixed, Body.of_parts)"
         )
-        hint = f"{fewer}, or increase jaxbody.model.preconditions.MOST_MEMORY."
         raise JaxbodyError(
             Problem(
-                "TOO_LARGE", f"{where}.model", message, needed, f"{MOST_MEMORY / 1e9:g} GB", hint
+                "TOO_LARGE",
+                f"{where}.model",
+                (
+                    f"has {coordinates} coordinates and {elements} elements, whose matrices{at} "
+                    f"need about {needed / 1e9:.3g} GB"
+                ),
+                needed,
+                f"{MOST_MEMORY / 1e9:g} GB",
+                f"{fewer}, or increase jaxbody.model.preconditions.MOST_MEMORY.",
             )
         )
 
@@ -130,13 +132,15 @@ def check_attached(model: Model) -> None:
     a support."""
     loose = unattached(model)
     if loose:
-        message, hint = (
-            "has no path of elements or joints to world or a support",
-            "It has no equilibrium; attach it or leave it out.",
-        )
         raise JaxbodyError(
             *(
-                Problem("UNATTACHED", f"bodies['{name}']", message, name, hint=hint)
+                Problem(
+                    "UNATTACHED",
+                    f"bodies['{name}']",
+                    "has no path of elements or joints to world or a support",
+                    name,
+                    hint="It has no equilibrium; attach it or leave it out.",
+                )
                 for name in loose
             )
         )
@@ -160,15 +164,14 @@ def unattached(model: Model) -> list[str]:
 def check_without_memory(where: str, model: Model) -> None:
     """Refuse a model with elements with memory where these have no place yet. Error: MEMORY."""
     if model.layout.nz:
-        message = (
-            "has elements with memory, which it does not take yet: "
-            f"{', '.join(model.layout.states[:4])}"
-        )
         raise JaxbodyError(
             Problem(
                 "MEMORY",
                 f"{where}.model",
-                message,
+                (
+                    "has elements with memory, which it does not take yet: "
+                    f"{', '.join(model.layout.states[:4])}"
+                ),
                 limit="laws without memory",
                 hint="Replace their laws.",
             )
@@ -216,17 +219,16 @@ def check_state(model: Model, state: Any, where: str) -> None:
                 and number in (np.float32, np.float64)
                 and jax.dtypes.canonicalize_dtype(number) != one
             ):
-                hint = (
-                    f"Give jb.State(numpy.asarray(state.q, '{one}'), "
-                    f"numpy.asarray(state.v, '{one}'))."
-                )
                 problems.add(
                     "X64_CHANGED",
                     f"{where}.{name}",
                     f"is {number}, the model {one}",
                     value=number,
                     limit="one precision",
-                    hint=hint,
+                    hint=(
+                        f"Give jb.State(numpy.asarray(state.q, '{one}'), "
+                        f"numpy.asarray(state.v, '{one}'))."
+                    ),
                 )
                 continue
             known = concrete(value)

@@ -42,17 +42,16 @@ class KindTable(eqx.Module):
             for leaf, rank in zip(leaves, self.ranks, strict=True)
             if leaf is not None
         ):
-            hint = (
-                "A function of whole arrays, such as a norm, was applied to its tree; apply it to "
-                "the values of jb.paths(model)."
-            )
             raise JaxbodyError(
                 Problem(
                     "BAD_SHAPE",
                     f"model['{name}']",
                     "has leaves without rows",
                     limit="a row for each name",
-                    hint=hint,
+                    hint=(
+                        "A function of whole arrays, such as a norm, was applied to its tree; "
+                        "apply it to the values of jb.paths(model)."
+                    ),
                 )
             )
         rows = [(..., i, *[slice(None)] * rank) for rank in self.ranks]
@@ -72,20 +71,16 @@ class KindTable(eqx.Module):
         path = next(
             (path for path in paths if path in inspect.get_annotations(type(self.rows))), paths[-1]
         )
-        message = (
-            "is a row of arrays and not a node of the tree, so equinox.tree_at cannot replace it"
-        )
-        hint = (
-            f'Use jb.replace(model, {{"{name}.{path}": value}}); it has '
-            f"{', '.join(paths[:8])}{', ...' if len(paths) > 8 else ''}."
-        )
         return Problem(
             "NO_NODE",
             f"model['{name}']",
-            message,
+            "is a row of arrays and not a node of the tree, so equinox.tree_at cannot replace it",
             name,
             f"whole arrays, such as model.elements[0].rows.{path}",
-            hint,
+            (
+                f'Use jb.replace(model, {{"{name}.{path}": value}}); it has '
+                f"{', '.join(paths[:8])}{', ...' if len(paths) > 8 else ''}."
+            ),
         )
 
 

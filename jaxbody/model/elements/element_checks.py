@@ -86,12 +86,11 @@ def _check_memory(law: Any, where: str, problems: Problems) -> None:
         ]
     )
     if not (rates == 0).all():
-        hint = "Derive it from jb.laws.Viscoelastic, whose coordinates relax."
         problems.add(
             "RELAXES",
             where,
             f"has the rate {rates[np.nonzero(rates)][0]:.3g} at rest",
             value=rates,
             limit="0 at e' = 0",
-            hint=hint,
+            hint="Derive it from jb.laws.Viscoelastic, whose coordinates relax.",
         )

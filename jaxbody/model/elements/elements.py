@@ -161,14 +161,13 @@ class Element(Described, eqx.Module):
         raise self._without_states()
 
     def _without_states(self) -> JaxbodyError:
-        hint = "Use an element of jaxbody, such as SpringDamper, or a law without memory."
         return JaxbodyError(
             Problem(
                 "MEMORY",
                 type(self).__name__,
                 "has a law with memory and does not state its rates",
                 self,
-                hint=hint,
+                hint="Use an element of jaxbody, such as SpringDamper, or a law without memory.",
             )
         )
 

@@ -137,18 +137,17 @@ def _own(
     problems: Problems, where: str, kind: type[OfFrames], function: Any, drawn: dict[str, DrawnAt]
 ) -> OfFrames | None:
     if isinstance(function, type) or not callable(function):
-        hint = (
-            f"Write {function.__name__}(...)."
-            if isinstance(function, type)
-            else "Give an equinox.Module with __call__(frames)."
-        )
         problems.add(
             "WRONG_KIND",
             where,
             f"is {kind_of(function)}",
             value=function,
             limit="a function of frames",
-            hint=hint,
+            hint=(
+                f"Write {function.__name__}(...)."
+                if isinstance(function, type)
+                else "Give an equinox.Module with __call__(frames)."
+            ),
         )
         return None
     found, reading, function = Problems(), _Reading(kind, drawn), functions_as_nodes(function)
@@ -162,13 +161,12 @@ def _own(
         )
     names = tuple(reading.read)
     for problem in (unknown(name, where, tuple(drawn)) for name in names if name not in drawn):
-        limit = "a body, a support or world"
         found.add(
             "UNKNOWN_BODY",
             where,
             f"frame {problem.message}",
             value=problem.value,
-            limit=limit,
+            limit="a body, a support or world",
             hint=problem.hint,
         )
     if not found.collected and not set(names) - {WORLD}:
@@ -186,12 +184,17 @@ def _own(
     element = kind(function, names)
     places = tuple(drawn[name] for name in element.between)
     if is_concrete((element, places)) and not _is_finite(element, places):
-        message = "has a value or slopes that are not finite in the reference pose"
-        hint = (
-            "Draw the bodies where they are, and keep what is under a root or a fraction "
-            "line away from zero."
+        problems.add(
+            "NON_FINITE",
+            where,
+            "has a value or slopes that are not finite in the reference pose",
+            value=names,
+            limit="finite numbers",
+            hint=(
+                "Draw the bodies where they are, and keep what is under a root or a fraction "
+                "line away from zero."
+            ),
         )
-        problems.add("NON_FINITE", where, message, value=names, limit="finite numbers", hint=hint)
     return element
 
 

@@ -120,13 +120,12 @@ def base_motion(
         g = None if gravity is None else checked(gravity, ((3,),), "base_motion.gravity", problems)
         _check_options(record, degree, cutoff, problems)
         if w is not None and gravity is None:
-            hint = "Give gravity=[0, 0, -9.81], or zeros if the accelerometer does not read it."
             problems.add(
                 "NO_GRAVITY",
                 "base_motion.gravity",
                 "is not stated; it is required with rates",
                 limit="three numbers [m/s2]",
-                hint=hint,
+                hint="Give gravity=[0, 0, -9.81], or zeros if the accelerometer does not read it.",
             )
     t = record.times - record.times[0]
     turn, removed = np.zeros((len(t), 3)), np.zeros((len(t), 6))
@@ -184,14 +183,13 @@ def _channel(
         )
     if record.sampling.missing or np.isnan(x).any():
         count = record.sampling.missing + int(np.isnan(x).any(tuple(range(1, x.ndim))).sum())
-        hint = 'Read the record with fill="spline", or take a part without gaps.'
         problems.add(
             "GAPS",
             where,
             f"lacks {count} samples",
             value=count,
             limit="no gaps, because it is integrated",
-            hint=hint,
+            hint='Read the record with fill="spline", or take a part without gaps.',
         )
     if axis is not None and x.ndim == 1:
         direction = checked(axis, ((3,),), "base_motion.axis", problems)
@@ -207,14 +205,13 @@ def _channel(
             )
         return zeros if not length else x[:, None] * direction / length
     if x.shape != zeros.shape or axis is not None:
-        hint = "Give axis= for one column, and leave it out for three."
         problems.add(
             "BAD_SHAPE",
             where,
             f"has shape {x.shape}",
             value=x.shape,
             limit=f"{zeros.shape}, or one column and axis=",
-            hint=hint,
+            hint="Give axis= for one column, and leave it out for three.",
         )
         return zeros
     return x
@@ -225,14 +222,13 @@ def _axes(axes: Any, problems: Problems) -> np.ndarray:
     if not problems.collected and (
         np.abs(A.T @ A - np.eye(3)).max() > 1e-6 or np.linalg.det(A) < 0
     ):
-        message = (
-            f"is not a rotation: |A'A - 1| = {np.abs(A.T @ A - np.eye(3)).max():.2g}, determinant "
-            f"{np.linalg.det(A):.3g}"
-        )
         problems.add(
             "BAD_AXES",
             "base_motion.axes",
-            message,
+            (
+                f"is not a rotation: |A'A - 1| = {np.abs(A.T @ A - np.eye(3)).max():.2g}, "
+                f"determinant {np.linalg.det(A):.3g}"
+            ),
             value=A,
             limit="orthogonal, right-handed",
             hint="Columns: the instrument's axes.",
@@ -254,18 +250,17 @@ def _check_options(record: Record, degree: Any, cutoff: Any, problems: Problems)
     if cutoff is not None and not (
         isinstance(cutoff, int | float) and 0 < cutoff <= highest and degree is not None
     ):
-        hint = (
-            "A cutoff also removes any constant, so keep degree=0."
-            if degree is None
-            else "In Hz, below the frequencies of interest."
-        )
         problems.add(
             "BAD_OPTION",
             "base_motion.cutoff",
             f"is {cutoff!r} Hz",
             value=cutoff,
             limit=f"0 to {highest:.4g} Hz, degree >= 0",
-            hint=hint,
+            hint=(
+                "A cutoff also removes any constant, so keep degree=0."
+                if degree is None
+                else "In Hz, below the frequencies of interest."
+            ),
         )
 
 

@@ -288,11 +288,10 @@ def loads_of(
         given = loads_by_name(loads, where, problems)
         for name, load in given.items():
             if load.on not in bodies:
-                message = f"is on '{load.on}', which is not a body"
                 problems.add(
                     "UNKNOWN_BODY",
                     f"{where}[{name!r}]",
-                    message,
+                    f"is on '{load.on}', which is not a body",
                     value=load.on,
                     limit=" ".join(bodies),
                     hint="A load acts on a body.",

@@ -285,11 +285,13 @@ def warn_of_jumps(values: Any, times: Any, where: str) -> None:
     if (steps > JUMP * spread).any():
         i, k = np.argwhere(steps > JUMP * spread)[0]
         place = f"along {'xyz'[k]} at {time_text(t[i], t)} s"
-        message = (
-            f"{where} jumps by {steps[i, k]:.4g} {place}, {steps[i, k] / spread[k]:.3g} "
-            "times the usual step"
+        warn(
+            "BASE_JUMP",
+            (
+                f"{where} jumps by {steps[i, k]:.4g} {place}, {steps[i, k] / spread[k]:.3g} "
+                "times the usual step"
+            ),
         )
-        warn("BASE_JUMP", message)
 
 
 def _columns(value: Any, n: int | None, widths: tuple[int, ...], where: str, problems: Problems):

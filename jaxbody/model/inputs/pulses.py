@@ -229,12 +229,12 @@ class Trapezoid(Pulse):
                 and is_concrete(up, down, self.duration)
                 and up + down > self.duration * (1 + 1e-9)
             ):
-                message, limit = (
-                    f"are {float(up + down):g} s",
-                    f"the duration, {float(self.duration):g} s",
-                )
                 problems.add(
-                    "BAD_NUMBER", "Trapezoid rise and fall", message, value=(up, down), limit=limit
+                    "BAD_NUMBER",
+                    "Trapezoid rise and fall",
+                    f"are {float(up + down):g} s",
+                    value=(up, down),
+                    limit=f"the duration, {float(self.duration):g} s",
                 )
         self.rise, self.fall = device_array(up), device_array(down)
 

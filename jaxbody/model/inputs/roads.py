@@ -163,8 +163,13 @@ def _points(value, where: str, problems: Problems, n: int | None = None) -> Any:
     numbers = problems.gather(lambda: float_array(value, where))
     if numbers is None:
         return None
-    hint = "Give two points or more." if n is None else "Give one height for each distance."
-    return checked(numbers, ((n or max(2, numbers.size),),), where, problems, hint)
+    return checked(
+        numbers,
+        ((n or max(2, numbers.size),),),
+        where,
+        problems,
+        "Give two points or more." if n is None else "Give one height for each distance.",
+    )
 
 
 def _check_increasing(distances, problems: Problems) -> None:

@@ -34,34 +34,31 @@ def checked_rows(
         return None
     width = {1: {None}, 2: {"k", array.shape[-1]}}.get(array.ndim, set()) if array.ndim else set()
     if not width & set(widths) or n not in (None, array.shape[0]):
-        limit = " or ".join(
-            f"({n or 'n'},)" if width is None else f"({n or 'n'}, {width})" for width in widths
-        )
-        hint = (
-            "The array looks transposed."
-            if array.ndim == 2 and array.shape[0] in widths
-            else "One row per time."
-        )
         problems.add(
             "BAD_SHAPE",
             where,
             f"has shape {array.shape}",
             value=array.shape,
-            limit=limit,
-            hint=hint,
+            limit=" or ".join(
+                f"({n or 'n'},)" if width is None else f"({n or 'n'}, {width})" for width in widths
+            ),
+            hint=(
+                "The array looks transposed."
+                if array.ndim == 2 and array.shape[0] in widths
+                else "One row per time."
+            ),
         )
         return None
     known = concrete(array)
     if known is not None and not np.isfinite(known).all():
         row = int(np.argwhere(~np.isfinite(known))[0][0])
-        hint = "Cut the record or fill the gap first."
         problems.add(
             "NON_FINITE",
             where,
             f"is {known[row].tolist()} at row {row}",
             value=known[row],
             limit="finite",
-            hint=hint,
+            hint="Cut the record or fill the gap first.",
         )
         return None
     return array

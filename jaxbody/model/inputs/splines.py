@@ -140,9 +140,13 @@ def _intervals(start: float, stop: float, interval: float, problems: Problems) -
             hint="Give its length in seconds.",
         )
     elif (stop - start) / interval > MOST:
-        message, hint = f"makes {(stop - start) / interval:.3g} intervals", "Is it in seconds?"
         problems.add(
-            "TOO_LARGE", "Spline.interval", message, value=interval, limit=f"{MOST}", hint=hint
+            "TOO_LARGE",
+            "Spline.interval",
+            f"makes {(stop - start) / interval:.3g} intervals",
+            value=interval,
+            limit=f"{MOST}",
+            hint="Is it in seconds?",
         )
     else:
         return max(1, int(np.ceil((stop - start) / interval * (1 - 1e-12))))

@@ -224,14 +224,13 @@ class Combined(Joint):
             direction(second, f"{kind}.second", problems),
         )
         if is_concrete((first, second)) and np.linalg.norm(np.cross(first, second)) <= PARALLEL:
-            hint = "Give two directions that cross, such as x and y."
             problems.add(
                 "BAD_DIRECTION",
                 f"{kind}.second",
                 "is parallel to the first",
                 value=second,
                 limit="across the first",
-                hint=hint,
+                hint="Give two directions that cross, such as x and y.",
             )
         return first, second
 

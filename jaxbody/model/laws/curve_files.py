@@ -21,13 +21,17 @@ def read_columns(path: Path, *, largest: float, **text: Any) -> list[Any]:
     with Problems() as problems:
         where, width = f"{path.name}:{contents.head}", len(contents.columns)
         if width != 2:
-            hint = (
-                "First elongation or its rate, then force or moment; separator= states "
-                "what separates them."
-            )
             raise JaxbodyError(
                 Problem(
-                    "BAD_SHAPE", where, f"has {width} column{'s' * (width > 1)}", width, "two", hint
+                    "BAD_SHAPE",
+                    where,
+                    f"has {width} column{'s' * (width > 1)}",
+                    width,
+                    "two",
+                    (
+                        "First elongation or its rate, then force or moment; separator= states "
+                        "what separates them."
+                    ),
                 )
             )
         columns, read_dimensions = [], []
@@ -35,44 +39,37 @@ def read_columns(path: Path, *, largest: float, **text: Any) -> list[Any]:
             contents.columns.items(), (LENGTHS, FORCES), strict=True
         ):
             if column.unit is None:
-                hint = "Write a line of names with units above the numbers."
                 problems.add(
                     "NO_UNIT",
                     where,
                     f"states no unit for column '{name}'",
                     limit="elongation [mm], force [N]",
-                    hint=hint,
+                    hint="Write a line of names with units above the numbers.",
                 )
                 continue
             unit = problems.gather(lambda column=column: units.parse(column.unit or "", where))
             if unit is not None and unit.dimension not in dimensions:
-                limit = " or ".join(units.si_words(dimension) for dimension in dimensions)
-                hint = "First elongation or its rate, then force or moment."
                 problems.add(
                     "WRONG_DIMENSION",
                     where,
                     f"has '{name}' in '{unit.text}'",
                     value=unit.text,
-                    limit=limit,
-                    hint=hint,
+                    limit=" or ".join(units.si_words(dimension) for dimension in dimensions),
+                    hint="First elongation or its rate, then force or moment.",
                 )
             columns.append(column.values * (unit.factor if unit else 1.0))
             read_dimensions.append(unit and unit.dimension)
     if (read_dimensions[0] in (units.ANGLE, units.ANGULAR_RATE)) != (
         read_dimensions[1] == units.MOMENT
     ):
-        message, hint = (
-            "has an angle with a force, or a length with a moment",
-            "An angle needs a moment, an elongation a force.",
-        )
         raise JaxbodyError(
             Problem(
                 "WRONG_DIMENSION",
                 where,
-                message,
+                "has an angle with a force, or a length with a moment",
                 tuple(contents.columns),
                 "[m] and [N], or [rad] and [N m]",
-                hint,
+                "An angle needs a moment, an elongation a force.",
             )
         )
     return columns

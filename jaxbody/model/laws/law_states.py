@@ -286,8 +286,9 @@ def inner(spring: Law | None, x: Number, x_dot: Number) -> tuple[Array, ...]:
 def as_damper(value: Any, where: str, problems: Problems) -> Law | None:
     """A law of the rate, which cannot have memory. Errors: those of laws, MEMORY."""
     law = as_law(value, where, problems)
-    hint = "Memory is of the deformation: add the law to spring=."
-    check_without_memory(law, where, problems, hint)
+    check_without_memory(
+        law, where, problems, "Memory is of the deformation: add the law to spring=."
+    )
     return law
 
 

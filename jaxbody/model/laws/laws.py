@@ -44,14 +44,13 @@ class Law(Described, eqx.Module):
     def __check_init__(self):
         kind = type(self)
         if kind.force is Law.force and kind.potential is Law.potential:
-            hint = "Give one of them: def force(self, x): ..."
             raise JaxbodyError(
                 Problem(
                     "NO_FORCE",
                     kind.__name__,
                     "states neither force nor potential",
                     limit="one of them",
-                    hint=hint,
+                    hint="Give one of them: def force(self, x): ...",
                 )
             )
 
@@ -263,14 +262,13 @@ class TwoSided(Law):
             for part in (
                 part for law in (self.bump, self.rebound) for part in parts(law) if part.has_memory
             ):
-                hint = "Add it to the two-sided law: TwoSided(...) + Maxwell(...)."
                 problems.add(
                     "MEMORY",
                     "TwoSided",
                     f"has memory ({type(part).__name__})",
                     value=part,
                     limit="laws without memory",
-                    hint=hint,
+                    hint="Add it to the two-sided law: TwoSided(...) + Maxwell(...).",
                 )
 
     def potential(self, x):

@@ -77,18 +77,16 @@ class Memory(Law):
 def without_states(law: Memory) -> JaxbodyError:
     """The error of an evaluation of a law without its states. Whatever does not yet know states
     ends here instead of leaving them out."""
-    message = "has memory, and this function does not take elements with states yet"
-    hint = (
-        "Replace it by a law without memory, such as jb.laws.Linear of its stiffness at the "
-        "frequency of interest."
-    )
     return JaxbodyError(
         Problem(
             "MEMORY",
             f"the law {type(law).__name__}",
-            message,
+            "has memory, and this function does not take elements with states yet",
             limit="laws without memory",
-            hint=hint,
+            hint=(
+                "Replace it by a law without memory, such as jb.laws.Linear of its stiffness at "
+                "the frequency of interest."
+            ),
         )
     )
 

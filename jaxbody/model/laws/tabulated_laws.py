@@ -208,11 +208,14 @@ def _check_table(x: Any, forces: Any, problems: Problems) -> None:
             )
     if (steps > 0).all() and (rises < 0).any():
         i = int(np.flatnonzero(rises < 0)[0])
-        message = f"falls from {F[i]:g} to {F[i + 1]:g} N between x = {x[i]:g} and {x[i + 1]:g}"
-        hint = (
-            "Is tension positive? Smooth a noisy record; if the force is meant to decrease, use a "
-            "Polynomial or a function."
-        )
         problems.add(
-            "TABLE_FALLS", "Table.forces", message, value=i + 1, limit="not falling", hint=hint
+            "TABLE_FALLS",
+            "Table.forces",
+            f"falls from {F[i]:g} to {F[i + 1]:g} N between x = {x[i]:g} and {x[i + 1]:g}",
+            value=i + 1,
+            limit="not falling",
+            hint=(
+                "Is tension positive? Smooth a noisy record; if the force is meant to decrease, "
+                "use a Polynomial or a function."
+            ),
         )
