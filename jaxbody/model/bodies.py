@@ -11,10 +11,12 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, checked, concrete, vector
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import field, in_domain, kind_of, nan_outside
+from jaxbody.geometry.fields import field, nan_outside, take
 from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, matrix
 
 EPS = np.finfo(np.float64).eps
+# of (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) in the matrix
+PLACES_OF_SIX = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 
 
 class Body(Described, eqx.Module):
@@ -56,7 +58,7 @@ class Body(Described, eqx.Module):
         self, mass, inertia=(0, 0, 0), *, com=(0, 0, 0), position=(0, 0, 0), orientation=IDENTITY
     ):
         with Problems() as problems:
-            self.mass = _mass(self, mass, problems)
+            take(self, problems, mass=mass)
             self.com = vector(com, "Body.com", problems)
             self.inertia = _inertia(inertia, self.mass, self.com, problems)
             self.position = vector(position, "Body.position", problems)
@@ -121,15 +123,6 @@ class Support(Described, eqx.Module):
             self.orientation = as_quaternion(orientation, "Support.orientation", problems)
 
 
-def _mass(body: Body, value: Any, problems: Problems) -> Any:
-    mass = checked(value, ((),), "Body.mass", problems)
-    return (
-        np.ones(())
-        if mass is None
-        else in_domain(mass, kind_of(body, "mass"), "Body.mass", problems)
-    )
-
-
 def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
     """The symmetric part of the 3 x 3 matrix. Its round-off is compared with the inertia about the
     reference point, I + m (c'c - c c'), from which users often compute it."""
@@ -184,12 +177,11 @@ def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Pro
             hint=f"Is it about the center of mass? {signs}",
         )
     elif moments[0] + moments[1] - moments[2] < -round_off:
-        deficit = moments[2] - moments[0] - moments[1]
         problems.add(
             "TRIANGLE",
             where,
             f"has principal moments {shown} kg m2: the largest exceeds the sum of the "
-            f"others by {deficit:.3g}",
+            f"others by {moments[2] - moments[0] - moments[1]:.3g}",
             value=moments,
             limit="at most the sum of the two others",
             hint=(
@@ -208,12 +200,9 @@ def _is_valid(I: np.ndarray, round_off: float) -> bool:
 
 def _matrix_of(array):
     """The 3 x 3 matrix of three, six or nine numbers."""
-    if array.shape == (3, 3):
-        return array
-    unit = np.zeros((6, 3, 3))
-    for n, (i, j) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]):
-        unit[n, i, j] = unit[n, j, i] = 1
-    return (array[:, None, None] * unit[: array.shape[0]]).sum(0)
+    if array.shape == (3,):
+        return array * np.eye(3)
+    return array if array.shape == (3, 3) else array[PLACES_OF_SIX]
 
 
 def warn_of_tiny(
@@ -244,10 +233,9 @@ def warn_of_points(bodies: dict[str, Body]) -> None:
         ]
         if massless_axes:
             axis = "any axis" if len(massless_axes) == 3 else f"{massless_axes[0]} of its axes"
-            remedy = (
-                "static results are valid; modes and simulations need an inertia, or a joint that "
-                "prevents this rotation"
-            )
             warn(
-                "ZERO_MOMENT", f"'{name}' is free to turn and has no inertia about {axis}: {remedy}"
+                "ZERO_MOMENT",
+                f"'{name}' is free to turn and has no inertia about {axis}: static results are "
+                "valid; modes and simulations need an inertia, or a joint that prevents this "
+                "rotation",
             )

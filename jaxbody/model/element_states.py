@@ -43,19 +43,15 @@ def _states_of(rows: Any) -> list[tuple[str, str, str, str]]:
     """Description, unit and role of each state of an element, and the unit of the deformation that
     it follows. Equal descriptions are numbered; where several fields hold laws, each begins with
     its field."""
-    found, fields = [], set()
+    found = []
     for keys, law in jax.tree_util.tree_leaves_with_path(rows, is_leaf=with_states):
         if isinstance(law, Memory):
             words, field = words_along(rows, keys), keys[0].name
-            fields.add(field)
-            argument, kinds = (
-                words.get("argument", ""),
-                zip(law.states, law.state_units, law.roles, strict=True),
-            )
             found += [
-                (field, one, resolved(unit, law, words), role, argument)
-                for one, unit, role in kinds
+                (field, one, resolved(unit, law, words), role, words.get("argument", ""))
+                for one, unit, role in zip(law.states, law.state_units, law.roles, strict=True)
             ]
+    fields = {field for field, *_ in found}
     labels = [f"{field} {one}" if len(fields) > 1 else one for field, one, *_ in found]
     numbers = [labels[:i].count(label) + 1 for i, label in enumerate(labels)]
     texts = [

@@ -175,10 +175,7 @@ class Layout:
     def rows_of(self, owners: tuple[str, ...], x: Array, slices: dict[str, slice]) -> Array:
         """The numbers of some owners of one kind, a row for each, from a vector with
         these slices."""
-        rows = np.array(
-            [np.arange(slices[name].start, slices[name].stop) for name in owners], dtype=int
-        )
-        return x[rows]
+        return x[np.array([np.r_[slices[name]] for name in owners], dtype=int)]
 
     def joined(self, pieces: list[tuple[tuple[str, ...], Array]]) -> Array:
         """The rows of all owners with rows in q and v, given for some at a time, in the order of

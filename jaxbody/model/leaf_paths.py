@@ -130,13 +130,9 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
 
 def _fields(numbers: Any, root: Any) -> list[tuple[str, int, Kind]]:
     """Path, index and kind of each array below a root."""
-
-    def name(key: Any) -> str:
-        return str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key))))
-
-    leaves = jax.tree_util.tree_leaves_with_path(numbers)
     return [
-        (".".join(name(key) for key in keys), leaf, kind_along(root, keys)) for keys, leaf in leaves
+        (jax.tree_util.keystr(keys, simple=True, separator="."), leaf, kind_along(root, keys))
+        for keys, leaf in jax.tree_util.tree_leaves_with_path(numbers)
     ]
 
 
@@ -446,9 +442,8 @@ def by_name(
     names: Sequence[tuple[str, ...]], tables: Sequence[Array], axis: int = 0
 ) -> dict[str, Any]:
     """{name: row} of tables whose rows, along `axis`, have these names."""
-    lead = (slice(None),) * axis
     return {
-        name: part_of(table, (*lead, i, ...))
+        name: part_of(table, (*[slice(None)] * axis, i, ...))
         for group, table in zip(names, tables, strict=True)
         for i, name in enumerate(group)
     }

@@ -16,6 +16,7 @@ from jaxbody.geometry.closures import Closure, Coupling, Rod
 from jaxbody.geometry.points_and_orientations import matrix
 from jaxbody.model.bodies import warn_of_tiny
 from jaxbody.model.elements.bushings import FramePair
+from jaxbody.model.elements.element_checks import unknown_frame
 from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.elements.springs import Inerter
 from jaxbody.model.elements.torsions import Torsion
@@ -24,7 +25,6 @@ from jaxbody.model.layouts import WORLD, Layout
 from jaxbody.model.storage import KindTable
 
 LARGEST_TURN = 179.0  # degrees, of a bushing in the reference pose
-ANY_FRAME = "a body, a support or world"
 
 
 def check_names(problems: Problems, groups: dict[str, dict[str, Any]]) -> None:
@@ -88,22 +88,19 @@ def check_links(problems: Problems, bodies, supports, elements, joints, closures
     the world or a support."""
     frames = (*bodies, *supports, WORLD)
 
-    def check(name: str, known: tuple[str, ...], where: str, what: str, limit: str) -> None:
-        if name not in known:
-            problem = unknown(name, where, known)
-            problems.collected.append(
-                replace(
-                    problem, code="UNKNOWN_BODY", message=f"{what} {problem.message}", limit=limit
-                )
-            )
-
     for group, parts in (("elements", elements), ("closures", closures)):
-        for name, part in parts.items():
-            for end in part.between:
-                check(end, frames, f"{group}[{name!r}]", "body or support", ANY_FRAME)
+        problems.collected += [
+            unknown_frame(end, f"{group}[{name!r}]", frames, "body or support")
+            for name, part in parts.items()
+            for end in part.between
+            if end not in frames
+        ]
     for name, joint in joints.items():
-        check(name, tuple(bodies), f"joints[{name!r}]", "body", "a body")
-        check(joint.parent, frames, f"joints[{name!r}]", "parent", ANY_FRAME)
+        where = f"joints[{name!r}]"
+        if name not in bodies:
+            problems.collected.append(unknown_frame(name, where, tuple(bodies), "body"))
+        if joint.parent not in frames:
+            problems.collected.append(unknown_frame(joint.parent, where, frames, "parent"))
         chain = [name]
         while chain[-1] in joints and len(chain) <= len(joints) + 1:
             chain.append(joints[chain[-1]].parent)
@@ -111,7 +108,7 @@ def check_links(problems: Problems, bodies, supports, elements, joints, closures
             circle = chain[: chain.index(name, 1) + 1] if name in chain[1:] else chain[:4]
             problems.add(
                 "LOOP",
-                f"joints[{name!r}]",
+                where,
                 f"is its own parent: {' on '.join(circle)}",
                 value=name,
                 limit="a tree that ends at world or a support",

@@ -54,10 +54,9 @@ class KindTable(eqx.Module):
                     ),
                 )
             )
-        rows = [(..., i, *[slice(None)] * rank) for rank in self.ranks]
         picked = [
-            leaf if leaf is None else arrays.part_of(leaf, row)
-            for leaf, row in zip(leaves, rows, strict=True)
+            leaf if leaf is None else arrays.part_of(leaf, (..., i, *[slice(None)] * rank))
+            for leaf, rank in zip(leaves, self.ranks, strict=True)
         ]
         return with_link(jax.tree.unflatten(treedef, picked), self.links[i])
 

@@ -9,11 +9,17 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, checked
+from jaxbody.core.arrays import Array, Float, checked, module_of
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field, in_domain, kind_of
-from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, ends, product
+from jaxbody.geometry.points_and_orientations import (
+    DIRECTIONS,
+    IDENTITY,
+    as_quaternion,
+    ends,
+    product,
+)
 from jaxbody.geometry.vectors import rotate, rotate_back
 from jaxbody.model.elements.elements import MEANT, Element, check_signs, turned
 from jaxbody.model.laws import law_states, laws
@@ -125,9 +131,7 @@ class Bushing(FramePair):
             )
             check_signs(self, allow_negative, problems)
             self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
-            self.orientation_b = second_orientation(
-                orientation_b, "Bushing.orientation_b", problems
-            )
+            self.orientation_b = _second(orientation_b, "Bushing.orientation_b", problems)
 
     def energy(self, e):
         return 0.5 * jnp.sum(e * _times(self.stiffness, e))
@@ -136,7 +140,7 @@ class Bushing(FramePair):
         return 0.5 * jnp.sum(e_dot * _times(self.damping, e_dot))
 
 
-def second_orientation(value: Any, where: str, problems: Problems) -> Any:
+def _second(value: Any, where: str, problems: Problems) -> Any:
     """The unit quaternion of an orientation; None where it follows from the drawing."""
     return None if value is None else as_quaternion(value, where, problems)
 
@@ -159,7 +163,6 @@ def _coefficients(value: Any, where: str, problems: Problems) -> Any:
     return np.zeros(3) if array is None else array
 
 
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 FORCES, MOMENTS = {"force": "N", "argument": "m"}, {"force": "N m", "argument": "rad"}
 
 
@@ -231,7 +234,7 @@ class Mount(FramePair):
                 _damping(damping, problems), kind_of(self, "damping"), "Mount.damping", problems
             )
             self.orientation = as_quaternion(orientation, "Mount.orientation", problems)
-            self.orientation_b = second_orientation(orientation_b, "Mount.orientation_b", problems)
+            self.orientation_b = _second(orientation_b, "Mount.orientation_b", problems)
 
     def _each(self, function, *e) -> list[Any]:
         """function(law, ...) of the six laws and their deformations."""
@@ -266,10 +269,6 @@ class Mount(FramePair):
             )
             + self.damping * e_dot
         )
-
-    def force(self, *frames):
-        e, e_dot = self.rates(*frames)
-        return self.static_force(e) + self.damping_force(e, e_dot)
 
     def lost_power(self, *frames):
         e, e_dot = self.rates(*frames)
@@ -311,10 +310,8 @@ def _joined(parts: list[list[Array]]) -> Float[Array, "nz"]:
 
 def _damping(value: Any, problems: Problems) -> Any:
     """The coefficients of six directions."""
-    if value is None:
-        return np.zeros(6)
     array = checked(
-        value,
+        np.zeros(6) if value is None else value,
         ((3,), (6,)),
         "Mount.damping",
         problems,
@@ -322,8 +319,4 @@ def _damping(value: Any, problems: Problems) -> Any:
     )
     if array is None:
         return np.zeros(6)
-    return (
-        array
-        if array.shape == (6,)
-        else (np if isinstance(array, np.ndarray) else jnp).concatenate([array, np.zeros(3)])
-    )
+    return module_of(array).concatenate([array, np.zeros(6 - len(array))])

@@ -144,9 +144,11 @@ class Contact(Touching, LineElement):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), "Contact", problems)
             take(self, problems, stiffness=stiffness, damping=damping, engagement=engagement)
-            length = scalar(distance, "Contact.distance", problems)
             self.free_length = in_domain(
-                length, kind_of(self, "free_length"), "Contact.distance", problems
+                scalar(distance, "Contact.distance", problems),
+                kind_of(self, "free_length"),
+                "Contact.distance",
+                problems,
             )
 
     def split(self, L):

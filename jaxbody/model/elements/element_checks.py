@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxbody.core.arguments import check_returned, is_own
 from jaxbody.core.arrays import concrete, float_array
-from jaxbody.core.errors import Problems
+from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.laws.law_states import memories
 from jaxbody.model.laws.laws import Law, parts
@@ -31,6 +31,17 @@ def check_leaves(problems: Problems, where: str, thing: Any) -> None:
                     "equinox.field(static=True).",
                 ),
             )
+
+
+def unknown_frame(name: str, where: str, known: tuple[str, ...], what: str) -> Problem:
+    """The problem of an unknown name of a frame; `what` it is the name of."""
+    problem = unknown(name, where, known)
+    return replace(
+        problem,
+        code="UNKNOWN_BODY",
+        message=f"{what} {problem.message}",
+        limit="a body" if what == "body" else "a body, a support or world",
+    )
 
 
 def check_laws(problems: Problems, elements: dict[str, Element]) -> None:

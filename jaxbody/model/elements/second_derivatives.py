@@ -297,5 +297,4 @@ def _blocks(H: Float[Array, "m m"]) -> PairBlocks:
 
 def _square(a: Array, b: Array, c: Array, d: Array) -> Array:
     """[[a, b], [c, d]]."""
-    a, b, c, d = jnp.broadcast_arrays(a, b, c, d)
     return jnp.concatenate([jnp.concatenate([a, b], -1), jnp.concatenate([c, d], -1)], -2)

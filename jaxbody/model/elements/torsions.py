@@ -15,14 +15,7 @@ from jaxbody.model.elements.springs import LawForces
 from jaxbody.model.laws import law_states, laws
 
 
-class LawElement(LawForces):
-    """The base class of elements with one deformation, a law for it and one for its rate."""
-
-    spring: laws.Law | None = field()
-    damper: laws.Law | None = field()
-
-
-class Torsion(LawElement):
+class Torsion(LawForces):
     """A torsion spring and damper between two bodies, for example at a hinge: the rotation of B
     relative to A about an axis n of A,
 
@@ -103,7 +96,7 @@ class Torsion(LawElement):
         return dot(self.axis, w), 1 + jnp.trace(R)
 
 
-class AntiRollBar(LawElement):
+class AntiRollBar(LawForces):
     """An anti-roll bar: it resists a difference in travel of two wheels relative to the body that
     carries the bar,
 

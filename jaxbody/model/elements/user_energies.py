@@ -14,13 +14,13 @@ import numpy as np
 from jaxbody.core.arguments import check_returned, kind_of
 from jaxbody.core.arrays import Array, Bool, Float, float_array, functions_as_nodes, is_concrete
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.errors import Problems, unknown
+from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field, in_domain, kind_along
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.geometry.points_and_orientations import IDENTITY
 from jaxbody.geometry.vectors import axial, product
-from jaxbody.model.elements.element_checks import check_leaves
+from jaxbody.model.elements.element_checks import check_leaves, unknown_frame
 from jaxbody.model.elements.elements import Element
 
 DrawnAt = tuple[Any, Any]  # position and orientation (a unit quaternion) in the reference pose
@@ -160,15 +160,9 @@ def _own(
             lambda function, _: function(reading), function, (), where, found, "poses by name"
         )
     names = tuple(reading.read)
-    for problem in (unknown(name, where, tuple(drawn)) for name in names if name not in drawn):
-        found.add(
-            "UNKNOWN_BODY",
-            where,
-            f"frame {problem.message}",
-            value=problem.value,
-            limit="a body, a support or world",
-            hint=problem.hint,
-        )
+    found.collected += [
+        unknown_frame(name, where, tuple(drawn), "frame") for name in names if name not in drawn
+    ]
     if not found.collected and not set(names) - {WORLD}:
         found.add(
             "FUNCTION_FAILED",
@@ -206,7 +200,7 @@ def _pose(place: DrawnAt) -> Pose:
 def _is_finite(element: OfFrames, places: tuple[DrawnAt, ...]) -> Bool[Array, ""]:
     """Whether its value and its slopes are finite at rest in these places."""
     e = element.deformation(*map(_pose, places))
-    found = jax.value_and_grad(
+    results = jax.value_and_grad(
         lambda e, e_dot: element.energy(e) + element.dissipation(e, e_dot), (0, 1)
     )(e, jnp.zeros_like(e))
-    return jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves(found)]).all()
+    return jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves(results)]).all()

@@ -30,6 +30,10 @@ class Pulse(Signal):
     duration: Float[Array, ""] = field("s", "positive")
     start: Float[Array, ""] = field("s")
 
+    def __init__(self, amplitude, duration, start=0.0):
+        with Problems() as problems:
+            self.given(amplitude, duration, start, problems)
+
     def given(self, amplitude: Any, duration: Any, start: Any, problems: Problems) -> None:
         """Check and set what all pulses have."""
         kind = type(self).__name__
@@ -144,10 +148,6 @@ class HalfSine(Pulse):
     1.0305
     """
 
-    def __init__(self, amplitude, duration, start=0.0):
-        with Problems() as problems:
-            self.given(amplitude, duration, start, problems)
-
     def shape(self, u):
         return (
             jnp.sin(np.pi * u),
@@ -166,10 +166,6 @@ class Sawtooth(Pulse):
     (5.0, 0.0)
     """
 
-    def __init__(self, amplitude, duration, start=0.0):
-        with Problems() as problems:
-            self.given(amplitude, duration, start, problems)
-
     def shape(self, u):
         return u, u**2 / 2, u**3 / 6
 
@@ -182,10 +178,6 @@ class Triangle(Pulse):
     >>> Triangle(10.0, 2.0)(jnp.array(0.5)).item()
     5.0
     """
-
-    def __init__(self, amplitude, duration, start=0.0):
-        with Problems() as problems:
-            self.given(amplitude, duration, start, problems)
 
     def shape(self, u):
         late = jnp.maximum(u - 0.5, 0.0)

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, float_array, shaped
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.fields import field, in_domain, kind_of
+from jaxbody.geometry.fields import field, take
 from jaxbody.model.inputs.motions import Motion
 from jaxbody.model.inputs.samples import kinks_between_lines
 
@@ -72,18 +72,12 @@ class Road(Motion):
         with Problems() as problems:
             s = _points(distances, "Road.distances", problems)
             z = _points(heights, "Road.heights", problems, None if s is None else len(s))
-            numbers = {
-                name: shaped(value, (), f"Road.{name}", problems)
-                for name, value in dict(speed=speed, position=position, footprint=footprint).items()
-            }
             _check_increasing(s, problems)
-            numbers["footprint"] = in_domain(
-                numbers["footprint"], kind_of(self, "footprint"), "Road.footprint", problems
-            )
+            take(self, problems, speed=speed, position=position, footprint=footprint)
+        self.window = _window(s, self.footprint)
         self.distances, self.heights = device_array(s), device_array(z)
-        for name, number in numbers.items():
-            setattr(self, name, device_array(number))
-        self.window = _window(s, numbers["footprint"])
+        for name in ("speed", "position", "footprint"):
+            setattr(self, name, device_array(getattr(self, name)))
 
     @classmethod
     def kerb(cls, height, *, at, ramp, speed, position=0.0, footprint=0.0) -> Road:

@@ -139,9 +139,6 @@ class Series(Joint):
     steps: eqx.AbstractClassVar[tuple[int, ...]]
     in_series = True
 
-    def __init__(self, parent: str):
-        self.parent = parent
-
     def pose(self, q, parent, rest):
         e = np.eye(3, dtype=parent.R.dtype)
         p, R = rest.p, e

@@ -143,9 +143,6 @@ class Fixed(Joint):
     nq, nv = 0, 0
     motions, turns = (), ()
 
-    def __init__(self, parent: str):
-        self.parent = parent
-
     def pose(self, q, parent, rest):
         return parent @ rest
 

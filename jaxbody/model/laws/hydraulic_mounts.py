@@ -3,7 +3,7 @@ two chambers."""
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 
@@ -137,26 +137,29 @@ class Hydraulic(Inertial):
         >>> float(law.upper_stiffness), float(law.fluid_mass), float(law.fluid_damping)
         (1000000.0, 50.0, 500.0)
         """
+        bellows = lower_compliance is None
+        given = {
+            "pumping_area": (pumping_area, "m2", "positive"),
+            "inertance": (inertance, "kg/m4", "positive"),
+            "upper_compliance": (upper_compliance, "m5/N", "positive"),
+            "lower_compliance": (1.0 if bellows else lower_compliance, "m5/N", "positive"),
+            "resistance": (resistance, "N s/m5", "nonnegative"),
+            "quadratic_resistance": (quadratic_resistance, "N s2/m8", "nonnegative"),
+            "free_volume": (free_volume, "m3", "nonnegative"),
+        }
+        numbers = []
         with Problems() as problems:
-            A = _checked(pumping_area, "m2", "positive", "pumping_area", problems)
-            inertance = _checked(inertance, "kg/m4", "positive", "inertance", problems)
-            C1 = _checked(upper_compliance, "m5/N", "positive", "upper_compliance", problems)
-            C2 = (
-                None
-                if lower_compliance is None
-                else _checked(lower_compliance, "m5/N", "positive", "lower_compliance", problems)
-            )
-            R = _checked(resistance, "N s/m5", "nonnegative", "resistance", problems)
-            R2 = _checked(
-                quadratic_resistance, "N s2/m8", "nonnegative", "quadratic_resistance", problems
-            )
-            V = _checked(free_volume, "m3", "nonnegative", "free_volume", problems)
+            for name, (value, unit, domain) in given.items():
+                where = f"Hydraulic.from_fluid.{name}"
+                number = scalar(value, where, problems)
+                numbers.append(in_domain(number, Kind(unit, domain), where, problems))
+        A, I, C1, C2, R, R2, V = numbers
         return cls(
             stiffness=stiffness,
             damping=damping,
             upper_stiffness=A**2 / C1,
-            lower_stiffness=0.0 if C2 is None else A**2 / C2,
-            fluid_mass=A**2 * inertance,
+            lower_stiffness=0.0 if bellows else A**2 / C2,
+            fluid_mass=A**2 * I,
             fluid_damping=A**2 * R,
             quadratic_damping=A**3 * R2,
             gap=V / A,
@@ -205,9 +208,3 @@ class Hydraulic(Inertial):
             self.upper_stiffness * self._pushed(e) / (self.upper_stiffness + self.lower_stiffness),
             (1,),
         )
-
-
-def _checked(value: Any, unit: str, domain: str, name: str, problems: Problems) -> Any:
-    """A number of this domain. Errors: NEGATIVE, NOT_POSITIVE."""
-    x = scalar(value, where := f"Hydraulic.from_fluid.{name}", problems)
-    return in_domain(x, Kind(unit, domain), where, problems)

@@ -181,10 +181,9 @@ def _tangent_force(law: Hysteretic, x: Number, z: States) -> Number:
 def _tangent_force_jvp(primals, tangents):
     (law, x, z), (law_dot, x_dot, z_dot) = primals, tangents
     follows = per_speed(law, x, z) * x_dot
-    changed = jax.jvp(
+    return jax.jvp(
         lambda law, x, z: law.static_force(x, z), primals, (law_dot, x_dot, z_dot + follows)
     )
-    return changed
 
 
 @jax.custom_jvp

@@ -84,10 +84,9 @@ def as_law(value: Any, where: str, problems: Problems) -> Law | None:
     number = checked(value, ((),), where, problems, "Give a law, a number or a function x -> F.")
     if number is None:
         return None
-    law = _made(Linear, coefficient=number)
-    return _made(
-        Linear, coefficient=in_domain(number, kind_of(law, "coefficient"), where, problems)
-    )
+    law = Linear(0.0)
+    number = in_domain(number, kind_of(law, "coefficient"), where, problems)
+    return eqx.tree_at(lambda law: law.coefficient, law, number)
 
 
 class Linear(Law):
@@ -209,14 +208,6 @@ def parts(law: Law) -> list[Any]:
 # Checks
 
 
-def _made(kind: type, **fields) -> Any:
-    """A law with these fields, which have been checked before."""
-    law = object.__new__(kind)
-    for name, value in fields.items():
-        object.__setattr__(law, name, value)
-    return law
-
-
 def law_of(value: Any, where: str, problems: Problems) -> Law:
     """The Law for a law, a number or a function; anything else, also None, is an error.
     Error: WRONG_KIND."""
@@ -225,13 +216,13 @@ def law_of(value: Any, where: str, problems: Problems) -> Law:
         problems.add(
             "WRONG_KIND", where, "is None", limit="a law or a number", hint="Give 0 for no force."
         )
-    return _made(Linear, coefficient=np.zeros(())) if law is None else law
+    return Linear(0.0) if law is None else law
 
 
-def row_of_numbers(value: Any, where: str, problems: Problems, least: int) -> Any:
+def row_of_numbers(value: Any, where: str, problems: Problems) -> Any:
     """A one-dimensional array of finite numbers."""
     n = max(np.size(value), 1) if not hasattr(value, "aval") else value.shape[0]
-    array = checked(value, ((n,),), where, problems, f"Give a row of at least {least} numbers.")
+    array = checked(value, ((n,),), where, problems, "Give a row of at least 1 numbers.")
     return np.zeros(0) if array is None else array
 
 

@@ -27,9 +27,7 @@ class Polynomial(Law):
 
     def __init__(self, coefficients):
         with Problems() as problems:
-            self.coefficients = row_of_numbers(
-                coefficients, "Polynomial.coefficients", problems, least=1
-            )
+            self.coefficients = row_of_numbers(coefficients, "Polynomial.coefficients", problems)
 
     @property
     def powers(self) -> str:

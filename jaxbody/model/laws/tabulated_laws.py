@@ -39,7 +39,7 @@ class Table(Law):
     def __init__(self, x, forces):
         with Problems() as problems:
             self.x, self.forces = (
-                row_of_numbers(v, f"Table.{name}", problems, least=1)
+                row_of_numbers(v, f"Table.{name}", problems)
                 for name, v in (("x", x), ("forces", forces))
             )
             _check_table(self.x, self.forces, problems)
@@ -78,14 +78,16 @@ class Table(Law):
         # with parts of `records`, for the few models that have tables
         from jaxbody.model.laws.curve_files import read_columns
 
-        text = {
-            "separator": separator,
-            "decimal": decimal,
-            "encoding": encoding,
-            "skip": skip,
-            "footer": footer,
-        }
-        return cls(*read_columns(Path(path), largest=largest, **text))
+        columns = read_columns(
+            Path(path),
+            largest=largest,
+            separator=separator,
+            decimal=decimal,
+            encoding=encoding,
+            skip=skip,
+            footer=footer,
+        )
+        return cls(*columns)
 
     def force(self, x):
         u, h, (F0, F1, m0, m1), before, after = self._cell(x)
