@@ -127,8 +127,13 @@ def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
     """The symmetric part of the 3 x 3 matrix. Its round-off is compared with the inertia about the
     reference point, I + m (c'c - c c'), from which users often compute it."""
     where = "Body.inertia"
-    hint = "Give three principal moments, (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or the matrix."
-    array = checked(value, ((3,), (6,), (3, 3)), where, problems, hint)
+    array = checked(
+        value,
+        ((3,), (6,), (3, 3)),
+        where,
+        problems,
+        "Give three principal moments, (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or the matrix.",
+    )
     if array is None:
         return np.eye(3)
     I = _matrix_of(array)

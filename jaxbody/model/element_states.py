@@ -53,10 +53,9 @@ def _states_of(rows: Any) -> list[tuple[str, str, str, str]]:
             ]
     fields = {field for field, *_ in found}
     labels = [f"{field} {one}" if len(fields) > 1 else one for field, one, *_ in found]
-    numbers = [labels[:i].count(label) + 1 for i, label in enumerate(labels)]
     texts = [
-        f"{label} {n}" if labels.count(label) > 1 else label
-        for label, n in zip(labels, numbers, strict=True)
+        f"{label} {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label
+        for i, label in enumerate(labels)
     ]
     return [(text, *kind) for text, (_, _, *kind) in zip(texts, found, strict=True)]
 

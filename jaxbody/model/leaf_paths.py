@@ -424,11 +424,10 @@ def _made(leaf: Leaf, known: np.ndarray, where: str, problems: Problems) -> Any:
             hint="Give a direction.",
         )
     elif domain == "rotation" and (np.abs(length - 1) > 1e-3).any():
-        worst = float(length.ravel()[np.argmax(np.abs(length - 1))])
         problems.add(
             "BAD_QUATERNION",
             where,
-            f"has length {worst:.6g}",
+            f"has length {length.ravel()[np.argmax(np.abs(length - 1))]:.6g}",
             value=known,
             limit="1 within 1e-3",
             hint="Divide it by its length; the order is w, x, y, z.",

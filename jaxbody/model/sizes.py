@@ -90,15 +90,10 @@ def drawn_apart(model: Model) -> list[str]:
     return said
 
 
-def is_costly(model: Model) -> bool:
-    """Whether each step of a motion or a search takes several times as long, with closures
-    or memory."""
-    return bool(model.closures or model.layout.nz)
-
-
 def take_long(model: Model, *times: Float[Array, "*nt"]) -> bool:
-    """Whether motions at these times [s] take so long that their programs are to be optimized."""
-    if times and (is_costly(model) or not is_concrete(times)):
+    """Whether motions at these times [s] take so long that their programs are to be optimized;
+    with closures or memory each step takes several times as long."""
+    if times and (model.closures or model.layout.nz or not is_concrete(times)):
         return True
     numbers = max(model.layout.nv, FEW_COORDINATES) * sum(t.size for t in times)
     return numbers > FEW_SAMPLES * FEW_COORDINATES or any(

@@ -20,7 +20,7 @@ from jaxbody.core.errors import JaxbodyError, Problem
 
 class KindTable(eqx.Module):
     """Rows of one kind: `rows` is one module whose leaves have a leading axis; `links` names what
-    each row is attached to."""
+    each row is attached to: `between` of an element, `parent` of a joint."""
 
     names: tuple[str, ...] = eqx.field(static=True)
     links: tuple[Any, ...] = eqx.field(static=True)
@@ -95,7 +95,7 @@ def tabulate(things: dict[str, Any], template: Any = None) -> KindTable:
     ]  # fmt: skip
     return KindTable(
         tuple(things),
-        tuple(link_of(m) for m in modules),
+        tuple(getattr(m, "between", getattr(m, "parent", None)) for m in modules),
         tuple(np.ndim(leaf) for leaf in first),
         jax.tree.unflatten(treedef, columns),
     )
@@ -111,11 +111,6 @@ def tabulate_by_structure(things: dict[str, Any], key=lambda name: None) -> tupl
             name
         ] = thing
     return tuple(tabulate(group) for group in kinds.values())
-
-
-def link_of(module: Any) -> Any:
-    """The names that an object is attached to: `between` of an element, `parent` of a joint."""
-    return getattr(module, "between", getattr(module, "parent", None))
 
 
 def with_link(module: Any, link: Any) -> Any:

@@ -22,6 +22,7 @@ from jaxbody.geometry.points_and_orientations import (
 )
 from jaxbody.geometry.vectors import rotate, rotate_back
 from jaxbody.model.elements.elements import MEANT, Element, check_signs, turned
+from jaxbody.model.elements.springs import LawForces
 from jaxbody.model.laws import law_states, laws
 
 
@@ -166,7 +167,7 @@ def _coefficients(value: Any, where: str, problems: Problems) -> Any:
 FORCES, MOMENTS = {"force": "N", "argument": "m"}, {"force": "N m", "argument": "rad"}
 
 
-class Mount(FramePair):
+class Mount(FramePair, LawForces):
     """A mount between a frame at a on one body and a frame at b on another, with a law for each of
     its six deformations,
 
@@ -277,15 +278,6 @@ class Mount(FramePair):
             jnp.sum(self.damping * e_dot**2),
         )
 
-    def state_rates(self, e, e_dot):
-        return _joined(self._each(law_states.state_rates, e, e_dot))
-
-    def rest_states(self, e):
-        return _joined(self._each(law_states.rest_states, e))
-
-    def sensitivities(self, e):
-        return _joined(self._each(law_states.sensitivities, e))
-
     def inner(self, e, e_dot):
         with_rows = [
             i for i, name in enumerate(DIRECTIONS) if law_states.has_rows(getattr(self, name))
@@ -302,10 +294,6 @@ class Mount(FramePair):
 
         V_yy, R_yy, T_yy = (block_diag(*(one[k] for one in each)) for k in (1, 3, 4))
         return rows(0), V_yy, rows(2), R_yy, T_yy
-
-
-def _joined(parts: list[list[Array]]) -> Float[Array, "nz"]:
-    return jnp.concatenate([one for part in parts for one in part])
 
 
 def _damping(value: Any, problems: Problems) -> Any:

@@ -67,27 +67,15 @@ def _check_memory(law: Any, where: str, problems: Problems) -> None:
     """Check the functions of a user's law with memory, and that a hysteretic state stays at rest.
     Error: RELAXES."""
     zero = np.zeros(len(law.states))
-    check_returned(
-        lambda law, x: law.restoring_force(x, x, zero + x),
-        law,
-        (),
-        f"{where}.restoring_force",
-        problems,
-    )
-    check_returned(
-        lambda law, x: law.rate(x, x, zero + x), law, zero.shape, f"{where}.rate", problems
-    )
-    check_returned(
-        lambda law, x: law.energy(x, law.configuration(zero + x)),
-        law,
-        (),
-        f"{where}.energy",
-        problems,
-    )
+    functions = {
+        "restoring_force": (lambda law, x: law.restoring_force(x, x, zero + x), ()),
+        "rate": (lambda law, x: law.rate(x, x, zero + x), zero.shape),
+        "energy": (lambda law, x: law.energy(x, law.configuration(zero + x)), ()),
+    }
     if law.inertial:
-        check_returned(
-            lambda law, x: law.kinetic(zero + x), law, (), f"{where}.kinetic_energy", problems
-        )
+        functions["kinetic_energy"] = (lambda law, x: law.kinetic(zero + x), ())
+    for name, (function, shape) in functions.items():
+        check_returned(function, law, shape, f"{where}.{name}", problems)
     if law.has_rows or problems.collected or any(concrete(x) is None for x in jax.tree.leaves(law)):
         return
     rates = np.stack(

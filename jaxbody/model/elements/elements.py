@@ -185,16 +185,13 @@ class Element(Described, eqx.Module):
     def _pulled_back(
         self, force: Float[Array, "*m"], frames: tuple[Frame, ...]
     ) -> tuple[Wrench, ...]:
+        """Force and moment on each frame, from the slopes of the poses: a moment is the sum of the
+        cross products of the columns of R with their slopes."""
         _, pull_back = jax.vjp(self.deformation, *(f.pose() for f in frames))
         return tuple(
-            _wrench(cotangent, f.R) for cotangent, f in zip(pull_back(-force), frames, strict=True)
+            (slope.p, cross(f.R.T, slope.R.T).sum(0))
+            for slope, f in zip(pull_back(-force), frames, strict=True)
         )
-
-
-def _wrench(cotangent: Pose, R: Float[Array, "3 3"]) -> Wrench:
-    """Force and moment of a cotangent of a pose: the moment is the sum of the cross products of the
-    columns of R with their cotangents."""
-    return cotangent.p, cross(R.T, cotangent.R.T).sum(0)
 
 
 class LineElement(Element):
@@ -232,13 +229,9 @@ class LineElement(Element):
         that are not traced)."""
         return False
 
-    def length(self, A: Pose, B: Pose) -> Float[Array, ""]:
-        """|AB|, whose derivatives at zero length are zero."""
-        return length_and_direction(B.point(self.b) - A.point(self.a))[0]
-
     def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        """The elongation s = |AB| - l0 (31)."""
-        return self.length(A, B) - self.free_length
+        """The elongation s = |AB| - l0 (31), with derivatives of zero at |AB| = 0."""
+        return length_and_direction(B.point(self.b) - A.point(self.a))[0] - self.free_length
 
     def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         """AB over the free length; 1 where the force at zero length is zero, because no force

@@ -49,18 +49,26 @@ class LawForces(Element):
     def tangent(self: Any, e):
         return law_states.tangent(self.spring, self.energy, e)
 
-    def state_rates(self: Any, e, e_dot):
-        return jnp.concatenate(law_states.state_rates(self.spring, e, e_dot))
+    def _each(self: Any, function, *e) -> list[Any]:
+        """function(law, ...) of each law and its deformation."""
+        return [function(self.spring, *e)]
 
-    def rest_states(self: Any, e):
-        return jnp.concatenate(law_states.rest_states(self.spring, e))
+    def state_rates(self, e, e_dot):
+        return _joined(self._each(law_states.state_rates, e, e_dot))
 
-    def sensitivities(self: Any, e):
+    def rest_states(self, e):
+        return _joined(self._each(law_states.rest_states, e))
+
+    def sensitivities(self, e):
         """dz/de at rest."""
-        return jnp.concatenate(law_states.sensitivities(self.spring, e))
+        return _joined(self._each(law_states.sensitivities, e))
 
     def inner(self: Any, e, e_dot):
         return law_states.inner(self.spring, e, e_dot)
+
+
+def _joined(parts: list[list[Array]]) -> Float[Array, "nz"]:
+    return jnp.concatenate([one for part in parts for one in part])
 
 
 class Spring(LineElement):

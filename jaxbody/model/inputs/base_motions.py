@@ -336,15 +336,13 @@ def _warn_of_turns(t: np.ndarray, drift: np.ndarray) -> None:
     turned = integrals(t, drift)[0]
     angle, i = np.abs(turned).max(), np.abs(turned).max(0).argmax()
     if angle > LARGEST_TURN:
-        message = (
+        warn(
+            "TURNS",
             f"base_motion removes {np.rad2deg(angle):.4g} degrees {NAMES[3 + i]} over "
-            f"{t[-1]:.4g} s from the rates, "
+            f"{t[-1]:.4g} s from the rates, {np.rad2deg(drift[:, i].mean()):.3g} deg/s on average, "
+            "as their bias. If the base turned, subtract the bias that they show at rest, and give "
+            "degree=None.",
         )
-        message += (
-            f"{np.rad2deg(drift[:, i].mean()):.3g} deg/s on average, as their bias. If the base "
-            "turned, subtract the bias that they "
-        )
-        warn("TURNS", message + "show at rest, and give degree=None.")
 
 
 def _warn_of_gravity(where: str, reading: np.ndarray, gravity: np.ndarray) -> None:
@@ -376,7 +374,6 @@ def _warn_of_gravity(where: str, reading: np.ndarray, gravity: np.ndarray) -> No
 def _swing(times: np.ndarray, turn: np.ndarray, r: np.ndarray) -> np.ndarray:
     """The acceleration of R r [m/s2] at the samples, from a spline through the rotations."""
     motion = Sampled(times, rotation=turn)
-
     second = jax.jacfwd(jax.jacfwd(lambda t: rotations.exp(motion(t)[3:]) @ jnp.asarray(r)))
     return np.asarray(jax.jit(jax.vmap(second))(device_array(times)))
 
@@ -387,11 +384,10 @@ def _words(
     if degree is None:
         return ("nothing removed: at rest in the reference pose when the record begins",)
     kind = ("a constant", "a line")[degree] if degree < 2 else f"a polynomial of degree {degree}"
-    what = f"removed from the accelerations: {kind}" + (
-        f" and all below {cutoff:g} Hz" if cutoff else ""
-    )
-    what += (
-        f", {counted(slow.shape[1], 'function')} over {t[-1]:.4g} s, including "
+    below = f" and all below {cutoff:g} Hz" if cutoff else ""
+    what = (
+        f"removed from the accelerations: {kind}{below}, "
+        f"{counted(slow.shape[1], 'function')} over {t[-1]:.4g} s, including "
         "real motion of that kind"
     )
-    return (what, *(["from the rates: the same, one degree less"] if turns else []))
+    return (what, "from the rates: the same, one degree less") if turns else (what,)

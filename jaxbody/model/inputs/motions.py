@@ -284,12 +284,11 @@ def warn_of_jumps(values: Any, times: Any, where: str) -> None:
     spread = np.sqrt(np.mean(steps**2, 0))
     if (steps > JUMP * spread).any():
         i, k = np.argwhere(steps > JUMP * spread)[0]
-        place = f"along {'xyz'[k]} at {time_text(t[i], t)} s"
         warn(
             "BASE_JUMP",
             (
-                f"{where} jumps by {steps[i, k]:.4g} {place}, {steps[i, k] / spread[k]:.3g} "
-                "times the usual step"
+                f"{where} jumps by {steps[i, k]:.4g} along {'xyz'[k]} at {time_text(t[i], t)} s, "
+                f"{steps[i, k] / spread[k]:.3g} times the usual step"
             ),
         )
 

@@ -88,9 +88,7 @@ class Composite(Joint):
     def nq(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return len(self.steps)
 
-    @property
-    def nv(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return len(self.steps)
+    nv = nq
 
     @property
     def motions(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -151,8 +151,8 @@ class Hydraulic(Inertial):
         with Problems() as problems:
             for name, (value, unit, domain) in given.items():
                 where = f"Hydraulic.from_fluid.{name}"
-                number = scalar(value, where, problems)
-                numbers.append(in_domain(number, Kind(unit, domain), where, problems))
+                x = scalar(value, where, problems)
+                numbers.append(in_domain(x, Kind(unit, domain), where, problems))
         A, I, C1, C2, R, R2, V = numbers
         return cls(
             stiffness=stiffness,

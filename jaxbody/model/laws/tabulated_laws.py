@@ -78,16 +78,17 @@ class Table(Law):
         # with parts of `records`, for the few models that have tables
         from jaxbody.model.laws.curve_files import read_columns
 
-        columns = read_columns(
-            Path(path),
-            largest=largest,
-            separator=separator,
-            decimal=decimal,
-            encoding=encoding,
-            skip=skip,
-            footer=footer,
+        return cls(
+            *read_columns(
+                Path(path),
+                largest=largest,
+                separator=separator,
+                decimal=decimal,
+                encoding=encoding,
+                skip=skip,
+                footer=footer,
+            )
         )
-        return cls(*columns)
 
     def force(self, x):
         u, h, (F0, F1, m0, m1), before, after = self._cell(x)
