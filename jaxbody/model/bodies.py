@@ -96,13 +96,10 @@ class Body(Described, eqx.Module):
         places = [part.position + R @ part.com for part, R in zip(parts, turns, strict=True)]
         mass = sum(part.mass for part in parts)
         com = sum(part.mass * place for part, place in zip(parts, places, strict=True)) / mass
-        inertia = 0.0
-        for part, R, d in zip(parts, turns, [place - com for place in places], strict=True):
-            inertia = (
-                inertia
-                + R @ part.inertia @ R.T
-                + part.mass * (d @ d * np.eye(3) - d[:, None] * d[None])
-            )
+        inertia = sum(
+            R @ part.inertia @ R.T + part.mass * (d @ d * np.eye(3) - d[:, None] * d[None])
+            for part, R, d in zip(parts, turns, [place - com for place in places], strict=True)
+        )
         return cls(mass, inertia, com=com, position=position, orientation=orientation)
 
 

@@ -138,15 +138,9 @@ def settled(model: Any, z: Z) -> Any:
     the deformations, hysteretic states their tangents, and those with mass move by themselves."""
     return _bound(
         model,
-        lambda law, z: (
-            Relaxed(law, z) if law.has_rows and not law.inertial else Apart(law, z, _zeros(z))
-        ),
+        lambda law, z: Relaxed(law, z) if law.has_rows and not law.inertial else Apart(law, z),
         z,
     )
-
-
-def _zeros(z: Any) -> Any:
-    return z if isinstance(z, int) else jnp.zeros_like(z)  # an int is a rank
 
 
 def relaxed(model: Any, z: Z | None = None) -> Any:
@@ -160,9 +154,7 @@ def relaxed(model: Any, z: Z | None = None) -> Any:
 def resisting(model: Any, z: Z) -> Any:
     """The model about a rest with the states z, for static small displacements: coordinates of
     elements follow the deformations, hysteretic states their tangents."""
-    return _bound(
-        model, lambda law, z: Relaxed(law, z) if law.has_rows else Apart(law, z, _zeros(z)), z
-    )
+    return _bound(model, lambda law, z: Relaxed(law, z) if law.has_rows else Apart(law, z), z)
 
 
 def end_rows(model: Any, table: KindTable) -> list[np.ndarray]:

@@ -135,16 +135,15 @@ class Layout:
     def coordinate_places(self) -> dict[str, tuple[int, int]]:
         """{"rack.q": place in q, place in v} of the coordinates that are displacements or angles;
         "nut.q.1" where a joint has several."""
-        places = {}
-        for block in self.blocks:
-            q, v = self.q_slices[block.owner].start, self.v_slices[block.owner].start
-            for i, unit in enumerate(block.q_units):
-                if unit:
-                    places[f"{block.owner}.q" if block.nq == 1 else f"{block.owner}.q.{i}"] = (
-                        q + i,
-                        v + i,
-                    )
-        return places
+        return {
+            f"{block.owner}.q" if block.nq == 1 else f"{block.owner}.q.{i}": (
+                self.q_slices[block.owner].start + i,
+                self.v_slices[block.owner].start + i,
+            )
+            for block in self.blocks
+            for i, unit in enumerate(block.q_units)
+            if unit
+        }
 
     # From states to vectors and back
 

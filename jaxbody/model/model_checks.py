@@ -137,11 +137,11 @@ def check_movable(problems: Problems, closures: dict[str, Any], layout: Layout) 
 
     def carrier(frame: str) -> str:
         """The frame that this one is on by joints without freedom."""
-        while (
-            frame in layout.bodies and layout.v_slices[frame].stop == layout.v_slices[frame].start
-        ):
-            frame = layout.parents[layout.bodies.index(frame)]
-        return frame
+        return next(
+            name
+            for name in layout.chains[frame]
+            if name not in layout.bodies or layout.block(name).nv
+        )
 
     for name, closure in closures.items():
         if isinstance(closure, Coupling):

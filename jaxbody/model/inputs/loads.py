@@ -53,7 +53,7 @@ class Load(Described, eqx.Module):
 
     def after(self, t0: Float[Array, ""]) -> Load:
         """The load at the time t0 + t, with signals as `Signal.after` gives them."""
-        return _Later(self, t0)
+        return _Later(self.on, self.point, self, t0)
 
     def signals(self) -> tuple[Signal, ...]:
         """The functions of time (signals) that it contains."""
@@ -75,9 +75,6 @@ class _Later(Load):
 
     load: Load = field()
     t0: Float[Array, ""] = field("s")
-
-    def __init__(self, load: Load, t0):
-        self.on, self.point, self.load, self.t0 = load.on, load.point, load, t0
 
     def signals(self):
         return tuple(signal.after(self.t0) for signal in self.load.signals())

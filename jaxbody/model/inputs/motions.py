@@ -6,7 +6,6 @@ Velocity and acceleration are derivatives of this function, and so always consis
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
@@ -59,9 +58,6 @@ class Motion(Signal):
     >>> (Harmonic(frequency=1.0, translation=[0.1, 0, 0]) + AtRest())(jnp.array(0.0)).tolist()
     [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
     """
-
-    @abstractmethod
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]: ...
 
 
 class AtRest(Motion):
@@ -304,29 +300,25 @@ def _continuous(samples, problems: Problems, where: str):
     """Rotation vectors without jumps of a whole turn between samples; neighboring ones must be less
     than 30 degrees apart."""
     known = concrete(samples)
-    if known is None:
-        return unwound(
-            samples
-            if samples.shape[1] == 3
-            else rotations.log_quaternion(rotations.normalize(samples))
-        )
-    if known.shape[1] == 4:
+    if known is not None and known.shape[1] == 4:
         norms = np.linalg.norm(known, axis=1)
         if (abs(norms - 1) > 1e-3).any():
             row = int(np.argmax(abs(norms - 1)))
-            message, hint = (
-                f"has length {norms[row]:.6g} at row {row}",
-                "Divide it by its length; the order is w, x, y, z.",
-            )
             problems.add(
-                "BAD_QUATERNION", where, message, value=known[row], limit="1 within 1e-3", hint=hint
+                "BAD_QUATERNION",
+                where,
+                f"has length {norms[row]:.6g} at row {row}",
+                value=known[row],
+                limit="1 within 1e-3",
+                hint="Divide it by its length; the order is w, x, y, z.",
             )
             return np.zeros((len(known), 3))
-        w, v = known[:, :1], known[:, 1:]
-        v, w = np.where(w < 0, -v, v), abs(w)
-        s = np.linalg.norm(v, axis=1, keepdims=True)
-        known = v * np.where(s > 0, 2 * np.arctan2(s, w) / np.where(s > 0, s, 1), 2)
-    out = np.asarray(unwound(jnp.asarray(known)))
+    if samples.shape[1] == 4:
+        samples = rotations.log_quaternion(rotations.normalize(samples))
+    turns = unwound(samples)
+    if known is None:
+        return turns
+    out = np.asarray(turns)
     steps = np.linalg.norm(np.diff(out, axis=0), axis=1)
     if (steps > LARGEST_TURN).any():
         row = int(np.argmax(steps > LARGEST_TURN))

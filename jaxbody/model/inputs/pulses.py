@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import check_kind, positive_number, whole_number
-from jaxbody.core.arrays import Array, Float, device_array, is_concrete, scalar
+from jaxbody.core.arrays import Array, Float, device_array, is_concrete
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.fields import field
+from jaxbody.geometry.fields import field, take
 from jaxbody.geometry.points_and_orientations import direction
 from jaxbody.model.inputs.motions import Motion
 from jaxbody.model.inputs.signals import Signal
@@ -26,9 +26,9 @@ class Pulse(Signal):
     Of a pulse [m/s2], `motion(direction)` is the motion with this acceleration, and `samples()` a
     record of it; `shock_spectrum` takes the pulse itself."""
 
-    amplitude: Float[Array, ""] = field("value")
-    duration: Float[Array, ""] = field("s", "positive")
-    start: Float[Array, ""] = field("s")
+    amplitude: Float[Array, ""] = field("value", converter=device_array)
+    duration: Float[Array, ""] = field("s", "positive", converter=device_array)
+    start: Float[Array, ""] = field("s", converter=device_array)
 
     def __init__(self, amplitude, duration, start=0.0):
         with Problems() as problems:
@@ -36,11 +36,10 @@ class Pulse(Signal):
 
     def given(self, amplitude: Any, duration: Any, start: Any, problems: Problems) -> None:
         """Check and set what all pulses have."""
-        kind = type(self).__name__
-        self.amplitude = device_array(scalar(amplitude, f"{kind}.amplitude", problems))
-        length = positive_number(duration, f"{kind}.duration", problems)
-        self.duration = device_array(1.0 if length is None else length)
-        self.start = device_array(scalar(start, f"{kind}.start", problems))
+        take(self, problems, amplitude=amplitude)
+        length = positive_number(duration, f"{type(self).__name__}.duration", problems)
+        self.duration = 1.0 if length is None else length
+        take(self, problems, start=start)
 
     @abstractmethod
     def shape(self, u: Float[Array, "*n"]) -> tuple[Array, Array, Array]:

@@ -56,15 +56,16 @@ class Road(Motion):
     [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
     """
 
-    distances: Float[Array, "n"] = field("m")
-    heights: Float[Array, "n"] = field("m")
-    speed: Float[Array, ""] = field("m/s")
-    position: Float[Array, ""] = field("m")
+    distances: Float[Array, "n"] = field("m", converter=device_array)
+    heights: Float[Array, "n"] = field("m", converter=device_array)
+    speed: Float[Array, ""] = field("m/s", converter=device_array)
+    position: Float[Array, ""] = field("m", converter=device_array)
     footprint: Float[Array, ""] = field(
         "m",
         "nonnegative",
         code="BAD_FOOTPRINT",
         hint="Give the length of the contact patch, or 0 for none.",
+        converter=device_array,
     )
     window: int = field(static=True)
 
@@ -75,9 +76,7 @@ class Road(Motion):
             _check_increasing(s, problems)
             take(self, problems, speed=speed, position=position, footprint=footprint)
         self.window = _window(s, self.footprint)
-        self.distances, self.heights = device_array(s), device_array(z)
-        for name in ("speed", "position", "footprint"):
-            setattr(self, name, device_array(getattr(self, name)))
+        self.distances, self.heights = s, z
 
     @classmethod
     def kerb(cls, height, *, at, ramp, speed, position=0.0, footprint=0.0) -> Road:

@@ -26,7 +26,7 @@ from jaxbody.core.arrays import (
 )
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import field
+from jaxbody.geometry.fields import field, take
 from jaxbody.model.inputs.samples import (
     cell,
     checked_rows,
@@ -130,12 +130,11 @@ class Delayed(Signal):
     """
 
     signal: Signal = field()
-    delay: Float[Array, ""] = field("s")
+    delay: Float[Array, ""] = field("s", converter=device_array)
 
     def __init__(self, signal, delay):
-        with Problems() as problems:
-            delay = shaped(delay, (), "Delayed.delay", problems)
-        self.signal, self.delay = function_of_time(signal, "Delayed.signal"), device_array(delay)
+        take(self, delay=delay)
+        self.signal = function_of_time(signal, "Delayed.signal")
 
     def __call__(self, t):
         return self.signal(t - self.delay)
@@ -175,17 +174,15 @@ class Sine(Signal):
     2.0
     """
 
-    amplitude: Float[Array, "*k"] = field("value")
-    frequency: Float[Array, ""] = field("Hz")
-    phase: Float[Array, ""] = field("rad")
+    amplitude: Float[Array, "*k"] = field("value", converter=device_array)
+    frequency: Float[Array, ""] = field("Hz", converter=device_array)
+    phase: Float[Array, ""] = field("rad", converter=device_array)
 
     def __init__(self, *, amplitude, frequency, phase=0.0):
         with Problems() as problems:
-            self.amplitude = device_array(
-                shaped(amplitude, np.shape(amplitude)[:1], "Sine.amplitude", problems)
-            )
-            for name, value in (("frequency", frequency), ("phase", phase)):
-                setattr(self, name, device_array(shaped(value, (), f"Sine.{name}", problems)))
+            size = np.shape(amplitude)[:1]
+            self.amplitude = shaped(amplitude, size, "Sine.amplitude", problems)
+            take(self, problems, frequency=frequency, phase=phase)
         warn_of_degrees(self.phase, "Sine.phase")
 
     def __call__(self, t):

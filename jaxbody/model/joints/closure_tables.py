@@ -118,12 +118,11 @@ def each_closure(
                 -1, *values.shape[2:]
             )
 
-        places = (
-            _couplings(model.layout, table)
+        places, tables = (
+            (_couplings(model.layout, table), of_coordinates)
             if isinstance(table.rows, Coupling)
-            else end_rows(model, table)
+            else (end_rows(model, table), of_frames)
         )
-        tables = of_coordinates if isinstance(table.rows, Coupling) else of_frames
         found.append(
             jax.tree.map(
                 in_meters, jax.vmap(function)(table.rows, rest, *(_ends(x, places) for x in tables))

@@ -78,7 +78,7 @@ class Apart(InState):
     of the system; those without mass have the rate z_dot. Hysteretic states follow the deformation
     by their tangent."""
 
-    z_dot: Any = field()
+    z_dot: Any = field(default=None)  # of coordinates without mass
 
     @property
     def rates(self) -> States:
