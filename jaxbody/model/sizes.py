@@ -1,5 +1,5 @@
-"""The size of a model, the scales of the coordinates with which round-off is compared, and ends of
-elements that are drawn apart."""
+"""The size of a model, scales of its coordinates for comparisons with round-off, and mounts whose
+ends are drawn apart."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from jaxbody.model.elements.bushings import FramePair
 from jaxbody.model.elements.torsions import Torsion
 from jaxbody.model.models import Model
 
-# up to which, and up to how many seconds, motions are not long
+# up to so many samples and coordinates, and seconds, a motion is not long
 FEW_SAMPLES, FEW_COORDINATES, SHORT = 1000, 6, 30.0
-# relative to the size, and degrees: the two frames of a mount are drawn apart
+# above these, relative to the size and in degrees, the two frames of a mount are drawn apart
 APART, TURNED = 0.05, 5.0
 
 
 def size_of(model: Model, otherwise: Any = 1.0) -> Float[Array, ""]:
-    """A length of the model: the largest distance of a point of attachment or a center of mass from
-    the origin of its body; if that is zero, the largest distance from the world's origin; if that
-    is zero too, the model has no extent, and `otherwise` [m] is taken."""
-    # outside of compiled programs no operation of JAX is run
+    """Return a length [m] that represents the size of a model: the largest distance of a point of
+    attachment or a center of mass from the origin of its body; if that is zero, the largest
+    distance from the world's origin; if that is zero too, `otherwise`."""
+    # NumPy outside of compiled programs, so that nothing is compiled
     xp: Any = np if is_concrete(model) else jnp
     on_bodies, anywhere = (
         [np.zeros((1, 3), model.gravity.dtype), model.bodies.rows.com],
@@ -46,53 +46,41 @@ def size_of(model: Model, otherwise: Any = 1.0) -> Float[Array, ""]:
 
 
 def drawn_apart(model: Model) -> list[str]:
-    """In words, the mounts whose two frames are drawn apart or turned against each other, so that
-    they pull or twist as drawn, and the torsions whose axis at one end is not that at the other."""
-    said, most, bodies, supports = (
-        [],
-        APART * float(size_of(model)),
-        model.bodies.rows,
-        model.supports.rows,
-    )
-    count = len(model.layout.supports)  # the table of none has a row
-    orientations = np.concatenate([[IDENTITY], supports.orientation[:count], bodies.orientation])
-    places = np.concatenate([np.zeros((1, 3)), supports.position[:count], bodies.position])
-    poses = dict(
-        zip(model.layout.frames, zip(places, map(matrix, orientations), strict=True), strict=True)
-    )
-    tables: list[Any] = [
-        jax.tree.map(as_numpy, table)
-        for table in model.elements
-        if isinstance(table.rows, FramePair | Torsion)
-    ]
-    for name, link, element in (
-        each for x in tables for each in zip(x.names, x.links, map(x.row, x.names), strict=True)
-    ):
-        A, B = (poses[end] for end in link)
-        turn, apart = A[1] @ matrix(element.orientation) - B[1] @ matrix(element.orientation_b), 0.0
-        if isinstance(element, FramePair):
-            sine, apart = (
-                np.linalg.norm(turn) / 8**0.5,
-                float(np.linalg.norm(B[0] + B[1] @ element.b - A[0] - A[1] @ element.a)),
-            )
-        else:
-            sine = np.linalg.norm(turn @ element.axis) / 2
-        angle, what = (
-            float(2 * np.rad2deg(np.arcsin(min(sine, 1.0)))),
-            "is drawn" if isinstance(element, FramePair) else "has axes that are drawn",
-        )
-        found = [f"{apart:.3g} m apart"] * (apart > most) + [
-            f"turned by {angle:.3g} degrees between its ends"
-        ] * (angle > TURNED)
-        said += [f"{type(element).__name__.lower()} '{name}' {what} {' and '.join(found)}"] * bool(
-            found
-        )
-    return said
+    """Return a description of each mount whose two frames are drawn apart or turned against each
+    other, so that it pulls or twists as drawn, and of each torsion whose axes at its two ends
+    differ."""
+    bodies, supports = model.bodies.rows, model.supports.rows
+    orientations = np.concatenate([[IDENTITY], supports.orientation, bodies.orientation])
+    positions = np.concatenate([np.zeros((1, 3)), supports.position, bodies.position])
+    rotations = map(matrix, orientations)
+    poses = dict(zip(model.layout.frames, zip(positions, rotations, strict=True), strict=True))
+    most, descriptions = APART * float(size_of(model)), []
+    for table in model.elements:
+        if not isinstance(table.rows, FramePair | Torsion):
+            continue
+        known = jax.tree.map(as_numpy, table)
+        for name, ends in zip(table.names, table.links, strict=True):
+            element, (p_A, R_A), (p_B, R_B) = known.row(name), *(poses[end] for end in ends)
+            turn = R_A @ matrix(element.orientation) - R_B @ matrix(element.orientation_b)
+            if isinstance(element, FramePair):
+                what, sine = "is drawn", np.linalg.norm(turn) / 8**0.5
+                apart = np.linalg.norm(p_B + R_B @ element.b - p_A - R_A @ element.a)
+            else:
+                what, sine = "has axes that are drawn", np.linalg.norm(turn @ element.axis) / 2
+                apart = 0.0
+            angle = 2 * np.rad2deg(np.arcsin(min(sine, 1.0)))
+            faults = [f"{apart:.3g} m apart"] if apart > most else []
+            if angle > TURNED:
+                faults.append(f"turned by {angle:.3g} degrees between its ends")
+            if faults:
+                kind = type(element).__name__.lower()
+                descriptions.append(f"{kind} '{name}' {what} {' and '.join(faults)}")
+    return descriptions
 
 
 def take_long(model: Model, *times: Float[Array, "*nt"]) -> bool:
-    """Whether motions at these times [s] take so long that their programs are to be optimized;
-    with closures or memory each step takes several times as long."""
+    """Return whether motions at these times [s] take so long that their programs should be
+    optimized; with closures or memory each step takes several times as long."""
     if times and (model.closures or model.layout.nz or not is_concrete(times)):
         return True
     numbers = max(model.layout.nv, FEW_COORDINATES) * sum(t.size for t in times)
@@ -102,12 +90,12 @@ def take_long(model: Model, *times: Float[Array, "*nt"]) -> bool:
 
 
 def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
-    """Delta per scaled increment: 1 for translations, 1/size for rotations, so that all increments
-    are in meters."""
+    """Return Delta per scaled increment: 1 for translations, 1/size for rotations, so that all
+    increments are in meters."""
     xp: Any = np if is_concrete(size) else jnp
     return xp.where(model.layout.turns, 1 / size, 1.0)
 
 
 def scaled(A: Any, scale: Any) -> Any:
-    """A matrix, or several, of scaled increments: A_ij scale_i scale_j."""
+    """Return a matrix, or several, for scaled increments: A_ij scale_i scale_j."""
     return A * to_rank(scale[None] * scale[:, None], A.ndim)
