@@ -1,7 +1,7 @@
-"""Elements with memory: what states they own, and models whose laws with memory are evaluated in
-known states, table by table.
+"""Elements with memory: their states, and models whose laws with memory are evaluated in given
+states, table by table.
 
-z of one table lies together in the table's order, so that its rows are a slice.
+The states of one table are contiguous in z, in the order of its rows.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Z = Float[Array, "nz"]
 
 
 def blocks_of(tables: tuple[KindTable, ...]) -> tuple[CoordinateBlock, ...]:
-    """The blocks of the elements with memory, in the order of their tables."""
+    """Return the blocks of the elements with memory, in the order of their tables."""
     blocks = []
     for table in tables:
         if memories(table.rows):
@@ -40,9 +40,9 @@ def blocks_of(tables: tuple[KindTable, ...]) -> tuple[CoordinateBlock, ...]:
 
 
 def _states_of(rows: Any) -> list[tuple[str, str, str, str]]:
-    """Description, unit and role of each state of an element, and the unit of the deformation that
-    it follows. Equal descriptions are numbered; where several fields hold laws, each begins with
-    its field."""
+    """Return description, unit and role of each state of an element, and the unit of the
+    deformation that it follows. Equal descriptions are numbered; if several fields hold laws, each
+    description begins with the name of its field."""
     found = []
     for keys, law in jax.tree_util.tree_leaves_with_path(rows, is_leaf=with_states):
         if isinstance(law, Memory):
@@ -61,43 +61,40 @@ def _states_of(rows: Any) -> list[tuple[str, str, str, str]]:
 
 
 def _bound(model: Any, make: Callable[..., Any], *states: Z) -> Any:
-    """The model with each law with memory replaced by make(law, its columns of the states)."""
+    """Return the model with each law with memory replaced by make(law, its columns of the
+    states)."""
     if not model.layout.nz:
         return model
+    if len(states[0]) != model.layout.nz:
+        raise JaxbodyError(
+            Problem(
+                "MEMORY",
+                "state.z",
+                (
+                    f"is missing or has {len(states[0])} numbers; the model has elements with "
+                    f"{model.layout.nz} states"
+                ),
+                len(states[0]),
+                f"{model.layout.nz}",
+                "Give states with z, such as those of equilibrium(model) or model.reference.",
+            )
+        )
     tables, start = [], 0
     for table in model.elements:
         if width := sum(len(law.states) for law in memories(table.rows)):
             n = len(table.names)
-            _check_given(model, states[0])
             columns = [z[start : start + n * width].reshape(n, width) for z in states]
             table, start = _with_states(table, make, columns), start + n * width
         tables.append(table)
     return eqx.tree_at(lambda model: model.elements, model, tuple(tables))
 
 
-def _check_given(model: Any, z: Z) -> None:
-    if len(z) != model.layout.nz:
-        raise JaxbodyError(
-            Problem(
-                "MEMORY",
-                "state.z",
-                (
-                    f"is missing or has {len(z)} numbers; the model has elements with "
-                    f"{model.layout.nz} states"
-                ),
-                len(z),
-                f"{model.layout.nz}",
-                "Give states with z, such as those of equilibrium(model) or model.reference.",
-            )
-        )
-
-
 def _with_states(
     table: KindTable, make: Callable[..., Any], columns: list[Float[Array, "n width"]]
 ) -> KindTable:
     def replaced(rows, parts):
-        """The rows with each law in its states; `parts` are the states of one law after
-        the other."""
+        """Return the rows with each law with memory replaced; `parts` yields the states of one law
+        after another."""
         return jax.tree.map(
             lambda x: make(x, *next(parts)) if isinstance(x, Memory) else x,
             rows,
@@ -123,19 +120,20 @@ def _with_states(
 
 
 def holding(model: Any, z: Z) -> Any:
-    """The model in a motion, with the states z."""
+    """Return the model with the states z, for a motion in which they change by their rates."""
     return _bound(model, Held, z)
 
 
 def apart(model: Any, z: Z, z_dot: Z | None = None) -> Any:
-    """The model about a rest with the states z, for small motions in which coordinates of elements
-    move by themselves."""
+    """Return the model about a rest with the states z, for small motions in which coordinates of
+    elements are coordinates of the system; massless ones have the rates z_dot, by default 0."""
     return _bound(model, Apart, z, jnp.zeros_like(z) if z_dot is None else z_dot)
 
 
 def settled(model: Any, z: Z) -> Any:
-    """The model about a rest with the states z, for slow small motions: massless coordinates follow
-    the deformations, hysteretic states their tangents, and those with mass move by themselves."""
+    """Return the model about a rest with the states z, for slow small motions: massless coordinates
+    are relaxed, hysteretic states follow by their tangents, and coordinates with mass are
+    coordinates of the system."""
     return _bound(
         model,
         lambda law, z: Relaxed(law, z) if law.has_rows and not law.inertial else Apart(law, z),
@@ -144,21 +142,22 @@ def settled(model: Any, z: Z) -> Any:
 
 
 def relaxed(model: Any, z: Z | None = None) -> Any:
-    """The model at rest: coordinates of elements follow the deformations; other states are z,
-    by default 0."""
+    """Return the model at rest: coordinates of elements are relaxed; other states are z, by default
+    0."""
     if z is None or not z.shape[-1]:
         z = jnp.zeros(model.layout.nz, model.gravity.dtype)
     return _bound(model, Relaxed, z)
 
 
 def resisting(model: Any, z: Z) -> Any:
-    """The model about a rest with the states z, for static small displacements: coordinates of
-    elements follow the deformations, hysteretic states their tangents."""
+    """Return the model about a rest with the states z, for small static displacements: coordinates
+    of elements are relaxed, hysteretic states follow by their tangents."""
     return _bound(model, lambda law, z: Relaxed(law, z) if law.has_rows else Apart(law, z), z)
 
 
 def end_rows(model: Any, table: KindTable) -> list[np.ndarray]:
-    """The rows in the table of frames of each end of the elements or closures of a table."""
+    """Return the rows in the table of frames of the elements or closures of a table, one array for
+    each end."""
     return [
         np.array([model.layout.frame(name) for name in end])
         for end in zip(*table.links, strict=True)
@@ -166,7 +165,8 @@ def end_rows(model: Any, table: KindTable) -> list[np.ndarray]:
 
 
 def rest_states(model: Any, poses: Pose, z: Z | None = None) -> Z:
-    """z at rest in these poses of all frames: coordinates relaxed, others as in z, by default 0."""
+    """Return z at rest in the given poses of all frames: coordinates relaxed, other states as in z,
+    by default 0."""
     if not model.layout.nz:
         return jnp.zeros(0, poses.p.dtype)
     parts = []

@@ -20,8 +20,8 @@ from jaxbody.model.inputs.signals import Signal
 
 
 class Pulse(Signal):
-    """The base of pulses: amplitude f((t - start)/duration), f given from 0 to 1, zero before
-    and after.
+    """The base class of pulses: amplitude f((t - start)/duration), with f defined from 0 to 1, zero
+    before and after.
 
     Of a pulse [m/s2], `motion(direction)` is the motion with this acceleration, and `samples()` a
     record of it; `shock_spectrum` takes the pulse itself."""
@@ -35,18 +35,17 @@ class Pulse(Signal):
             self.given(amplitude, duration, start, problems)
 
     def given(self, amplitude: Any, duration: Any, start: Any, problems: Problems) -> None:
-        """Check and set what all pulses have."""
-        take(self, problems, amplitude=amplitude)
+        """Check and set the fields that all pulses have."""
+        take(self, problems, amplitude=amplitude, start=start)
         length = positive_number(duration, f"{type(self).__name__}.duration", problems)
         self.duration = 1.0 if length is None else length
-        take(self, problems, start=start)
 
     @abstractmethod
     def shape(self, u: Float[Array, "*n"]) -> tuple[Array, Array, Array]:
-        """f at u from 0 to 1, its integral from 0 to u, and the integral of this."""
+        """Return f at u from 0 to 1, its integral from 0 to u, and the integral of that."""
 
     def corners(self) -> tuple[Any, ...]:
-        """The u from 0 to 1 at which f is not smooth."""
+        """Return the u from 0 to 1 at which f is not smooth."""
         return 0.0, 1.0
 
     def __call__(self, t):
@@ -63,14 +62,14 @@ class Pulse(Signal):
         )
 
     def motion(self, axis: Any) -> PulseMotion:
-        """The translation along an axis (x, y, z or a vector, world axes) with this acceleration
-        [m/s2], from rest at the support's reference pose. After the pulse its velocity is constant:
-        the velocity change of a shock machine without rebound."""
+        """Return the translation along an axis (x, y, z or a vector, world axes) with this
+        acceleration [m/s2], from rest in the support's reference pose. After the pulse its velocity
+        is constant: the velocity change of a shock machine without rebound."""
         return PulseMotion(self, axis)
 
     def samples(self, *, count: int = 200, lengths: int = 20) -> tuple[Array, Array]:
-        """Times [s] and values, evenly spaced, as records are. A jump becomes a line over two steps
-        h through the mean of both sides, which lowers what responds to it at a frequency f by the
+        """Return evenly spaced times [s] and values, like a record. A jump becomes a line over two
+        steps h through the mean of both sides, which lowers a response at a frequency f by the
         ratio (2 pi f h)^2/6: `shock_spectrum` of the pulse itself is exact.
 
         Args:
@@ -112,9 +111,9 @@ class PulseMotion(Motion):
             )
 
     def __call__(self, t):
-        """A T^2 (F2(u) + F1(u) (s - u)), with s = (t - start)/T and u = s within the pulse, 0
-        before it and 1 after it: so written, the second derivative is A f(u) within the pulse and
-        0 elsewhere."""
+        """Return A T^2 (F2(u) + F1(u) (s - u)), with s = (t - start)/T and u = s within the pulse,
+        0 before it and 1 after it: in this form, the second derivative is A f(u) within the pulse
+        and 0 elsewhere."""
         s = (t - self.pulse.start) / self.pulse.duration
         u = jnp.where((s >= 0) & (s < 1), s, jnp.where(s < 0, 0.0, 1.0))
         _, velocity, displacement = self.pulse.shape(u)
