@@ -66,8 +66,8 @@ class Body(Described, eqx.Module):
 
     @classmethod
     def of_parts(cls, parts: Sequence[Body], *, position=(0, 0, 0), orientation=IDENTITY) -> Body:
-        """One rigid body made of several; `position` and `orientation` of each part are relative to
-        the whole.
+        """Combine several bodies in one rigid body; `position` and `orientation` of each part are
+        relative to the whole.
 
             m = sum m_i,   c = sum m_i c_i/m,   I = sum R_i I_i R_i' + m_i (|d_i|^2 - d_i d_i'),
             d_i = c_i - c
@@ -121,8 +121,8 @@ class Support(Described, eqx.Module):
 
 
 def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
-    """The symmetric part of the 3 x 3 matrix. Its round-off is compared with the inertia about the
-    reference point, I + m (c'c - c c'), from which users often compute it."""
+    """Return the symmetric part of the 3 x 3 matrix. Its round-off is compared with the inertia
+    about the reference point, I + m (c'c - c c'), from which users often compute it."""
     where = "Body.inertia"
     array = checked(
         value,
@@ -149,7 +149,8 @@ def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
 
 
 def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Problems) -> None:
-    """Errors: NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE."""
+    """Check a matrix of inertia, up to its round-off [kg m2]. Errors: NOT_SYMMETRIC, NOT_POSITIVE,
+    TRIANGLE."""
     trace = np.trace(known)
     difference = known - known.T
     moments = np.linalg.eigvalsh((known + known.T) / 2)
@@ -201,7 +202,7 @@ def _is_valid(I: np.ndarray, round_off: float) -> bool:
 
 
 def _matrix_of(array):
-    """The 3 x 3 matrix of three, six or nine numbers."""
+    """Return the 3 x 3 matrix of three, six or nine numbers."""
     if array.shape == (3,):
         return array * np.eye(3)
     return array if array.shape == (3, 3) else array[PLACES_OF_SIX]
@@ -210,7 +211,7 @@ def _matrix_of(array):
 def warn_of_tiny(
     names: tuple[str, ...], sizes: np.ndarray, what: str = "mass", unit: str = "kg"
 ) -> None:
-    """Warn TINY_MASS for a mass, or an inertia, below 1e-12 of the largest: it makes the
+    """Warn TINY_MASS of a mass, or an inertia, below 1e-12 of the largest, which makes the
     equations stiff."""
     for name, size in zip(names, sizes, strict=True):
         if 0 < size < 1e-12 * sizes.max():
@@ -222,7 +223,7 @@ def warn_of_tiny(
 
 
 def warn_of_points(bodies: dict[str, Body]) -> None:
-    """Warn ZERO_MOMENT for those of the given free bodies that have no inertia about an axis."""
+    """Warn ZERO_MOMENT of free bodies that have no inertia about an axis."""
     for name, body in bodies.items():
         known = concrete(body.inertia)
         if known is None:

@@ -21,9 +21,9 @@ TURNS = ("turn about x", "turn about y", "turn about z")
 
 @dataclass(frozen=True)
 class CoordinateBlock:
-    """The coordinates of one owner, the joint of a body or an element with memory: nq numbers in q,
-    nv in v, nz in z. A motion in m is small compared with the size of the model, any other compared
-    with 1. The value at rest is a function of the owner's parameters, and so the owner's."""
+    """The coordinates of one owner, which is the joint of a body or an element with memory: nq
+    numbers in q, nv in v, nz in z. The scale of a motion in m is the size of the model, that of any
+    other motion 1. The values at rest depend on the parameters of the owner."""
 
     owner: str
     kind: type[Any]  # the owner's class
@@ -33,8 +33,8 @@ class CoordinateBlock:
     quaternion: bool = False  # whether the last four numbers of q are one
     states: tuple[str, ...] = ()  # a description of each state in z
     z_units: tuple[str, ...] = ()
-    # "massless" or "inertial", a coordinate with a row in M, C and K; "rate" of one with
-    # mass; "hysteretic"
+    # "massless" or "inertial" of a coordinate, with a row in M, C and K; "rate" of an inertial
+    # one; or "hysteretic"
     roles: tuple[str, ...] = ()
     arguments: tuple[str, ...] = ()  # the unit of the deformation that each state follows
 
@@ -59,15 +59,14 @@ class Layout:
     bodies: tuple[str, ...]
     supports: tuple[str, ...]
     parents: tuple[str, ...]
-    # those of the joints, in the order of the bodies, then those of elements, in that of
-    # their tables
+    # of the joints, in the order of the bodies, then of elements, in the order of their tables
     blocks: tuple[CoordinateBlock, ...]
 
     @cached_property
     def _hash(self) -> int:
         return hash((self.bodies, self.supports, self.parents, self.blocks))
 
-    def __hash__(self) -> int:  # once for each layout: every call of a compiled program asks for it
+    def __hash__(self) -> int:  # kept, because every call of a compiled program hashes the layout
         return self._hash
 
     @cached_property
@@ -128,13 +127,13 @@ class Layout:
         return 6 * len(self.supports)
 
     def block(self, owner: str) -> CoordinateBlock:
-        """The coordinates of an owner, such as a body's joint."""
+        """Return the block of an owner, such as that of a body's joint."""
         return next(block for block in self.blocks if block.owner == owner)
 
     @cached_property
     def coordinate_places(self) -> dict[str, tuple[int, int]]:
-        """{"rack.q": place in q, place in v} of the coordinates that are displacements or angles;
-        "nut.q.1" where a joint has several."""
+        """Indices of the coordinates that are displacements or angles: {"rack.q": (index in q,
+        index in v)}; the key is "nut.q.1" if a joint has several."""
         return {
             f"{block.owner}.q" if block.nq == 1 else f"{block.owner}.q.{i}": (
                 self.q_slices[block.owner].start + i,
@@ -148,20 +147,20 @@ class Layout:
     # From states to vectors and back
 
     def pack(self, state: State) -> Float[Array, "ny"]:
-        """(q, v, z) as one vector."""
+        """Join q, v and z of a state in one vector."""
         return jnp.concatenate([state.q, state.v, state.z])
 
     def unpack(self, y: Float[Array, "ny"]) -> State:
-        """The state of (q, v, z), with normalized quaternions."""
+        """Return the state of a vector (q, v, z), with normalized quaternions."""
         q, v, z = self.split(y)
         return State(self.normalized(q), v, z)
 
     def split(self, y: Float[Array, "ny"]) -> tuple[Array, Array, Array]:
-        """q, v and z of (q, v, z)."""
+        """Split a vector (q, v, z) into q, v and z."""
         return y[: self.nq], y[self.nq : self.nq + self.nv], y[self.nq + self.nv :]
 
     def normalized(self, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
-        """q with its quaternions normalized."""
+        """Return q with its quaternions normalized."""
         parts = [q[self.q_slices[block.owner]] for block in self.with_rows]
         normal = [
             jnp.concatenate([part[:-4], rotations.normalize(part[-4:])])
@@ -172,13 +171,13 @@ class Layout:
         return jnp.concatenate(normal)
 
     def rows_of(self, owners: tuple[str, ...], x: Array, slices: dict[str, slice]) -> Array:
-        """The numbers of some owners of one kind, a row for each, from a vector with
-        these slices."""
+        """Return the numbers of some owners of one kind from a vector with these slices, one row
+        for each owner."""
         return x[np.array([np.r_[slices[name]] for name in owners], dtype=int)]
 
     def joined(self, pieces: list[tuple[tuple[str, ...], Array]]) -> Array:
-        """The rows of all owners with rows in q and v, given for some at a time, in the order of
-        the blocks."""
+        """Join the rows of groups of owners, [(owners, rows)], in the order of the blocks with
+        numbers in q and v."""
         order = tuple(block.owner for block in self.with_rows)
         if len(pieces) == 1 and pieces[0][0] == order:
             return pieces[0][1].reshape(-1, *pieces[0][1].shape[2:])
@@ -189,7 +188,7 @@ class Layout:
 
     @cached_property
     def motions(self) -> tuple[tuple[str, str], ...]:
-        """For each speed its owner and motion: ("plate", "turn about z")."""
+        """Owner and motion of each speed: ("plate", "turn about z")."""
         return tuple((block.owner, motion) for block in self.blocks for motion in block.motions)
 
     @cached_property
@@ -230,28 +229,28 @@ class Layout:
         return tuple(unit for block in self.blocks for unit in block.z_units)
 
     def _places(self, role: str) -> np.ndarray:
-        """The places in z of states of this role."""
+        """Return the indices in z of the states with this role."""
         return np.flatnonzero([role == one for block in self.blocks for one in block.roles])
 
     @cached_property
     def massless(self) -> np.ndarray:
-        """The places in z of massless coordinates."""
+        """Indices in z of massless coordinates."""
         return self._places("massless")
 
     @cached_property
     def inertial(self) -> np.ndarray:
-        """The places in z of coordinates with mass."""
+        """Indices in z of coordinates with mass."""
         return self._places("inertial")
 
     @cached_property
     def inner_rates(self) -> np.ndarray:
-        """The places in z of the rates of coordinates with mass."""
+        """Indices in z of the rates of coordinates with mass."""
         return self._places("rate")
 
     @cached_property
     def inner_places(self) -> np.ndarray:
-        """The places in z of the coordinates of elements in the order of their rows: those with
-        mass, then massless ones."""
+        """Indices in z of the coordinates of elements, in the order of their rows in M, C and K:
+        those with mass, then massless ones."""
         return np.concatenate([self.inertial, self.massless])
 
     @cached_property
@@ -263,7 +262,7 @@ class Layout:
 
     @cached_property
     def inner(self) -> tuple[str, ...]:
-        """A description of each coordinate of elements, in the order of their rows."""
+        """Descriptions of the coordinates of elements, in the order of their rows in M, C and K."""
         return tuple(self.states[i] for i in self.inner_places)
 
     @cached_property
@@ -276,8 +275,8 @@ class Layout:
 
     @cached_property
     def chains(self) -> dict[str, tuple[str, ...]]:
-        """Each frame, then the frames that carry it by joints: {"hand": ("hand",
-        "arm", "base")}."""
+        """For each frame its name, then the names of the frames that carry it by joints: {"hand":
+        ("hand", "arm", "base")}."""
         parent = dict(zip(self.bodies, self.parents, strict=True))
 
         def chain(name: str) -> tuple[str, ...]:
@@ -292,7 +291,7 @@ class Layout:
 
     @cached_property
     def carries(self) -> np.ndarray:
-        """(frames, frames): 1 where the first frame carries the second by joints, or is it."""
+        """(frames, frames): 1 where the first frame carries the second by joints or is the same."""
         mask = np.zeros((len(self.frames), len(self.frames)))
         for row, chain in enumerate(self.chains.values()):
             mask[[self.frame(name) for name in chain], row] = 1
@@ -300,13 +299,13 @@ class Layout:
 
     @cached_property
     def movers(self) -> np.ndarray:
-        """For each speed, then for each of the six numbers of each support, the row of the first
-        frame that it moves."""
+        """For each speed, then for each of the six coordinates of each support, the row of the
+        first frame that it moves."""
         return np.array(
             [self.frame(name) for name, _ in self.motions] + [1 + i // 6 for i in range(self.nxi)],
             dtype=int,
         )
 
     def moving(self, *, base: bool) -> np.ndarray:
-        """The rows of the frames that move: bodies, then, with `base`, supports."""
+        """Return the rows of the frames that move: bodies, then, with `base`, supports."""
         return np.r_[self.first_body : len(self.frames), 1 : self.first_body if base else 1]

@@ -43,8 +43,8 @@ from jaxbody.model.models import Model, refuse_batch
 
 @dataclass(frozen=True)
 class Leaf:
-    """The array at a path: the path, index of the array among those of a tree, row in it (None for
-    the whole), kind of its numbers."""
+    """The array, or a row of an array, at a path: the path, the index of the array among those of a
+    tree, the row (None for the whole array), the rank of a row, and the kind of its numbers."""
 
     path: str
     array: int
@@ -58,7 +58,7 @@ class Leaf:
         return self.path.rsplit(".", 1)[-1]
 
     def axis(self, arrays: Sequence[Array]) -> int:
-        """The axis of the rows, after the leading axes of a batch of models."""
+        """Return the axis of the rows, which follows the leading axes of a batch of models."""
         return arrays[self.array].ndim - 1 - self.rank
 
     def read(self, arrays: Sequence[Array]) -> Array:
@@ -70,7 +70,7 @@ class Leaf:
         )
 
     def shape(self, arrays: Sequence[Array]) -> tuple[int, ...]:
-        """The shape of what `read` returns."""
+        """Return the shape of the result of `read`."""
         shape = arrays[self.array].shape
         return (
             shape
@@ -80,13 +80,13 @@ class Leaf:
 
 
 def numbered(tree: Any) -> Any:
-    """The tree with each array replaced by its index."""
+    """Return the tree with each array replaced by its index."""
     treedef = jax.tree.structure(tree)
     return jax.tree.unflatten(treedef, range(treedef.num_leaves))
 
 
 def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
-    """Every leaf of a model or an experiment; `named()` of an experiment gives its parts by name.
+    """Return every leaf of a model or an experiment, whose `named()` gives its parts by name.
     Error: WRONG_KIND."""
     numbers = numbered(tree)
     if not isinstance(tree, Model):
@@ -129,7 +129,7 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
 
 
 def _fields(numbers: Any, root: Any) -> list[tuple[str, int, Kind]]:
-    """Path, index and kind of each array below a root."""
+    """Return path, index and kind of each array below a root."""
     return [
         (jax.tree_util.keystr(keys, simple=True, separator="."), leaf, kind_along(root, keys))
         for keys, leaf in jax.tree_util.tree_leaves_with_path(numbers)
@@ -143,8 +143,8 @@ def matching(
     problems: Problems | None = None,
     absent: dict[str, str] | None = None,
 ) -> dict[str, list[Leaf]]:
-    """The leaves that match each pattern. For a pattern without a match, a problem is added to
-    `problems`, or raised if that is None; its hint is the nearest path, or that in `absent`
+    """Return {pattern: the leaves that match it}. For a pattern without a match, a problem is added
+    to `problems`, or raised if that is None; its hint is the nearest path, or that in `absent`
     {path: hint}."""
     collect, matches = problems is not None, {}
     problems = Problems() if problems is None else problems
@@ -179,7 +179,7 @@ def matching(
 
 
 def write(tree: Any, values: dict[Leaf, Any]) -> Any:
-    """The tree with new values of some leaves."""
+    """Return the tree with new values of some leaves."""
     arrays, treedef = jax.tree.flatten(tree)
     for leaves in by_array(values).values():
         block = (
@@ -192,7 +192,7 @@ def write(tree: Any, values: dict[Leaf, Any]) -> Any:
 
 
 def by_array(leaves: Iterable[Leaf]) -> dict[int, list[Leaf]]:
-    """The leaves grouped by array."""
+    """Group leaves by the index of their array."""
     groups: dict[int, list[Leaf]] = {}
     for leaf in leaves:
         groups.setdefault(leaf.array, []).append(leaf)
@@ -200,7 +200,7 @@ def by_array(leaves: Iterable[Leaf]) -> dict[int, list[Leaf]]:
 
 
 def _put(array: Array, leaves: Sequence[Leaf], block: Array) -> Array:
-    """The array with a block of rows."""
+    """Return the array with the rows of these leaves replaced by a block."""
     axis, rows = array.ndim - 1 - leaves[0].rank, [leaf.row for leaf in leaves]
     if leaves[0].row is None or rows == list(range(array.shape[axis])):
         return block
@@ -212,7 +212,7 @@ def _put(array: Array, leaves: Sequence[Leaf], block: Array) -> Array:
 
 
 def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
-    """{path: value} of all numbers in a model or an experiment that match a pattern.
+    """Return {path: value} of all numbers of a model or an experiment whose paths match a pattern.
     Error: WRONG_KIND.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -9.81])
@@ -226,8 +226,8 @@ def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
 
 
 def replace(tree: Any, values: dict[str, Any]) -> Any:
-    """A copy of the model or experiment with other values: {path or pattern: value}; of a model
-    also with other parts, {name: element, joint, body, closure or energy}, or other laws,
+    """Return a copy of the model or experiment with other values, {path or pattern: value}; of a
+    model also with other parts, {name: element, joint, body, closure or energy}, or other laws,
     {"left.damper": law}.
 
     A value has the shape of one leaf, and is then used for every match, or one more leading axis
@@ -323,8 +323,8 @@ def _with_traced(
     leaves: tuple[Leaf, ...],
     places: tuple[tuple[Any, ...] | None, ...],
 ) -> Any:
-    """An array with blocks of rows, of which some are traced and have places in the values given:
-    one program where they are batches outside of a `jit`."""
+    """Replace rows of an array by blocks, of which some are traced and have places in the given
+    values; it is one program if they are batches outside of a `jit`."""
     first = leaves[0]
     made = [
         x if place is None else _traced_rows(x, first.rank, *place)
@@ -338,8 +338,8 @@ def _with_traced(
 
 
 def _with_parts(model: Model, values: dict[str, Any]) -> Model:
-    """The model with other bodies, joints, elements, closures or energies, {name: part}, or other
-    laws, {"name.spring": law}."""
+    """Return the model with other bodies, joints, elements, closures or energies, {name: part}, or
+    other laws, {"name.spring": law}."""
     refuse_batch(model, "replace")
     parts, problems = model.parts(), Problems()
     for path, value in values.items():
@@ -379,8 +379,8 @@ def _with_parts(model: Model, values: dict[str, Any]) -> Model:
 
 
 def _block(value: Any, rows: tuple[int, ...] | int, axis: int | None) -> Any:
-    """The rows of a value with these indices, or one value repeated in as many rows, with the rows
-    along an axis of their array; None: the array has no rows."""
+    """Return the rows of a value with these indices, or one value repeated in so many rows, with
+    the rows along `axis`; if `axis` is None, the array has no rows."""
     xp = module_of(value)
     if axis is None:
         return value if isinstance(rows, int) else value[rows[0]]
@@ -393,7 +393,7 @@ def _block(value: Any, rows: tuple[int, ...] | int, axis: int | None) -> Any:
 def _traced_rows(
     value: Any, rank: int, rows: tuple[int, ...] | int, axis: int | None, domain: str
 ) -> Any:
-    """`_block` and `_made` of a traced value."""
+    """Do the same as `_block` and `_made` for a traced value."""
     block = _block(value, rows, axis)
     if domain in ("direction", "rotation"):
         return block / jnp.linalg.norm(block, axis=-1, keepdims=True)
@@ -401,7 +401,7 @@ def _traced_rows(
 
 
 def _made(leaf: Leaf, known: np.ndarray, where: str, problems: Problems) -> Any:
-    """The value, checked and normalized as by the constructors of bodies, joints and elements."""
+    """Check and normalize a value as the constructors of bodies, joints and elements do."""
     domain = leaf.kind.domain
     if domain not in ("direction", "rotation"):
         rows = [known]
@@ -440,7 +440,7 @@ def _made(leaf: Leaf, known: np.ndarray, where: str, problems: Problems) -> Any:
 def by_name(
     names: Sequence[tuple[str, ...]], tables: Sequence[Array], axis: int = 0
 ) -> dict[str, Any]:
-    """{name: row} of tables whose rows, along `axis`, have these names."""
+    """Return {name: row} of tables whose rows, along `axis`, have these names."""
     return {
         name: part_of(table, (*[slice(None)] * axis, i, ...))
         for group, table in zip(names, tables, strict=True)
@@ -449,12 +449,12 @@ def by_name(
 
 
 def of_elements(model: Any, values: Sequence[Array], axis: int = 0) -> dict[str, Any]:
-    """{element: row} of the values of each table of elements, whose rows lie along `axis`; energies
-    of the user's own are left out."""
+    """Return {element: row} of the values of each table of elements, whose rows are along `axis`,
+    without the energies written by the user."""
     names = [table.names for table in model.attached]
     return by_name(names, values[: len(names)], axis)
 
 
 def springs_of(model: Any) -> list[str]:
-    """Names of the elements whose deformation is one number."""
+    """Return the names of the elements whose deformation is one number."""
     return [name for table in model.elements if table.rows.size == 1 for name in table.names]

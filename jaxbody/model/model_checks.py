@@ -68,7 +68,7 @@ def check_names(problems: Problems, groups: dict[str, dict[str, Any]]) -> None:
 
 
 def of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) -> dict[str, Any]:
-    """The objects of the right kind; a problem is added for each of the others."""
+    """Return the objects of the right kind; a problem is added for each of the others."""
     for name, thing in things.items():
         check_kind(thing, kind, f"{group}[{name!r}]", f"a jb.{kind.__name__}", problems)
     if group == "bodies" and not things:
@@ -120,7 +120,8 @@ def check_links(problems: Problems, bodies, supports, elements, joints, closures
 
 
 def counted(problems: Problems, name: str, closure: Closure, layout: Layout) -> Closure:
-    """The closure; a coupling with the unit of its coordinate. Error: UNKNOWN_NAME."""
+    """Return the closure, if it is a coupling with the unit of its coordinates. Error:
+    UNKNOWN_NAME."""
     if not isinstance(closure, Coupling):
         return closure
     known = layout.coordinate_places
@@ -136,7 +137,7 @@ def check_movable(problems: Problems, closures: dict[str, Any], layout: Layout) 
     """Check that the ends of each closure can move relative to each other. Error: RIGID."""
 
     def carrier(frame: str) -> str:
-        """The frame that this one is on by joints without freedom."""
+        """Return the frame to which this one is fixed by joints without freedom."""
         return next(
             name
             for name in layout.chains[frame]
@@ -165,8 +166,8 @@ def check_movable(problems: Problems, closures: dict[str, Any], layout: Layout) 
 
 
 def check_slopes(closures: tuple[KindTable, ...], finite: np.ndarray) -> None:
-    """Check that the conditions of closures have slopes in the reference pose, row by row.
-    Error: NON_FINITE."""
+    """Check that the slopes of the conditions of closures are finite in the reference pose, row by
+    row. Error: NON_FINITE."""
     of_rows = [name for table in closures for name in table.names for _ in table.rows.rows]
     bad = dict.fromkeys(name for name, good in zip(of_rows, finite, strict=True) if not good)
     with Problems() as problems:
@@ -199,8 +200,8 @@ def check_reference(
 
 
 def _check_length(problems: Problems, where: str, line, A, B) -> None:
-    """Check the length of a line: that of a spring may be zero if its free length is zero, there is
-    no damper and the force is zero."""
+    """Check the length of a line or rod. That of a spring may be zero if its free length is zero,
+    it has no damper and its force there is zero."""
     ends = [p + R @ point for (p, R), point in zip((A, B), (line.a, line.b), strict=True)]
     length, size = np.linalg.norm(ends[1] - ends[0]), np.abs(ends).max() or 1.0
     without = isinstance(line, LineElement) and line.free_length == 0 and line.has_no_direction()

@@ -65,9 +65,9 @@ KINDS = {
     "closures": Closure,
 }
 OWN_FUNCTIONS = {"energies": OwnEnergy, "dissipations": OwnDissipation}
-CLOSED = 1e-6  # of the largest distance of a point: the reference pose is drawn closed
-DISPLACED = 0.3  # of such a distance, or in rad: away from singular positions
-# of pivots: of such coordinates the last depends on the others, so that the first stay independent
+CLOSED = 1e-6  # relative to the largest distance of a point: loops that are open by less are closed
+DISPLACED = 0.3  # relative to that distance, or in rad: how far to go from a singular position
+# relative to the largest pivot: of coordinates above it, the last is the dependent one
 NEARLY_LARGEST = 0.5
 
 
@@ -82,9 +82,9 @@ class Model(tables.Printed, eqx.Module):
         joints: {name of the body that the joint carries: joint}; a body without a joint is free
         closures: {name: closure}, which close loops of joints: `jb.closures`
         gravity: [m/s2], in world axes
-        energies: {name: V(frames) [J]}, of your own: an equinox.Module, whose numbers have paths,
-            or a function. `frames["body"]` is a pose with p, R and point(x), of a body, a support
-            or the world
+        energies: {name: V(frames) [J]}, each an equinox.Module, whose numbers have paths, or a
+            function. `frames["body"]` is a pose with p, R and point(x), of a body, a support or
+            the world
         dissipations: {name: R(frames) [W]}, likewise, of frames with v, w and velocity(x) besides
 
     `model["AB"]` is the element, body, support or closure of that name, `model.joint("arm")` a
@@ -209,13 +209,13 @@ class Model(tables.Printed, eqx.Module):
 
     @property
     def energy_names(self) -> tuple[str, ...]:
-        """The names of energies and dissipations of the user's own."""
+        """The names of the energies and dissipations written by the user."""
         return tuple(name for table in self.elements[len(self.attached) :] for name in table.names)
 
     @property
     def attached(self) -> tuple[KindTable, ...]:
-        """The tables of elements but those of energies and dissipations of the user's own, which
-        come last."""
+        """The tables of elements, without those of energies and dissipations written by the user,
+        which come last."""
         return tuple(table for table in self.elements if not isinstance(table.rows, OfFrames))
 
     @property
@@ -230,14 +230,14 @@ class Model(tables.Printed, eqx.Module):
         raise JaxbodyError(unknown(name, "model[...]", self.names))
 
     def joint(self, body: str) -> Joint:
-        """The joint that carries a body."""
+        """Return the joint that carries a body."""
         for table in self.joints:
             if body in table.names:
                 return table.row(body)
         raise JaxbodyError(unknown(body, "model.joint(...)", self.layout.bodies))
 
     def parts(self) -> dict[str, Any]:
-        """The arguments of which this model can be built again."""
+        """Return the arguments from which this model can be built again."""
         names: dict[str, Any] = {
             group: [
                 n for table in self.elements if isinstance(table.rows, kind) for n in table.names
@@ -256,8 +256,8 @@ class Model(tables.Printed, eqx.Module):
 
     @property
     def reference(self) -> State:
-        """The state at rest in the reference pose, closures fulfilled and elements with
-        memory relaxed."""
+        """The state of rest in the reference pose, with closures fulfilled and elements with memory
+        relaxed."""
         refuse_batch(self, "model.reference")
         return handed_down("assembled_reference")(self) if self.closures else drawn_reference(self)
 
@@ -302,8 +302,8 @@ class Model(tables.Printed, eqx.Module):
         )
 
     def _columns(self, table: KindTable) -> dict[str, str]:
-        """Fields of elements that are printed, with their column headings: laws, numbers and
-        matrices of coefficients, but no points and directions."""
+        """Return the fields of elements that are printed, with their column headings: laws, numbers
+        and matrices of coefficients, but no points and directions."""
         row, heads, batch = self[table.names[0]], {}, self.gravity.ndim - 1
         for name in getattr(row, "__dataclass_fields__", ()):
             value: Any = getattr(row, name, None)
@@ -337,19 +337,20 @@ def refuse_batch(model: Model, where: str) -> None:
 
 
 def _cell(element: Element, name: str) -> Any:
-    """A number, whose unit is in the heading, or a law with its numbers and units."""
+    """Return a number, whose unit is in the heading, or the text of a law with its numbers and
+    units."""
     value = getattr(element, name)
     return text_of(element, name) if isinstance(value, Law) else value
 
 
 @program
 def drawn_reference(model: Model) -> State:
-    """The state of rest in the reference pose as it is drawn."""
+    """Return the state of rest in the reference pose as drawn."""
     return Coordinates(model).reference
 
 
 def pose_at_reference(model: Model, name: str) -> Pose:
-    """The pose of a body, of a support or of the world in the reference pose."""
+    """Return the pose of a body, a support or the world in the reference pose."""
     coordinates = Coordinates(model)
     poses = drawn_poses(coordinates.supports, coordinates.bodies)
     row = model.layout.frame(name)
@@ -357,9 +358,9 @@ def pose_at_reference(model: Model, name: str) -> Pose:
 
 
 def independent_speeds(model: Model) -> tuple[int, ...] | None:
-    """The speeds that remain free when those of the largest pivots follow from the closures: in the
-    reference pose, or, where it is drawn open and may be singular, such as with all links in line,
-    in one displaced from it."""
+    """Return the speeds that remain independent when those of the largest pivots follow from the
+    closures: in the reference pose or, if that is drawn open and may be singular, such as with all
+    links in line, in a pose displaced from it. Return None for a traced model."""
     nv = model.layout.nv
     if not model.closures:
         return tuple(range(nv))
@@ -380,8 +381,9 @@ def independent_speeds(model: Model) -> tuple[int, ...] | None:
 def _closure_slopes(
     model: Model, delta: Float[Array, "nv"]
 ) -> tuple[Float[Array, "n nv"], Float[Array, ""]]:
-    """dc/dDelta of all closures, by increments in meters, displaced from the reference pose by
-    such; and the largest |c| over the largest distance of a point."""
+    """Return dc/dDelta of all closures by increments in meters, in a pose displaced from the
+    reference pose by `delta` in meters; and the largest |c| over the largest distance of a
+    point."""
     layout, coordinates = model.layout, Coordinates(model)
     points = [jnp.ravel(x) for table in model.closures for x in table.rows.points]
     length = jnp.max(jnp.abs(jnp.concatenate(points)), initial=0.0)
@@ -396,8 +398,8 @@ def _closure_slopes(
     drawn = drawn_poses(coordinates.supports, coordinates.bodies)
 
     def ends(table: KindTable):
-        """The poses of both ends, their twists per unit of each speed, and the pose of the second
-        on the first as drawn."""
+        """Return the poses of both ends, their twists per unit of each speed, and the pose of the
+        second end on the first as drawn."""
         if isinstance(table.rows, Coupling):
             rows = [layout.coordinate_places[path] for path in (table.rows.of, table.rows.by)]
             slides = [as_slide(jnp.broadcast_to(q[i], len(table))) for i, _ in rows]

@@ -24,9 +24,9 @@ _warned_of_float32 = False
 
 
 def check_precision(where: str, model: Model, *, allow_float32: bool | None = True) -> None:
-    """Refuse what is no model, or a batch of them. Warn once about float32; refuse it where half
-    the digits would be lost, unless allowed (None: it cannot be allowed), and with closures, which
-    are not fulfilled then. A change of the x64 switch after the model was built is an error."""
+    """Refuse anything that is not one model. Warn once about float32; refuse it with closures,
+    which it cannot fulfill, and unless `allow_float32` is True (None: the calling function has no
+    such option). A change of the x64 switch after the model was built is an error."""
     global _warned_of_float32
     if not isinstance(model, Model):
         raise JaxbodyError(
@@ -97,8 +97,8 @@ def check_moves(where: str, model: Model) -> None:
 
 
 def check_memory(where: str, model: Model, frequencies: int = 0) -> None:
-    """Check the memory of about ten matrices of all coordinates, of the contributions of all
-    elements, and of complex matrices at these frequencies. Error: TOO_LARGE."""
+    """Check the memory for about ten matrices of all coordinates, for the contributions of all
+    elements, and for complex matrices at so many frequencies. Error: TOO_LARGE."""
     coordinates, elements = model.layout.nv, sum(len(table.names) for table in model.elements)
     needed = 10 * 8 * coordinates**2 + PER_ELEMENT * elements
     at_frequencies = PER_FREQUENCY * frequencies * coordinates**2
@@ -147,7 +147,8 @@ def check_attached(model: Model) -> None:
 
 
 def unattached(model: Model) -> list[str]:
-    """Bodies without a path of elements, joints and closures to the world or a support."""
+    """Return the bodies without a path of elements, joints and closures to the world or a
+    support."""
     links = [link for table in (*model.elements, *model.closures) for link in table.links]
     links += [
         link
@@ -162,7 +163,8 @@ def unattached(model: Model) -> list[str]:
 
 
 def check_without_memory(where: str, model: Model) -> None:
-    """Refuse a model with elements with memory where these have no place yet. Error: MEMORY."""
+    """Refuse a model with elements with memory, in functions that do not support them. Error:
+    MEMORY."""
     if model.layout.nz:
         raise JaxbodyError(
             Problem(
@@ -197,7 +199,7 @@ def check_state(model: Model, state: Any, where: str) -> None:
         for name, count in (("q", layout.nq), ("v", layout.nv), ("z", layout.nz)):
             value = getattr(state, name)
             if np.shape(value) != (count,):
-                if name == "z" and np.shape(value) == (0,):  # the states of rest are meant
+                if name == "z" and np.shape(value) == (0,):  # states at rest
                     continue
                 counts = {block.owner: getattr(block, "n" + name) for block in layout.blocks}
                 parts = (

@@ -10,13 +10,13 @@ from jaxbody.geometry.fields import field
 
 
 class State(eqx.Module):
-    """Coordinates q and speeds v of the joints, in the order of the bodies, and states z of
-    elements with memory, in the order of `model.layout.states`. For a free body q = (position of O,
-    unit quaternion w, x, y, z), v = (velocity of O, angular velocity), in world axes. Leading axes
-    are times or samples. Lists are taken, too. Error: NOT_A_NUMBER.
+    """The state of a model: coordinates q and speeds v of the joints, in the order of the bodies,
+    and states z of elements with memory, in the order of `model.layout.states`. For a free body q =
+    (position of O, unit quaternion w, x, y, z), v = (velocity of O, angular velocity), in world
+    axes. Leading axes are times or samples. Lists are accepted. Error: NOT_A_NUMBER.
 
-    Where z is left out although elements have memory, it is that of rest in this configuration:
-    branches are relaxed, hysteresis is 0.
+    If z is omitted although elements have memory, they are at rest in this configuration: branches
+    are relaxed, hysteresis is 0.
 
     >>> state = State(q=[0.3], v=[0.0])
     >>> state.q.shape, state.z.shape

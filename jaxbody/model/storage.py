@@ -19,8 +19,8 @@ from jaxbody.core.errors import JaxbodyError, Problem
 
 
 class KindTable(eqx.Module):
-    """Rows of one kind: `rows` is one module whose leaves have a leading axis; `links` names what
-    each row is attached to: `between` of an element, `parent` of a joint."""
+    """Rows of one kind: `rows` is one module whose leaves have a leading axis; `links` holds the
+    names that each row is attached to: `between` of an element, `parent` of a joint."""
 
     names: tuple[str, ...] = eqx.field(static=True)
     links: tuple[Any, ...] = eqx.field(static=True)
@@ -32,7 +32,7 @@ class KindTable(eqx.Module):
         return len(self.names)
 
     def row(self, name: str) -> Any:
-        """One row by name; leading batch axes are kept."""
+        """Return one row by name, with its leading batch axes."""
         i = self.names.index(name)
         leaves, treedef = jax.tree.flatten(self.rows)
         if not all(leaf is None or hasattr(leaf, "__getitem__") for leaf in leaves):
@@ -61,8 +61,8 @@ class KindTable(eqx.Module):
         return with_link(jax.tree.unflatten(treedef, picked), self.links[i])
 
     def _no_node(self, name: str) -> Problem:
-        """The problem of a row of leaves that are not arrays, which occurs when equinox.tree_at
-        calls its function."""
+        """Return the problem of a row whose leaves are not arrays, as when equinox.tree_at calls
+        the user's function."""
         paths = [
             jax.tree_util.keystr(keys, simple=True, separator=".")
             for keys, _ in jax.tree_util.tree_leaves_with_path(self.rows)
@@ -84,8 +84,8 @@ class KindTable(eqx.Module):
 
 
 def tabulate(things: dict[str, Any], template: Any = None) -> KindTable:
-    """One table of objects of equal structure; `template` gives the structure where there
-    are none."""
+    """Return one table of objects of equal structure; `template` gives the structure if there are
+    no objects."""
     modules = list(things.values())
     bare = [with_link(module, None) for module in modules]
     leaves = [jax.tree.leaves(module) for module in bare]
@@ -102,8 +102,8 @@ def tabulate(things: dict[str, Any], template: Any = None) -> KindTable:
 
 
 def tabulate_by_structure(things: dict[str, Any], key=lambda name: None) -> tuple[KindTable, ...]:
-    """One table for each structure (class, static fields, shapes of leaves) and `key`, in order of
-    first appearance."""
+    """Return one table for each structure (class, static fields, shapes of leaves) and value of
+    `key`, in order of first appearance."""
     kinds: dict[Any, dict[str, Any]] = {}
     for name, thing in things.items():
         leaves, treedef = jax.tree.flatten(with_link(thing, None))
@@ -114,7 +114,7 @@ def tabulate_by_structure(things: dict[str, Any], key=lambda name: None) -> tupl
 
 
 def with_link(module: Any, link: Any) -> Any:
-    """A copy with another link, which is static, so that `eqx.tree_at` cannot replace it."""
+    """Return a copy with another link, which is static, so that `eqx.tree_at` cannot replace it."""
     copy = object.__new__(type(module))
     # its own attributes only: those of the class would change the tree structure
     for name, value in vars(module).items():

@@ -51,7 +51,8 @@ class FramePair(Element):
         return jnp.concatenate([rotations.inverse_left_jacobian(theta, p), theta])
 
     def as_drawn(self, *orientations):
-        """q_b = q_B* q_A q_a, where it is not given."""
+        """Return the element with the orientation q_b = q_B* q_A q_a of its second frame, with
+        which the two frames coincide as drawn, unless it is given."""
         mount: Any = self
         if mount.orientation_b is not None:
             return mount
@@ -142,12 +143,12 @@ class Bushing(FramePair):
 
 
 def _second(value: Any, where: str, problems: Problems) -> Any:
-    """The unit quaternion of an orientation; None where it follows from the drawing."""
+    """Return the unit quaternion of an orientation, or None if it follows from the drawing."""
     return None if value is None else as_quaternion(value, where, problems)
 
 
 def _times(coefficients: Float[Array, "*k"], e: Float[Array, "6"]) -> Float[Array, "6"]:
-    """K e for a 6 x 6 matrix or for three translational coefficients."""
+    """Return K e for a 6 x 6 matrix or for three translational coefficients."""
     if coefficients.shape == (3,):
         return jnp.concatenate([coefficients * e[:3], jnp.zeros_like(e[3:])])
     return jnp.sum(coefficients * e[None], -1)
@@ -174,7 +175,7 @@ class Mount(FramePair, LawForces):
         V = sum U_i(e_i),   R = 1/2 sum c_i e_i'^2 + what laws with memory add,
         e as of a Bushing, axes of the frame at a
 
-    It is relaxed where the two frames coincide, unless a law says otherwise.
+    It is relaxed where the two frames coincide, unless a law has a force at zero.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
@@ -238,7 +239,7 @@ class Mount(FramePair, LawForces):
             self.orientation_b = _second(orientation_b, "Mount.orientation_b", problems)
 
     def _each(self, function, *e) -> list[Any]:
-        """function(law, ...) of the six laws and their deformations."""
+        """Return function(law, ...) for each of the six laws and its deformation."""
         return [
             function(getattr(self, name), *(x[i] for x in e)) for i, name in enumerate(DIRECTIONS)
         ]
@@ -297,7 +298,7 @@ class Mount(FramePair, LawForces):
 
 
 def _damping(value: Any, problems: Problems) -> Any:
-    """The coefficients of six directions."""
+    """Return the coefficients of the six directions."""
     array = checked(
         np.zeros(6) if value is None else value,
         ((3,), (6,)),

@@ -24,7 +24,8 @@ from jaxbody.model.laws.spring_laws import ramp, ramp_energy, ramp_slope
 
 
 class Touching(Element):
-    """The base class of both: `stiffness` k [N/m], `damping` c [N s/m], `engagement` w [m].
+    """The base class of unilateral contacts: `stiffness` k [N/m], `damping` c [N s/m], `engagement`
+    w [m].
 
     >>> issubclass(Tyre, Touching) and issubclass(Contact, Touching)
     True
@@ -40,7 +41,7 @@ class Touching(Element):
         return self.stiffness * ramp_energy(-e, self.engagement)
 
     def dissipation(self, e, e_dot):
-        """R = 1/2 c_e e_dot^2 - 1/2 q^2/c_e, q the part of the damper's pull that would
+        """Return R = 1/2 c_e e_dot^2 - 1/2 q^2/c_e, with q the part of the damper's pull that would
         exceed P."""
         c, q = self._damper(e, e_dot)
         return 0.5 * c * e_dot**2 - 0.5 * jnp.where(c > 0, q**2 / jnp.where(c > 0, c, 1.0), 0.0)

@@ -19,7 +19,7 @@ from jaxbody.model.laws.laws import Law, parts
 
 
 def check_leaves(problems: Problems, where: str, thing: Any) -> None:
-    """Check that an element, or a function of the user's, holds only numbers, functions and
+    """Check that an element, or a function written by the user, holds only numbers, functions and
     static fields."""
     for keys, leaf in jax.tree_util.tree_leaves_with_path(thing):
         if not isinstance(leaf, np.ndarray | jax.Array):
@@ -34,7 +34,8 @@ def check_leaves(problems: Problems, where: str, thing: Any) -> None:
 
 
 def unknown_frame(name: str, where: str, known: tuple[str, ...], what: str) -> Problem:
-    """The problem of an unknown name of a frame; `what` it is the name of."""
+    """Return the problem of an unknown name of a frame; `what` is "body", "parent" or another role
+    of the frame."""
     problem = unknown(name, where, known)
     return replace(
         problem,
@@ -45,8 +46,8 @@ def unknown_frame(name: str, where: str, known: tuple[str, ...], what: str) -> P
 
 
 def check_laws(problems: Problems, elements: dict[str, Element]) -> None:
-    """Check that JAX can trace users' laws and that they return one number, and of laws with memory
-    one rate for each state; each structure is traced once."""
+    """Check that JAX can trace the laws written by the user and that they return one number, or,
+    with memory, one rate for each state; each structure is traced once."""
     checked = set()
     for name, element in elements.items():
         for field, law in vars(element).items():
@@ -64,8 +65,8 @@ def check_laws(problems: Problems, elements: dict[str, Element]) -> None:
 
 
 def _check_memory(law: Any, where: str, problems: Problems) -> None:
-    """Check the functions of a user's law with memory, and that a hysteretic state stays at rest.
-    Error: RELAXES."""
+    """Check the functions of a law with memory written by the user, and that its hysteretic states
+    are constant at rest. Error: RELAXES."""
     zero = np.zeros(len(law.states))
     functions = {
         "restoring_force": (lambda law, x: law.restoring_force(x, x, zero + x), ()),

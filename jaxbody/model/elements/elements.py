@@ -34,8 +34,8 @@ class Element(Described, eqx.Module):
     """The base class of elements between two or more frames, named in `between`; `a` and `b` are
     the points where it is attached.
 
-    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness
-    are their derivatives. One with inertia states `kinetic_energy` too. `jb.field` gives the unit
+    An element of your own defines `deformation`, `energy` and `dissipation`; forces and stiffness
+    are their derivatives. One with inertia defines `kinetic_energy` too. `jb.field` gives the unit
     and the domain of its numbers, which `replace`, `fit` and `tune` respect. Two equal charges, one
     of which floats above the other where strength / e^2 = m g:
 
@@ -73,91 +73,91 @@ class Element(Described, eqx.Module):
         return self.a, self.b
 
     def as_drawn(self, *orientations: Float[Array, "4"]) -> Element:
-        """The element with what follows from the drawing, where its frames have these orientations
-        (unit quaternions)."""
+        """Return the element with the fields that follow from the drawing, in which its frames have
+        these orientations (unit quaternions)."""
         return self
 
     @abstractmethod
     def deformation(self, *poses: Pose) -> Float[Array, "*m"]:
-        """The geometric function e."""
+        """Return the deformation e, a function of the poses of its frames."""
 
     @abstractmethod
     def energy(self, e: Float[Array, "*m"]) -> Float[Array, ""]:
-        """V(e) [J]."""
+        """Return V(e) [J]."""
 
     @abstractmethod
     def dissipation(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, ""]:
-        """R(e, e_dot) [W], half the dissipated power where damping is linear."""
+        """Return R(e, e_dot) [W], half the dissipated power if damping is linear."""
 
     def kinetic_energy(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, ""]:
-        """T(e, e_dot) [J], quadratic in e_dot, of an element with inertia: only one that states it
-        has any."""
+        """Return T(e, e_dot) [J], quadratic in e_dot. Only elements with inertia define it."""
         return jnp.zeros(())
 
     @classmethod
     def has_inertia(cls) -> bool:
-        """Whether it states a kinetic energy."""
+        """Return whether the class defines a kinetic energy."""
         return cls.kinetic_energy is not Element.kinetic_energy
 
     def beyond(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Bool[Array, ""]:
-        """True where a law is used beyond the range for which it is known."""
+        """Return whether a law is used outside the range for which it is known."""
         return jnp.array(False)
 
     def away_from_jump(self, *poses: Pose) -> Float[Array, "*n"]:
-        """A vector that is zero where the force jumps (see `jump`) and has a length of about 1 far
-        from there."""
+        """Return a vector that is zero where the force jumps (see `jump`) and has a length of about
+        1 far from there."""
         return jnp.ones(1)
 
     def potential(self, *poses: Pose) -> Float[Array, ""]:
-        """V of the poses."""
+        """Return V [J] as a function of the poses."""
         return self.energy(self.deformation(*poses))
 
     def rates(self, *frames: Frame) -> tuple[Float[Array, "*m"], Float[Array, "*m"]]:
-        """e and e_dot, the derivative of e along the motion of the frames."""
+        """Return e and e_dot, the derivative of e along the motion of the frames."""
         return jax.jvp(
             self.deformation, tuple(f.pose() for f in frames), tuple(f.rates() for f in frames)
         )
 
     def damping_force(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, "*m"]:
-        """dR/de_dot."""
+        """Return dR/de_dot."""
         return jax.grad(self.dissipation, argnums=1)(e, e_dot)
 
     def force(self, *frames: Frame) -> Float[Array, "*m"]:
-        """dV/de + dR/de_dot, the force opposing the deformation: the tension of a spring [N]."""
+        """Return dV/de + dR/de_dot, the force that opposes the deformation: the tension of a spring
+        [N]."""
         e, e_dot = self.rates(*frames)
         return self.static_force(e) + self.damping_force(e, e_dot)
 
     def momentum(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, "*m"]:
-        """dT/de_dot."""
+        """Return dT/de_dot."""
         return jax.grad(self.kinetic_energy, argnums=1)(e, e_dot)
 
     def inertial_force(
         self, frames: tuple[Frame, ...], changes: tuple[Frame, ...]
     ) -> Float[Array, "*m"]:
-        """d/dt dT/de_dot - dT/de, which adds to `force`; `changes` are the derivatives of the
-        frames in time."""
+        """Return d/dt dT/de_dot - dT/de, which adds to `force`; `changes` are the time derivatives
+        of the frames."""
         _, rate = jax.jvp(lambda *frames: self.momentum(*self.rates(*frames)), frames, changes)
         return rate - jax.grad(self.kinetic_energy)(*self.rates(*frames))
 
     def lost_power(self, *frames: Frame) -> Float[Array, ""]:
-        """dR/de_dot . e_dot [W]."""
+        """Return the dissipated power dR/de_dot . e_dot [W]."""
         e, e_dot = self.rates(*frames)
         return jnp.sum(self.damping_force(e, e_dot) * e_dot)
 
     def static_force(self, e: Float[Array, "*m"]) -> Float[Array, "*m"]:
-        """The force at rest, dV/de."""
+        """Return dV/de, the force at rest."""
         return jax.grad(self.energy)(e)
 
     def tangent(self, e: Float[Array, "*m"]) -> Float[Array, "*m *m"]:
-        """The derivative of the force at rest, d2V/de2."""
+        """Return d2V/de2, the derivative of the force at rest."""
         return jax.hessian(self.energy)(e)
 
     def state_rates(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, "nz"]:
-        """z' of the states of its laws."""
+        """Return z', the rates of the states of its laws."""
         raise self._without_states()
 
     def rest_states(self, e: Float[Array, "*m"]) -> Float[Array, "nz"]:
-        """z at rest."""
+        """Return the states z at rest."""
         raise self._without_states()
 
     def _without_states(self) -> JaxbodyError:
@@ -172,21 +172,23 @@ class Element(Described, eqx.Module):
         )
 
     def wrenches(self, *frames: Frame) -> tuple[Wrench, ...]:
-        """The wrench on each frame: minus the derivatives of V and R with respect to its
-        displacement and velocity."""
+        """Return the wrench on each frame: minus the derivatives of V and R by its displacement and
+        velocity."""
         return self._pulled_back(self.force(*frames), frames)
 
     def inertial_wrenches(
         self, frames: tuple[Frame, ...], changes: tuple[Frame, ...]
     ) -> tuple[Wrench, ...]:
-        """The wrench of its inertia on each frame."""
+        """Return the wrench of the element's inertia on each frame; `changes` are the time
+        derivatives of the frames."""
         return self._pulled_back(self.inertial_force(frames, changes), frames)
 
     def _pulled_back(
         self, force: Float[Array, "*m"], frames: tuple[Frame, ...]
     ) -> tuple[Wrench, ...]:
-        """Force and moment on each frame, from the slopes of the poses: a moment is the sum of the
-        cross products of the columns of R with their slopes."""
+        """Return the force and moment on each frame of the force -`force` along e, by the
+        transposed slopes of e. A moment is the sum of the cross products of the columns of R with
+        their slopes."""
         _, pull_back = jax.vjp(self.deformation, *(f.pose() for f in frames))
         return tuple(
             (slope.p, cross(f.R.T, slope.R.T).sum(0))
@@ -218,24 +220,24 @@ class LineElement(Element):
     def split(
         self, L: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-        """k0, the rest of the tension and its derivative in L."""
+        """Return k0, the rest of the tension, and the derivative of the rest by L."""
 
     @abstractmethod
     def damper_tension(self, e: Float[Array, ""], e_dot: Float[Array, ""]) -> Float[Array, ""]:
-        """dR/de_dot."""
+        """Return dR/de_dot."""
 
     def has_no_direction(self) -> bool:
-        """True when it exerts no force at zero length, and so needs no direction there (for numbers
-        that are not traced)."""
+        """Return whether the force at zero length is zero, so that no direction is needed there
+        (for numbers that are not traced)."""
         return False
 
     def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        """The elongation s = |AB| - l0 (31), with derivatives of zero at |AB| = 0."""
+        """Return the elongation s = |AB| - l0 (31), with derivatives of zero at |AB| = 0."""
         return length_and_direction(B.point(self.b) - A.point(self.a))[0] - self.free_length
 
     def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        """AB over the free length; 1 where the force at zero length is zero, because no force
-        jumps then."""
+        """Return AB over the free length, or 1 if the force at zero length is zero, because it does
+        not jump then."""
         _, rest, _ = self.split(jnp.zeros_like(self.free_length))
         jumps = (self.free_length > 0) & (rest != 0)
         return jnp.where(
@@ -256,7 +258,7 @@ class LineElement(Element):
         return jnp.where(self.free_length == 0, without_norm, self.energy(L - self.free_length))
 
     def wrenches(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        """Closed form: the tension along AB."""
+        """Return the wrenches in closed form: the tension along AB."""
         arm_a, arm_b = rotate(A.R, self.a), rotate(B.R, self.b)
         d = (B.p - A.p) + (arm_b - arm_a)
         rate = (B.v - A.v) + (cross(B.w, arm_b) - cross(A.w, arm_a))
@@ -267,15 +269,15 @@ class LineElement(Element):
 
 
 def length_and_direction(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
-    """|d| and d/|d|, both zero with zero derivatives at d = 0."""
+    """Return |d| and d/|d|, both zero with zero derivatives at d = 0."""
     inverse = inverse_length(d)
     return dot(d, d) * inverse, d * inverse
 
 
 def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
-    """For an element with `orientation` and `orientation_b`: the rotations from the axes of its
-    first end to the world, and of its second end to the first. Before a model says how it is drawn,
-    axes that are not given are those of the first end."""
+    """Return two rotations of an element with `orientation` and `orientation_b`: from the axes of
+    its first end to the world, and from those of its second end to the first. Before the element is
+    part of a model, an `orientation_b` that is not given equals `orientation`."""
     second = element.orientation if element.orientation_b is None else element.orientation_b
     R_A, R_B = (
         product(A.R, rotations.matrix(element.orientation)),

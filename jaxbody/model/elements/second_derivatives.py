@@ -58,8 +58,8 @@ class Block(NamedTuple):
         return Block(P, self.h, self.y, self.x, Q)
 
     def whole(self) -> Float[Array, "*n 6 6"] | float:
-        """The 6 x 6 matrix, as a sum of products with ones and zeros: joined parts would be copied
-        one number after another (numerics/xla_workarounds.py)."""
+        """Return the 6 x 6 matrix as a sum of products with ones and zeros, because concatenated
+        parts would be copied one number after another (numerics/xla_workarounds.py)."""
         parts = [] if self.P is None else [self.P]
         if self.h is not None:
             parts.append(self.h[..., None, None] * to_rank(UPPER_LEFT, self.h.ndim + 2))
@@ -87,7 +87,7 @@ PairBlocks = dict[tuple[int, int], Block]  # for each pair (i, j) of an element'
 
 @singledispatch
 def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, PairBlocks]:
-    """Gradient and Hessian of V."""
+    """Return gradient and Hessian of V by the displacements of the frames."""
     G, H = potential_derivatives(element, *frames)
     return tuple(jnp.split(G, len(frames))), _blocks(H)
 
@@ -95,7 +95,7 @@ def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, P
 def potential_derivatives(
     element: Element, *frames: Frame
 ) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
-    """Gradient and Hessian of V; the Hessian is the symmetric part of the derivative of the
+    """Return gradient and Hessian of V; the Hessian is the symmetric part of the derivative of the
     wrenches, because rotations only add a skew part."""
     n = 6 * len(frames)
 
@@ -118,8 +118,8 @@ def potential_derivatives(
 
 @second_order.register
 def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlocks]:
-    """With V'' = h I + c d d' for the vector d between the points, h the tension over
-    the length."""
+    """Return the derivatives for a line, with V'' = h I + c d d' for the vector d between the
+    points, h the tension over the length."""
     a, b = rotate(A.R, line.a), rotate(B.R, line.b)
     d = (B.p - A.p) + (b - a)
     inverse = inverse_length(d)
@@ -141,10 +141,10 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlo
 
 @second_order.register
 def _(bushing: FramePair, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlocks]:
-    """V depends on the relative pose, in the axes of the bushing on A: position t of the end on B
-    and orientation R = exp([theta]), which change as t -> t + tau, R -> exp([psi]) R. In world
-    axes, to second order in the displacements of the frames, with b the arm of B and P the vector
-    from A's origin to B's end,
+    """Return the derivatives for a pair of frames. V depends on the relative pose, in the axes of
+    the bushing on A: position t of the end on B and orientation R = exp([theta]), which change as t
+    -> t + tau, R -> exp([psi]) R. In world axes, to second order in the displacements of the
+    frames, with b the arm of B and P the vector from A's origin to B's end,
 
         tau = d_b - d_a + phi_b x b - phi_a x P - phi_a x (d_b - d_a + phi_b x b)
               + phi_a x (phi_a x P)/2 + phi_b x (phi_b x b)/2
@@ -172,7 +172,7 @@ def _(bushing: FramePair, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBl
 def _in_relative_motion(
     bushing: FramePair, theta: Float[Array, "3"], t: Float[Array, "3"]
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
-    """Gradient and Hessian of V in (tau, psi), for e = (J t, theta), J = 1 - [theta]/2 + c
+    """Return gradient and Hessian of V in (tau, psi), for e = (J t, theta), J = 1 - [theta]/2 + c
     [theta]^2, c a function of x = |theta|^2.
 
     With eta = J psi the changes are d theta = eta, d2 theta = N(psi) eta, du = J tau + N(t) eta,
@@ -222,14 +222,14 @@ def _in_relative_motion(
 
 
 def _states_held(force, e: Array) -> Any:
-    """force(e). In its derivatives by parameters the states of laws with hysteresis stay; they
-    follow only where e is displaced, as `model.laws.memories.Apart` has it wherever a force is
-    differentiated directly."""
+    """Return force(e). In its derivatives by parameters the states of laws with hysteresis are
+    constant; they change only with e, as in `law_states.Apart` wherever a force is differentiated
+    directly."""
     return jax.jvp(force, (e,), (jnp.ones_like(e),))[0]
 
 
 def _with_derivatives(function, x: Array) -> tuple[Array, Array, Array]:
-    """A function of one number and its first two derivatives."""
+    """Return the value of a function of one number and its first two derivatives."""
 
     def first(x):
         return jax.jvp(function, (x,), (jnp.ones_like(x),))
@@ -239,7 +239,7 @@ def _with_derivatives(function, x: Array) -> tuple[Array, Array, Array]:
 
 
 def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """The Hessian of force . exp([phi]) arm: (f a' + a f')/2 - (f . a) I."""
+    """Return the Hessian of force . exp([phi]) arm in phi: (f a' + a f')/2 - (f . a) I."""
     outer = force[..., :, None] * arm[..., None, :]
     return (outer + jnp.swapaxes(outer, -1, -2)) / 2 - dot(force, arm)[..., None, None] * to_rank(
         np.eye(3, dtype=arm.dtype), outer.ndim
@@ -248,13 +248,13 @@ def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Arr
 
 @singledispatch
 def dissipation_hessian(element: Element, *frames: Frame) -> PairBlocks:
-    """Hessian of R in the velocities of the frames."""
+    """Return the Hessian of R by the velocities of the frames, in blocks."""
     return _blocks(damping_matrix(element, *frames))
 
 
 def damping_matrix(element: Element, *frames: Frame) -> Float[Array, "n n"]:
-    """Hessian of R in the velocities of the frames: J' R'' J, with J the derivative of e_dot in
-    these velocities."""
+    """Return the Hessian of R by the velocities of the frames: J' R'' J, with J the derivative of
+    e_dot by these velocities."""
     e, e_dot = element.rates(*frames)
     n = 6 * len(frames)
 
@@ -272,8 +272,8 @@ def damping_matrix(element: Element, *frames: Frame) -> Float[Array, "n n"]:
 
 @dissipation_hessian.register
 def _(line: LineElement, A: Frame, B: Frame) -> PairBlocks:
-    """c g g', c the slope of the damper's tension, g = (u, arm x u) along the unit vector u from a
-    to b."""
+    """Return the Hessian for a line, c g g', with c the slope of the damper's tension and g = (u,
+    arm x u) along the unit vector u from a to b."""
     a, b = rotate(A.R, line.a), rotate(B.R, line.b)
     L, u = length_and_direction((B.p - A.p) + (b - a))
     e_dot = dot(u, (B.v - A.v) + (cross(B.w, b) - cross(A.w, a)))
@@ -296,5 +296,5 @@ def _blocks(H: Float[Array, "m m"]) -> PairBlocks:
 
 
 def _square(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """[[a, b], [c, d]]."""
+    """Return [[a, b], [c, d]]."""
     return jnp.concatenate([jnp.concatenate([a, b], -1), jnp.concatenate([c, d], -1)], -2)

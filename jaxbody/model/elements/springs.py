@@ -22,7 +22,8 @@ from jaxbody.model.laws import law_states, laws
 
 
 class LawForces(Element):
-    """The energies and forces of such elements; the fields are those of each class.
+    """The base class of elements whose forces follow laws, in the fields `spring` and `damper` of
+    each class.
 
     >>> issubclass(jb.SpringDamper, LawForces) and issubclass(jb.Torsion, LawForces)
     True
@@ -50,7 +51,7 @@ class LawForces(Element):
         return law_states.tangent(self.spring, self.energy, e)
 
     def _each(self: Any, function, *e) -> list[Any]:
-        """function(law, ...) of each law and its deformation."""
+        """Return function(law, ...) for each law and its deformation."""
         return [function(self.spring, *e)]
 
     def state_rates(self, e, e_dot):
@@ -60,7 +61,7 @@ class LawForces(Element):
         return _joined(self._each(law_states.rest_states, e))
 
     def sensitivities(self, e):
-        """dz/de at rest."""
+        """Return dz/de at rest."""
         return _joined(self._each(law_states.sensitivities, e))
 
     def inner(self: Any, e, e_dot):
@@ -194,9 +195,9 @@ class Inerter(Element):
 
         T = 1/2 b (d|AB|/dt)^2,   force = b d2|AB|/dt2, positive where it pulls the points together
 
-    It has no mass of its own, exerts no force at rest and stands beside springs and dampers. It
-    adds to T, M, M~ and M_bb. In a model with one the mass matrix depends on the configuration, so
-    that free bodies too are integrated as bodies on joints.
+    It has no mass, exerts no force at rest and is used beside springs and dampers. It adds to T, M,
+    M~ and M_bb. In a model with an inerter the mass matrix depends on the configuration, so that
+    free bodies too are integrated as bodies on joints.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m]), apart from each other
@@ -230,7 +231,7 @@ class Inerter(Element):
             take(self, problems, inertance=inertance)
 
     def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        """The length |AB|."""
+        """Return the length |AB|."""
         return length_and_direction(B.point(self.b) - A.point(self.a))[0]
 
     def energy(self, e):

@@ -90,7 +90,7 @@ class Torsion(LawForces):
         return jnp.stack(self._half(A, B)) / 4
 
     def _half(self, A, B):
-        """Sine and cosine of half the twist, times a number that is zero at half a turn."""
+        """Return sine and cosine of half the twist, times a number that is zero at half a turn."""
         _, R = turned(self, A, B)
         w = jnp.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
         return dot(self.axis, w), 1 + jnp.trace(R)

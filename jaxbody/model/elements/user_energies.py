@@ -1,5 +1,5 @@
-"""Energies and dissipations of the user's own, functions of the frames that they read by name:
-V(frames) and R(frames)."""
+"""Energies and dissipations written by the user: functions V(frames) and R(frames) of the frames
+that they read by name."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ NOWHERE: DrawnAt = np.zeros(3), np.array(IDENTITY)
 
 
 class OfFrames(Element):
-    """The base class of both: an element whose deformation is the poses of the frames that
-    `function` reads, 12 numbers each."""
+    """The base class of OwnEnergy and OwnDissipation: an element whose deformation is the poses of
+    the frames that `function` reads, 12 numbers each."""
 
     function: Any = field()
     reads: tuple[str, ...] = field(static=True)
@@ -48,13 +48,13 @@ class OfFrames(Element):
     @staticmethod
     @abstractmethod
     def seen(frame: Frame) -> Any:
-        """What the function sees of a frame."""
+        """Return the part of a frame that the function can read."""
 
     def deformation(self, *poses: Pose) -> Float[Array, "m"]:
         return jnp.concatenate([part for pose in poses for part in (pose.p, pose.R.ravel())])
 
     def of_frames(self, e: Float[Array, "m"], e_dot: Float[Array, "m"]) -> Float[Array, ""]:
-        """The value of the function, of poses e with the rates e_dot."""
+        """Return the value of the function for the poses e with the rates e_dot."""
         frames = []
         for x, x_dot in zip(e.reshape(-1, 12), e_dot.reshape(-1, 12), strict=True):
             R = x[3:].reshape(3, 3)
@@ -93,12 +93,13 @@ class OwnDissipation(OfFrames):
 
 
 def unwrapped(row: Any) -> Any:
-    """The function of an energy or dissipation of the user's own; any other object itself."""
+    """Return the function of an energy or dissipation written by the user, and any other object
+    itself."""
     return row.function if isinstance(row, OfFrames) else row
 
 
 class _Reading(Mapping):
-    """The frames where they are drawn, which notes the names of those that are read."""
+    """The frames as drawn, in a mapping that records which names are read."""
 
     def __init__(self, kind: type[OfFrames], drawn: dict[str, DrawnAt]):
         self.kind, self.drawn, self.read = kind, drawn, {}
@@ -121,8 +122,8 @@ def own_functions(
     given: dict[str, Any],
     drawn: dict[str, DrawnAt],
 ) -> dict[str, Any]:
-    """The elements of the user's functions by name, each of which is traced once to see which
-    frames it reads.
+    """Return elements for functions written by the user, by name; each function is traced once to
+    find the frames that it reads.
 
     Errors: WRONG_KIND, NOT_A_NUMBER, NOT_TRACEABLE, FUNCTION_FAILED, BAD_SHAPE,
     UNKNOWN_BODY, NON_FINITE."""
@@ -198,7 +199,7 @@ def _pose(place: DrawnAt) -> Pose:
 
 @program
 def _is_finite(element: OfFrames, places: tuple[DrawnAt, ...]) -> Bool[Array, ""]:
-    """Whether its value and its slopes are finite at rest in these places."""
+    """Return whether the value and its slopes are finite at rest in these places."""
     e = element.deformation(*map(_pose, places))
     results = jax.value_and_grad(
         lambda e, e_dot: element.energy(e) + element.dissipation(e, e_dot), (0, 1)

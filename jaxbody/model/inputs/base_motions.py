@@ -76,8 +76,8 @@ def base_motion(
     degree: int | None = 0,
     cutoff: float | None = None,
 ) -> Recovered:
-    """The motion of a support from the channel `acceleration` of an accelerometer on it, (n, 3) in
-    its axes, or (n,) along `axis`.
+    """Compute the motion of a support from the channel `acceleration` of an accelerometer on it,
+    (n, 3) in its axes, or (n,) along `axis`.
 
     Args:
         record: the record that contains the channels
@@ -167,7 +167,7 @@ def base_motion(
 def _channel(
     record: Record, name: str, dimension: units.Dimension, axis: Any, problems: Problems
 ) -> np.ndarray:
-    """A channel as (n, 3); zeros where it is not suitable, with a problem added."""
+    """Return a channel as (n, 3), or zeros if it is not suitable, with a problem added."""
     where, zeros = f"Record['{name}']", np.zeros((len(record.times), 3))
     x = problems.gather(lambda: record[name])
     if x is None:
@@ -265,8 +265,8 @@ def _check_options(record: Record, degree: Any, cutoff: Any, problems: Problems)
 
 
 def _slow(t: np.ndarray, degree: int | None, cutoff: float | None) -> np.ndarray:
-    """B_k at the samples (n, k): Legendre polynomials, and cosines of 1/2, 1, 3/2 ... periods over
-    the record."""
+    """Return B_k at the samples (n, k): Legendre polynomials, and cosines of 1/2, 1, 3/2 ...
+    periods over the record."""
     if degree is None:
         return np.zeros((len(t), 0))
     s = t / t[-1]
@@ -280,7 +280,7 @@ def _slow(t: np.ndarray, degree: int | None, cutoff: float | None) -> np.ndarray
 
 
 def _least(basis: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Least-squares coefficients, with scaled columns."""
+    """Return least-squares coefficients, with scaled columns."""
     scale = np.linalg.norm(basis, axis=0)
     return np.linalg.lstsq(basis / scale, x, rcond=1e-13)[0] / scale[:, None]
 
@@ -288,7 +288,7 @@ def _least(basis: np.ndarray, x: np.ndarray) -> np.ndarray:
 def _drift(
     t: np.ndarray, a: np.ndarray, slow: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x0, v0 and b that minimize the sum of squares of x."""
+    """Return x0, v0 and b that minimize the sum of squares of x."""
     if not slow.shape[1]:
         return np.zeros(3), np.zeros(3), np.zeros_like(a)
     mean = a.mean(0)
@@ -298,8 +298,8 @@ def _drift(
 
 
 def _turned(t: np.ndarray, w: np.ndarray, slow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation vectors at the samples from rates in body axes after removal of their drift, and
-    this drift.
+    """Return rotation vectors at the samples, integrated from rates in body axes after removal of
+    their drift, and this drift.
 
     R_{i+1} = R_i exp(h (w_i + w_{i+1})/2 + h^2/12 w_i x w_{i+1}), w linear between samples; the
     mean rotation vector is zero.
@@ -307,7 +307,7 @@ def _turned(t: np.ndarray, w: np.ndarray, slow: np.ndarray) -> tuple[np.ndarray,
     basis = np.hstack([np.ones((len(t), 1)), integrals(t, slow)[0]])
     drift, start = np.zeros_like(w), np.zeros(3)
     if slow.shape[1]:
-        for i in range(4):  # first the drift of small turns, then the effect of their order
+        for i in range(4):  # first as for small turns, whose order has no effect
             c = _least(basis, _integrated_turns(t, w - drift, start) if i else integrals(t, w)[0])
             drift, start = drift + slow @ c[1:], start - c[0]
     return _integrated_turns(t, w - drift, start), drift
@@ -332,7 +332,7 @@ def _product(steps: Float[Array, "n 3"], start: Float[Array, "3"]) -> Float[Arra
 
 
 def _warn_of_turns(t: np.ndarray, drift: np.ndarray) -> None:
-    """Warn TURNS where the drift of the rates is that of a base that turned."""
+    """Warn TURNS if the drift of the rates is so large that the base may have turned."""
     turned = integrals(t, drift)[0]
     angle, i = np.abs(turned).max(), np.abs(turned).max(0).argmax()
     if angle > LARGEST_TURN:
@@ -346,8 +346,8 @@ def _warn_of_turns(t: np.ndarray, drift: np.ndarray) -> None:
 
 
 def _warn_of_gravity(where: str, reading: np.ndarray, gravity: np.ndarray) -> None:
-    """Warn GRAVITY where the median of the specific force, in world axes, is not that of a base
-    that moves about a place: -gravity."""
+    """Warn GRAVITY if the median of the specific force, in world axes, is far from -gravity, that
+    of a base that moves about one place."""
     g, size = np.linalg.norm(gravity), np.linalg.norm(reading)
     if g and np.linalg.norm(reading + gravity) > g / 2:
         if size < g / 2:
@@ -372,7 +372,7 @@ def _warn_of_gravity(where: str, reading: np.ndarray, gravity: np.ndarray) -> No
 
 
 def _swing(times: np.ndarray, turn: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """The acceleration of R r [m/s2] at the samples, from a spline through the rotations."""
+    """Return the acceleration of R r [m/s2] at the samples, from a spline through the rotations."""
     motion = Sampled(times, rotation=turn)
     second = jax.jacfwd(jax.jacfwd(lambda t: rotations.exp(motion(t)[3:]) @ jnp.asarray(r)))
     return np.asarray(jax.jit(jax.vmap(second))(device_array(times)))

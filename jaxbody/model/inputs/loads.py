@@ -28,7 +28,7 @@ from jaxbody.model.inputs.signals import Signal, as_signal, turned
 
 
 class Load(Described, eqx.Module):
-    """The base class of loads: a load of your own derives from it and states `at_point`.
+    """The base class of loads: a load of your own derives from it and defines `at_point`.
 
     >>> class Thrust(Load):
     ...     level: jax.Array
@@ -43,29 +43,30 @@ class Load(Described, eqx.Module):
 
     @abstractmethod
     def at_point(self, now: Instant) -> Wrench:
-        """Force [N] and moment [N m] at the point, in world axes, with the body's frame `now`: p,
-        R, v, w, and the time t."""
+        """Return force [N] and moment [N m] at the point, in world axes; `now` is the body's frame:
+        p, R, v, w, and the time t."""
 
     def __init_subclass__(cls, **kwargs: Any):
         super().__init_subclass__(**kwargs)
         if "at_point" in vars(cls) and "after" not in vars(cls):
-            cls.after = Load.after  # that of a base class holds for the base class's formula
+            cls.after = Load.after  # as that of a base class is for the formula of that class
 
     def after(self, t0: Float[Array, ""]) -> Load:
-        """The load at the time t0 + t, with signals as `Signal.after` gives them."""
+        """Return the load at the time t0 + t, with its signals shifted by `Signal.after`."""
         return _Later(self.on, self.point, self, t0)
 
     def signals(self) -> tuple[Signal, ...]:
-        """The functions of time (signals) that it contains."""
+        """Return the functions of time (signals) that it contains."""
         return tuple(part for part in vars(self).values() if isinstance(part, Signal))
 
     def dead_force(self, t: Float[Array, ""]) -> Float[Array, "3"]:
-        """The force [N] at the point, in world axes, of a load that does not depend on the motion
-        of its body; NaN for other loads."""
+        """Return the force [N] at the point, in world axes, of a load that does not depend on the
+        motion of its body; NaN for other loads."""
         return jnp.full(3, jnp.nan, t.dtype)
 
     def wrench(self, now: Instant) -> Wrench:
-        """Force, and moment about the origin of the body, in world axes."""
+        """Return the force [N], and the moment [N m] about the origin of the body, in world
+        axes."""
         F, M = self.at_point(now)
         return F, M + cross(rotate(now.R, self.point), F)
 
@@ -272,7 +273,7 @@ class EngineTorque(Load):
 
 
 def _place(on: Any, kind: str, problems: Problems):
-    """Body and point of a name or a (name, point)."""
+    """Return body and point of a name or a (name, point)."""
     (name,), (point,) = ends((on,), kind, problems, points=False)
     return name, point
 
@@ -280,7 +281,7 @@ def _place(on: Any, kind: str, problems: Problems):
 def loads_of(
     loads: dict[str, Load] | None, bodies: tuple[str, ...], where: str = "loads"
 ) -> tuple[Load, ...]:
-    """The loads of a run, each on a body of the model."""
+    """Return the loads of a run, each of which must be on a body of the model."""
     with Problems() as problems:
         given = loads_by_name(loads, where, problems)
         for name, load in given.items():
@@ -297,7 +298,7 @@ def loads_of(
 
 
 def loads_by_name(loads: Any, where: str, problems: Problems) -> dict[str, Load]:
-    """The loads in a dict; a problem is added for anything else in it."""
+    """Return the loads in a dict; a problem is added for anything else in it."""
     given = checked_dict(loads, where, "name: jb.Force(...)", problems)
     for name, load in given.items():
         check_kind(load, Load, f"{where}[{name!r}]", "jb.Force(...) or another Load", problems)

@@ -52,8 +52,8 @@ LARGEST_TURN = np.deg2rad(30)  # from sample to sample
 
 class Motion(Signal):
     """An imposed motion: `motion(t)` is Xi = (xi, phi), translation [m] and rotation vector [rad]
-    in world axes. It is a signal of six numbers with this chart. Where a motion is asked for, any
-    signal of six numbers and any function that returns them will do.
+    in world axes. It is a signal of six numbers with this chart. Any signal of six numbers, or
+    function that returns them, can be given as a motion.
 
     >>> (Harmonic(frequency=1.0, translation=[0.1, 0, 0]) + AtRest())(jnp.array(0.0)).tolist()
     [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -182,7 +182,7 @@ class Sampled(Motion):
         initial_position=(0, 0, 0, 0, 0, 0),
         initial_velocity=(0, 0, 0, 0, 0, 0),
     ) -> Sampled:
-        """The motion whose Xi'' is linear between samples.
+        """Return the motion whose Xi'' is linear between samples.
 
         Args:
             times: times of the samples [s], increasing
@@ -221,7 +221,7 @@ class Sampled(Motion):
 
 
 def as_motion(motion: Any, where: str = "motion") -> Signal:
-    """The motion for a motion, for another signal or for a Python function of time."""
+    """Return the motion for a motion, for another signal or for a Python function of time."""
     return function_of_time(
         motion,
         where,
@@ -231,15 +231,15 @@ def as_motion(motion: Any, where: str = "motion") -> Signal:
 
 
 def check_motion(motion: Signal, where: str, problems: Problems) -> None:
-    """Check that JAX can trace a motion and that it returns six numbers, where it is not made of
-    this package's motions alone."""
+    """Check that JAX can trace a motion and that it returns six numbers, unless it consists only of
+    motions of this package."""
     if not _known(motion):
         check_signal(motion, where, problems, (6,))
 
 
 def _known(motion: Signal) -> bool:
-    """Whether a motion, or each part of a sum or a delay, is one of this package, all of which are
-    checked where they are made."""
+    """Return whether a motion, or each part of a sum or a delay, is one of this package, which are
+    checked when they are made."""
     parts = (
         motion.terms
         if isinstance(motion, SignalSum)
@@ -251,8 +251,8 @@ def _known(motion: Signal) -> bool:
 
 
 def _samples(times, translation, rotation, problems: Problems, minimum: int, turns: bool = True):
-    """Samples of translation and rotation as (times, (n, 6) values); raises all problems, including
-    earlier ones."""
+    """Return samples of translation and rotation as (times, (n, 6) values); raise all problems,
+    including earlier ones."""
     times = check_times(times, problems, "Sampled.times", minimum)
     n = None if times is None else times.shape[0]
     columns = [
@@ -290,15 +290,15 @@ def warn_of_jumps(values: Any, times: Any, where: str) -> None:
 
 
 def _columns(value: Any, n: int | None, widths: tuple[int, ...], where: str, problems: Problems):
-    """Finite rows of numbers, one per time if n is given; zeros for None and for invalid rows, for
-    which a problem is added."""
+    """Return finite rows of numbers, one for each time if n is given; zeros for None and for
+    invalid rows, for which a problem is added."""
     rows = None if value is None else checked_rows(value, n, widths, where, problems)
     return np.zeros((n or 0, 3)) if rows is None else rows
 
 
 def _continuous(samples, problems: Problems, where: str):
-    """Rotation vectors without jumps of a whole turn between samples; neighboring ones must be less
-    than 30 degrees apart."""
+    """Return rotation vectors without jumps of a whole turn between samples; neighboring ones must
+    be less than 30 degrees apart."""
     known = concrete(samples)
     if known is not None and known.shape[1] == 4:
         norms = np.linalg.norm(known, axis=1)
@@ -350,8 +350,8 @@ def _continuous(samples, problems: Problems, where: str):
 
 @jax.jit
 def unwound(phi: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """Rotation vectors of the same rotations, each up to whole turns about its axis, nearest to the
-    one before. The axis of a zero rotation is that of the one before."""
+    """Return rotation vectors of the same rotations, each up to whole turns about its axis, nearest
+    to the one before. A zero rotation takes the axis of the one before."""
 
     def follow(previous, phi):
         along = jnp.where(jnp.any(phi != 0), phi, previous)

@@ -80,7 +80,7 @@ class Road(Motion):
 
     @classmethod
     def kerb(cls, height, *, at, ramp, speed, position=0.0, footprint=0.0) -> Road:
-        """A level road with one step on a straight ramp.
+        """Return a level road with one step on a straight ramp.
 
         Args:
             height: height of the step [m], negative downwards
@@ -120,9 +120,10 @@ class Road(Motion):
         return eqx.tree_at(lambda road: road.position, self, self.position + self.speed * t0)
 
     def felt(self, s: Float[Array, ""]) -> Float[Array, ""]:
-        """z_f at the distance s [m] of the middle of the patch: the sum over the pieces of the
-        profile in the patch of length times height at the middle. Lengths are counted from s,
-        because differences of antiderivatives lose all digits far along a long road."""
+        """Return z_f at the distance s [m] of the middle of the patch: the sum over the pieces of
+        the profile in the patch of length times height at the middle, over the footprint. Lengths
+        are counted from s, because differences of antiderivatives lose all digits far along a long
+        road."""
         last, half = len(self.distances) - 1, self.footprint / 2
         rear = jax.lax.stop_gradient(s - half)
         behind = jnp.searchsorted(self.distances, rear, side="right", method="scan_unrolled") - 1
@@ -140,9 +141,9 @@ class Road(Motion):
 
 
 def _window(distances, footprint) -> int:
-    """The number of pieces in the window: those under a patch of twice the length, rounded up to a
-    power of two so that few programs are compiled; all pieces where distances or footprint are
-    being traced."""
+    """Return the number of pieces in the window: those under a patch of twice the length, rounded
+    up to a power of two so that few programs are compiled; all pieces if distances or footprint are
+    traced."""
     s, length = concrete(distances), concrete(footprint)
     last = len(distances) - 1
     if s is None or length is None:
@@ -152,7 +153,7 @@ def _window(distances, footprint) -> int:
 
 
 def _points(value, where: str, problems: Problems, n: int | None = None) -> Any:
-    """A row of n finite numbers, or of two or more if n is None."""
+    """Return a row of n finite numbers, or of two or more if n is None."""
     numbers = problems.gather(lambda: float_array(value, where))
     if numbers is None:
         return None

@@ -12,12 +12,10 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, concrete, float_array, module_of
 from jaxbody.core.errors import Problems
 
-# changes of slope, and curvatures, relative to the largest of the record, below which it
-# is straight
+# relative to the largest change of slope, or curvature: a record with less is straight
 STRAIGHT = 1e-9
-FEW_SAMPLES = 4  # the shortest half of a record
-# of the range of a record: where the third derivative of a cubic spline moves it by less, it
-# is smooth
+FEW_SAMPLES = 4  # in the shortest half of a record
+# relative to the range of a record: a spline is smooth where its third derivative adds less
 FINE = 1e-6
 UNEVEN = 16  # a parabola through zero differs by 9 from one half to the other
 
@@ -25,8 +23,8 @@ UNEVEN = 16  # a parabola through zero differs by 9 from one half to the other
 def checked_rows(
     value: Any, n: int | None, widths: tuple[int | str | None, ...], where: str, problems: Problems
 ) -> Any:
-    """Finite numbers, one row for each of n times, or for any number of times if n is None; None if
-    they are not, with a problem added.
+    """Return finite numbers, one row for each of n times, or for any number of times if n is None;
+    None if they are not, with a problem added.
 
     `widths` of a row: a number, "k" for any number, None for a single number that is no row."""
     array = problems.gather(lambda: float_array(value, where))
@@ -65,8 +63,8 @@ def checked_rows(
 
 
 def interpolated(samples: Any, t: Float[Array, ""]) -> Array:
-    """The straight line a y_i + b y_{i+1} between `samples.values` y, plus h^2/6 ((a^3 - a)
-    m_i + (b^3 - b) m_{i+1}) where they have `curvatures` m."""
+    """Return the straight line a y_i + b y_{i+1} between `samples.values` y, plus h^2/6 ((a^3 - a)
+    m_i + (b^3 - b) m_{i+1}) if they have `curvatures` m."""
     i, h, a, b = cell(samples.times, samples.uniform, t)
     y, m = samples.values, samples.curvatures
     line = a * y[i] + b * y[i + 1]
@@ -76,8 +74,8 @@ def interpolated(samples: Any, t: Float[Array, ""]) -> Array:
 def integrals(
     t: Float[Array, "n"], a: Float[Array, "n k"], x0: Any = 0.0, v0: Any = 0.0
 ) -> tuple[Any, Any]:
-    """The integral v of a function that is linear between samples a, and the integral x of v, from
-    their values at the first time."""
+    """Return the integral v of a function that is linear between samples a, and the integral x of
+    v, from their values v0 and x0 at the first time."""
     xp = module_of(a)
     h = xp.diff(t)[:, None]
 
@@ -89,8 +87,8 @@ def integrals(
 
 
 def cell(times: Float[Array, "n"], uniform: bool, t: Float[Array, ""]):
-    """The index i of the sample before t, the distance to the next one, and the weights a, b
-    of both."""
+    """Return the index i of the sample before t, the distance h to the next one, and the weights a,
+    b of both."""
     n = times.shape[0]
     if uniform:
         i = jnp.floor((t - times[0]) / (times[-1] - times[0]) * (n - 1)).astype(int)
@@ -105,7 +103,7 @@ def cell(times: Float[Array, "n"], uniform: bool, t: Float[Array, ""]):
 
 
 def is_uniform(times) -> bool:
-    """Whether times are equally spaced; False where they are traced."""
+    """Return whether times are equally spaced; False if they are traced."""
     known = concrete(times)
     if known is None:
         return False
@@ -115,8 +113,8 @@ def is_uniform(times) -> bool:
 
 
 def kinks_between_lines(t: Float[Array, "n"], y: Float[Array, "n *k"]) -> Float[Array, "n"]:
-    """The samples at which straight lines through samples have a kink; inf in place of
-    the others."""
+    """Return the samples at which straight lines through samples have a kink; inf in place of the
+    others."""
     y = y.reshape(len(y), -1)
     change = jnp.abs(jnp.diff(jnp.diff(y, axis=0) / jnp.diff(t)[:, None], axis=0))
     ends = jnp.ones(1, bool)
@@ -129,9 +127,9 @@ def kinks_between_lines(t: Float[Array, "n"], y: Float[Array, "n *k"]) -> Float[
 def kinks_between_cubics(
     t: Float[Array, "n"], y: Float[Array, "n *k"], curvature: Float[Array, "n *k"]
 ) -> Float[Array, "_"]:
-    """The samples at which the third derivative of a cubic spline jumps, and those at which a
-    smooth record becomes far more or far less active; inf in place of others. A method of high
-    order takes up to ten steps to get over such a jump, half of them in vain.
+    """Return the samples at which the third derivative of a cubic spline jumps, and those at which
+    a smooth record becomes far more or far less active; inf in place of the others. A method of
+    high order takes up to ten steps to pass such a jump, half of which are rejected.
 
         h^3/6 |jump of d3y/dt3| > FINE (max y - min y)
     """
@@ -145,12 +143,12 @@ def kinks_between_cubics(
 
 
 def changes_of_activity(t: Float[Array, "n"], curvature: Float[Array, "n *k"]) -> Float[Array, "_"]:
-    """The samples at which a smooth record becomes far more or far less active; inf in place of
-    others. A step that ends there cannot reach over a shock after quiet.
+    """Return the samples at which a smooth record becomes far more or far less active; inf in place
+    of the others. A step that ends there cannot miss a shock that follows quiet.
 
-    The record is halved, each half again, and so on down to a few samples: a middle counts where
-    the largest curvatures of its two sides differ by more than UNEVEN. So the parts between become
-    shorter towards a shock, like it."""
+    The record is halved, each half again, and so on down to a few samples: the sample in the middle
+    is returned if the largest curvatures of its two sides differ by more than the factor UNEVEN.
+    The intervals between such samples become shorter towards a shock."""
     size = jnp.abs(curvature.reshape(len(t), -1))
     size = size + STRAIGHT * jnp.max(size, 0, keepdims=True)
     found, width = [], FEW_SAMPLES
@@ -169,9 +167,9 @@ def changes_of_activity(t: Float[Array, "n"], curvature: Float[Array, "n *k"]) -
 
 @jax.jit
 def curvatures(t: Float[Array, "n"], y: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
-    """Second derivatives at the knots: h_{i-1} m_{i-1} + 2 (h_{i-1} + h_i) m_i + h_i m_{i+1} = 6
-    (d_i - d_{i-1}), d the slopes of the chords; at the ends 2 h m_0 + h m_1 = 6 (d_0 - s_0), s the
-    slope of the cubic through four samples."""
+    """Return the second derivatives at the knots: h_{i-1} m_{i-1} + 2 (h_{i-1} + h_i) m_i + h_i
+    m_{i+1} = 6 (d_i - d_{i-1}), d the slopes of the chords; at the ends 2 h m_0 + h m_1 = 6 (d_0 -
+    s_0), s the slope of the cubic through four samples."""
     h, shape, y = jnp.diff(t), y.shape, y.reshape(len(y), -1)
     d = jnp.diff(y, axis=0) / h[:, None]
     zero = jnp.zeros(1, t.dtype)
@@ -189,7 +187,7 @@ def curvatures(t: Float[Array, "n"], y: Float[Array, "n *k"]) -> Float[Array, "n
 
 
 def _end_slope(t: Float[Array, "4"], y: Float[Array, "4 k"]) -> Float[Array, "1 k"]:
-    """Slope at t_0 of the cubic through four points, by Newton's divided differences."""
+    """Return the slope at t_0 of the cubic through four points, by Newton's divided differences."""
     d1 = jnp.diff(y, axis=0) / jnp.diff(t)[:, None]
     d2 = jnp.diff(d1, axis=0) / (t[2:] - t[:-2])[:, None]
     d3 = jnp.diff(d2, axis=0) / (t[3] - t[0])

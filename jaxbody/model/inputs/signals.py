@@ -70,20 +70,20 @@ class Signal(Described, eqx.Module):
     def __init_subclass__(cls, **kwargs: Any):
         super().__init_subclass__(**kwargs)
         if "__call__" in vars(cls) and "after" not in vars(cls):
-            cls.after = Signal.after  # that of a base class holds for the base class's formula
+            cls.after = Signal.after  # as that of a base class is for the formula of that class
 
     def after(self, t0: Float[Array, ""]) -> Signal:
-        """signal(t0 + t), as integration needs it: t0 + t is rounded, by 2e-7 s at 1.6e9 s, so
-        signals with times of their own subtract t0 from these."""
+        """Return signal(t0 + t) as a function of t, for integrations: t0 + t is rounded, by 2e-7 s
+        at 1.6e9 s, so signals that have times subtract t0 from these."""
         return Delayed(self, -t0)
 
     def covers(self) -> tuple[Any, Any]:
-        """First and last time [s] at which it is known."""
+        """Return the first and last time [s] at which it is known."""
         return -np.inf, np.inf
 
     def kinks(self) -> Array | None:
-        """Times [s] at which it is not smooth, or begins or ceases to act, where integration steps
-        end; None if there are none. Of times inf nothing is known."""
+        """Return the times [s] at which it is not smooth, or begins or ceases to act, where
+        integration steps end; None if there are none. Times of inf stand for no kink."""
 
     def __add__(self, other: Signal | Callable[[Array], Array]) -> SignalSum:
         return SignalSum((self, function_of_time(other)))
@@ -267,12 +267,12 @@ class Function(Signal):
 
 
 def turned(frequency: Any, t: Any) -> Array:
-    """The angle 2 pi f t without whole turns."""
+    """Return the angle 2 pi f t [rad] without whole turns."""
     return 2 * jnp.pi * (frequency * t - jnp.floor(frequency * t))
 
 
 def kinks_of(signals: Iterable[Signal]) -> Array | None:
-    """The kinks of several signals, in order."""
+    """Return the kinks of several signals in increasing order."""
     known = [kinks for signal in signals if (kinks := signal.kinks()) is not None]
     return jnp.sort(jnp.concatenate(known)) if known else None
 
@@ -283,7 +283,7 @@ def function_of_time(
     wanted: str = "a Signal, such as jb.signals.Sine(...)",
     hint: str = "Give a Signal or a function of time.",
 ) -> Signal:
-    """The Signal for a signal or for a Python function of time. Error: WRONG_KIND."""
+    """Return the Signal for a signal or for a Python function of time. Error: WRONG_KIND."""
     if not callable(value) or isinstance(value, type):
         raise JaxbodyError(
             Problem("WRONG_KIND", where, f"is {kind_of(value)}", value, wanted, hint)
@@ -292,7 +292,7 @@ def function_of_time(
 
 
 def as_signal(value: Any, where: str, problems: Problems, size: tuple[int, ...]) -> Signal:
-    """The Signal for a signal, for a Python function of time, or for constant numbers of
+    """Return the Signal for a signal, for a Python function of time, or for constant numbers of
     this size."""
     signal = (
         function_of_time(value, where)

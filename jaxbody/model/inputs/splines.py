@@ -105,8 +105,8 @@ class Spline(Motion):
         )
 
     def _weights(self, t: Float[Array, ""]):
-        """The first of the four coefficients at time t, and their weights, with u the position in
-        the interval."""
+        """Return the index of the first of the four coefficients at time t, and their weights; u is
+        the position in the interval."""
         n = self.values.shape[0] - 3
         s = (t - self.start) / (self.stop - self.start) * n
         i = jnp.clip(jnp.floor(jax.lax.stop_gradient(s)), 0, n - 1)
@@ -154,7 +154,7 @@ def _intervals(start: float, stop: float, interval: float, problems: Problems) -
 
 
 def _rows(value: Any, where: str, problems: Problems) -> np.ndarray:
-    """Directions (k, 3)."""
+    """Return directions as rows (k, 3)."""
     shape = (len(value), 3) if hasattr(value, "__len__") else (1, 3)
     if shape[0] == 0:
         return np.zeros((0, 3))
@@ -164,7 +164,7 @@ def _rows(value: Any, where: str, problems: Problems) -> np.ndarray:
 
 @eqx.filter_jit
 def _design(spline: Spline, times: Float[Array, "n"]) -> Float[Array, "n m"]:
-    """B_j at the times."""
+    """Return B_j at the times."""
 
     def row(t):
         i, weights = spline._weights(t)
@@ -174,7 +174,7 @@ def _design(spline: Spline, times: Float[Array, "n"]) -> Float[Array, "n m"]:
 
 
 def _near(spline: Spline, motion: Signal) -> Array:
-    """The values that fit the motion by least squares at four times per interval."""
+    """Return the values that fit the motion by least squares at four times per interval."""
     times = jnp.linspace(spline.start, spline.stop, 4 * spline.values.shape[0])
     targets = np.asarray(jax.jit(jax.vmap(motion))(times))
     components = np.linalg.lstsq(np.asarray(spline.directions).T, targets.T, rcond=None)[0].T

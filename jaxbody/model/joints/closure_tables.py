@@ -1,5 +1,5 @@
-"""The closures of a model in tables of frames and coordinates: their conditions c, what each is,
-and the poses in which they are drawn."""
+"""The closures of a model in tables of frames and coordinates: their conditions c, the names of
+these, and the poses in which closures are drawn."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Tables = tuple[Any, ...]  # with a row for each frame or coordinate
 
 
 def names_of_rows(model: Model) -> tuple[str, ...]:
-    """The name of each condition: ("upper ball x", ...)."""
+    """Return the name of each condition: ("upper ball x", ...)."""
     return tuple(
         f"{name} {row}"
         for table in model.closures
@@ -35,14 +35,15 @@ def names_of_rows(model: Model) -> tuple[str, ...]:
 
 
 def redundant_rows(model: Model, slopes: Float[Array, "n nv"]) -> tuple[str, ...]:
-    """The conditions that follow from the others, such as those out of the plane of a planar
-    linkage, by their slopes in meters."""
+    """Return the names of the conditions that follow from the others, such as those out of the
+    plane of a planar linkage; `slopes` are dc/dDelta in meters."""
     independent = independent_rows(np.asarray(slopes))
     return tuple(name for i, name in enumerate(names_of_rows(model)) if i not in independent)
 
 
 def rank(model: Model) -> int:
-    """The number of independent conditions, or the most there can be."""
+    """Return the number of independent conditions, or its upper bound for a model built while
+    traced."""
     nv = model.layout.nv
     return (
         min(nv, len(names_of_rows(model)))
@@ -52,7 +53,7 @@ def rank(model: Model) -> int:
 
 
 def turning_rows(model: Model) -> np.ndarray:
-    """(n,): True for conditions on angles."""
+    """Return (n,): True for conditions on angles."""
     return np.array(
         [turns for table in model.closures for _ in table.names for turns in _turning(table)], bool
     )
@@ -65,19 +66,20 @@ def _turning(table: KindTable) -> np.ndarray:
 def gaps(
     model: Model, coordinates: Coordinates, frames: Frame, q: Float[Array, "nq"]
 ) -> Float[Array, "n"]:
-    """c of all closures, in meters: angles and sines of angles times the size of the model."""
+    """Return c of all closures in meters; angles and sines of angles are multiplied by the size of
+    the model."""
     return gaps_from(model, drawn(coordinates), frames, q)
 
 
 def gaps_at(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n"]:
-    """c(q), with the supports in the poses of the coordinates."""
+    """Return c(q), with the supports in the poses of the coordinates."""
     return gaps(coordinates.model, coordinates, coordinates.at_rest(q), q)
 
 
 def gaps_from(
     model: Model, rests: list[Pose], frames: Frame, q: Float[Array, "nq"]
 ) -> Float[Array, "n"]:
-    """c of all closures, from their poses as drawn."""
+    """Return c of all closures, for given poses as drawn (`rests`, see `drawn`)."""
     found = each_closure(
         model,
         rests,
@@ -89,8 +91,8 @@ def gaps_from(
 
 
 def drawn(coordinates: Coordinates) -> list[Pose]:
-    """The pose of the second frame of each closure on the first, as drawn, wherever the supports
-    are now, for each table of closures."""
+    """Return the pose of the second frame of each closure on the first as drawn, wherever the
+    supports are now, for each table of closures."""
     model = coordinates.model
     coordinates = Coordinates(model)
     poses = drawn_poses(coordinates.supports, coordinates.bodies)
@@ -107,8 +109,9 @@ def each_closure(
     of_frames: Tables,
     of_coordinates: Tables,
 ) -> list[Any]:
-    """function(closure, pose as drawn, (a row for A, a row for B) of each of these tables), of all
-    conditions, in meters: tables of frames or, for couplings, of coordinates."""
+    """Return function(closure, pose as drawn, *(a row for A, a row for B)) of all conditions in
+    meters, table by table. The rows are those of the tables `of_frames` or, for couplings,
+    `of_coordinates`."""
     size, found = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
     for table, rest in zip(model.closures, rests, strict=True):
         unit = jnp.where(_turning(table), size, 1.0)[None]
@@ -132,25 +135,25 @@ def each_closure(
 
 
 def _couplings(layout: Layout, table: KindTable) -> list[np.ndarray]:
-    """The rows of both coordinates of each coupling, in tables of coordinates."""
+    """Return the rows of both coordinates of each coupling, in tables of coordinates."""
     paths = list(layout.coordinate_places)
     return [np.full(len(table), paths.index(path)) for path in (table.rows.of, table.rows.by)]
 
 
 def _ends(values: Any, places: list[np.ndarray]) -> tuple[Any, Any]:
-    """The rows of a table at both ends of each closure."""
+    """Return the rows of a table at both ends of each closure."""
     A, B = places
     return jax.tree.map(lambda x: x[A], values), jax.tree.map(lambda x: x[B], values)
 
 
 def slides(layout: Layout, q: Float[Array, "nq"]) -> Pose:
-    """The coordinates that couplings may read, in the order of `coordinate_places`, as poses with
-    p = (q, 0, 0) and R = 1."""
+    """Return the coordinates to which couplings can refer, in the order of `coordinate_places`, as
+    poses with p = (q, 0, 0) and R = 1."""
     return as_slide(q[np.array([i for i, _ in layout.coordinate_places.values()], int)])
 
 
 def moving_slides(layout: Layout, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Frame:
-    """These with their speeds."""
+    """Return the same poses with their speeds."""
     speeds = as_slide(v[np.array([j for _, j in layout.coordinate_places.values()], int)]).p
     poses = slides(layout, q)
     return Frame(poses.p, poses.R, speeds, jnp.zeros_like(speeds))

@@ -99,7 +99,7 @@ class Composite(Joint):
         return tuple(step == "turn" for step in self.steps)
 
     def _after_each(self, q: Float[Array, "n"]) -> list[Pose]:
-        """1, M_1, M_1 M_2, ..."""
+        """Return the poses 1, M_1, M_1 M_2, ..."""
         poses = [Pose(jnp.zeros(3, q.dtype), jnp.eye(3, dtype=q.dtype))]
         for n, at, turn, x in zip(self.directions, self.points, self.turns, q, strict=True):
             if turn:
@@ -130,8 +130,8 @@ class Series(Joint):
         O = O_rest + sum q_i e_i,    R = R_1(q_j) R_2(q_k) ... R_rest,
 
     each about an axis that the earlier rotations have turned. q: displacements [m] and angles [rad]
-    from the reference pose, v = q'. A subclass states `steps`: the axis of each motion, 0, 1, 2 for
-    x, y, z.
+    from the reference pose, v = q'. A subclass defines `steps`: the axis of each motion, 0, 1, 2
+    for x, y, z.
     """
 
     steps: eqx.AbstractClassVar[tuple[int, ...]]
@@ -201,8 +201,8 @@ PARALLEL = 1e-6  # sine of the angle between two directions that count as one
 
 
 class Combined(Joint):
-    """The base class of these joints: q = displacements [m] and angles [rad] from the reference
-    pose, v = q'."""
+    """The base class of Universal, Cylindrical and Planar: q = displacements [m] and angles [rad]
+    from the reference pose, v = q'."""
 
     in_series = True
 
@@ -212,7 +212,7 @@ class Combined(Joint):
         """The direction of each motion in the parent's frame, in the reference pose."""
 
     def crossed(self, first: Any, second: Any, problems: Problems) -> tuple[Any, Any]:
-        """Two unit vectors that are not parallel. Error: BAD_DIRECTION."""
+        """Return two unit vectors that are not parallel. Error: BAD_DIRECTION."""
         kind = type(self).__name__
         first, second = (
             direction(first, f"{kind}.first", problems),

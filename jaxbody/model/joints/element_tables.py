@@ -24,7 +24,7 @@ Xi = Float[Array, "ns 6"] | None
 
 
 def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Frame:
-    """The table of frames in a state, with the supports displaced by Xi."""
+    """Return the table of frames in a state, with the supports displaced by Xi."""
     coordinates, zero = (
         Coordinates(model),
         jnp.zeros((len(model.layout.supports), 6), state.q.dtype),
@@ -34,7 +34,7 @@ def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> F
 
 
 def outside_law_range(model: Model, frames: Frame) -> Bool[Array, "ne"]:
-    """Whether each element, in the order of their names, is outside the range of its law."""
+    """Return whether each element, in the order of their names, is outside the range of its law."""
     beyond = (
         of_table(model, frames, table, lambda s, *F: s.beyond(*s.rates(*F)))
         for table in model.attached
@@ -43,25 +43,25 @@ def outside_law_range(model: Model, frames: Frame) -> Bool[Array, "ne"]:
 
 
 def each_element(model: Model, frames: Frame, function) -> list:
-    """function(element, A, B, ...) of every element and its frames, table by table."""
+    """Return function(element, A, B, ...) of all elements and their frames, table by table."""
     return [of_table(model, frames, table, function) for table in model.elements]
 
 
 def inertial_tables(model: Model) -> list[KindTable]:
-    """The tables of elements that have a kinetic energy."""
+    """Return the tables of elements that have a kinetic energy."""
     return [table for table in model.elements if table.rows.has_inertia()]
 
 
 def of_table(model: Model, frames: Frame, table: KindTable, function) -> Any:
-    """function(element, A, B, ...) of the elements of one table."""
+    """Return function(element, A, B, ...) of the elements of one table."""
     return jax.vmap(function)(table.rows, *(frames[rows] for rows in end_rows(model, table)))
 
 
 def wrenches(
     model: Model, frames: Any, loads: tuple[Load, ...] = ()
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Force and moment about its origin that elements, gravity and loads exert on each frame, in
-    world axes; loads need an Instant."""
+    """Return force and moment about its origin that elements, gravity and loads exert on each
+    frame, in world axes; with loads, `frames` is an Instant."""
     bodies, layout = model.bodies.rows, model.layout
     weight = bodies.mass[:, None] * model.gravity[None]
     moment = cross(rotate(frames.R[layout.first_body :], bodies.com), weight)
@@ -76,8 +76,8 @@ def wrenches(
 def summed_on_frames(
     model: Model, tables: Any, by_table: Any, others: Any = ()
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """The force and the moment on each frame: from a wrench on each end of the elements of some
-    tables, and from others, (names of frames, wrenches)."""
+    """Return the total force and moment on each frame, from a wrench on each end of the elements of
+    some tables and from `others`, (names of frames, wrenches)."""
     parts = [
         (end, wrench)
         for table, wrenches in zip(tables, by_table, strict=True)
@@ -93,16 +93,16 @@ def summed_on_frames(
 
 
 def state_rates(model: Model, frames: Frame) -> Float[Array, "nz"]:
-    """z' of a model that holds its states, in these frames."""
+    """Return z' of a model that holds its states, in these frames."""
     return _joined(
         model, frames, Held, lambda element, *ends: element.state_rates(*element.rates(*ends))
     )
 
 
 def state_scales(model: Model, reference: Frame, size: Float[Array, ""]) -> Float[Array, "nz"]:
-    """The scale of each state: its change per unit of the deformation in the reference pose, times
-    the size of the model, 1 rad for an angle; the scale of the deformation where a state does not
-    follow it."""
+    """Return the scale of each state: its change per unit of the deformation in the reference pose,
+    times the size of the model, or 1 rad for an angle; the scale of the deformation if the state
+    does not follow it."""
 
     def scales(element, *ends):
         e = element.deformation(*(end.pose() for end in ends))
@@ -115,7 +115,7 @@ def state_scales(model: Model, reference: Frame, size: Float[Array, ""]) -> Floa
 
 
 def completed(model: Model, state: State, frames: Frame | None = None) -> State:
-    """The state with the z of rest in these frames where it has none; by default with the supports
+    """Return the state with z at rest in these frames if it has no z; by default the supports are
     in their reference poses."""
     if not model.layout.nz or state.z.shape[-1]:
         return state
@@ -124,7 +124,7 @@ def completed(model: Model, state: State, frames: Frame | None = None) -> State:
 
 
 def _joined(model: Model, frames: Frame, kind: type, function) -> Float[Array, "nz"]:
-    """function(element, A, B, ...) of the elements with memory, in the order of z."""
+    """Return function(element, A, B, ...) of the elements with memory, in the order of z."""
     tables = [table for table in model.elements if memories(table.rows, kind)]
     return jnp.concatenate(
         [of_table(model, frames, table, function).reshape(-1) for table in tables]

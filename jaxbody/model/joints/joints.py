@@ -1,8 +1,8 @@
 """Joints: how a body can move relative to its parent, which is `world`, a support or another body.
 
-A joint states four functions: how its coordinates q change by an increment (`retract`), their rate
-for given speeds v (`rate`), the pose of the body for a pose of the parent (`pose`) and the velocity
-of the body per unit of each speed (`axes`). All else follows from these. `rest` gives the
+A joint defines four functions: how its coordinates q change by an increment (`retract`), their
+rate for given speeds v (`rate`), the pose of the body for a pose of the parent (`pose`) and the
+velocity of the body per unit of each speed (`axes`). All else follows from these. `rest` gives the
 coordinates of the body's reference pose on its parent. Axes and points are in the parent's frame.
 """
 
@@ -31,8 +31,8 @@ class Joint(Described, eqx.Module):
     says which are rotations [rad/s]; `in_series`, whether an earlier rotation turns the axes of
     later ones (else the rotations of a joint act together).
 
-    A joint of your own states these, `pose` and `axes`, and, unless increments of q are added, also
-    `rest`, `retract` and `rate`. A nut on a screw, which falls with the acceleration
+    A joint of your own defines these, `pose` and `axes`, and, unless increments of q are added,
+    also `rest`, `retract` and `rate`. A nut on a screw, which falls with the acceleration
     g / (1 + I / (m lead^2)):
 
     >>> from jaxbody.geometry.frames import Pose
@@ -60,12 +60,12 @@ class Joint(Described, eqx.Module):
     motions: eqx.AbstractClassVar[tuple[str, ...]]
     turns: eqx.AbstractClassVar[tuple[bool, ...]]
     in_series: ClassVar[bool] = False
-    # the point of its parent at which it is, where that is not the body's O in the reference pose
+    # the point of the joint on its parent; None: the body's O in the reference pose
     at: ClassVar[Any] = None
 
     def block(self, body: str) -> CoordinateBlock:
-        """The coordinates of the joint of a body; with one more in q than in v, the last four are
-        a quaternion."""
+        """Return the coordinates of the joint of a body; if q has one number more than v, the last
+        four are a quaternion."""
         units, quaternion = tuple("rad" if turn else "m" for turn in self.turns), self.nq > self.nv
         q_units = (*units[:-3], *[""] * 4) if quaternion else units
         return CoordinateBlock(
@@ -78,25 +78,26 @@ class Joint(Described, eqx.Module):
         )
 
     def rest(self, rest: Pose) -> Float[Array, "nq"]:
-        """Coordinates of the reference pose."""
+        """Return the coordinates of the reference pose `rest` on the parent."""
         return jnp.zeros(self.nq, rest.p.dtype)
 
     def retract(self, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
-        """q (+) delta."""
+        """Return q (+) delta."""
         return q + delta
 
     def rate(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nq"]:
-        """dq/dt, the derivative of retract(q, t v) at t = 0."""
+        """Return dq/dt, the derivative of retract(q, t v) at t = 0."""
         return v
 
     @abstractmethod
     def pose(self, q: Float[Array, "nq"], parent: Pose, rest: Pose) -> Pose:
-        """World pose of the body."""
+        """Return the pose of the body in the world, from the pose of its parent and the body's
+        reference pose `rest` on it."""
 
     @abstractmethod
     def axes(self, q: Float[Array, "nq"], parent: Pose, body: Pose) -> Axes:
-        """Velocity of the body's origin, and angular velocity, per unit of each speed, relative to
-        the parent, in world axes."""
+        """Return the velocity of the body's origin, and its angular velocity, per unit of each
+        speed, relative to the parent, in world axes."""
 
 
 class Free(Joint):
@@ -247,14 +248,15 @@ class Ball(Joint):
 
 
 def turned_about(at, R, rest: Pose) -> Pose:
-    """The reference pose turned by R about the point `at`."""
+    """Return the reference pose turned by R about the point `at`; None: about its origin."""
     if at is None:
         return Pose(rest.p, product(R, rest.R))
     return Pose(at + rotate(R, rest.p - at), product(R, rest.R))
 
 
 def arms(n: Float[Array, "nv 3"], at, parent: Pose, body: Pose) -> Float[Array, "nv 3"]:
-    """Velocity of the body's origin for unit turns about the directions n through `at`."""
+    """Return the velocity of the body's origin for unit turns about the directions n through
+    `at`."""
     if at is None:
         return jnp.zeros_like(n)
     return cross(n, (body.p - parent.point(at))[None])

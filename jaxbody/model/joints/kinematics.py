@@ -27,19 +27,19 @@ Motions = tuple[Signal, ...]  # of six numbers, one per support, in their order
 
 
 def places(names: Sequence[str], order: Sequence[str]) -> np.ndarray:
-    """The rows of names in a table of this order."""
+    """Return the rows of names in a table of this order."""
     return np.array([order.index(name) for name in names], dtype=int)
 
 
 def rest_poses(model: Any, supports: Pose, bodies: Pose) -> Pose:
-    """Pose of each body on its parent in the reference pose, rows in the order of the bodies, from
-    its pose in the world."""
+    """Return the pose of each body on its parent in the reference pose, in the order of the bodies,
+    from its pose in the world."""
     poses = drawn_poses(supports, bodies)
     return poses[places(model.layout.parents, model.layout.frames)].inverse() @ bodies
 
 
 def at_rest_in(model: Any, rest: Pose) -> State:
-    """The state in which bodies are at rest in these poses relative to their parents."""
+    """Return the state in which bodies are at rest in these poses relative to their parents."""
 
     def of(table: KindTable) -> tuple[tuple[str, ...], Array]:
         rows = places(table.names, model.layout.bodies)
@@ -50,7 +50,7 @@ def at_rest_in(model: Any, rest: Pose) -> State:
 
 
 def body_poses(model: Any) -> Pose:
-    """Poses of the bodies in the reference pose."""
+    """Return the poses of the bodies in the reference pose."""
     return _poses(model.bodies)
 
 
@@ -59,7 +59,7 @@ def _poses(table: KindTable) -> Pose:
 
 
 def drawn_poses(supports: Pose, bodies: Pose) -> Pose:
-    """The poses of all frames, the world, supports and bodies, from those of the latter."""
+    """Return the poses of all frames, in the order world, supports, bodies."""
     return with_world(supports.at_rest(), bodies.at_rest()).pose()
 
 
@@ -69,8 +69,8 @@ class Chart(eqx.Module):
     model: Any
 
     def _each(self, function, *vectors: tuple[Array, dict[str, slice]]):
-        """(names, function(joint, row, ...)) of each table of joints; `vectors` are q or v with
-        their slices."""
+        """Yield (table, function(joint, row, ...)) for each table of joints; `vectors` are q or v
+        with their slices."""
         for table in self.model.joints:
             yield (
                 table,
@@ -86,21 +86,21 @@ class Chart(eqx.Module):
         )
 
     def retract(self, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
-        """q (+) Delta, joint by joint."""
+        """Return q (+) Delta, joint by joint."""
         layout = self.model.layout
         return self._joined(
             lambda joint, q, d: joint.retract(q, d), (q, layout.q_slices), (delta, layout.v_slices)
         )
 
     def rate(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nq"]:
-        """dq/dt for the speeds v."""
+        """Return dq/dt for the speeds v."""
         layout = self.model.layout
         return self._joined(
             lambda joint, q, v: joint.rate(q, v), (q, layout.q_slices), (v, layout.v_slices)
         )
 
     def rate_transposed(self, q: Float[Array, "nq"], p: Float[Array, "nq"]) -> Float[Array, "nv"]:
-        """B' p, where dq/dt = B v."""
+        """Return B' p, where dq/dt = B v."""
         zero = jnp.zeros(self.model.layout.nv, q.dtype)
         return jax.linear_transpose(lambda v: self.rate(q, v), zero)(p)[0]
 
@@ -127,33 +127,34 @@ class Coordinates(Chart):
         return State(q, jnp.zeros(self.model.layout.nv, q.dtype), rest_states(self.model, poses))
 
     def supports_at(self, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
-        """Frames of the supports displaced by Xi from their reference poses, with the rate Xi'."""
+        """Return the frames of the supports displaced by Xi from their reference poses, with the
+        rate Xi'."""
         pose = self.supports.displaced(xi)
         return Frame(
             pose.p, pose.R, xi_dot[:, :3], rotate(rotations.left_jacobian(xi[:, 3:]), xi_dot[:, 3:])
         )
 
     def supports_moving(self, motions: Motions, t: Float[Array, ""]) -> Frame:
-        """Frames of the supports at time t."""
+        """Return the frames of the supports at time t [s]."""
         if not motions:
             return self.supports.at_rest()
         return self.supports_at(*imposed(motions, t))
 
     def at_rest(self, q: Float[Array, "nq"], v: Float[Array, "nv"] | None = None) -> Frame:
-        """The table of frames with supports at rest in their reference poses, and bodies at rest or
-        with speeds v."""
+        """Return the table of frames with supports at rest in their reference poses, and bodies
+        with speeds v, by default at rest."""
         return self.frames(
             q, jnp.zeros(self.model.layout.nv, q.dtype) if v is None else v, self.supports.at_rest()
         )
 
     def frames(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame) -> Frame:
-        """The table of frames: world, supports, bodies."""
+        """Return the table of frames: world, supports, bodies."""
         return self.frames_and_axes(q, v, supports)[0]
 
     @jax.jit
     def frames_and_axes(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame):
-        """The table of frames, and for each speed the velocity (nv, 3) and angular velocity (nv, 3)
-        of its own body per unit of it, in world axes."""
+        """Return the table of frames, and for each speed the velocity (nv, 3) and angular velocity
+        (nv, 3) per unit of it, in world axes, of the body that it moves first."""
         layout, known = self.model.layout, with_world(supports)
         order, linear, angular = list(layout.frames[: layout.first_body]), [], []
         for table, (q_rows, v_rows) in self._each(
@@ -175,15 +176,15 @@ class Coordinates(Chart):
 def imposed(
     motions: Motions, t: Float[Array, ""]
 ) -> tuple[Float[Array, "ns 6"], Float[Array, "ns 6"]]:
-    """Xi and Xi' at time t."""
+    """Return Xi and Xi' of the supports at time t [s]."""
     return jax.jvp(
         lambda t: jnp.stack([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),)
     )
 
 
 def displacements(model: Any, given: Any, where: str, problems: Problems) -> Float[Array, "ns 6"]:
-    """Xi of the supports, or its rate, from {support: six numbers}, 0 for those left out, or from a
-    row for each support. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
+    """Return Xi of the supports, or its rate, from {support: six numbers}, 0 for omitted supports,
+    or from a row for each support. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
     names = model.layout.supports
     if not isinstance(given, dict):
         return shaped(given, (len(names), 6), where, problems)
@@ -197,7 +198,7 @@ def displacements(model: Any, given: Any, where: str, problems: Problems) -> Flo
 
 
 def with_world(*frames: Frame) -> Frame:
-    """The table of frames of the world and of others: supports, bodies."""
+    """Return the table of the frame of the world and the given frames: supports, bodies."""
     zero = jnp.zeros((1, 3), frames[0].p.dtype)
     return stack([Frame(zero, np.eye(3, dtype=zero.dtype)[None], zero, zero), *frames])
 
@@ -205,9 +206,9 @@ def with_world(*frames: Frame) -> Frame:
 def jacobian(
     layout: Layout, frames: Frame, linear: Float[Array, "n 3"], angular: Float[Array, "n 3"]
 ):
-    """(frames, n, 3) velocity of each moving frame's origin, and its angular velocity, per unit of
-    each speed, from the velocities of the frame that the speed moves first: of the bodies alone or,
-    with six columns for each support, of bodies and supports."""
+    """Return (frames, n, 3) velocities of the origins of the moving frames, and their angular
+    velocities, per unit of each speed, from the velocities of the frame that each speed moves
+    first: of the bodies alone or, with six rows more for each support, of bodies and supports."""
     rows, movers = layout.moving(base=len(linear) > layout.nv), layout.movers[: len(linear)]
     mask = jnp.asarray(layout.carries[np.ix_(movers, rows)].T, frames.p.dtype)[..., None]
     arms = frames.p[rows][:, None] - frames.p[movers][None]
@@ -215,8 +216,8 @@ def jacobian(
 
 
 def _joint_frame(joint, q, v, parent: Frame, rest: Pose):
-    """One body's frame from its parent's: w = w_P + sum v_i n_i, v_O = v_P + w_P x (O - O_P) + sum
-    v_i l_i."""
+    """Return one body's frame from its parent's, and the joint's axes: w = w_P + sum v_i n_i, v_O =
+    v_P + w_P x (O - O_P) + sum v_i l_i."""
     pose = joint.pose(q, parent.pose(), rest)
     linear, angular = joint.axes(q, parent.pose(), pose)
     w = parent.w + jnp.sum(v[:, None] * angular, 0)
@@ -225,7 +226,7 @@ def _joint_frame(joint, q, v, parent: Frame, rest: Pose):
 
 
 def frames_at_time(model: Any, motions: Motions, t, state: State) -> Instant:
-    """The table of frames at a time and state."""
+    """Return the table of frames at a time [s] and state."""
     coordinates = Coordinates(model)
     return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t)).at_time(
         t, state
@@ -235,7 +236,7 @@ def frames_at_time(model: Any, motions: Motions, t, state: State) -> Instant:
 def frames_displaced(
     model: Any, state: State, delta: Float[Array, "nv"], xi: Float[Array, "*ns 6"] | None = None
 ) -> Frame:
-    """The table of frames at q (+) Delta, at rest, with the supports displaced by Xi."""
+    """Return the table of frames at q (+) Delta, at rest, with the supports displaced by Xi."""
     coordinates = Coordinates(model)
     zero = jnp.zeros((len(model.layout.supports), 6), delta.dtype)
     supports = coordinates.supports_at(zero if xi is None else xi.reshape(-1, 6), zero)
@@ -243,8 +244,8 @@ def frames_displaced(
 
 
 def retract(model: Any, q, delta) -> Float[Array, "nq"]:
-    """q (+) Delta: the coordinates after small displacements Delta, one for each speed; of a free
-    body its displacement [m] and rotation vector [rad], in world axes.
+    """Return q (+) Delta, the coordinates after small displacements Delta, one for each speed;
+    those of a free body are its displacement [m] and rotation vector [rad], in world axes.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
     >>> retract(model, model.reference.q, [0.1, 0, 0, 0, 0, 0]).tolist()

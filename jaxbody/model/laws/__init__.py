@@ -5,7 +5,7 @@ from jaxbody.core.compilation.late_imports import late_names
 
 __getattr__, __dir__, __all__ = late_names(
     "jaxbody.model.laws",
-    {  # `__init__.pyi` says the same to editors and type checkers
+    {  # `__init__.pyi` lists the same for editors and type checkers
         "hydraulic_mounts": ("Hydraulic",),
         "hysteresis_laws": ("BoucWen", "Dahl", "LuGre"),
         "laws": ("Function", "Law", "Linear", "Sum", "TwoSided"),

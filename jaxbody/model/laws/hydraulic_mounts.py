@@ -25,15 +25,15 @@ class Hydraulic(Inertial):
 
     It is soft at low frequencies, kr + k1 k2/(k1 + k2), has its largest loss angle near the
     resonance of the fluid, and is stiff above it, kr + k1. The quadratic loss makes the resonance
-    weaker with amplitude. At amplitudes within the gap only the rubber acts; there k2 alone holds
+    weaker with amplitude. At amplitudes within the gap only the rubber acts; there only k2 acts on
     the fluid, and without k2 a linearization has a mode of zero frequency.
 
     Args:
         stiffness: kr of the rubber [N/m]
         damping: cr of the rubber [N s/m]
-        upper_stiffness: k1, volumetric stiffness of the upper chamber as felt by the mount [N/m]
+        upper_stiffness: k1, volumetric stiffness of the upper chamber, reduced to the mount [N/m]
         lower_stiffness: k2 of the lower chamber [N/m]; 0 for a soft bellows
-        fluid_mass: m of the column, as felt by the mount: much more than it weighs [kg]
+        fluid_mass: m of the column, reduced to the mount: much more than its real mass [kg]
         fluid_damping: c, linear loss of the column [N s/m]
         quadratic_damping: q, turbulent loss [N s2/m2]
         gap: free play of the decoupler to each side [m]
@@ -109,7 +109,7 @@ class Hydraulic(Inertial):
         damping=0.0,
         free_volume=0.0,
     ) -> Hydraulic:
-        """The mount from its hydraulic parameters. With the pressures p1, p2 of the chambers and
+        """Return the mount for hydraulic parameters. With the pressures p1, p2 of the chambers and
         the flow Q through the track:
 
             F = kr e + cr e' + A p1,   C1 p1' = A e' - Q,   C2 p2' = Q,
@@ -166,7 +166,7 @@ class Hydraulic(Inertial):
         )
 
     def _pushed(self, x: Number) -> Number:
-        """x less the free play; its slope at x = 0 is 1 without one."""
+        """Return x less the free play; the slope at x = 0 is 1 if there is no free play."""
         return jnp.where(jnp.abs(x) < self.gap, 0.0, x - jnp.sign(x) * self.gap)
 
     def energy(self, e, z):

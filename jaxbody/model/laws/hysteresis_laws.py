@@ -18,8 +18,8 @@ class BoucWen(Hysteretic):
         z' = alpha e' - beta (gamma |e'| |z|^(n-1) z + delta e' |z|^n)
 
     Its slope at z = 0 is alpha; for gamma + delta > 0 it grows to z = (alpha/(beta
-    (gamma + delta)))^(1/n). Of its work z^2/(2 alpha) is stored, the rest, gamma's and delta's, is
-    counted as lost; it is never negative where gamma >= |delta|.
+    (gamma + delta)))^(1/n). Of its work z^2/(2 alpha) is stored, the rest, that of gamma and
+    delta, is lost; it is never negative if gamma >= |delta|.
 
     Args:
         alpha: stiffness at z = 0 [N/m]
@@ -62,7 +62,7 @@ class BoucWen(Hysteretic):
 
 
 def _power(x, n):
-    """x^n for x >= 0; at x = 0 it is 1 for n = 0, else 0, and its derivatives are zero."""
+    """Return x^n for x >= 0; at x = 0 it is 1 for n = 0, else 0, and its derivatives are zero."""
     positive = x > 0
     return jnp.where(positive, jnp.where(positive, x, 1.0) ** n, jnp.where(n == 0, 1.0, 0.0))
 

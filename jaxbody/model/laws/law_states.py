@@ -1,5 +1,5 @@
-"""Laws with memory in known states z, which elements evaluate as any other: moving, about a rest,
-or at rest; and their sums by element."""
+"""Laws with memory in given states z, which elements evaluate like any other law: in a motion,
+about a rest, or at rest; and sums over the laws of an element."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxbody.model.laws.memory_laws import Hysteretic, Memory, States, per_speed
 
 
 class InState(Law):
-    """The base class of laws with memory in a known state z."""
+    """The base class of laws with memory in a given state z."""
 
     law: Any = field()  # a Memory
     z: Any = field()  # States, or in a tree of axes their axis
@@ -33,20 +33,20 @@ class InState(Law):
         return self.law.beyond(x)
 
     def kinetic(self) -> Number:
-        """T of its states."""
+        """Return T of the states."""
         return self.law.kinetic(self.z)
 
     @abstractmethod
     def viscous(self, x: Number, x_dot: Number) -> Number:
-        """The part of the force that depends on the rate."""
+        """Return the part of the force that depends on the rate."""
 
     @abstractmethod
     def dissipation(self, x: Number, x_dot: Number) -> Number:
-        """R; 0 for a hysteretic law, whose force has no such potential."""
+        """Return R; 0 for a hysteretic law, whose force has no such potential."""
 
 
 class Held(InState):
-    """A law with memory whose state moves by its own rate: as in a motion."""
+    """A law with memory whose state changes by its own rate, as in a motion."""
 
     def viscous(self, x, x_dot):
         return self.law.restoring_force(x, x_dot, self.z) - self.force(x)
@@ -59,11 +59,11 @@ class Held(InState):
         )
 
     def rate(self, x: Number, x_dot: Number) -> States:
-        """z'."""
+        """Return z'."""
         return self.law.rate(x, x_dot, self.z)
 
     def lost_power(self, x: Number, x_dot: Number) -> Number:
-        """F e' - d(V + T)/dt [W]."""
+        """Return the dissipated power F e' - d(V + T)/dt [W]."""
 
         def stored(x, z):
             V = self.law.energy(x, self.law.configuration(z))
@@ -75,8 +75,8 @@ class Held(InState):
 
 class Apart(InState):
     """A law with memory about a state of rest, for small motions: its coordinates are coordinates
-    of the system; those without mass have the rate z_dot. Hysteretic states follow the deformation
-    by their tangent."""
+    of the system; those without mass have the rates z_dot. Hysteretic states follow the deformation
+    by their tangents."""
 
     z_dot: Any = field(default=None)  # of coordinates without mass
 
@@ -112,7 +112,7 @@ class Apart(InState):
         return _rate_potential(functions_as_nodes(self.law), x, x_dot, self.z)
 
     def inner(self, x: Number, x_dot: Number) -> tuple[Array, ...]:
-        """V_ye, V_yy, R_ye, R_yy and T_yy."""
+        """Return V_ye, V_yy, R_ye, R_yy and T_yy."""
         V_y, R_y = jax.grad(self.law.energy, 1), jax.grad(self.law.dissipation, 1)
         y, y_dot = self.law.configuration(self.z), self.rates
         x_dot = jnp.asarray(x_dot, y.dtype)
@@ -127,14 +127,14 @@ class Apart(InState):
 
 
 class Relaxed(Law):
-    """A law with memory at rest: coordinates are where the deformation has pulled them; hysteretic
-    states stay at z."""
+    """A law with memory at rest: coordinates are relaxed at the deformation; hysteretic states are
+    z."""
 
     law: Any = field()  # a Memory
     z: Any = field()  # States, or in a tree of axes their axis
 
     def state(self, x: Number) -> States:
-        """z at rest."""
+        """Return z at rest."""
         return self.law.at_rest(x) if self.law.has_rows else self.z
 
     def potential(self, x):
@@ -149,7 +149,8 @@ class Relaxed(Law):
         return self.law.beyond(x)
 
     def viscous(self, x: Number, x_dot: Number) -> Number:
-        """The part of the force that depends on a slow rate: the derivative of R(e', dy/de e')."""
+        """Return the part of the force that depends on a slow rate: the derivative of R(e', dy/de
+        e') by e'."""
         if not self.law.has_rows:
             return self.law.restoring_force(x, x_dot, self.z) - self.force(x)
         follows = self.law.configuration(self.law.sensitivity(x))
@@ -160,7 +161,7 @@ class Relaxed(Law):
 
 @jax.custom_jvp
 def _tangent_potential(law: Hysteretic, x: Number, z: States) -> Number:
-    """The stored energy, whose derivative in x is the tangent force."""
+    """Return the stored energy; its derivative in x is the tangent force."""
     return law.energy(x, z)
 
 
@@ -173,7 +174,7 @@ def _tangent_potential_jvp(primals, tangents):
 
 @jax.custom_jvp
 def _tangent_force(law: Hysteretic, x: Number, z: States) -> Number:
-    """F(x, 0, z), where a change of x changes z too, by df/de'."""
+    """Return F(x, 0, z); in its derivatives a change of x changes z too, by df/de'."""
     return law.static_force(x, z)
 
 
@@ -188,7 +189,7 @@ def _tangent_force_jvp(primals, tangents):
 
 @jax.custom_jvp
 def _rate_potential(law: Hysteretic, x: Number, x_dot: Number, z: States) -> Number:
-    """Zero, whose derivative in the rate is the part of the force that depends on it."""
+    """Return zero; its derivative in the rate is the part of the force that depends on the rate."""
     return jnp.zeros_like(x)
 
 
@@ -206,17 +207,18 @@ def _rate_part(law: Hysteretic, x: Number, x_dot: Number, z: States) -> Number:
 
 
 def memories(tree: Any, kind: Any = Memory) -> list[Any]:
-    """The laws of this kind in a law, an element or a table, in the order of their states."""
+    """Return the laws of this kind in a law, an element or a table, in the order of their
+    states."""
     return [part for part in jax.tree.leaves(tree, is_leaf=with_states) if isinstance(part, kind)]
 
 
 def with_states(x: Any) -> bool:
-    """Whether it is a law with memory, with or without known states."""
+    """Return whether x is a law with memory, with or without given states."""
     return isinstance(x, Memory | InState | Relaxed)
 
 
 def _parts(spring: Law | None) -> list[Any]:
-    """The laws with known states that are part of a spring's law."""
+    """Return the laws in given states that are part of a spring's law."""
     found = [] if spring is None else [part for part in parts(spring) if with_states(part)]
     for part in found:
         if isinstance(part, Memory):
@@ -225,51 +227,52 @@ def _parts(spring: Law | None) -> list[Any]:
 
 
 def rate_force(spring: Law | None, damper: Law | None, x: Number, x_dot: Number) -> Number:
-    """The force that depends on the rate: that of the damper, and of a spring with memory
-    its part."""
+    """Return the force that depends on the rate: that of the damper, plus the viscous part of a
+    spring with memory."""
     return sum((part.viscous(x, x_dot) for part in _parts(spring)), force(damper, x_dot))
 
 
 def dissipation(spring: Law | None, damper: Law | None, x: Number, x_dot: Number) -> Number:
-    """R of a damper, and of a spring with memory in a known state."""
+    """Return R of a damper, plus that of a spring with memory in a given state."""
     return sum((part.dissipation(x, x_dot) for part in _parts(spring)), potential(damper, x_dot))
 
 
 def lost_power(spring: Law | None, damper: Law | None, x: Number, x_dot: Number) -> Number:
-    """The power that a damper, and a spring with memory in a known state, dissipate."""
+    """Return the power that a damper, and a spring with memory in a given state, dissipate."""
     return sum((part.lost_power(x, x_dot) for part in _parts(spring)), force(damper, x_dot) * x_dot)
 
 
 def tangent(spring: Law | None, energy: Callable[[Number], Number], x: Number) -> Number:
-    """dF/de at rest: the second derivative of the energy, or of a spring with memory in a known
-    state that of its force."""
+    """Return dF/de at rest: the second derivative of the energy or, for a spring with memory in a
+    given state, the derivative of its force."""
     if not _parts(spring):
         return jax.hessian(energy)(x)
     return jax.jvp(lambda x: force(spring, x), (x,), (jnp.ones_like(x),))[1]
 
 
 def state_rates(spring: Law | None, x: Number, x_dot: Number) -> list[States]:
-    """z' of the laws of a spring with memory in a known state."""
+    """Return z' of the laws of a spring with memory in a given state."""
     return [part.rate(x, x_dot) for part in _parts(spring)]
 
 
 def rest_states(spring: Law | None, x: Number) -> list[States]:
-    """z at rest of the laws of a relaxed spring with memory."""
+    """Return z at rest of the laws of a relaxed spring with memory."""
     return [part.state(x) for part in _parts(spring)]
 
 
 def sensitivities(spring: Law | None, x: Number) -> list[States]:
-    """dz/de of the laws of a relaxed spring with memory."""
+    """Return dz/de of the laws of a relaxed spring with memory."""
     return [part.law.sensitivity(x) for part in _parts(spring)]
 
 
 def has_rows(spring: Law | None) -> bool:
-    """Whether a spring has coordinates with rows, apart."""
+    """Return whether a spring has coordinates that are coordinates of the system (see Apart)."""
     return any(isinstance(part, Apart) and part.law.has_rows for part in _parts(spring))
 
 
 def inner(spring: Law | None, x: Number, x_dot: Number) -> tuple[Array, ...]:
-    """V_ye, V_yy, R_ye, R_yy and T_yy of all coordinates of a spring with memory, apart."""
+    """Return V_ye, V_yy, R_ye, R_yy and T_yy of all coordinates of a spring with memory (see
+    Apart)."""
     each = [
         part.inner(x, x_dot)
         for part in _parts(spring)
@@ -283,7 +286,7 @@ def inner(spring: Law | None, x: Number, x_dot: Number) -> tuple[Array, ...]:
 
 
 def as_damper(value: Any, where: str, problems: Problems) -> Law | None:
-    """A law of the rate, which cannot have memory. Errors: those of laws, MEMORY."""
+    """Return a law of the rate, which cannot have memory. Errors: those of laws, MEMORY."""
     law = as_law(value, where, problems)
     check_without_memory(
         law, where, problems, "Memory is of the deformation: add the law to spring=."

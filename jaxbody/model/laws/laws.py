@@ -3,7 +3,7 @@
 
     F(x) = dU/dx,   U(0) = 0
 
-A law states one of the two; the other is its derivative, or its integral by Gauss-Legendre
+A law defines one of the two; the other is its derivative, or its integral by Gauss-Legendre
 quadrature. Tension is positive: in compression x < 0 and F < 0. All coefficients are arrays and can
 be free in a fit. Laws can be added. Torsion elements use the same laws in rad and N m. Laws with
 memory: `memory_laws`.
@@ -29,7 +29,7 @@ POINTS = 20  # of Gauss's quadrature of a force
 
 
 class Law(Described, eqx.Module):
-    """The base class of laws: a law of your own derives from it and states `force` or `potential`.
+    """The base class of laws: a law of your own derives from it and defines `force` or `potential`.
 
     >>> class Cubic(Law):
     ...     coefficient: jax.Array
@@ -55,19 +55,19 @@ class Law(Described, eqx.Module):
             )
 
     def potential(self, x: Number) -> Number:
-        """U(x), the integral of the force from 0."""
+        """Return U(x), the integral of the force from 0."""
         return _integral(functions_as_nodes(self), x)
 
     def force(self, x: Number) -> Number:
-        """F(x) = dU/dx."""
+        """Return F(x) = dU/dx."""
         return jax.grad(self.potential)(x)
 
     def slope(self, x: Number) -> Number:
-        """dF/dx, the tangent stiffness or damping."""
+        """Return dF/dx, the tangent stiffness or damping."""
         return jax.jvp(self.force, (x,), (jnp.ones_like(x),))[1]
 
     def beyond(self, x: Number) -> Bool[Array, ""]:
-        """True where x lies beyond the range for which the law is known."""
+        """Return whether x is outside the range for which the law is known."""
         return jnp.zeros(jnp.shape(x), bool)
 
     def __add__(self, other: Any) -> Sum:
@@ -75,8 +75,8 @@ class Law(Described, eqx.Module):
 
 
 def as_law(value: Any, where: str, problems: Problems) -> Law | None:
-    """The Law for a law, for the coefficient of a linear law, or for a Python function x -> F; None
-    for None."""
+    """Return the Law for a law, for the coefficient of a linear law, or for a Python function x ->
+    F; None for None."""
     if value is None or isinstance(value, Law):
         return value
     if callable(value):
@@ -159,8 +159,8 @@ class Sum(Law):
 
 @jax.custom_jvp
 def _integral(law: Law, x: Number) -> Number:
-    """U(x) = x/2 sum w_i F(x (1 + t_i)/2), whose derivative in x is F(x) itself and not that of
-    the quadrature."""
+    """Return U(x) = x/2 sum w_i F(x (1 + t_i)/2), whose derivative in x is F(x) itself and not that
+    of the quadrature."""
     return _quadrature(law, x)
 
 
@@ -178,27 +178,27 @@ def _quadrature(law: Law, x: Number) -> Number:
 
 
 def potential(law: Law | None, x: Number) -> Number:
-    """U(x), 0 without a law."""
+    """Return U(x), or 0 if there is no law."""
     return jnp.zeros_like(x) if law is None else law.potential(x)
 
 
 def force(law: Law | None, x: Number) -> Number:
-    """F(x), 0 without a law."""
+    """Return F(x), or 0 if there is no law."""
     return jnp.zeros_like(x) if law is None else law.force(x)
 
 
 def slope(law: Law | None, x: Number) -> Number:
-    """dF/dx; 0 if there is no law."""
+    """Return dF/dx, or 0 if there is no law."""
     return jnp.zeros_like(x) if law is None else law.slope(x)
 
 
 def beyond(law: Law | None, x: Number) -> Bool[Array, ""]:
-    """True where x lies beyond the range for which the law is known."""
+    """Return whether x is outside the range for which the law is known."""
     return jnp.zeros(jnp.shape(x), bool) if law is None else law.beyond(x)
 
 
 def parts(law: Law) -> list[Any]:
-    """The elementary laws that make up a law, with sums and two-sided laws split into
+    """Return the elementary laws of which a law consists, with sums and two-sided laws split into
     their parts."""
     return jax.tree.leaves(
         law, is_leaf=lambda part: isinstance(part, Law) and not isinstance(part, Sum | TwoSided)
@@ -209,7 +209,7 @@ def parts(law: Law) -> list[Any]:
 
 
 def law_of(value: Any, where: str, problems: Problems) -> Law:
-    """The Law for a law, a number or a function; anything else, also None, is an error.
+    """Return the Law for a law, a number or a function; anything else, including None, is an error.
     Error: WRONG_KIND."""
     law = as_law(value, where, problems)
     if law is None and not problems.collected:
@@ -220,7 +220,7 @@ def law_of(value: Any, where: str, problems: Problems) -> Law:
 
 
 def row_of_numbers(value: Any, where: str, problems: Problems) -> Any:
-    """A one-dimensional array of finite numbers."""
+    """Return a one-dimensional array of finite numbers."""
     n = max(np.size(value), 1) if not hasattr(value, "aval") else value.shape[0]
     array = checked(value, ((n,),), where, problems, "Give a row of at least 1 numbers.")
     return np.zeros(0) if array is None else array

@@ -1,5 +1,5 @@
-"""Laws with memory: their force depends on states z of their own, which the elements own that have
-these laws.
+"""Laws with memory: their force depends on states z, which belong to the elements that have these
+laws.
 
 massless coordinates y    V(e, y), R(e', y'):           F = dV/de + dR/de',
                           dV/dy + dR/dy' = 0, solved for y'
@@ -26,10 +26,10 @@ CONVERGED = 1e-13  # its last step, relative to the coordinates
 
 
 class Memory(Law):
-    """The base class of all three kinds: `states` describes each state, `state_units` are their
-    units, "argument" and "force" being those of the element's deformation and force; `has_rows`,
-    whether they are coordinates, with rows in M, C and K; `inertial`, whether these have mass, and
-    half of the states are their rates."""
+    """The base class of laws with memory: `states` are descriptions of the states, `state_units`
+    their units, in which "argument" and "force" are the units of the element's deformation and
+    force; `has_rows` is true if the states are coordinates, with rows in M, C and K; `inertial`, if
+    these have mass, and half of the states are their rates."""
 
     states: ClassVar[tuple[str, ...]]
     state_units: ClassVar[tuple[str, ...]]
@@ -44,27 +44,27 @@ class Memory(Law):
         return ("massless" if self.has_rows else "hysteretic",) * len(self.states)
 
     def configuration(self, z: States) -> States:
-        """The states on which the energy depends."""
+        """Return the states on which the energy depends."""
         return z
 
     @abstractmethod
     def restoring_force(self, e: Number, e_dot: Number, z: States) -> Number:
-        """F, which opposes the deformation e."""
+        """Return F, which opposes the deformation e."""
 
     @abstractmethod
     def rate(self, e: Number, e_dot: Number, z: States) -> States:
-        """z'."""
+        """Return z'."""
 
     @abstractmethod
     def energy(self, e: Number, z: States) -> Number:
-        """The stored energy V of a configuration [J]."""
+        """Return the stored energy V of a configuration [J]."""
 
     @abstractmethod
     def static_force(self, e: Number, z: States) -> Number:
-        """The force at rest in a configuration."""
+        """Return the force at rest in a configuration."""
 
     def kinetic(self, z: States) -> Number:
-        """The kinetic energy T of its states [J]."""
+        """Return the kinetic energy T of the states [J]."""
         return jnp.zeros((), z.dtype)
 
     def force(self, x):
@@ -75,8 +75,8 @@ class Memory(Law):
 
 
 def without_states(law: Memory) -> JaxbodyError:
-    """The error of an evaluation of a law without its states. Whatever does not yet know states
-    ends here instead of leaving them out."""
+    """Return the error of evaluating a law without its states. Functions that do not support states
+    raise it, instead of neglecting the states."""
     return JaxbodyError(
         Problem(
             "MEMORY",
@@ -99,18 +99,18 @@ class InnerCoordinates(Memory):
 
     @abstractmethod
     def dissipation(self, e_dot: Number, y_dot: States) -> Number:
-        """R(e', y') [W]."""
+        """Return R(e', y') [W]."""
 
     def static_force(self, e, z):
         return jax.grad(self.energy)(e, z)
 
     def viscous_force(self, e_dot: Number, y_dot: States) -> Number:
-        """dR/de'."""
+        """Return dR/de'."""
         return jax.grad(self.dissipation)(jnp.asarray(e_dot, y_dot.dtype), y_dot)
 
     def relaxed(self, e: Number) -> States:
-        """y at rest, dV/dy = 0, by Newton's method; the last two steps carry its derivatives, which
-        are exact to the third."""
+        """Return y at rest, dV/dy = 0, by Newton's method; the last two steps carry its
+        derivatives, which are exact up to the third."""
 
         def step(law, e, y):
             return y - _solved(jax.hessian(law.energy, 1)(e, y), jax.grad(law.energy, 1)(e, y))
@@ -131,11 +131,11 @@ class InnerCoordinates(Memory):
         return nan_unless(converged, y)
 
     def at_rest(self, e: Number) -> States:
-        """z at rest."""
+        """Return z at rest."""
         return self.relaxed(e)
 
     def sensitivity(self, e: Number) -> States:
-        """dz/de at rest."""
+        """Return dz/de at rest."""
         return jax.jvp(self.at_rest, (e,), (jnp.ones_like(e),))[1]
 
 
@@ -145,7 +145,7 @@ class Viscoelastic(InnerCoordinates):
 
         F = dV/de + dR/de',    dV/dy + dR/dy' = 0, so that    y' = -R_yy^-1 (dV/dy + R_ye e')
 
-    A law of your own states `states`, `energy` V(e, y) and `dissipation` R(e', y'), quadratic in
+    A law of your own defines `states`, `energy` V(e, y) and `dissipation` R(e', y'), quadratic in
     (e', y') and definite in y'. In a linearization each y has a row, with M = 0. A spring k with a
     branch of a cubic spring and a dashpot:
 
@@ -183,7 +183,7 @@ class Inertial(InnerCoordinates):
 
         F = dV/de + dR/de',    T_yy y'' + dV/dy + dR/dy' = 0,    z = (y, y')
 
-    A law of your own states `states` and `state_units`, first of the coordinates and then of
+    A law of your own defines `states` and `state_units`, first of the coordinates and then of
     their rates, `energy` V(e, y), `dissipation` R(e', y') and `kinetic_energy` T(y'), quadratic
     and definite. In a linearization each y has a row in M, C and K. A mass on a spring, carried
     by the deformation:
@@ -207,7 +207,7 @@ class Inertial(InnerCoordinates):
 
     @abstractmethod
     def kinetic_energy(self, y_dot: States) -> Number:
-        """T(y') [J]."""
+        """Return T(y') [J]."""
 
     @property
     def roles(self):
@@ -218,7 +218,7 @@ class Inertial(InnerCoordinates):
         return z[: len(self.states) // 2]
 
     def rates(self, z: States) -> Float[Array, "ny"]:
-        """y'."""
+        """Return y'."""
         return z[len(self.states) // 2 :]
 
     def at_rest(self, e):
@@ -249,11 +249,11 @@ class Hysteretic(Memory):
 
         F(e, e', z),    z' = f(e, e', z),    f(e, 0, z) = 0
 
-    A law of your own states `states`, `state_units`, `rate` and `restoring_force`; `energy`, the
-    part of the work of F that is stored, is zero unless it is given. At rest every z stays, so an
-    equilibrium keeps the z of its start, zero without one. A linearization has its tangent at rest
-    in K, dF/de + dF/dz df/de', and no row for z: to first order it is a spring, and its losses,
-    which grow with the square of the amplitude or less, are in simulations only.
+    A law of your own defines `states`, `state_units`, `rate` and `restoring_force`; `energy`, the
+    part of the work of F that is stored, is zero by default. At rest z is constant, so an
+    equilibrium has the z of its initial guess, by default zero. A linearization has its tangent at
+    rest in K, dF/de + dF/dz df/de', and no row for z: to first order it is a spring, and its
+    losses, which grow with the square of the amplitude or less, are in simulations only.
 
     >>> class Elastoplastic(Hysteretic):
     ...     stiffness: jax.Array = jb.field("force/argument", "positive")
@@ -280,12 +280,12 @@ class Hysteretic(Memory):
         return self.restoring_force(e, jnp.zeros_like(e), z)
 
     def sensitivity(self, e: Number) -> States:
-        """df/de' at rest, with z = 0."""
+        """Return df/de' at rest, with z = 0."""
         return per_speed(self, e, jnp.zeros(len(self.states), jnp.result_type(e)))
 
 
 def per_speed(law: Hysteretic, e: Number, z: States) -> States:
-    """df/de' at rest."""
+    """Return df/de' at rest."""
     zero = jnp.zeros_like(e)
     return jax.jvp(lambda e_dot: law.rate(e, e_dot, z), (zero,), (jnp.ones_like(e),))[1]
 

@@ -99,17 +99,17 @@ class Stop(Law):
 
 
 def ramp(d: Float[Array, "*n"], w: Number) -> Float[Array, "*n"]:
-    """0 for d < 0, d^2/(2 w) up to w, then d - w/2."""
+    """Return 0 for d < 0, d^2/(2 w) up to w, then d - w/2."""
     return jnp.where(d <= 0, 0.0, jnp.where(d < w, d**2 / (2 * w), d - w / 2))
 
 
 def ramp_energy(d: Float[Array, "*n"], w: Number) -> Float[Array, "*n"]:
-    """The integral of the ramp."""
+    """Return the integral of the ramp."""
     return jnp.where(d <= 0, 0.0, jnp.where(d < w, d**3 / (6 * w), d**2 / 2 - d * w / 2 + w**2 / 6))
 
 
 def ramp_slope(d: Number, w: Number) -> Number:
-    """The derivative of the ramp."""
+    """Return the derivative of the ramp."""
     return jnp.clip(d / w, 0.0, 1.0)
 
 
@@ -168,7 +168,7 @@ class AirSpring(Law):
 
     @classmethod
     def carrying(cls, load, *, area, height, exponent=1.4, ambient=ATMOSPHERE) -> AirSpring:
-        """The spring that pushes with a force at x = 0: p0 = p_a + load/A.
+        """Return the spring that pushes with a force at x = 0: p0 = p_a + load/A.
 
         Args:
             load: force at x = 0 [N]
@@ -191,7 +191,7 @@ class AirSpring(Law):
         )
 
     def potential(self, x):
-        """A (p_a x - p0 h (1 - (1 + x/h)^(1-n))/(n - 1)), the logarithm at n = 1."""
+        """Return A (p_a x - p0 h (1 - (1 + x/h)^(1-n))/(n - 1)), with the logarithm at n = 1."""
         y = jnp.log1p(x / self.height)
         return self.area * (
             self.ambient * x
@@ -200,7 +200,7 @@ class AirSpring(Law):
 
 
 def _expm1_over(z):
-    """(exp(z) - 1)/z, by its series near z = 0."""
+    """Return (exp(z) - 1)/z, by its series near z = 0."""
     small = jnp.abs(z) < 0.5
     near, far = jnp.where(small, z, 0.0), jnp.where(small, 1.0, z)
     series = jnp.ones_like(near)

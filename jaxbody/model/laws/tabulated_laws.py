@@ -59,8 +59,8 @@ class Table(Law):
         footer: int = 0,
         largest: float = 1e8,
     ) -> Table:
-        """The law in a text file of two columns below their names and units, `elongation [mm],
-        force [kN]`.
+        """Read the law from a text file of two columns below their names and units, `elongation
+        [mm], force [kN]`.
 
         Args:
             path: path of the file; its lines that start with # are comments. Units: length or angle
@@ -108,7 +108,7 @@ class Table(Law):
         return (x < self.x[0]) | (x > self.x[-1])
 
     def _from_start(self, x):
-        """The integral of F from the first point."""
+        """Return the integral of F from the first point."""
         u, h, (F0, F1, m0, m1), before, after = self._cell(x)
         inside = h * (
             (u - u**3 + u**4 / 2) * F0
@@ -133,8 +133,8 @@ class Table(Law):
         return jnp.clip(jnp.sum(self.x <= jax.lax.stop_gradient(x)) - 1, 0, self.x.shape[0] - 2)
 
     def _cell(self, x):
-        """Position u in the cell, its width, forces and slopes at both ends; distances of x before
-        the first and after the last point."""
+        """Return the position u in the cell, its width, forces and slopes at both ends, and the
+        distances of x before the first and after the last point."""
         i, m = self._index(x), self._slopes()
         inside = jnp.where(x < self.x[0], self.x[0], jnp.where(x > self.x[-1], self.x[-1], x))
         x_of, F_of = jnp.asarray(self.x), jnp.asarray(self.forces)
@@ -146,8 +146,9 @@ class Table(Law):
         return (inside - x_of[i]) / h, h, (F_of[i], F_of[i + 1], m[i], m[i + 1]), before, after
 
     def _slopes(self) -> Float[Array, "n"]:
-        """Inside, the weighted harmonic mean of the slopes of the two chords; at the ends, the
-        slope of the parabola through three points, limited so that the curve is monotone."""
+        """Return the slopes at the points: inside, the weighted harmonic mean of the slopes of the
+        two chords; at the ends, the slope of the parabola through three points, limited so that the
+        curve is monotone."""
         h, d = jnp.diff(self.x), jnp.diff(self.forces) / jnp.diff(self.x)
         rising = d[:-1] * d[1:] > 0
         left, right = jnp.where(rising, d[:-1], 1.0), jnp.where(rising, d[1:], 1.0)
@@ -165,7 +166,7 @@ def _end_slope(h0, h1, d0, d1):
 
 
 def has_range(tree: Any) -> bool:
-    """True when the tree holds a law with a limited range."""
+    """Return whether the tree holds a law with a limited range."""
     return any(
         isinstance(leaf, Table)
         for leaf in jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, Table))
