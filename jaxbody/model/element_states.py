@@ -68,25 +68,29 @@ def _bound(model: Any, make: Callable[..., Any], *states: Z) -> Any:
     tables, start = [], 0
     for table in model.elements:
         if width := sum(len(law.states) for law in memories(table.rows)):
-            if len(states[0]) != model.layout.nz:
-                raise JaxbodyError(
-                    Problem(
-                        "MEMORY",
-                        "state.z",
-                        (
-                            f"is missing or has {len(states[0])} numbers; the model has elements with "
-                            f"{model.layout.nz} states"
-                        ),
-                        len(states[0]),
-                        f"{model.layout.nz}",
-                        "Give states with z, such as those of equilibrium(model) or model.reference.",
-                    )
-                )
+            _check_given(model, states[0])
             n = len(table.names)
             columns = [z[start : start + n * width].reshape(n, width) for z in states]
             table, start = _with_states(table, make, columns), start + n * width
         tables.append(table)
     return eqx.tree_at(lambda model: model.elements, model, tuple(tables))
+
+
+def _check_given(model: Any, z: Z) -> None:
+    if len(z) != model.layout.nz:
+        raise JaxbodyError(
+            Problem(
+                "MEMORY",
+                "state.z",
+                (
+                    f"is missing or has {len(z)} numbers; the model has elements with "
+                    f"{model.layout.nz} states"
+                ),
+                len(z),
+                f"{model.layout.nz}",
+                "Give states with z, such as those of equilibrium(model) or model.reference.",
+            )
+        )
 
 
 def _with_states(

@@ -168,7 +168,7 @@ def _coefficients(value: Any, where: str, problems: Problems) -> Any:
 FORCES, MOMENTS = {"force": "N", "argument": "m"}, {"force": "N m", "argument": "rad"}
 
 
-class Mount(FramePair, LawForces):
+class Mount(FramePair, LawForces):  # pyright: ignore[reportIncompatibleMethodOverride]
     """A mount between a frame at a on one body and a frame at b on another, with a law for each of
     its six deformations,
 

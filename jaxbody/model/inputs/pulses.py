@@ -38,7 +38,7 @@ class Pulse(Signal):
         """Check and set the fields that all pulses have."""
         take(self, problems, amplitude=amplitude, start=start)
         length = positive_number(duration, f"{type(self).__name__}.duration", problems)
-        self.duration = 1.0 if length is None else length
+        self.duration = np.ones(()) if length is None else length
 
     @abstractmethod
     def shape(self, u: Float[Array, "*n"]) -> tuple[Array, Array, Array]:

@@ -56,8 +56,8 @@ class Road(Motion):
     [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
     """
 
-    distances: Float[Array, "n"] = field("m", converter=device_array)
-    heights: Float[Array, "n"] = field("m", converter=device_array)
+    distances: Float[Array, "n"] = field("m")
+    heights: Float[Array, "n"] = field("m")
     speed: Float[Array, ""] = field("m/s", converter=device_array)
     position: Float[Array, ""] = field("m", converter=device_array)
     footprint: Float[Array, ""] = field(
@@ -76,7 +76,7 @@ class Road(Motion):
             _check_increasing(s, problems)
             take(self, problems, speed=speed, position=position, footprint=footprint)
         self.window = _window(s, self.footprint)
-        self.distances, self.heights = s, z
+        self.distances, self.heights = device_array(s), device_array(z)
 
     @classmethod
     def kerb(cls, height, *, at, ramp, speed, position=0.0, footprint=0.0) -> Road:

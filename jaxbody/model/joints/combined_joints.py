@@ -88,7 +88,7 @@ class Composite(Joint):
     def nq(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return len(self.steps)
 
-    nv = nq
+    nv = nq  # pyright: ignore[reportAssignmentType]
 
     @property
     def motions(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
