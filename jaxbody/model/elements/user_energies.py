@@ -22,9 +22,9 @@ from jaxbody.geometry.points_and_orientations import IDENTITY
 from jaxbody.geometry.vectors import axial, product
 from jaxbody.model.elements.element_checks import check_leaves, unknown_frame
 from jaxbody.model.elements.elements import Element
-from jaxbody.model.layouts import WORLD
 
 DrawnAt = tuple[Any, Any]  # position and orientation (a unit quaternion) in the reference pose
+WORLD = "world"
 NOWHERE: DrawnAt = np.zeros(3), np.array(IDENTITY)
 
 
