@@ -43,21 +43,21 @@ def _states_of(rows: Any) -> list[tuple[str, str, str, str]]:
     """Return description, unit and role of each state of an element, and the unit of the
     deformation that it follows. Equal descriptions are numbered; if several fields hold laws, each
     description begins with the name of its field."""
-    found = []
+    states = []
     for keys, law in jax.tree_util.tree_leaves_with_path(rows, is_leaf=with_states):
         if isinstance(law, Memory):
             words, field = words_along(rows, keys), keys[0].name
-            found += [
+            states += [
                 (field, one, resolved(unit, law, words), role, words.get("argument", ""))
                 for one, unit, role in zip(law.states, law.state_units, law.roles, strict=True)
             ]
-    fields = {field for field, *_ in found}
-    labels = [f"{field} {one}" if len(fields) > 1 else one for field, one, *_ in found]
+    fields = {field for field, *_ in states}
+    labels = [f"{field} {one}" if len(fields) > 1 else one for field, one, *_ in states]
     texts = [
         f"{label} {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label
         for i, label in enumerate(labels)
     ]
-    return [(text, *kind) for text, (_, _, *kind) in zip(texts, found, strict=True)]
+    return [(text, *kind) for text, (_, _, *kind) in zip(texts, states, strict=True)]
 
 
 def _bound(model: Any, make: Callable[..., Any], *states: Z) -> Any:

@@ -101,15 +101,15 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
                     'Numbers of a part have paths in its model, such as "engine.mass".',
                 )
             )
-        roots, parts = tree.named(), numbers.named().items()
+        roots = tree.named()
         sizes = [np.size(x) for x in jax.tree.leaves(tree)]  # a state without z has none
-        found = [
-            (f"{prefix}{name}.{path}", n, kind)
-            for name, part in parts
+        return [
+            Leaf(f"{prefix}{name}.{path}", n, None, 0, kind)
+            for name, part in numbers.named().items()
             for path, n, kind in _fields(part, roots[name])
+            if sizes[n]
         ]
-        return [Leaf(path, n, None, 0, kind) for path, n, kind in found if sizes[n]]
-    found = []
+    leaves = []
     tables = lambda model: (  # noqa: E731
         model.bodies,
         model.supports,
@@ -121,11 +121,11 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
         for (path, n, kind), rank in zip(
             _fields(unwrapped(table.rows), unwrapped(rows)), table.ranks, strict=True
         ):
-            found += [
+            leaves += [
                 Leaf(f"{prefix}{name}.{path}", n, row, rank, kind)
                 for row, name in enumerate(table.names)
             ]
-    return [*found, Leaf(f"{prefix}gravity", numbers.gravity, None, 1, kind_of(tree, "gravity"))]
+    return [*leaves, Leaf(f"{prefix}gravity", numbers.gravity, None, 1, kind_of(tree, "gravity"))]
 
 
 def _fields(numbers: Any, root: Any) -> list[tuple[str, int, Kind]]:

@@ -34,7 +34,7 @@ class Element(Described, eqx.Module):
     """The base class of elements between two or more frames, named in `between`; `a` and `b` are
     the points where it is attached.
 
-    An element of your own defines `deformation`, `energy` and `dissipation`; forces and stiffness
+    A user-defined element defines `deformation`, `energy` and `dissipation`; forces and stiffness
     are their derivatives. One with inertia defines `kinetic_energy` too. `jb.field` gives the unit
     and the domain of its numbers, which `replace`, `fit` and `tune` respect. Two equal charges, one
     of which floats above the other where strength / e^2 = m g:
@@ -294,14 +294,14 @@ def check_signs(element: Any, allow_negative: bool, problems: Problems) -> None:
         for each in fields(element)
         if each.metadata.get("kind", Kind()).domain.endswith("unless allow_negative")
     ]
-    found = Problems()
+    violations = Problems()
     for name in names:
         number, where = getattr(element, name), f"{type(element).__name__}.{name}"
         element.allow_negative = False
-        in_domain(number, kind_of(element, name), where, found)
+        in_domain(number, kind_of(element, name), where, violations)
         element.allow_negative = bool(allow_negative)
         setattr(element, name, in_domain(number, kind_of(element, name), where, Problems()))
-    for problem in found.collected:
+    for problem in violations.collected:
         if allow_negative and problem.code in ALLOWED:
             warn(
                 problem.code,

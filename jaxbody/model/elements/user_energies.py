@@ -151,21 +151,21 @@ def _own(
             ),
         )
         return None
-    found, reading, function = Problems(), _Reading(kind, drawn), functions_as_nodes(function)
-    check_leaves(found, where, function)
-    if not found.collected:
+    faults, reading, function = Problems(), _Reading(kind, drawn), functions_as_nodes(function)
+    check_leaves(faults, where, function)
+    if not faults.collected:
         function = jax.tree.map(float_array, function)
         for keys, x in jax.tree_util.tree_leaves_with_path(function):
-            in_domain(x, kind_along(function, keys), where + jax.tree_util.keystr(keys), found)
+            in_domain(x, kind_along(function, keys), where + jax.tree_util.keystr(keys), faults)
         check_returned(
-            lambda function, _: function(reading), function, (), where, found, "poses by name"
+            lambda function, _: function(reading), function, (), where, faults, "poses by name"
         )
     names = tuple(reading.read)
-    found.collected += [
+    faults.collected += [
         unknown_frame(name, where, tuple(drawn), "frame") for name in names if name not in drawn
     ]
-    if not found.collected and not set(names) - {WORLD}:
-        found.add(
+    if not faults.collected and not set(names) - {WORLD}:
+        faults.add(
             "FUNCTION_FAILED",
             where,
             "reads no frame",
@@ -173,8 +173,8 @@ def _own(
             limit="a frame or more",
             hint='Read frames["name"].',
         )
-    problems.collected += found.collected
-    if found.collected:
+    problems.collected += faults.collected
+    if faults.collected:
         return None
     element = kind(function, names)
     places = tuple(drawn[name] for name in element.between)

@@ -28,7 +28,7 @@ from jaxbody.model.inputs.signals import Signal, as_signal, turned
 
 
 class Load(Described, eqx.Module):
-    """The base class of loads: a load of your own derives from it and defines `at_point`.
+    """The base class of loads: a user-defined load derives from it and defines `at_point`.
 
     >>> class Thrust(Load):
     ...     level: jax.Array

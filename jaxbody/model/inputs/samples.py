@@ -151,7 +151,7 @@ def changes_of_activity(t: Float[Array, "n"], curvature: Float[Array, "n *k"]) -
     The intervals between such samples become shorter towards a shock."""
     size = jnp.abs(curvature.reshape(len(t), -1))
     size = size + STRAIGHT * jnp.max(size, 0, keepdims=True)
-    found, width = [], FEW_SAMPLES
+    kinks, width = [], FEW_SAMPLES
     while width < len(t):
         halves = -(-len(t) // (2 * width))
         padded = jnp.concatenate(
@@ -160,9 +160,9 @@ def changes_of_activity(t: Float[Array, "n"], curvature: Float[Array, "n *k"]) -
         left, right = jnp.moveaxis(jnp.max(padded.reshape(halves, 2, width, -1), 2), 1, 0)
         middle = np.minimum(width * (2 * np.arange(halves) + 1), len(t) - 1)
         uneven = jnp.any((left > UNEVEN * right) | (right > UNEVEN * left), 1)
-        found.append(jnp.where(uneven, t[middle], jnp.inf))
+        kinks.append(jnp.where(uneven, t[middle], jnp.inf))
         width *= 2
-    return jnp.concatenate(found) if found else t[:0]
+    return jnp.concatenate(kinks) if kinks else t[:0]
 
 
 @jax.jit

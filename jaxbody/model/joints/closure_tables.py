@@ -80,14 +80,14 @@ def gaps_from(
     model: Model, rests: list[Pose], frames: Frame, q: Float[Array, "nq"]
 ) -> Float[Array, "n"]:
     """Return c of all closures, for given poses as drawn (`rests`, see `drawn`)."""
-    found = each_closure(
+    values = each_closure(
         model,
         rests,
         lambda closure, rest, poses: closure.gap(*poses, rest),
         (frames.pose(),),
         (slides(model.layout, q),),
     )
-    return jnp.concatenate([jnp.zeros(0, frames.p.dtype), *found])
+    return jnp.concatenate([jnp.zeros(0, frames.p.dtype), *values])
 
 
 def drawn(coordinates: Coordinates) -> list[Pose]:
@@ -112,7 +112,7 @@ def each_closure(
     """Return function(closure, pose as drawn, *(a row for A, a row for B)) of all conditions in
     meters, table by table. The rows are those of the tables `of_frames` or, for couplings,
     `of_coordinates`."""
-    size, found = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
+    size, results = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
     for table, rest in zip(model.closures, rests, strict=True):
         unit = jnp.where(_turning(table), size, 1.0)[None]
 
@@ -126,12 +126,12 @@ def each_closure(
             if isinstance(table.rows, Coupling)
             else (end_rows(model, table), of_frames)
         )
-        found.append(
+        results.append(
             jax.tree.map(
                 in_meters, jax.vmap(function)(table.rows, rest, *(_ends(x, places) for x in tables))
             )
         )
-    return found
+    return results
 
 
 def _couplings(layout: Layout, table: KindTable) -> list[np.ndarray]:

@@ -31,7 +31,7 @@ class Joint(Described, eqx.Module):
     says which are rotations [rad/s]; `in_series`, whether an earlier rotation turns the axes of
     later ones (else the rotations of a joint act together).
 
-    A joint of your own defines these, `pose` and `axes`, and, unless increments of q are added,
+    A user-defined joint defines these, `pose` and `axes`, and, unless increments of q are added,
     also `rest`, `retract` and `rate`. A nut on a screw, which falls with the acceleration
     g / (1 + I / (m lead^2)):
 

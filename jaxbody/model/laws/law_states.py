@@ -219,11 +219,11 @@ def with_states(x: Any) -> bool:
 
 def _parts(spring: Law | None) -> list[Any]:
     """Return the laws in given states that are part of a spring's law."""
-    found = [] if spring is None else [part for part in parts(spring) if with_states(part)]
-    for part in found:
+    laws = [] if spring is None else [part for part in parts(spring) if with_states(part)]
+    for part in laws:
         if isinstance(part, Memory):
             raise without_states(part)
-    return found
+    return laws
 
 
 def rate_force(spring: Law | None, damper: Law | None, x: Number, x_dot: Number) -> Number:

@@ -29,7 +29,8 @@ POINTS = 20  # of Gauss's quadrature of a force
 
 
 class Law(Described, eqx.Module):
-    """The base class of laws: a law of your own derives from it and defines `force` or `potential`.
+    """The base class of laws. A user-defined law derives from it and defines `force` or
+    `potential`.
 
     >>> class Cubic(Law):
     ...     coefficient: jax.Array

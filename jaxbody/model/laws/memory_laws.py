@@ -145,7 +145,7 @@ class Viscoelastic(InnerCoordinates):
 
         F = dV/de + dR/de',    dV/dy + dR/dy' = 0, so that    y' = -R_yy^-1 (dV/dy + R_ye e')
 
-    A law of your own defines `states`, `energy` V(e, y) and `dissipation` R(e', y'), quadratic in
+    A user-defined law defines `states`, `energy` V(e, y) and `dissipation` R(e', y'), quadratic in
     (e', y') and definite in y'. In a linearization each y has a row, with M = 0. A spring k with a
     branch of a cubic spring and a dashpot:
 
@@ -183,7 +183,7 @@ class Inertial(InnerCoordinates):
 
         F = dV/de + dR/de',    T_yy y'' + dV/dy + dR/dy' = 0,    z = (y, y')
 
-    A law of your own defines `states` and `state_units`, first of the coordinates and then of
+    A user-defined law defines `states` and `state_units`, first of the coordinates and then of
     their rates, `energy` V(e, y), `dissipation` R(e', y') and `kinetic_energy` T(y'), quadratic
     and definite. In a linearization each y has a row in M, C and K. A mass on a spring, carried
     by the deformation:
@@ -249,7 +249,7 @@ class Hysteretic(Memory):
 
         F(e, e', z),    z' = f(e, e', z),    f(e, 0, z) = 0
 
-    A law of your own defines `states`, `state_units`, `rate` and `restoring_force`; `energy`, the
+    A user-defined law defines `states`, `state_units`, `rate` and `restoring_force`; `energy`, the
     part of the work of F that is stored, is zero by default. At rest z is constant, so an
     equilibrium has the z of its initial guess, by default zero. A linearization has its tangent at
     rest in K, dF/de + dF/dz df/de', and no row for z: to first order it is a spring, and its
