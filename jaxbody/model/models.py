@@ -390,8 +390,9 @@ def _closure_slopes(
     length = jnp.where(length > 0, length, 1.0)
     delta = delta * jnp.where(layout.turns, 1.0, length)
     q = coordinates.retract(at_rest_in(model, coordinates.rest).q, delta)
-    supports = coordinates.supports.at_rest()
-    frames, axes = coordinates.frames_and_axes(q, jnp.zeros_like(delta), supports)
+    frames, axes = coordinates.frames_and_axes(
+        q, jnp.zeros_like(delta), coordinates.supports.at_rest()
+    )
     twists = jnp.concatenate(jacobian(layout, frames, *axes), -1)
     still = jnp.zeros((layout.first_body, *twists.shape[1:]), q.dtype)
     poses, twists = frames.pose(), jnp.concatenate([still, twists])

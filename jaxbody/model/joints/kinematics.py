@@ -40,13 +40,14 @@ def rest_poses(model: Any, supports: Pose, bodies: Pose) -> Pose:
 
 def at_rest_in(model: Any, rest: Pose) -> State:
     """Return the state in which bodies are at rest in these poses relative to their parents."""
-
-    def of(table: KindTable) -> tuple[tuple[str, ...], Array]:
-        rows = places(table.names, model.layout.bodies)
-        return table.names, jax.vmap(lambda joint, pose: joint.rest(pose))(table.rows, rest[rows])
-
-    q = model.layout.joined([of(table) for table in model.joints])
-    return State(q, jnp.zeros(model.layout.nv, q.dtype))
+    layout, each = model.layout, jax.vmap(lambda joint, pose: joint.rest(pose))
+    q = layout.joined(
+        [
+            (table.names, each(table.rows, rest[places(table.names, layout.bodies)]))
+            for table in model.joints
+        ]
+    )
+    return State(q, jnp.zeros(layout.nv, q.dtype))
 
 
 def body_poses(model: Any) -> Pose:
