@@ -109,9 +109,9 @@ def each_closure(
     of_frames: Tables,
     of_coordinates: Tables,
 ) -> list[Any]:
-    """Return function(closure, pose as drawn, *(a row for A, a row for B)) of all conditions in
-    meters, table by table. The rows are those of the tables `of_frames` or, for couplings,
-    `of_coordinates`."""
+    """Return function(closure, pose as drawn, (row for A, row for B), ...), with a pair of rows for
+    each table, of all conditions in meters, one array for each table of closures. The tables are
+    `of_frames` or, for couplings, `of_coordinates`."""
     size, results = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
     for table, rest in zip(model.closures, rests, strict=True):
         unit = jnp.where(_turning(table), size, 1.0)[None]
