@@ -67,32 +67,24 @@ class SNCurve(eqx.Module):
     def __init__(self, exponent, *, cycles, level, unit: str | None = None, of: str = "range"):
         with Problems() as problems:
             given = {"exponent": exponent, "cycles": cycles, "level": level}
-            numbers = {
-                name: positive_number(value, f"SNCurve.{name}", problems)
-                for name, value in given.items()
-            }
+            numbers = [
+                positive_number(value, f"SNCurve.{name}", problems) for name, value in given.items()
+            ]
             check_one_of(of, RANGES, "BAD_OPTION", "SNCurve.of", problems)
             if unit is None:
-                hint = 'Write unit="MPa", or the unit of the output.'
                 problems.add(
                     "NO_UNIT",
                     "SNCurve.unit",
                     "is missing",
                     limit='such as "MPa", "N" or "mm"',
-                    hint=hint,
+                    hint='Write unit="MPa", or the unit of the output.',
                 )
             stated = (
                 None if unit is None else problems.gather(lambda: units.parse(unit, "SNCurve.unit"))
             )
         assert stated is not None
-        self.exponent, self.cycles = (
-            device_array(numbers["exponent"]),
-            device_array(numbers["cycles"]),
-        )
-        self.level, self.unit = (
-            device_array(numbers["level"]) * (stated.factor * RANGES[of]),
-            stated.si,
-        )
+        self.exponent, self.cycles, level = map(device_array, numbers)
+        self.level, self.unit = level * (stated.factor * RANGES[of]), stated.si
 
     def endured(self, ranges: Any) -> Float[Array, "*n"]:
         """Cycles of these ranges [SI unit] until failure."""
@@ -115,23 +107,30 @@ class FatigueDamage(OfOutputs):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: all numbers by output."""
-        stated = {"damage": "", "life": "s", "cycles": "", "range": "unit"}
-        variables = {name: (("output",), getattr(self, name), u) for name, u in stated.items()}
-        return self.labeled(f"fatigue damage, {self.method}", variables)
+        units = {"damage": "", "life": "s", "cycles": "", "range": "unit"}
+        return self.labeled(
+            f"fatigue damage, {self.method}",
+            {name: (("output",), getattr(self, name), unit) for name, unit in units.items()},
+        )
 
     @tables.summarized("Fatigue damage", 1, damage="damage")
     def _tables(self) -> list[tables.PrintedTable]:
-        heads = ("output", "damage", "life [h]", "cycles", "equivalent range", "unit")
-        columns = (
-            self.outputs,
-            self.damage,
-            np.asarray(self.life) / 3600,
-            self.cycles,
-            self.range,
-            self.units,
-        )
-        title = f"Fatigue damage in {tables.number(self.duration)} s, {self.method}"
-        return [tables.PrintedTable(title, heads, [*zip(*columns, strict=True)], self.failure)]
+        columns = {
+            "output": self.outputs,
+            "damage": self.damage,
+            "life [h]": np.asarray(self.life) / 3600,
+            "cycles": self.cycles,
+            "equivalent range": self.range,
+            "unit": self.units,
+        }
+        return [
+            tables.PrintedTable(
+                f"Fatigue damage in {tables.number(self.duration)} s, {self.method}",
+                tuple(columns),
+                [*zip(*columns.values(), strict=True)],
+                self.failure,
+            )
+        ]
 
 
 def fatigue_damage(
@@ -181,16 +180,15 @@ def fatigue_damage(
     source = _as_record(source, duration) if isinstance(source, dict) else source
     counted = isinstance(source, Record)
     if not counted and not isinstance(source, RandomResponse):
-        hint = 'Give the result of random_response, or jb.Record(times, {"anchor": (values, "N")}).'
-        message = f"is a {type(source).__name__}"
         raise JaxbodyError(
             Problem(
                 "WRONG_KIND",
                 "fatigue_damage.source",
-                message,
+                f"is a {type(source).__name__}",
                 source,
                 "a RandomResponse or a Record",
-                hint,
+                "Give the result of random_response, or "
+                'jb.Record(times, {"anchor": (values, "N")}).',
             )
         )
     method = method or ("rainflow" if counted else "Dirlik")
@@ -214,31 +212,28 @@ def fatigue_damage(
         given = checked_dict(curves, "fatigue_damage.curves", "output: SNCurve", problems)
         stated = source.units if counted else dict(zip(source.outputs, source.units, strict=True))
         _check_curves(given, stated, counted, problems)
-    names = tuple(given)
     if isinstance(source, Record):
-        length = float(source.times[-1] - source.times[0])
-        arrays = _counted(source, given, length, length if T is None else T)
+        arrays = _counted(source, given, T)
     else:
-        rows = np.array([source.outputs.index(name) for name in names], int)
+        rows = np.array([source.outputs.index(name) for name in given], int)
         arrays = _expected(source, rows, tuple(given.values()), device_array(T), method)
     return warn_if_failed(
-        FatigueDamage(*arrays, method, outputs=names, units=tuple(stated[name] for name in names))
+        FatigueDamage(
+            *arrays, method, outputs=tuple(given), units=tuple(stated[name] for name in given)
+        )
     )
 
 
 def _as_record(channels: dict[str, Any], duration: Any) -> Record:
     """Channels of a known duration as a record. Errors: TRACED, BAD_NUMBER and those of Record."""
     if not is_concrete(channels):
-        hint = (
-            "Count outside of jit and grad, or take the damage of a RandomResponse by Dirlik's "
-            "method, which has derivatives."
-        )
         raise JaxbodyError(
             Problem(
                 "TRACED",
                 "fatigue_damage.source",
                 "is traced: counting of rainflow cycles has no derivative",
-                hint=hint,
+                hint="Count outside of jit and grad, or take the damage of a RandomResponse by "
+                "Dirlik's method, which has derivatives.",
             )
         )
     with Problems() as problems:
@@ -270,8 +265,7 @@ def _check_curves(
     for name, curve in given.items():
         where = f"fatigue_damage.curves[{name!r}]"
         if name not in stated:
-            problem = unknown(name, "fatigue_damage.curves", tuple(stated))
-            problems.collected.append(problem)
+            problems.collected.append(unknown(name, "fatigue_damage.curves", tuple(stated)))
         elif not isinstance(curve, SNCurve):
             problems.add(
                 "WRONG_KIND",
@@ -282,18 +276,14 @@ def _check_curves(
                 hint="Write SNCurve(...).",
             )
         elif curve.unit != stated[name]:
-            hint = (
-                "State the curve in this quantity, or give the sensor a gain, such as "
-                "1/area for a stress."
-            )
-            limit = stated[name]
             problems.add(
                 "BAD_UNIT",
                 where,
-                f"is of {curve.unit}, but the output is in {limit}",
+                f"is of {curve.unit}, but the output is in {stated[name]}",
                 value=curve.unit,
-                limit=limit,
-                hint=hint,
+                limit=stated[name],
+                hint="State the curve in this quantity, or give the sensor a gain, such as "
+                "1/area for a stress.",
             )
 
 
@@ -343,33 +333,38 @@ def dirlik(m0, m1, m2, m4, k) -> Float[Array, "*n"]:
     )
 
 
-def _counted(record: Record, curves: dict[str, SNCurve], length: float, T: Any) -> Arrays:
+def _counted(record: Record, curves: dict[str, SNCurve], duration: Any) -> Arrays:
     """The same of channels of a record, by rainflow counting."""
-    rainflow, rows = import_extra("rainflow", "fatigue_damage"), []
+    rainflow = import_extra("rainflow", "fatigue_damage")
     with Problems() as problems:
         for name in curves:
             x = record[name]
-            if x.ndim != 1 or np.isnan(x).any():
-                message = "has gaps" if x.ndim == 1 else f"has {x.shape[1]} columns"
-                hint = (
-                    "Fill them, or take a part without gaps."
-                    if x.ndim == 1
-                    else "Make each a channel."
-                )
+            if x.ndim != 1:
                 problems.add(
-                    "GAPS" if x.ndim == 1 else "BAD_SHAPE",
+                    "BAD_SHAPE",
                     f"Record['{name}']",
-                    message,
+                    f"has {x.shape[1]} columns",
                     value=x.shape,
                     limit="one column",
-                    hint=hint,
+                    hint="Make each a channel.",
                 )
+            elif np.isnan(x).any():
+                problems.add(
+                    "GAPS",
+                    f"Record['{name}']",
+                    "has gaps",
+                    value=x.shape,
+                    limit="one column",
+                    hint="Fill them, or take a part without gaps.",
+                )
+    length = float(record.times[-1] - record.times[0])
+    T = length if duration is None else duration
+    times, rows = float(np.asarray(T)) / length, []
     for name, curve in curves.items():
         ranges, _, counts, _, _ = (
             np.array(list(rainflow.extract_cycles(record[name])), float).reshape(-1, 5).T
         )
         used = ranges > 0
-        times = float(np.asarray(T)) / length
         cycles = times * counts.sum()
         damage = times * float(np.sum(counts[used] / np.asarray(curve.endured(ranges[used]))))
         k, level, base = (float(x) for x in (curve.exponent, curve.level, curve.cycles))

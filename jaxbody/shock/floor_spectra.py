@@ -27,7 +27,7 @@ from jaxbody.core.results import warn_if_failed
 from jaxbody.numerics.eigenproblems import together
 from jaxbody.numerics.elementary_functions import root
 from jaxbody.records.sampling_checks import IRREGULAR
-from jaxbody.shock.oscillators import history, poles
+from jaxbody.shock.oscillators import history, interpolated, poles
 from jaxbody.shock.response_spectra import ResponseSpectrum, check_dampings
 from jaxbody.shock.shock_spectra import ShockSpectrum, check_record, spectrum_values
 from jaxbody.shock.spectrum_responses import (
@@ -39,7 +39,6 @@ from jaxbody.shock.spectrum_responses import (
     covered,
     excited,
     modal_excitation,
-    with_damping,
 )
 from jaxbody.vibration.frequency_responses import check_frequencies
 from jaxbody.vibration.linearizations import Linearization, check_system
@@ -115,14 +114,13 @@ def floor_spectrum(
         )
         given = checked_spectra(bases, where, problems)
         if ports.units and ports.units != ("m/s2",):
-            hint = 'Give jb.Acceleration("cabinet", [0, 0, 1.8], axis="x").'
             problems.add(
                 "BAD_UNIT",
                 "floor_spectrum.output",
                 f"is in {', '.join(ports.units)}",
                 value=output,
                 limit="one in m/s2",
-                hint=hint,
+                hint='Give jb.Acceleration("cabinet", [0, 0, 1.8], axis="x").',
             )
         records = [each for each in given if isinstance(each, tuple)]
         lengths, steps = {np.shape(a)[0] for a, _ in records}, [float(h) for _, h in records]
@@ -131,30 +129,24 @@ def floor_spectrum(
             or len(lengths) > 1
             or np.ptp(steps) * max(lengths) > IRREGULAR * min(steps)
         ):
-            message, hint = (
-                "mixes records with spectra, or records of different times",
-                "Interpolate the records, or give spectra alone.",
-            )
             problems.add(
                 "BAD_OPTION",
                 where,
-                message,
+                "mixes records with spectra, or records of different times",
                 value=spectra,
                 limit="records of the same times, or spectra",
-                hint=hint,
+                hint="Interpolate the records, or give spectra alone.",
             )
         if records and f is not None and not problems.collected:
             check_record(records[0], concrete(f), "continuous", where, problems)
     assert f is not None
     zeta = jnp.atleast_1d(device_array(zeta))
-    modal = modal_excitation(lin, bases, ports.sensors)
-    modal = modal if ratios is None else with_damping(modal, ratios)
+    modal = modal_excitation(lin, bases, ports.sensors, ratios)
     if records:
         floor = _history(modal, records, f)
         values = spectrum_values(floor, f, zeta, "absolute", "maximax", "continuous")
     else:
-        taken = jnp.ones(modal.frequency.shape, bool)
-        check_covered(modal, taken, bases, given, where)
+        check_covered(modal, jnp.ones(modal.frequency.shape, bool), bases, given, where)
         values = _direct(modal, given, f, zeta)
     status = jnp.where(
         (modal.status == Status.OK) & ~jnp.isfinite(values).all(),
@@ -175,18 +167,11 @@ def _history(modal: ModalExcitation, records: list[tuple[Any, Any]], f: Any) -> 
         default=0.0,
     )
     parts = max(1, int(np.ceil(step * top * FINE)))
-    weights = np.arange(parts) / parts
     floor = jnp.zeros(())
     s = poles(modal.frequency, modal.damping)
     for e, (a, _) in enumerate(records):
-        a = device_array(a)
-        a = jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
-        alpha, beta, gamma = modal.readings * modal.participation[e][None, None]
-        c = (
-            alpha.astype(s.dtype)
-            + beta.astype(s.dtype) * s[None]
-            + gamma.astype(s.dtype) * s[None] ** 2
-        ) / s.imag.astype(s.dtype)[None]
+        a = interpolated(device_array(a), parts)
+        c = modal.weights(e, s)
         floor = floor + history(a, step / parts, s, c)[:, 0] + modal.rest[0, e] * a
     return floor, step / parts
 

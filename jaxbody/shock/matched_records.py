@@ -58,9 +58,14 @@ class MatchedRecord(Labeled, Result):
     status: Int[Array, ""]
 
     @property
+    def deviations(self) -> np.ndarray:
+        """|reached/target - 1| at each frequency."""
+        return np.abs(np.asarray(self.reached) / np.asarray(self.target) - 1)
+
+    @property
     def deviation(self) -> Any:
         """The largest of |reached/target - 1|."""
-        return np.max(np.abs(np.asarray(self.reached) / np.asarray(self.target) - 1))
+        return np.max(self.deviations)
 
     @property
     def samples(self) -> tuple[Array, Array]:
@@ -74,9 +79,9 @@ class MatchedRecord(Labeled, Result):
     def motion(self, direction: Any) -> Sampled:
         """The motion of a support along a direction, a vector in world axes, with
         this acceleration."""
-        along = np.asarray(direction, float) / np.linalg.norm(np.asarray(direction, float))
+        along = np.asarray(direction, float)
         return Sampled.from_accelerations(
-            self.times, translation=np.outer(self.acceleration, along)
+            self.times, translation=np.outer(self.acceleration, along / np.linalg.norm(along))
         )
 
     def explain(self) -> str:
@@ -97,26 +102,18 @@ class MatchedRecord(Labeled, Result):
         return dataset(variables | {"status": ((), self.status, "")}, coordinates, "matched record")
 
     def _tables(self) -> list[tables.PrintedTable]:
-        rows = [
-            (name, float(np.abs(np.asarray(values)).max()), unit)
-            for name, values, unit in (
-                ("peak acceleration", self.acceleration, "m/s2"),
-                ("peak velocity", self.velocity, "m/s"),
-                ("peak displacement", self.displacement, "m"),
-            )
-        ]
-        f, mean = (
-            np.asarray(self.frequencies),
-            float(np.mean(np.abs(np.asarray(self.reached) / np.asarray(self.target) - 1))),
-        )
-        rows += [
-            ("largest deviation of the spectrum", tables.percent(self.deviation), ""),
-            ("mean deviation", tables.percent(mean), ""),
-        ]
+        f = np.asarray(self.frequencies)
         title = (
             f"Record of {float(self.times[-1]):.4g} s for a spectrum from "
             f"{f[0]:.4g} to {f[-1]:.4g} Hz"
         )
+        rows = [
+            ("peak acceleration", float(np.abs(self.acceleration).max()), "m/s2"),
+            ("peak velocity", float(np.abs(self.velocity).max()), "m/s"),
+            ("peak displacement", float(np.abs(self.displacement).max()), "m"),
+            ("largest deviation of the spectrum", tables.percent(self.deviation), ""),
+            ("mean deviation", tables.percent(float(np.mean(self.deviations))), ""),
+        ]
         return [tables.PrintedTable(title, ("", "", ""), rows, self.failure)]
 
 
@@ -216,32 +213,31 @@ def _check_reach(
 ) -> None:
     where, (low, high) = "matched_record.frequencies", map(float, spectrum.covers())
     if (outside := f[(f < low * (1 - 1e-9)) | (f > high * (1 + 1e-9))]).size:
-        hint = "Leave these frequencies out."
         problems.add(
             "NOT_COVERED",
             where,
             f"has {outside} Hz",
             value=outside,
             limit=f"{low:.6g} to {high:.6g} Hz",
-            hint=hint,
+            hint="Leave these frequencies out.",
         )
     if (slow := f[f * duration < 1]).size:
-        message, hint = (
-            f"has {slow} Hz, whose period is longer than {duration:g} s",
-            "Give a longer duration, or leave these out.",
-        )
         problems.add(
-            "TOO_SHORT", where, message, value=slow, limit=f">= {1 / duration:.6g} Hz", hint=hint
+            "TOO_SHORT",
+            where,
+            f"has {slow} Hz, whose period is longer than {duration:g} s",
+            value=slow,
+            limit=f">= {1 / duration:.6g} Hz",
+            hint="Give a longer duration, or leave these out.",
         )
     if rate < 4 * f[-1]:
-        hint = "Give a higher rate, or leave frequencies out."
         problems.add(
             "LOW_RATE",
             "matched_record.rate",
             f"is {rate:g} Hz",
             value=rate,
             limit=f">= {4 * f[-1]:.6g} Hz",
-            hint=hint,
+            hint="Give a higher rate, or leave frequencies out.",
         )
 
 

@@ -31,8 +31,6 @@ from jaxbody.core.errors import Problems
 from jaxbody.records.records import Record
 from jaxbody.records.sampling_checks import even_samples
 
-WANTED = "a Record with one acceleration, or (times, accelerations) [s, m/s2]"
-
 
 def checked_samples(
     record: Any, unit: str, where: str, problems: Problems
@@ -49,30 +47,37 @@ def checked_samples(
         }
         if len(columns) != 1:
             listed = ", ".join(f"'{name}' [{of}]" for name, of in record.units.items())
-            message, hint = (
-                (
-                    f"has {len(columns)} channels of one "
-                    f"column{f' in {unit}' if unit else ''}: {listed}"
-                ),
-                "Choose one:",
-            )
-            hint += " (record.times, record['...'])."
             problems.add(
-                "WRONG_DIMENSION", where, message, value=record.units, limit="one", hint=hint
+                "WRONG_DIMENSION",
+                where,
+                f"has {len(columns)} channels of one "
+                f"column{f' in {unit}' if unit else ''}: {listed}",
+                value=record.units,
+                limit="one",
+                hint="Choose one: (record.times, record['...']).",
             )
             return None
         record = record.times, next(iter(columns.values()))
     if not isinstance(record, tuple) or len(record) != 2:
-        limit = WANTED if unit else "a Record with one channel, or (times, values)"
         problems.add(
-            "WRONG_KIND", where, f"is a {type(record).__name__}", value=record, limit=limit
+            "WRONG_KIND",
+            where,
+            f"is a {type(record).__name__}",
+            value=record,
+            limit="a Record with one acceleration, or (times, accelerations) [s, m/s2]"
+            if unit
+            else "a Record with one channel, or (times, values)",
         )
         return None
     gaps = concrete(record[1]) if hasattr(record[1], "dtype") else None
     if gaps is not None and gaps.dtype.kind == "f" and (count := int(np.isnan(gaps).sum())):
-        hint = 'Read the record with fill="spline", or take a part without gaps.'
         problems.add(
-            "GAPS", where, f"lacks {count} samples", value=count, limit="no gaps", hint=hint
+            "GAPS",
+            where,
+            f"lacks {count} samples",
+            value=count,
+            limit="no gaps",
+            hint='Read the record with fill="spline", or take a part without gaps.',
         )
         return None
     values, step = even_samples(*record, (f"{where} times", where), problems)
@@ -122,6 +127,12 @@ def steps(
     return jnp.exp(z), -c * h * (phi1 - phi2), -c * h * phi2
 
 
+def interpolated(a: Float[Array, "nt"], parts: int) -> Float[Array, "_"]:
+    """Return the samples with others on the straight lines between them, `parts` in each step."""
+    weights = jnp.arange(parts) / parts
+    return jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
+
+
 @program_with(WIDE)
 def peaks(
     a: Float[Array, "nt"],
@@ -138,8 +149,7 @@ def peaks(
     if parts is None:
         peak, end = _largest(a, h, s, c, side, r0)
         return peak.value[0], end
-    weights = jnp.arange(parts) / parts
-    a = jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
+    a = interpolated(a, parts)
     peak, end = _largest(a, h / parts, s, c, side, r0, kept=True)
     return _first_of_equal(a, h / parts, s, c, side, peak)[0], end
 
@@ -168,8 +178,7 @@ def influences(
 ):
     """Continuous peaks of |Im(r)| and their derivatives by the samples (n, nt): responses to the
     hat of each sample at the time of the peak."""
-    weights, n = jnp.arange(parts) / parts, len(a)
-    fine = jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
+    n, fine = len(a), interpolated(a, parts)
     peak, _ = _largest(fine, h / parts, s, c, "maximax", jnp.zeros_like(s), kept=True)
     value, time, sign = _first_of_equal(fine, h / parts, s, c, "maximax", peak)
     whole = jnp.clip(jnp.floor(time / h), 0, n - 2)

@@ -52,9 +52,15 @@ def moments(response: RandomResponse, *orders: int) -> tuple[Float[Array, "ny"],
 def check_response(response: Any, where: str) -> None:
     """Refuse what is no random response. Error: WRONG_KIND."""
     if not isinstance(response, RandomResponse):
-        message, hint = f"is a {type(response).__name__}", "Give the result of random_response."
         raise JaxbodyError(
-            Problem("WRONG_KIND", where, message, response, "a RandomResponse", hint)
+            Problem(
+                "WRONG_KIND",
+                where,
+                f"is a {type(response).__name__}",
+                response,
+                "a RandomResponse",
+                "Give the result of random_response.",
+            )
         )
 
 
@@ -136,23 +142,30 @@ class PeakFactors(OfOutputs):
             "rate": "1/s",
             "bandwidth": "",
         }
-        variables = {name: (("output",), getattr(self, name), u) for name, u in units.items()}
-        return self.labeled(f"peak factors, {self.formula}", variables)
+        return self.labeled(
+            f"peak factors, {self.formula}",
+            {name: (("output",), getattr(self, name), unit) for name, unit in units.items()},
+        )
 
     @tables.summarized("Peak factors", 1, maximum="maximum")
     def _tables(self) -> list[tables.PrintedTable]:
-        heads = ("output", "rms", "peak factor", "maximum", "unit", "crossings [1/s]", "bandwidth")
-        columns = (
-            self.outputs,
-            self.rms,
-            self.factor,
-            self.maximum,
-            self.units,
-            self.rate,
-            self.bandwidth,
-        )
-        title = f"Peaks in {tables.number(self.duration)} s, {self.formula}"
-        return [tables.PrintedTable(title, heads, [*zip(*columns, strict=True)], self.failure)]
+        columns = {
+            "output": self.outputs,
+            "rms": self.rms,
+            "peak factor": self.factor,
+            "maximum": self.maximum,
+            "unit": self.units,
+            "crossings [1/s]": self.rate,
+            "bandwidth": self.bandwidth,
+        }
+        return [
+            tables.PrintedTable(
+                f"Peaks in {tables.number(self.duration)} s, {self.formula}",
+                tuple(columns),
+                [*zip(*columns.values(), strict=True)],
+                self.failure,
+            )
+        ]
 
 
 def peak_factor(
@@ -211,17 +224,20 @@ def peak_factor(
                 limit="0 to 1",
             )
         if p is not None and formula == "Der Kiureghian":
-            hint = "Take Davenport or Vanmarcke."
             problems.add(
                 "BAD_OPTION",
                 "peak_factor.probability",
                 "is given, but this formula is no distribution",
                 value=p,
-                hint=hint,
+                hint="Take Davenport or Vanmarcke.",
             )
-    values = _peaks(response, device_array(T), formula, p)
     return warn_if_failed(
-        PeakFactors(*values, formula, outputs=response.outputs, units=response.units)
+        PeakFactors(
+            *_peaks(response, device_array(T), formula, p),
+            formula,
+            outputs=response.outputs,
+            units=response.units,
+        )
     )
 
 

@@ -81,13 +81,15 @@ def check_dampings(given: Any, where: str, problems: Problems) -> Any:
     known = None if array is None else concrete(array)
     if known is not None and (wrong := (known < 0) | (known >= 1)).any():
         value = float(np.ravel(known)[np.flatnonzero(wrong)[0]])
-        hint = (
-            f"Give {value / 100:g} for {value:g} percent."
-            if 1 <= value < 100
-            else "It is a fraction of the critical damping."
-        )
         problems.add(
-            "NOT_A_FRACTION", where, f"is {value:g}", value=value, limit="0 to below 1", hint=hint
+            "NOT_A_FRACTION",
+            where,
+            f"is {value:g}",
+            value=value,
+            limit="0 to below 1",
+            hint=f"Give {value / 100:g} for {value:g} percent."
+            if 1 <= value < 100
+            else "It is a fraction of the critical damping.",
         )
         return None
     return array
@@ -200,11 +202,11 @@ class DesignSpectrum(ResponseSpectrum):
         return log_interpolated(as_rows(frequencies), self.frequencies, self.values)
 
     def _tables(self):
-        rows = [(f, y) for f, y in zip(self.frequencies, self.values, strict=True)]
-        heads = ("frequency [Hz]", "pseudo-acceleration [m/s2]")
         return [
             tables.PrintedTable(
-                f"Design spectrum, damping ratio {tables.number(self.damping)}", heads, rows
+                f"Design spectrum, damping ratio {tables.number(self.damping)}",
+                ("frequency [Hz]", "pseudo-acceleration [m/s2]"),
+                [*zip(self.frequencies, self.values, strict=True)],
             )
         ]
 
@@ -263,9 +265,6 @@ class Eurocode8(ResponseSpectrum):
     def covers(self):
         return 1 / LONGEST, RIGID
 
-    def dampings(self):
-        return 0.0, 1.0
-
     def rigid(self):
         """The peak ground acceleration a_g S [m/s2]."""
         return self.acceleration * self.parameters[0]
@@ -284,12 +283,11 @@ class Eurocode8(ResponseSpectrum):
             ("a_vg/a_g" if self.vertical else "S", factor),
             ("T_B [s]", TB),
             ("T_C [s]", TC),
+            ("T_D [s]", TD),
         ]
-        title = (
-            f"Eurocode 8, type {self.type}, ground "
-            f"{self.ground}{', vertical' if self.vertical else ''}"
-        )
-        return [tables.PrintedTable(title, ("", ""), [*rows, ("T_D [s]", TD)])]
+        direction = ", vertical" if self.vertical else ""
+        title = f"Eurocode 8, type {self.type}, ground {self.ground}{direction}"
+        return [tables.PrintedTable(title, ("", ""), rows)]
 
 
 class ASCE7(ResponseSpectrum):
@@ -322,8 +320,10 @@ class ASCE7(ResponseSpectrum):
 
     def __init__(self, short, one_second, *, long_period=8.0):
         with Problems() as problems:
-            given = [("short", short), ("one_second", one_second), ("long_period", long_period)]
-            numbers = [positive_number(value, f"ASCE7.{name}", problems) for name, value in given]
+            given = {"short": short, "one_second": one_second, "long_period": long_period}
+            numbers = [
+                positive_number(value, f"ASCE7.{name}", problems) for name, value in given.items()
+            ]
         self.short, self.one_second, self.long_period = map(device_array, numbers)
 
     def covers(self):

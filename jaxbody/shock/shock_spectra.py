@@ -13,11 +13,10 @@ from equinox import field
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of
-from jaxbody.core.arrays import Array, Complex, Float, Int, concrete, device_array
+from jaxbody.core.arrays import Array, Complex, Float, Int, concrete, device_array, is_concrete
 from jaxbody.core.compilation.compile_options import WIDE, program_with
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
-from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.results import Result
 from jaxbody.model.inputs.pulses import Pulse
 from jaxbody.shock.oscillators import SIDES, checked_samples, free_peaks, peaks, poles
@@ -72,16 +71,14 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
     def pseudo_acceleration(self) -> Float[Array, "nz nf"]:
         """w^2 max|x| [m/s2]."""
         if self.kind == "absolute" or self.side != "maximax":
-            hint = 'Compute it with kind="pseudo" and side="maximax".'
-            message = f"is of {self.kind} responses, {self.side}"
             raise JaxbodyError(
                 Problem(
                     "BAD_KIND",
                     "ShockSpectrum.kind",
-                    message,
+                    f"is of {self.kind} responses, {self.side}",
                     self.kind,
                     "pseudo or relative, maximax",
-                    hint,
+                    'Compute it with kind="pseudo" and side="maximax".',
                 )
             )
         return self.values * (
@@ -139,13 +136,11 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
             (zeta, row[low], row[i], f[i], row[high], self.unit)
             for zeta, row, i in zip(self.damping, values, top, strict=True)
         ]
-        title = (
-            f"Shock spectrum, {self.kind}, {self.side}, peaks "
-            f"{'at samples' if self.peaks == 'samples' else 'of the continuous response'}"
-        )
+        kind = "at samples" if self.peaks == "samples" else "of the continuous response"
         return [
             tables.PrintedTable(
-                f"{title}{PARTS[self.part]}, {f.min():.6g} to {f.max():.6g} Hz",
+                f"Shock spectrum, {self.kind}, {self.side}, peaks {kind}{PARTS[self.part]}, "
+                f"{f.min():.6g} to {f.max():.6g} Hz",
                 heads,
                 rows,
                 self.failure,
@@ -265,40 +260,31 @@ def check_record(
             if peaks == "samples" and fast.max() <= SLOWEST["continuous"] / step
             else ""
         )
-        message = f"has {1 / step:.6g} samples a second, too few for {_some(fast)}"
-        hint = f"Record faster, or leave these frequencies out{other}."
         problems.add(
             "LOW_RATE",
             where,
-            message,
+            f"has {1 / step:.6g} samples a second, too few for {_some(fast)}",
             value=fast,
             limit=f"frequencies up to {highest:.6g} Hz",
-            hint=hint,
+            hint=f"Record faster, or leave these frequencies out{other}.",
         )
     if whole and (slow := f[f * length < 1 - 1e-9]).size:
-        message = f"is {length:.6g} s long, shorter than a period of {_some(slow)}"
-        hint = (
-            'For the free vibration after the record add zeros, or give part="both" to '
-            "shock_spectrum; or leave these frequencies out."
-        )
         problems.add(
             "TOO_SHORT",
             where,
-            message,
+            f"is {length:.6g} s long, shorter than a period of {_some(slow)}",
             value=slow,
             limit=f"frequencies from {1 / length:.6g} Hz",
-            hint=hint,
+            hint='For the free vibration after the record add zeros, or give part="both" to '
+            "shock_spectrum; or leave these frequencies out.",
         )
 
 
 def _some(f: np.ndarray) -> str:
     """The frequencies, or the first and last of many."""
-    text = (
-        ", ".join(f"{x:.6g}" for x in f)
-        if len(f) <= 4
-        else f"{len(f)} frequencies from {f.min():.6g} to {f.max():.6g}"
-    )
-    return f"{text} Hz"
+    if len(f) > 4:
+        return f"{len(f)} frequencies from {f.min():.6g} to {f.max():.6g} Hz"
+    return f"{', '.join(f'{x:.6g}' for x in f)} Hz"
 
 
 def spectrum_values(
@@ -311,10 +297,7 @@ def spectrum_values(
     part: str = "primary",
 ):
     """The values (nz, nf) of a spectrum."""
-    each, ratio = (
-        jnp.broadcast_to(f[None], (len(zeta), len(f))),
-        jnp.broadcast_to(zeta[:, None], (len(zeta), len(f))),
-    )
+    each, ratio = jnp.broadcast_arrays(f[None], zeta[:, None])
     s = poles(each.ravel(), ratio.ravel())
     return peaks_of(samples, s, weights_of(s, kind), side, peaks, part).reshape(each.shape)
 
@@ -354,10 +337,7 @@ def peaks_of(
 
     `samples`: accelerations and the step between them, or a list of such pairs, one after
     the other."""
-    pairs = [
-        (device_array(a), device_array(h))
-        for a, h in (samples if isinstance(samples, list) else [samples])
-    ]
+    pairs = jax.tree.map(device_array, samples if isinstance(samples, list) else [samples])
 
     def largest(s, c, count):
         best, r = jnp.zeros(s.shape, pairs[0][0].dtype), jnp.zeros_like(s)
@@ -367,13 +347,13 @@ def peaks_of(
         free = free_peaks(r, s, side) if part != "primary" else best
         return {"primary": best, "residual": free, "both": jnp.maximum(best, free)}[part]
 
-    known, step = (
-        concrete(s),
-        None if any(isinstance(h, Tracer) for _, h in pairs) else max(float(h) for _, h in pairs),
-    )
-    if kind == "samples" or known is None or step is None:
-        return largest(s, c, None if kind == "samples" else 32)
-    parts = 2 ** np.ceil(np.log2(np.maximum(np.abs(known) * step / FINEST, FEWEST))).astype(int)
+    if kind == "samples":
+        return largest(s, c, None)
+    steps = [h for _, h in pairs]
+    if not is_concrete(s, steps):
+        return largest(s, c, 32)
+    fastest = np.abs(np.asarray(s)) * max(map(float, steps))
+    parts = 2 ** np.ceil(np.log2(np.maximum(fastest / FINEST, FEWEST))).astype(int)
     result = jnp.zeros(s.shape, pairs[0][0].dtype)
     for count in sorted(set(parts.tolist())):
         places = np.flatnonzero(parts == count)

@@ -34,6 +34,7 @@ E. L. Wilson, A. Der Kiureghian, E. P. Bayo, same volume, 187.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -45,12 +46,12 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of, checked_dict, positive_number
 from jaxbody.core.arrays import (
     Array,
+    Complex,
     Float,
     Int,
     checked,
     concrete,
     device_array,
-    float_array,
     is_concrete,
 )
 from jaxbody.core.compilation.compile_options import program
@@ -60,6 +61,7 @@ from jaxbody.geometry.points_and_orientations import DIRECTIONS
 from jaxbody.model.inputs.port_inputs import BaseMotion
 from jaxbody.numerics.eigenproblems import together
 from jaxbody.numerics.elementary_functions import root
+from jaxbody.records.records import Record
 from jaxbody.shock.oscillators import checked_samples, poles
 from jaxbody.shock.response_spectra import ROUNDING, ResponseSpectrum
 from jaxbody.shock.shock_spectra import peaks_of
@@ -76,14 +78,17 @@ FAILED = (
 )
 
 
-class Excited(NamedTuple):
-    """The excitations of a model: for each a name, such as "base x", the supports that move
-    together, and the direction."""
+class Excitation(NamedTuple):
+    """The motion of supports that move together in one direction, by a spectrum or a record."""
 
-    names: tuple[str, ...]
-    supports: tuple[tuple[str, ...], ...]
-    directions: tuple[str, ...]
-    spectra: tuple[Any, ...]
+    supports: tuple[str, ...]
+    direction: str
+    spectrum: Any
+
+    @property
+    def name(self) -> str:
+        """Such as "base x" or "front and rear x"."""
+        return f"{' and '.join(map(str, self.supports))} {self.direction}"
 
 
 class ModalExcitation(eqx.Module):
@@ -103,11 +108,17 @@ class ModalExcitation(eqx.Module):
     def mass(self) -> Float[Array, "ne n"]:
         return self.participation**2
 
+    def weights(self, e: int, s: Complex[Array, "n"]) -> Complex[Array, "ny n"]:
+        """Return the weights c of oscillators with the poles `s`, so that an output is the sum over
+        the modes of Im(c r) under the excitation of index `e`, without what the modes leave out."""
+        alpha, beta, gamma = (self.readings * self.participation[e][None, None]).astype(s.dtype)
+        return (alpha + beta * s[None] + gamma * s[None] ** 2) / s.imag.astype(s.dtype)[None]
 
-def excited(lin: Linearization, given: Any, where: str, problems: Problems) -> Excited:
+
+def excited(lin: Linearization, given: Any, where: str, problems: Problems) -> list[Excitation]:
     """The excitations in {support, or several that move together: {direction: spectrum or record}}.
     Errors: WRONG_KIND, UNKNOWN_NAME, BAD_DIRECTION."""
-    names, supports, directions, spectra = [], [], [], []
+    bases = []
     known = lin.model.layout.supports
     for moved, each in checked_dict(
         given, where, "support: {direction: spectrum}", problems
@@ -117,14 +128,13 @@ def excited(lin: Linearization, given: Any, where: str, problems: Problems) -> E
             unknown(name, where, known) for name in together if name not in known
         ]
         if not isinstance(each, dict) or not each:
-            hint = f'Write {{{moved!r}: {{"x": ...}}}}.'
             problems.add(
                 "WRONG_KIND",
                 f"{where}[{moved!r}]",
                 f"is a {type(each).__name__}",
                 value=each,
                 limit="{direction: spectrum}",
-                hint=hint,
+                hint=f'Write {{{moved!r}: {{"x": ...}}}}.',
             )
             continue
         for direction, spectrum in each.items():
@@ -136,32 +146,36 @@ def excited(lin: Linearization, given: Any, where: str, problems: Problems) -> E
                     value=direction,
                     limit=" ".join(DIRECTIONS),
                 )
-            names.append(f"{' and '.join(map(str, together))} {direction}")
-            supports.append(together)
-            directions.append(direction)
-            spectra.append(spectrum)
-    if not names and not problems.collected:
-        hint = 'Write {"base": {"x": spectrum}}.'
+            bases.append(Excitation(together, direction, spectrum))
+    if not bases and not problems.collected:
         problems.add(
-            "WRONG_KIND", where, "has no excitation", value=given, limit="at least one", hint=hint
+            "WRONG_KIND",
+            where,
+            "has no excitation",
+            value=given,
+            limit="at least one",
+            hint='Write {"base": {"x": spectrum}}.',
         )
-    return Excited(tuple(names), tuple(supports), tuple(directions), tuple(spectra))
+    return bases
 
 
 def modal_excitation(
-    lin: Linearization, bases: Excited, sensors: tuple[Any, ...]
+    lin: Linearization, bases: list[Excitation], sensors: tuple[Any, ...], ratios: Any
 ) -> ModalExcitation:
     """Modes, participations and readings of outputs; massless coordinates of elements follow, as
-    in `modes`."""
+    in `modes`. `ratios`: damping ratios of the modes, None: those of the dampers."""
     lin = lin.condensed
     inputs = tuple(
-        BaseMotion(name, direction, kind="acceleration")
-        for together, direction in zip(bases.supports, bases.directions, strict=True)
-        for name in together
+        BaseMotion(name, base.direction, kind="acceleration")
+        for base in bases
+        for name in base.supports
     )
-    counts = np.repeat(np.arange(len(bases.names)), [len(together) for together in bases.supports])
-    together = np.eye(len(bases.names))[counts]
-    return _modal_excitation(lin, port_matrices(lin, inputs, sensors), together)
+    together = np.repeat(np.eye(len(bases)), [len(base.supports) for base in bases], axis=0)
+    modal = _modal_excitation(lin, port_matrices(lin, inputs, sensors), together)
+    if ratios is None:
+        return modal
+    damping = jnp.broadcast_to(device_array(ratios), modal.damping.shape)
+    return dataclasses.replace(modal, damping=damping)
 
 
 @program
@@ -175,9 +189,9 @@ def _modal_excitation(
     participation = (shapes.T @ (lin.M @ slow - lin.M_tilde @ e)).T
     readings = ports.Y[:, :, :nv] @ shapes
     ground = ports.Y[2, :, :nv] @ slow + ports.Y[2, :, nv:] @ e
-    gain = None if ports.chains is None else ports.chains.gain[:, None]
     rest = ground - readings[2] @ participation.T
-    if gain is not None:
+    if ports.chains is not None:
+        gain = ports.chains.gain[:, None]
         readings, rest = readings * gain[None], rest * gain
     bad = jnp.isin(status, jnp.array([failed.value for failed in FAILED]))
     nan = jnp.where(bad, jnp.nan, 1.0)
@@ -279,7 +293,7 @@ class SpectrumResponse(OfOutputs):
     def _tables(self) -> list[tables.PrintedTable]:
         shares = np.asarray(self.shares)
         order = np.argsort(-np.nan_to_num(np.abs(shares).max(0)))
-        shown = sorted(order[:MOST_SHOWN].tolist())
+        shown = np.sort(order[:MOST_SHOWN])
         heads = [f"mode {j + 1}" if j + 1 < shares.shape[1] else "rest" for j in shown]
         rows = [
             (name, value, unit, *(tables.percent(row[j]) or "0 %" for j in shown))
@@ -385,17 +399,20 @@ def spectrum_response(
             else positive_number(highest, "spectrum_response.highest", problems, "BAD_FREQUENCY")
         )
         given = checked_spectra(bases, "spectrum_response.spectra", problems)
-    modal = modal_excitation(lin, bases, ports.sensors)
-    if ratios is not None:
-        modal = with_damping(modal, ratios)
+    modal = modal_excitation(lin, bases, ports.sensors, ratios)
     taken = modal.frequency <= (jnp.inf if top is None else top)
     check_covered(modal, taken, bases, given, "spectrum_response.spectra")
     peaks, rigid = zip(
         *(modal_peaks(modal, each, e, taken) for e, each in enumerate(given)), strict=True
     )
-    made = _combined(modal, taken, jnp.stack(peaks), jnp.stack(rigid), combine)
     return warn_if_failed(
-        SpectrumResponse(*made, bases.names, combine, outputs=ports.names, units=ports.units)
+        SpectrumResponse(
+            *_combined(modal, taken, jnp.stack(peaks), jnp.stack(rigid), combine),
+            tuple(base.name for base in bases),
+            combine,
+            outputs=ports.names,
+            units=ports.units,
+        )
     )
 
 
@@ -415,11 +432,7 @@ def checked_ratios(given: Any, lin: Linearization, where: str, problems: Problem
     """Damping ratios of all modes. Errors: BAD_SHAPE, NOT_A_FRACTION."""
     n = lin.nv
     array = checked(
-        float_array(given, where),
-        ((), (n,)),
-        where,
-        problems,
-        f"Give one for all modes or one for each of {n}.",
+        given, ((), (n,)), where, problems, f"Give one for all modes or one for each of {n}."
     )
     known = None if array is None else concrete(array)
     if known is not None and ((known < 0) | (known >= 1)).any():
@@ -434,54 +447,45 @@ def checked_ratios(given: Any, lin: Linearization, where: str, problems: Problem
     return array
 
 
-def checked_spectra(bases: Excited, where: str, problems: Problems) -> tuple[Any, ...]:
+def checked_spectra(bases: list[Excitation], where: str, problems: Problems) -> tuple[Any, ...]:
     """The spectra, and of records their samples. Errors: WRONG_KIND and those of records."""
-    found = []
-    for name, given, direction in zip(bases.names, bases.spectra, bases.directions, strict=True):
+    spectra = []
+    for base in bases:
+        given, place = base.spectrum, f"{where} '{base.name}'"
         if isinstance(given, ResponseSpectrum):
             if (
                 getattr(given, "kind", "pseudo") == "absolute"
                 or getattr(given, "side", "maximax") != "maximax"
             ):
-                hint = 'Compute it with kind="pseudo" and side="maximax".'
                 problems.add(
                     "BAD_KIND",
-                    f"{where} '{name}'",
+                    place,
                     "is not of pseudo-accelerations",
                     value=given,
                     limit="pseudo or relative",
-                    hint=hint,
+                    hint='Compute it with kind="pseudo" and side="maximax".',
                 )
-            found.append(given)
-        elif isinstance(given, tuple) or hasattr(given, "channels"):
-            found.append(
-                checked_samples(
-                    given,
-                    "m/s2" if len(direction) == 1 else "rad/s2",
-                    f"{where} '{name}'",
-                    problems,
-                )
-            )
+            spectra.append(given)
+        elif isinstance(given, tuple | Record):
+            unit = "m/s2" if len(base.direction) == 1 else "rad/s2"
+            spectra.append(checked_samples(given, unit, place, problems))
         else:
             problems.add(
                 "WRONG_KIND",
-                f"{where} '{name}'",
+                place,
                 f"is a {type(given).__name__}",
                 value=given,
                 limit="a ResponseSpectrum or a record",
             )
-    return tuple(found)
-
-
-def with_damping(modal: ModalExcitation, ratios: Any) -> ModalExcitation:
-    """The modes with these damping ratios."""
-    return eqx.tree_at(
-        lambda m: m.damping, modal, jnp.broadcast_to(device_array(ratios), modal.damping.shape)
-    )
+    return tuple(spectra)
 
 
 def check_covered(
-    modal: ModalExcitation, taken: Array, bases: Excited, given: tuple[Any, ...], where: str
+    modal: ModalExcitation,
+    taken: Array,
+    bases: list[Excitation],
+    given: tuple[Any, ...],
+    where: str,
 ) -> None:
     """Whether each spectrum is known at the frequencies and dampings of the modes that it excites.
     Error: NOT_COVERED."""
@@ -489,7 +493,7 @@ def check_covered(
     if not is_concrete(modal, spectra) or np.asarray(modal.status).any() or np.ndim(modal.status):
         return
     with Problems() as problems:
-        for e, (name, each) in enumerate(zip(bases.names, given, strict=True)):
+        for e, (base, each) in enumerate(zip(bases, given, strict=True)):
             if not isinstance(each, ResponseSpectrum):
                 continue
             wrong = np.flatnonzero(
@@ -508,17 +512,15 @@ def check_covered(
                     )
                     for j in wrong[:6]
                 ]
-                limit = f"{low:.6g} to {high:.6g} Hz, damping ratios {least:.4g} to {most:.4g}"
-                hint = (
-                    "Compute it there, give the record itself, state damping=, or "
-                    "highest= for rigid modes."
-                )
-                message = (
-                    f"does not cover mode{'s' * (wrong.size > 1)} "
-                    f"{', '.join(listed)}{', ...' * (wrong.size > 6)}"
-                )
                 problems.add(
-                    "NOT_COVERED", f"{where} '{name}'", message, value=wrong, limit=limit, hint=hint
+                    "NOT_COVERED",
+                    f"{where} '{base.name}'",
+                    f"does not cover mode{'s' * (wrong.size > 1)} "
+                    f"{', '.join(listed)}{', ...' * (wrong.size > 6)}",
+                    value=wrong,
+                    limit=f"{low:.6g} to {high:.6g} Hz, damping ratios {least:.4g} to {most:.4g}",
+                    hint="Compute it there, give the record itself, state damping=, or "
+                    "highest= for rigid modes.",
                 )
 
 
@@ -550,14 +552,12 @@ def modal_peaks(
         here = covered(given, modal.frequency, modal.damping) | ~taken | ~_is_excited(modal, e)
         level = jnp.where(here, given(modal.frequency, modal.damping), jnp.nan) / w**2
         return sign * root(sure**2 + loose**2) * level[None], given.rigid()
-    a = device_array(given[0])
     s = poles(modal.frequency, modal.damping)
-    alpha, beta, gamma = (x.astype(s.dtype) for x in (alpha, beta, gamma))
-    c = (alpha + beta * s[None] + gamma * s[None] ** 2) / s.imag.astype(s.dtype)[None]
+    c = modal.weights(e, s)
     peaks = peaks_of(
         given, jnp.broadcast_to(s[None], c.shape).ravel(), c.ravel(), "maximax", "continuous"
     )
-    return sign * peaks.reshape(c.shape), jnp.max(jnp.abs(a))
+    return sign * peaks.reshape(c.shape), jnp.max(jnp.abs(device_array(given[0])))
 
 
 @program
