@@ -92,14 +92,21 @@ class MatchedRecord(Labeled, Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: the motion over time, both spectra over frequency."""
-        units = {"acceleration": "m/s2", "velocity": "m/s", "displacement": "m"}
-        variables = {name: (("time",), getattr(self, name), unit) for name, unit in units.items()}
-        variables |= {
-            name: (("frequency",), getattr(self, name), "m/s2") for name in ("target", "reached")
-        }
-        coordinates = {"time": ("time", np.asarray(self.times), {"units": "s"})}
-        coordinates["frequency"] = ("frequency", np.asarray(self.frequencies), {"units": "Hz"})
-        return dataset(variables | {"status": ((), self.status, "")}, coordinates, "matched record")
+        return dataset(
+            {
+                "acceleration": (("time",), self.acceleration, "m/s2"),
+                "velocity": (("time",), self.velocity, "m/s"),
+                "displacement": (("time",), self.displacement, "m"),
+                "target": (("frequency",), self.target, "m/s2"),
+                "reached": (("frequency",), self.reached, "m/s2"),
+                "status": ((), self.status, ""),
+            },
+            {
+                "time": ("time", np.asarray(self.times), {"units": "s"}),
+                "frequency": ("frequency", np.asarray(self.frequencies), {"units": "Hz"}),
+            },
+            "matched record",
+        )
 
     def _tables(self) -> list[tables.PrintedTable]:
         f = np.asarray(self.frequencies)
@@ -194,11 +201,11 @@ def matched_record(
     v, x = (np.asarray(y)[:, 0] for y in integrals(times, a[:, None]))
     deviation = np.abs(reached / problem.target - 1).max()
     status = Status.OK if deviation <= float(limit) else Status.NOT_CONVERGED
-    t, a, v, x, f, target, reached, zeta = map(
-        device_array, (times, a, v, x, f, problem.target, reached, zeta)
-    )
     return warn_if_failed(
-        MatchedRecord(t, a, v, x, f, target, reached, zeta, jnp.array(status.value))
+        MatchedRecord(
+            *map(device_array, (times, a, v, x, f, problem.target, reached, zeta)),
+            status=jnp.array(status.value),
+        )
     )
 
 

@@ -110,15 +110,17 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: the spectrum by damping ratio and frequency."""
-        variables = {
-            "spectrum": (("damping", "frequency"), self.values, self.unit),
-            "status": ((), self.status, ""),
-        }
-        coordinates = {
-            "frequency": ("frequency", np.asarray(self.frequencies), {"units": "Hz"}),
-            "damping": ("damping", np.asarray(self.damping), {"units": ""}),
-        }
-        return dataset(variables, coordinates, f"shock spectrum, {self.kind}, {self.side}")
+        return dataset(
+            {
+                "spectrum": (("damping", "frequency"), self.values, self.unit),
+                "status": ((), self.status, ""),
+            },
+            {
+                "frequency": ("frequency", np.asarray(self.frequencies), {"units": "Hz"}),
+                "damping": ("damping", np.asarray(self.damping), {"units": ""}),
+            },
+            f"shock spectrum, {self.kind}, {self.side}",
+        )
 
     @tables.summarized("Shock spectrum", 2, values="values")
     def _tables(self) -> list[tables.PrintedTable]:

@@ -272,22 +272,24 @@ class SpectrumResponse(OfOutputs):
     def to_xarray(self) -> Any:
         """An xarray.Dataset: peaks and shares by output, excitation and mode."""
         n = np.shape(self.frequency)[-1]
-        variables = {
-            "peak": (("output",), self.values, "unit"),
-            "share": (("output", "part"), self.shares, ""),
-            "peak_by_excitation": (("excitation", "output"), self.by_excitation, "unit"),
-            "modal_peak": (("excitation", "output", "mode"), self.modal, "unit"),
-            "participation": (("excitation", "mode"), self.participation, ""),
-            "effective_mass": (("excitation", "mode"), self.mass, "kg, kg m2"),
-            "frequency": (("mode",), self.frequency, "Hz"),
-            "damping_ratio": (("mode",), self.damping_ratio, ""),
-        }
-        coordinates = {
-            "excitation": list(self.excitations),
-            "mode": list(range(1, 1 + n)),
-            "part": [*map(str, range(1, 1 + n)), "rest"],
-        }
-        return self.labeled("spectrum response", variables, coordinates)
+        return self.labeled(
+            "spectrum response",
+            {
+                "peak": (("output",), self.values, "unit"),
+                "share": (("output", "part"), self.shares, ""),
+                "peak_by_excitation": (("excitation", "output"), self.by_excitation, "unit"),
+                "modal_peak": (("excitation", "output", "mode"), self.modal, "unit"),
+                "participation": (("excitation", "mode"), self.participation, ""),
+                "effective_mass": (("excitation", "mode"), self.mass, "kg, kg m2"),
+                "frequency": (("mode",), self.frequency, "Hz"),
+                "damping_ratio": (("mode",), self.damping_ratio, ""),
+            },
+            {
+                "excitation": list(self.excitations),
+                "mode": list(range(1, 1 + n)),
+                "part": [*map(str, range(1, 1 + n)), "rest"],
+            },
+        )
 
     @tables.summarized("Spectrum response", 1, values="values")
     def _tables(self) -> list[tables.PrintedTable]:

@@ -116,10 +116,9 @@ class Backbones(Labeled, Result):
             percent / 100,
         )
         square = b**2 + 4 * c * p
-        nonlinear = square > 0
         return xp.where(
-            nonlinear,
-            2 * p / (b + xp.where(nonlinear, square, 1.0) ** 0.5),
+            square > 0,
+            2 * p / (b + xp.where(square > 0, square, 1.0) ** 0.5),
             xp.where(xp.isnan(square), xp.nan, xp.inf),
         )
 
@@ -132,20 +131,23 @@ class Backbones(Labeled, Result):
         """An xarray.Dataset: frequency, curvature and the derivatives of V by mode, shapes by mode
         and named coordinate."""
         largest = np.asarray(self.largest)
-        variables = {
-            "frequency": (("mode",), self.frequency, "Hz"),
-            "curvature": (("mode",), self.curvature, "1/m2 or 1/rad2"),
-            "stiffness": (("mode",), self.stiffness, "N/m or N m"),
-            "third": (("mode",), self.third, "N/m2 or N m"),
-            "fourth": (("mode",), self.fourth, "N/m3 or N m"),
-            "largest": (("mode",), np.asarray(self.coordinates)[largest], ""),
-            "shape": (("coordinate", "mode"), self.shapes, "largest component 1"),
-            "drift": (("coordinate", "mode"), self.drift, "per amplitude^2"),
-            "second_harmonic": (("coordinate", "mode"), self.second_harmonic, "per amplitude^2"),
-            "status": (("mode",), self.status, ""),
-        }
         return dataset(
-            variables,
+            {
+                "frequency": (("mode",), self.frequency, "Hz"),
+                "curvature": (("mode",), self.curvature, "1/m2 or 1/rad2"),
+                "stiffness": (("mode",), self.stiffness, "N/m or N m"),
+                "third": (("mode",), self.third, "N/m2 or N m"),
+                "fourth": (("mode",), self.fourth, "N/m3 or N m"),
+                "largest": (("mode",), np.asarray(self.coordinates)[largest], ""),
+                "shape": (("coordinate", "mode"), self.shapes, "largest component 1"),
+                "drift": (("coordinate", "mode"), self.drift, "per amplitude^2"),
+                "second_harmonic": (
+                    ("coordinate", "mode"),
+                    self.second_harmonic,
+                    "per amplitude^2",
+                ),
+                "status": (("mode",), self.status, ""),
+            },
             {"mode": list(range(1, largest.shape[-1] + 1)), "coordinate": list(self.coordinates)},
             "backbones",
         )
@@ -161,7 +163,6 @@ class Backbones(Labeled, Result):
             change = status.name if status else f"{self.curvature[i]:+.4g} /{unit}2"
             limits = ("", "") if status else (_amplitude(force, unit), _amplitude(frequency, unit))
             rows.append((str(i + 1), self.frequency[i], self.coordinates[largest], change, *limits))
-        failed = sorted({Status(int(code)) for code in self.status if code})
         heads = (
             "mode",
             "frequency [Hz]",
@@ -170,19 +171,14 @@ class Backbones(Labeled, Result):
             "force within 5 %",
             "frequency within 5 %",
         )
-        note = "; ".join(
-            [
-                "amplitudes of the largest component",
-                *(f"{status.name}: {MESSAGES[status]}" for status in failed),
-            ]
-        )
+        failed = [Status(int(code)) for code in np.unique(self.status) if code]
+        notes = [f"{status.name}: {MESSAGES[status]}" for status in failed]
+        note = "; ".join(["amplitudes of the largest component", *notes])
         return [tables.PrintedTable("Backbones", heads, rows, note)]
 
 
 def _amplitude(value: Any, unit: str) -> str:
-    if not np.isfinite(value):
-        return "any"
-    return f"up to {value:.3g} {unit}"
+    return f"up to {value:.3g} {unit}" if np.isfinite(value) else "any"
 
 
 def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
@@ -238,8 +234,7 @@ def _backbones(lin: Linearization) -> Backbones:
     def solve(D, near, B):
         """x with D x = B, without the modes in `near`, the null vectors of D; B does not
         excite them."""
-        regular = D + top * (MS * near.astype(MS.dtype)[None]) @ MS.T
-        return jnp.linalg.solve(regular, B)
+        return jnp.linalg.solve(D + top * (MS * near.astype(MS.dtype)[None]) @ MS.T, B)
 
     def one(phi, value, i, good):
         phi, value = _mode(K, M, phi / phi[i], value, i, good)

@@ -18,10 +18,10 @@ import numpy as np
 from equinox import field
 
 from jaxbody.core import tables
+from jaxbody.core.arguments import check_one_of
 from jaxbody.core.arrays import Array, Complex, Float, Int, is_concrete
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
-from jaxbody.core.jax_internals import Tracer
+from jaxbody.core.errors import Problems, Status, unknown
 from jaxbody.core.results import Result
 from jaxbody.numerics.elementary_functions import root
 from jaxbody.records.sampling_checks import even_samples
@@ -93,10 +93,7 @@ class WeightedSignal(Result):
             (f"rms [{unit}]", self.rms),
             (f"peak [{unit}]", self.peak),
             ("crest factor", self.crest_factor),
-            (
-                f"vibration dose value [{unit[:-1]}1.75]",
-                self.dose if isinstance(self.dose, Tracer) else np.asarray(self.dose)[..., -1],
-            ),
+            (f"vibration dose value [{unit[:-1]}1.75]", self.vdv),
         ]
         return [tables.PrintedTable(f"Signal weighted by {self.name}", ("", ""), rows)]
 
@@ -116,7 +113,8 @@ def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
     >>> [round(float(abs(w)), 3) for w in weighting("Wk", [1.0, 8.0])]
     [0.482, 1.036]
     """
-    _check_weighting(name, "weighting.name")
+    with Problems() as problems:
+        check_one_of(name, WEIGHTINGS, "BAD_WEIGHTING", "weighting.name", problems, HINT)
     return _weighting(name, check_frequencies(frequencies, "weighting.frequencies"))
 
 
@@ -143,30 +141,20 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
             if output not in response.outputs:
                 problems.collected.append(unknown(output, "weighted", response.outputs))
                 continue
-            if name not in WEIGHTINGS:
-                problems.add(
-                    "BAD_WEIGHTING",
-                    f"weighted[{output!r}]",
-                    f"is {name!r}",
-                    value=name,
-                    limit=" ".join(WEIGHTINGS),
-                    hint=HINT,
-                )
-            unit, limit = response.units[response.outputs.index(output)], _unit(name)
-            if unit != limit:
-                hint = "Give an Acceleration; We is for an AngularAcceleration."
+            where = f"weighted[{output!r}]"
+            check_one_of(name, WEIGHTINGS, "BAD_WEIGHTING", where, problems, HINT)
+            unit = response.units[response.outputs.index(output)]
+            if unit != _unit(name):
                 problems.add(
                     "BAD_UNIT",
-                    f"weighted[{output!r}]",
+                    where,
                     f"is in {unit}",
                     value=unit,
-                    limit=limit,
-                    hint=hint,
+                    limit=_unit(name),
+                    hint="Give an Acceleration; We is for an AngularAcceleration.",
                 )
-    rows, names = (
-        tuple(response.outputs.index(output) for output in weights),
-        tuple(weights.values()),
-    )
+    rows = tuple(response.outputs.index(output) for output in weights)
+    names = tuple(weights.values())
     psd, rms = _weighted(
         response.psd, response.rms, response.frequencies, response.weights, rows, names
     )
@@ -186,8 +174,9 @@ def _weighted(
     """The rows of the densities times the squares of these weightings, and their root
     mean squares."""
     factors = jnp.stack([jnp.abs(_weighting(name, f)) ** 2 for name in names], -2)
-    psd = psd[..., np.array(rows, int), :] * factors
-    infinite = jnp.isinf(rms[..., np.array(rows, int)])
+    rows = np.array(rows, int)
+    psd = psd[..., rows, :] * factors
+    infinite = jnp.isinf(rms[..., rows])
     return psd, jnp.where(infinite, jnp.inf, root_mean_square(psd, weights[..., None, :]))
 
 
@@ -210,8 +199,8 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
     >>> round(float(signal.vdv / (3 / 8 * 20.0) ** 0.25), 2)
     1.04
     """
-    _check_weighting(name, "weighted_signal.name")
     with Problems() as problems:
+        check_one_of(name, WEIGHTINGS, "BAD_WEIGHTING", "weighted_signal.name", problems, HINT)
         a, step = even_samples(
             times, acceleration, ("weighted_signal.times", "weighted_signal.acceleration"), problems
         )
@@ -259,10 +248,3 @@ def dose(values: Float[Array, "nt"], step: Any) -> Float[Array, "nt"]:
 
 def _unit(name: str) -> str:
     return "rad/s2" if name == "We" else "m/s2"
-
-
-def _check_weighting(name: Any, where: str) -> None:
-    if name not in WEIGHTINGS:
-        raise JaxbodyError(
-            Problem("BAD_WEIGHTING", where, f"is {name!r}", name, " ".join(WEIGHTINGS), HINT)
-        )

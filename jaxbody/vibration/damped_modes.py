@@ -175,9 +175,8 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
     pairs = _paired(frozen, U, M, K)
     both = s[pairs]
     singular = jnp.linalg.svd(stiffness, compute_uv=False)
-    largest = fastest
     at_rest = (jnp.min(singular, initial=jnp.inf) <= SINGULAR * jnp.max(singular, initial=0.0)) & (
-        jnp.abs(both) <= REST * largest
+        jnp.abs(both) <= REST * fastest
     )
     rigid = jnp.any(at_rest, axis=1)
     one, other = jnp.where(at_rest, 0.0, both).T
@@ -192,7 +191,7 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
             massless,
             jnp.any(
                 jnp.concatenate([one.real, other.real, relaxations])
-                > reachable(GROWS, largest.dtype, 256) * largest
+                > reachable(GROWS, fastest.dtype, 256) * fastest
             ),
             jnp.sum(rigid) > int(isinstance(lin, SpinLinearization)),
         ],

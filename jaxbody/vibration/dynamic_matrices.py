@@ -7,12 +7,14 @@ Frequencies are the last axis of all arrays, so that operations run along them.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from equinox import Module, field
 
 from jaxbody.core.arrays import Array, Bool, Complex, Float
+from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, Options
 from jaxbody.numerics.eigenproblems import companion, eig, first_order, natural
 from jaxbody.numerics.precisions import reachable
 
@@ -20,14 +22,15 @@ from jaxbody.numerics.precisions import reachable
 LARGEST_UNROLLED = 16
 # real part of an eigenvalue, relative to the largest eigenvalue, above which it is not rounding
 GROWS = 1e-6
-MANY = 1e6  # frequencies times n^3; so many take milliseconds
+MANY = 1e6  # frequencies times n^3, whose solution takes milliseconds
 # relative error of the inverse of the modes, above which the modal sum is inaccurate
 INVERTED = 1e-7
 
 
-def are_many(f: Float[Array, "nf"], K: Float[Array, "n n"]) -> bool:
-    """Whether D x = b at these frequencies takes so long that its program is to be optimized."""
-    return f.size * K.size * len(K) > MANY
+def options_by_size(lin: Any, f: Float[Array, "nf"], *_: Any) -> Options:
+    """Return how to compile D x = b of the system `lin` at the frequencies `f`: optimized where the
+    solution takes long, else quickly."""
+    return OPTIMIZED if f.size * lin.K.size * len(lin.K) > MANY else QUICK
 
 
 class DynamicMatrices(Module):

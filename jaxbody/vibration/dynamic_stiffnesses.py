@@ -76,25 +76,23 @@ class DynamicStiffness(Labeled, Result):
     def to_xarray(self) -> Any:
         """An xarray.Dataset over frequency: storage and loss stiffness, magnitude and
         loss angle."""
-        variables = {
-            "storage": (("frequency",), jnp.real(self.stiffness), self.unit),
-            "loss": (("frequency",), jnp.imag(self.stiffness), self.unit),
-            "magnitude": (("frequency",), self.magnitude, self.unit),
-            "loss_angle": (("frequency",), self.loss_angle, "rad"),
-            "status": ((), self.status, ""),
-        }
         return dataset(
-            variables,
+            {
+                "storage": (("frequency",), jnp.real(self.stiffness), self.unit),
+                "loss": (("frequency",), jnp.imag(self.stiffness), self.unit),
+                "magnitude": (("frequency",), self.magnitude, self.unit),
+                "loss_angle": (("frequency",), self.loss_angle, "rad"),
+                "status": ((), self.status, ""),
+            },
             {"frequency": ("frequency", np.asarray(self.frequencies), {"units": "Hz"})},
             "dynamic stiffness",
         )
 
     @tables.summarized("Dynamic stiffness", 1, stiffness="stiffness")
     def _tables(self) -> list[tables.PrintedTable]:
-        K = np.asarray(self.stiffness)
         rows = [
-            (f, abs(k), float(np.rad2deg(np.angle(k))))
-            for f, k in zip(np.asarray(self.frequencies), K, strict=True)
+            (f, abs(K), float(np.angle(K, deg=True)))
+            for f, K in zip(self.frequencies, self.stiffness, strict=True)
         ]
         heads = ("frequency [Hz]", f"magnitude [{self.unit}]", "loss angle [deg]")
         return [tables.PrintedTable("Dynamic stiffness", heads, rows, self.failure)]
@@ -149,9 +147,8 @@ def dynamic_stiffness(
                 value=float(size),
                 limit="> 0",
             )
-    result = _stiffness(
-        spring, damper, f, device_array(force), None if size is None else device_array(size)
-    )
+    size = None if size is None else device_array(size)
+    result = _stiffness(spring, damper, f, device_array(force), size)
     return warn_if_failed(DynamicStiffness(f, *result, unit=unit))  # pyright: ignore[reportCallIssue]
 
 
@@ -159,20 +156,16 @@ def _laws_of(element: Any, direction: str | None) -> tuple[laws.Law | None, laws
     """The laws of the deformation and of its rate, and the unit of the stiffness."""
     if isinstance(element, Mount):
         if direction not in DIRECTIONS:
-            limit = ", ".join(DIRECTIONS)
             raise JaxbodyError(
                 Problem(
                     "BAD_DIRECTION",
                     "dynamic_stiffness.direction",
                     f"is {direction!r}",
                     direction,
-                    limit,
+                    ", ".join(DIRECTIONS),
                 )
             )
-        damper = laws.Linear(0.0)
-        damper = eqx.tree_at(
-            lambda law: law.coefficient, damper, element.damping[DIRECTIONS.index(direction)]
-        )
+        damper = _linear(element.damping[DIRECTIONS.index(direction)])
         return getattr(element, direction), damper, "N m/rad" if direction[0] == "r" else "N/m"
     if isinstance(element, LawForces):
         angle = type(element).__dataclass_fields__["spring"].metadata["words"]["argument"] == "rad"
@@ -180,18 +173,22 @@ def _laws_of(element: Any, direction: str | None) -> tuple[laws.Law | None, laws
             getattr(element, name) for name in ("spring", "damper")
         ), "N m/rad" if angle else "N/m"  # pyright: ignore[reportReturnType]
     if isinstance(element, Spring):
-        linear = [
-            eqx.tree_at(lambda law: law.coefficient, laws.Linear(0.0), x)
-            for x in (element.stiffness, element.damping)
-        ]
-        return linear[0], linear[1], "N/m"
+        return _linear(element.stiffness), _linear(element.damping), "N/m"
     if isinstance(element, laws.Law):
         return element, None, "N/m"
-    message, limit = (
-        f"is a {type(element).__name__}",
-        "a law, or an element with laws such as SpringDamper or Mount",
+    raise JaxbodyError(
+        Problem(
+            "WRONG_KIND",
+            "dynamic_stiffness.element",
+            f"is a {type(element).__name__}",
+            element,
+            "a law, or an element with laws such as SpringDamper or Mount",
+        )
     )
-    raise JaxbodyError(Problem("WRONG_KIND", "dynamic_stiffness.element", message, element, limit))
+
+
+def _linear(coefficient: Any) -> laws.Law:
+    return eqx.tree_at(lambda law: law.coefficient, laws.Linear(0.0), coefficient)
 
 
 def _bound(spring: laws.Law | None, make) -> Any:

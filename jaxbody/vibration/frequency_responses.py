@@ -29,7 +29,7 @@ from jaxbody.core.arrays import (
     float_array,
     is_concrete,
 )
-from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
@@ -41,7 +41,7 @@ from jaxbody.model.preconditions import check_memory
 from jaxbody.numerics.eigenproblems import ZERO, natural
 from jaxbody.sensors.instruments import LoadCell
 from jaxbody.sensors.sensors import Sensor
-from jaxbody.vibration.dynamic_matrices import DynamicMatrices, are_many, is_unstable, solved
+from jaxbody.vibration.dynamic_matrices import DynamicMatrices, is_unstable, options_by_size, solved
 from jaxbody.vibration.linearizations import Linearization, check_system
 from jaxbody.vibration.natural_modes import NO_MODES, with_modal_damping
 from jaxbody.vibration.ports import Ports, check_ports, port_matrices, reads_matrices
@@ -92,32 +92,31 @@ class FrequencyResponse(Labeled, Result):
 
     def unit(self, output: str, name: str) -> str:
         """The unit of one pair, "" for a ratio."""
-        above, below = (
-            self.output_units[self.outputs.index(output)],
-            self.input_units[self.inputs.index(name)],
-        )
+        above = self.output_units[self.outputs.index(output)]
+        below = self.input_units[self.inputs.index(name)]
         return "" if above == below else f"{above} per {below}"
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: the complex response by `output`, `input` and `frequency`, with units
         by output and input."""
         units = [[self.unit(y, u) for u in self.inputs] for y in self.outputs]
-        variables = {
-            "response": (("output", "input", "frequency"), self.values, "unit"),
-            "unit": (("output", "input"), np.array(units), ""),
-            "status": ((), self.status, ""),
-        }
         f = np.asarray(self.frequencies)
-        coordinates = {
-            "output": list(self.outputs),
-            "input": list(self.inputs),
-            "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"}),
-        }
-        return dataset(variables, coordinates, "frequency response")
+        return dataset(
+            {
+                "response": (("output", "input", "frequency"), self.values, "unit"),
+                "unit": (("output", "input"), np.array(units), ""),
+                "status": ((), self.status, ""),
+            },
+            {
+                "output": list(self.outputs),
+                "input": list(self.inputs),
+                "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"}),
+            },
+            "frequency response",
+        )
 
     @tables.summarized("Frequency response", 3, values="values")
     def _tables(self) -> list[tables.PrintedTable]:
-        heads = ("output", "input", "unit", "at first frequency", "largest", "at [Hz]")
         f, size = np.asarray(self.frequencies), np.abs(np.asarray(self.values))
         largest = np.argmax(np.nan_to_num(size, nan=-1.0), -1)
         rows = [
@@ -134,7 +133,10 @@ class FrequencyResponse(Labeled, Result):
         ]
         return [
             tables.PrintedTable(
-                f"Frequency response, {f[0]:.6g} to {f[-1]:.6g} Hz", heads, rows, self.failure
+                f"Frequency response, {f[0]:.6g} to {f[-1]:.6g} Hz",
+                ("output", "input", "unit", "at first frequency", "largest", "at [Hz]"),
+                rows,
+                self.failure,
             )
         ]
 
@@ -198,17 +200,22 @@ def frequency_response(
         lin, inputs, outputs, "frequency_response"
     )
     if method not in METHODS:
-        limit = " ".join(METHODS)
         raise JaxbodyError(
-            Problem("BAD_METHOD", "frequency_response.method", f"is {method!r}", method, limit)
+            Problem(
+                "BAD_METHOD",
+                "frequency_response.method",
+                f"is {method!r}",
+                method,
+                " ".join(METHODS),
+            )
         )
     check_memory("frequency_response", lin.model, f.size if method == "direct" else 0)
     static = is_concrete(f) and not np.asarray(f).all()
     if static:
         _check_bounded_at_rest(u, ins)
     lin, eta = damped(lin, sensors, loss_factor, modal_damping, "frequency_response")
-    values, status = response_values(lin, f, port_matrices(lin, ins, sensors), eta, method, static)
-    return warn_if_failed(FrequencyResponse(f, values, status, u, y, u_units, y_units))
+    results = response_values(lin, f, port_matrices(lin, ins, sensors), eta, method, static)
+    return warn_if_failed(FrequencyResponse(f, *results, u, y, u_units, y_units))
 
 
 def damped(
@@ -249,20 +256,18 @@ def checked_frequencies(given: Any, where: str, *, static: bool = False) -> Floa
     """The same, not yet on a device."""
     with Problems() as problems:
         array = float_array(given, where)
-        array = checked(
-            array, ((max(array.size, 1),),), where, problems, "Give frequencies [Hz] in one row."
-        )
+        shape = (max(array.size, 1),)
+        array = checked(array, (shape,), where, problems, "Give frequencies [Hz] in one row.")
         known = None if array is None else concrete(array)
         if known is not None and (wrong := known < 0 if static else known <= 0).any():
-            i, limit = int(np.flatnonzero(wrong)[0]), ">= 0" if static else "> 0"
-            hint = "Give their magnitudes." if known[i] < 0 else "Leave 0 out."
+            i = int(np.flatnonzero(wrong)[0])
             problems.add(
                 "BAD_FREQUENCY",
                 where,
                 f"is {known[i]:g} Hz at index {i}",
                 value=float(known[i]),
-                limit=limit,
-                hint=hint,
+                limit=">= 0" if static else "> 0",
+                hint="Give their magnitudes." if known[i] < 0 else "Leave 0 out.",
             )
     return array  # pyright: ignore[reportReturnType]  which is not None here
 
@@ -273,17 +278,13 @@ def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> N
     with Problems() as problems:
         for name, port in zip(names, inputs, strict=True):
             if (kind := getattr(port, "kind", "displacement")) != "displacement":
-                message, hint = (
-                    f"is given as {kind}, and a frequency is 0 Hz",
-                    'Take kind="displacement", or leave 0 Hz out.',
-                )
                 problems.add(
                     "BAD_FREQUENCY",
                     f"frequency_response.inputs[{name!r}]",
-                    message,
+                    f"is given as {kind}, and a frequency is 0 Hz",
                     value=kind,
                     limit="displacement at 0 Hz",
-                    hint=hint,
+                    hint='Take kind="displacement", or leave 0 Hz out.',
                 )
 
 
@@ -297,10 +298,13 @@ def check_without_force_sensors(
             if sensor.unit[0] == "N" and not (
                 isinstance(sensor, LoadCell) or reads_matrices(sensor, model)
             ):
-                hint = "Use LoadCell or the Reaction of a support, or give the model dampers."
-                message = f"is not read by a {type(sensor).__name__} on '{sensor.on}'"
                 problems.add(
-                    "BAD_OPTION", where, message, value=given, limit="sensors of motion", hint=hint
+                    "BAD_OPTION",
+                    where,
+                    f"is not read by a {type(sensor).__name__} on '{sensor.on}'",
+                    value=given,
+                    limit="sensors of motion",
+                    hint="Use LoadCell or the Reaction of a support, or give the model dampers.",
                 )
 
 
@@ -334,7 +338,7 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
     return jnp.stack([device_array(value) for value in each]) if each else jnp.zeros(0)
 
 
-@program_with(lambda lin, f, *_: OPTIMIZED if are_many(f, lin.K) else QUICK)
+@program_with(options_by_size)
 def response_values(
     lin: Linearization,
     f: Float[Array, "nf"],
@@ -412,11 +416,10 @@ def hysteretic_damping(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Arr
 def _elastic_rows(Y, H, ports: Ports, lin: Linearization, eta) -> Float[Array, "ny n"]:
     """The rows that i H adds to outputs: eta times the elastic part of an element's force, -H of
     a reaction."""
-    nv = lin.M.shape[-1]
     rows = [jnp.zeros(Y.shape[-1], Y.dtype)] * Y.shape[1]
     for i, (element, support) in enumerate(zip(ports.elements, ports.reactions, strict=True)):
         if element >= 0:
             rows[i] = eta[element] * Y[0, i]
         if support >= 0:
-            rows[i] = -H[nv + support]
+            rows[i] = -H[lin.M.shape[-1] + support]
     return jnp.stack(rows)

@@ -10,6 +10,7 @@ K | -K~ | K_bb   Hessian of V in (Delta, Xi)      (41), (42), (49), (66) of the 
 
 from __future__ import annotations
 
+import dataclasses
 from abc import abstractmethod
 from typing import Any, ClassVar
 
@@ -129,19 +130,12 @@ class LinearSystem(Labeled, Result):
     @property
     def scale(self) -> Float[Array, "nv"]:
         """The change of each coordinate of one meter."""
-        size = size_of(self.model)
-        scale, layout = (
-            scale_of(self.model, size)[..., np.array(self.independent, int)],
-            self.model.layout,
-        )
+        size, layout = size_of(self.model), self.model.layout
+        scale = scale_of(self.model, size)[..., np.array(self.independent, int)]
         if not self.inner:
             return scale
-        return jnp.concatenate(
-            [
-                scale,
-                jnp.where(layout.follows_angles[layout.inner_places[: self.inner]], 1 / size, 1.0),
-            ]
-        )
+        turns = layout.follows_angles[layout.inner_places[: self.inner]]
+        return jnp.concatenate([scale, jnp.where(turns, 1 / size, 1.0)])
 
     def kept_status(self, own: Array, failures: tuple[Status, ...] = ()) -> Int[Array, ""]:
         """The status of a result: that of the system where it is about no rest or steady motion, or
@@ -215,12 +209,14 @@ class Linearization(LinearSystem):
     @property
     def whole(self) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, "n n"]]:
         """K, C and M of (Delta, Xi)."""
-        blocks = (
-            (self.K, self.K_tilde, self.K_bb),
-            (self.C, self.C_tilde, self.C_bb),
-            (self.M, self.M_tilde, self.M_bb),
+        return tuple(  # pyright: ignore[reportReturnType]  of three
+            jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]])
+            for A, A_tilde, A_bb in (
+                (self.K, self.K_tilde, self.K_bb),
+                (self.C, self.C_tilde, self.C_bb),
+                (self.M, self.M_tilde, self.M_bb),
+            )
         )
-        return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)  # pyright: ignore[reportReturnType]  of three
 
     def reduced(self, H: Float[Array, "*m nv nv"]) -> Float[Array, "*m nf nf"]:
         """N' H N: a matrix of the model's coordinates in those of the system."""
@@ -288,15 +284,15 @@ class Linearization(LinearSystem):
 
     @property
     def K_elastic_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
-        return by_name(
-            _names(self.model), [self.reduced(H) for H in split_stiffness(self.held, self.state)[0]]
-        )
+        return self._by_element(split_stiffness(self.held, self.state)[0])
 
     @property
     def K_geometric_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
-        return by_name(
-            _names(self.model), [self.reduced(H) for H in split_stiffness(self.held, self.state)[1]]
-        )
+        return self._by_element(split_stiffness(self.held, self.state)[1])
+
+    def _by_element(self, matrices: Any) -> dict[str, Float[Array, "nv nv"]]:
+        names = tuple(table.names for table in self.model.elements)
+        return by_name(names, [self.reduced(H) for H in matrices])
 
     def note(self):
         return (
@@ -305,14 +301,17 @@ class Linearization(LinearSystem):
         )
 
     def explain(self) -> str:
-        if int(self.status) == Status.SINGULAR_K:
-            return "; ".join(zero_modes(self.model, self.state))
-        if int(self.status) == Status.STALE:
-            return "compute the equilibrium of the changed model again"
-        if int(self.status) == Status.SINGULAR_CLOSURE:
-            names = ", ".join(f"'{name}'" for name in self.coordinates)
-            return f"{names} do not determine the other coordinates"
-        return "the state is not an equilibrium" if int(self.status) else ""
+        match Status(int(self.status)):
+            case Status.OK:
+                return ""
+            case Status.SINGULAR_K:
+                return "; ".join(zero_modes(self.model, self.state))
+            case Status.STALE:
+                return "compute the equilibrium of the changed model again"
+            case Status.SINGULAR_CLOSURE:
+                names = ", ".join(f"'{name}'" for name in self.coordinates)
+                return f"{names} do not determine the other coordinates"
+        return "the state is not an equilibrium"
 
     def state_space(self, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
         """A, B, C, D from named inputs to named outputs, {name: port}, as python-control
@@ -354,15 +353,16 @@ def check_system(
     """Refuse what is no linear system of this kind, such as one about a spin, and float32 where it
     would lose half the digits."""
     if not isinstance(lin, kind):
-        spins = isinstance(lin, LinearSystem)
-        hint = (
-            "Use complex_modes."
-            if spins
-            else "Give linearize(model, equilibrium(model)): all else is computed from it."
-        )
         raise JaxbodyError(
             Problem(
-                "WRONG_KIND", f"{where}.lin", f"is {kind_of(lin)}", lin, "a Linearization", hint
+                "WRONG_KIND",
+                f"{where}.lin",
+                f"is {kind_of(lin)}",
+                lin,
+                "a Linearization",
+                "Use complex_modes."
+                if isinstance(lin, LinearSystem)
+                else "Give linearize(model, equilibrium(model)): all else is computed from it.",
             )
         )
     check_precision(where, lin.model, allow_float32=allow_float32)
@@ -408,16 +408,14 @@ def linearize(
     linearized = _by_definition if method == "definition" else _linearize
     if isinstance(at, Equilibrium):
         if at.layout != model.layout:
-            hint = "Give the equilibrium of this model, or a state."
-            message = "is of a model with other bodies, supports or joints"
             raise JaxbodyError(
                 Problem(
                     "OTHER_MODEL",
                     "linearize.at",
-                    message,
+                    "is of a model with other bodies, supports or joints",
                     at.layout,
                     "an equilibrium of this model",
-                    hint,
+                    "Give the equilibrium of this model, or a state.",
                 )
             )
         result = linearized(model, at.state, at.status, at.loads)
@@ -446,9 +444,9 @@ def _by_definition(
         len(model.layout.inner),
     )
     basis = basis_of(configuration_at(coordinates, state.q, state.v))
-    blocks = _blocks(
-        [moves.of(H, ny) for H in whole] if moves else whole, len(model.independent or ()) + ny
-    )
+    if moves:
+        whole = [moves.of(H, ny) for H in whole]
+    blocks = _blocks(whole, len(model.independent or ()) + ny)
     return _system(model, state, status, loads, blocks, r, basis, moves)
 
 
@@ -472,9 +470,8 @@ def _linearize(
     )
     of_loads = _load_stiffness(model, state, loads)
     if not model.closures:
-        (M, C, K), tilde, bb = found
-        blocks = (M, C, K - jnp.pad(of_loads, (0, ny))), tilde, bb
-        return _system(model, state, status, loads, blocks, r, basis, None)
+        found["K"] = found["K"] - jnp.pad(of_loads, (0, ny))
+        return _system(model, state, status, loads, found, r, basis, None)
     coordinates, (M, C, K) = Coordinates(eqx.combine(numbers, rest)), found
     moves = dependent_motions(coordinates, state.q, r, model.independent or ())
     x = np.r_[:nv, nv + ny : len(K)]  # the rows of (Delta, Xi)
@@ -484,22 +481,17 @@ def _linearize(
         .add(closure_stiffness(coordinates, state.q, moves.multipliers))
     )
     K = K.at[:nv, :nv].add(-of_loads)
-    return _system(
-        model,
-        state,
-        status,
-        loads,
-        _blocks([moves.of(H, ny) for H in (M, C, K)], len(moves.N.T) + ny),
-        r,
-        basis,
-        moves,
-    )
+    blocks = _blocks([moves.of(H, ny) for H in (M, C, K)], len(moves.N.T) + ny)
+    return _system(model, state, status, loads, blocks, r, basis, moves)
 
 
-def _blocks(whole: Any, n: int) -> list[tuple[Array, ...]]:
-    """From M, C and K of n coordinates and Xi those of the coordinates, those with Xi, and those
-    of Xi."""
-    return list(zip(*((H[:n, :n], -H[:n, n:], H[n:, n:]) for H in whole), strict=True))
+def _blocks(whole: Any, n: int) -> dict[str, Array]:
+    """Return the blocks of M, C and K of n coordinates and Xi, by their names in a Linearization:
+    M of the coordinates, M_tilde between these and Xi, M_bb of Xi, and so on."""
+    blocks = {}
+    for name, H in zip("MCK", whole, strict=True):
+        blocks |= {name: H[:n, :n], f"{name}_tilde": -H[:n, n:], f"{name}_bb": H[n:, n:]}
+    return blocks
 
 
 def _system(
@@ -507,21 +499,21 @@ def _system(
     state: State,
     status: Any,
     loads: tuple[Load, ...],
-    blocks: Any,
+    blocks: dict[str, Array],
     r: Float[Array, "nv"],
     basis: Basis,
     moves: Any,
 ) -> Linearization:
     """The result. `status`: of the equilibrium, None for another state; it becomes STALE where
     r = dV/dDelta - Q is not zero."""
-    (M, C, K), tilde, bb = blocks
     own = np.array(model.independent, int)
     size = size_of(model)
     scale = scale_of(model, size)[own]
     if status is None:
         status = jnp.array(Status.OK.value)
     else:
-        largest = jnp.max(jnp.abs(scaled(K[: len(own), : len(own)], scale)), initial=0.0) * size
+        K = blocks["K"][: len(own), : len(own)]
+        largest = jnp.max(jnp.abs(scaled(K, scale)), initial=0.0) * size
         stale = (
             jnp.max(jnp.abs((r if moves is None else moves.N.T @ r) * scale), initial=0.0)
             > jnp.finfo(r.dtype).eps ** 0.5 * largest
@@ -535,7 +527,15 @@ def _system(
             moves.smallest < SINGULAR_CLOSURES,
         ]
         status = jnp.select(fails, [Status.NOT_CLOSED.value, Status.SINGULAR_CLOSURE.value], status)
-    return Linearization(M, C, K, status, state, model, basis, *tilde, *bb, loads, dependent=moves)  # pyright: ignore[reportCallIssue]
+    return Linearization(
+        **blocks,
+        status=status,
+        state=state,
+        model=model,
+        basis=basis,
+        loads=loads,
+        dependent=moves,
+    )
 
 
 @program
@@ -551,46 +551,15 @@ def _condensed(lin: Linearization) -> Linearization:
     nv, ny = lin.nv, lin.massless
     K, C, M = lin.whole
     T = following(K, nv, ny)
-    (M, C, K), tilde, bb = _blocks([T.T @ H @ T for H in (M, C, K)], nv)
-    return Linearization(
-        M,
-        C,
-        K,
-        lin.status,
-        lin.state,
-        lin.model,
-        lin.basis,
-        *tilde,
-        *bb,
-        lin.loads,
-        slow=True,
-        dependent=lin.dependent,
-    )  # pyright: ignore[reportCallIssue]
+    return dataclasses.replace(lin, **_blocks([T.T @ H @ T for H in (M, C, K)], nv), slow=True)
 
 
 def _instantaneous(lin: Linearization) -> Linearization:
     nv = lin.nv
-    M, C, K = (H[..., :nv, :nv] for H in (lin.M, lin.C, lin.K))
-    tilde = (H[..., :nv, :] for H in (lin.M_tilde, lin.C_tilde, lin.K_tilde))
-    bb = lin.M_bb, lin.C_bb, lin.K_bb
-    return Linearization(
-        M,
-        C,
-        K,
-        lin.status,
-        lin.state,
-        lin.model,
-        lin.basis,
-        *tilde,
-        *bb,
-        lin.loads,  # pyright: ignore[reportCallIssue]
-        dependent=lin.dependent,
-    )
+    own = {name: getattr(lin, name)[..., :nv, :nv] for name in ("M", "C", "K")}
+    tilde = {name: getattr(lin, name)[..., :nv, :] for name in ("M_tilde", "C_tilde", "K_tilde")}
+    return dataclasses.replace(lin, **own, **tilde)
 
 
 def _load_stiffness(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv nv"]:
     return stiffness_of_loads(model, state.q, loads, jnp.ones(len(loads), state.q.dtype))
-
-
-def _names(model: Model) -> tuple[tuple[str, ...], ...]:
-    return tuple(table.names for table in model.elements)

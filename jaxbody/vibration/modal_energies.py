@@ -67,9 +67,9 @@ class ModeEnergies(Labeled, Result):
 
     @property
     def inertia(self) -> dict[str, Float[Array, "n"]]:
-        layout, tables = self.model.layout, inertial_tables(self.model)
+        layout = self.model.layout
         names = (
-            *(name for table in tables for name in table.names),
+            *(name for table in inertial_tables(self.model) for name in table.names),
             *layout.inner[: len(layout.inertial)],
         )
         return {name: self.inertia_shares[..., i, :] for i, name in enumerate(names)}
@@ -77,7 +77,7 @@ class ModeEnergies(Labeled, Result):
     @property
     def owners(self) -> tuple[str, ...]:
         """The elements and the energies of the user's own that strain and dissipation belong to."""
-        return _owners(self.model)
+        return self.model.element_names + self.model.energy_names
 
     @property
     def strain(self) -> dict[str, Float[Array, "n"]]:
@@ -136,16 +136,16 @@ class ModeEnergies(Labeled, Result):
             "dissipation": (("element", "mode"), self.dissipation_shares, "%"),
             "status": ((), self.status, ""),
         }
-        if self.inertia:
-            variables["inertia"] = (("inertial_element", "mode"), self.inertia_shares, "%")
-        model, count = self.model, np.shape(self.frequency)[-1]
         coordinates = {
-            "mode": list(range(1, count + 1)),
-            "body": list(model.layout.bodies),
+            "mode": list(range(1, 1 + np.shape(self.frequency)[-1])),
+            "body": list(self.model.layout.bodies),
             "direction": list(self.directions),
             "element": list(self.owners),
-            "other": list(self.other_strain),
-        } | ({"inertial_element": list(self.inertia)} if self.inertia else {})
+            "other": list(OTHERS),
+        }
+        if self.inertia:
+            variables["inertia"] = (("inertial_element", "mode"), self.inertia_shares, "%")
+            coordinates["inertial_element"] = list(self.inertia)
         return dataset(variables, coordinates, "energies of modes")
 
     def _tables(self) -> list[tables.PrintedTable]:
@@ -181,12 +181,8 @@ class ModeEnergies(Labeled, Result):
             for title, rows in parts.items()
             if rows
         ]
-        notes = [
-            *(f"{i + 1}: {name}" for i, name in enumerate(self.names)),
-            self.failure,
-            mark_note(self.names),
-        ]
-        shown[-1].note = "; ".join(filter(None, notes))
+        names = [f"{i + 1}: {name}" for i, name in enumerate(self.names)]
+        shown[-1].note = "; ".join(filter(None, [*names, self.failure, mark_note(self.names)]))
         return shown
 
 
@@ -299,11 +295,6 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     changes = [x.J[..., :nv] @ whole[:nv] for x in elements]
     none = jnp.zeros((0, len(values)), shapes.dtype)
     inertial = jnp.concatenate([none, *_kinetic_energies(lin, whole[:nv])])
-    moved = (
-        jnp.sum(kinetic, (0, 1)) + jnp.sum(inertial, 0)
-        if len(inertial)
-        else jnp.sum(kinetic, (0, 1))
-    )
     elastic, loss = (
         jnp.concatenate(
             [none, *(jnp.sum(de * (H @ de), 1) for de, H in zip(changes, second, strict=True))]
@@ -317,7 +308,9 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
             elastic + more_elastic,
             loss + more_loss,
         )
-        moved = jnp.sum(kinetic, (0, 1)) + jnp.sum(inertial, 0)
+    moved = jnp.sum(kinetic, (0, 1))
+    if len(inertial):
+        moved = moved + jnp.sum(inertial, 0)
     gravity, loads = (
         jnp.sum(shapes[:nf] * (K @ shapes[:nf]), 0) for K in (lin.K_gravity, lin.K_loads)
     )
@@ -339,10 +332,6 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     )
 
 
-def _owners(model: Model) -> tuple[str, ...]:
-    return model.element_names + model.energy_names
-
-
 def _energies_of_inner(at: Configuration, whole: Float[Array, "n m"]):
     """Twice the kinetic energy of each coordinate of elements with mass along these shapes, and
     what each adds to V and R of its element, for all elements."""
@@ -350,8 +339,9 @@ def _energies_of_inner(at: Configuration, whole: Float[Array, "n m"]):
     x, y = whole[: layout.nv], whole[layout.nv :]
     k, n = len(y), layout.nv
     owners = [block.owner for block in layout.blocks for _ in block.states]
+    names = at.model.element_names + at.model.energy_names
     of_elements = np.array(
-        [[owners[i] == name for i in layout.inertial] for name in _owners(at.model)], whole.dtype
+        [[owners[i] == name for i in layout.inertial] for name in names], whole.dtype
     )
     added = [
         of_elements @ (y * (2 * H_yx[:k, :n] @ x + H_yy[:k, :k] @ y))

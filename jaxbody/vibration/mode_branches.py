@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int, concrete, float_array, is_concrete
+from jaxbody.core.arrays import Array, Float, Int, concrete, float_array
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status
@@ -62,48 +62,36 @@ class Branches(Labeled, Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: frequency, damping ratio, MAC and shape by value and mode."""
-        variables = {
-            "frequency": (("value", "mode"), self.frequency, "Hz"),
-            "damping_ratio": (("value", "mode"), self.damping_ratio, ""),
-            "mac": (("value", "mode"), self.mac, ""),
-            "order": (("value", "mode"), self.order, ""),
-            "shape": (("value", "coordinate", "mode"), self.shapes, "mass-normalized"),
-            "status": (("value",), self.status, ""),
-        }
-        count = np.shape(self.frequency)[-1]
-        coordinates = {
-            "value": np.asarray(self.values),
-            "mode": list(range(1, count + 1)),
-            "coordinate": list(self.layout.with_mass),
-        }
-        return dataset(variables, coordinates, "branches")
+        return dataset(
+            {
+                "frequency": (("value", "mode"), self.frequency, "Hz"),
+                "damping_ratio": (("value", "mode"), self.damping_ratio, ""),
+                "mac": (("value", "mode"), self.mac, ""),
+                "order": (("value", "mode"), self.order, ""),
+                "shape": (("value", "coordinate", "mode"), self.shapes, "mass-normalized"),
+                "status": (("value",), self.status, ""),
+            },
+            {
+                "value": np.asarray(self.values),
+                "mode": list(range(1, 1 + np.shape(self.frequency)[-1])),
+                "coordinate": list(self.layout.with_mass),
+            },
+            "branches",
+        )
 
+    @tables.summarized("Branches", 2, frequency="frequency [Hz]")
     def _tables(self) -> list[tables.PrintedTable]:
-        if (
-            self.frequency.ndim > 2
-            or not is_concrete(self.frequency)
-            or self.frequency.shape[1] > 12
-        ):
+        n = self.frequency.shape[-1]
+        if n > 12:
             return [tables.PrintedTable("Branches", ("", ""), [("frequency [Hz]", self.frequency)])]
-        heads = ("value", *(f"{i + 1} [Hz]" for i in range(self.frequency.shape[1])), "least MAC")
+        heads = ("value", *(f"{i + 1} [Hz]" for i in range(n)), "least MAC")
         rows = [
             (tables.number(x), *f, m.min())
-            for x, f, m in zip(
-                *map(np.asarray, (self.values, self.frequency, self.mac)), strict=True
-            )
+            for x, f, m in zip(self.values, self.frequency, self.mac, strict=True)
         ]
-        named = (
-            "at the first value "
-            f"{'; '.join(f'{i + 1}: {name}' for i, name in enumerate(self.names))}"
-        )
-        return [
-            tables.PrintedTable(
-                "Branches",
-                heads,
-                rows,
-                "; ".join(filter(None, [self.report(), named, mark_note(self.names)])),
-            )
-        ]
+        names = "; ".join(f"{i + 1}: {name}" for i, name in enumerate(self.names))
+        notes = [self.report(), f"at the first value {names}", mark_note(self.names)]
+        return [tables.PrintedTable("Branches", heads, rows, "; ".join(filter(None, notes)))]
 
 
 def mac(
@@ -125,7 +113,6 @@ def mac(
         x.shapes if isinstance(x, Modes | ComplexModes) else jnp.asarray(x) for x in (one, other)
     )
     if X.ndim != 2 or Y.ndim != 2 or X.shape[0] != Y.shape[0]:
-        hint = "Give a column for each mode and a row for each coordinate, the same in both."
         raise JaxbodyError(
             Problem(
                 "BAD_SHAPE",
@@ -133,7 +120,7 @@ def mac(
                 f"has shapes {X.shape} and {Y.shape}",
                 (X.shape, Y.shape),
                 "(nv, n) and (nv, m)",
-                hint,
+                "Give a column for each mode and a row for each coordinate, the same in both.",
             )
         )
     W = jnp.eye(len(X)) if mass is None else jnp.asarray(mass)

@@ -16,6 +16,7 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.datasets import AXES, Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import axial, cross, dot, rotate, rotate_back, skew
 from jaxbody.model.joints.joints import Free
 from jaxbody.model.joints.kinematics import Coordinates
@@ -47,42 +48,49 @@ class ElasticAxes(Labeled, Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: direction, stiffness, point and pitch of each axis."""
-        variables = {
-            "center": (("axis",), self.center, "m"),
-            "direction": (("axis", "elastic_axis"), self.directions, ""),
-            "stiffness": (("elastic_axis",), self.stiffness, "N/m"),
-            "point": (("elastic_axis", "axis"), self.points, "m"),
-            "pitch": (("elastic_axis",), self.pitch, "m"),
-            "torsional_direction": (("axis", "elastic_axis"), self.torsional_directions, ""),
-            "torsional_stiffness": (("elastic_axis",), self.torsional_stiffness, "N m/rad"),
-            "status": ((), self.status, ""),
-        }
         return dataset(
-            variables, {"axis": AXES, "elastic_axis": [1, 2, 3]}, f"elastic axes of {self.body}"
+            {
+                "center": (("axis",), self.center, "m"),
+                "direction": (("axis", "elastic_axis"), self.directions, ""),
+                "stiffness": (("elastic_axis",), self.stiffness, "N/m"),
+                "point": (("elastic_axis", "axis"), self.points, "m"),
+                "pitch": (("elastic_axis",), self.pitch, "m"),
+                "torsional_direction": (("axis", "elastic_axis"), self.torsional_directions, ""),
+                "torsional_stiffness": (("elastic_axis",), self.torsional_stiffness, "N m/rad"),
+                "status": ((), self.status, ""),
+            },
+            {"axis": AXES, "elastic_axis": [1, 2, 3]},
+            f"elastic axes of {self.body}",
         )
 
     @tables.summarized("Elastic axes", 1, stiffness="stiffness [N/m]")
     def _tables(self) -> list[tables.PrintedTable]:
-        columns = zip(self.directions.T, self.stiffness, self.points, self.pitch, strict=True)
-        rows = [
-            (str(i + 1), tables.without_dust(d), k, tables.without_dust(p), h)
-            for i, (d, k, p, h) in enumerate(columns)
-        ]
-        torsional_axes = [
-            (str(i + 1), tables.without_dust(d), k)
-            for i, (d, k) in enumerate(
-                zip(self.torsional_directions.T, self.torsional_stiffness, strict=True)
-            )
-        ]
+        axes = zip(
+            "123",
+            map(tables.without_dust, self.directions.T),
+            self.stiffness,
+            map(tables.without_dust, self.points),
+            self.pitch,
+            strict=True,
+        )
+        torsional_axes = zip(
+            "123",
+            map(tables.without_dust, self.torsional_directions.T),
+            self.torsional_stiffness,
+            strict=True,
+        )
         note = f"center of stiffness {tables.number(self.center)} m; {self.report()}"
         return [
             tables.PrintedTable(
                 f"Elastic axes of {self.body}",
                 ("axis", "direction", "stiffness [N/m]", "through [m]", "pitch [m]"),
-                rows,
+                [*axes],
             ),
             tables.PrintedTable(
-                "", ("torsional axis", "direction", "stiffness [N m/rad]"), torsional_axes, note
+                "",
+                ("torsional axis", "direction", "stiffness [N m/rad]"),
+                [*torsional_axes],
+                note,
             ),
         ]
 
@@ -206,13 +214,14 @@ def _free(lin: Linearization, body: str, where: str) -> str:
         )
     own = layout.v_slices[body]
     if not set(range(own.start, own.stop)) <= set(lin.independent):
-        message, limit = (
-            f"'{body}' follows other bodies by closures",
-            "a body whose six coordinates are independent",
-        )
         raise JaxbodyError(
             Problem(
-                "NOT_FREE", where, message, body, limit, "Make bushings of them by jb.compliant."
+                "NOT_FREE",
+                where,
+                f"'{body}' follows other bodies by closures",
+                body,
+                "a body whose six coordinates are independent",
+                "Make bushings of them by jb.compliant.",
             )
         )
     return body
@@ -236,7 +245,7 @@ def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     pitch = jnp.sum(n * about_p, 0) / stiffness
     torsional_K = D - P @ jnp.linalg.solve(A, P.T)
     torsional, torsional_axes = natural(torsional_K, jnp.eye(3, dtype=A.dtype))
-    origin = _origin(lin, body)[0]
+    origin = _frame(lin, body).p
     resists = jnp.min(stiffness) > 1e-10 * jnp.max(jnp.abs(stiffness))
     status = jnp.where(resists, Status.OK.value, Status.SINGULAR_K.value)
     center, points, pitch, torsional = (
@@ -252,11 +261,11 @@ def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) 
     i = lin.model.layout.bodies.index(body)
     M, K = (H[rows, rows] for H in lin.quasistatic)
     K = (K + K.T) / 2
-    p, R = _origin(lin, body)
+    frame = _frame(lin, body)
     inertia = (row.inertia[i] + row.inertia[i].T) / 2
-    n = rotate(R, jnp.linalg.solve(inertia, rotate_back(R, torque)))
+    n = rotate(frame.R, jnp.linalg.solve(inertia, rotate_back(frame.R, torque)))
     n = n / jnp.linalg.norm(n)
-    arm = rotate(R, row.com[i])
+    arm = rotate(frame.R, row.com[i])
     r = jnp.concatenate([-cross(n, arm), n])
     m, k = dot(r, M @ r), dot(r, K @ r)
     force = K @ r - k / m * (M @ r)
@@ -264,11 +273,9 @@ def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) 
     coupling = root(square) / jnp.abs(k / m)
     frequency = jnp.where(k > 0, jnp.sqrt(jnp.where(k > 0, k / m, 1.0)), jnp.nan) / (2 * jnp.pi)
     status = jnp.where(k > 0, Status.OK.value, Status.UNSTABLE.value)
-    return TorqueRollAxis(p + arm, n, m, k, frequency, coupling, status, body)
+    return TorqueRollAxis(frame.p + arm, n, m, k, frequency, coupling, status, body)
 
 
-def _origin(lin: Linearization, body: str):
-    """The position of the body's origin and its orientation."""
-    layout = lin.model.layout
+def _frame(lin: Linearization, body: str) -> Frame:
     frames = Coordinates(lin.model).at_rest(lin.state.q, lin.state.v)
-    return frames.p[layout.frame(body)], frames.R[layout.frame(body)]
+    return frames[lin.model.layout.frame(body)]

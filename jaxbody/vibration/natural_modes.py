@@ -29,7 +29,6 @@ from jaxbody.core.arrays import (
     checked,
     concrete,
     device_array,
-    float_array,
 )
 from jaxbody.core.compilation.compile_options import OPTIMIZED, program, program_with
 from jaxbody.core.datasets import Labeled, dataset
@@ -102,16 +101,20 @@ class ModalResult(Labeled, Result):
 
     def labeled(self, kind: str, **own: tuple[tuple[str, ...], Any, str]) -> Any:
         """A dataset of what all modes have, and of `own` variables."""
-        variables = {
-            "frequency": (("mode",), self.frequency, "Hz"),
-            "damping_ratio": (("mode",), self.damping_ratio, ""),
-            "shape": (("coordinate", "mode"), self.shapes, "mass-normalized"),
-            "cluster": (("mode",), self.cluster, ""),
-            "status": ((), self.status, ""),
-        }
-        numbers = list(range(1, 1 + np.shape(self.frequency)[-1]))
         return dataset(
-            variables | own, {"mode": numbers, "coordinate": list(self.layout.with_mass)}, kind
+            {
+                "frequency": (("mode",), self.frequency, "Hz"),
+                "damping_ratio": (("mode",), self.damping_ratio, ""),
+                "shape": (("coordinate", "mode"), self.shapes, "mass-normalized"),
+                "cluster": (("mode",), self.cluster, ""),
+                "status": ((), self.status, ""),
+                **own,
+            },
+            {
+                "mode": list(range(1, 1 + np.shape(self.frequency)[-1])),
+                "coordinate": list(self.layout.with_mass),
+            },
+            kind,
         )
 
     def table(self, title: str, columns: dict[str, Any]) -> list[tables.PrintedTable]:
@@ -276,11 +279,7 @@ def with_modal_damping(lin: Linearization, ratios: Any, where: str) -> Lineariza
     n = lin.M.shape[-1]
     with Problems() as problems:
         given = checked(
-            float_array(ratios, where),
-            ((), (n,)),
-            where,
-            problems,
-            f"Give one for all modes or one for each of {n}.",
+            ratios, ((), (n,)), where, problems, f"Give one for all modes or one for each of {n}."
         )
         known = None if given is None else concrete(given)
         if known is not None and (known < 0).any():

@@ -116,7 +116,7 @@ def _checked(
             hint="Name each of them.",
         )
         return {}
-    found = len(problems.collected)
+    known = len(problems.collected)
     for name, port in given.items():
         path = f"{where}[{name!r}]"
         if not isinstance(port, kinds):
@@ -124,7 +124,7 @@ def _checked(
         elif (problem := type(port).problem(port, model, path)) is not None:
             # Equinox takes long to bind a method
             problems.collected.append(problem)
-    return {} if len(problems.collected) > found else given
+    return {} if len(problems.collected) > known else given
 
 
 def component_units(sensors: dict[str, Any], model: Model | None = None) -> dict[str, str]:
@@ -154,32 +154,23 @@ def chains_of(sensors: tuple[Sensor, ...]) -> Chains | None:
         return None
 
     def each(stage: str, none: float) -> Float[Array, "ny"]:
-        given = [
-            none if getattr(sensor, stage) is None else getattr(sensor, stage) for sensor in sensors
-        ]
+        given = [(getattr(sensor, stage), len(sensor.components)) for sensor in sensors]
         return jnp.concatenate(
-            [
-                jnp.broadcast_to(x, (len(sensor.components),))
-                for sensor, x in zip(sensors, given, strict=True)
-            ]
+            [jnp.broadcast_to(none if x is None else x, (count,)) for x, count in given]
         )
 
     with_lag = [sensor.lag is not None for sensor in sensors for _ in sensor.components]
-    return Chains(
-        each("gain", 1.0),
-        each("delay", 0.0),
-        each("lag", 0.0),
-        tuple(np.flatnonzero(with_lag).tolist()),
-    )
+    lagged = tuple(np.flatnonzero(with_lag).tolist())
+    return Chains(each("gain", 1.0), each("delay", 0.0), each("lag", 0.0), lagged)
 
 
 class _Rows(NamedTuple):
     """The rows of one sensor, and of each component the index of its element and of its reaction,
-    -1 for none."""
+    () if there is none."""
 
     Y: Float[Array, "3 k n"]
     G: Float[Array, "k nu"]
-    element: int = -1
+    elements: tuple[int, ...] = ()
     reactions: tuple[int, ...] = ()
 
 
@@ -229,23 +220,16 @@ def rows_of(
                 else derivatives.J @ lin.dependent.whole(0, model.layout.nxi)
             )
             Y = jnp.stack([derivatives.stiffness[k] @ J, derivatives.damping[k] @ J, zero])[:, None]
-            rows.append(_Rows(Y, jnp.zeros((1, F.shape[1]), F.dtype), i))
+            rows.append(_Rows(Y, jnp.zeros((1, F.shape[1]), F.dtype), (i,)))
         elif isinstance(sensor, Reaction) and reads_matrices(sensor, model):
             rows.append(_reaction_rows(lin, sensor, held, F))
         else:
             rows.append(next(readings))
-    counts = [len(row.G) for row in rows]
-    by_element = tuple(
-        row.element for row, count in zip(rows, counts, strict=True) for _ in range(count)
-    )
-    by_reaction = tuple(
-        i for row, count in zip(rows, counts, strict=True) for i in row.reactions or (-1,) * count
-    )
     return (
         jnp.concatenate([row.Y for row in rows], 1),
         jnp.concatenate([row.G for row in rows]),
-        by_element,
-        by_reaction,
+        tuple(i for row in rows for i in row.elements or (-1,) * len(row.G)),
+        tuple(i for row in rows for i in row.reactions or (-1,) * len(row.G)),
     )
 
 
@@ -258,12 +242,12 @@ def reads_matrices(sensor: Any, model: Model) -> bool:
 
 def _by_name(model: Model, at: Configuration) -> dict[str, tuple[int, ElementDerivatives]]:
     """{element: (its index, its derivatives)}."""
-    named = [
-        (name, ElementDerivatives(*(x[i] for x in derivatives)))
-        for table, derivatives in zip(model.elements, element_derivatives(at), strict=True)
-        for i, name in enumerate(table.names)
+    rows = [
+        ElementDerivatives(*(x[i] for x in derivatives))
+        for derivatives in element_derivatives(at)
+        for i in range(len(derivatives.J))
     ]
-    return {name: (i, derivatives) for i, (name, derivatives) in enumerate(named)}
+    return dict(zip(model.element_names + model.energy_names, enumerate(rows), strict=True))
 
 
 def _read_rows(
@@ -398,7 +382,7 @@ def _input_wrenches(inputs: tuple[Input, ...], frames: Frame, layout) -> Float[A
     for i, port in enumerate(inputs):
         if isinstance(port, PointForce):
             row, axis = layout.frame(port.on), jnp.asarray(port.axis)
-            F = jnp.zeros(3) if port.turns else axis
-            M = axis if port.turns else cross(frames[row].point(port.point) - frames.p[row], axis)
-            wrenches = wrenches.at[i, row - layout.first_body].set(jnp.concatenate([F, M]))
+            arm = frames[row].point(port.point) - frames.p[row]
+            wrench = (jnp.zeros(3), axis) if port.turns else (axis, cross(arm, axis))
+            wrenches = wrenches.at[i, row - layout.first_body].set(jnp.concatenate(wrench))
     return wrenches

@@ -14,14 +14,14 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, is_concrete
-from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.core.errors import Problems, Status, unknown
 from jaxbody.core.results import OfOutputs, warn_if_failed
 from jaxbody.model.inputs.port_inputs import KINDS, UNITS
 from jaxbody.model.preconditions import check_memory
 from jaxbody.numerics.elementary_functions import root
 from jaxbody.numerics.precisions import reachable
-from jaxbody.vibration.dynamic_matrices import DynamicMatrices, are_many, free_motions
+from jaxbody.vibration.dynamic_matrices import DynamicMatrices, free_motions, options_by_size
 from jaxbody.vibration.frequency_responses import (
     check_frequencies,
     damped,
@@ -54,33 +54,31 @@ class RandomResponse(OfOutputs):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: psd by `output` and `frequency`, rms by `output`."""
-        variables = {
-            "psd": (("output", "frequency"), self.psd, "unit^2/Hz"),
-            "rms": (("output",), self.rms, "unit"),
-        }
         f = np.asarray(self.frequencies)
-        f = ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"})
-        return self.labeled("random response", variables, {"frequency": f})
+        return self.labeled(
+            "random response",
+            {
+                "psd": (("output", "frequency"), self.psd, "unit^2/Hz"),
+                "rms": (("output",), self.rms, "unit"),
+            },
+            {"frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"})},
+        )
 
     def explain(self) -> str:
         infinite = np.flatnonzero(np.isinf(self.rms))
         if not len(infinite):
             return ""
-        peak = float(
-            self.frequencies[int(np.argmax(np.nan_to_num(self.psd[infinite[0]], nan=np.inf)))]
-        )
+        names = ", ".join(self.outputs[i] for i in infinite)
+        peak = np.argmax(np.nan_to_num(self.psd[infinite[0]], nan=np.inf))
         return (
-            f"{', '.join(self.outputs[i] for i in infinite)} near {peak:.4g} Hz; give dampers, "
+            f"{names} near {self.frequencies[peak]:.4g} Hz; give dampers, "
             "modal_damping= or loss_factor="
         )
 
     @tables.summarized("Random response", 1, rms="rms")
     def _tables(self) -> list[tables.PrintedTable]:
         f = np.asarray(self.frequencies)
-        rows = [
-            (name, value, unit)
-            for name, value, unit in zip(self.outputs, self.rms, self.units, strict=True)
-        ]
+        rows = [*zip(self.outputs, self.rms, self.units, strict=True)]
         return [
             tables.PrintedTable(
                 f"Random response, {f[0]:.6g} to {f[-1]:.6g} Hz",
@@ -164,15 +162,7 @@ def root_mean_square(
     return root(jnp.sum(psd * jnp.atleast_2d(weights), -1))
 
 
-def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
-    """COARSE if an rms changes when every other frequency is left out."""
-    fine, rough = root_mean_square(psd, weights), root_mean_square(psd, coarse)
-    return jnp.where(
-        jnp.any(jnp.abs(fine - rough) > COARSE * fine), Status.COARSE.value, Status.OK.value
-    )
-
-
-@program_with(lambda lin, f, *_: OPTIMIZED if are_many(f, lin.K) else QUICK)
+@program_with(options_by_size)
 def _random_response(
     lin: Linearization, f, weights, coarse, ports: Ports, inputs: tuple, names, spectra, eta
 ):
@@ -198,14 +188,14 @@ def _random_response(
     psd = psd * jnp.where(positive, 1.0, jnp.nan)
     psd, at, beyond = jnp.split(psd, [len(f) - len(near), len(f) - len(near) // 2], 1)
     infinite = jnp.any(at > 3 * beyond, 1)
-    good = jnp.where(positive, resolution(psd, weights, coarse), Status.NOT_POSITIVE.value)
-    good = jnp.where(jnp.any(infinite), Status.UNDAMPED.value, good)
-    own = (status == Status.OK) | jnp.any(infinite) & (status == Status.NONFINITE)
-    return (
-        psd,
-        jnp.where(infinite, jnp.inf, root_mean_square(psd, weights)),
-        jnp.where(own, good, status),
+    rms, rough = root_mean_square(psd, weights), root_mean_square(psd, coarse)
+    good = jnp.select(
+        [jnp.any(infinite), ~positive, jnp.any(jnp.abs(rms - rough) > COARSE * rms)],
+        [Status.UNDAMPED.value, Status.NOT_POSITIVE.value, Status.COARSE.value],
+        Status.OK.value,
     )
+    own = (status == Status.OK) | jnp.any(infinite) & (status == Status.NONFINITE)
+    return psd, jnp.where(infinite, jnp.inf, rms), jnp.where(own, good, status)
 
 
 def _beside_resonances(lin: Linearization, f: Float[Array, "nf"]) -> Float[Array, "_"]:
@@ -260,16 +250,12 @@ def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
                     (port.unit,) if not hasattr(port, "kind") else UNITS[len(port.direction) - 1]
                 )
                 if known[name].quantity not in family:
-                    message, limit = (
-                        f"is of {known[name].quantity}, but the input is in {port.unit}",
-                        " or ".join(family),
-                    )
                     problems.add(
                         "BAD_UNIT",
                         f"spectra[{name!r}]",
-                        message,
+                        f"is of {known[name].quantity}, but the input is in {port.unit}",
                         value=known[name].quantity,
-                        limit=limit,
+                        limit=" or ".join(family),
                         hint="Give the spectrum in one of these units.",
                     )
 

@@ -3,8 +3,6 @@ speed, and sample profiles."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -36,10 +34,8 @@ class Unevenness(eqx.Module):
 
     def __init__(self, level, *, exponent=2.0):
         with Problems() as problems:
-            self.level, self.exponent = (
-                scalar(level, "Unevenness.level", problems),
-                scalar(exponent, "Unevenness.exponent", problems),
-            )
+            self.level = scalar(level, "Unevenness.level", problems)
+            self.exponent = scalar(exponent, "Unevenness.exponent", problems)
             check_not_negative(self.level, "Unevenness.level", problems)
 
     @classmethod
@@ -109,8 +105,20 @@ def road_profile(
         )
     with Problems() as problems:
         check_key(key, "road_profile.key", problems, "A road needs")
-    n = _count(length, spacing)
-    step = float(length) / n
+    length, spacing = float(length), float(spacing)
+    if not (0 < spacing < length / 4 and length / spacing <= MOST_POINTS):
+        raise JaxbodyError(
+            Problem(
+                "BAD_LENGTH",
+                "road_profile.length",
+                f"is {length:g} m in steps of {spacing:g} m",
+                length,
+                f"4 to {MOST_POINTS} steps",
+                "Give both in meters.",
+            )
+        )
+    n = round(length / spacing)
+    step = length / n
     k = np.arange(1, (n + 1) // 2)
     phase = jax.random.uniform(key, k.shape, maxval=2 * np.pi)
     amplitude = jnp.sqrt(2 * road(device_array(k / (n * step))) / (n * step))
@@ -121,20 +129,3 @@ def road_profile(
     )
     heights = jnp.fft.irfft(waves, n)
     return device_array(step * np.arange(n + 1)), jnp.append(heights, heights[0])
-
-
-def _count(length: Any, spacing: Any) -> int:
-    length, spacing = float(length), float(spacing)
-    if not (0 < spacing < length / 4 and length / spacing <= MOST_POINTS):
-        message = f"is {length:g} m in steps of {spacing:g} m"
-        raise JaxbodyError(
-            Problem(
-                "BAD_LENGTH",
-                "road_profile.length",
-                message,
-                length,
-                f"4 to {MOST_POINTS} steps",
-                "Give both in meters.",
-            )
-        )
-    return round(length / spacing)

@@ -7,6 +7,7 @@ one is doubled.
 
 from __future__ import annotations
 
+import itertools
 import re
 from abc import abstractmethod
 from typing import Any
@@ -25,9 +26,9 @@ from jaxbody.core.arrays import (
     checked,
     concrete,
     device_array,
+    is_concrete,
     module_of,
     scalar,
-    shaped,
 )
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.units import ANGULAR_RATE, RATE, parse
@@ -80,7 +81,7 @@ class Density(Spectrum):
 
     def stated(self, unit: Any, sides: Any, speed: Any, problems: Problems) -> None:
         """Check and set unit, sides and speed."""
-        kind, hint = type(self).__name__, "Give the speed in m/s."
+        kind = type(self).__name__
         self.quantity, self.per, self.factor = _unit(unit, f"{kind}.unit", problems)
         if sides not in (1, 2):
             problems.add(
@@ -92,19 +93,16 @@ class Density(Spectrum):
                 hint="Give 2 for a two-sided density.",
             )
         if self.per.endswith("/m") != (speed is not None):
-            message = "is missing" if speed is None else "is given, but the spectrum is over time"
             problems.add(
                 "NO_SPEED",
                 f"{kind}.speed",
-                message,
+                "is missing" if speed is None else "is given, but the spectrum is over time",
                 value=speed,
                 limit="for cycle/m and rad/m only",
                 hint="Give the speed in m/s.",
             )
-        self.sides, self.speed = (
-            sides,
-            scalar(1.0 if speed is None else speed, f"{kind}.speed", problems),
-        )
+        self.sides = sides
+        self.speed = scalar(1.0 if speed is None else speed, f"{kind}.speed", problems)
         known = concrete(self.speed)
         if known is not None and known <= 0:
             problems.add(
@@ -113,7 +111,7 @@ class Density(Spectrum):
                 f"is {known:g} m/s",
                 value=float(known),
                 limit="> 0",
-                hint=hint,
+                hint="Give the speed in m/s.",
             )
 
     @abstractmethod
@@ -164,14 +162,13 @@ class PowerLaw(Density):
             check_not_negative(self.level, "PowerLaw.level", problems)
             known = concrete(self.reference)
             if known is not None and known <= 0:
-                hint = "Give the frequency at which the density is `level`."
                 problems.add(
                     "BAD_FREQUENCY",
                     "PowerLaw.reference",
                     f"is {known:g}",
                     value=float(known),
                     limit="> 0",
-                    hint=hint,
+                    hint="Give the frequency at which the density is `level`.",
                 )
 
     def at(self, x):
@@ -295,64 +292,55 @@ class CrossPSD(eqx.Module):
         coherence: dict[Any, Any] | None = None,
     ):
         with Problems() as problems:
-            self.names, self.spectra = (
-                tuple(spectra),
-                check_spectra(spectra, "CrossPSD.spectra", problems),
-            )
-            given = delays or {}
-            for name in {*given, *(name for pair in coherence or {} for name in pair)} - set(
-                self.names
-            ):
+            self.names = tuple(spectra)
+            self.spectra = check_spectra(spectra, "CrossPSD.spectra", problems)
+            given, of_pairs = delays or {}, coherence or {}
+            for name in {*given, *itertools.chain(*of_pairs)} - {*self.names}:
                 problems.collected.append(unknown(name, "CrossPSD", self.names))
             self.delays = {
                 name: device_array(
-                    shaped(given.get(name, 0.0), (), f"CrossPSD.delays[{name!r}]", problems)
+                    scalar(given.get(name, 0.0), f"CrossPSD.delays[{name!r}]", problems)
                 )
                 for name in self.names
             }
         levels, pairs = [], []
-        for (one, other), value in (coherence or {}).items():
-            if one == other or (self.names.index(other), self.names.index(one)) in [
-                pair[:2] for pair in pairs
-            ]:
-                message = (
-                    "is of an input with itself, which is 1"
-                    if one == other
-                    else "is given in both orders"
-                )
-                limit, hint = "two inputs, each pair once", "Leave it out."
+        for (one, other), value in of_pairs.items():
+            where = f"CrossPSD.coherence[{(one, other)}]"
+            if one == other or (other, one) in list(of_pairs)[: len(pairs)]:
                 problems.add(
                     "BAD_PAIR",
-                    f"CrossPSD.coherence[{(one, other)}]",
-                    message,
+                    where,
+                    "is of an input with itself, which is 1"
+                    if one == other
+                    else "is given in both orders",
                     value=(one, other),
-                    limit=limit,
-                    hint=hint,
+                    limit="two inputs, each pair once",
+                    hint="Leave it out.",
                 )
             index = value if callable(value) else len(levels)
             if not callable(value):
-                levels.append(
-                    device_array(shaped(value, (), f"CrossPSD.coherence[{(one, other)}]", problems))
-                )
+                levels.append(device_array(scalar(value, where, problems)))
             pairs.append((self.names.index(one), self.names.index(other), index))
         self.levels, self.pairs = tuple(levels), tuple(pairs)
         problems.raise_if_any()
-        if all(isinstance(index, int) for *_, index in pairs) and all(
-            concrete(level) is not None for level in levels
-        ):
+        if self._is_constant and is_concrete(levels):
             smallest = np.linalg.eigvalsh(np.asarray(self._coherences(jnp.ones(1)))[:, :, 0]).min()
             if smallest < -ROUNDING:
-                hint = "If one input has coherence 1 with two others, these two are coherent too."
-                message = f"give a matrix with eigenvalue {smallest:.3g}"
-                problems.add(
-                    "NOT_POSITIVE",
-                    "CrossPSD.coherence",
-                    message,
-                    value=float(smallest),
-                    limit=">= 0",
-                    hint=hint,
+                raise JaxbodyError(
+                    Problem(
+                        "NOT_POSITIVE",
+                        "CrossPSD.coherence",
+                        f"give a matrix with eigenvalue {smallest:.3g}",
+                        float(smallest),
+                        ">= 0",
+                        "If one input has coherence 1 with two others, these two are coherent too.",
+                    )
                 )
-                problems.raise_if_any()
+
+    @property
+    def _is_constant(self) -> bool:
+        """Whether no coherence is a function of frequency."""
+        return all(isinstance(index, int) for *_, index in self.pairs)
 
     def _coherences(self, f: Float[Array, "nf"]) -> Float[Array, "nu nu nf"]:
         rows = [
@@ -373,7 +361,7 @@ class CrossPSD(eqx.Module):
 
     def positive(self, f: Float[Array, "nf"]) -> Bool[Array, ""]:
         """Whether the matrix is positive semidefinite at all frequencies."""
-        if all(isinstance(index, int) for *_, index in self.pairs):
+        if self._is_constant:
             f = f[:1]
         return jnp.linalg.eigvalsh(jnp.moveaxis(self._coherences(f), -1, 0)).min() >= -ROUNDING
 
@@ -395,13 +383,9 @@ class Band(eqx.Module):
 
     def __init__(self, low, high, *, points: int = 1001):
         with Problems() as problems:
-            low, high = (
-                shaped(low, (), "Band.low", problems),
-                shaped(high, (), "Band.high", problems),
-            )
-            first, last = concrete(low), concrete(high)
-            if first is not None and last is not None and not problems.collected:
-                if first <= 0:
+            low, high = scalar(low, "Band.low", problems), scalar(high, "Band.high", problems)
+            if is_concrete(low, high) and not problems.collected:
+                if low <= 0:
                     problems.add(
                         "BAD_FREQUENCY",
                         "Band.low",
@@ -410,15 +394,14 @@ class Band(eqx.Module):
                         limit="> 0",
                         hint="Take a small one.",
                     )
-                elif first >= last:
-                    message, hint = f"goes from {low:g} to {high:g} Hz", "Give the lower end first."
+                elif low >= high:
                     problems.add(
                         "EMPTY_BAND",
                         "Band",
-                        message,
+                        f"goes from {low:g} to {high:g} Hz",
                         value=(float(low), float(high)),
                         limit="low < high",
-                        hint=hint,
+                        hint="Give the lower end first.",
                     )
             if points < 17:
                 problems.add(
@@ -463,14 +446,13 @@ def check_spectra(given: Any, where: str, problems: Problems) -> dict[str, Spect
     """The spectra of a dict; other entries are errors in `problems`."""
     for name, spectrum in given.items():
         if not isinstance(spectrum, Spectrum):
-            hint = "Give a PSD, a PowerLaw or a Spectrum of your own, which have units."
             problems.add(
                 "WRONG_KIND",
                 f"{where}[{name!r}]",
                 f"is a {type(spectrum).__name__}",
                 value=spectrum,
                 limit="Spectrum",
-                hint=hint,
+                hint="Give a PSD, a PowerLaw or a Spectrum of your own, which have units.",
             )
     return {name: spectrum for name, spectrum in given.items() if isinstance(spectrum, Spectrum)}
 
@@ -487,21 +469,14 @@ def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
             and (measure if measure.dimension in MEASURES.values() else whole).factor == 1
         ):
             return *DENSITIES[whole.dimension], whole.factor
+        limit = f"the square of {', '.join(QUANTITIES)} over {', '.join(MEASURES)}"
         hint = (
             'Such as "(m/s2)2/Hz", "m2/s4/Hz", "g2/Hz" or "m2/(cycle/m)"; square a density '
             "per square root of Hz."
         )
-        problem = Problem(
-            "BAD_UNIT",
-            where,
-            f"is {unit!r}",
-            unit,
-            f"the square of {', '.join(QUANTITIES)} over {', '.join(MEASURES)}",
-            hint,
-        )
     except JaxbodyError as error:
-        problem = Problem("BAD_UNIT", where, f"is {unit!r}", unit, error.limit, error.hint)
-    problems.collected.append(problem)
+        limit, hint = error.limit, error.hint
+    problems.add("BAD_UNIT", where, f"is {unit!r}", value=unit, limit=limit, hint=hint)
     return "", "Hz", 1.0
 
 

@@ -74,13 +74,10 @@ class SpinLinearization(LinearSystem):
         if int(self.status) != Status.NOT_STEADY:
             return ""
         worst = int(np.argmax(np.abs(self.acceleration)))
-        message = (
+        return (
             f"the largest change of speed is {float(self.acceleration[worst]):.3g} /s2 in "
-            f"'{self.coordinates[worst]}'"
-        )
-        return message + (
-            "; spin a body about its axis of symmetry, in equilibrium, without loads or "
-            "dampers that turn with it or brake it"
+            f"'{self.coordinates[worst]}'; spin a body about its axis of symmetry, in equilibrium, "
+            "without loads or dampers that turn with it or brake it"
         )
 
 

@@ -37,27 +37,17 @@ class StateSpace(Result):
     def explain(self) -> str:
         if int(self.status) != Status.IMPROPER:
             return ""
-        pairs = [
-            (self.outputs[i], self.inputs[j]) for i, j in np.argwhere(np.isnan(self.D)).tolist()
-        ]
-        listed = ", ".join(f"'{output}' of '{name}'" for output, name in pairs[:4])
+        listed = ", ".join(
+            f"'{self.outputs[i]}' of '{self.inputs[j]}'"
+            for i, j in np.argwhere(np.isnan(self.D))[:4]
+        )
         return f'{listed}: make the input the acceleration of the support, kind="acceleration"'
 
     def _tables(self) -> list[tables.PrintedTable]:
-        return [
-            tables.PrintedTable(
-                f"State space, {len(self.states)} states",
-                ("port", "name", "unit"),
-                [
-                    ("input", name, unit)
-                    for name, unit in zip(self.inputs, self.input_units, strict=True)
-                ]
-                + [
-                    ("output", name, unit)
-                    for name, unit in zip(self.outputs, self.output_units, strict=True)
-                ],
-            )
-        ]
+        ports = [("input", *port) for port in zip(self.inputs, self.input_units, strict=True)]
+        ports += [("output", *port) for port in zip(self.outputs, self.output_units, strict=True)]
+        title = f"State space, {len(self.states)} states"
+        return [tables.PrintedTable(title, ("port", "name", "unit"), ports)]
 
 
 def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
@@ -91,14 +81,13 @@ def _check_without_delay(outputs: dict[str, Any]) -> None:
     with Problems() as problems:
         for name, sensor in outputs.items():
             if sensor.delay is not None:
-                hint = "Leave it out; frequency_response includes delays."
                 problems.add(
                     "BAD_CHAIN",
                     f"state_space.outputs[{name!r}]",
                     "has a delay",
                     value=sensor.delay,
                     limit="no delay",
-                    hint=hint,
+                    hint="Leave it out; frequency_response includes delays.",
                 )
 
 

@@ -47,9 +47,7 @@ class WheelCompliance(Result):
             * 1e3
             * np.asarray(self.values)
         )
-        heads = tuple(
-            f"{name} [{'deg' if unit == 'rad' else 'mm'}]" for name, unit in READINGS.items()
-        )
+        heads = [f"{name} [{'deg' if unit == 'rad' else 'mm'}]" for name, unit in READINGS.items()]
         rows = [
             (f"1 k{unit} {name}", *shown[:, i].tolist())
             for i, (name, unit) in enumerate(LOADS.items())
@@ -118,8 +116,8 @@ def _compliance(lin: Linearization, wheel: Wheel) -> Float[Array, "readings load
     contact = pose.R.T @ (wheel.contact(pose) - pose.p)  # the point of the body that is there
 
     def read(delta: Array) -> Array:
-        found = wheel.alignment(pose_at(delta), side)
-        return jnp.stack([found[name] for name in READINGS])
+        alignment = wheel.alignment(pose_at(delta), side)
+        return jnp.stack([alignment[name] for name in READINGS])
 
     def acted_on(delta: Array) -> tuple[Array, Array, Array]:
         at = pose_at(delta)
