@@ -33,16 +33,13 @@ from jaxbody.shock.shock_spectra import ShockSpectrum, check_record, spectrum_va
 from jaxbody.shock.spectrum_responses import (
     ModalExcitation,
     check_covered,
-    check_without_lag,
+    checked_excitation,
     checked_ratios,
-    checked_spectra,
     covered,
-    excited,
     modal_excitation,
 )
 from jaxbody.vibration.frequency_responses import check_frequencies
 from jaxbody.vibration.linearizations import Linearization, check_system
-from jaxbody.vibration.ports import outputs_of
 
 # steps in a period of the fastest mode and equipment, between which the history is taken as
 # straight: an error below 1 %
@@ -102,17 +99,12 @@ def floor_spectrum(
     check_system(lin, "floor_spectrum")
     where = "floor_spectrum.spectra"
     with Problems() as problems:
-        bases = excited(lin, spectra, where, problems)
-        ports = outputs_of(lin.model, {"output": output}, "floor_spectrum", problems)
-        check_without_lag(ports, "floor_spectrum", problems)
+        bases, ports, given = checked_excitation(
+            lin, spectra, {"output": output}, "floor_spectrum", problems
+        )
         f = problems.gather(lambda: check_frequencies(frequencies, "floor_spectrum.frequencies"))
         zeta = check_dampings(damping, "floor_spectrum.damping", problems)
-        ratios = (
-            None
-            if modal_damping is None
-            else checked_ratios(modal_damping, lin, "floor_spectrum.modal_damping", problems)
-        )
-        given = checked_spectra(bases, where, problems)
+        ratios = checked_ratios(modal_damping, lin, "floor_spectrum.modal_damping", problems)
         if ports.units and ports.units != ("m/s2",):
             problems.add(
                 "BAD_UNIT",
@@ -190,8 +182,8 @@ def _direct(
     below = jnp.sqrt((1 - ratio**2) ** 2 + 4 * (z_ + modal.damping[None, None]) ** 2 * ratio**2)
     square = jnp.zeros(())
     for e, spectrum in enumerate(given):
-        known = covered(spectrum, modal.frequency, modal.damping)
-        own = jnp.where(known, spectrum(modal.frequency, modal.damping), jnp.nan)
+        own = spectrum(modal.frequency, modal.damping)
+        own = jnp.where(covered(spectrum, modal.frequency, modal.damping), own, jnp.nan)
         ground = spectrum(
             jnp.broadcast_to(f, (len(zeta), len(f))),
             jnp.broadcast_to(zeta[:, None], (len(zeta), len(f))),

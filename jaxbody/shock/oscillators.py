@@ -35,38 +35,33 @@ from jaxbody.records.sampling_checks import even_samples
 def checked_samples(
     record: Any, unit: str, where: str, problems: Problems
 ) -> tuple[Any, Any] | None:
-    """The values of a record with one channel in this unit ("" for any), or of (times, values), and
-    the step between them [s]; None if there are none, with a problem added. Errors: WRONG_KIND,
+    """The values of a record with one channel in this unit, or of (times, values), and the step
+    between them [s]; None if there are none, with a problem added. Errors: WRONG_KIND,
     WRONG_DIMENSION, GAPS, NOT_UNIFORM, BAD_SHAPE, NON_FINITE."""
     known = len(problems.collected)
     if isinstance(record, Record):
-        columns = {
-            name: x
-            for name, x in record.channels.items()
-            if x.ndim == 1 and unit in ("", record.units[name])
-        }
+        columns = [
+            x for name, x in record.channels.items() if x.ndim == 1 and record.units[name] == unit
+        ]
         if len(columns) != 1:
             listed = ", ".join(f"'{name}' [{of}]" for name, of in record.units.items())
             problems.add(
                 "WRONG_DIMENSION",
                 where,
-                f"has {len(columns)} channels of one "
-                f"column{f' in {unit}' if unit else ''}: {listed}",
+                f"has {len(columns)} channels of one column in {unit}: {listed}",
                 value=record.units,
                 limit="one",
                 hint="Choose one: (record.times, record['...']).",
             )
             return None
-        record = record.times, next(iter(columns.values()))
+        record = record.times, columns[0]
     if not isinstance(record, tuple) or len(record) != 2:
         problems.add(
             "WRONG_KIND",
             where,
             f"is a {type(record).__name__}",
             value=record,
-            limit="a Record with one acceleration, or (times, accelerations) [s, m/s2]"
-            if unit
-            else "a Record with one channel, or (times, values)",
+            limit="a Record with one acceleration, or (times, accelerations) [s, m/s2]",
         )
         return None
     gaps = concrete(record[1]) if hasattr(record[1], "dtype") else None

@@ -45,8 +45,9 @@ from jaxbody.vibration.random_responses import RandomResponse
 def moments(response: RandomResponse, *orders: int) -> tuple[Float[Array, "ny"], ...]:
     """The moments of these orders, of w [rad/s]; infinite where the variance is."""
     w = 2 * jnp.pi * response.frequencies
-    sums = (jnp.sum(response.psd * (response.weights * w**k)[..., None, :], -1) for k in orders)
-    return tuple(jnp.where(jnp.isinf(response.rms), jnp.inf, each) for each in sums)
+    weights = [(response.weights * w**k)[..., None, :] for k in orders]
+    infinite = jnp.isinf(response.rms)
+    return tuple(jnp.where(infinite, jnp.inf, jnp.sum(response.psd * W, -1)) for W in weights)
 
 
 def check_response(response: Any, where: str) -> None:
@@ -324,5 +325,4 @@ def _vanmarcke(a, crossings, delta):
 
 def _root_log(crossings):
     """L, NaN for too few crossings."""
-    enough = crossings > FEWEST
-    return jnp.sqrt(2 * jnp.log(jnp.where(enough, crossings, jnp.nan)))
+    return jnp.sqrt(2 * jnp.log(jnp.where(crossings > FEWEST, crossings, jnp.nan)))

@@ -41,10 +41,8 @@ class ResponseSpectrum(tables.Printed, eqx.Module):
     """
 
     def _tables(self) -> list[tables.PrintedTable]:
-        rows = [
-            (end, float(f), "Hz")
-            for end, f in zip(("lowest", "highest"), self.covers(), strict=True)
-        ]
+        low, high = map(float, self.covers())
+        rows = [("lowest", low, "Hz"), ("highest", high, "Hz")]
         return [tables.PrintedTable(type(self).__name__, ("", "value", ""), rows)]
 
     @abstractmethod
@@ -184,11 +182,7 @@ class DesignSpectrum(ResponseSpectrum):
                     value=level,
                     limit="> 0",
                 )
-        self.frequencies, self.values, self.damping = (
-            device_array(f),
-            device_array(y),
-            device_array(zeta),
-        )
+        self.frequencies, self.values, self.damping = map(device_array, (f, y, zeta))
 
     def covers(self):
         return self.frequencies[0], self.frequencies[-1]
@@ -250,12 +244,8 @@ class Eurocode8(ResponseSpectrum):
                 problems.add(
                     "BAD_OPTION", "Eurocode8.type", f"is {type!r}", value=type, limit="1 or 2"
                 )
-        self.acceleration, self.ground, self.type, self.vertical = (
-            device_array(level),
-            ground,
-            int(type),
-            bool(vertical),
-        )
+        self.acceleration, self.ground = device_array(level), ground
+        self.type, self.vertical = int(type), bool(vertical)
 
     @property
     def parameters(self) -> tuple[float, float, float, float]:

@@ -215,12 +215,12 @@ def shock_spectrum(
                 samples, concrete(f), peaks, "shock_spectrum.record", problems, whole=part is None
             )
     assert samples is not None and f is not None
-    zeta = zeta[None] if zeta.ndim == 0 else zeta
+    f, zeta = device_array(f), jnp.atleast_1d(device_array(zeta))
     peaks, part = ("continuous", part or "both") if pulse else (peaks, part or "primary")
-    f, zeta, values, status = (_at_samples if peaks == "samples" else _spectrum)(
+    values = (_values_at_samples if peaks == "samples" else spectrum_values)(
         samples, f, zeta, kind, side, peaks, part
     )
-    return ShockSpectrum(f, zeta, values, status, kind, side, peaks, part)
+    return ShockSpectrum(f, zeta, values, jnp.array(Status.OK.value), kind, side, peaks, part)
 
 
 def _lines(pulse: Pulse) -> list[tuple[Array, Array]]:
@@ -304,18 +304,7 @@ def spectrum_values(
     return peaks_of(samples, s, weights_of(s, kind), side, peaks, part).reshape(each.shape)
 
 
-def _spectrum(samples, f, zeta, kind: str, side: str, peaks: str, part: str):
-    """All arrays of a result, which one program returns."""
-    f, zeta = device_array(f), device_array(zeta)
-    return (
-        f,
-        zeta,
-        spectrum_values(samples, f, zeta, kind, side, peaks, part),
-        jnp.array(Status.OK.value),
-    )
-
-
-_at_samples = program_with(WIDE)(_spectrum)
+_values_at_samples = program_with(WIDE)(spectrum_values)
 
 
 def weights_of(s: Complex[jax.Array, "n"], kind: str) -> Complex[jax.Array, "n"]:

@@ -294,8 +294,7 @@ class SpectrumResponse(OfOutputs):
     @tables.summarized("Spectrum response", 1, values="values")
     def _tables(self) -> list[tables.PrintedTable]:
         shares = np.asarray(self.shares)
-        order = np.argsort(-np.nan_to_num(np.abs(shares).max(0)))
-        shown = np.sort(order[:MOST_SHOWN])
+        shown = np.sort(np.argsort(-np.nan_to_num(np.abs(shares).max(0)))[:MOST_SHOWN])
         heads = [f"mode {j + 1}" if j + 1 < shares.shape[1] else "rest" for j in shown]
         rows = [
             (name, value, unit, *(tables.percent(row[j]) or "0 %" for j in shown))
@@ -386,21 +385,16 @@ def spectrum_response(
     """
     check_system(lin, "spectrum_response")
     with Problems() as problems:
-        bases = excited(lin, spectra, "spectrum_response.spectra", problems)
-        ports = outputs_of(lin.model, outputs, "spectrum_response", problems)
-        check_one_of(combine, COMBINATIONS, "BAD_OPTION", "spectrum_response.combine", problems)
-        check_without_lag(ports, "spectrum_response", problems)
-        ratios = (
-            None
-            if damping is None
-            else checked_ratios(damping, lin, "spectrum_response.damping", problems)
+        bases, ports, given = checked_excitation(
+            lin, spectra, outputs, "spectrum_response", problems
         )
+        check_one_of(combine, COMBINATIONS, "BAD_OPTION", "spectrum_response.combine", problems)
+        ratios = checked_ratios(damping, lin, "spectrum_response.damping", problems)
         top = (
             None
             if highest is None
             else positive_number(highest, "spectrum_response.highest", problems, "BAD_FREQUENCY")
         )
-        given = checked_spectra(bases, "spectrum_response.spectra", problems)
     modal = modal_excitation(lin, bases, ports.sensors, ratios)
     taken = modal.frequency <= (jnp.inf if top is None else top)
     check_covered(modal, taken, bases, given, "spectrum_response.spectra")
@@ -418,8 +412,14 @@ def spectrum_response(
     )
 
 
-def check_without_lag(ports: Outputs, where: str, problems: Problems) -> None:
-    """Refuse sensors with a lag, whose peaks are not those of their modes. Error: BAD_CHAIN."""
+def checked_excitation(
+    lin: Linearization, spectra: Any, outputs: Any, where: str, problems: Problems
+) -> tuple[list[Excitation], Outputs, tuple[Any, ...]]:
+    """Return the excitations, the outputs, and of each excitation its spectrum or the samples of
+    its record. Sensors with a lag are refused, as their peaks are not those of the modes. Errors:
+    those of `excited`, `outputs_of` and `checked_spectra`, BAD_CHAIN."""
+    bases = excited(lin, spectra, f"{where}.spectra", problems)
+    ports = outputs_of(lin.model, outputs, where, problems)
     if any(sensor.lag is not None for sensor in ports.sensors):
         problems.add(
             "BAD_CHAIN",
@@ -428,10 +428,13 @@ def check_without_lag(ports: Outputs, where: str, problems: Problems) -> None:
             limit="no lag",
             hint="Leave it out, or simulate the motion.",
         )
+    return bases, ports, checked_spectra(bases, f"{where}.spectra", problems)
 
 
 def checked_ratios(given: Any, lin: Linearization, where: str, problems: Problems) -> Any:
-    """Damping ratios of all modes. Errors: BAD_SHAPE, NOT_A_FRACTION."""
+    """Damping ratios of all modes; None if none are given. Errors: BAD_SHAPE, NOT_A_FRACTION."""
+    if given is None:
+        return None
     n = lin.nv
     array = checked(
         given, ((), (n,)), where, problems, f"Give one for all modes or one for each of {n}."
@@ -535,8 +538,12 @@ def _is_excited(modal: ModalExcitation, e: int) -> Array:
 def covered(spectrum: ResponseSpectrum, f: Float[Array, "n"], zeta: Float[Array, "n"]) -> Array:
     """Whether a spectrum is known there."""
     (low, high), (least, most) = spectrum.covers(), spectrum.dampings()
-    within = (f >= low * (1 - ROUNDING)) & (f <= high * (1 + ROUNDING))
-    return within & (zeta >= least * (1 - ROUNDING)) & (zeta <= most * (1 + ROUNDING))
+    return (
+        (f >= low * (1 - ROUNDING))
+        & (f <= high * (1 + ROUNDING))
+        & (zeta >= least * (1 - ROUNDING))
+        & (zeta <= most * (1 + ROUNDING))
+    )
 
 
 def modal_peaks(
@@ -577,11 +584,10 @@ def _combined(
     )  # of modes that move with the base
     rest = (modal.rest.T + jnp.sum(jnp.where(taken[None, None], 0.0, follows), -1)) * rigid[:, None]
     peaks = jnp.where(taken[None, None], peaks, 0.0)
-    same = together(modal.cluster)
     rho = (
         correlations(modal.frequency, modal.damping, modal.cluster)
         if combine == "CQC"
-        else same.astype(w2.dtype)
+        else together(modal.cluster).astype(w2.dtype)
     )
     each, parts = combined(peaks, rest, rho, combine)
     parts = jnp.sum(parts, 0)
@@ -593,5 +599,5 @@ def _combined(
         Status.NONFINITE.value,
         modal.status,
     )
-    masses = (modal.participation, modal.mass)
-    return values, shares, each, peaks, rest, *masses, modal.frequency, modal.damping, taken, status
+    of_modes = (modal.participation, modal.mass, modal.frequency, modal.damping)
+    return values, shares, each, peaks, rest, *of_modes, taken, status

@@ -163,18 +163,23 @@ class Backbones(Labeled, Result):
             change = status.name if status else f"{self.curvature[i]:+.4g} /{unit}2"
             limits = ("", "") if status else (_amplitude(force, unit), _amplitude(frequency, unit))
             rows.append((str(i + 1), self.frequency[i], self.coordinates[largest], change, *limits))
-        heads = (
-            "mode",
-            "frequency [Hz]",
-            "largest component",
-            "change of frequency",
-            "force within 5 %",
-            "frequency within 5 %",
-        )
-        failed = [Status(int(code)) for code in np.unique(self.status) if code]
-        notes = [f"{status.name}: {MESSAGES[status]}" for status in failed]
-        note = "; ".join(["amplitudes of the largest component", *notes])
-        return [tables.PrintedTable("Backbones", heads, rows, note)]
+        failures = [Status(code) for code in np.unique(self.status).tolist() if code]
+        notes = [f"{failure.name}: {MESSAGES[failure]}" for failure in failures]
+        return [
+            tables.PrintedTable(
+                "Backbones",
+                (
+                    "mode",
+                    "frequency [Hz]",
+                    "largest component",
+                    "change of frequency",
+                    "force within 5 %",
+                    "frequency within 5 %",
+                ),
+                rows,
+                "; ".join(["amplitudes of the largest component", *notes]),
+            )
+        ]
 
 
 def _amplitude(value: Any, unit: str) -> str:

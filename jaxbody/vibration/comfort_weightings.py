@@ -158,8 +158,9 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
     psd, rms = _weighted(
         response.psd, response.rms, response.frequencies, response.weights, rows, names
     )
-    units = tuple(map(_unit, names))
-    return dataclasses.replace(response, psd=psd, rms=rms, outputs=tuple(weights), units=units)
+    return dataclasses.replace(
+        response, psd=psd, rms=rms, outputs=tuple(weights), units=tuple(map(_unit, names))
+    )
 
 
 @program
@@ -209,8 +210,12 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
         if is_concrete(step)
         else np.size(times)
     )
-    results = _weighted_signal(jnp.asarray(a, float), jnp.asarray(step), name, padding)
-    return WeightedSignal(jnp.asarray(times, float), *results, jnp.array(Status.OK.value), name)
+    return WeightedSignal(
+        jnp.asarray(times, float),
+        *_weighted_signal(jnp.asarray(a, float), jnp.asarray(step), name, padding),
+        jnp.array(Status.OK.value),
+        name,
+    )
 
 
 @program

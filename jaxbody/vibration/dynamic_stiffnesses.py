@@ -13,6 +13,7 @@ which cost a step its order, such as that of |z| in hysteresis or the end of a g
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import equinox as eqx
@@ -94,8 +95,14 @@ class DynamicStiffness(Labeled, Result):
             (f, abs(K), float(np.angle(K, deg=True)))
             for f, K in zip(self.frequencies, self.stiffness, strict=True)
         ]
-        heads = ("frequency [Hz]", f"magnitude [{self.unit}]", "loss angle [deg]")
-        return [tables.PrintedTable("Dynamic stiffness", heads, rows, self.failure)]
+        return [
+            tables.PrintedTable(
+                "Dynamic stiffness",
+                ("frequency [Hz]", f"magnitude [{self.unit}]", "loss angle [deg]"),
+                rows,
+                self.failure,
+            )
+        ]
 
 
 def dynamic_stiffness(
@@ -147,8 +154,9 @@ def dynamic_stiffness(
                 value=float(size),
                 limit="> 0",
             )
-    size = None if size is None else device_array(size)
-    result = _stiffness(spring, damper, f, device_array(force), size)
+    result = _stiffness(
+        spring, damper, f, device_array(force), None if size is None else device_array(size)
+    )
     return warn_if_failed(DynamicStiffness(f, *result, unit=unit))  # pyright: ignore[reportCallIssue]
 
 
@@ -194,14 +202,11 @@ def _linear(coefficient: Any) -> laws.Law:
 def _bound(spring: laws.Law | None, make) -> Any:
     """The spring with each law with memory replaced by make(law, first and last place of
     its states)."""
-    ends = iter(np.cumsum([0, *(len(law.states) for law in law_states.memories(spring))]).tolist())
-    start = [next(ends)]
+    counts = [len(law.states) for law in law_states.memories(spring)]
+    places = itertools.pairwise(itertools.accumulate(counts, initial=0))
 
     def one(law):
-        if not isinstance(law, Memory):
-            return law
-        first, start[0] = start[0], next(ends)
-        return make(law, first, start[0])
+        return make(law, *next(places)) if isinstance(law, Memory) else law
 
     return jax.tree.map(one, spring, is_leaf=with_states)
 

@@ -228,12 +228,10 @@ def damped(
     """The system with modal damping, and the loss factors of its elements. Elements with memory
     have damping of their own: no other is added to a system with their rows. Errors: MEMORY and
     those of the checks of both."""
-    options = {"loss_factor": loss_factor, "modal_damping": modal_damping}
-    for name, given in options.items():
-        check_without_force_sensors(given, f"{where}.{name}", sensors, lin.model)
     eta = check_loss_factors(loss_factor, lin.model, f"{where}.loss_factor")
     with Problems() as problems:
-        for name, given in options.items():
+        for name, given in {"loss_factor": loss_factor, "modal_damping": modal_damping}.items():
+            check_without_force_sensors(given, f"{where}.{name}", sensors, lin.model)
             if lin.inner and given is not None:
                 problems.add(
                     "MEMORY",

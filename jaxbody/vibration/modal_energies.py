@@ -236,8 +236,8 @@ def mode_energies(
     """
     check_system(lin, "mode_energies", allow_float32=allow_float32)
     directions = _directions(lin.model, forward, up)
-    energies = _energies(without_inner_rows(lin, stiffness, "mode_energies"))
-    return warn_if_failed(ModeEnergies(*energies, model=lin.model, directions=directions))
+    lin = without_inner_rows(lin, stiffness, "mode_energies")
+    return warn_if_failed(ModeEnergies(*_energies(lin), model=lin.model, directions=directions))
 
 
 def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str, ...]:
@@ -379,5 +379,6 @@ def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
     basis = lin.basis
     kinetic = (basis.velocities @ shapes) * (basis.momenta @ shapes)
     kinetic = kinetic.reshape(-1, kinetic.shape[-1])
-    others = inertial_tables(lin.model) or lin.inner
-    return kinetic / jnp.sum(kinetic, 0)[None] if others else kinetic  # else phi' M phi = 1
+    if not (inertial_tables(lin.model) or lin.inner):
+        return kinetic  # whose sum is phi' M phi = 1
+    return kinetic / jnp.sum(kinetic, 0)[None]

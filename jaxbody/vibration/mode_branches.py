@@ -225,7 +225,6 @@ def _track(
             jnp.sum(at_reference, 1)[:, None], jnp.sum(at_value, 0)[None]
         ).astype(both.dtype)
         order = _matched(best)
-        chosen = shapes[:, order]
         shared = jnp.sum(at_value, 0)[order] > 1
         amounts = (
             jnp.conj(shapes).T
@@ -239,10 +238,13 @@ def _track(
             ).real
         )
         label = jnp.where(shared, label, n + jnp.arange(n))
-        return (jnp.where(shared, projected, chosen), label), (order, best[jnp.arange(n), order])
+        return (jnp.where(shared, projected, shapes[:, order]), label), (
+            order,
+            best[jnp.arange(n), order],
+        )
 
-    start = (frozen[0][0], at_values.cluster[0])
-    _, (order, quality) = jax.lax.scan(step, start, (*frozen, at_values.cluster))
+    given = (*frozen, at_values.cluster)
+    _, (order, quality) = jax.lax.scan(step, (frozen[0][0], at_values.cluster[0]), given)
 
     def along(x):
         return jnp.take_along_axis(x, order, axis=1)

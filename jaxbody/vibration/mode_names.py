@@ -168,8 +168,8 @@ def nearly_coinciding(cluster: Any, values: Any) -> np.ndarray:
     """Which modes nearly coincide with another, by frequencies or poles."""
     values, cluster = np.asarray(values), np.asarray(cluster)
     size = np.maximum(np.abs(values)[:, None], np.abs(values))
-    close = np.abs(values[:, None] - values) <= NEAR * size
-    return (close & (size > 0) & (cluster[:, None] != cluster)).any(1)
+    near = (np.abs(values[:, None] - values) <= NEAR * size) & (size > 0)
+    return (near & (cluster[:, None] != cluster)).any(1)
 
 
 def mark_note(names: tuple[str, ...]) -> str:

@@ -32,6 +32,7 @@ from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_tw
 from jaxbody.model.element_states import apart, settled
 from jaxbody.model.inputs.port_inputs import KINDS, BaseMotion, Input, PointForce
 from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.layouts import Layout
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 from jaxbody.sensors.instruments import LoadCell, Reaction
@@ -279,8 +280,9 @@ def _read_rows(
         step = Frame(frames.p, frames.R, dp, turn).rates()
         delta, v_own = (y[: layout.nv] if T is None else T @ y for y in (x, rate))
         state = State(dynamics.coordinates.retract(q, delta), v_own)
-        t = jnp.zeros((), q.dtype)
-        now = Instant(frames.p + step.p, frames.R + step.R, v, w, t, state, a, alpha)
+        now = Instant(
+            frames.p + step.p, frames.R + step.R, v, w, jnp.zeros((), q.dtype), state, a, alpha
+        )
         if any(sensor.reactions for sensor in sensors):
             extra = jnp.tensordot(u, wrenches, 1)
             now = dynamics_of(held(x, rate), (), lin.loads).with_reactions(
@@ -335,22 +337,8 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ..
         twists = jnp.insert(twists, np.full(lin.inner, layout.nv), 0.0, axis=1)
     if lin.dependent is not None:
         twists = jnp.einsum("fni,nm->fmi", twists, lin.dependent.whole(lin.inner, layout.nxi))
-    zero, still = jnp.zeros(twists.shape[1], lin.M.dtype), jnp.zeros(layout.nxi, lin.M.dtype)
-    forces = [
-        _force_row(port, at.frames, twists, layout.frame) if isinstance(port, PointForce) else zero
-        for port in inputs
-    ]
-    moved = [
-        still.at[_place(port, layout)].set(1.0) if isinstance(port, BaseMotion) else still
-        for port in inputs
-    ]
-    F, X = (
-        jnp.reshape(jnp.asarray(rows, still.dtype), (len(inputs), n)).T
-        for rows, n in ((forces, len(zero)), (moved, len(still)))
-    )
-    rows, direct, elements, reactions = rows_of(
-        lin, at, twists, sensors, F, _input_wrenches(inputs, at.frames, layout)
-    )
+    F, X, wrenches = _input_matrices(inputs, at.frames, twists, layout)
+    rows, direct, elements, reactions = rows_of(lin, at, twists, sensors, F, wrenches)
     orders = tuple(KINDS.index(port.kind) if isinstance(port, BaseMotion) else 0 for port in inputs)
     return Ports(F, X, rows, direct, chains_of(sensors), orders, elements, reactions)
 
@@ -363,26 +351,25 @@ def check_ports(lin: Any, inputs: Any, outputs: Any, where: str) -> tuple[tuple[
         )
 
 
-def _place(port: BaseMotion, layout) -> int:
-    return 6 * layout.supports.index(port.on) + DIRECTIONS.index(port.direction)
-
-
-def _force_row(port: PointForce, frames: Frame, twists, row_of) -> Float[Array, "n"]:
-    """The work of a unit force or moment per unit of each of (Delta, Xi)."""
-    row, axis = row_of(port.on), jnp.asarray(port.axis)
-    if port.turns:
-        return twists[row, :, 3:] @ axis
-    arm = frames[row].point(port.point) - frames.p[row]
-    return twists[row, :, :3] @ axis + twists[row, :, 3:] @ cross(arm, axis)
-
-
-def _input_wrenches(inputs: tuple[Input, ...], frames: Frame, layout) -> Float[Array, "nu nb 6"]:
-    """Force and moment on each body about its origin, per unit of each input."""
-    wrenches = jnp.zeros((len(inputs), len(layout.bodies), 6), frames.p.dtype)
-    for i, port in enumerate(inputs):
-        if isinstance(port, PointForce):
+def _input_matrices(
+    inputs: tuple[Input, ...], frames: Frame, twists: Float[Array, "nf n 6"], layout: Layout
+) -> tuple[Float[Array, "n nu"], Float[Array, "nxi nu"], Float[Array, "nu nb 6"]]:
+    """Return F and X, and force and moment on each body about its origin, per unit of input."""
+    dtype, nu = twists.dtype, len(inputs)
+    F, X = jnp.zeros((twists.shape[1], nu), dtype), jnp.zeros((layout.nxi, nu), dtype)
+    wrenches = jnp.zeros((nu, len(layout.bodies), 6), dtype)
+    for j, port in enumerate(inputs):
+        if isinstance(port, BaseMotion):
+            place = 6 * layout.supports.index(port.on) + DIRECTIONS.index(port.direction)
+            X = X.at[place, j].set(1.0)
+        elif isinstance(port, PointForce):
             row, axis = layout.frame(port.on), jnp.asarray(port.axis)
-            arm = frames[row].point(port.point) - frames.p[row]
-            wrench = (jnp.zeros(3), axis) if port.turns else (axis, cross(arm, axis))
-            wrenches = wrenches.at[i, row - layout.first_body].set(jnp.concatenate(wrench))
-    return wrenches
+            if port.turns:
+                force, moment, work = jnp.zeros(3), axis, twists[row, :, 3:] @ axis
+            else:
+                force, moment = axis, cross(frames[row].point(port.point) - frames.p[row], axis)
+                work = twists[row, :, :3] @ force + twists[row, :, 3:] @ moment
+            F = F.at[:, j].set(work)
+            wrench = jnp.concatenate([force, moment])
+            wrenches = wrenches.at[j, row - layout.first_body].set(wrench)
+    return F, X, wrenches

@@ -15,7 +15,7 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, is_concrete
 from jaxbody.core.compilation.compile_options import program_with
-from jaxbody.core.errors import Problems, Status, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import OfOutputs, warn_if_failed
 from jaxbody.model.inputs.port_inputs import KINDS, UNITS
 from jaxbody.model.preconditions import check_memory
@@ -78,12 +78,11 @@ class RandomResponse(OfOutputs):
     @tables.summarized("Random response", 1, rms="rms")
     def _tables(self) -> list[tables.PrintedTable]:
         f = np.asarray(self.frequencies)
-        rows = [*zip(self.outputs, self.rms, self.units, strict=True)]
         return [
             tables.PrintedTable(
                 f"Random response, {f[0]:.6g} to {f[-1]:.6g} Hz",
                 ("output", "rms", "unit"),
-                rows,
+                [*zip(self.outputs, self.rms, self.units, strict=True)],
                 self.failure,
             )
         ]
@@ -225,14 +224,15 @@ def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
     with Problems() as problems:
         each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
         if not isinstance(each, dict):
-            problems.add(
-                "WRONG_KIND",
-                "spectra",
-                f"is a {type(each).__name__}",
-                value=each,
-                limit="{input: Spectrum} or CrossPSD",
+            raise JaxbodyError(
+                Problem(
+                    "WRONG_KIND",
+                    "spectra",
+                    f"is a {type(each).__name__}",
+                    each,
+                    "{input: Spectrum} or CrossPSD",
+                )
             )
-            problems.raise_if_any()
         known = check_spectra(each, "spectra", problems)
         for name in set(each) - set(inputs):
             problems.collected.append(unknown(name, "spectra", tuple(inputs)))
