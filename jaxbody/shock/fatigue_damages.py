@@ -36,10 +36,7 @@ from jaxbody.records.records import Record
 from jaxbody.shock.peak_factors import moments
 from jaxbody.vibration.random_responses import RandomResponse
 
-METHODS = ("Dirlik", "narrow band", "rainflow")
 RANGES = {"range": 1.0, "amplitude": 2.0}  # ranges over what a curve states
-
-Arrays = tuple[Any, Any, Any, Any, Any, Any]  # damage, life, cycles, range, duration, status
 
 
 class SNCurve(eqx.Module):
@@ -195,7 +192,7 @@ def fatigue_damage(
     with Problems() as problems:
         check_one_of(
             method,
-            METHODS[2:] if counted else METHODS[:2],
+            ("rainflow",) if counted else ("Dirlik", "narrow band"),
             "BAD_OPTION",
             "fatigue_damage.method",
             problems,
@@ -218,7 +215,7 @@ def fatigue_damage(
         rows = np.array([source.outputs.index(name) for name in given], int)
         arrays = _expected(source, rows, tuple(given.values()), device_array(T), method)
     return warn_if_failed(
-        FatigueDamage(
+        FatigueDamage(  # pyright: ignore[reportCallIssue]
             *arrays, method, outputs=tuple(given), units=tuple(stated[name] for name in given)
         )
     )
@@ -294,7 +291,7 @@ def _expected(
     curves: tuple[SNCurve, ...],
     T: Float[Array, ""],
     method: str,
-) -> Arrays:
+) -> tuple[Any, ...]:
     """Damage, life, cycles and range of outputs of a response; moments are of f [Hz]."""
     each = zip((0, 1, 2, 4), moments(response, 0, 1, 2, 4), strict=True)
     m0, m1, m2, m4 = ((x / (2 * jnp.pi) ** j)[..., rows] for j, x in each)
@@ -333,7 +330,7 @@ def dirlik(m0, m1, m2, m4, k) -> Float[Array, "*n"]:
     )
 
 
-def _counted(record: Record, curves: dict[str, SNCurve], duration: Any) -> Arrays:
+def _counted(record: Record, curves: dict[str, SNCurve], duration: Any) -> tuple[Any, ...]:
     """The same of channels of a record, by rainflow counting."""
     rainflow = import_extra("rainflow", "fatigue_damage")
     with Problems() as problems:
@@ -376,7 +373,5 @@ def _counted(record: Record, curves: dict[str, SNCurve], duration: Any) -> Array
                 level * (base * damage / max(cycles, 1e-300)) ** (1 / k),
             )
         )
-    damage, life, cycles, ranges = (
-        jnp.asarray(column, float) for column in zip(*rows, strict=True)
-    )
-    return damage, life, cycles, ranges, device_array(T), jnp.array(Status.OK.value)
+    columns = (jnp.asarray(column, float) for column in zip(*rows, strict=True))
+    return *columns, device_array(T), jnp.array(Status.OK.value)

@@ -204,7 +204,7 @@ def matched_record(
     return warn_if_failed(
         MatchedRecord(
             *map(device_array, (times, a, v, x, f, problem.target, reached, zeta)),
-            status=jnp.array(status.value),
+            jnp.array(status.value),
         )
     )
 

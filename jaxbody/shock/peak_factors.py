@@ -110,7 +110,6 @@ def level_crossings(response: RandomResponse, output: str, levels: Any) -> Float
 
 
 FORMULAS = ("Davenport", "Der Kiureghian", "Vanmarcke")
-EULER = 0.5772156649015329
 FEWEST = 1.5  # crossings below which L has no meaning: ln(nu T) would be near zero or negative
 # standard deviations up to which a distribution is integrated, and points for it
 HIGHEST, POINTS = 12.0, 2400
@@ -285,9 +284,9 @@ def factors(
     if formula == "Der Kiureghian":
         rate = rate * jnp.where(delta < 0.69, 1.63 * jnp.maximum(delta, 1e-12) ** 0.45 - 0.38, 1.0)
     L = _root_log(rate * T)
-    return L + EULER / L, np.pi / 6**0.5 / L if formula == "Davenport" else 1.2 / L - 5.4 / (
-        13 + L**6.4
-    )
+    davenport = formula == "Davenport"
+    deviation = np.pi / 6**0.5 / L if davenport else 1.2 / L - 5.4 / (13 + L**6.4)
+    return L + np.euler_gamma / L, deviation
 
 
 def quantile(

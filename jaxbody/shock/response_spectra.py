@@ -46,7 +46,8 @@ class ResponseSpectrum(tables.Printed, eqx.Module):
         return [tables.PrintedTable(type(self).__name__, ("", "value", ""), rows)]
 
     @abstractmethod
-    def __call__(self, frequencies: Any, damping: Any = 0.05) -> Float[Array, "*n"]: ...
+    def __call__(self, frequencies: Any, damping: Any = 0.05) -> Float[Array, "*n"]:
+        """Return the pseudo-acceleration [m/s2] at frequencies [Hz] and damping ratios."""
 
     @abstractmethod
     def covers(self) -> tuple[Any, Any]:
@@ -64,18 +65,13 @@ class ResponseSpectrum(tables.Printed, eqx.Module):
 
 
 def check_dampings(given: Any, where: str, problems: Problems) -> Any:
-    """Damping ratios, one or several, from 0 to below 1; None if they are not, with a problem
-    added. Errors: NOT_A_FRACTION, BAD_SHAPE."""
+    """Damping ratios, one or several. Problems: those that are not from 0 to below 1,
+    NOT_A_FRACTION, BAD_SHAPE."""
     array = problems.gather(lambda: float_array(given, where))
-    if array is None:
-        return None
-    array = checked(
-        array,
-        ((), (max(array.size, 1),)),
-        where,
-        problems,
-        "Give one damping ratio, or several in one row.",
-    )
+    if array is not None:
+        shapes = ((), (max(array.size, 1),))
+        hint = "Give one damping ratio, or several in one row."
+        array = checked(array, shapes, where, problems, hint)
     known = None if array is None else concrete(array)
     if known is not None and (wrong := (known < 0) | (known >= 1)).any():
         value = float(np.ravel(known)[np.flatnonzero(wrong)[0]])
@@ -89,7 +85,6 @@ def check_dampings(given: Any, where: str, problems: Problems) -> Any:
             if 1 <= value < 100
             else "It is a fraction of the critical damping.",
         )
-        return None
     return array
 
 

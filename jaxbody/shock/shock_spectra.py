@@ -101,12 +101,10 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
         at, values = self.frequencies[order], self.pseudo_acceleration[rows][:, order]
         each = jnp.log(jnp.stack([log_interpolated(f, at, row) for row in values], -1))
 
-        def one(zeta, logs):
-            return jnp.exp(jnp.interp(zeta, self.damping[rows], logs))
+        def at_damping(zeta, logarithms):
+            return jnp.exp(jnp.interp(zeta, self.damping[rows], logarithms))
 
-        for _ in range(f.ndim):
-            one = jax.vmap(one)
-        return one(zeta, each)
+        return jnp.vectorize(at_damping, signature="(),(nz)->()")(zeta, each)
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: the spectrum by damping ratio and frequency."""
@@ -214,7 +212,6 @@ def shock_spectrum(
             check_record(
                 samples, concrete(f), peaks, "shock_spectrum.record", problems, whole=part is None
             )
-    assert samples is not None and f is not None
     f, zeta = device_array(f), jnp.atleast_1d(device_array(zeta))
     peaks, part = ("continuous", part or "both") if pulse else (peaks, part or "primary")
     values = (_values_at_samples if peaks == "samples" else spectrum_values)(

@@ -38,6 +38,7 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from equinox import field
@@ -66,16 +67,8 @@ from jaxbody.shock.oscillators import checked_samples, poles
 from jaxbody.shock.response_spectra import ROUNDING, ResponseSpectrum
 from jaxbody.shock.shock_spectra import peaks_of
 from jaxbody.vibration.linearizations import Linearization, check_system
-from jaxbody.vibration.natural_modes import modes_of
+from jaxbody.vibration.natural_modes import NO_MODES, modes_of
 from jaxbody.vibration.ports import Outputs, Ports, outputs_of, port_matrices
-
-FAILED = (
-    Status.UNSTABLE,
-    Status.SINGULAR_K,
-    Status.NOT_SYMMETRIC,
-    Status.SINGULAR_M,
-    Status.NONFINITE,
-)
 
 
 class Excitation(NamedTuple):
@@ -108,7 +101,7 @@ class ModalExcitation(eqx.Module):
     def mass(self) -> Float[Array, "ne n"]:
         return self.participation**2
 
-    def weights(self, e: int, s: Complex[Array, "n"]) -> Complex[Array, "ny n"]:
+    def weights(self, e: int, s: Complex[jax.Array, "n"]) -> Complex[jax.Array, "ny n"]:
         """Return the weights c of oscillators with the poles `s`, so that an output is the sum over
         the modes of Im(c r) under the excitation of index `e`, without what the modes leave out."""
         alpha, beta, gamma = (self.readings * self.participation[e][None, None]).astype(s.dtype)
@@ -193,8 +186,8 @@ def _modal_excitation(
     if ports.chains is not None:
         gain = ports.chains.gain[:, None]
         readings, rest = readings * gain[None], rest * gain
-    bad = jnp.isin(status, jnp.array([failed.value for failed in FAILED]))
-    nan = jnp.where(bad, jnp.nan, 1.0)
+    failed = jnp.isin(status, jnp.array((*NO_MODES, Status.SINGULAR_K)))
+    nan = jnp.where(failed, jnp.nan, 1.0)
     return ModalExcitation(
         frequency, damping, cluster, participation * nan, readings * nan, rest * nan, status
     )

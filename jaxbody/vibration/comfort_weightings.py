@@ -10,7 +10,7 @@ a step K (1 + s/(Q5 w5) + (s/w5)^2)/(1 + s/(Q6 w6) + (s/w6)^2) (w5/w6)^2. Parame
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -31,29 +31,15 @@ from jaxbody.vibration.random_responses import RandomResponse, root_mean_square
 NONE = np.inf
 
 
-class Filter(NamedTuple):
-    """The parameters of a weighting, frequencies in Hz."""
-
-    f1: float
-    f2: float
-    f3: float
-    f4: float
-    Q4: float
-    f5: float = NONE
-    Q5: float = 1.0
-    f6: float = NONE
-    Q6: float = 1.0
-    K: float = 1.0
-
-
+# f1, f2, f3, f4 [Hz], Q4, f5 [Hz], Q5, f6 [Hz], Q6, K
 WEIGHTINGS = {
-    "Wb": Filter(0.4, 100.0, 16.0, 16.0, 0.55, 2.5, 0.9, 4.0, 0.95, 1.024),
-    "Wc": Filter(0.4, 100.0, 8.0, 8.0, 0.63),
-    "Wd": Filter(0.4, 100.0, 2.0, 2.0, 0.63),
-    "We": Filter(0.4, 100.0, 1.0, 1.0, 0.63),
-    "Wf": Filter(0.08, 0.63, NONE, 0.25, 0.86, 0.0625, 0.8, 0.1, 0.8),
-    "Wj": Filter(0.4, 100.0, NONE, NONE, 1.0, 3.75, 0.91, 5.32, 0.91),
-    "Wk": Filter(0.4, 100.0, 12.5, 12.5, 0.63, 2.37, 0.91, 3.35, 0.91),
+    "Wb": (0.4, 100.0, 16.0, 16.0, 0.55, 2.5, 0.9, 4.0, 0.95, 1.024),
+    "Wc": (0.4, 100.0, 8.0, 8.0, 0.63, NONE, 1.0, NONE, 1.0, 1.0),
+    "Wd": (0.4, 100.0, 2.0, 2.0, 0.63, NONE, 1.0, NONE, 1.0, 1.0),
+    "We": (0.4, 100.0, 1.0, 1.0, 0.63, NONE, 1.0, NONE, 1.0, 1.0),
+    "Wf": (0.08, 0.63, NONE, 0.25, 0.86, 0.0625, 0.8, 0.1, 0.8, 1.0),
+    "Wj": (0.4, 100.0, NONE, NONE, 1.0, 3.75, 0.91, 5.32, 0.91, 1.0),
+    "Wk": (0.4, 100.0, 12.5, 12.5, 0.63, 2.37, 0.91, 3.35, 0.91, 1.0),
 }
 HINT = (
     "Wk is for z, Wd for x and y, Wb for z in trains, Wc for seat backs, We for rotation, Wj for "
@@ -175,9 +161,9 @@ def _weighted(
     """The rows of the densities times the squares of these weightings, and their root
     mean squares."""
     factors = jnp.stack([jnp.abs(_weighting(name, f)) ** 2 for name in names], -2)
-    rows = np.array(rows, int)
-    psd = psd[..., rows, :] * factors
-    infinite = jnp.isinf(rms[..., rows])
+    places = np.array(rows, int)
+    psd = psd[..., places, :] * factors
+    infinite = jnp.isinf(rms[..., places])
     return psd, jnp.where(infinite, jnp.inf, root_mean_square(psd, weights[..., None, :]))
 
 
@@ -205,10 +191,9 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
         a, step = even_samples(
             times, acceleration, ("weighted_signal.times", "weighted_signal.acceleration"), problems
         )
+    f1, *_ = WEIGHTINGS[name]
     padding = (
-        int(np.ceil(DECAY_PERIODS / WEIGHTINGS[name].f1 / float(step)))
-        if is_concrete(step)
-        else np.size(times)
+        int(np.ceil(DECAY_PERIODS / f1 / float(step))) if is_concrete(step) else np.size(times)
     )
     return WeightedSignal(
         jnp.asarray(times, float),
@@ -220,18 +205,15 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
 
 @program
 def _weighting(name: str, f: Float[Array, "nf"]) -> Complex[Array, "nf"]:
-    p, s = WEIGHTINGS[name], jax.lax.complex(jnp.zeros_like(f), f)
-    W = p.K * s**2 / (s**2 + 2**0.5 * p.f1 * s + p.f1**2)
-    W = W / (1 + 2**0.5 * s / p.f2 + (s / p.f2) ** 2)
-    W = W * (1 + s / p.f3) / (1 + s / (p.Q4 * p.f4) + (s / p.f4) ** 2)
-    if p.f5 == NONE:
+    f1, f2, f3, f4, Q4, f5, Q5, f6, Q6, K = WEIGHTINGS[name]
+    s = jax.lax.complex(jnp.zeros_like(f), f)
+    W = K * s**2 / (s**2 + 2**0.5 * f1 * s + f1**2)
+    W = W / (1 + 2**0.5 * s / f2 + (s / f2) ** 2)
+    W = W * (1 + s / f3) / (1 + s / (Q4 * f4) + (s / f4) ** 2)
+    if f5 == NONE:
         return W
-    return (
-        W
-        * (1 + s / (p.Q5 * p.f5) + (s / p.f5) ** 2)
-        / (1 + s / (p.Q6 * p.f6) + (s / p.f6) ** 2)
-        * (p.f5 / p.f6) ** 2
-    )
+    W = W * (1 + s / (Q5 * f5) + (s / f5) ** 2) / (1 + s / (Q6 * f6) + (s / f6) ** 2)
+    return W * (f5 / f6) ** 2
 
 
 @program

@@ -43,9 +43,6 @@ class DynamicMatrices(Module):
     H: Float[Array, "k n"] | None
     massless: int = field(static=True, default=0)
 
-    def moved(self, left: Array, right: Array) -> DynamicMatrices:
-        return jax.tree.map(lambda A: left @ A @ right, self)
-
     def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "k n nf"]:
         K = self.K.astype(s.dtype) if self.H is None else jax.lax.complex(self.K, self.H)
         C, M, s = self.C.astype(s.dtype), self.M.astype(s.dtype), s[None, None]
@@ -93,7 +90,7 @@ def _eliminated(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]
     if (n := len(A.M)) > LARGEST_UNROLLED:
         return _by_lapack(A.at(s))
     shapes = natural(A.K, A.M)[1]
-    D = A.moved(shapes.T, shapes).at(s)
+    D = jax.tree.map(lambda H: shapes.T @ H @ shapes, A).at(s)
     D = jnp.concatenate([D, jnp.broadcast_to(shapes.T[:, :, None].astype(D.dtype), D.shape)], 1)
     for i in range(n):  # the first column is eliminated and dropped
         row = D[i, 1:] / D[i, :1]

@@ -312,16 +312,10 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
     if given is None:
         return None
     names = model.element_names + model.energy_names
+    factors = given if isinstance(given, dict) else dict.fromkeys(names, given)
     with Problems() as problems:
-        for name in given if isinstance(given, dict) else ():
-            if name not in names:
-                problems.collected.append(unknown(name, where, names))
-        each = [
-            checked(
-                given.get(name, 0.0) if isinstance(given, dict) else given, ((),), where, problems
-            )
-            for name in names
-        ]
+        problems.collected += [unknown(name, where, names) for name in factors if name not in names]
+        each = [checked(factors.get(name, 0.0), ((),), where, problems) for name in names]
         for name, value in zip(names, each, strict=True):
             known = None if value is None else concrete(value)
             if known is not None and known < 0:

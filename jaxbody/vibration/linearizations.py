@@ -241,7 +241,12 @@ class Linearization(LinearSystem):
     def instantaneous(self) -> Linearization:
         """The system without rows of massless coordinates, which are held: for motions much faster
         than any relaxation."""
-        return _instantaneous(self) if self.massless else self
+        if not self.massless:
+            return self
+        nv = self.nv
+        own = {name: getattr(self, name)[..., :nv, :nv] for name in ("M", "C", "K")}
+        tilde = {f"{name}_tilde": getattr(self, f"{name}_tilde")[..., :nv, :] for name in own}
+        return dataclasses.replace(self, **own, **tilde)
 
     @property
     def quasistatic(self) -> tuple[Float[Array, "nf nf"], Float[Array, "nf nf"]]:
@@ -528,7 +533,7 @@ def _system(
         ]
         status = jnp.select(fails, [Status.NOT_CLOSED.value, Status.SINGULAR_CLOSURE.value], status)
     return Linearization(
-        **blocks,
+        **blocks,  # pyright: ignore[reportArgumentType]
         status=status,
         state=state,
         model=model,
@@ -552,13 +557,6 @@ def _condensed(lin: Linearization) -> Linearization:
     K, C, M = lin.whole
     T = following(K, nv, ny)
     return dataclasses.replace(lin, **_blocks([T.T @ H @ T for H in (M, C, K)], nv), slow=True)
-
-
-def _instantaneous(lin: Linearization) -> Linearization:
-    nv = lin.nv
-    own = {name: getattr(lin, name)[..., :nv, :nv] for name in ("M", "C", "K")}
-    tilde = {name: getattr(lin, name)[..., :nv, :] for name in ("M_tilde", "C_tilde", "K_tilde")}
-    return dataclasses.replace(lin, **own, **tilde)
 
 
 def _load_stiffness(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv nv"]:

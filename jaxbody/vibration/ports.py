@@ -139,7 +139,7 @@ def component_units(sensors: dict[str, Any], model: Model | None = None) -> dict
             sensor.unit if model is None else type(sensor).unit_on(sensor, model),
             sensor.components,
         )
-        each = [part.strip() for part in unit.split(",")] if "," in unit else [unit]
+        each = [part.strip() for part in unit.split(",")]
         units |= {
             f"{name}.{part}" if part else name: each[i * len(each) // len(parts)]
             for i, part in enumerate(parts)

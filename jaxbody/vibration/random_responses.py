@@ -142,7 +142,24 @@ def random_response(
         f, weights, coarse = frequencies.frequencies, frequencies.weights, frequencies.coarse
     else:
         f = check_frequencies(frequencies, "random_response.frequencies")
-        _check_band(f)
+        with Problems() as problems:
+            if len(f) < 2:
+                problems.add(
+                    "EMPTY_BAND",
+                    "random_response.frequencies",
+                    f"has {len(f)} frequency",
+                    value=len(f),
+                    limit=">= 2",
+                    hint="Give a Band.",
+                )
+            elif is_concrete(f) and (np.diff(np.asarray(f)) <= 0).any():
+                problems.add(
+                    "EMPTY_BAND",
+                    "random_response.frequencies",
+                    "do not increase",
+                    limit="increasing",
+                    hint="Sort them.",
+                )
         weights, coarse = trapezoids(f)
     check_memory("random_response", lin.model, f.size)
     lin, eta = damped(lin, sensors, loss_factor, modal_damping, "random_response")
@@ -234,8 +251,9 @@ def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
                 )
             )
         known = check_spectra(each, "spectra", problems)
-        for name in set(each) - set(inputs):
-            problems.collected.append(unknown(name, "spectra", tuple(inputs)))
+        problems.collected += [
+            unknown(name, "spectra", tuple(inputs)) for name in set(each) - set(inputs)
+        ]
         for name, port in inputs.items():
             if name not in each:
                 problems.add(
@@ -258,24 +276,3 @@ def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
                         limit=" or ".join(family),
                         hint="Give the spectrum in one of these units.",
                     )
-
-
-def _check_band(f: Float[Array, "nf"]) -> None:
-    with Problems() as problems:
-        if len(f) < 2:
-            problems.add(
-                "EMPTY_BAND",
-                "random_response.frequencies",
-                f"has {len(f)} frequency",
-                value=len(f),
-                limit=">= 2",
-                hint="Give a Band.",
-            )
-        elif is_concrete(f) and (np.diff(np.asarray(f)) <= 0).any():
-            problems.add(
-                "EMPTY_BAND",
-                "random_response.frequencies",
-                "do not increase",
-                limit="increasing",
-                hint="Sort them.",
-            )

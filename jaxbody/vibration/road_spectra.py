@@ -123,9 +123,6 @@ def road_profile(
     phase = jax.random.uniform(key, k.shape, maxval=2 * np.pi)
     amplitude = jnp.sqrt(2 * road(device_array(k / (n * step))) / (n * step))
     turned = jnp.exp(jax.lax.complex(jnp.zeros_like(phase), phase))
-    none = jnp.zeros(n // 2 - len(k), turned.dtype)
-    waves = jnp.concatenate(
-        [jnp.zeros(1, turned.dtype), amplitude.astype(turned.dtype) * turned * n / 2, none]
-    )
-    heights = jnp.fft.irfft(waves, n)
+    waves = amplitude.astype(turned.dtype) * turned * n / 2
+    heights = jnp.fft.irfft(jnp.pad(waves, (1, n // 2 - len(k))), n)
     return device_array(step * np.arange(n + 1)), jnp.append(heights, heights[0])

@@ -66,7 +66,8 @@ class Spectrum(eqx.Module):
     quantity: eqx.AbstractVar[str]
 
     @abstractmethod
-    def __call__(self, f: Float[Array, "nf"]) -> Float[Array, "nf"]: ...
+    def __call__(self, f: Float[Array, "nf"]) -> Float[Array, "nf"]:
+        """Return the density at frequencies f [Hz]."""
 
 
 class Density(Spectrum):
@@ -295,8 +296,10 @@ class CrossPSD(eqx.Module):
             self.names = tuple(spectra)
             self.spectra = check_spectra(spectra, "CrossPSD.spectra", problems)
             given, of_pairs = delays or {}, coherence or {}
-            for name in {*given, *itertools.chain(*of_pairs)} - {*self.names}:
-                problems.collected.append(unknown(name, "CrossPSD", self.names))
+            problems.collected += [
+                unknown(name, "CrossPSD", self.names)
+                for name in {*given, *itertools.chain(*of_pairs)} - {*self.names}
+            ]
             self.delays = {
                 name: device_array(
                     scalar(given.get(name, 0.0), f"CrossPSD.delays[{name!r}]", problems)
@@ -437,7 +440,7 @@ def trapezoids(f: Float[Array, "n"]) -> tuple[Float[Array, "n"], Float[Array, "n
 
     def weights(f):
         half = jnp.diff(f) / 2
-        return jnp.concatenate([half, jnp.zeros(1)]) + jnp.concatenate([jnp.zeros(1), half])
+        return jnp.pad(half, (0, 1)) + jnp.pad(half, (1, 0))
 
     return weights(f), jnp.zeros_like(f).at[kept].set(weights(f[kept]))
 

@@ -159,14 +159,13 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     accelerates = jnp.max(jnp.abs(M @ v_dot * scale), initial=0.0) > steady * stiff * size
     status = jnp.where(accelerates | changes.any(), Status.NOT_STEADY.value, Status.OK.value)
     if moves is not None:
-        apart = (
-            jnp.max(jnp.abs((moves.N @ v - state.v) / all_scales)) > NEARLY_CLOSED * fastest * size
-        )
-        open_ = apart | (how_open(dynamics.coordinates, q) > NEARLY_CLOSED)
-        status = jnp.where(open_, Status.NOT_CLOSED.value, status)
-        status = jnp.where(
-            moves.smallest < SINGULAR_CLOSURES, Status.SINGULAR_CLOSURE.value, status
-        )
+        apart = jnp.max(jnp.abs((moves.N @ v - state.v) / all_scales))
+        fails = [
+            moves.smallest < SINGULAR_CLOSURES,
+            (apart > NEARLY_CLOSED * fastest * size)
+            | (how_open(dynamics.coordinates, q) > NEARLY_CLOSED),
+        ]
+        status = jnp.select(fails, [Status.SINGULAR_CLOSURE.value, Status.NOT_CLOSED.value], status)
     return SpinLinearization(
         M, C, K, status, state, model, basis_of(at), D - C, K - K_rest, v_dot, dependent=moves
     )

@@ -58,7 +58,6 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
     (u, ins, u_units), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "state_space")
     _check_without_delay(outputs)
     ports = port_matrices(lin, ins, sensors)
-    A, B, C, D, status = _state_space(lin, ports)
     own, inner = lin.coordinates[: lin.nv], lin.coordinates[lin.nv :]
     integrated = [
         (name, port.kind)
@@ -73,7 +72,7 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
         *(f"velocity of {name}" for name, kind in integrated if kind == "acceleration"),
         *(f"lagged {y[i]}" for i in (() if ports.chains is None else ports.chains.lagged)),
     )
-    return warn_if_failed(StateSpace(A, B, C, D, status, u, y, states, u_units, y_units))
+    return warn_if_failed(StateSpace(*_state_space(lin, ports), u, y, states, u_units, y_units))
 
 
 def _check_without_delay(outputs: dict[str, Any]) -> None:
