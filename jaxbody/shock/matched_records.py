@@ -58,14 +58,9 @@ class MatchedRecord(Labeled, Result):
     status: Int[Array, ""]
 
     @property
-    def deviations(self) -> np.ndarray:
-        """|reached/target - 1| at each frequency."""
-        return np.abs(np.asarray(self.reached) / np.asarray(self.target) - 1)
-
-    @property
     def deviation(self) -> Any:
         """The largest of |reached/target - 1|."""
-        return np.max(self.deviations)
+        return np.max(np.abs(np.asarray(self.reached) / np.asarray(self.target) - 1))
 
     @property
     def samples(self) -> tuple[Array, Array]:
@@ -114,12 +109,13 @@ class MatchedRecord(Labeled, Result):
             f"Record of {float(self.times[-1]):.4g} s for a spectrum from "
             f"{f[0]:.4g} to {f[-1]:.4g} Hz"
         )
+        mean = float(np.mean(np.abs(np.asarray(self.reached) / np.asarray(self.target) - 1)))
         rows = [
             ("peak acceleration", float(np.abs(self.acceleration).max()), "m/s2"),
             ("peak velocity", float(np.abs(self.velocity).max()), "m/s"),
             ("peak displacement", float(np.abs(self.displacement).max()), "m"),
             ("largest deviation of the spectrum", tables.percent(self.deviation), ""),
-            ("mean deviation", tables.percent(float(np.mean(self.deviations))), ""),
+            ("mean deviation", tables.percent(mean), ""),
         ]
         return [tables.PrintedTable(title, ("", "", ""), rows, self.failure)]
 

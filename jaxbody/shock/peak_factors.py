@@ -32,9 +32,9 @@ from jaxbody.core.arrays import (
     Float,
     Int,
     checked,
-    concrete,
     device_array,
     float_array,
+    is_concrete,
 )
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
@@ -214,13 +214,12 @@ def peak_factor(
             if probability is None
             else checked(probability, ((),), "peak_factor.probability", problems)
         )
-        known = None if p is None else concrete(p)
-        if known is not None and not 0 < known < 1:
+        if p is not None and is_concrete(p) and not 0 < p < 1:
             problems.add(
                 "NOT_A_FRACTION",
                 "peak_factor.probability",
-                f"is {known:g}",
-                value=float(known),
+                f"is {p:g}",
+                value=float(p),
                 limit="0 to 1",
             )
         if p is not None and formula == "Der Kiureghian":

@@ -14,7 +14,7 @@ from equinox import field
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of, positive_number
-from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, float_array
+from jaxbody.core.arrays import Array, Float, checked, device_array, float_array, is_concrete
 from jaxbody.core.errors import Problems
 from jaxbody.core.units import GRAVITY
 
@@ -42,8 +42,8 @@ class ResponseSpectrum(tables.Printed, eqx.Module):
 
     def _tables(self) -> list[tables.PrintedTable]:
         low, high = map(float, self.covers())
-        rows = [("lowest", low, "Hz"), ("highest", high, "Hz")]
-        return [tables.PrintedTable(type(self).__name__, ("", "value", ""), rows)]
+        ends = [("lowest", low, "Hz"), ("highest", high, "Hz")]
+        return [tables.PrintedTable(type(self).__name__, ("", "value", ""), ends)]
 
     @abstractmethod
     def __call__(self, frequencies: Any, damping: Any = 0.05) -> Float[Array, "*n"]:
@@ -69,12 +69,15 @@ def check_dampings(given: Any, where: str, problems: Problems) -> Any:
     NOT_A_FRACTION, BAD_SHAPE."""
     array = problems.gather(lambda: float_array(given, where))
     if array is not None:
-        shapes = ((), (max(array.size, 1),))
-        hint = "Give one damping ratio, or several in one row."
-        array = checked(array, shapes, where, problems, hint)
-    known = None if array is None else concrete(array)
-    if known is not None and (wrong := (known < 0) | (known >= 1)).any():
-        value = float(np.ravel(known)[np.flatnonzero(wrong)[0]])
+        array = checked(
+            array,
+            ((), (max(array.size, 1),)),
+            where,
+            problems,
+            "Give one damping ratio, or several in one row.",
+        )
+    if array is not None and is_concrete(array) and (wrong := (array < 0) | (array >= 1)).any():
+        value = float(np.ravel(array)[np.flatnonzero(wrong)[0]])
         problems.add(
             "NOT_A_FRACTION",
             where,
@@ -159,22 +162,20 @@ class DesignSpectrum(ResponseSpectrum):
                 values, ((n,),), "DesignSpectrum.values", problems, "One value for each frequency."
             )
             zeta = check_dampings(damping, "DesignSpectrum.damping", problems)
-            known = None if f is None else concrete(f)
-            if known is not None and ((known <= 0).any() or (np.diff(known) <= 0).any()):
+            if f is not None and is_concrete(f) and (np.diff(f, prepend=0.0) <= 0).any():
                 problems.add(
                     "BAD_FREQUENCY",
                     "DesignSpectrum.frequencies",
-                    f"is {known}",
-                    value=known,
+                    f"is {f}",
+                    value=f,
                     limit="positive, increasing",
                 )
-            level = None if y is None else concrete(y)
-            if level is not None and (level <= 0).any():
+            if y is not None and is_concrete(y) and (y <= 0).any():
                 problems.add(
                     "NOT_POSITIVE",
                     "DesignSpectrum.values",
-                    f"has {level.min():g}",
-                    value=level,
+                    f"has {y.min():g}",
+                    value=y,
                     limit="> 0",
                 )
         self.frequencies, self.values, self.damping = map(device_array, (f, y, zeta))
@@ -263,6 +264,7 @@ class Eurocode8(ResponseSpectrum):
 
     def _tables(self):
         factor, TB, TC, TD = self.parameters
+        title = f"Eurocode 8, type {self.type}, ground {self.ground}"
         rows = [
             ("a_g [m/s2]", self.acceleration),
             ("a_vg/a_g" if self.vertical else "S", factor),
@@ -270,9 +272,7 @@ class Eurocode8(ResponseSpectrum):
             ("T_C [s]", TC),
             ("T_D [s]", TD),
         ]
-        direction = ", vertical" if self.vertical else ""
-        title = f"Eurocode 8, type {self.type}, ground {self.ground}{direction}"
-        return [tables.PrintedTable(title, ("", ""), rows)]
+        return [tables.PrintedTable(title + ", vertical" * self.vertical, ("", ""), rows)]
 
 
 class ASCE7(ResponseSpectrum):
@@ -332,9 +332,14 @@ class ASCE7(ResponseSpectrum):
         )
 
     def _tables(self):
-        rows = [
-            ("S_DS [g]", self.short),
-            ("S_D1 [g]", self.one_second),
-            ("T_L [s]", self.long_period),
+        return [
+            tables.PrintedTable(
+                "ASCE 7",
+                ("", ""),
+                [
+                    ("S_DS [g]", self.short),
+                    ("S_D1 [g]", self.one_second),
+                    ("T_L [s]", self.long_period),
+                ],
+            )
         ]
-        return [tables.PrintedTable("ASCE 7", ("", ""), rows)]

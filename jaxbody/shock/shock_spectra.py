@@ -123,14 +123,6 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
     @tables.summarized("Shock spectrum", 2, values="values")
     def _tables(self) -> list[tables.PrintedTable]:
         f, values = np.asarray(self.frequencies), np.asarray(self.values)
-        heads = (
-            "damping ratio",
-            "at lowest frequency",
-            "largest",
-            "at [Hz]",
-            "at highest frequency",
-            "unit",
-        )
         low, high, top = f.argmin(), f.argmax(), values.argmax(1)
         rows = [
             (zeta, row[low], row[i], f[i], row[high], self.unit)
@@ -141,7 +133,14 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
             tables.PrintedTable(
                 f"Shock spectrum, {self.kind}, {self.side}, peaks {kind}{PARTS[self.part]}, "
                 f"{f.min():.6g} to {f.max():.6g} Hz",
-                heads,
+                (
+                    "damping ratio",
+                    "at lowest frequency",
+                    "largest",
+                    "at [Hz]",
+                    "at highest frequency",
+                    "unit",
+                ),
                 rows,
                 self.failure,
             )
@@ -205,9 +204,9 @@ def shock_spectrum(
         f = problems.gather(lambda: checked_frequencies(frequencies, "shock_spectrum.frequencies"))
         zeta = check_dampings(damping, "shock_spectrum.damping", problems)
         check_one_of(kind, KINDS, "BAD_KIND", "shock_spectrum.kind", problems)
-        check_one_of(side, SIDES, "BAD_OPTION", "shock_spectrum.side", problems)
-        check_one_of(peaks, PEAKS, "BAD_OPTION", "shock_spectrum.peaks", problems)
-        check_one_of(part or "both", PARTS, "BAD_OPTION", "shock_spectrum.part", problems)
+        options = {"side": (side, SIDES), "peaks": (peaks, PEAKS), "part": (part or "both", PARTS)}
+        for name, (option, known) in options.items():
+            check_one_of(option, known, "BAD_OPTION", f"shock_spectrum.{name}", problems)
         if isinstance(samples, tuple) and f is not None and peaks in PEAKS:
             check_record(
                 samples, concrete(f), peaks, "shock_spectrum.record", problems, whole=part is None

@@ -51,7 +51,6 @@ from jaxbody.core.arrays import (
     Float,
     Int,
     checked,
-    concrete,
     device_array,
     is_concrete,
 )
@@ -165,10 +164,10 @@ def modal_excitation(
     )
     together = np.repeat(np.eye(len(bases)), [len(base.supports) for base in bases], axis=0)
     modal = _modal_excitation(lin, port_matrices(lin, inputs, sensors), together)
-    if ratios is None:
-        return modal
-    damping = jnp.broadcast_to(device_array(ratios), modal.damping.shape)
-    return dataclasses.replace(modal, damping=damping)
+    if ratios is not None:
+        damping = jnp.broadcast_to(device_array(ratios), modal.damping.shape)
+        modal = dataclasses.replace(modal, damping=damping)
+    return modal
 
 
 @program
@@ -186,8 +185,7 @@ def _modal_excitation(
     if ports.chains is not None:
         gain = ports.chains.gain[:, None]
         readings, rest = readings * gain[None], rest * gain
-    failed = jnp.isin(status, jnp.array((*NO_MODES, Status.SINGULAR_K)))
-    nan = jnp.where(failed, jnp.nan, 1.0)
+    nan = jnp.where(jnp.isin(status, jnp.array((*NO_MODES, Status.SINGULAR_K))), jnp.nan, 1.0)
     return ModalExcitation(
         frequency, damping, cluster, participation * nan, readings * nan, rest * nan, status
     )
@@ -426,19 +424,15 @@ def checked_excitation(
 
 def checked_ratios(given: Any, lin: Linearization, where: str, problems: Problems) -> Any:
     """Damping ratios of all modes; None if none are given. Errors: BAD_SHAPE, NOT_A_FRACTION."""
-    if given is None:
-        return None
     n = lin.nv
-    array = checked(
-        given, ((), (n,)), where, problems, f"Give one for all modes or one for each of {n}."
-    )
-    known = None if array is None else concrete(array)
-    if known is not None and ((known < 0) | (known >= 1)).any():
+    hint = f"Give one for all modes or one for each of {n}."
+    array = None if given is None else checked(given, ((), (n,)), where, problems, hint)
+    if array is not None and is_concrete(array) and ((array < 0) | (array >= 1)).any():
         problems.add(
             "NOT_A_FRACTION",
             where,
-            f"is {known}",
-            value=known,
+            f"is {array}",
+            value=array,
             limit="0 to below 1",
             hint="Give 0.05 for 5 percent.",
         )

@@ -24,7 +24,6 @@ from jaxbody.core.arrays import (
     Float,
     Int,
     checked,
-    concrete,
     device_array,
     float_array,
     is_concrete,
@@ -256,16 +255,19 @@ def checked_frequencies(given: Any, where: str, *, static: bool = False) -> Floa
         array = float_array(given, where)
         shape = (max(array.size, 1),)
         array = checked(array, (shape,), where, problems, "Give frequencies [Hz] in one row.")
-        known = None if array is None else concrete(array)
-        if known is not None and (wrong := known < 0 if static else known <= 0).any():
+        if (
+            array is not None
+            and is_concrete(array)
+            and (wrong := array < 0 if static else array <= 0).any()
+        ):
             i = int(np.flatnonzero(wrong)[0])
             problems.add(
                 "BAD_FREQUENCY",
                 where,
-                f"is {known[i]:g} Hz at index {i}",
-                value=float(known[i]),
+                f"is {array[i]:g} Hz at index {i}",
+                value=float(array[i]),
                 limit=">= 0" if static else "> 0",
-                hint="Give their magnitudes." if known[i] < 0 else "Leave 0 out.",
+                hint="Give their magnitudes." if array[i] < 0 else "Leave 0 out.",
             )
     return array  # pyright: ignore[reportReturnType]  which is not None here
 
@@ -317,13 +319,12 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
         problems.collected += [unknown(name, where, names) for name in factors if name not in names]
         each = [checked(factors.get(name, 0.0), ((),), where, problems) for name in names]
         for name, value in zip(names, each, strict=True):
-            known = None if value is None else concrete(value)
-            if known is not None and known < 0:
+            if value is not None and is_concrete(value) and value < 0:
                 problems.add(
                     "NEGATIVE",
                     where,
-                    f"of '{name}' is {known:g}",
-                    value=float(known),
+                    f"of '{name}' is {value:g}",
+                    value=float(value),
                     limit=">= 0",
                     hint="It would add energy.",
                 )

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int, concrete, float_array
+from jaxbody.core.arrays import Array, Float, Int, float_array, is_concrete
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status
@@ -166,7 +166,6 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
     [[0, 1], [0, 1], [0, 1]]
     """
     given = float_array(values, "track.values")
-    known = concrete(given)
     if given.ndim != 1 or not given.size:
         raise JaxbodyError(
             Problem(
@@ -178,13 +177,13 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
                 "Give a list of values.",
             )
         )
-    if known is not None and not np.isfinite(known).all():
+    if is_concrete(given) and not np.isfinite(given).all():
         raise JaxbodyError(
             Problem(
                 "NON_FINITE",
                 "track.values",
                 "has values that are not finite",
-                known,
+                given,
                 "finite",
                 "Give finite values.",
             )
@@ -196,8 +195,8 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
             : lin.nv, : lin.nv
         ]
 
-    at_values, M = eqx.filter_vmap(one)(jnp.asarray(given))
-    return warn_if_failed(_track(jnp.asarray(given), at_values, M))
+    given = jnp.asarray(given)
+    return warn_if_failed(_track(given, *eqx.filter_vmap(one)(given)))
 
 
 @program

@@ -27,8 +27,8 @@ from jaxbody.core.arrays import (
     Inexact,
     Int,
     checked,
-    concrete,
     device_array,
+    is_concrete,
 )
 from jaxbody.core.compilation.compile_options import OPTIMIZED, program, program_with
 from jaxbody.core.datasets import Labeled, dataset
@@ -281,13 +281,12 @@ def with_modal_damping(lin: Linearization, ratios: Any, where: str) -> Lineariza
         given = checked(
             ratios, ((), (n,)), where, problems, f"Give one for all modes or one for each of {n}."
         )
-        known = None if given is None else concrete(given)
-        if known is not None and (known < 0).any():
+        if given is not None and is_concrete(given) and (given < 0).any():
             problems.add(
                 "NEGATIVE",
                 where,
-                f"has {known.min():g}",
-                value=float(known.min()),
+                f"has {given.min():g}",
+                value=float(given.min()),
                 limit=">= 0",
                 hint="It would add energy.",
             )

@@ -202,10 +202,6 @@ def rows_of(
     ]
     elements = _by_name(model, at) if any(map(of_element, sensors)) else {}
     readings = iter(_read_rows(lin, at, twists, others, wrenches) if others else ())
-    held = zero
-    if any(reads_matrices(sensor, model) for sensor in sensors):
-        held = slope(at)[model.layout.nv :]
-        held = held if lin.dependent is None else held + lin.dependent.reaction
     rows = []
     for sensor in sensors:
         if isinstance(sensor, Kinematic):
@@ -223,7 +219,7 @@ def rows_of(
             Y = jnp.stack([derivatives.stiffness[k] @ J, derivatives.damping[k] @ J, zero])[:, None]
             rows.append(_Rows(Y, jnp.zeros((1, F.shape[1]), F.dtype), (i,)))
         elif isinstance(sensor, Reaction) and reads_matrices(sensor, model):
-            rows.append(_reaction_rows(lin, sensor, held, F))
+            rows.append(_reaction_rows(lin, at, sensor, F))
         else:
             rows.append(next(readings))
     return (
@@ -307,9 +303,7 @@ def _read_rows(
     ]
 
 
-def _reaction_rows(
-    lin: Any, sensor: Reaction, held: Float[Array, "nxi"], F: Float[Array, "n nu"]
-) -> _Rows:
+def _reaction_rows(lin: Any, at: Configuration, sensor: Reaction, F: Float[Array, "n nu"]) -> _Rows:
     """Minus the rows of K, C and M of a support's motion; and the forces on it. Of a moment also
     phi x m/2: the moment m at equilibrium equals dV/dphi at the rotation vector phi = 0 only; in
     general m = J(phi)^-T dV/dphi."""
@@ -318,6 +312,9 @@ def _reaction_rows(
         tuple(range(first, first + 6)) if sensor.component is None else (first + sensor.component,)
     )
     own = nv + np.array(places)
+    held = slope(at)[lin.model.layout.nv :]
+    if lin.dependent is not None:
+        held = held + lin.dependent.reaction
     turned = (
         jnp.zeros((6, len(F)), F.dtype)
         .at[3:, nv + first + 3 : nv + first + 6]

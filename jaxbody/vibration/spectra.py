@@ -24,7 +24,6 @@ from jaxbody.core.arrays import (
     Float,
     as_numpy,
     checked,
-    concrete,
     device_array,
     is_concrete,
     module_of,
@@ -104,13 +103,12 @@ class Density(Spectrum):
             )
         self.sides = sides
         self.speed = scalar(1.0 if speed is None else speed, f"{kind}.speed", problems)
-        known = concrete(self.speed)
-        if known is not None and known <= 0:
+        if is_concrete(self.speed) and self.speed <= 0:
             problems.add(
                 "NO_SPEED",
                 f"{kind}.speed",
-                f"is {known:g} m/s",
-                value=float(known),
+                f"is {self.speed:g} m/s",
+                value=float(self.speed),
                 limit="> 0",
                 hint="Give the speed in m/s.",
             )
@@ -161,13 +159,12 @@ class PowerLaw(Density):
             self.exponent = scalar(exponent, "PowerLaw.exponent", problems)
             self.reference = scalar(reference, "PowerLaw.reference", problems)
             check_not_negative(self.level, "PowerLaw.level", problems)
-            known = concrete(self.reference)
-            if known is not None and known <= 0:
+            if is_concrete(self.reference) and self.reference <= 0:
                 problems.add(
                     "BAD_FREQUENCY",
                     "PowerLaw.reference",
-                    f"is {known:g}",
-                    value=float(known),
+                    f"is {self.reference:g}",
+                    value=float(self.reference),
                     limit="> 0",
                     hint="Give the frequency at which the density is `level`.",
                 )
@@ -209,13 +206,12 @@ class PSD(Density):
             y = checked(
                 values, ((count,),), "PSD.values", problems, "One value for each frequency."
             )
-            known = None if x is None else concrete(x)
-            if known is not None and ((known <= 0).any() or (np.diff(known) <= 0).any()):
+            if x is not None and is_concrete(x) and (np.diff(x, prepend=0.0) <= 0).any():
                 problems.add(
                     "BAD_FREQUENCY",
                     "PSD.frequencies",
-                    f"is {known}",
-                    value=known,
+                    f"is {x}",
+                    value=x,
                     limit="positive, increasing",
                     hint="Leave 0 out.",
                 )
@@ -485,13 +481,12 @@ def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
 
 def check_not_negative(value: Any, where: str, problems: Problems) -> None:
     """Problem: NEGATIVE, for densities that are known."""
-    known = concrete(value)
-    if known is not None and (known < 0).any():
+    if is_concrete(value) and (value < 0).any():
         problems.add(
             "NEGATIVE",
             where,
-            f"is {known.min():g}",
-            value=float(known.min()),
+            f"is {value.min():g}",
+            value=float(value.min()),
             limit=">= 0",
             hint="A density is not negative.",
         )
