@@ -308,9 +308,7 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
             elastic + more_elastic,
             loss + more_loss,
         )
-    moved = jnp.sum(kinetic, (0, 1))
-    if len(inertial):
-        moved = moved + jnp.sum(inertial, 0)
+    moved = jnp.sum(kinetic, (0, 1)) + jnp.sum(inertial, 0)
     gravity, loads = (
         jnp.sum(shapes[:nf] * (K @ shapes[:nf]), 0) for K in (lin.K_gravity, lin.K_loads)
     )

@@ -188,27 +188,16 @@ def rows_of(
     origin, in world axes."""
     model, zero = lin.model, jnp.zeros(len(F), F.dtype)
 
-    def of_element(sensor) -> bool:
-        """Whether its rows are those of an element; with coordinates of elements or accelerations
-        it is read."""
-        return isinstance(sensor, LoadCell) and not (lin.inner or sensor.needs_accelerations(model))
+    reads_elements = any(isinstance(sensor, LoadCell) for sensor in sensors)
+    elements = _by_name(model, at) if reads_elements else {}
 
-    others = [
-        sensor
-        for sensor in sensors
-        if not (
-            isinstance(sensor, Kinematic) or of_element(sensor) or reads_matrices(sensor, model)
-        )
-    ]
-    elements = _by_name(model, at) if any(map(of_element, sensors)) else {}
-    readings = iter(_read_rows(lin, at, twists, others, wrenches) if others else ())
-    rows = []
-    for sensor in sensors:
+    def in_closed_form(sensor: Sensor) -> _Rows | None:
+        """Return the rows of a sensor without differentiating its reading; None if it must be."""
         if isinstance(sensor, Kinematic):
             moved = sensor.rows(model, at.frames, twists).reshape(len(F), -1).T
             Y = jnp.zeros((3, *moved.shape), F.dtype).at[sensor.order].set(moved)
-            rows.append(_Rows(Y, jnp.zeros((len(moved), F.shape[1]), F.dtype)))
-        elif isinstance(sensor, LoadCell) and of_element(sensor):
+            return _Rows(Y, jnp.zeros((len(moved), F.shape[1]), F.dtype))
+        if isinstance(sensor, LoadCell) and not (lin.inner or sensor.needs_accelerations(model)):
             i, derivatives = elements[sensor.on]
             k = sensor.component or 0
             J = (
@@ -217,11 +206,13 @@ def rows_of(
                 else derivatives.J @ lin.dependent.whole(0, model.layout.nxi)
             )
             Y = jnp.stack([derivatives.stiffness[k] @ J, derivatives.damping[k] @ J, zero])[:, None]
-            rows.append(_Rows(Y, jnp.zeros((1, F.shape[1]), F.dtype), (i,)))
-        elif isinstance(sensor, Reaction) and reads_matrices(sensor, model):
-            rows.append(_reaction_rows(lin, at, sensor, F))
-        else:
-            rows.append(next(readings))
+            return _Rows(Y, jnp.zeros((1, F.shape[1]), F.dtype), (i,))
+        return _reaction_rows(lin, at, sensor, F) if reads_matrices(sensor, model) else None
+
+    known = [in_closed_form(sensor) for sensor in sensors]
+    others = [sensor for sensor, row in zip(sensors, known, strict=True) if row is None]
+    readings = iter(_read_rows(lin, at, twists, others, wrenches) if others else ())
+    rows = [next(readings) if row is None else row for row in known]
     return (
         jnp.concatenate([row.Y for row in rows], 1),
         jnp.concatenate([row.G for row in rows]),
@@ -303,7 +294,7 @@ def _read_rows(
     ]
 
 
-def _reaction_rows(lin: Any, at: Configuration, sensor: Reaction, F: Float[Array, "n nu"]) -> _Rows:
+def _reaction_rows(lin: Any, at: Configuration, sensor: Any, F: Float[Array, "n nu"]) -> _Rows:
     """Minus the rows of K, C and M of a support's motion; and the forces on it. Of a moment also
     phi x m/2: the moment m at equilibrium equals dV/dphi at the rotation vector phi = 0 only; in
     general m = J(phi)^-T dV/dphi."""

@@ -135,23 +135,21 @@ def _state_space(lin: Any, ports: Any):
     K_y, C_y, of_y = (
         jnp.linalg.solve(C[nv:, nv:], A[nv:]) if ny else A[nv:] for A in (K, C[:, :nv], forces)
     )
-    if ny:  # y' = of_y - K_y (Delta, y) - C_y Delta' in the other rows
-        K, C, forces = (
-            K[:nv] - C[:nv, nv:] @ K_y,
-            C[:nv, :nv] - C[:nv, nv:] @ C_y,
-            forces[:nv] - C[:nv, nv:] @ of_y,
-        )
+    # y' = of_y - K_y (Delta, y) - C_y Delta' in the other rows
+    K, C, forces = (
+        K[:nv] - C[:nv, nv:] @ K_y,
+        C[:nv, :nv] - C[:nv, nv:] @ C_y,
+        forces[:nv] - C[:nv, nv:] @ of_y,
+    )
     stiffness, damping, driven = (jnp.linalg.solve(lin.M[:nv, :nv], A) for A in (K, C, forces))
     g = driven @ ddu.T
     h = driven @ du.T - damping @ g
     Delta = p + g @ u
     rate = r + h @ u + g @ du
-    y = y_rate = y_slope = w
-    if ny:
-        jump = of_y @ du.T - C_y @ g
-        y = w + jump @ u
-        y_rate = of_y - K_y @ jnp.concatenate([Delta, y]) - C_y @ rate
-        y_slope = y_rate - jump @ du
+    jump = of_y @ du.T - C_y @ g
+    y = w + jump @ u
+    y_rate = of_y - K_y @ jnp.concatenate([Delta, y]) - C_y @ rate
+    y_slope = y_rate - jump @ du
     acceleration = driven - damping @ rate - stiffness @ jnp.concatenate([Delta, y])
     of_Xi = [chains[k + 1, j][None] for k, j in integrated]
     slopes = jnp.concatenate([rate - g @ du, acceleration - h @ du - g @ ddu, y_slope, *of_Xi])
