@@ -44,10 +44,10 @@ class SNCurve(eqx.Module):
 
     Args:
         exponent: k, such as 3 for welds or 5 to 10 for machined parts and rubber
-        cycles: N0
-        level: S0, endured for so many cycles [unit]
-        unit: of the level, of the quantity that is read, such as "MPa", "N" or "mm"
-        of: "range", from valley to peak, or "amplitude", half of it
+        cycles: N0, the number of cycles until failure at the range S0
+        level: S0 [unit]
+        unit: unit of S0, which is that of the output or channel, such as "MPa", "N" or "mm"
+        of: whether S0 is a "range", from valley to peak (default), or an "amplitude", half of it
 
     Errors: NO_UNIT, UNKNOWN_UNIT, BAD_NUMBER, BAD_OPTION.
 
@@ -84,14 +84,15 @@ class SNCurve(eqx.Module):
         self.level, self.unit = level * (stated.factor * RANGES[of]), stated.si
 
     def endured(self, ranges: Any) -> Float[Array, "*n"]:
-        """Cycles of these ranges [SI unit] until failure."""
+        """Return the number of cycles until failure at these ranges [SI unit]."""
         return self.cycles * (self.level / jnp.asarray(ranges)) ** self.exponent
 
 
 class FatigueDamage(OfOutputs):
-    """Miner's `damage` of each output in `duration` [s]; it fails at 1, after `life` [s].
-    `damage["anchor"]` is one; `cycles` counted, or expected, in the duration, and the constant
-    `range` [unit] that as often does the same damage."""
+    """Fatigue damage of outputs by Miner's rule. `damage` of each output in `duration` [s]; an
+    output fails when its damage reaches 1, after `life` [s]. `damage["anchor"]` is the damage of
+    one output. `cycles`: number of cycles in the duration, counted or expected; `range` [unit]: the
+    constant range that does the same damage in as many cycles."""
 
     index, main, word = "output", "damage", "damage"
     damage: Float[Array, "ny"]
@@ -103,7 +104,7 @@ class FatigueDamage(OfOutputs):
     method: str = field(static=True)
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: all numbers by output."""
+        """Return an xarray.Dataset of all numbers by output."""
         units = {"damage": "", "life": "s", "cycles": "", "range": "unit"}
         return self.labeled(
             f"fatigue damage, {self.method}",
@@ -137,20 +138,21 @@ def fatigue_damage(
     duration: Any = None,
     method: str | None = None,
 ) -> FatigueDamage:
-    """The fatigue damage of outputs of a random response, or of channels of a record.
+    """Compute the fatigue damage of outputs of a random response, or of channels of a record.
 
-    From a response it is differentiable with respect to the model, the spectra and the curves.
-    Counting of rainflow cycles has no derivative. Half cycles at the ends of a record count half.
+    The damage by a response is differentiable with respect to the model, the spectra and the
+    curves. Counting of rainflow cycles has no derivative. Half cycles count half.
 
     Args:
-        source: a result of `random_response`, whose band contains what damages, a Record, or
-            {channel: (values, unit)} of the whole duration, such as {"anchor":
-            (run.forces["anchor"], "N")} of a simulation.
+        source: a result of `random_response`, whose band contains all frequencies that contribute
+            to the damage, a Record, or {channel: (values, unit)} of the whole duration, such as
+            {"anchor": (run.forces["anchor"], "N")} of a simulation.
         curves: {output or channel: SNCurve}; the unit of a curve is that of the output, so that a
-            force has a curve of forces; a gain of the sensor makes a force a stress.
-        duration: [s], of a response; of a record that is repeated for so long, None: its own.
-        method: of a response "Dirlik" (by default) or "narrow band", exact in the limit and else
-            too large; of a record "rainflow".
+            force has a curve of forces; a gain of the sensor converts a force to a stress.
+        duration: duration [s] of the response, or of a record that is repeated; default for a
+            record its own duration.
+        method: for a response "Dirlik" (default) or "narrow band", which is exact in the limit of
+            a narrow band and otherwise too large; for a record "rainflow".
 
     Errors, all at once: WRONG_KIND, UNKNOWN_NAME, BAD_UNIT, BAD_NUMBER, BAD_OPTION, GAPS, TRACED
     for values inside jit or grad, MISSING_EXTRA for the package rainflow, pip install
@@ -222,7 +224,8 @@ def fatigue_damage(
 
 
 def _as_record(channels: dict[str, Any], duration: Any) -> Record:
-    """Channels of a known duration as a record. Errors: TRACED, BAD_NUMBER and those of Record."""
+    """Return channels {name: (values, unit)} of a known duration [s] as a record. Errors: TRACED,
+    BAD_NUMBER and those of Record."""
     if not is_concrete(channels):
         raise JaxbodyError(
             Problem(
@@ -251,6 +254,8 @@ def _as_record(channels: dict[str, Any], duration: Any) -> Record:
 def _check_curves(
     given: dict[str, Any], stated: dict[str, str], counted: bool, problems: Problems
 ) -> None:
+    """Check that each output with a curve exists and has the unit of its curve. `stated`: {output:
+    unit}; `counted`: whether the outputs are channels of a record."""
     if not given and not problems.collected:
         problems.add(
             "WRONG_KIND",
@@ -292,7 +297,8 @@ def _expected(
     T: Float[Array, ""],
     method: str,
 ) -> tuple[Any, ...]:
-    """Damage, life, cycles and range of outputs of a response; moments are of f [Hz]."""
+    """Return damage, life, cycles, equivalent range, duration and status of outputs of a response,
+    by the moments of f [Hz]. `rows`: indices of the outputs."""
     each = zip((0, 1, 2, 4), moments(response, 0, 1, 2, 4), strict=True)
     m0, m1, m2, m4 = ((x / (2 * jnp.pi) ** j)[..., rows] for j, x in each)
     k, cycles, level = (
@@ -312,13 +318,14 @@ def _expected(
 
 
 def rayleigh(k: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """E[Z^k] of a narrow band."""
+    """Return E[Z^k] of a narrow band."""
     return 2 ** (k / 2) * jnp.exp(jax.scipy.special.gammaln(1 + k / 2))
 
 
 def dirlik(m0, m1, m2, m4, k) -> Float[Array, "*n"]:
-    """E[Z^k] of Dirlik's density of rainflow ranges, an exponential, a Rayleigh of parameter R, and
-    the Rayleigh of a narrow band."""
+    """Return E[Z^k] of Dirlik's density of rainflow ranges: an exponential, a Rayleigh density with
+    the parameter R, and the Rayleigh density of a narrow band. Arguments: moments m_0, m_1, m_2,
+    m_4 and exponent k."""
     x, g = m1 / m0 * jnp.sqrt(m2 / m4), m2 / jnp.sqrt(m0 * m4)
     D1 = 2 * (x - g**2) / (1 + g**2)
     R = (g - x - D1**2) / (1 - g - D1 + D1**2)
@@ -331,7 +338,8 @@ def dirlik(m0, m1, m2, m4, k) -> Float[Array, "*n"]:
 
 
 def _counted(record: Record, curves: dict[str, SNCurve], duration: Any) -> tuple[Any, ...]:
-    """The same of channels of a record, by rainflow counting."""
+    """Return the same numbers as `_expected` for channels of a record, by rainflow counting.
+    `duration` [s]; None: that of the record."""
     rainflow = import_extra("rainflow", "fatigue_damage")
     with Problems() as problems:
         for name in curves:

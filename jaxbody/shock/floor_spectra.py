@@ -41,8 +41,8 @@ from jaxbody.shock.spectrum_responses import (
 from jaxbody.vibration.frequency_responses import check_frequencies
 from jaxbody.vibration.linearizations import Linearization, check_system
 
-# steps in a period of the fastest mode and equipment, between which the history is taken as
-# straight: an error below 1 %
+# steps in a period of the fastest mode and equipment; the history is linear within each step, an
+# error below 1 %
 FINE = 20
 
 
@@ -55,21 +55,21 @@ def floor_spectrum(
     damping: Any = 0.05,
     modal_damping: Any = None,
 ) -> ShockSpectrum:
-    """The spectrum of absolute acceleration of light equipment on a model, at a point whose motion
-    `output` reads.
+    """Compute the response spectrum of absolute acceleration of light equipment on a model, at the
+    point whose motion `output` reads.
 
-    Records of several directions act together, and their histories are added; spectra are combined
-    by their squares. Records and spectra cannot be mixed. Equipment is light: it does not act back
-    on the model.
+    Records of several directions act together: their histories are added. Spectra of several
+    directions are combined by their squares. Records and spectra cannot be mixed. Equipment is
+    light: its reaction on the model is neglected.
 
     Args:
         spectra: {support: {direction: record or ResponseSpectrum}}, as in `spectrum_response`.
-        output: a sensor of one acceleration, such as Acceleration("cabinet", [0, 0,
-            1.8], axis="x").
-        frequencies: of the equipment, in one row [Hz].
-        damping: its damping ratio or ratios.
-        modal_damping: damping ratios of the model's modes, one for all or one for each; None: those
-            of the dampers.
+        output: a sensor of one acceleration, such as Acceleration("cabinet", [0, 0, 1.8],
+            axis="x").
+        frequencies: natural frequencies of the equipment [Hz], in one row.
+        damping: damping ratio or ratios of the equipment.
+        modal_damping: damping ratios of the model's modes, one for all or one for each; default:
+            those of the model's dampers.
 
     Errors: those of `spectrum_response` and `shock_spectrum`, BAD_UNIT for an output that is no
     acceleration, BAD_OPTION for records of different times, or records with spectra.
@@ -150,8 +150,9 @@ def floor_spectrum(
 
 
 def _history(modal: ModalExcitation, records: list[tuple[Any, Any]], f: Any) -> tuple[Array, Any]:
-    """The acceleration of the floor, with the step between its samples: fine enough for the fastest
-    mode and equipment."""
+    """Return the acceleration of the floor [m/s2] under records, and the step [s] between its
+    samples, which is small enough for the fastest mode and equipment. `f`: frequencies of the
+    equipment [Hz]."""
     step, fastest = records[0][1], [concrete(x) for x in (f, modal.frequency)]
     top = max(
         [float(np.nanmax(x)) for x in fastest if x is not None and np.isfinite(x).any()],
@@ -174,7 +175,7 @@ def _direct(
     f: Float[Array, "nf"],
     zeta: Float[Array, "nz"],
 ):
-    """The values (nz, nf) from spectra."""
+    """Return the floor spectrum (nz, nf) from the spectra `given` of the excitations."""
     same = together(modal.cluster).astype(f.dtype)
     f_, z_ = f[None, :, None], zeta[:, None, None]
     ratio = f_ / modal.frequency[None, None]

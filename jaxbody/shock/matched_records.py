@@ -41,10 +41,11 @@ STEPS = 60
 
 
 class MatchedRecord(Labeled, Result):
-    """`acceleration` [m/s2], `velocity` [m/s] and `displacement` [m] over `times` [s], which begin
-    and end at rest in the same place; the spectrum `reached` at `frequencies` [Hz] and its `target`
-    [m/s2], of the damping ratio `damping`. `deviation` is the largest of |reached/target - 1|;
-    `status` NOT_CONVERGED where it exceeds the tolerance."""
+    """A record whose response spectrum matches a target. `acceleration` [m/s2], `velocity` [m/s]
+    and `displacement` [m] over `times` [s], at rest in the same place at both ends; the spectrum
+    `reached` at `frequencies` [Hz] and its `target` [m/s2], for the damping ratio `damping`.
+    `deviation` is the largest of |reached/target - 1|; `status` NOT_CONVERGED where it exceeds the
+    tolerance."""
 
     index = "time"
     times: Float[Array, "n"]
@@ -64,16 +65,17 @@ class MatchedRecord(Labeled, Result):
 
     @property
     def samples(self) -> tuple[Array, Array]:
-        """Times and accelerations, as `shock_spectrum` and `spectrum_response` take them."""
+        """Times [s] and accelerations [m/s2], as arguments of `shock_spectrum` and
+        `spectrum_response`."""
         return self.times, self.acceleration
 
     def record(self) -> Record:
-        """The acceleration as a record."""
+        """Return the acceleration as a record."""
         return Record(self.times, {"acceleration": (self.acceleration, "m/s2")})
 
     def motion(self, direction: Any) -> Sampled:
-        """The motion of a support along a direction, a vector in world axes, with
-        this acceleration."""
+        """Return the motion of a support with this acceleration along `direction`, a vector in
+        world axes."""
         along = np.asarray(direction, float)
         return Sampled.from_accelerations(
             self.times, translation=np.outer(self.acceleration, along / np.linalg.norm(along))
@@ -86,7 +88,7 @@ class MatchedRecord(Labeled, Result):
         )
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: the motion over time, both spectra over frequency."""
+        """Return an xarray.Dataset: the motion by time, both spectra by frequency."""
         return dataset(
             {
                 "acceleration": (("time",), self.acceleration, "m/s2"),
@@ -130,22 +132,22 @@ def matched_record(
     rate: float | None = None,
     tolerance: float = 0.05,
 ) -> MatchedRecord:
-    """A record of base acceleration whose response spectrum is a given one, at rest in the same
-    place when it begins and when it ends.
+    """Generate a record of base acceleration whose response spectrum is a given one, at rest in the
+    same place when it begins and when it ends.
 
-    It is a sum of cosines of random phases under an envelope that rises, stays and falls;
-    amplitudes and phases are fitted by the derivatives of the continuous peaks of
+    The record is a sum of cosines of random phases under an envelope that rises, is constant and
+    falls; amplitudes and phases are fitted by derivatives of the continuous peaks of
     pseudo-acceleration. Another key gives another record.
 
     Args:
-        spectrum: a ResponseSpectrum, such as Eurocode8(2.0, "B").
-        duration: [s].
-        key: a random key, jax.random.key(0).
-        frequencies: at which the spectra agree [Hz]; None: 80 from four periods in the duration, or
-            the lowest of the spectrum, to its highest, 33 Hz at most.
-        damping: damping ratio.
-        rate: samples a second; None: eight in a period of the highest frequency.
-        tolerance: the largest deviation, a fraction.
+        spectrum: the target, a ResponseSpectrum such as Eurocode8(2.0, "B").
+        duration: duration of the record [s].
+        key: random key of the phases, such as jax.random.key(0).
+        frequencies: frequencies at which the spectra are matched [Hz]; default: 80 from 4/duration,
+            or the lowest of the spectrum, to the highest of the spectrum, 33 Hz at most.
+        damping: damping ratio of the spectra.
+        rate: samples per second; default: eight in a period of the highest frequency.
+        tolerance: the largest allowed |reached/target - 1|.
 
     Errors, all at once: WRONG_KIND, NO_KEY, BAD_NUMBER, BAD_FREQUENCY, NOT_COVERED, LOW_RATE for a
     rate below four in a period of the highest frequency, TOO_SHORT, NOT_A_FRACTION; warns
@@ -214,6 +216,8 @@ def _default_frequencies(spectrum: ResponseSpectrum, duration: float) -> np.ndar
 def _check_reach(
     spectrum: ResponseSpectrum, f: np.ndarray, duration: float, rate: float, problems: Problems
 ) -> None:
+    """Check that the spectrum covers the frequencies `f` [Hz], and that the duration [s] and
+    sampling rate [Hz] suffice for them."""
     where, (low, high) = "matched_record.frequencies", map(float, spectrum.covers())
     if (outside := f[(f < low * (1 - 1e-9)) | (f > high * (1 + 1e-9))]).size:
         problems.add(
@@ -245,7 +249,8 @@ def _check_reach(
 
 
 class _Problem:
-    """The residuals of amplitudes and phases, (2, k) in one row each, and their derivatives."""
+    """The least-squares problem of a matched record. Its unknowns `values` (2, k) are b_k, the
+    logarithms of amplitudes, and phases p_k; its residuals are log(reached/target)."""
 
     def __init__(self, times: np.ndarray, f: np.ndarray, target: np.ndarray, damping: float):
         self.target, self.h, T = target, times[1], times[-1]
@@ -271,7 +276,8 @@ class _Problem:
         self.oscillators, self.frequencies = (s, weights_of(s, "pseudo")), f
 
     def start(self, key: Any) -> np.ndarray:
-        """Random phases, and amplitudes in proportion to the spectrum, scaled to its level."""
+        """Return the initial guess: random phases, and amplitudes in proportion to the target,
+        scaled to its level."""
         levels = np.interp(np.log(self.lines), np.log(self.frequencies), np.log(self.target))
         values = np.stack(
             [levels, np.asarray(jax.random.uniform(key, (len(self.lines),), maxval=2 * np.pi))]
@@ -287,8 +293,8 @@ class _Problem:
         return a - self.envelope * ((self.ends @ a) @ self.kept)
 
     def linear(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The residuals log(reached/target), their Jacobian (frequencies, 2 k), and what
-        is reached."""
+        """Return the residuals log(reached/target), their Jacobian (frequencies, 2 k), and the
+        reached spectrum."""
         reached, by_a = map(
             np.asarray, influences(self.acceleration(values), self.h, *self.oscillators, PARTS)
         )
@@ -303,8 +309,8 @@ class _Problem:
 
 
 def _fitted(problem: _Problem, key: Any, enough: float, line: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The acceleration and what it reaches, after steps of Levenberg and Marquardt until all
-    deviations are small enough."""
+    """Return the acceleration and its spectrum after Levenberg-Marquardt steps, which end when all
+    residuals are below `enough`."""
     values, damp = problem.start(key), 1e-2
     r, J, reached = problem.linear(values)
     for step in range(STEPS):

@@ -35,8 +35,8 @@ from jaxbody.records.sampling_checks import even_samples
 def checked_samples(
     record: Any, unit: str, where: str, problems: Problems
 ) -> tuple[Any, Any] | None:
-    """The values of a record with one channel in this unit, or of (times, values), and the step
-    between them [s]; None if there are none, with a problem added. Errors: WRONG_KIND,
+    """Return the values of a record with one channel in this unit, or of (times, values), and the
+    step between samples [s]; None if there are none, with a problem added. Errors: WRONG_KIND,
     WRONG_DIMENSION, GAPS, NOT_UNIFORM, BAD_SHAPE, NON_FINITE."""
     known = len(problems.collected)
     if isinstance(record, Record):
@@ -90,9 +90,9 @@ EXACT, BETWEEN = 1e-9, 2e-3
 
 
 class Peak(NamedTuple):
-    """The value of a peak at a sample, the sample, and the state less `c h phi2` times the
-    acceleration there; the first of peaks that differ by EXACT, and the first of those that differ
-    by BETWEEN."""
+    """Peaks at samples, two for each oscillator: the first of those that differ by EXACT at most,
+    and the first of those that differ by BETWEEN at most. `value`, index of the `sample`, and
+    `state`: r less `c h phi2` times the acceleration there."""
 
     value: Float[Array, "2 n"]
     sample: Array
@@ -100,7 +100,7 @@ class Peak(NamedTuple):
 
 
 def poles(frequency: Float[Array, "n"], damping: Float[Array, "n"]) -> Complex[jax.Array, "n"]:
-    """s = w (-zeta + i sqrt(1 - zeta^2)), w = 2 pi f."""
+    """Return s = w (-zeta + i sqrt(1 - zeta^2)), w = 2 pi f."""
     w = 2 * jnp.pi * frequency
     return jax.lax.complex(-damping * w, w * jnp.sqrt(1 - damping**2))
 
@@ -108,7 +108,7 @@ def poles(frequency: Float[Array, "n"], damping: Float[Array, "n"]) -> Complex[j
 def steps(
     s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], h: Any
 ) -> tuple[Complex[jax.Array, "n"], ...]:
-    """e^z, and the factors of a_k and a_{k+1} in a step."""
+    """Return e^z, and the factors of a_k and a_{k+1} in a step h."""
     h = jnp.asarray(h).astype(s.dtype)
     z = s * h
     small = jnp.abs(z) < SMALL
@@ -123,7 +123,7 @@ def steps(
 
 
 def interpolated(a: Float[Array, "nt"], parts: int) -> Float[Array, "_"]:
-    """Return the samples with others on the straight lines between them, `parts` in each step."""
+    """Return the acceleration with samples on the straight lines added, `parts` in each step."""
     weights = jnp.arange(parts) / parts
     return jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
 
@@ -138,9 +138,10 @@ def peaks(
     parts: int | None,
     r0: Any,
 ) -> tuple[Float[Array, "n"], Complex[jax.Array, "n"]]:
-    """The largest |Im(r)|, Im(r) or -Im(r) of oscillators whose state is r0 at the first sample,
-    and r at the last one: at the samples if `parts` is None, else of the continuous response, from
-    the largest of so many points in each step on by Newton's rule."""
+    """Return the largest |Im(r)|, Im(r) or -Im(r), by `side`, of oscillators with the state r0 at
+    the first sample, and r at the last sample. Peaks are those at the samples if `parts` is None,
+    otherwise those of the continuous response, by Newton's method from the largest of `parts`
+    points in each step."""
     if parts is None:
         peak, end = _largest(a, h, s, c, side, r0)
         return peak.value[0], end
@@ -152,8 +153,9 @@ def peaks(
 def free_peaks(
     r: Complex[jax.Array, "n"], s: Complex[jax.Array, "n"], side: str
 ) -> Float[Array, "n"]:
-    """The largest |Im(r e^(s t))|, Im or -Im for t >= 0: at t = 0, or at the first two of the times
-    at which Im(s r e^(s t)) = 0. In derivatives the time is constant."""
+    """Return the largest |Im(r e^(s t))|, Im or -Im, by `side`, for t >= 0: that at t = 0, or at
+    the first two times at which Im(s r e^(s t)) = 0. Derivatives take the time of the peak as
+    constant."""
     half = jax.lax.stop_gradient(jnp.pi / s.imag)
     first = jnp.mod(-jnp.angle(jax.lax.stop_gradient(s * r)), jnp.pi) * half / jnp.pi
     best = jnp.zeros_like(half)
@@ -171,8 +173,8 @@ def influences(
     c: Complex[jax.Array, "n"],
     parts: int,
 ):
-    """Continuous peaks of |Im(r)| and their derivatives by the samples (n, nt): responses to the
-    hat of each sample at the time of the peak."""
+    """Return continuous peaks of |Im(r)| and their derivatives (n, nt) with respect to the samples:
+    the response at the time of the peak to the hat function of each sample."""
     n, fine = len(a), interpolated(a, parts)
     peak, _ = _largest(fine, h / parts, s, c, "maximax", jnp.zeros_like(s), kept=True)
     value, time, sign = _first_of_equal(fine, h / parts, s, c, "maximax", peak)
@@ -199,7 +201,8 @@ def influences(
 def history(
     a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "m n"]
 ) -> Float[Array, "nt m"]:
-    """The sums over oscillators of Im(c r) at the samples, with the states r of c = 1."""
+    """Return at the samples the sums over the oscillators of Im(c r), with the states r of unit
+    weight."""
     e, before, after = steps(s, jnp.ones_like(s), h)
     drive, a = e * after + before, a.astype(s.dtype)
 
@@ -214,7 +217,8 @@ def _signed(y: Array, side: str) -> Array:
 
 
 def _largest(a, h, s, c, side: str, r0, kept: bool = False) -> tuple[Peak, Complex[jax.Array, "n"]]:
-    """The peak at the samples, `kept` with its place and state, and the state r at the last one."""
+    """Return the peak at the samples, with its sample and state if `kept`, and the state r at the
+    last sample."""
     e, before, after = steps(s, c, h)
     drive = e * after + before  # of w = r - after a, whose step needs one acceleration
     er, ei, dr, di, own = e.real, e.imag, drive.real, drive.imag, after.imag
@@ -259,8 +263,8 @@ def _largest(a, h, s, c, side: str, r0, kept: bool = False) -> tuple[Peak, Compl
 def _first_of_equal(
     a, h, s, c, side: str, peak: Peak
 ) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
-    """The larger of both peaks, or the first one where they are equal, as it is larger with
-    any damping."""
+    """Return value, time and sign of the larger of both peaks, or of the first one where they are
+    equal: with any damping the first one is larger."""
     both = jax.vmap(lambda one: _refined(a, h, s, c, side, one))(peak)
     earlier = both[0][1] >= both[0][0] * (1 - EXACT)
     return tuple(jnp.where(earlier, x[1], x[0]) for x in both)  # pyright: ignore[reportReturnType]
@@ -269,12 +273,12 @@ def _first_of_equal(
 def _refined(
     a, h, s, c, side: str, peak: Peak
 ) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
-    """The peak of the continuous response beside the sample, its time, and the sign of the
-    response there.
+    """Return the peak of the continuous response beside the sample, its time [s], and the sign of
+    the response there.
 
-    It is in the step into which the response grows, where its rate is zero: by Newton's rule, or
-    bisection where that leaves the bracket. In derivatives its time is constant, as they do not
-    depend on that of a maximum."""
+    The peak is in the step into which the response grows, where its rate is zero: by Newton's
+    method, or bisection where that leaves the bracket. Derivatives take the time of the peak as
+    constant, as the derivative of a maximum does not depend on that of its time."""
     k, h = peak.sample, jnp.asarray(h, a.dtype)
     now = a[k].astype(s.dtype)
     r = peak.state + steps(s, c, h)[2] * now

@@ -43,7 +43,8 @@ from jaxbody.vibration.random_responses import RandomResponse
 
 
 def moments(response: RandomResponse, *orders: int) -> tuple[Float[Array, "ny"], ...]:
-    """The moments of these orders, of w [rad/s]; infinite where the variance is."""
+    """Return the moments int w^k S dw of these orders k for each output, with w in rad/s; infinite
+    where the variance is infinite."""
     w = 2 * jnp.pi * response.frequencies
     weights = [(response.weights * w**k)[..., None, :] for k in orders]
     infinite = jnp.isinf(response.rms)
@@ -51,7 +52,7 @@ def moments(response: RandomResponse, *orders: int) -> tuple[Float[Array, "ny"],
 
 
 def check_response(response: Any, where: str) -> None:
-    """Refuse what is no random response. Error: WRONG_KIND."""
+    """Check that an argument is a RandomResponse. Error: WRONG_KIND."""
     if not isinstance(response, RandomResponse):
         raise JaxbodyError(
             Problem(
@@ -66,16 +67,16 @@ def check_response(response: Any, where: str) -> None:
 
 
 def level_crossings(response: RandomResponse, output: str, levels: Any) -> Float[Array, "*n"]:
-    """How often a second a Gaussian output crosses levels upward, from its mean of zero [1/s].
+    """Compute how often per second a Gaussian output with mean zero crosses levels upward [1/s].
 
         nu(b) = sqrt(lambda_2/lambda_0)/(2 pi) exp(-b^2/(2 lambda_0))
 
-    Crossings downward are as many. The second moment needs the band of the response to contain all
-    of the output's velocity.
+    There are as many downward crossings. The band of the response must contain all of the output's
+    velocity, because of the second moment lambda_2.
 
     Args:
         response: a result of `random_response`.
-        output: one of its outputs.
+        output: name of one of its outputs.
         levels: one level or several, in the unit of the output.
 
     Errors: UNKNOWN_NAME, WRONG_KIND, BAD_SHAPE, NON_FINITE. Source: S. O. Rice, Bell System Tech.
@@ -117,9 +118,10 @@ HALVINGS = 60
 
 
 class PeakFactors(OfOutputs):
-    """Of each output the peak `factor`, its standard `deviation` (NaN for a probability) and the
-    `maximum` = factor rms in its unit; `peaks["seat"]` is the maximum of one. `rate` [1/s] of zero
-    crossings in both directions, and the `bandwidth` delta, 0 for a sine."""
+    """Peak factors of outputs. Of each output the peak `factor`, its standard `deviation` (NaN for
+    a given probability) and the `maximum` = factor rms in its unit; `peaks["seat"]` is the maximum
+    of one output. `rate` [1/s] of zero crossings in both directions, and the `bandwidth` delta, 0
+    for a sine."""
 
     index, main, word = "output", "maximum", "peaks"
     factor: Float[Array, "ny"]
@@ -133,7 +135,7 @@ class PeakFactors(OfOutputs):
     formula: str = field(static=True)
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: all numbers by output."""
+        """Return an xarray.Dataset of all numbers by output."""
         units = {
             "factor": "",
             "deviation": "",
@@ -175,20 +177,20 @@ def peak_factor(
     formula: str = "Der Kiureghian",
     probability: float | None = None,
 ) -> PeakFactors:
-    """The expected largest magnitude of each output of a random response in a time, over its rms,
-    and the maximum itself.
+    """Compute the expected largest magnitude of each output of a random response in a time, over
+    its rms, and the maximum itself.
 
-    The response is stationary and Gaussian with mean zero. It is differentiable with respect to the
-    model, the spectra and the duration.
+    The response is taken as stationary and Gaussian with mean zero. The result is differentiable
+    with respect to the model, the spectra and the duration.
 
     Args:
         response: a result of `random_response`, whose band contains the velocities of the outputs.
         duration: T [s].
-        formula: "Davenport", independent crossings, too large for a narrow band; "Der Kiureghian",
-            corrected for their clumps, fitted for 10 <= nu T <= 1000; "Vanmarcke", the distribution
-            by two-state Markov crossings.
-        probability: of Davenport's and Vanmarcke's distribution, the peak that is not exceeded with
-            this probability; None: the mean.
+        formula: "Davenport", for independent crossings, too large for a narrow band; "Der
+            Kiureghian" (default), corrected for crossings in clumps, fitted for 10 <= nu T <= 1000;
+            "Vanmarcke", the distribution for crossings as a two-state Markov process.
+        probability: probability with which the peak is not exceeded, by Davenport's or Vanmarcke's
+            distribution; default: the mean of the peak.
 
     Errors: WRONG_KIND, BAD_OPTION, BAD_NUMBER, NOT_A_FRACTION; warns NONFINITE where a response has
     fewer than 1.5 crossings in T.
@@ -259,14 +261,14 @@ def _peaks(response: RandomResponse, T: Float[Array, ""], formula: str, p: Any):
 
 
 def crossing_rate(zeroth: Float[Array, "*n"], second: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Zero crossings in both directions [1/s]."""
+    """Return the rate of zero crossings in both directions [1/s]."""
     return jnp.sqrt(second / zeroth) / jnp.pi
 
 
 def width(
     zeroth: Float[Array, "*n"], first: Float[Array, "*n"], second: Float[Array, "*n"]
 ) -> Float[Array, "*n"]:
-    """delta."""
+    """Return the bandwidth delta."""
     square = 1 - first**2 / (zeroth * second)
     return jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0).astype(square.dtype)
 
@@ -274,7 +276,7 @@ def width(
 def factors(
     rate: Float[Array, "*n"], delta: Float[Array, "*n"], T: Any, formula: str
 ) -> tuple[Array, Array]:
-    """Mean and standard deviation of the peak factor."""
+    """Return mean and standard deviation of the peak factor."""
     if formula == "Vanmarcke":
         a = jnp.broadcast_to(jnp.linspace(0.0, HIGHEST, POINTS + 1), (*rate.shape, POINTS + 1))
         above = 1 - _vanmarcke(a, rate[..., None] * T, delta[..., None])
@@ -291,7 +293,7 @@ def factors(
 def quantile(
     rate: Float[Array, "*n"], delta: Float[Array, "*n"], T: Any, formula: str, p: Any
 ) -> Float[Array, "*n"]:
-    """The peak factor that is not exceeded with probability p."""
+    """Return the peak factor that is not exceeded with probability p."""
     if formula == "Davenport":
         L = _root_log(rate * T)
         return L - jnp.log(-jnp.log(p)) / L
@@ -312,7 +314,7 @@ def quantile(
 
 
 def _vanmarcke(a, crossings, delta):
-    """P(peak < a)."""
+    """Return P(peak < a); `crossings` is nu T."""
     inside = a > 0
     a = jnp.where(inside, a, 1.0)
     clumped = 1 - jnp.exp(-((np.pi / 2) ** 0.5) * delta**1.2 * a)
@@ -322,5 +324,5 @@ def _vanmarcke(a, crossings, delta):
 
 
 def _root_log(crossings):
-    """L, NaN for too few crossings."""
+    """Return L = sqrt(2 ln(nu T)), NaN for too few crossings nu T."""
     return jnp.sqrt(2 * jnp.log(jnp.where(crossings > FEWEST, crossings, jnp.nan)))

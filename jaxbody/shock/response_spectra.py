@@ -22,9 +22,9 @@ ROUNDING = 1e-9  # relative, of frequencies at the ends of what a spectrum cover
 
 
 class ResponseSpectrum(tables.Printed, eqx.Module):
-    """The base of response spectra: `spectrum(frequencies, damping)` is the pseudo-acceleration w^2
-    max|x| [m/s2] at frequencies [Hz] and damping ratios, of oscillators x'' + 2 zeta w x' + w^2
-    x = -a. Yours states `__call__` and `covers`.
+    """The base class of response spectra: `spectrum(frequencies, damping)` is the
+    pseudo-acceleration w^2 max|x| [m/s2] at frequencies [Hz] and damping ratios, of oscillators x''
+    + 2 zeta w x' + w^2 x = -a. A subclass defines `__call__` and `covers`.
 
     >>> class Plateau(ResponseSpectrum):
     ...     level: float
@@ -51,22 +51,22 @@ class ResponseSpectrum(tables.Printed, eqx.Module):
 
     @abstractmethod
     def covers(self) -> tuple[Any, Any]:
-        """The lowest and the highest frequency [Hz] at which it is known; above the second its
-        value is that of a rigid body."""
+        """Return the lowest and the highest frequency [Hz] at which the spectrum is known; above
+        the highest its value is that of a rigid body."""
 
     def dampings(self) -> tuple[Any, Any]:
-        """The least and the largest damping ratio for which it is known."""
+        """Return the smallest and the largest damping ratio for which the spectrum is known."""
         return 0.0, 1.0
 
     def rigid(self) -> Float[Array, ""]:
-        """The acceleration of a rigid body, which is the peak of the base acceleration [m/s2]: the
-        value at the highest frequency."""
+        """Return the acceleration of a rigid body [m/s2], which is the peak of the base
+        acceleration: the value at the highest frequency."""
         return self(self.covers()[1], self.dampings()[0])
 
 
 def check_dampings(given: Any, where: str, problems: Problems) -> Any:
-    """Damping ratios, one or several. Problems: those that are not from 0 to below 1,
-    NOT_A_FRACTION, BAD_SHAPE."""
+    """Check one damping ratio or a row of them and return the array, None if it is not one.
+    Problems: NOT_A_FRACTION for ratios that are not from 0 to below 1, BAD_SHAPE."""
     array = problems.gather(lambda: float_array(given, where))
     if array is not None:
         array = checked(
@@ -94,13 +94,14 @@ def check_dampings(given: Any, where: str, problems: Problems) -> Any:
 def log_interpolated(
     x: Float[Array, "*n"], at: Float[Array, "k"], values: Float[Array, "k"]
 ) -> Float[Array, "*n"]:
-    """Straight lines in logarithms of both, constant outside; exact at the points."""
+    """Interpolate linearly between logarithms of `at` and `values`; constant outside, exact at the
+    points."""
     tiny = jnp.finfo(values.dtype).tiny
     return jnp.exp(jnp.interp(jnp.log(x), jnp.log(at), jnp.log(jnp.maximum(values, tiny))))
 
 
 def as_rows(given: Any) -> Float[Array, "*n"]:
-    """Frequencies, or other numbers along them, as an array of the present precision."""
+    """Return frequencies [Hz], or damping ratios, as a JAX array of the current precision."""
     return device_array(float_array(given, "frequencies"))
 
 
@@ -129,13 +130,13 @@ DAMPING_FACTORS = ((0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5), (0.8, 1.0, 1.2, 1.5, 1
 
 
 class DesignSpectrum(ResponseSpectrum):
-    """A response spectrum of pseudo-acceleration through points, along straight lines in logarithms
-    of both.
+    """A response spectrum of pseudo-acceleration through points, interpolated linearly between
+    logarithms of frequency and value.
 
     Args:
-        frequencies: increasing [Hz]
-        values: pseudo-accelerations [m/s2]
-        damping: the damping ratio for which it is stated
+        frequencies: increasing frequencies [Hz]
+        values: pseudo-accelerations at these [m/s2]
+        damping: the damping ratio of the spectrum
 
     Errors: BAD_FREQUENCY, NOT_POSITIVE, NOT_A_FRACTION, BAD_SHAPE, NON_FINITE.
 
@@ -187,8 +188,8 @@ class DesignSpectrum(ResponseSpectrum):
         return self.damping, self.damping
 
     def __call__(self, frequencies, damping=None):
-        """The pseudo-acceleration [m/s2], constant beyond the points; of the stated damping ratio,
-        whatever is given."""
+        """Return the pseudo-acceleration [m/s2] at frequencies [Hz], constant beyond the points. It
+        is always that of the stated damping ratio; `damping` is ignored."""
         return log_interpolated(as_rows(frequencies), self.frequencies, self.values)
 
     def _tables(self):
@@ -210,14 +211,14 @@ class Eurocode8(ResponseSpectrum):
         a_g S 2.5 eta T_C/T                T_C <= T <= T_D
         a_g S 2.5 eta T_C T_D/T^2          T_D <= T <= 4 s
 
-    and vertically with 3 in the place of 2.5, S = 1 and a_vg in that of a_g.
+    and vertically with 3 in place of 2.5, S = 1, and a_vg in place of a_g.
 
     Args:
         acceleration: a_g, the design ground acceleration on ground A, importance factor
             included [m/s2]
-        ground: A, B, C, D or E
-        type: 1, or 2 where earthquakes are of magnitude 5.5 at most
-        vertical: whether it is the vertical spectrum
+        ground: ground type, "A" (default) to "E"
+        type: 1 (default), or 2 where earthquakes have a magnitude of 5.5 at most
+        vertical: True for the vertical spectrum
 
     Errors: BAD_OPTION, BAD_NUMBER. Source: EN 1998-1:2004, 3.2.2.2 and 3.2.2.3; national annexes
     may have other numbers.
@@ -252,7 +253,7 @@ class Eurocode8(ResponseSpectrum):
         return 1 / LONGEST, RIGID
 
     def rigid(self):
-        """The peak ground acceleration a_g S [m/s2]."""
+        """Return the peak ground acceleration a_g S [m/s2]."""
         return self.acceleration * self.parameters[0]
 
     def __call__(self, frequencies, damping=0.05):
@@ -287,8 +288,8 @@ class ASCE7(ResponseSpectrum):
     S_DS and S_D1 over B, S_a at T = 0 as for 5 %.
 
     Args:
-        short: S_DS, at short periods [g]
-        one_second: S_D1, at 1 s [g]
+        short: S_DS, acceleration at short periods [g]
+        one_second: S_D1, acceleration at 1 s [g]
         long_period: T_L [s]
 
     Errors: BAD_NUMBER. Source: ASCE 7-16, 11.4.6; B by its table 17.5-1, in straight lines between
@@ -318,7 +319,7 @@ class ASCE7(ResponseSpectrum):
         return DAMPING_FACTORS[0][0], 1.0
 
     def rigid(self):
-        """0.4 S_DS [m/s2]."""
+        """Return 0.4 S_DS [m/s2]."""
         return 0.4 * self.short * GRAVITY
 
     def __call__(self, frequencies, damping=0.05):

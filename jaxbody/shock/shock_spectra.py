@@ -47,11 +47,11 @@ SLOWEST = {"samples": 0.25, "continuous": 0.5}
 
 class ShockSpectrum(Labeled, ResponseSpectrum, Result):
     """`values` (damping ratios, frequencies), in `unit`, at `damping` and `frequencies` [Hz];
-    `kind`, `side`, `peaks`, `part` as asked.
+    `kind`, `side`, `peaks` and `part` are the options of `shock_spectrum`.
 
-    It is a response spectrum: `spectrum(f, zeta)` is the pseudo-acceleration [m/s2] between its
-    points, along straight lines in logarithms of frequency and value, and in the damping ratio.
-    Error: BAD_KIND for a spectrum of absolute accelerations, which is none, or of one side."""
+    `spectrum(f, zeta)` is the pseudo-acceleration [m/s2], interpolated linearly between logarithms
+    of frequency and value, and between damping ratios. Error: BAD_KIND for a spectrum of absolute
+    accelerations or of one side, which is not one of pseudo-accelerations."""
 
     index = "frequency"
     frequencies: Float[Array, "nf"]
@@ -92,8 +92,8 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
         return jnp.min(self.damping), jnp.max(self.damping)
 
     def __call__(self, frequencies: Any, damping: Any = None) -> Float[Array, "*n"]:
-        """The pseudo-acceleration [m/s2]; without a damping ratio, that of the first one. Outside
-        it is constant."""
+        """Return the pseudo-acceleration [m/s2] at frequencies [Hz] and damping ratios; without
+        `damping`, that of the first damping ratio. It is constant outside the spectrum's range."""
         f, zeta = jnp.broadcast_arrays(
             as_rows(frequencies), self.damping[0] if damping is None else as_rows(damping)
         )
@@ -107,7 +107,7 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
         return jnp.vectorize(at_damping, signature="(),(nz)->()")(zeta, each)
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: the spectrum by damping ratio and frequency."""
+        """Return an xarray.Dataset: the spectrum by damping ratio and frequency."""
         return dataset(
             {
                 "spectrum": (("damping", "frequency"), self.values, self.unit),
@@ -157,29 +157,29 @@ def shock_spectrum(
     peaks: str = "samples",
     part: str | None = None,
 ) -> ShockSpectrum:
-    """The shock response spectrum of a record or pulse of base acceleration a: the largest response
-    of oscillators that start at rest.
+    """Compute the shock response spectrum of a record or pulse of base acceleration a: the largest
+    response of oscillators that start at rest.
 
         x'' + 2 zeta w x' + w^2 x = -a,   w = 2 pi frequency,
         a in straight lines between samples, zero after the last one
 
-    The recurrence is exact for such lines, and so is the free vibration after them. It is
-    differentiable with respect to the accelerations and damping ratios, and with peaks="samples" to
-    the frequencies. A pulse may jump, and needs no samples and no zeros after it.
+    The recurrence is exact for such lines, and so is the free vibration after them. The spectrum is
+    differentiable with respect to accelerations and damping ratios, and with peaks="samples" also
+    to frequencies. A pulse may jump, and needs no samples and no zeros after it.
 
     Args:
         record: a Record with one acceleration, (times, accelerations) [s, m/s2], evenly spaced, or
             a pulse [m/s2] such as jb.HalfSine(...).
-        frequencies: natural frequencies in one row [Hz].
+        frequencies: natural frequencies [Hz], in one row.
         damping: damping ratio or ratios, 0 to below 1.
-        kind: "absolute" acceleration x'' + a [m/s2], "relative" displacement x [m], or
+        kind: "absolute" acceleration x'' + a [m/s2] (default), "relative" displacement x [m], or
             "pseudo"-acceleration -w^2 x [m/s2].
-        side: "maximax", of the magnitude, "positive" or "negative", of the response or of minus
-            the response.
-        peaks: of the response at the "samples" of a record, or of the "continuous" response between
-            them, as always of pulses.
-        part: "primary", while the record or pulse lasts; "residual", after it; "both". None: both
-            of a pulse, the primary one of a record, which must last for a period (TOO_SHORT).
+        side: largest magnitude of the response, "maximax" (default), or largest "positive" or
+            "negative" value.
+        peaks: peaks at the "samples" of a record (default), or of the "continuous" response between
+            them, which is always used for pulses.
+        part: "primary", during the record or pulse; "residual", after it; "both". Default: both for
+            a pulse, primary for a record, which must last for a period (TOO_SHORT).
 
     Errors, all at once: LOW_RATE for frequencies above a quarter of the sampling rate, or with
     continuous peaks above half of it, TOO_SHORT, NOT_A_FRACTION, BAD_FREQUENCY, BAD_KIND,
@@ -220,8 +220,8 @@ def shock_spectrum(
 
 
 def _lines(pulse: Pulse) -> list[tuple[Array, Array]]:
-    """The values of a pulse at the ends of straight lines, and the step between these [s], from
-    each of its corners to the next."""
+    """Return the accelerations of a pulse at equal steps and the step [s], one pair from each
+    corner of the pulse to the next."""
     ends = list(map(jnp.asarray, pulse.corners()))
     count = PULSE_STEPS // (len(ends) - 1)
     lines = []
@@ -245,8 +245,9 @@ def check_record(
     *,
     whole: bool = True,
 ) -> None:
-    """Whether a record is sampled fast enough for frequencies [Hz] and, if asked for, as long as a
-    period. Errors: LOW_RATE, TOO_SHORT."""
+    """Check that a record is sampled fast enough for frequencies `f` [Hz] and, with `whole`, that
+    it lasts a period of each. `samples`: accelerations and the step between them [s]. Errors:
+    LOW_RATE, TOO_SHORT."""
     known = concrete(samples[1])
     if known is None or f is None:
         return
@@ -279,7 +280,7 @@ def check_record(
 
 
 def _some(f: np.ndarray) -> str:
-    """The frequencies, or the first and last of many."""
+    """Return the frequencies [Hz] as text; of more than four their number and range."""
     if len(f) > 4:
         return f"{len(f)} frequencies from {f.min():.6g} to {f.max():.6g} Hz"
     return f"{', '.join(f'{x:.6g}' for x in f)} Hz"
@@ -294,7 +295,7 @@ def spectrum_values(
     peaks: str,
     part: str = "primary",
 ):
-    """The values (nz, nf) of a spectrum."""
+    """Return the values (nz, nf) of a spectrum at frequencies f [Hz] and damping ratios zeta."""
     each, ratio = jnp.broadcast_arrays(f[None], zeta[:, None])
     s = poles(each.ravel(), ratio.ravel())
     return peaks_of(samples, s, weights_of(s, kind), side, peaks, part).reshape(each.shape)
@@ -304,7 +305,7 @@ _values_at_samples = program_with(WIDE)(spectrum_values)
 
 
 def weights_of(s: Complex[jax.Array, "n"], kind: str) -> Complex[jax.Array, "n"]:
-    """c of the responses of a kind."""
+    """Return the weights c of oscillators with the poles s for responses of a kind."""
     w2 = (s * s.conj()).real
     return {"absolute": s**2, "relative": jnp.ones_like(s), "pseudo": (-w2).astype(s.dtype)}[
         kind
@@ -319,11 +320,17 @@ def peaks_of(
     kind: str,
     part: str = "primary",
 ) -> Float[Array, "n"]:
-    """Peaks of Im(r) of oscillators with the poles s and the weights c, fast ones of the continuous
-    response at more points a step.
+    """Return the peaks of Im(r) of oscillators with the poles s and the weights c. Continuous peaks
+    of fast oscillators are searched at more points in each step.
 
-    `samples`: accelerations and the step between them, or a list of such pairs, one after
-    the other."""
+    Args:
+        samples: accelerations and the step between them [s], or a list of such pairs, one after the
+            other
+        s: poles [1/s]
+        c: weights
+        side: "maximax", "positive" or "negative"
+        kind: peaks at the "samples" or of the "continuous" response
+        part: "primary" (default), during the samples, "residual", after them, or "both" of these"""
     pairs = jax.tree.map(device_array, samples if isinstance(samples, list) else [samples])
 
     def largest(s, c, count):

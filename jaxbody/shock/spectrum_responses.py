@@ -10,8 +10,8 @@ phi_j q_j,
     output = sum_j Gamma_j (Y0 phi_j x_j + Y1 phi_j x_j' + Y2 phi_j (x_j'' + a)) + g a
 
 where x_j is the displacement of an oscillator of w_j and zeta_j on this base, and g what the modes
-leave out of the acceleration of the rest. The slow motion S Xi of the supports itself, which
-strains nothing where they move as one body, is not part of it. For outputs
+leave out of the acceleration of the rest. The quasi-static motion S Xi of the supports itself,
+which strains nothing where they move as one body, is not part of it. For outputs
 alpha x + beta x' + gamma (x'' + a) of a mode the peak is
 
     of a spectrum A     |alpha - w^2 gamma + i w (beta - 2 zeta w gamma)| A(w, zeta)/w^2
@@ -79,14 +79,14 @@ class Excitation(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Such as "base x" or "front and rear x"."""
+        """The name in results, such as "base x" or "front and rear x"."""
         return f"{' and '.join(map(str, self.supports))} {self.direction}"
 
 
 class ModalExcitation(eqx.Module):
-    """Modes with the `participation` (excitations, modes) and effective `mass` [kg; kg m2 about an
-    axis], and what outputs read per unit of each mode's x, x' and x'' + a, (3, outputs, modes),
-    with `rest` (outputs, excitations) per unit of the base acceleration."""
+    """Modes with their `participation` (excitations, modes) and effective `mass` [kg; kg m2 about
+    an axis]; `readings` (3, outputs, modes) of outputs per unit of each mode's x, x' and x'' + a;
+    `rest` (outputs, excitations) per unit of the base acceleration."""
 
     frequency: Float[Array, "n"]
     damping: Float[Array, "n"]
@@ -108,8 +108,8 @@ class ModalExcitation(eqx.Module):
 
 
 def excited(lin: Linearization, given: Any, where: str, problems: Problems) -> list[Excitation]:
-    """The excitations in {support, or several that move together: {direction: spectrum or record}}.
-    Errors: WRONG_KIND, UNKNOWN_NAME, BAD_DIRECTION."""
+    """Return the excitations in {support, or several that move together: {direction: spectrum or
+    record}}. Errors: WRONG_KIND, UNKNOWN_NAME, BAD_DIRECTION."""
     bases = []
     known = lin.model.layout.supports
     for moved, each in checked_dict(
@@ -154,8 +154,8 @@ def excited(lin: Linearization, given: Any, where: str, problems: Problems) -> l
 def modal_excitation(
     lin: Linearization, bases: list[Excitation], sensors: tuple[Any, ...], ratios: Any
 ) -> ModalExcitation:
-    """Modes, participations and readings of outputs; massless coordinates of elements follow, as
-    in `modes`. `ratios`: damping ratios of the modes, None: those of the dampers."""
+    """Return modes, participations and readings of outputs; massless coordinates of elements follow
+    statically, as in `modes`. `ratios`: damping ratios of the modes; None: those of the dampers."""
     lin = lin.condensed
     inputs = tuple(
         BaseMotion(name, base.direction, kind="acceleration")
@@ -197,7 +197,8 @@ COMBINATIONS = ("SRSS", "CQC", "absolute")
 def correlations(
     frequency: Float[Array, "n"], damping: Float[Array, "n"], cluster: Int[Array, "n"]
 ) -> Float[Array, "n n"]:
-    """rho_ij, 1 within a cluster of coinciding frequencies, and 0 between modes without damping."""
+    """Return rho_ij: 1 within a cluster of coinciding frequencies, 0 between modes without
+    damping."""
     same = together(cluster)
     zi, zj, r = damping[:, None], damping[None], frequency[:, None] / frequency[None]
     product = zi * zj
@@ -210,10 +211,10 @@ def correlations(
 def combined(
     modal: Float[Array, "*b n"], rest: Float[Array, "*b"], rho: Float[Array, "n n"], combine: str
 ):
-    """The combined peak of signed peaks of modes and of the rest, which is not correlated with
-    them, and the shares of all, (..., n + 1).
+    """Combine signed peaks of modes, and the peak of the rest, which is not correlated with them.
+    Return the combined peak and the contributions of all modes and of the rest (..., n + 1).
 
-    `rho`: correlations, of SRSS those within clusters alone."""
+    `rho`: correlations; for SRSS those within clusters only."""
     if combine == "absolute":
         same = (rho == 1).astype(modal.dtype)
         each = jnp.abs(modal @ (same / jnp.sum(same, 0)[None]))
@@ -229,15 +230,16 @@ MOST_SHOWN = 6  # modes in the table
 
 
 class SpectrumResponse(OfOutputs):
-    """Peaks `values` of outputs in their `units`; `response["anchor"]` is one. `shares` (outputs,
-    modes and the rest) of each mode in the square of a peak, of combine="absolute" in the peak;
-    with CQC a share can be negative.
+    """Peaks `values` of outputs in their `units`; `response["anchor"]` is the peak of one output.
+    `shares` (outputs, modes and the rest): the share of each mode in the square of a peak, for
+    combine="absolute" in the peak; with CQC a share can be negative.
 
-    By excitation, such as "base x": `by_excitation` (excitations, outputs), `modal` (excitations,
-    outputs, modes), signed peaks, `rest` (excitations, outputs) of the missing mass;
-    `participation` and effective `mass` [kg] (excitations, modes), `total_mass` of all modes.
-    `frequency` [Hz] and `damping_ratio` of the modes, `taken`: those that are taken one by one. All
-    are NaN if the modes failed, or if a spectrum does not cover a mode."""
+    For each excitation, such as "base x": `by_excitation` (excitations, outputs), the peaks;
+    `modal` (excitations, outputs, modes), signed peaks of modes; `rest` (excitations, outputs), the
+    peak of the missing mass; `participation` and effective `mass` [kg] (excitations, modes), and
+    `total_mass` of all modes. `frequency` [Hz] and `damping_ratio` of the modes; `taken`: the modes
+    that do not move as rigid bodies. All are NaN if the modes failed, or if a spectrum does not
+    cover a mode."""
 
     index, main = "output", "values"
     values: Float[Array, "ny"]
@@ -256,12 +258,12 @@ class SpectrumResponse(OfOutputs):
 
     @property
     def total_mass(self) -> Float[Array, "ne"]:
-        """The sum of the effective masses: the mass that moves in each direction [kg], or inertia
-        about an axis [kg m2]."""
+        """The sum of the effective masses: the mass that moves in each direction [kg], or the
+        inertia about an axis [kg m2]."""
         return self.mass.sum(-1)
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: peaks and shares by output, excitation and mode."""
+        """Return an xarray.Dataset: peaks and shares by output, excitation and mode."""
         n = np.shape(self.frequency)[-1]
         return self.labeled(
             "spectrum response",
@@ -320,33 +322,33 @@ def spectrum_response(
     damping: Any = None,
     highest: float | None = None,
 ) -> SpectrumResponse:
-    """Peaks of outputs in an earthquake or shock of supports, from response spectra or records,
-    mode by mode.
+    """Compute peaks of outputs in an earthquake or shock of supports, from response spectra or
+    records, mode by mode.
 
         peak of mode j = |Gamma_j (Y0 + i w_j Y1 - (w_j^2 + 2 i zeta_j w_j^2) Y2) phi_j|
                          A(f_j, zeta_j)/w_j^2
 
-    Gamma_j = phi_j' (M S - M~) e is the participation; Y0, Y1 and Y2 are what an output reads of
-    displacements, velocities and accelerations, so that a force is mass times acceleration with
-    damping too. For a record the peak of a mode is that of its history, also between samples;
-    tables of peaks at samples are lower, by some percent where a period has few samples: for these
-    give the `shock_spectrum` of the record with peaks="samples".
-    Forces, strokes, absolute accelerations and reactions are of the whole motion; displacements and
-    velocities are relative to the slow motion S Xi of the supports. Where supports move apart, add
-    the static forces of their displacements. Peaks of excitations are combined by their squares, of
-    combine="absolute" by their sum. It is differentiable with respect to the model and the spectra.
+    Gamma_j = phi_j' (M S - M~) e is the participation; Y0, Y1 and Y2 are the readings of an output
+    per displacement, velocity and acceleration, so that a force is mass times acceleration with
+    damping too. For a record the peak of a mode is that of its history, also between samples. Peaks
+    at samples are lower, by some percent where a period has few samples: to use them, give the
+    `shock_spectrum` of the record with peaks="samples".
+    Forces, strokes, absolute accelerations and reactions are those of the whole motion;
+    displacements and velocities are relative to the quasi-static motion S Xi of the supports. Where
+    supports move relative to each other, add the static forces of their displacements. Peaks of
+    different excitations are combined by their squares, with combine="absolute" by their sum. The
+    result is differentiable with respect to the model and the spectra.
 
     Args:
         spectra: {support: {direction: spectrum}}, or {(support, support): ...} of supports that
-            move together; directions x, y, z, rx, ry or rz; a ResponseSpectrum, such as that of
+            move together; directions x, y, z, rx, ry or rz; a ResponseSpectrum, such as a result of
             `shock_spectrum`, Eurocode8 or ASCE7, or a record as for `shock_spectrum`. Different
             excitations are taken as independent.
         outputs: {name: sensor}, such as LoadCell, Elongation, Acceleration or Reaction.
-        combine: of modes, "SRSS", "CQC" or "absolute".
-        damping: damping ratios of the modes, one for all or one for each; None: those of
-            the dampers.
-        highest: frequency [Hz] above which modes move as rigid bodies; None: all modes are taken
-            one by one.
+        combine: rule by which modes are combined, "CQC" (default), "SRSS" or "absolute".
+        damping: damping ratios of the modes, one for all or one for each; default: those of
+            the model's dampers.
+        highest: frequency [Hz] above which modes move as rigid bodies; default: none.
 
     Errors, all at once: NOT_COVERED for modes or dampings outside a spectrum, UNKNOWN_NAME,
     BAD_DIRECTION, WRONG_KIND, BAD_OPTION, BAD_CHAIN for a lag, NOT_A_FRACTION, and those of
@@ -406,9 +408,10 @@ def spectrum_response(
 def checked_excitation(
     lin: Linearization, spectra: Any, outputs: Any, where: str, problems: Problems
 ) -> tuple[list[Excitation], Outputs, tuple[Any, ...]]:
-    """Return the excitations, the outputs, and of each excitation its spectrum or the samples of
-    its record. Sensors with a lag are refused, as their peaks are not those of the modes. Errors:
-    those of `excited`, `outputs_of` and `checked_spectra`, BAD_CHAIN."""
+    """Check the excitations and outputs of a model. Return the excitations, the outputs, and for
+    each excitation its spectrum or the samples of its record. Sensors with a lag are refused, as
+    their peaks are not those of the modes. Errors: those of `excited`, `outputs_of` and
+    `checked_spectra`, BAD_CHAIN."""
     bases = excited(lin, spectra, f"{where}.spectra", problems)
     ports = outputs_of(lin.model, outputs, where, problems)
     if any(sensor.lag is not None for sensor in ports.sensors):
@@ -423,7 +426,8 @@ def checked_excitation(
 
 
 def checked_ratios(given: Any, lin: Linearization, where: str, problems: Problems) -> Any:
-    """Damping ratios of all modes; None if none are given. Errors: BAD_SHAPE, NOT_A_FRACTION."""
+    """Check damping ratios of modes, one for all or one for each, and return them; None if there
+    are none. Errors: BAD_SHAPE, NOT_A_FRACTION."""
     n = lin.nv
     hint = f"Give one for all modes or one for each of {n}."
     array = None if given is None else checked(given, ((), (n,)), where, problems, hint)
@@ -440,7 +444,8 @@ def checked_ratios(given: Any, lin: Linearization, where: str, problems: Problem
 
 
 def checked_spectra(bases: list[Excitation], where: str, problems: Problems) -> tuple[Any, ...]:
-    """The spectra, and of records their samples. Errors: WRONG_KIND and those of records."""
+    """Check what excites each base and return its spectrum or the samples of its record. Errors:
+    WRONG_KIND and those of records."""
     spectra = []
     for base in bases:
         given, place = base.spectrum, f"{where} '{base.name}'"
@@ -479,8 +484,8 @@ def check_covered(
     given: tuple[Any, ...],
     where: str,
 ) -> None:
-    """Whether each spectrum is known at the frequencies and dampings of the modes that it excites.
-    Error: NOT_COVERED."""
+    """Check that each spectrum is known at the frequencies and damping ratios of the modes that it
+    excites. `taken`: the modes to check. Error: NOT_COVERED."""
     spectra = [each for each in given if isinstance(each, ResponseSpectrum)]
     if not is_concrete(modal, spectra) or np.asarray(modal.status).any() or np.ndim(modal.status):
         return
@@ -517,13 +522,13 @@ def check_covered(
 
 
 def _is_excited(modal: ModalExcitation, e: int) -> Array:
-    """Whether a mode has more than rounding of the mass that this excitation moves."""
+    """Return which modes have more than rounding of the mass that excitation e moves."""
     mass = modal.mass[e]
     return mass > 1e-12 * jnp.sum(mass)
 
 
 def covered(spectrum: ResponseSpectrum, f: Float[Array, "n"], zeta: Float[Array, "n"]) -> Array:
-    """Whether a spectrum is known there."""
+    """Return whether a spectrum is known at frequencies f [Hz] and damping ratios zeta."""
     (low, high), (least, most) = spectrum.covers(), spectrum.dampings()
     return (
         (f >= low * (1 - ROUNDING))
@@ -536,7 +541,8 @@ def covered(spectrum: ResponseSpectrum, f: Float[Array, "n"], zeta: Float[Array,
 def modal_peaks(
     modal: ModalExcitation, given: Any, e: int, taken: Array
 ) -> tuple[Float[Array, "ny n"], Float[Array, ""]]:
-    """Signed peaks of all modes under one excitation, and the peak of the base acceleration."""
+    """Return signed peaks of all modes under excitation e, and the peak of the base acceleration
+    [m/s2]. `given`: the spectrum, or the samples of the record and their step [s]."""
     w = 2 * jnp.pi * modal.frequency
     alpha, beta, gamma = modal.readings * modal.participation[e][None, None]
     sure, loose = (
@@ -564,7 +570,7 @@ def _combined(
     rigid: Float[Array, "ne"],
     combine: str,
 ):
-    """The fields of a result, up to its status."""
+    """Return the fields of a SpectrumResponse, up to its status."""
     w2 = (2 * jnp.pi * modal.frequency) ** 2
     follows = (
         modal.participation[:, None] * (modal.readings[2] - modal.readings[0] / w2[None])[None]
