@@ -63,6 +63,7 @@ def floor_spectrum(
     light: its reaction on the model is neglected.
 
     Args:
+        lin: `linearize(model, equilibrium(model))`.
         spectra: {support: {direction: record or ResponseSpectrum}}, as in `spectrum_response`.
         output: a sensor of one acceleration, such as Acceleration("cabinet", [0, 0, 1.8],
             axis="x").

@@ -340,6 +340,7 @@ def spectrum_response(
     result is differentiable with respect to the model and the spectra.
 
     Args:
+        lin: `linearize(model, equilibrium(model))`.
         spectra: {support: {direction: spectrum}}, or {(support, support): ...} of supports that
             move together; directions x, y, z, rx, ry or rz; a ResponseSpectrum, such as a result of
             `shock_spectrum`, Eurocode8 or ASCE7, or a record as for `shock_spectrum`. Different

@@ -96,19 +96,20 @@ class Backbones(Labeled, Result):
 
     @property
     def turns(self) -> np.ndarray:
-        """Whether each of these is an angle."""
+        """Whether each of the `coordinates` is an angle."""
         return self.layout.turns[np.array(self.independent, int)]
 
     def at(self, amplitude: Any) -> Float[Array, "nv"]:
-        """The frequencies [Hz] at amplitudes a (one, or one of each mode), to second order."""
+        """Return the frequencies [Hz] at amplitudes a (one for all modes or one for each), to
+        second order."""
         return self.frequency * (1 + self.curvature * jnp.asarray(amplitude) ** 2)
 
     def force_within(self, percent: float) -> Float[Array, "nv"]:
-        """The amplitudes up to which the restoring force along phi is within a percentage of the
-        linear one:
+        """Return the amplitudes up to which the restoring force along phi is within `percent` of
+        the linear one:
 
-        |V'''| a/(2 V'') + |V''''| a^2/(6 V'') = percent/100; it depends on the chart where bodies
-        turn about several axes."""
+        |V'''| a/(2 V'') + |V''''| a^2/(6 V'') = percent/100; the result depends on the chart where
+        bodies turn about several axes."""
         xp = module_of(self.third)
         b, c, p = (
             abs(self.third) / (2 * self.stiffness),
@@ -123,13 +124,13 @@ class Backbones(Labeled, Result):
         )
 
     def frequency_within(self, percent: float) -> Float[Array, "nv"]:
-        """The amplitudes up to which the frequency is within a percentage of that of small motions,
-        sqrt(percent/100/|gamma|)."""
+        """Return the amplitudes up to which the frequency is within `percent` of that of small
+        motions, sqrt(percent/100/|gamma|)."""
         return (percent / 100 / abs(self.curvature)) ** 0.5
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: frequency, curvature and the derivatives of V by mode, shapes by mode
-        and named coordinate."""
+        """Return an xarray.Dataset: frequency, curvature and the derivatives of V by mode, shapes
+        by mode and named coordinate."""
         largest = np.asarray(self.largest)
         return dataset(
             {
@@ -187,16 +188,16 @@ def _amplitude(value: Any, unit: str) -> str:
 
 
 def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
-    """The change of natural frequencies with amplitude, and the amplitude up to which the linear
-    model is valid, without damping.
+    """Compute the change of natural frequencies with amplitude, and the amplitude up to which the
+    linear model is valid, without damping.
 
         w(a) = w (1 + gamma a^2 + ...),   a the amplitude of the largest component of the mode [m
                                           or rad]
 
-    The coefficient is exact: quadratic forces and inertia act through all other modes. The
-    coefficient does not exist where another mode has the same frequency, or has twice the frequency
-    and is coupled (a 3:1 resonance is not detected); near such a resonance it is valid for small
-    amplitudes only. Differentiable with respect to the model in forward and reverse mode.
+    gamma is exact: quadratic forces and inertia act through all other modes. It does not exist
+    where another mode has the same frequency, or has twice the frequency and is coupled (a 3:1
+    resonance is not detected); near such a resonance it is valid for small amplitudes only. The
+    result is differentiable with respect to the model in forward and reverse mode.
     Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE, and
     NOT_CONVERGED where the state is not an equilibrium. Source: Nayfeh and Mook, Nonlinear
     Oscillations (1979), 2.3 and 6.
@@ -237,8 +238,8 @@ def _backbones(lin: Linearization) -> Backbones:
     largest = jnp.argmax(jnp.abs(shapes) / scale[:, None], axis=0)
 
     def solve(D, near, B):
-        """x with D x = B, without the modes in `near`, the null vectors of D; B does not
-        excite them."""
+        """Return the solution x of D x = B without components of the modes in `near`, the null
+        vectors of D, which B does not excite."""
         return jnp.linalg.solve(D + top * (MS * near.astype(MS.dtype)[None]) @ MS.T, B)
 
     def one(phi, value, i, good):
@@ -295,7 +296,8 @@ def _backbones(lin: Linearization) -> Backbones:
 
 @jax.custom_jvp
 def _mode(K, M, phi, value, i, single):
-    """(phi, w^2) with the derivatives of a mode whose frequency is single, with phi_i = 1:
+    """Return (phi, w^2), where phi_i = 1, with the derivatives of a mode whose frequency is
+    single:
 
     (K - w^2 M) dphi - M phi dw^2 = -(dK - w^2 dM) phi,
     dphi_i = 0. Those of `eigh` are NaN where other frequencies coincide."""
@@ -320,20 +322,20 @@ def _mode_jvp(primals, tangents):
 
 
 class Straight(NamedTuple):
-    """Motions at constant speeds u of the independent coordinates, the straight lines of
+    """Motions at constant speeds u of the independent coordinates; they are the straight lines of
     the chart."""
 
     coordinates: Coordinates
 
     def speeds(self, q: Float[Array, "nq"], u: Float[Array, "nf"]) -> Float[Array, "nv"]:
-        """v."""
+        """Return v, the speeds of all coordinates."""
         return speeds_on_closures(self.coordinates, q, u) if self.coordinates.model.closures else u
 
     def frames(self, q: Float[Array, "nq"], u: Float[Array, "nf"]) -> Frame:
         return self.coordinates.at_rest(q, self.speeds(q, u))
 
     def rate(self, q: Float[Array, "nq"], u: Float[Array, "nf"]) -> Float[Array, "nq"]:
-        """q'."""
+        """Return q'."""
         return self.coordinates.rate(q, self.speeds(q, u))
 
     def derivatives(
@@ -343,7 +345,7 @@ class Straight(NamedTuple):
         u: Float[Array, "nf"],
         order: int,
     ) -> tuple[Array, ...]:
-        """The value of function(q) and its derivatives up to an order along the motion."""
+        """Return the value of function(q) and its derivatives along the motion, up to an order."""
         if order == 0:
             return (function(q),)
         values, rates = jax.jvp(
@@ -355,7 +357,7 @@ class Straight(NamedTuple):
 def _stiffening(
     straight: Straight, q: Float[Array, "nq"], phi: Float[Array, "nf"], step: Float[Array, "nf"]
 ):
-    """grad V, V3, V4 and g, the third derivatives along phi, phi and unit vectors e, by
+    """Return grad V, V3, V4 and g, the third derivatives along phi, phi and unit vectors e, by
     polarization; `step` scales e:
 
     6 V3(u, u, e) = V3(u + e) - V3(u - e) - 2 V3(e)"""
@@ -374,8 +376,8 @@ def _stiffening(
 
 
 def _inertia(straight: Straight, q: Float[Array, "nq"], phi: Float[Array, "nf"]):
-    """T2, t = grad T1, and b, by Newton and Euler: the virtual power of the rates of momentum and
-    angular momentum of each body, and of the forces of the inertia of elements."""
+    """Return T2, t = grad T1 and b, by Newton and Euler: b is the virtual power of the rates of
+    momentum and angular momentum of each body, and of the inertial forces of elements."""
     model = straight.coordinates.model
     bodies = model.bodies.rows
 
@@ -404,7 +406,8 @@ def _inertia(straight: Straight, q: Float[Array, "nq"], phi: Float[Array, "nf"])
 def _force_of_inertia(
     straight: Straight, table: KindTable, q: Float[Array, "nq"], phi: Float[Array, "nf"]
 ) -> Float[Array, "nf"]:
-    """de/dDelta' (d/dt dT/de_dot - dT/de) at constant speeds phi, of the elements of a table."""
+    """Return de/dDelta' (d/dt dT/de_dot - dT/de) at constant speeds phi, for the elements of a
+    table."""
 
     def of(q, u, function):
         frames = straight.frames(q, u)

@@ -49,9 +49,9 @@ DECAY_PERIODS = 3.2  # of the high-pass, in which its transient decays to less t
 
 
 class WeightedSignal(Result):
-    """`values` of a signal after weighting, over `times`; `rms` over the whole record, `peak`, the
-    largest absolute value, `crest_factor` = peak/rms, and `dose`, the vibration dose value
-    [m/s1.75] from the beginning to each time; `vdv` is that of the whole record."""
+    """A signal after weighting. `values` over `times` [s]; `rms` of the whole record; `peak`, the
+    largest absolute value; `crest_factor` = peak/rms; `dose`, the vibration dose value [m/s1.75]
+    from the beginning to each time; `vdv`, that of the whole record."""
 
     times: Float[Array, "nt"]
     values: Float[Array, "nt"]
@@ -69,8 +69,8 @@ class WeightedSignal(Result):
 
     @property
     def estimated_vdv(self) -> Float[Array, ""]:
-        """The estimate of the dose for crest factors below 6 [m/s1.75]: 1.4 rms T^(1/4), T the
-        length of the record."""
+        """The estimated vibration dose value for crest factors below 6 [m/s1.75]: 1.4 rms T^(1/4),
+        with the length T of the record."""
         return 1.4 * self.rms * (self.times[..., -1] - self.times[..., 0]) ** 0.25
 
     def _tables(self) -> list[tables.PrintedTable]:
@@ -85,8 +85,8 @@ class WeightedSignal(Result):
 
 
 def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
-    """A frequency weighting at frequencies [Hz], complex, from acceleration to weighted
-    acceleration [m/s2, or rad/s2 for We].
+    """Compute a frequency weighting at frequencies [Hz]: the complex response from acceleration to
+    weighted acceleration [m/s2, or rad/s2 for We].
 
     Args:
         name: Wk (vertical, seated or standing), Wd (horizontal), Wf (motion sickness), Wc (seat
@@ -105,8 +105,8 @@ def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
 
 
 def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomResponse:
-    """A random response with weighted accelerations, {output: "Wk", or another `weighting`}:
-    densities times |W|^2, weighted rms.
+    """Weight accelerations of a random response, {output: "Wk", or another `weighting`}: densities
+    times |W|^2, weighted rms.
 
     Other outputs are omitted. Errors: UNKNOWN_NAME, BAD_WEIGHTING, BAD_UNIT for an output that is
     not an acceleration (angular for We, else linear). Source: ISO 2631-1:1997.
@@ -158,8 +158,8 @@ def _weighted(
     rows: tuple[int, ...],
     names,
 ):
-    """The rows of the densities times the squares of these weightings, and their root
-    mean squares."""
+    """Return these rows of the densities times the squares of the weightings, and their root mean
+    squares."""
     factors = jnp.stack([jnp.abs(_weighting(name, f)) ** 2 for name in names], -2)
     places = np.array(rows, int)
     psd = psd[..., places, :] * factors
@@ -168,16 +168,16 @@ def _weighted(
 
 
 def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
-    """A weighted acceleration [m/s2] over evenly spaced times [s], from rest: its rms, crest factor
-    and vibration dose value.
+    """Weight an acceleration [m/s2] over evenly spaced times [s], from rest, and compute its rms,
+    crest factor and vibration dose value.
 
         VDV = (int a_w^4 dt)^(1/4)
 
-    `name`: of a `weighting`. The frequency response multiplies the Fourier transform of the record,
-    padded with zeros until the filter has decayed: exact up to half the sampling rate, unlike
-    digital filters of the same order, and differentiable. Sample at 200 Hz or more; weightings
-    extend to 80 Hz. Errors: BAD_WEIGHTING, NOT_UNIFORM, BAD_SHAPE, NON_FINITE. Source: ISO
-    2631-1:1997, 6.1 and 6.3.2.
+    `name` is that of a `weighting`. The Fourier transform of the record, padded with zeros until
+    the filter has decayed, is multiplied by the frequency response: exact up to half the sampling
+    rate, unlike digital filters of the same order, and differentiable. Sample at 200 Hz or more, as
+    weightings extend to 80 Hz. Errors: BAD_WEIGHTING, NOT_UNIFORM, BAD_SHAPE, NON_FINITE. Source:
+    ISO 2631-1:1997, 6.1 and 6.3.2.
 
     >>> t = jnp.arange(0.0, 20.0, 0.005)
     >>> signal = weighted_signal(t, jnp.sin(2 * jnp.pi * 5.0 * t), "Wk")
@@ -226,7 +226,7 @@ def _weighted_signal(a: Float[Array, "nt"], step: Float[Array, ""], name: str, p
 
 
 def dose(values: Float[Array, "nt"], step: Any) -> Float[Array, "nt"]:
-    """(int a^4 dt)^(1/4) from the beginning to each time, by trapezoids."""
+    """Return (int a^4 dt)^(1/4) from the beginning to each time, by the trapezoidal rule."""
     fourth = values**4
     return root(
         jnp.concatenate([jnp.zeros(1), jnp.cumsum((fourth[1:] + fourth[:-1]) / 2)]) * step, 4

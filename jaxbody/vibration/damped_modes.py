@@ -65,7 +65,8 @@ class ComplexModes(ModalResult):
         return np.asarray(self.decay_rate) < 0, np.asarray(self.natural_frequency) == 0
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: frequencies, damping ratio, decay rate, poles and shapes by mode."""
+        """Return an xarray.Dataset: frequencies, damping ratio, decay rate, poles and shapes by
+        mode."""
         return self.labeled(
             "complex modes",
             natural_frequency=(("mode",), self.natural_frequency, "Hz"),
@@ -100,16 +101,17 @@ class ComplexModes(ModalResult):
 def complex_modes(
     lin: Linearization | SpinLinearization, *, allow_float32: bool = False
 ) -> ComplexModes:
-    """Damped frequencies, damping ratios, decay rates and complex shapes of small motions, for any
-    C; also about a steady spin.
+    """Compute damped frequencies, damping ratios, decay rates and complex shapes of small motions,
+    for any C, also about a steady spin.
 
         (s^2 M + s (C + G) + K) u = 0
 
     Elements with memory are included without approximation, whatever their relaxation times. K and
-    D need not be symmetric. Differentiable, on the CPU: all results of single poles, sums where
-    poles coincide; at a double pole with one shape, as at critical damping, the derivative is
-    infinite and given as NaN. Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE, SINGULAR_K,
-    and of the status of `lin`. Source: D. J. Inman, Vibration with Control (2006), 3.4 and 4.
+    D need not be symmetric. On the CPU the results of single poles are differentiable, and sums
+    over coinciding poles; at a double pole with one shape, as at critical damping, the derivative
+    is infinite and given as NaN. Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE,
+    SINGULAR_K, and of the status of `lin`. Source: D. J. Inman, Vibration with Control (2006), 3.4
+    and 4.
 
     >>> model = Model(
     ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
@@ -242,8 +244,9 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
 def _relaxing(
     s: Complex[Array, "m"], X: Complex[Array, "m m"], M, K, n: int
 ) -> tuple[Int[Array, "ny"], Int[Array, "k"]]:
-    """The single poles of ny massless coordinates, the slowest first: the real ones with the
-    largest share of energy in these, beyond that of slow motions; and the other poles."""
+    """Return the indices of the single poles of ny massless coordinates, the slowest first, and
+    those of the other poles. The single poles are the real ones with the largest share of energy in
+    massless coordinates, beyond that of slow motions."""
     U, Y = X[:n], X[2 * n :]
     T = following(K, n, len(K) - n).astype(X.dtype)
     follows, K_yy = T[n:] @ U, K[n:, n:].astype(X.dtype)
@@ -262,9 +265,9 @@ def _relaxing(
 
 
 def _paired(s: Complex[Array, "m"], U: Complex[Array, "n m"], M, K) -> Int[Array, "n 2"]:
-    """The pairs of poles of the modes, by ascending |s1 s2|: conjugates, and real ones adjacent in
-    the order of u' K u/(u' M u), which is w^2 for both poles of an overdamped mode where damping
-    is proportional."""
+    """Return the indices of the pairs of poles of the modes, by ascending |s1 s2|: conjugate poles,
+    and real ones adjacent in the order of u' K u/(u' M u), which is w^2 for both poles of an
+    overdamped mode where damping is proportional."""
     n, imag = len(U), jnp.imag(s)
     oscillates = imag != 0
     stiff, mass = (jnp.sum(jnp.conj(U) * (A.astype(U.dtype) @ U), 0).real for A in (K, M))
@@ -286,7 +289,7 @@ def _paired(s: Complex[Array, "m"], U: Complex[Array, "n m"], M, K) -> Int[Array
 
 
 def _normalized(shapes: Complex[Array, "nv n"], M: Float[Array, "nv nv"]) -> Complex[Array, "nv n"]:
-    """u* M u = 1, the component of largest modulus real and positive."""
+    """Scale shapes so that u* M u = 1 and the component of largest modulus is real and positive."""
     shapes = _turned(shapes)
     size = jnp.sqrt(
         jnp.sum(jnp.conj(shapes) * (M.astype(shapes.dtype) @ shapes), 0, keepdims=True).real
@@ -295,14 +298,14 @@ def _normalized(shapes: Complex[Array, "nv n"], M: Float[Array, "nv nv"]) -> Com
 
 
 def _turned(shapes: Complex[Array, "nv n"]) -> Complex[Array, "nv n"]:
-    """The component of largest modulus is real and positive."""
+    """Turn shapes so that the component of largest modulus is real and positive."""
     largest = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=0)[None], 0)
     return shapes * jnp.conj(largest) / jnp.abs(largest).astype(shapes.dtype)
 
 
 def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
-    """The direction of whirl of each mode about the axis of the spin: 1 forward (with the spin) on
-    circles, -1 backward, 0 along lines.
+    """Compute the direction of whirl of each mode about the axis of the spin: 1 forward (with the
+    spin) on circles, -1 backward, 0 along lines.
 
         2 sum (m (a x b) + J (alpha x beta)) . n
         /sum (m (a . a + b . b) + J (alpha . alpha + beta . beta)),

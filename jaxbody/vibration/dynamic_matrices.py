@@ -28,8 +28,8 @@ INVERTED = 1e-7
 
 
 def options_by_size(lin: Any, f: Float[Array, "nf"], *_: Any) -> Options:
-    """Return how to compile D x = b of the system `lin` at the frequencies `f`: optimized where the
-    solution takes long, else quickly."""
+    """Return the compile options for D x = b of the system `lin` at the frequencies `f`: optimized
+    where the solution takes long, otherwise those that compile quickly."""
     return OPTIMIZED if f.size * lin.K.size * len(lin.K) > MANY else QUICK
 
 
@@ -44,6 +44,7 @@ class DynamicMatrices(Module):
     massless: int = field(static=True, default=0)
 
     def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "k n nf"]:
+        """Return D(s) at each s."""
         K = self.K.astype(s.dtype) if self.H is None else jax.lax.complex(self.K, self.H)
         C, M, s = self.C.astype(s.dtype), self.M.astype(s.dtype), s[None, None]
         return K[:, :, None] + C[:, :, None] * s + M[:, :, None] * s**2
@@ -51,7 +52,7 @@ class DynamicMatrices(Module):
     def times(
         self, s: Complex[Array, "nf"], x: Complex[jax.Array, "n m nf"]
     ) -> Complex[jax.Array, "k m nf"]:
-        """D(s) x by real products."""
+        """Return D(s) x by real products."""
         parts = jax.tree.leaves(self)
         re, im = (
             jnp.split(jnp.tensordot(jnp.concatenate(parts), part, 1), len(parts))
@@ -70,8 +71,8 @@ class DynamicMatrices(Module):
 def solved(
     own: DynamicMatrices, s, b: Complex[Array, "n m nf"], method: str
 ) -> tuple[Complex[Array, "n m nf"], Bool[Array, ""]]:
-    """D(s)^-1 b, with the derivatives of linear systems for both methods; and whether the modes, if
-    used, are complete."""
+    """Return D(s)^-1 b, differentiable as the solution of a linear system with both methods, and
+    whether the modes, if used, are complete."""
     frozen, at = jax.lax.stop_gradient((own, s))
     solve, complete = (
         _modal_sum(frozen, at) if method == "modal" else (_eliminated(frozen, at), jnp.array(True))
@@ -82,9 +83,9 @@ def solved(
 
 
 def _eliminated(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]:
-    """The map b -> D^-1 b or its transpose, from one elimination. In the coordinates of the real
-    modes no pivoting is needed: D is diagonal except for damping, and no entry of C exceeds the
-    mean of two on its diagonal."""
+    """Return the map b -> D^-1 b or its transpose, from one elimination. In the coordinates of the
+    real modes no pivoting is needed: D is diagonal except for damping, and no entry of C exceeds
+    the mean of two on its diagonal."""
     if A.massless:
         return _eliminated_with_branches(A, s)
     if (n := len(A.M)) > LARGEST_UNROLLED:
@@ -100,7 +101,7 @@ def _eliminated(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]
 
 
 def _by_lapack(D: Complex[Array, "n n nf"]) -> Callable[[jax.Array, bool], jax.Array]:
-    """The map b -> D^-1 b or its transpose."""
+    """Return the map b -> D^-1 b or its transpose, from LU factors at each frequency."""
     from jax.scipy.linalg import lu_factor, lu_solve  # for the few models that need them
 
     factors = lu_factor(jnp.moveaxis(D, -1, 0))
@@ -110,8 +111,8 @@ def _by_lapack(D: Complex[Array, "n n nf"]) -> Callable[[jax.Array, bool], jax.A
 
 
 def _eliminated_with_branches(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]:
-    """As `_eliminated`: with K_yy U = C_yy U diag(r) and U' C_yy U = 1, massless coordinates are
-    eliminated first, one by one,
+    """Return the same map where there are massless coordinates: with K_yy U = C_yy U diag(r) and U'
+    C_yy U = 1, these are eliminated first, one by one,
 
     D_yy^-1 = U diag(1/(r + s)) U',    D_dd - sum of g g'/(r + s) over the branches,
     g = U' (K_yd + s C_yd)"""
@@ -141,7 +142,7 @@ def _eliminated_with_branches(A: DynamicMatrices, s) -> Callable[[jax.Array, boo
 def _product(
     A: Complex[jax.Array, "k n nf"], x: Complex[jax.Array, "n m nf"]
 ) -> Complex[jax.Array, "k m nf"]:
-    """The product A x at each frequency."""
+    """Return the product A x at each frequency."""
     pairs = [(A[:, j, None], x[j][None]) for j in range(len(x))]
     none = jnp.zeros((len(A), *x.shape[1:]), A.real.dtype)
     re = sum((a.real * b.real - a.imag * b.imag for a, b in pairs), none)
@@ -151,8 +152,8 @@ def _product(
 def _modal_sum(
     A: DynamicMatrices, s
 ) -> tuple[Callable[[jax.Array, bool], jax.Array], Bool[Array, ""]]:
-    """The map b -> D^-1 b or its transpose, D^-1 = left diag(1/(s - pole)) right; and whether the
-    modes are a basis."""
+    """Return the map b -> D^-1 b or its transpose, D^-1 = left diag(1/(s - pole)) right, and
+    whether the modes are a basis."""
     n = len(A.M) - A.massless
     K = A.K if A.H is None else A.K + 1j * A.H
     matrix, forces = first_order(A.M, A.C, K, n) if A.massless else (companion(A.M, A.C, K), None)
@@ -181,7 +182,7 @@ def _modal_sum(
 
 
 def free_motions(A: DynamicMatrices) -> Complex[Array, "k"]:
-    """The eigenvalues s of free motions exp(s t), without derivatives and without H."""
+    """Return the eigenvalues s of free motions exp(s t), without derivatives and without H."""
     M, C, K = jax.lax.stop_gradient((A.M, A.C, A.K))
     return jnp.linalg.eigvals(
         first_order(M, C, K, len(M) - A.massless)[0] if A.massless else companion(M, C, K)
@@ -189,7 +190,7 @@ def free_motions(A: DynamicMatrices) -> Complex[Array, "k"]:
 
 
 def is_unstable(A: DynamicMatrices) -> Bool[Array, ""]:
-    """Whether a free motion grows, which is UNSTABLE."""
+    """Return whether a free motion grows."""
     values = free_motions(A)
     growth = jnp.real(values)
     return jnp.max(growth) > reachable(GROWS, growth.dtype, 256) * jnp.max(jnp.abs(values))

@@ -46,9 +46,9 @@ class DynamicStiffness(Labeled, Result):
     """The complex `stiffness` (nf,) of an element at `frequencies` [Hz]: `magnitude` and
     `loss_angle` [rad], storage and loss stiffness.
 
-    `deformation` is that of the preload. `status`: NOT_CONVERGED where no deformation carries the
-    preload or no steady state was found, STEP_TOO_LONG where a state relaxes in less than about a
-    thousandth of a period (NaN there; then its small-amplitude stiffness is exact)."""
+    `deformation` [m, rad] is that of the preload. `status` NOT_CONVERGED, with NaN, where no
+    deformation carries the preload, no steady state was found, or a state relaxes in less than
+    about a thousandth of a period (then the small-amplitude stiffness is exact)."""
 
     index = "frequency"
     frequencies: Float[Array, "nf"]
@@ -75,8 +75,8 @@ class DynamicStiffness(Labeled, Result):
         )
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset over frequency: storage and loss stiffness, magnitude and
-        loss angle."""
+        """Return an xarray.Dataset by frequency: storage and loss stiffness, magnitude and loss
+        angle."""
         return dataset(
             {
                 "storage": (("frequency",), jnp.real(self.stiffness), self.unit),
@@ -113,21 +113,22 @@ def dynamic_stiffness(
     amplitude: Any = None,
     direction: str | None = None,
 ) -> DynamicStiffness:
-    """The complex stiffness of an element under a harmonic deformation about its preload, exp(i
-    w t).
+    """Compute the complex stiffness of an element under a harmonic deformation exp(i w t) about its
+    preload.
 
     Args:
         element: an element with laws (SpringDamper, Torsion, AntiRollBar, Mount), a Spring, or
             a law
-        frequencies: [Hz] (nf,); 0 Hz is static, and has no amplitude
-        preload: static force [N, N m], at rest with relaxed branches; tension positive
-        amplitude: X of the deformation [m, rad]: the first harmonic of the steady force over X, to
-            about 1e-8; by default that of a small amplitude
-        direction: of a Mount: x, y, z, rx, ry or rz
+        frequencies: frequencies [Hz] (nf,); 0 Hz is allowed without an amplitude: the static
+            stiffness
+        preload: static force [N, N m], with relaxed branches; tension is positive; default 0
+        amplitude: amplitude X of the deformation [m, rad]; the stiffness is then the first harmonic
+            of the steady force over X, to about 1e-8; default: a small amplitude
+        direction: direction of a Mount: x, y, z, rx, ry or rz
 
-    Differentiable in forward and reverse mode by the element's numbers, at an amplitude to about
-    1e-4 where rates have kinks. Errors: WRONG_KIND, BAD_DIRECTION, BAD_FREQUENCY, NOT_POSITIVE.
-    Warns NOT_CONVERGED.
+    The result is differentiable in forward and reverse mode with respect to the element's numbers,
+    at an amplitude to about 1e-4 where rates have kinks. Errors: WRONG_KIND, BAD_DIRECTION,
+    BAD_FREQUENCY, NOT_POSITIVE. Warns NOT_CONVERGED.
 
     >>> rubber = jb.laws.Linear(2e4) + jb.laws.Maxwell(stiffness=6e4, relaxation_time=0.01)
     >>> stiffness = dynamic_stiffness(rubber, [10.0])
@@ -161,7 +162,7 @@ def dynamic_stiffness(
 
 
 def _laws_of(element: Any, direction: str | None) -> tuple[laws.Law | None, laws.Law | None, str]:
-    """The laws of the deformation and of its rate, and the unit of the stiffness."""
+    """Return the laws of the deformation and of its rate, and the unit of the stiffness."""
     if isinstance(element, Mount):
         if direction not in DIRECTIONS:
             raise JaxbodyError(
@@ -200,8 +201,8 @@ def _linear(coefficient: Any) -> laws.Law:
 
 
 def _bound(spring: laws.Law | None, make) -> Any:
-    """The spring with each law with memory replaced by make(law, first and last place of
-    its states)."""
+    """Return the spring with each law with memory replaced by make(law, i, j), where its states are
+    those from i to below j."""
     counts = [len(law.states) for law in law_states.memories(spring)]
     places = itertools.pairwise(itertools.accumulate(counts, initial=0))
 
@@ -219,7 +220,7 @@ def _stiffness(
     preload: Float[Array, ""],
     amplitude: Float[Array, ""] | None,
 ):
-    """(stiffness, deformation, status)."""
+    """Return (stiffness, deformation, status)."""
     at_rest = _bound(spring, lambda law, i, j: Relaxed(law, jnp.zeros(j - i, f.dtype)))
     e0, carried = _deformation_of(at_rest, preload)
     z0 = jnp.concatenate([jnp.zeros(0, f.dtype), *law_states.rest_states(at_rest, e0)])
@@ -234,8 +235,8 @@ def _stiffness(
 
 
 def _deformation_of(at_rest, preload):
-    """The deformation of a static force, by Newton's method with a bounded step, and whether it
-    carries the force."""
+    """Return the deformation under a static force, by Newton's method with a bounded step, and
+    whether it carries the force."""
     frozen, wanted = jax.lax.stop_gradient((at_rest, preload))
 
     def step(law, e, force):
@@ -257,7 +258,7 @@ def _deformation_of(at_rest, preload):
 
 
 def _small(spring, damper, e0, z0, w):
-    """K at a small amplitude."""
+    """Return K at a small amplitude."""
     apart = _bound(spring, lambda law, i, j: Apart(law, z0[i:j], jnp.zeros(j - i, z0.dtype)))
     zero = jnp.zeros_like(e0)
     damping = jax.grad(lambda rate: law_states.rate_force(apart, damper, e0, rate))(zero)
@@ -272,7 +273,7 @@ def _small(spring, damper, e0, z0, w):
 
 
 def _large(spring, damper, e0, z0, w, X):
-    """K at the amplitude X, and whether the periodic state was found."""
+    """Return K at the amplitude X, and whether the periodic state was found."""
     T = 2 * jnp.pi / w
     even = T / STEPS * jnp.arange(STEPS + 1, dtype=w.dtype)
 
@@ -285,7 +286,8 @@ def _large(spring, damper, e0, z0, w, X):
         return z_dot, jnp.stack([F * jnp.cos(w * t), -F * jnp.sin(w * t)])
 
     def period(given, z, times):
-        """z after a period and the integral of F exp(-i w t); the rates where steps begin."""
+        """Return z after a period and the integral of F exp(-i w t), and the rates at the beginning
+        of each step."""
 
         def step(carry, i):
             z, total = carry
@@ -334,9 +336,9 @@ def _large(spring, damper, e0, z0, w, X):
 
 
 def _graded(even: Float[Array, "n"], rates: Float[Array, "m k"]) -> Float[Array, "_"]:
-    """Twice as many steps as the even ones: half of them even, half in proportion to the second
-    differences of the rates, relative to the largest rate; as many in each half period, so that the
-    deformation turns back at the end of a step."""
+    """Return the ends of twice as many steps as the even ones: half of them even, half in
+    proportion to the second differences of the rates, relative to the largest rate. Each half
+    period has the same number of steps, so that the deformation turns back at the end of a step."""
     size = jnp.max(jnp.abs(rates), 0)
     around = jnp.concatenate([rates[-1:], rates, rates[:1]])
     bend = jnp.sum(jnp.abs(jnp.diff(around, 2, axis=0)) / jnp.where(size > 0, size, 1.0), 1)
@@ -353,8 +355,8 @@ def _graded(even: Float[Array, "n"], rates: Float[Array, "m k"]) -> Float[Array,
 
 
 def _fastest(A: Float[Array, "n n"]) -> Float[Array, ""]:
-    """About the largest modulus of the eigenvalues, |A^32|^(1/32): rows of coordinates and of their
-    rates have different units."""
+    """Return about the largest modulus of the eigenvalues, |A^32|^(1/32), as rows of coordinates
+    and of their rates have different units."""
     for _ in range(5):
         A = A @ A
     return jnp.max(jnp.abs(A)) ** (1 / 32)

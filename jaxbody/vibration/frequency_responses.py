@@ -49,8 +49,8 @@ METHODS = ("direct", "modal")
 
 
 class FrequencyResponse(Labeled, Result):
-    """`values` (outputs, inputs, frequencies), complex: each output per unit of an input exp(i 2 pi
-    f t).
+    """`values` (outputs, inputs, frequencies), complex: amplitude of each output per unit of an
+    input exp(i 2 pi f t).
 
     `response["seat", "road"]` is one pair over `frequencies` [Hz]; `magnitude`, and `phase` [rad],
     unwrapped over the frequencies. From a displacement of a support to a displacement, the
@@ -90,14 +90,14 @@ class FrequencyResponse(Labeled, Result):
         )
 
     def unit(self, output: str, name: str) -> str:
-        """The unit of one pair, "" for a ratio."""
+        """Return the unit of one output per unit of one input, "" for a ratio."""
         above = self.output_units[self.outputs.index(output)]
         below = self.input_units[self.inputs.index(name)]
         return "" if above == below else f"{above} per {below}"
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: the complex response by `output`, `input` and `frequency`, with units
-        by output and input."""
+        """Return an xarray.Dataset: the complex response by `output`, `input` and `frequency`, with
+        units by output and input."""
         units = [[self.unit(y, u) for u in self.inputs] for y in self.outputs]
         f = np.asarray(self.frequencies)
         return dataset(
@@ -150,28 +150,29 @@ def frequency_response(
     modal_damping: Any = None,
     method: str = "direct",
 ) -> FrequencyResponse:
-    """The response at `frequencies` [Hz] from named inputs to named outputs, {name: port}, of small
-    motions about an equilibrium.
+    """Compute the response at `frequencies` [Hz] from named inputs to named outputs, {name: port},
+    of small motions about an equilibrium.
 
         D(w) Delta = (K~ + i w C~ - w^2 M~) Xi + F f,   D(w) = K + i w C - w^2 M
 
-    At 0 Hz it is static. With both methods it is differentiable with respect to the model, points
-    of ports, damping and frequencies, also where modes coincide.
+    At 0 Hz the response is static. With both methods it is differentiable with respect to the
+    model, points of ports, damping and frequencies, also where modes coincide.
 
     Args:
-        frequencies: 0 or more, in one row [Hz].
+        lin: `linearize(model, equilibrium(model))`.
+        frequencies: frequencies [Hz], 0 or more, in one row.
         inputs: {name: BaseMotion or PointForce}.
         outputs: {name: sensor}, such as Position, Acceleration, Elongation, LoadCell or Reaction;
-            of several numbers the outputs are "seat.x", "seat.y", "seat.z". A chain multiplies by
-            gain exp(-i w delay)/(1 + i w lag).
+            a sensor of several numbers has the outputs "seat.x", "seat.y", "seat.z". Gain, delay
+            and lag multiply a response by gain exp(-i w delay)/(1 + i w lag).
         loss_factor: hysteretic damping, i eta times the stiffness V''(e) of elements, one number
-            for all or {element: eta}; by default none. It exists for harmonic motion only, so it is
-            an option here and not a property of a model.
+            for all or {element: eta}; by default none. It is an option here and not a property of a
+            model because it exists for harmonic motion only.
         modal_damping: damping ratios added to those of the dampers, one for all natural modes or
             one for each, in ascending order; by default none. They damp the motion relative to the
             quasi-static one; ratios of coinciding modes are averaged.
-        method: "direct", by elimination at each frequency, or "modal", the sum over all complex
-            modes; both agree to rounding.
+        method: "direct" (default), by elimination at each frequency, or "modal", the sum over all
+            complex modes; both agree to rounding.
 
     Errors: BAD_FREQUENCY below 0 Hz, and at 0 Hz for an input that is a velocity or an
     acceleration, UNKNOWN_NAME, WRONG_KIND, BAD_COMPONENT, BAD_METHOD, BAD_SHAPE, NON_FINITE,
@@ -224,8 +225,8 @@ def damped(
     modal_damping: Any,
     where: str,
 ) -> tuple[Linearization, Float[Array, "ne"] | None]:
-    """The system with modal damping, and the loss factors of its elements. Elements with memory
-    have damping of their own: no other is added to a system with their rows. Errors: MEMORY and
+    """Return the system with modal damping, and the loss factors of its elements. No damping is
+    added to a system with rows of elements with memory, which have their own. Errors: MEMORY and
     those of the checks of both."""
     eta = check_loss_factors(loss_factor, lin.model, f"{where}.loss_factor")
     with Problems() as problems:
@@ -244,13 +245,14 @@ def damped(
 
 
 def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:
-    """Frequencies, after a check that they are in one row and positive (with `static`, 0 is
-    allowed too)."""
+    """Check that frequencies are in one row and positive (with `static`, 0 is allowed too), and
+    return them as a JAX array."""
     return device_array(checked_frequencies(given, where, static=static))
 
 
 def checked_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:
-    """The same, not yet on a device."""
+    """Check frequencies as `check_frequencies` does, but return them without a transfer to the
+    device."""
     with Problems() as problems:
         array = float_array(given, where)
         shape = (max(array.size, 1),)
@@ -291,8 +293,9 @@ def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> N
 def check_without_force_sensors(
     given: Any, where: str, sensors: tuple[Sensor, ...], model: Model
 ) -> None:
-    """Refuse sensors of forces together with `loss_factor` or `modal_damping`, because they read
-    forces of the model only; but not those whose rows follow from matrices. Error: BAD_OPTION."""
+    """Refuse sensors of forces together with `loss_factor` or `modal_damping`, because these
+    sensors read only forces of the model; sensors whose rows follow from matrices are allowed.
+    Error: BAD_OPTION."""
     with Problems() as problems:
         for sensor in sensors if given is not None else ():
             if sensor.unit[0] == "N" and not (
@@ -309,7 +312,7 @@ def check_without_force_sensors(
 
 
 def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne"] | None:
-    """One loss factor for each element, from one for all or {element: factor}. Errors:
+    """Return one loss factor for each element, from one for all or {element: factor}. Errors:
     UNKNOWN_NAME, BAD_SHAPE, NEGATIVE."""
     if given is None:
         return None
@@ -340,7 +343,7 @@ def response_values(
     method: str = "direct",
     static: bool = False,
 ):
-    """(values (ny, nu, nf), status); `static` where 0 Hz is among the frequencies."""
+    """Return (values (ny, nu, nf), status). `static`: whether 0 Hz is among the frequencies."""
     nv, X = lin.M.shape[-1], ports.X
     s = jax.lax.complex(jnp.zeros_like(f), 2 * jnp.pi * f)
     whole = DynamicMatrices(
@@ -399,7 +402,7 @@ def response_values(
 
 
 def hysteretic_damping(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Array, "n n"]:
-    """H of (Delta, Xi): the sum over the elements of eta V''(e) de de."""
+    """Return H of (Delta, Xi): the sum over the elements of eta V''(e) de de."""
     at = configuration_at(Coordinates(lin.held), lin.state.q)
     H = [x.elastic() for x in element_derivatives(at)]
     whole = jnp.tensordot(eta, jnp.concatenate(H), 1) if H else jnp.zeros((len(at.turns),) * 2)
@@ -407,8 +410,8 @@ def hysteretic_damping(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Arr
 
 
 def _elastic_rows(Y, H, ports: Ports, lin: Linearization, eta) -> Float[Array, "ny n"]:
-    """The rows that i H adds to outputs: eta times the elastic part of an element's force, -H of
-    a reaction."""
+    """Return the rows that i H adds to outputs: eta times the elastic part of an element's force,
+    -H for a reaction."""
     rows = [jnp.zeros(Y.shape[-1], Y.dtype)] * Y.shape[1]
     for i, (element, support) in enumerate(zip(ports.elements, ports.reactions, strict=True)):
         if element >= 0:

@@ -65,9 +65,9 @@ HEADINGS = UNITS | dict.fromkeys(("C", "G"), "N s/m, ...")
 
 
 class LinearSystem(Labeled, Result):
-    """M Delta'' + D Delta' + K Delta = 0 of small motions about `state`, with D = C for a rest:
-    what modes, poles, responses and state spaces read. `coordinates` names the rows, `basis` says
-    what each moves."""
+    """M Delta'' + D Delta' + K Delta = 0 of small motions about `state`, with D = C about a state
+    at rest; modes, poles, responses and state spaces are computed from it. `coordinates`: names of
+    the rows; `basis`: velocities of the bodies per unit of each."""
 
     index = "coordinate"
     M: Float[Array, "nv nv"]
@@ -84,15 +84,15 @@ class LinearSystem(Labeled, Result):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """The names of the rows of M, C, K: those of Delta, then of coordinates of elements, those
+        """The names of the rows of M, C, K: those of Delta, then those of coordinates of elements,
         with mass first."""
         layout = self.model.layout
         return tuple(layout.coordinates[i] for i in self.independent) + layout.inner[: self.inner]
 
     @property
     def independent(self) -> tuple[int, ...]:
-        """The places of the system's own coordinates among those of the model: all of them, or with
-        closures those that follow no other."""
+        """The indices of the system's own coordinates among those of the model: all of them, or
+        with closures the independent ones."""
         return self.model.independent or ()
 
     @property
@@ -101,7 +101,8 @@ class LinearSystem(Labeled, Result):
         return len(self.independent) + len(self.model.layout.inertial)
 
     def expanded(self, shapes: Inexact[Array, "nf n"]) -> Inexact[Array, "nv n"]:
-        """Shapes (columns) in all coordinates of the model, from those of the system."""
+        """Return shapes (columns) in all coordinates of the model, from those in the coordinates of
+        the system."""
         if self.dependent is None:
             return shapes
         N, nf = self.dependent.N.astype(shapes.dtype), len(self.independent)
@@ -129,7 +130,8 @@ class LinearSystem(Labeled, Result):
 
     @property
     def scale(self) -> Float[Array, "nv"]:
-        """The change of each coordinate of one meter."""
+        """The change of each coordinate that displaces by about one meter: 1 for a translation,
+        1/size of the model for an angle."""
         size, layout = size_of(self.model), self.model.layout
         scale = scale_of(self.model, size)[..., np.array(self.independent, int)]
         if not self.inner:
@@ -138,8 +140,8 @@ class LinearSystem(Labeled, Result):
         return jnp.concatenate([scale, jnp.where(turns, 1 / size, 1.0)])
 
     def kept_status(self, own: Array, failures: tuple[Status, ...] = ()) -> Int[Array, ""]:
-        """The status of a result: that of the system where it is about no rest or steady motion, or
-        one of `failures`; else its `own`."""
+        """Return the status of a result: that of the system if the state is not at rest or in
+        steady motion, or if it is one of `failures`; otherwise the result's `own`."""
         return jnp.where(
             jnp.isin(self.status, jnp.array((*NOT_AT_REST, Status.NOT_STEADY, *failures))),
             self.status,
@@ -147,8 +149,8 @@ class LinearSystem(Labeled, Result):
         )
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: the matrices and their blocks that couple to the base, by
-        named coordinates."""
+        """Return an xarray.Dataset: the matrices and their blocks that couple to the base, by named
+        coordinates."""
         own, base = list(self.coordinates), list(self.base_coordinates)
         blocks = {"tilde": ("coordinate", "base"), "bb": ("base", "base_2")}
         axes = {
@@ -177,17 +179,17 @@ class LinearSystem(Labeled, Result):
 
     @abstractmethod
     def note(self) -> str:
-        """What is printed below the matrices."""
+        """Return the text that is printed below the matrices."""
 
 
 class Linearization(LinearSystem):
     """The matrices of small motions about `state`, rows and columns as in `coordinates`
     and `base_coordinates`.
 
-    Coordinates y of elements with memory have rows after those of Delta: first those with
-    mass, then massless ones, with M = 0; `condensed` and `instantaneous` are without massless
-    ones. Hysteretic states have none: to first order they are springs, and their losses are of
-    higher order.
+    Coordinates y of elements with memory have rows after those of Delta: first those with mass,
+    then massless ones, with M = 0; `condensed` and `instantaneous` are without massless ones.
+    Hysteretic states have no rows: to first order they are springs, and their losses are of higher
+    order.
 
     The chart: Delta of a free body is the displacement of its O and a rotation vector, in world
     axes; for other joints, their coordinates, in axes of the parent. Away from equilibrium K
@@ -219,7 +221,7 @@ class Linearization(LinearSystem):
         )
 
     def reduced(self, H: Float[Array, "*m nv nv"]) -> Float[Array, "*m nf nf"]:
-        """N' H N: a matrix of the model's coordinates in those of the system."""
+        """Return N' H N: a matrix in the model's coordinates, in those of the system."""
         return (
             H
             if self.dependent is None
@@ -228,7 +230,8 @@ class Linearization(LinearSystem):
 
     @property
     def held(self) -> Model:
-        """The model with its laws with memory as the rows have them."""
+        """The model with its laws with memory as in the matrices: relaxed if `slow`, otherwise with
+        coordinates of their own."""
         return (settled if self.slow else apart)(self.model, self.state.z)
 
     @property
@@ -250,7 +253,8 @@ class Linearization(LinearSystem):
 
     @property
     def quasistatic(self) -> tuple[Float[Array, "nf nf"], Float[Array, "nf nf"]]:
-        """M and K without rows of coordinates of elements, which all follow slow motions."""
+        """M and K without rows of coordinates of elements, which all follow slow motions
+        statically."""
         return (
             slow_matrices(self.M, self.K, len(self.independent)) if self.inner else (self.M, self.K)
         )
@@ -261,8 +265,8 @@ class Linearization(LinearSystem):
 
     @property
     def K_elastic(self) -> Float[Array, "nv nv"]:
-        """sum of V''(e) de de over the elements, with coordinates of elements that have
-        rows held."""
+        """sum of V''(e) de de over the elements, with those coordinates of elements held that have
+        rows."""
         return sum(self.K_elastic_by_element.values(), self._zero)
 
     @property
@@ -296,6 +300,8 @@ class Linearization(LinearSystem):
         return self._by_element(split_stiffness(self.held, self.state)[1])
 
     def _by_element(self, matrices: Any) -> dict[str, Float[Array, "nv nv"]]:
+        """Return {element: matrix} of matrices of the elements, in the coordinates of the
+        system."""
         names = tuple(table.names for table in self.model.elements)
         return by_name(names, [self.reduced(H) for H in matrices])
 
@@ -319,8 +325,8 @@ class Linearization(LinearSystem):
         return "the state is not an equilibrium"
 
     def state_space(self, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
-        """A, B, C, D from named inputs to named outputs, {name: port}, as python-control
-        takes them.
+        """Compute A, B, C, D from named inputs to named outputs, {name: port}, in the form of
+        python-control.
 
         States: Delta and Delta' minus terms in u, so that no derivative of an input is needed; also
         the displacement of a base motion given as velocity, and displacement and velocity of one
@@ -355,8 +361,8 @@ def check_system(
     *,
     allow_float32: bool | None = True,
 ) -> None:
-    """Refuse what is no linear system of this kind, such as one about a spin, and float32 where it
-    would lose half the digits."""
+    """Check that an argument is a linear system of this kind, not one about a spin, and that
+    float32 is not used where it would lose half the digits."""
     if not isinstance(lin, kind):
         raise JaxbodyError(
             Problem(
@@ -376,8 +382,8 @@ def check_system(
 def linearize(
     model: Model, at: Equilibrium | State, *, method: str = "structured"
 ) -> Linearization:
-    """M, C, K and their blocks that couple to the supports, at an equilibrium or any state, with
-    the supports at their reference poses.
+    """Compute M, C, K and their blocks that couple to the supports, at an equilibrium or any state,
+    with the supports at their reference poses.
 
     Of a model with closures the rows are those of independent coordinates, chosen in its reference
     pose; the others follow, Delta = N Delta_i + S Xi, and every matrix is T' H T, T = [[N, S], [0,
@@ -491,8 +497,8 @@ def _linearize(
 
 
 def _blocks(whole: Any, n: int) -> dict[str, Array]:
-    """Return the blocks of M, C and K of n coordinates and Xi, by their names in a Linearization:
-    M of the coordinates, M_tilde between these and Xi, M_bb of Xi, and so on."""
+    """Return the blocks of M, C and K of n coordinates and Xi, by their names in a Linearization: M
+    of the coordinates, M_tilde between these and Xi, M_bb of Xi, and so on."""
     blocks = {}
     for name, H in zip("MCK", whole, strict=True):
         blocks |= {name: H[:n, :n], f"{name}_tilde": -H[:n, n:], f"{name}_bb": H[n:, n:]}
@@ -509,8 +515,8 @@ def _system(
     basis: Basis,
     moves: Any,
 ) -> Linearization:
-    """The result. `status`: of the equilibrium, None for another state; it becomes STALE where
-    r = dV/dDelta - Q is not zero."""
+    """Return the linearization with these blocks. `status` is that of the equilibrium, None for
+    another state; it becomes STALE where r = dV/dDelta - Q is not zero."""
     own = np.array(model.independent, int)
     size = size_of(model)
     scale = scale_of(model, size)[own]

@@ -76,7 +76,8 @@ class ModeEnergies(Labeled, Result):
 
     @property
     def owners(self) -> tuple[str, ...]:
-        """The elements and the energies of the user's own that strain and dissipation belong to."""
+        """The names of elements and of the user's own energies, in the order of strain and
+        dissipation."""
         return self.model.element_names + self.model.energy_names
 
     @property
@@ -102,10 +103,10 @@ class ModeEnergies(Labeled, Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Each mode by the body and direction with most of the kinetic energy, that of
-        inerters left out, and its share; several if they share it, in phase or in opposition;
-        or by the coordinate of an element with mass that has more. "~" marks frequencies that
-        nearly coincide."""
+        """Names of the modes: the body and direction with most of the kinetic energy, without that
+        of inerters, and its share; several bodies if they share it, in phase or in opposition; or
+        the coordinate of an element with mass that has more. "~" marks frequencies that nearly
+        coincide."""
         shares, layout = np.asarray(self.kinetic_shares), self.model.layout
         inner = {
             name: np.asarray(self.inertia[name]) for name in layout.inner[: len(layout.inertial)]
@@ -127,7 +128,7 @@ class ModeEnergies(Labeled, Result):
         )
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: shares [%] by mode, body and direction, element."""
+        """Return an xarray.Dataset: shares [%] by mode, body and direction, element."""
         variables = {
             "frequency": (("mode",), self.frequency, "Hz"),
             "kinetic": (("body", "direction", "mode"), self.kinetic_shares, "%"),
@@ -197,10 +198,8 @@ def mode_energies(
     stiffness: str = "relaxed",
     allow_float32: bool = False,
 ) -> ModeEnergies:
-    """The shares of bodies, elements and dampers in the energies of each natural mode [%], in the
-    order of `modes(lin)`.
-
-    The linearization is all it needs: the modes are computed from it.
+    """Compute the shares of bodies, elements and dampers in the energies of each natural mode [%],
+    in the order of `modes(lin)`.
 
         kinetic      100 v_i (M v)_i/(phi' M phi)     v: velocities of a body along phi, of its
                                                       center of mass and angular
@@ -210,13 +209,13 @@ def mode_energies(
         dissipation  100 de' R'' de/(phi' C phi)
 
     Args:
-        lin: `linearize(model, equilibrium(model))`; not its modes.
-        forward: a world axis, such as "x", that names fore-aft, lateral, roll and pitch; by default
-            these are named by their axes.
-        up: a world axis, such as "z", that names bounce and yaw; by default the axis opposite to
-            gravity, if gravity is along a world axis.
-        stiffness: of elements with memory, as in `modes`.
-        allow_float32: whether to compute in float32; by default an error.
+        lin: `linearize(model, equilibrium(model))`; the modes are computed from it.
+        forward: the forward world axis, such as "x", for the names fore-aft, lateral, roll and
+            pitch; by default these motions are named by their axes.
+        up: the upward world axis, such as "z", for the names bounce and yaw; by default the axis
+            opposite to gravity, if gravity is along a world axis.
+        stiffness: stiffness of elements with memory, as in `modes`.
+        allow_float32: True to compute in float32; by default that is an error.
 
     Where frequencies coincide, energies are averaged over their space, because this average has
     derivatives and single shapes do not. Errors: WRONG_KIND, BAD_DIRECTION, FLOAT32 unless
@@ -241,7 +240,7 @@ def mode_energies(
 
 
 def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str, ...]:
-    """The names of three translations and three rotations."""
+    """Return the names of three translations and three rotations. Error: BAD_DIRECTION."""
     with Problems() as problems:
         for name, axis in (("forward", forward), ("up", up)):
             if axis is not None and axis not in AXES:
@@ -277,7 +276,7 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     frequency, shapes, _, values, cluster, status = modes_of(lin)
 
     def share(part, whole, least):
-        """In percent, averaged over clusters; zero where the total is zero."""
+        """Return part/whole in percent, averaged over clusters; zero where the whole is zero."""
         nonzero = jnp.broadcast_to(jnp.abs(whole) > least, part.shape)
         return (
             100
@@ -331,8 +330,8 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
 
 
 def _energies_of_inner(at: Configuration, whole: Float[Array, "n m"]):
-    """Twice the kinetic energy of each coordinate of elements with mass along these shapes, and
-    what each adds to V and R of its element, for all elements."""
+    """Return twice the kinetic energy of each coordinate of elements with mass along these shapes,
+    and the contributions of the coordinates to V and R of all elements."""
     layout, rows = at.model.layout, inner_rows(at)
     x, y = whole[: layout.nv], whole[layout.nv :]
     k, n = len(y), layout.nv
@@ -351,8 +350,8 @@ def _energies_of_inner(at: Configuration, whole: Float[Array, "n m"]):
 def _kinetic_energies(
     lin: Linearization, shapes: Float[Array, "nv m"]
 ) -> list[Float[Array, "ne m"]]:
-    """Twice the kinetic energies of the elements with inertia along these shapes, table
-    by table."""
+    """Return twice the kinetic energies of the elements with inertia along these shapes, one array
+    for each table."""
     coordinates, tables = Coordinates(lin.held), inertial_tables(lin.held)
 
     def energies(v):
@@ -366,9 +365,9 @@ def _kinetic_energies(
 
 
 def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
-    """Shares, of sum 1, of bodies and directions (6 for each body) in the bodies' kinetic energy in
-    each mode. Coinciding modes are separated along the coordinates by small increases of the
-    diagonal of K, up to SEPARATION, different for each coordinate."""
+    """Return shares, of sum 1, of bodies and directions (6 for each body) in the bodies' kinetic
+    energy in each mode. Coinciding modes are separated along the coordinates by small increases of
+    the diagonal of K, up to SEPARATION, different for each coordinate."""
     lin = lin.condensed
     increase = (
         SEPARATION * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))

@@ -61,7 +61,7 @@ class Branches(Labeled, Result):
         return self.first.names
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: frequency, damping ratio, MAC and shape by value and mode."""
+        """Return an xarray.Dataset: frequency, damping ratio, MAC and shape by value and mode."""
         return dataset(
             {
                 "frequency": (("value", "mode"), self.frequency, "Hz"),
@@ -97,8 +97,8 @@ class Branches(Labeled, Result):
 def mac(
     one: Modes | ComplexModes | Any, other: Modes | ComplexModes | Any, *, mass: Any = None
 ) -> Float[Array, "n m"]:
-    """The modal assurance criterion of every mode of one set with every mode of another: results of
-    `modes`, `complex_modes`, or arrays of columns.
+    """Compute the modal assurance criterion of every mode of one set with every mode of another:
+    results of `modes`, `complex_modes`, or arrays of columns.
 
         MAC_ij = |x_i* W y_j|^2/((x_i* W x_i) (y_j* W y_j))
 
@@ -149,14 +149,14 @@ def _mac(X: Array, Y: Array, W: Float[Array, "nv nv"]) -> Float[Array, "n m"]:
 
 
 def track(linearized: Callable[[Any], Linearization | SpinLinearization], values: Any) -> Branches:
-    """Modes along a parameter, each followed by its shape; `linearized(value)` returns the
-    linearization at each of `values`.
+    """Follow modes along a parameter by their shapes; `linearized(value)` returns the linearization
+    at each of `values`.
 
     From each value to the next, modes are matched by their MAC in M, beginning with the best pair.
     Where frequencies coincide, the space of their shapes is matched and the previous shapes are
     kept, so that crossings are followed and veerings are not mistaken for crossings. About a steady
-    spin the modes are those of `complex_modes`. Differentiable where single modes are. Errors:
-    BAD_SHAPE, NON_FINITE for values; warns LOST_BRANCH.
+    spin the modes are those of `complex_modes`. The result is differentiable where single modes
+    are. Errors: BAD_SHAPE, NON_FINITE for values; warns LOST_BRANCH.
 
     >>> car = jb.presets.half_car()
     >>> def linearized(stiffness):
@@ -213,8 +213,8 @@ def _track(
         frozen = frozen[0][:, own], frozen[1]
 
     def step(carry, given):
-        """From reference shapes and labels (equal for references of one cluster) to those at the
-        next value."""
+        """Match the modes at the next value to reference shapes; references of one cluster have
+        equal labels."""
         reference, label = carry
         shapes, M, cluster = given
         at_value, at_reference = together(cluster), together(label)
@@ -267,7 +267,7 @@ def _track(
 
 
 def _matched(score: Float[Array, "n n"]) -> Int[Array, "n"]:
-    """The column matched to each row, the largest score first."""
+    """Return the column matched to each row, the largest score first."""
     n = len(score)
 
     def choose(_, carry):

@@ -35,18 +35,18 @@ MARK_NOTE = (
 
 
 class Basis(eqx.Module):
-    """What the coordinates of a linear system move: per unit of each speed the velocity of the
-    center of mass and the angular velocity of every body, in world axes, and the momenta that
-    belong to these; M is the sum over the bodies of velocities' momenta, and the part of elements
-    with inertia."""
+    """Velocities and momenta of the bodies per unit of each speed of a linear system: `velocities`
+    of the centers of mass and angular velocities of the bodies, in world axes, and the
+    corresponding `momenta`. M is the sum over the bodies of velocities' momenta, and the part of
+    elements with inertia."""
 
     velocities: Float[Array, "*b nb 6 nv"]
     momenta: Float[Array, "*b nb 6 nv"]
 
 
 def basis_of(at: Configuration) -> Basis:
-    """The basis of small motions about a configuration; coordinates of elements with inertia move
-    no body."""
+    """Return the basis of small motions about a configuration; coordinates of elements with inertia
+    move no body."""
     layout, bodies = at.model.layout, at.model.bodies.rows
     nb, nv, k = len(layout.bodies), layout.nv, len(layout.inertial)
     twists = (
@@ -67,8 +67,8 @@ def basis_of(at: Configuration) -> Basis:
 def direction_names(
     model: Model, forward: str | None = None, up: str | None = None
 ) -> tuple[str, ...]:
-    """Names of three translations and three rotations along and about world axes; `up` is given or
-    follows from gravity; `forward` is given."""
+    """Return names of three translations and three rotations along and about world axes. `up`:
+    upward axis, by default opposite to gravity; `forward`: forward axis, by default none."""
     up = up or upward_axis(model)
     words = {up: ("bounce", "yaw")} if up else {}
     if forward:
@@ -81,7 +81,7 @@ def direction_names(
 
 
 def upward_axis(model: Model) -> str | None:
-    """The axis opposite to gravity, if gravity is known and along an axis."""
+    """Return the axis opposite to gravity, None if gravity is traced or not along an axis."""
     g = concrete(model.gravity)
     if g is None or g.ndim > 1 or np.sum(np.abs(g) > 1e-9 * np.abs(g).max(initial=0.0)) != 1:
         return None
@@ -91,8 +91,15 @@ def upward_axis(model: Model) -> str | None:
 def names_of_shapes(
     model: Model, basis: Basis, M: Any, shapes: Any, cluster: Any, values: Any
 ) -> tuple[str, ...]:
-    """The names of shapes (columns, real or complex) of small motions with this basis and mass
-    matrix; `values`: their frequencies or poles."""
+    """Return the names of modes from their shapes (columns, real or complex).
+
+    Args:
+        model: the model
+        basis: velocities and momenta of the bodies in the coordinates of the shapes
+        M: mass matrix
+        shapes: shapes in columns
+        cluster: equal numbers for coinciding modes
+        values: frequencies [Hz] or poles [1/s]"""
     V, P, shapes, cluster = map(np.asarray, (basis.velocities, basis.momenta, shapes, cluster))
     labels = model.layout.inner[: len(model.layout.inertial)]
     own = np.zeros((shapes.shape[0],) * 2)  # the mass matrix of coordinates of elements
@@ -101,8 +108,8 @@ def names_of_shapes(
     mass = np.einsum("bik,bil->kl", V, P) + own
 
     def shares(x: np.ndarray) -> np.ndarray:
-        """Shares of energy [%] of bodies and directions, then of coordinates of elements, summed
-        over the columns."""
+        """Return shares of energy [%] of bodies and directions, then of coordinates of elements,
+        summed over the columns."""
         energies = np.real((V @ x).conj() * (P @ x)).sum(-1).ravel()
         inner = np.real(x.conj() * (own @ x)).sum(-1)[len(own) - len(labels) :]
         return 100 * np.concatenate([energies, inner]) / (energies.sum() + inner.sum())
@@ -123,7 +130,8 @@ def names_of_shapes(
 
 
 def _orthonormal(shapes: np.ndarray, M: np.ndarray) -> np.ndarray:
-    """A basis of the same space, orthonormal in M; shapes of coinciding poles are not."""
+    """Return a basis of the space of these shapes that is orthonormal in M; shapes of coinciding
+    poles are not."""
     values, vectors = np.linalg.eigh(shapes.conj().T @ M @ shapes)
     independent = values > PARALLEL * values[-1]
     return shapes @ vectors[:, independent] / np.sqrt(values[independent])
@@ -138,9 +146,17 @@ def mode_names(
     values: Any,
     inner: dict[str, np.ndarray] | None = None,
 ) -> tuple[str, ...]:
-    """The name of each mode from shares [%] and velocities (bodies, 6, modes), and the shares of
-    coordinates of elements, {name: (modes,)}, with the number of coinciding modes and a mark if
-    another is near."""
+    """Return the name of each mode, with the number of coinciding modes and a mark if another one
+    is near.
+
+    Args:
+        bodies: names of the bodies
+        directions: names of three translations and three rotations
+        shares: shares of kinetic energy [%] (bodies, 6, modes)
+        velocities: velocities along the shapes (bodies, 6, modes)
+        cluster: equal numbers for coinciding modes
+        values: frequencies [Hz] or poles [1/s]
+        inner: {name: shares [%] (modes,)} of coordinates of elements; default: none"""
     shares, velocities, cluster = np.asarray(shares), np.asarray(velocities), np.asarray(cluster)
     marked, shared = nearly_coinciding(cluster, values), (cluster[:, None] == cluster).sum(0)
     names = []
@@ -165,7 +181,8 @@ def mode_names(
 
 
 def nearly_coinciding(cluster: Any, values: Any) -> np.ndarray:
-    """Which modes nearly coincide with another, by frequencies or poles."""
+    """Return which modes nearly coincide with a mode of another cluster, by frequencies or
+    poles."""
     values, cluster = np.asarray(values), np.asarray(cluster)
     size = np.maximum(np.abs(values)[:, None], np.abs(values))
     near = (np.abs(values[:, None] - values) <= NEAR * size) & (size > 0)
@@ -173,7 +190,8 @@ def nearly_coinciding(cluster: Any, values: Any) -> np.ndarray:
 
 
 def mark_note(names: tuple[str, ...]) -> str:
-    """The note that explains the mark, if one of the names has it."""
+    """Return the footnote that explains the mark if one of the names has it, else an empty
+    string."""
     return MARK_NOTE if any(name.endswith(MARK) for name in names) else ""
 
 
@@ -185,6 +203,8 @@ def _name(
     shares: np.ndarray,
     velocities: Any,
 ) -> str:
+    """Return the name of a mode from the bodies that move alike in a direction, with their shares
+    [%] and velocities."""
     if len(alike) == 1 or len(alike) > MOST_NAMED:
         others = f" and {len(alike) - 1} more" if len(alike) > 1 else ""
         return f"{bodies[largest]}{others} {direction} {shares[largest]:.0f} %"

@@ -1,5 +1,5 @@
-"""Axes of a mounted body: that about which it turns under a torque, and those along which a force
-moves it without rotation."""
+"""Axes of a mounted body: the axis about which it turns under a torque, and the axes along which
+a force moves it without rotation."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class ElasticAxes(Labeled, Result):
     body: str = field(static=True, converter=plain)
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: direction, stiffness, point and pitch of each axis."""
+        """Return an xarray.Dataset: direction, stiffness, point and pitch of each axis."""
         return dataset(
             {
                 "center": (("axis",), self.center, "m"),
@@ -131,9 +131,9 @@ class TorqueRollAxis(Result):
 
 
 def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
-    """The elastic axes and the center of stiffness of a free body, with all others held fixed, from
-    its 6 x 6 stiffness [[A, B], [B', D]] about its origin. With closures the other independent
-    coordinates are held, and the body's own must be independent.
+    """Compute the elastic axes and the center of stiffness of a free body, with all others held
+    fixed, from its 6 x 6 stiffness [[A, B], [B', D]] about its origin. With closures the other
+    independent coordinates are held, and the body's own must be independent.
 
         A n = k n,
         m = B' n:   force k n with moment m moves the body along n and does not turn it;
@@ -162,8 +162,8 @@ def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
 
 
 def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAxis:
-    """The axis about which a free body, without mounts or on very soft ones, turns under a torque
-    (3,) of fixed direction (in world axes), such as that of the crankshaft.
+    """Compute the axis about which a free body, without mounts or on very soft ones, turns under a
+    torque (3,) of fixed direction in world axes, such as that of the crankshaft.
 
         J n ~ torque,   through the center of mass,   J: moment of inertia about it
         r = (displacement of O, n) of this rotation:   frequency = sqrt(r' K r/(r' M r))/(2 pi),
@@ -198,6 +198,8 @@ def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAx
 
 
 def _free(lin: Linearization, body: str, where: str) -> str:
+    """Check that a body is free and independent of closures, and return its name. Errors:
+    UNKNOWN_NAME, NOT_FREE."""
     layout = lin.model.layout
     if body not in layout.bodies:
         raise JaxbodyError(unknown(body, where, layout.bodies))
@@ -228,7 +230,7 @@ def _free(lin: Linearization, body: str, where: str) -> str:
 
 
 def _rows(lin: Linearization, body: str) -> slice:
-    """The body's rows of K and M."""
+    """Return the body's rows of K and M."""
     own = lin.model.layout.v_slices[body]
     return slice(lin.independent.index(own.start), lin.independent.index(own.start) + 6)
 

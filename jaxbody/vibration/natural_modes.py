@@ -83,11 +83,11 @@ class ModalResult(Labeled, Result):
 
     @abstractmethod
     def roots(self) -> np.ndarray:
-        """The frequency or pole of each mode."""
+        """Return the frequency or pole of each mode."""
 
     @abstractmethod
     def growing_and_still(self) -> tuple[np.ndarray, np.ndarray]:
-        """Which modes grow, and which have no frequency."""
+        """Return which modes grow, and which have zero frequency."""
 
     def explain(self) -> str:
         status, (growing, still) = Status(int(self.status)), self.growing_and_still()
@@ -100,7 +100,8 @@ class ModalResult(Labeled, Result):
         return f"{tables.counted(int(marked[0].sum()), 'mode')} of {marked[1]}" if marked else ""
 
     def labeled(self, kind: str, **own: tuple[tuple[str, ...], Any, str]) -> Any:
-        """A dataset of what all modes have, and of `own` variables."""
+        """Return a dataset of the variables of all modal results, and of the class's `own`
+        variables."""
         return dataset(
             {
                 "frequency": (("mode",), self.frequency, "Hz"),
@@ -118,7 +119,7 @@ class ModalResult(Labeled, Result):
         )
 
     def table(self, title: str, columns: dict[str, Any]) -> list[tables.PrintedTable]:
-        """A row for each mode, with its name."""
+        """Return a table with a row for each mode: its number, these columns, and its name."""
         names = self.names
         rows = [
             (str(i + 1), *row) for i, row in enumerate(zip(*columns.values(), names, strict=True))
@@ -150,7 +151,8 @@ class Modes(ModalResult):
         return np.isnan(self.frequency), np.asarray(self.frequency) == 0
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: frequency, damping ratio and shape by mode and named coordinate."""
+        """Return an xarray.Dataset: frequency, damping ratio and shape by mode and named
+        coordinate."""
         return self.labeled("modes", eigenvalue=(("mode",), self.eigenvalues, "rad2/s2"))
 
     @tables.summarized("Modes", 1, frequency="frequency [Hz]")
@@ -165,7 +167,7 @@ class Modes(ModalResult):
 
 
 def modes(lin: Linearization, *, stiffness: str = "relaxed", allow_float32: bool = False) -> Modes:
-    """Natural frequencies, mass-normalized shapes and damping ratios of small motions.
+    """Compute natural frequencies, mass-normalized shapes and damping ratios of small motions.
 
         K phi = w^2 M phi,   frequency = w/(2 pi),   damping ratio = phi' C phi/(2 w)
 
@@ -173,10 +175,10 @@ def modes(lin: Linearization, *, stiffness: str = "relaxed", allow_float32: bool
     in C.
 
     Args:
-        stiffness: of elements with memory, "relaxed": their massless coordinates follow slow
-            motions, or "instantaneous": they are held, as in motions much faster than their
-            relaxation; `complex_modes` has neither assumption
-        allow_float32: whether to compute in float32; by default an error
+        stiffness: stiffness of elements with memory, "relaxed" (default): their massless
+            coordinates follow slow motions, or "instantaneous": they are held, as in motions much
+            faster than their relaxation; `complex_modes` needs neither assumption
+        allow_float32: True to compute in float32; by default that is an error
 
     Errors: FLOAT32 unless `allow_float32`, BAD_OPTION; warns UNSTABLE, SINGULAR_K,
     SINGULAR_M, NONFINITE.
@@ -203,7 +205,7 @@ def modes(lin: Linearization, *, stiffness: str = "relaxed", allow_float32: bool
 
 
 def without_inner_rows(lin: Linearization, stiffness: str, where: str) -> Linearization:
-    """The system whose elements with memory are relaxed or held. Error: BAD_OPTION."""
+    """Return the system in which elements with memory are relaxed or held. Error: BAD_OPTION."""
     if stiffness not in STIFFNESSES:
         raise JaxbodyError(
             Problem(
@@ -232,8 +234,8 @@ def _modes(lin: Linearization) -> Modes:
 
 @program
 def modes_of(lin: Linearization) -> tuple[Array, ...]:
-    """Frequency, shapes, damping ratio, eigenvalues, cluster and status; of elements with memory
-    the relaxed stiffness, unless the system has no rows for them."""
+    """Return frequency, shapes, damping ratio, eigenvalues, cluster and status. The stiffness of
+    elements with memory is the relaxed one, unless the system has no rows for them."""
     lin = lin.condensed
     values, shapes = natural(lin.K, lin.M)
     cluster = clusters(values)
@@ -270,8 +272,8 @@ NO_MODES = (Status.UNSTABLE, Status.NOT_SYMMETRIC, Status.SINGULAR_M, Status.NON
 
 
 def with_modal_damping(lin: Linearization, ratios: Any, where: str) -> Linearization:
-    """The linearization with damping ratios added to its modes, one for all or one for each, in
-    ascending order; its status is that of `modes` if these fail.
+    """Return the linearization with damping ratios added to its modes, one for all or one for each,
+    in ascending order; its status is that of `modes` if these fail.
 
     Errors: BAD_SHAPE, NON_FINITE, NEGATIVE."""
     if ratios is None:
@@ -307,7 +309,7 @@ def _added(lin: Linearization, ratios: Float[Array, "nv"]) -> tuple[Array, ...]:
     coupling = coupling - jax.lax.stop_gradient(coupling)
 
     def weights(power: float) -> Float[Array, "nv nv"]:
-        """2 zeta w^power of the modes, as a matrix between those that coincide."""
+        """Return 2 zeta w^power of the modes, as a matrix that couples only coinciding modes."""
         w2 = jnp.where(oscillates, jnp.where(shared.any(0), fixed, values), 1.0)
         slope = zeta * power * w2 ** (power / 2 - 1)
         return jnp.where(

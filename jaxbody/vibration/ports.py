@@ -41,10 +41,10 @@ from jaxbody.sensors.sensors import Sensor
 
 
 class Ports(eqx.Module):
-    """The matrices of inputs and outputs. `orders`: the order of the derivative of Xi for each
-    input (0 for forces); `chains` of outputs; `elements`: for each output the index of the
-    element whose force it is; `reactions`: the index of the component of Xi whose reaction it is;
-    -1 for others."""
+    """The matrices of inputs and outputs. `orders`: for each input the order of the derivative of
+    Xi that it is (0 for forces); `chains`: gain, delay and lag of outputs; `elements`: for each
+    output the index of the element whose force it is; `reactions`: the index of the component of Xi
+    whose reaction it is; -1 for others."""
 
     F: Float[Array, "n nu"]
     X: Float[Array, "nxi nu"]
@@ -74,7 +74,7 @@ class Chains(eqx.Module):
     lagged: tuple[int, ...] = eqx.field(static=True)  # the outputs that have a lag
 
     def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "ny nf"]:
-        """gain exp(-s delay)/(1 + s lag)."""
+        """Return gain exp(-s delay)/(1 + s lag) at each s."""
         gain, delay, lag = (x.astype(s.dtype)[:, None] for x in (self.gain, self.delay, self.lag))
         return gain * jnp.exp(-s[None] * delay) / (1 + s[None] * lag)
 
@@ -82,7 +82,7 @@ class Chains(eqx.Module):
 def inputs_of(
     model: Model, given: Any, where: str, problems: Problems
 ) -> tuple[tuple[str, ...], tuple[Input, ...], tuple[str, ...]]:
-    """Names, inputs and units of a dict of inputs; errors go to `problems`."""
+    """Return names, inputs and units of a dict of inputs; errors are added to `problems`."""
     ports = _checked(
         model, given, Input, f"{where}.inputs", "{name: BaseMotion or PointForce}", problems
     )
@@ -90,7 +90,7 @@ def inputs_of(
 
 
 def outputs_of(model: Model, given: Any, where: str, problems: Problems) -> Outputs:
-    """The outputs of a dict of sensors; errors go to `problems`."""
+    """Return the outputs of a dict of sensors; errors are added to `problems`."""
     sensors = _checked(
         model,
         given,
@@ -106,7 +106,8 @@ def outputs_of(model: Model, given: Any, where: str, problems: Problems) -> Outp
 def _checked(
     model: Model, given: Any, kinds: Any, where: str, limit: str, problems: Problems
 ) -> dict[str, Any]:
-    """The dict, if all in it are of these kinds and fit the model, else an empty one."""
+    """Return the dict if all its values are of these kinds and fit the model, otherwise an empty
+    one."""
     if not isinstance(given, dict) or not given:
         problems.add(
             "WRONG_KIND",
@@ -129,7 +130,8 @@ def _checked(
 
 
 def component_units(sensors: dict[str, Any], model: Model | None = None) -> dict[str, str]:
-    """{"seat.x": unit} of all components, those of sensors on elements as on the model."""
+    """Return {"seat.x": unit} of all components. Units of sensors on elements depend on the model,
+    if it is given."""
     units = {}
     for name, sensor in sensors.items():
         if not isinstance(sensor, Sensor):
@@ -148,7 +150,7 @@ def component_units(sensors: dict[str, Any], model: Model | None = None) -> dict
 
 
 def chains_of(sensors: tuple[Sensor, ...]) -> Chains | None:
-    """The chains of all components; None if there is none."""
+    """Return gain, delay and lag of all components; None if no sensor has any."""
     if all(
         getattr(sensor, stage) is None for sensor in sensors for stage in ("gain", "delay", "lag")
     ):
@@ -166,8 +168,8 @@ def chains_of(sensors: tuple[Sensor, ...]) -> Chains | None:
 
 
 class _Rows(NamedTuple):
-    """The rows of one sensor, and of each component the index of its element and of its reaction,
-    () if there is none."""
+    """The rows of one sensor, and for each component the index of its element and of its reaction,
+    () if it has none."""
 
     Y: Float[Array, "3 k n"]
     G: Float[Array, "k nu"]
@@ -183,16 +185,24 @@ def rows_of(
     F: Float[Array, "n nu"],
     wrenches: Float[Array, "nu nb 6"],
 ):
-    """Y and G of all outputs, and the indices of elements and reactions. Each input exerts, per
-    unit, the generalized force F and the `wrenches`: force and moment on each body about its
-    origin, in world axes."""
+    """Return Y and G of all outputs, and the indices of elements and reactions.
+
+    Args:
+        lin: the linearization
+        at: its configuration
+        twists: displacement and rotation of each frame per unit of each of (Delta, Xi)
+        sensors: the outputs
+        F: generalized force of each input, per unit
+        wrenches: force and moment of each input on each body about its origin, in world axes, per
+            unit"""
     model, zero = lin.model, jnp.zeros(len(F), F.dtype)
 
     reads_elements = any(isinstance(sensor, LoadCell) for sensor in sensors)
     elements = _by_name(model, at) if reads_elements else {}
 
     def in_closed_form(sensor: Sensor) -> _Rows | None:
-        """Return the rows of a sensor without differentiating its reading; None if it must be."""
+        """Return the rows of a sensor that need no derivatives of its reading; None if there are
+        none."""
         if isinstance(sensor, Kinematic):
             moved = sensor.rows(model, at.frames, twists).reshape(len(F), -1).T
             Y = jnp.zeros((3, *moved.shape), F.dtype).at[sensor.order].set(moved)
@@ -222,14 +232,14 @@ def rows_of(
 
 
 def reads_matrices(sensor: Any, model: Model) -> bool:
-    """Whether a sensor reads its rows from the matrices of a support's motion."""
+    """Return whether the rows of a sensor are those of the matrices of a support's motion."""
     return (
         isinstance(sensor, Reaction) and sensor.on in model.layout.supports and sensor.point is None
     )
 
 
 def _by_name(model: Model, at: Configuration) -> dict[str, tuple[int, ElementDerivatives]]:
-    """{element: (its index, its derivatives)}."""
+    """Return {element: (its index, its derivatives)}."""
     rows = [
         ElementDerivatives(*(x[i] for x in derivatives))
         for derivatives in element_derivatives(at)
@@ -241,15 +251,15 @@ def _by_name(model: Model, at: Configuration) -> dict[str, tuple[int, ElementDer
 def _read_rows(
     lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sensors: list[Sensor], wrenches
 ) -> list[_Rows]:
-    """The rows of sensors by the derivatives of their readings; accelerations are those of x'': no
-    equation of motion is solved."""
+    """Return the rows of sensors by the derivatives of their readings; accelerations are those of
+    x'', so that no equation of motion is solved."""
     model, q, layout, frames = lin.model, lin.state.q, lin.model.layout, at.frames
     dynamics, zero = dynamics_of(lin.held, (), lin.loads), jnp.zeros(twists.shape[1], q.dtype)
     n, k, with_mass = len(lin.independent), lin.inner, len(layout.inertial)
     T = None if lin.dependent is None else lin.dependent.whole(lin.inner, layout.nxi)[: layout.nv]
 
     def held(x, rate) -> Model:
-        """The model with displaced coordinates of elements."""
+        """Return the model with displaced coordinates of elements."""
         if not k:
             return lin.held
         y, y_dot, z, zero = x[n : n + k], rate[n : n + k], lin.state.z, jnp.zeros_like(lin.state.z)
@@ -295,9 +305,9 @@ def _read_rows(
 
 
 def _reaction_rows(lin: Any, at: Configuration, sensor: Any, F: Float[Array, "n nu"]) -> _Rows:
-    """Minus the rows of K, C and M of a support's motion; and the forces on it. Of a moment also
-    phi x m/2: the moment m at equilibrium equals dV/dphi at the rotation vector phi = 0 only; in
-    general m = J(phi)^-T dV/dphi."""
+    """Return minus the rows of K, C and M of a support's motion, and the forces on it. To the rows
+    of a moment m, phi x m/2 is added: the moment equals dV/dphi only at the rotation vector phi =
+    0; in general m = J(phi)^-T dV/dphi."""
     nv, first = lin.M.shape[-1], 6 * lin.model.layout.supports.index(sensor.on)
     places = (
         tuple(range(first, first + 6)) if sensor.component is None else (first + sensor.component,)
@@ -317,7 +327,7 @@ def _reaction_rows(lin: Any, at: Configuration, sensor: Any, F: Float[Array, "n 
 
 @program
 def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ...]) -> Ports:
-    """The matrices between these inputs and outputs on a linearization."""
+    """Return the matrices between these inputs and outputs on a linearization."""
     layout = lin.model.layout
     at = configuration_at(Coordinates(lin.held), lin.state.q)
     twists = frame_twists(at)
@@ -332,7 +342,8 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ..
 
 
 def check_ports(lin: Any, inputs: Any, outputs: Any, where: str) -> tuple[tuple[Any, ...], Outputs]:
-    """(names, inputs, units) and outputs; raises all errors at once."""
+    """Check inputs and outputs; return (names, inputs, units) and the outputs. All errors are
+    raised at once."""
     with Problems() as problems:
         return inputs_of(lin.model, inputs, where, problems), outputs_of(
             lin.model, outputs, where, problems

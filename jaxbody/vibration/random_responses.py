@@ -53,7 +53,7 @@ class RandomResponse(OfOutputs):
     status: Int[Array, ""]
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: psd by `output` and `frequency`, rms by `output`."""
+        """Return an xarray.Dataset: psd by `output` and `frequency`, rms by `output`."""
         f = np.asarray(self.frequencies)
         return self.labeled(
             "random response",
@@ -98,20 +98,22 @@ def random_response(
     loss_factor: Any = None,
     modal_damping: Any = None,
 ) -> RandomResponse:
-    """Power spectral densities and rms of outputs under stationary random inputs, of small motions
-    about an equilibrium.
+    """Compute power spectral densities and rms of outputs under stationary random inputs, of small
+    motions about an equilibrium.
 
         S_y(f) = sum_ij H_i S_ij conj(H_j),   rms^2 = int S_y df
 
     Args:
+        lin: `linearize(model, equilibrium(model))`.
         frequencies: a Band, or frequencies [Hz] for the trapezoidal rule, close enough to resolve
             each resonance.
-        inputs, outputs: as in `frequency_response`.
+        inputs: as in `frequency_response`.
+        outputs: as in `frequency_response`.
         spectra: {input: PSD or PowerLaw}, uncorrelated, or a CrossPSD. The spectrum of a motion may
-            be that of its displacement, velocity
-        or
-            acceleration, whatever the kind of the port: powers of 2 pi f convert it.
-        loss_factor, modal_damping: as in `frequency_response`; by default none.
+            be that of its displacement, velocity or acceleration, whatever the kind of the port: it
+            is converted by powers of 2 pi f.
+        loss_factor: as in `frequency_response`; by default none.
+        modal_damping: as in `frequency_response`; by default none.
 
     Errors: those of `frequency_response`, UNKNOWN_NAME or NO_SPECTRUM (missing), BAD_UNIT for a
     spectrum that does not fit its input; warns COARSE, NOT_POSITIVE, UNDAMPED, UNSTABLE.
@@ -174,7 +176,8 @@ def random_response(
 def root_mean_square(
     psd: Float[Array, "ny nf"], weights: Float[Array, "*w nf"]
 ) -> Float[Array, "ny"]:
-    """The root of the integral; its derivative at zero is zero."""
+    """Return the root of the integral of a density with these weights; its derivative at zero is
+    zero."""
     return root(jnp.sum(psd * jnp.atleast_2d(weights), -1))
 
 
@@ -215,8 +218,8 @@ def _random_response(
 
 
 def _beside_resonances(lin: Linearization, f: Float[Array, "nf"]) -> Float[Array, "_"]:
-    """For each free vibration with a frequency in the band two frequencies, NEAR it and twice as
-    far; first all of the first kind."""
+    """Return two frequencies beside each free vibration in the band, NEAR it and twice as far;
+    first all of the first kind."""
     nv = lin.M.shape[-1]
     own = jax.tree.map(lambda A: A[:nv, :nv], DynamicMatrices(*lin.whole, None, lin.massless))
     # without the conjugates
@@ -229,7 +232,7 @@ def _beside_resonances(lin: Linearization, f: Float[Array, "nf"]) -> Float[Array
 
 
 def _order(spectrum: Spectrum, port: Any) -> int:
-    """The power of 2 pi f that converts the spectrum of a motion to that of the port: 2 for
+    """Return the power of 2 pi f that converts the spectrum of a motion to that of the port: 2 for
     each derivative."""
     if spectrum.quantity == port.unit:
         return 0

@@ -40,8 +40,8 @@ class Unevenness(eqx.Module):
 
     @classmethod
     def iso(cls, road_class: str) -> Unevenness:
-        """The geometric mean of a class, A (smooth) to H: 16e-6 m3 for A, each four times the
-        previous one. Error: BAD_CLASS."""
+        """Return the geometric mean of a class, A (smooth) to H: 16e-6 m3 for A, each four times
+        the previous one. Error: BAD_CLASS."""
         if road_class not in tuple(CLASSES):
             raise JaxbodyError(
                 Problem(
@@ -56,7 +56,7 @@ class Unevenness(eqx.Module):
         return cls(SMOOTHEST * 4.0 ** CLASSES.index(road_class))
 
     def at_speed(self, speed) -> PowerLaw:
-        """The spectrum of displacement under a wheel at a speed U [m/s], Gd(f/U)/U."""
+        """Return the spectrum of displacement under a wheel at a speed U [m/s], Gd(f/U)/U."""
         return PowerLaw(
             self.level,
             exponent=self.exponent,
@@ -66,24 +66,27 @@ class Unevenness(eqx.Module):
         )
 
     def __call__(self, n: Float[Array, "k"]) -> Float[Array, "k"]:
+        """Return Gd(n) [m3] at n [cycle/m]."""
         return self.level * (n / REFERENCE) ** -self.exponent
 
 
 def road_profile(
     road: Unevenness, *, length, spacing, key: PRNGKeyArray
 ) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
-    """(distances, heights) of a road profile [m], for a Road.
-
-    Args:
-        road: its unevenness.
-        length: length of the road [m].
-        spacing: distance between its points [m].
-        key: random key for the phases; the same key gives the same road.
+    """Generate a road profile, (distances, heights) [m], for a Road.
 
         z(s) = sum over k of sqrt(2 Gd(k/L)/L) cos(2 pi k s/L + p_k),   k/L up to 1/(2 spacing)
 
     with random phases p_k: each road has exactly this density at all k/L, mean zero, and is
-    periodic. Its longest wavelength is its length. Errors: BAD_LENGTH, WRONG_KIND.
+    periodic. Its longest wavelength is its length.
+
+    Args:
+        road: unevenness of the road.
+        length: length L of the road [m].
+        spacing: distance between its points [m].
+        key: random key for the phases; the same key gives the same road.
+
+    Errors: BAD_LENGTH, WRONG_KIND.
 
     >>> distances, heights = road_profile(
     ...     Unevenness.iso("C"), length=100.0, spacing=0.1, key=jax.random.key(0)

@@ -55,8 +55,8 @@ LOWEST = -700.0  # used for the logarithm of zero
 
 
 class Spectrum(eqx.Module):
-    """The base of power spectral densities: `spectrum(f)` at frequencies f [Hz] is one-sided, per
-    hertz, of a signal in `quantity`.
+    """The base class of power spectral densities: `spectrum(f)` at frequencies f [Hz] is one-sided,
+    per hertz, of a signal in `quantity`.
 
     >>> PowerLaw(2.0, unit="(m/s)2/Hz")(jnp.array([1.0, 3.0])).tolist()
     [2.0, 2.0]
@@ -115,7 +115,7 @@ class Density(Spectrum):
 
     @abstractmethod
     def at(self, x: Float[Array, "nf"]) -> Float[Array, "nf"]:
-        """The density as stated, at frequencies in the measure of its unit."""
+        """Return the density in its own unit, at frequencies x in the measure of that unit."""
 
     def __call__(self, f):
         rate = (2 * jnp.pi if self.per.startswith("rad") else 1.0) / (
@@ -129,14 +129,14 @@ class PowerLaw(Density):
     or rad/m): exponent 0 is white noise, 2 a road.
 
     Args:
-        level: S at the reference [unit]
+        level: S at the reference frequency [unit]
         unit: such as "m2/Hz", "(m/s2)^2/Hz", "m2/s4/Hz", "g2/Hz", "m2/(rad/s)", "m3" or
             "m2/(cycle/m)": the square of a length, angle, force or moment, of their rates or
             accelerations, per Hz, rad/s, cycle/m or rad/m
-        exponent: default 0, a constant
-        reference: frequency x at which S is `level`
-        sides: 1, or 2 where half of the power is at negative frequencies
-        speed: speed of travel, for a spectrum over distance [m/s]
+        exponent: exponent; default 0, a constant density
+        reference: frequency x at which S is `level`; default 1
+        sides: 1 (default), or 2 where half of the power is at negative frequencies
+        speed: speed of travel [m/s], for a spectrum over distance only
 
     Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY for a reference of 0 or less,
     BAD_SHAPE, NON_FINITE.
@@ -180,11 +180,11 @@ class PSD(Density):
     `PSD.from_record` estimates one from a record.
 
     Args:
-        frequencies: increasing, in the measure of the unit (Hz, rad/s, cycle/m or rad/m)
+        frequencies: increasing frequencies in the measure of the unit (Hz, rad/s, cycle/m or rad/m)
         values: densities at these [unit]
         unit: see PowerLaw
-        sides: 1, or 2 where half of the power is at negative frequencies
-        speed: speed of travel, for a spectrum over distance [m/s]
+        sides: 1 (default), or 2 where half of the power is at negative frequencies
+        speed: speed of travel [m/s], for a spectrum over distance only
 
     Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, BAD_FREQUENCY, NEGATIVE, BAD_SHAPE, NON_FINITE.
 
@@ -221,13 +221,13 @@ class PSD(Density):
 
     @classmethod
     def from_record(cls, times, values, *, unit: str, segment: int = 1024) -> PSD:
-        """Welch's estimate from a record, with scipy.signal.welch: Hann windows of `segment`
-        samples that overlap by half.
+        """Estimate a density from a record by Welch's method, with scipy.signal.welch: Hann windows
+        of `segment` samples that overlap by half.
 
         Args:
-            times: evenly spaced [s].
-            values: the record, in `unit`.
-            unit: m, m/s, m/s2, g, rad, ...
+            times: evenly spaced times [s].
+            values: the record [unit].
+            unit: unit of the record: m, m/s, m/s2, g, rad, ...
             segment: samples in a window.
 
         Errors: BAD_UNIT, BAD_SHAPE, NOT_UNIFORM, NON_FINITE."""
@@ -352,14 +352,14 @@ class CrossPSD(eqx.Module):
         return jnp.stack([jnp.stack(row) for row in rows])
 
     def correlation(self, f: Float[Array, "nf"]) -> Complex[Array, "nu nu nf"]:
-        """S_ij/sqrt(S_i S_j)."""
+        """Return S_ij/sqrt(S_i S_j) at frequencies f [Hz]."""
         d = jnp.stack([self.delays[name] for name in self.names])
         phase = -2 * jnp.pi * f[None, None] * (d[:, None] - d[None])[:, :, None]
         turned = jnp.exp(jax.lax.complex(jnp.zeros_like(phase), phase))
         return self._coherences(f).astype(turned.dtype) * turned
 
     def positive(self, f: Float[Array, "nf"]) -> Bool[Array, ""]:
-        """Whether the matrix is positive semidefinite at all frequencies."""
+        """Return whether the matrix is positive semidefinite at all frequencies."""
         if self._is_constant:
             f = f[:1]
         return jnp.linalg.eigvalsh(jnp.moveaxis(self._coherences(f), -1, 0)).min() >= -ROUNDING
@@ -431,7 +431,8 @@ class Band(eqx.Module):
 
 
 def trapezoids(f: Float[Array, "n"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-    """Weights of the trapezoidal rule, and of the rule with every other point and the last."""
+    """Return the weights of the trapezoidal rule, and those of the rule with every other point and
+    the last."""
     kept = np.append(np.arange(0, len(f) - 1, 2), len(f) - 1)
 
     def weights(f):
@@ -442,7 +443,7 @@ def trapezoids(f: Float[Array, "n"]) -> tuple[Float[Array, "n"], Float[Array, "n
 
 
 def check_spectra(given: Any, where: str, problems: Problems) -> dict[str, Spectrum]:
-    """The spectra of a dict; other entries are errors in `problems`."""
+    """Return the spectra of a dict; problems are added for other values."""
     for name, spectrum in given.items():
         if not isinstance(spectrum, Spectrum):
             problems.add(
@@ -457,8 +458,8 @@ def check_spectra(given: Any, where: str, problems: Problems) -> dict[str, Spect
 
 
 def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
-    """The quantity, the measure of frequency, and the factor from this unit to the squared quantity
-    in SI units per unit of that measure."""
+    """Return the quantity, the measure of frequency, and the factor from this unit to the squared
+    quantity in SI units per unit of that measure."""
     try:
         text = CYCLES.sub("1", str(unit))
         whole, last = parse(text, where), LAST.fullmatch(text)
@@ -480,7 +481,7 @@ def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
 
 
 def check_not_negative(value: Any, where: str, problems: Problems) -> None:
-    """Problem: NEGATIVE, for densities that are known."""
+    """Check that densities are not negative, if they are not traced. Problem: NEGATIVE."""
     if is_concrete(value) and (value < 0).any():
         problems.add(
             "NEGATIVE",

@@ -82,16 +82,16 @@ class SpinLinearization(LinearSystem):
 
 
 def linearize_spin(model: Model, at: State) -> SpinLinearization:
-    """Mass, damping, gyroscopic and stiffness matrix of small motions about a steady motion, such
-    as that of a rotor, with the supports at rest.
+    """Compute mass, damping, gyroscopic and stiffness matrix of small motions about a steady
+    motion, such as that of a rotor, with the supports at rest.
 
         M delta'' + (C + G) delta' + K delta = 0
 
-    The Jacobian of the equations of motion at (q, v). It must not depend on time: a spinning body
-    must be axisymmetric about its axis of spin, free or on a hinge, and elements must be attached
-    to it on that axis. Errors: BAD_SHAPE, NON_FINITE for the state, CLOSED_LOOPS for a model with
-    closures built from traced numbers, NOTHING_MOVES; warns NOT_STEADY, and NOT_CLOSED, also for
-    speeds that do not fit the closures, and SINGULAR_CLOSURE.
+    They are the Jacobian of the equations of motion at (q, v), which must not depend on time: a
+    spinning body must be axisymmetric about its axis of spin, free or on a hinge, and elements must
+    be attached to it on that axis. Errors: BAD_SHAPE, NON_FINITE for the state, CLOSED_LOOPS for a
+    model with closures built from traced numbers, NOTHING_MOVES; warns NOT_STEADY, and NOT_CLOSED,
+    also for speeds that do not fit the closures, and SINGULAR_CLOSURE.
     Source: G. Genta, Dynamics of Rotating Systems (2005), 2.3.
 
     A disk with 0.2 kg m2 about its axis z, spinning at 30 rad/s, has G = 0.2 x 30 between its
@@ -172,7 +172,7 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
 
 
 def _second_order(dynamics: Dynamics, q: Float[Array, "nq"], v: Float[Array, "nf"]):
-    """M, C + G, K and v' of the independent coordinates, at any state."""
+    """Return M, C + G, K and v' of the independent coordinates, at any state."""
     coordinates, n, own = (
         dynamics.coordinates,
         len(v),

@@ -1,5 +1,5 @@
-"""State space of small motions: x' = A x + B u, y = C x + D u between named ports, as
-python-control and scipy.signal take it."""
+"""State space of small motions: x' = A x + B u, y = C x + D u between named ports, in
+the form of python-control and scipy.signal."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class StateSpace(Result):
 
 
 def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
-    """See `Linearization.state_space`."""
+    """Compute the state space of a Linearization; see `Linearization.state_space`."""
     # needs all sensors, which a linearization does not
     from jaxbody.vibration.ports import check_ports, port_matrices
 
@@ -76,7 +76,7 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
 
 
 def _check_without_delay(outputs: dict[str, Any]) -> None:
-    """A delay has no state space. Error: BAD_CHAIN."""
+    """Refuse sensors with a delay, which have no state space. Error: BAD_CHAIN."""
     with Problems() as problems:
         for name, sensor in outputs.items():
             if sensor.delay is not None:
@@ -92,9 +92,9 @@ def _check_without_delay(outputs: dict[str, Any]) -> None:
 
 @program
 def _state_space(lin: Any, ports: Any):
-    """The states are p = Delta - g u, r = Delta' - g u' - h u and, of massless coordinates,
-    w = y - j u, so that no derivative of u is needed, then Xi and Xi' of inputs that are velocities
-    (Xi) and accelerations (both):
+    """Return A, B, C, D and the status. The states are p = Delta - g u, r = Delta' - g u' - h u
+    and, for massless coordinates, w = y - j u, so that no derivative of u is needed, then Xi and
+    Xi' of inputs that are velocities (Xi) and accelerations (both):
 
     Delta'' = M^-1 (F f + K~ Xi + C~ Xi' + M~ Xi'' - C Delta' - K Delta),   u = Xi:   g = M^-1 M~,
     h = M^-1 (C~ - C g)
@@ -165,7 +165,8 @@ def _state_space(lin: Any, ports: Any):
 
 
 def _chained(chains: Any, A, B, C, D):
-    """The matrices with gains, and a state x_l of each output y with a lag: lag x_l' = y - x_l."""
+    """Return the matrices with gains, and with a state x_l for each output y with a lag: lag x_l' =
+    y - x_l."""
     which = np.array(chains.lagged, dtype=int)
     rate, k = 1 / chains.lag[which], len(which)
     A = jnp.block(

@@ -30,7 +30,7 @@ LOADS = {
 
 class WheelCompliance(Result):
     """The compliance of a wheel: `compliance["toe", "force y"]` [rad/N], see `wheel_compliance`;
-    `values` of all readings by all loads."""
+    `values` (readings, loads): all of them."""
 
     values: Float[Array, "readings loads"]
     status: Int[Array, ""]
@@ -56,24 +56,24 @@ class WheelCompliance(Result):
 
 
 def wheel_compliance(lin: Linearization, wheel: Wheel) -> WheelCompliance:
-    """How camber, toe and the center of a wheel change by loads, to first order about
-    an equilibrium.
+    """Compute how camber, toe and the center of a wheel change by loads, to first order about an
+    equilibrium.
 
         dr/dF = G K^-1 J',   G = dr/dDelta,
         J the motion of the point on which the load acts, along the load
 
     The loads are forces on the wheel's body along x, y and z at the contact, a moment about z, as
     of a tyre, and a force along x at the center, as of a driven wheel without brakes. The travel is
-    free, or what the model holds it by: a spring and a tyre, or a closure such as
+    free, or held by the model: by a spring and a tyre, or by a closure such as
     `jb.closures.Equation` of the height of the center. Angles have the signs of ISO 8855, forces
-    act along the axes of the world.
+    act along world axes.
 
     Args:
         lin: the linearization at an equilibrium, such as that of a corner with
             bushings (`jb.compliant`)
         wheel: the wheel
 
-    Exact derivatives by every number of the model. Error: UNKNOWN_NAME.
+    The result has exact derivatives with respect to every number of the model. Error: UNKNOWN_NAME.
 
     A wheel on a spring of 200 N/mm and a guide rises by 5 mm under 1 kN:
 
