@@ -269,7 +269,7 @@ class _Problem:
         # of a in straight lines: velocity and displacement at the end
         ends = np.stack([np.full(len(times), h), h * (T - times)])
         ends[:, 0], ends[:, -1] = (h / 2, h * T / 2 - h**2 / 6), (h / 2, h**2 / 6)
-        self.ends, self.kept = ends, np.linalg.solve((ends * self.envelope) @ ends.T, ends)
+        self.ends, self.correction = ends, np.linalg.solve((ends * self.envelope) @ ends.T, ends)
         angles = 2 * np.pi * self.lines * times[:, None]
         self.cosines, self.sines = np.cos(angles), np.sin(angles)
         s = poles(jnp.asarray(f), jnp.full(len(f), damping))
@@ -290,7 +290,7 @@ class _Problem:
         a = self.envelope * (
             self.cosines @ (size * np.cos(phase)) - self.sines @ (size * np.sin(phase))
         )
-        return a - self.envelope * ((self.ends @ a) @ self.kept)
+        return a - self.envelope * ((self.ends @ a) @ self.correction)
 
     def linear(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the residuals log(reached/target), their Jacobian (frequencies, 2 k), and the
@@ -299,7 +299,7 @@ class _Problem:
             np.asarray, influences(self.acceleration(values), self.h, *self.oscillators, PARTS)
         )
         whole = by_a * self.envelope / reached[:, None]
-        whole = whole - (whole @ self.kept.T) @ (self.ends * self.envelope)
+        whole = whole - (whole @ self.correction.T) @ (self.ends * self.envelope)
         size, (c, s) = np.exp(values[0]), (np.cos(values[1]), np.sin(values[1]))
         by_cosines, by_sines = whole @ self.cosines * size, whole @ self.sines * size
         jacobian = np.concatenate(

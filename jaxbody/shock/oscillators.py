@@ -146,7 +146,7 @@ def peaks(
         peak, end = _largest(a, h, s, c, side, r0)
         return peak.value[0], end
     a = interpolated(a, parts)
-    peak, end = _largest(a, h / parts, s, c, side, r0, kept=True)
+    peak, end = _largest(a, h / parts, s, c, side, r0, with_state=True)
     return _first_of_equal(a, h / parts, s, c, side, peak)[0], end
 
 
@@ -176,7 +176,7 @@ def influences(
     """Return continuous peaks of |Im(r)| and their derivatives (n, nt) with respect to the samples:
     the response at the time of the peak to the hat function of each sample."""
     n, fine = len(a), interpolated(a, parts)
-    peak, _ = _largest(fine, h / parts, s, c, "maximax", jnp.zeros_like(s), kept=True)
+    peak, _ = _largest(fine, h / parts, s, c, "maximax", jnp.zeros_like(s), with_state=True)
     value, time, sign = _first_of_equal(fine, h / parts, s, c, "maximax", peak)
     whole = jnp.clip(jnp.floor(time / h), 0, n - 2)
     k, late, part = whole.astype(int), time - whole * h, time / h - whole
@@ -216,24 +216,26 @@ def _signed(y: Array, side: str) -> Array:
     return jnp.abs(y) if side == "maximax" else y if side == "positive" else -y
 
 
-def _largest(a, h, s, c, side: str, r0, kept: bool = False) -> tuple[Peak, Complex[jax.Array, "n"]]:
-    """Return the peak at the samples, with its sample and state if `kept`, and the state r at the
-    last sample."""
+def _largest(
+    a, h, s, c, side: str, r0, with_state: bool = False
+) -> tuple[Peak, Complex[jax.Array, "n"]]:
+    """Return the peak at the samples, with its sample and state if `with_state`, and the state r at
+    the last sample."""
     e, before, after = steps(s, c, h)
     drive = e * after + before  # of w = r - after a, whose step needs one acceleration
     er, ei, dr, di, own = e.real, e.imag, drive.real, drive.imag, after.imag
     start, zero = (
         (r0.real - after.real * a[0], r0.imag - own * a[0]),
-        jnp.zeros((2 if kept else 1, *er.shape), er.dtype),
+        jnp.zeros((2 if with_state else 1, *er.shape), er.dtype),
     )
-    places = (jnp.zeros(zero.shape, jnp.int32), zero, zero) if kept else ()
+    places = (jnp.zeros(zero.shape, jnp.int32), zero, zero) if with_state else ()
     margins = 1 + jnp.array([EXACT, BETWEEN], er.dtype)[: len(zero), None]
 
     def step(carry, now):
         re, im, best, *place = carry
         y = _signed(im + own * now[0], side)[None]
         larger = y > best * margins
-        if kept:
+        if with_state:
             larger = larger | ((y > best) & (place[0] == now[1] - 1))  # on the way up
             place = [
                 jnp.where(larger, new, old)
@@ -246,7 +248,7 @@ def _largest(a, h, s, c, side: str, r0, kept: bool = False) -> tuple[Peak, Compl
             *place,
         ), None
 
-    rows = (a, jnp.arange(len(a), dtype=jnp.int32)) if kept else (a,)
+    rows = (a, jnp.arange(len(a), dtype=jnp.int32)) if with_state else (a,)
     at_last, _ = jax.lax.scan(
         step, (*start, zero, *places), jax.tree.map(lambda x: x[:-1], rows), unroll=UNROLLED
     )
@@ -254,7 +256,7 @@ def _largest(a, h, s, c, side: str, r0, kept: bool = False) -> tuple[Peak, Compl
     end = jax.lax.complex(*at_last[:2]) + after * a[-1].astype(s.dtype)
     peak = (
         Peak(best, place[0], jax.lax.complex(place[1], place[2]))
-        if kept
+        if with_state
         else Peak(best, jnp.zeros(0), e[None, :0])
     )
     return peak, end

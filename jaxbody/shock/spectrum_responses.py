@@ -546,15 +546,17 @@ def modal_peaks(
     [m/s2]. `given`: the spectrum, or the samples of the record and their step [s]."""
     w = 2 * jnp.pi * modal.frequency
     alpha, beta, gamma = modal.readings * modal.participation[e][None, None]
-    sure, loose = (
+    direct, quadrature = (
         alpha - w[None] ** 2 * gamma,
         w[None] * (beta - 2 * (modal.damping * w)[None] * gamma),
     )  # as x'' + a = -2 zeta w x' - w^2 x
-    sign = jnp.where(jnp.where(jnp.abs(sure) >= jnp.abs(loose), sure, loose) < 0, -1.0, 1.0)
+    sign = jnp.where(
+        jnp.where(jnp.abs(direct) >= jnp.abs(quadrature), direct, quadrature) < 0, -1.0, 1.0
+    )
     if isinstance(given, ResponseSpectrum):
         here = covered(given, modal.frequency, modal.damping) | ~taken | ~_is_excited(modal, e)
         level = jnp.where(here, given(modal.frequency, modal.damping), jnp.nan) / w**2
-        return sign * root(sure**2 + loose**2) * level[None], given.rigid()
+        return sign * root(direct**2 + quadrature**2) * level[None], given.rigid()
     s = poles(modal.frequency, modal.damping)
     c = modal.weights(e, s)
     peaks = peaks_of(

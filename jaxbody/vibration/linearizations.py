@@ -473,7 +473,7 @@ def _linearize(
         whole, slope = whole_matrices(at)
         return whole if model.closures else _blocks(whole, nv + ny), slope[:nv], basis_of(at)
 
-    found, slope, basis = (matrices if model.closures else in_lanes(matrices, reversible=True))(
+    hessians, slope, basis = (matrices if model.closures else in_lanes(matrices, reversible=True))(
         numbers, state.q, state.v
     )
     r = slope - generalized_force(
@@ -481,9 +481,9 @@ def _linearize(
     )
     of_loads = _load_stiffness(model, state, loads)
     if not model.closures:
-        found["K"] = found["K"] - jnp.pad(of_loads, (0, ny))
-        return _system(model, state, status, loads, found, r, basis, None)
-    coordinates, (M, C, K) = Coordinates(eqx.combine(numbers, rest)), found
+        hessians["K"] = hessians["K"] - jnp.pad(of_loads, (0, ny))
+        return _system(model, state, status, loads, hessians, r, basis, None)
+    coordinates, (M, C, K) = Coordinates(eqx.combine(numbers, rest)), hessians
     moves = dependent_motions(coordinates, state.q, r, model.independent or ())
     x = np.r_[:nv, nv + ny : len(K)]  # the rows of (Delta, Xi)
     K = (
