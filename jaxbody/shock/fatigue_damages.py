@@ -216,11 +216,8 @@ def fatigue_damage(
     else:
         rows = np.array([source.outputs.index(name) for name in given], int)
         arrays = _expected(source, rows, tuple(given.values()), device_array(T), method)
-    return warn_if_failed(
-        FatigueDamage(  # pyright: ignore[reportCallIssue]
-            *arrays, method, outputs=tuple(given), units=tuple(stated[name] for name in given)
-        )
-    )
+    units = tuple(stated[name] for name in given)
+    return warn_if_failed(FatigueDamage(*arrays, method, outputs=tuple(given), units=units))  # pyright: ignore[reportCallIssue]
 
 
 def _as_record(channels: dict[str, Any], duration: Any) -> Record:

@@ -132,6 +132,7 @@ def floor_spectrum(
             )
         if records and f is not None and not problems.collected:
             check_record(records[0], concrete(f), "continuous", where, problems)
+    assert f is not None
     zeta = jnp.atleast_1d(device_array(zeta))
     modal = modal_excitation(lin, bases, ports.sensors, ratios)
     if records:

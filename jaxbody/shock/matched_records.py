@@ -199,12 +199,8 @@ def matched_record(
     v, x = (np.asarray(y)[:, 0] for y in integrals(times, a[:, None]))
     deviation = np.abs(reached / problem.target - 1).max()
     status = Status.OK if deviation <= float(limit) else Status.NOT_CONVERGED
-    return warn_if_failed(
-        MatchedRecord(
-            *map(device_array, (times, a, v, x, f, problem.target, reached, zeta)),
-            jnp.array(status.value),
-        )
-    )
+    arrays = map(device_array, (times, a, v, x, f, problem.target, reached, zeta))
+    return warn_if_failed(MatchedRecord(*arrays, jnp.array(status.value)))  # pyright: ignore[reportCallIssue]
 
 
 def _default_frequencies(spectrum: ResponseSpectrum, duration: float) -> np.ndarray:

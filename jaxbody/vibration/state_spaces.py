@@ -72,7 +72,7 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
         *(f"velocity of {name}" for name, kind in integrated if kind == "acceleration"),
         *(f"lagged {y[i]}" for i in (() if ports.chains is None else ports.chains.lagged)),
     )
-    return warn_if_failed(StateSpace(*_state_space(lin, ports), u, y, states, u_units, y_units))
+    return warn_if_failed(StateSpace(*_state_space(lin, ports), u, y, states, u_units, y_units))  # pyright: ignore[reportCallIssue]
 
 
 def _check_without_delay(outputs: dict[str, Any]) -> None:
