@@ -32,8 +32,7 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, product, rotate, skew
 from jaxbody.lagrange import potential
-from jaxbody.mechanics.dynamics import all_free
-from jaxbody.mechanics.element_inertias import element_inertia
+from jaxbody.mechanics.dynamics import all_free, element_inertia
 from jaxbody.model.element_states import apart
 from jaxbody.model.elements.second_derivatives import (
     Block,

@@ -20,7 +20,7 @@ from jaxbody.core.results import Result
 from jaxbody.geometry.frames import Pose
 from jaxbody.lagrange import kinetic, potential
 from jaxbody.mechanics.closed_loops import ClosedLoops, Closing, dynamics_of
-from jaxbody.mechanics.element_inertias import accelerated
+from jaxbody.mechanics.dynamics import accelerated
 from jaxbody.mechanics.failure_causes import (
     changing_most,
     force_jump_at,
