@@ -34,7 +34,7 @@ from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import axial, dot, rotate, rotate_back
 from jaxbody.model.element_states import apart, holding
 from jaxbody.model.inputs.loads import Load
-from jaxbody.model.joints.closure_tables import drawn, gaps_from, rank
+from jaxbody.model.joints.closure_tables import gaps, rank
 from jaxbody.model.joints.element_tables import (
     completed,
     each_element,
@@ -137,12 +137,9 @@ def L(model: Model, state: State, *small: Array) -> Float[Array, ""]:
 def c(model: Model, state: State, delta: Array, xi: Array) -> Float[Array, "nc"]:
     """The conditions of closures."""
     coordinates = Coordinates(model)
-    return gaps_from(
-        model,
-        drawn(coordinates),
-        frames_displaced(model, state, delta, xi),
-        coordinates.retract(state.q, delta),
-    )
+    q = coordinates.retract(state.q, delta)
+    supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
+    return gaps(model, coordinates, coordinates.frames(q, jnp.zeros_like(delta), supports), q)
 
 
 def Q(
@@ -409,9 +406,10 @@ def _value(
     refuse_batch(model, "model")
     check_state(model, state, "state")
     with Problems() as problems:
-        speeds = (model.layout.nv,)
-        delta = None if delta is None else shaped(delta, speeds, "delta", problems)
-        delta_dot = None if delta_dot is None else shaped(delta_dot, speeds, "delta_dot", problems)
+        delta, delta_dot = (
+            None if x is None else shaped(x, (model.layout.nv,), name, problems)
+            for x, name in ((delta, "delta"), (delta_dot, "delta_dot"))
+        )
         xi, xi_dot = (
             None if x is None else displacements(model, x, name, problems)
             for name, x in (("xi", xi), ("xi_dot", xi_dot))

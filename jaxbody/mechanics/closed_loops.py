@@ -19,6 +19,7 @@ with M and J of the state it starts from.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -154,13 +155,11 @@ class ClosedLoops(JointedBodies):
             slopes = _slopes(closure, rest, *ends)
             return jnp.zeros_like(slopes) if isinstance(closure, Coupling) else slopes
 
-        frames, coordinates = _plain(now), self._slides(now.state.q, now.state.v)
+        frames = _plain(now)
+        coordinates = moving_slides(self.model.layout, now.state.q, now.state.v)
         slopes = each_closure(self.model, self.rests, acting, (frames,), (coordinates,))
         each = -multipliers[:, None, None] * jnp.concatenate(slopes).reshape(-1, 2, 6)
         return jnp.zeros((len(now.p), 6), now.p.dtype).at[ends].add(each)
-
-    def _slides(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Frame:
-        return moving_slides(self.model.layout, q, v)
 
     def _saddle(self, frames: Frame, q: Float[Array, "nq"], J: tuple[Array, Array]) -> SaddlePoint:
         """[M J'; J 0] from the velocities of the bodies per unit of each speed."""
@@ -188,7 +187,13 @@ class ClosedLoops(JointedBodies):
 
         of_frames = _plain(frames), jnp.concatenate([still, twists])
         return jnp.concatenate(
-            each_closure(self.model, self.rests, slopes, of_frames, (self._slides(q, zero), along))
+            each_closure(
+                self.model,
+                self.rests,
+                slopes,
+                of_frames,
+                (moving_slides(self.model.layout, q, zero), along),
+            )
         )
 
     def slopes(self, t: Float[Array, ""], state: State) -> Float[Array, "n nv"]:
@@ -210,29 +215,28 @@ class ClosedLoops(JointedBodies):
         self, frames: Frame, q: Float[Array, "nq"], v: Float[Array, "nv"]
     ) -> Float[Array, "n"]:
         """c'."""
-
-        def rate(closure, rest, ends):
-            return _rate(closure, rest, *ends)
-
         return jnp.concatenate(
-            each_closure(self.model, self.rests, rate, (_plain(frames),), (self._slides(q, v),))
+            each_closure(
+                self.model,
+                self.rests,
+                lambda closure, rest, ends: _rate(closure, rest, *ends),
+                (_plain(frames),),
+                (moving_slides(self.model.layout, q, v),),
+            )
         )
 
     def _changes(self, now: Instant) -> Float[Array, "n"]:
         """c'' for the accelerations of the frames at v' = 0."""
-
-        def change(closure, rest, ends, changes):
-            return jax.jvp(lambda A, B: _rate(closure, rest, A, B), ends, changes)[1]
-
-        coordinates, zero = (
-            self._slides(now.state.q, now.state.v),
-            jnp.zeros((len(self.model.layout.coordinate_places), 3), now.p.dtype),
-        )
-        rates = coordinates.rates()
-        steady = Frame(rates.p, rates.R, zero, zero)
+        coordinates = moving_slides(self.model.layout, now.state.q, now.state.v)
         return jnp.concatenate(
             each_closure(
-                self.model, self.rests, change, (_plain(now), now.changes()), (coordinates, steady)
+                self.model,
+                self.rests,
+                lambda closure, rest, ends, changes: jax.jvp(
+                    partial(_rate, closure, rest), ends, changes
+                )[1],
+                (_plain(now), now.changes()),
+                (coordinates, coordinates.rates().at_rest()),
             )
         )
 

@@ -372,33 +372,26 @@ class FreeBodies(Dynamics):
         )
 
     def _split(self, y):
+        """p, quaternions, v_B, w_B and z."""
         n = len(self.model.layout.bodies)
         return (
             y[: 3 * n].reshape(n, 3),
             y[3 * n : 7 * n].reshape(n, 4),
             y[7 * n : 10 * n].reshape(n, 3),
             y[10 * n : 13 * n].reshape(n, 3),
+            y[13 * n :],
         )
-
-    def _states(self, y):
-        return y[13 * len(self.model.layout.bodies) :]
 
     def pack(self, state: State, t: Any = None):
         R = rotations.matrix(state.q.reshape(-1, 1, 7)[..., 3:])
         y = self._packed(state.q, rotate_back(R, state.v.reshape(-1, 2, 3)))
-        return jnp.concatenate([y, state.z]) if self.model.layout.nz else y
+        return jnp.concatenate([y, state.z])
 
     def unpack(self, y, t: Any = None):
-        p, quaternion, v_B, w_B = self._split(y)
+        p, quaternion, v_B, w_B, z = self._split(y)
         quaternion = rotations.normalize(quaternion)
         R = rotations.matrix(quaternion)
-        return _state(
-            p,
-            quaternion,
-            rotate(R, v_B),
-            rotate(R, w_B),
-            self._states(y) if self.model.layout.nz else None,
-        )
+        return _state(p, quaternion, rotate(R, v_B), rotate(R, w_B), z)
 
     def drive(self, t: Float[Array, ""]):
         """t and the frames of the supports."""
@@ -406,10 +399,9 @@ class FreeBodies(Dynamics):
 
     def driven(self, u, y):
         t, supports = u
-        z = self._states(y) if self.model.layout.nz else None
-        model = self.model if z is None else holding(self.model, z)
+        p, quaternion, v_B, w_B, z = self._split(y)
+        model = holding(self.model, z)
         bodies = model.bodies.rows
-        p, quaternion, v_B, w_B = self._split(y)
         R = rotations.matrix(quaternion)
         v, w = rotate(R, v_B), rotate(R, w_B)
         now = with_world(supports, Frame(p, R, v, w)).at_time(t, _state(p, quaternion, v, w, z))
@@ -420,7 +412,7 @@ class FreeBodies(Dynamics):
         F_B = rotate_back(R, F) - cross(w_B, P)
         M_B = rotate_back(R, M) - cross(w_B, H) - cross(v_B, P)
         rate = jnp.sum(self.inverse_mass * jnp.concatenate([F_B, M_B], -1)[:, None, :], -1)
-        of_elements = [] if z is None else [state_rates(model, now)]
+        of_elements = [state_rates(model, now)] if len(z) else []
         return jnp.concatenate(
             [
                 v.ravel(),
@@ -446,8 +438,8 @@ class FreeBodies(Dynamics):
 
         (_, (a, alpha), supports) = jax.jvp(moving, (t,), (jnp.ones_like(t),), has_aux=True)
         y = self.pack(state)
-        p, quaternion, v_B, w_B = self._split(y)
-        _, _, v_rate, w_rate = self._split(self.driven((t, supports), y))
+        p, quaternion, v_B, w_B, _ = self._split(y)
+        _, _, v_rate, w_rate, _ = self._split(self.driven((t, supports), y))
         R, zero = rotations.matrix(quaternion), jnp.zeros((1, 3), y.dtype)
         now = with_world(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B))).at_time(t, state)
         a = jnp.concatenate([zero, a, rotate(R, v_rate + cross(w_B, v_B))])
@@ -479,7 +471,7 @@ def _state(
     quaternion: Float[Array, "nb 4"],
     v: Float[Array, "nb 3"],
     w: Float[Array, "nb 3"],
-    z=None,
+    z: Float[Array, "nz"],
 ) -> State:
     """The state of free bodies."""
     return State(
@@ -541,12 +533,10 @@ def inertial_wrenches(
     """Force and moment about its origin that the inertia of elements exerts on each frame, in
     world axes."""
     tables = inertial_tables(model)
-    by_table = [accelerated(model, now, table, _inertial_wrenches) for table in tables]
+    by_table = [
+        accelerated(model, now, table, lambda s, *F: s.inertial_wrenches(*F)) for table in tables
+    ]
     return summed_on_frames(model, tables, by_table)
-
-
-def _inertial_wrenches(element: Element, frames, rates):
-    return element.inertial_wrenches(frames, rates)
 
 
 def element_inertia(
@@ -557,15 +547,22 @@ def element_inertia(
     mass, momenta = 0.0, 0.0
     for table in inertial_tables(model):
         slopes, second, first = of_table(model, frames, table, _of_element)
-        rows: Any = end_rows(model, table)
-        J = sum(
-            slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True)
-        )
+        J = on_coordinates(model, table, slopes, twists)
         mass, momenta = (
             mass + jnp.sum(jnp.swapaxes(J, 1, 2) @ second @ J, 0),
             momenta + jnp.sum(J * first[:, :, None], (0, 1)),
         )
     return mass, momenta  # pyright: ignore[reportReturnType]  of at least one table
+
+
+def on_coordinates(
+    model: Model, table: KindTable, slopes: list[Float[Array, "ne k 6"]], twists: Any
+) -> Float[Array, "ne k n"]:
+    """de/d(Delta, Xi) of the elements of a table from their slopes and the twists of the frames."""
+    rows: Any = end_rows(model, table)
+    return sum(
+        slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True)
+    )  # pyright: ignore[reportReturnType]
 
 
 def _of_element(element: Element, *frames: Frame):

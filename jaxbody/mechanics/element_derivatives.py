@@ -3,7 +3,7 @@ Xi), and of their energies in these."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,15 +12,15 @@ from jaxtyping import Array, Float
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.geometry.frames import Frame
 from jaxbody.lagrange import gravity_energy
+from jaxbody.mechanics.dynamics import on_coordinates
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.elements.second_derivatives import damping_matrix, potential_derivatives
 from jaxbody.model.elements.user_energies import OfFrames
-from jaxbody.model.joints.element_tables import each_element, end_rows
+from jaxbody.model.joints.element_tables import each_element
 from jaxbody.model.joints.kinematics import Coordinates, frames_displaced
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
-from jaxbody.model.storage import KindTable
 
 
 class ElementDerivatives(NamedTuple):
@@ -58,12 +58,12 @@ def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
         )
 
     twists = frame_twists(at)
-    results = []
-    for table, (slopes, *second) in zip(
-        at.model.elements, each_element(at.model, at.frames, of), strict=True
-    ):
-        results.append(ElementDerivatives(on_coordinates(at.model, table, slopes, twists), *second))
-    return results
+    return [
+        ElementDerivatives(on_coordinates(at.model, table, slopes, twists), *second)
+        for table, (slopes, *second) in zip(
+            at.model.elements, each_element(at.model, at.frames, of), strict=True
+        )
+    ]
 
 
 def deformation_slopes(element: Element, *frames: Frame) -> list[Float[Array, "k 6"]]:
@@ -75,16 +75,6 @@ def deformation_slopes(element: Element, *frames: Frame) -> list[Float[Array, "k
         ).reshape(-1)
 
     return jax.jacfwd(deformation)([jnp.zeros(6, frames[0].p.dtype)] * len(frames))
-
-
-def on_coordinates(
-    model: Model, table: KindTable, slopes: list[Float[Array, "ne k 6"]], twists: Any
-) -> Float[Array, "ne k n"]:
-    """de/d(Delta, Xi) of the elements of a table from their slopes and the twists of the frames."""
-    rows: Any = end_rows(model, table)
-    return sum(
-        slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True)
-    )  # pyright: ignore[reportReturnType]
 
 
 @program

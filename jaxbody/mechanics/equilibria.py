@@ -23,7 +23,7 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, is_concrete, tangent_or_nan
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import AXES, Labeled, dataset, rows_of
+from jaxbody.core.datasets import AXES, Labeled, dataset
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, finished
 from jaxbody.geometry.frames import Frame
@@ -42,6 +42,7 @@ from jaxbody.mechanics.forces_at_rest import (
     ClosureForces,
     closure_forces,
     element_rows,
+    labeled_elements,
     residual_and_reactions,
     support_rows,
 )
@@ -63,7 +64,7 @@ from jaxbody.model.joints.element_tables import each_element, outside_law_range
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.laws.tabulated_laws import has_range
 from jaxbody.model.layouts import Layout
-from jaxbody.model.leaf_paths import of_elements, springs_of
+from jaxbody.model.leaf_paths import of_elements
 from jaxbody.model.models import Model, body_poses
 from jaxbody.model.preconditions import check_attached, check_memory, check_precision, check_state
 from jaxbody.model.sizes import drawn_apart, size_of
@@ -71,15 +72,14 @@ from jaxbody.model.states import State
 from jaxbody.numerics.precisions import in_float64
 from jaxbody.numerics.small_systems import solve
 
-CODES = (
-    "NOT_CONVERGED",
-    "NO_EQUILIBRIUM",
-    "LIMIT_POINT",
-    "STALE",
-    "NOT_CLOSED",
-    "SINGULAR_CLOSURE",
+NOT_AT_REST = (  # no linearization about such a state
+    Status.NOT_CONVERGED,
+    Status.NO_EQUILIBRIUM,
+    Status.LIMIT_POINT,
+    Status.STALE,
+    Status.NOT_CLOSED,
+    Status.SINGULAR_CLOSURE,
 )
-NOT_AT_REST = tuple(Status[code] for code in CODES)  # no linearization about such a state
 # of the size of the model, and rad: a body is far from where it is drawn
 FAR, TURNED = 0.3, np.deg2rad(30)
 DESCENDED = (
@@ -274,8 +274,10 @@ class Equilibrium(Labeled, Result):
     def to_xarray(self) -> Any:
         """An xarray.Dataset: q by part, residual by coordinate, elongation and force by spring,
         reactions by support, energy, status."""
-        layout, springs = self.model.layout, springs_of(self.model)
-        parts = [f"{block.owner} {i}" for block in layout.joints for i in range(block.nq)]
+        layout = self.layout
+        of_springs, of_others, springs = labeled_elements(
+            self.model, (), ("elongation", "deformation"), self.elongations, self.forces
+        )
         variables = {
             "q": (("part",), self.state.q, ""),
             **(
@@ -287,25 +289,15 @@ class Equilibrium(Labeled, Result):
             "energy": ((), self.energy, "J"),
             "stable": ((), self.stable, ""),
             "status": ((), self.status, ""),
+            **of_springs,
+            **of_others,
         }
-        coordinates = {"part": parts, "coordinate": list(layout.coordinates)} | (
-            {"state": list(layout.states)} if layout.nz else {}
-        )
-        if springs:
-            variables["elongation"] = (
-                ("spring",),
-                rows_of([self.elongations[name] for name in springs], -1),
-                "m",
-            )
-            variables["force"] = (
-                ("spring",),
-                rows_of([self.forces[name] for name in springs], -1),
-                "N",
-            )
-            coordinates["spring"] = springs
-        for name in (name for name in self.elongations if name not in springs):
-            variables[f"{name}_deformation"] = (("component",), self.elongations[name], "m, rad")
-            variables[f"{name}_force"] = (("component",), self.forces[name], "N, N m")
+        coordinates = {
+            "part": [f"{block.owner} {i}" for block in layout.joints for i in range(block.nq)],
+            "coordinate": list(layout.coordinates),
+            **({"state": list(layout.states)} if layout.nz else {}),
+            **springs,
+        }
         if self.closed:
             variables["closure_reaction"] = (("condition",), self.closed.reactions, "N or N m")
             coordinates["condition"] = list(names_of_rows(self.model))
@@ -315,19 +307,15 @@ class Equilibrium(Labeled, Result):
             coordinates |= {"support": list(layout.supports), "axis": AXES}
         return dataset(variables, coordinates, "equilibrium")
 
-    def _states(self) -> list[tuple[Any, ...]]:
-        """Each state of elements with memory, with its unit."""
-        layout = self.layout
-        return [
-            (f"{name} [{unit}]", tables.without_dust(self.state.z[..., i]))
-            for i, (name, unit) in enumerate(zip(layout.states, layout.z_units, strict=True))
-        ]
-
     def _tables(self) -> list[tables.PrintedTable]:
         q, layout = tables.without_dust(self.state.q), self.layout
         rows = [
             (block.owner, block.kind.__name__.lower(), q[..., layout.q_slices[block.owner]])
             for block in layout.joints
+        ]
+        states = [
+            (f"{name} [{unit}]", tables.without_dust(self.state.z[..., i]))
+            for i, (name, unit) in enumerate(zip(layout.states, layout.z_units, strict=True))
         ]
         note = self.message(Equilibrium._known) if is_concrete(self.status) else ""
         note += "; there may be others" if note == "ok" else ""
@@ -338,16 +326,16 @@ class Equilibrium(Labeled, Result):
             if is_concrete(self.residual) and self.residual.size
             else None
         )
-        columns, elements = element_rows(self.model, self.elongations, self.forces)
-        shown = [tables.PrintedTable("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows)]
-        shown += [tables.PrintedTable("", columns, elements)] if elements else []
-        shown += (
-            [tables.PrintedTable("", ("state", "at rest"), self._states())] if layout.nz else []
-        )
-        shown += (
-            [tables.PrintedTable("", *support_rows(self.reactions))] if self.layout.supports else []
-        )
-        shown += [self.closed.table(self.model)] if self.closed else []
+        further = [
+            tables.PrintedTable("", *element_rows(self.model, self.elongations, self.forces)),
+            tables.PrintedTable("", ("state", "at rest"), states),
+            tables.PrintedTable("", *support_rows(self.reactions)),
+            *([self.closed.table(self.model)] if self.closed else []),
+        ]
+        shown = [
+            tables.PrintedTable("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows),
+            *(table for table in further if table.rows),
+        ]
         note = "\n".join([note, *self.remarks])
         shown[
             -1

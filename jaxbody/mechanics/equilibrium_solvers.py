@@ -16,6 +16,7 @@ them in all steps.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -218,15 +219,9 @@ def search_under_loads(
     There are two programs, because few models need the second; inside a user's program both are
     part of it, and the second takes no steps where the first has settled."""
     search, settled = along_path(model, unloaded, applied, many)
-
-    def descended():
-        return _by_descent(
-            model, start, applied, max_steps, many, search, settled, unloaded.state.z
-        )
-
-    if is_concrete(settled):
-        return search if np.asarray(settled).all() else descended()
-    return descended()
+    if is_concrete(settled) and np.asarray(settled).all():
+        return search
+    return _by_descent(model, start, applied, max_steps, many, search, settled, unloaded.state.z)
 
 
 @program
@@ -290,15 +285,8 @@ def _by_descent(
         status = jnp.where(dead, descent.status, Status.NO_EQUILIBRIUM.value)
         ok = status == Status.OK
         factor = jnp.where(ok, descent.factor, 0.0)
-        descent = SearchResult(
-            descent.q,
-            descent.negative,
-            descent.singular,
-            status,
-            descent.steps,
-            factor,
-            on_path.path,
-            jnp.array(True),
+        descent = dataclasses.replace(
+            descent, status=status, factor=factor, path=on_path.path, descended=jnp.array(True)
         )
         return jax.tree.map(
             lambda a, b: jnp.where(settled | (~ok & (on_path.factor > 0)), a, b), on_path, descent

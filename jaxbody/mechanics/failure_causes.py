@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float, time_text
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.mechanics.closed_loops import ClosedLoops, acceleration
+from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
 from jaxbody.model.element_states import holding, relaxed
 from jaxbody.model.elements.second_derivatives import second_order
 from jaxbody.model.inputs.loads import Load
@@ -34,20 +34,11 @@ def nonfinite_ahead(
     """The motion, element, load or body that first gives a number that is not finite, at this state
     or just after; "" if none."""
     for ahead in np.maximum(np.abs(t - times[0]), 1.0) * np.array(AHEAD, state.q.dtype):
-        of_motions, of_elements, of_loads = jax.tree.map(
-            np.asarray, _numbers(model, motions, loads, t, state, ahead)
-        )
-        moment = f"at t = {time_text(t + ahead, times)} s"
-        for name, good in zip(model.layout.supports, of_motions, strict=True):
+        numbers = jax.tree.map(np.asarray, _numbers(model, motions, loads, t, state, ahead))
+        for what, (good, *e) in _named(model, loads, "the force of element", *numbers):
             if not good:
-                return f"the motion of '{name}' {moment}"
-        for name, (good, e, rate) in of_elements.items():
-            if not good:
-                at = f", at e = {e:.6g}, e' = {rate:.6g}" if e.ndim == 0 else ""
-                return f"the force of element '{name}' {moment}{at}"
-        for load, good in zip(loads, of_loads, strict=True):
-            if not good:
-                return f"a load, {type(load).__name__}, on '{load.on}' {moment}"
+                at = ", at e = {:.6g}, e' = {:.6g}".format(*e) if e and e[0].ndim == 0 else ""
+                return f"{what} at t = {time_text(t + ahead, times)} s{at}"
     bad = [
         name
         for name in model.layout.bodies
@@ -60,14 +51,13 @@ def nonfinite_ahead(
 def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
     """Which numbers are finite `ahead` of a state: of the motions, of the elements with their e and
     e_dot, of the loads."""
-    model = holding(model, state.z)
-    change = acceleration(model, state, t, motions, loads)
+    dynamics = dynamics_of(holding(model, state.z), motions, loads)
+    model, coordinates = dynamics.model, dynamics.coordinates
+    change, moment = dynamics.acceleration(t, state.q, state.v), t + ahead
     v = state.v + ahead * jnp.where(jnp.isfinite(change), change, 0.0)
-    moved, moment = (
-        State(Coordinates(model).retract(state.q, ahead * state.v), v, state.z),
-        t + ahead,
-    )
-    now = frames_at_time(model, motions, moment, moved)
+    moved = State(coordinates.retract(state.q, ahead * state.v), v, state.z)
+    supports = coordinates.supports_moving(motions, moment)
+    now = coordinates.frames(moved.q, v, supports).at_time(moment, moved)
 
     def numbers(element, *frames):
         e, rate = element.rates(*frames)
@@ -77,9 +67,9 @@ def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
         jnp.concatenate(load.wrench(now.frame(model.layout.frame(load.on)))) for load in loads
     ]
     return (
-        [jnp.isfinite(motion(moment)).all() for motion in motions],
+        [(jnp.isfinite(motion(moment)).all(),) for motion in motions],
         _rows(model, each_element(model, now, numbers)),
-        [jnp.isfinite(wrench).all() for wrench in wrenches],
+        [(jnp.isfinite(wrench).all(),) for wrench in wrenches],
     )
 
 
@@ -89,39 +79,32 @@ def changing_most(
     """The support, element or load whose force changes most just after this state, and by how much;
     of a support the inertia force of all bodies at the change of its acceleration."""
     ahead = AHEAD[3] * max(float(t - times[0]), 1e-3 * float(times[-1] - times[0]))
-    of_motions, of_elements, of_loads = jax.tree.map(
+    changes = jax.tree.map(
         np.asarray, _changes(model, motions, loads, t, state, jnp.asarray(ahead, state.q.dtype))
     )
-    changes = {
-        f"the motion of '{name}'": change
-        for name, change in zip(model.layout.supports, of_motions, strict=True)
-    }
-    changes |= {f"the force of '{name}'": change for name, change in of_elements.items()}
-    changes |= {
-        f"a load, {type(load).__name__}, on '{load.on}'": change
-        for load, change in zip(loads, of_loads, strict=True)
-    }
-    most = max(changes, key=lambda name: np.nan_to_num(changes[name]), default=None)
-    return (
-        f"{most} changes most there, by {changes[most]:.3g} N in {ahead:.2g} s"
-        if most and changes[most] > 0
-        else ""
+    most, change = max(
+        _named(model, loads, "the force of", *changes),
+        key=lambda each: np.nan_to_num(each[1]),
+        default=("", 0.0),
     )
+    return f"{most} changes most there, by {change:.3g} N in {ahead:.2g} s" if change > 0 else ""
 
 
 @program
 def _changes(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
     """By how much forces change from a state to `ahead` of it: of the motions, of the elements, of
     the loads."""
-    model = holding(model, state.z)
+    dynamics = dynamics_of(holding(model, state.z), motions, loads)
+    model, coordinates = dynamics.model, dynamics.coordinates
     moved = State(
-        Coordinates(model).retract(state.q, ahead * state.v),
-        state.v + ahead * acceleration(model, state, t, motions, loads),
+        coordinates.retract(state.q, ahead * state.v),
+        state.v + ahead * dynamics.acceleration(t, state.q, state.v),
         state.z,
     )
 
     def forces(t, state):
-        now = frames_at_time(model, motions, t, state)
+        supports = coordinates.supports_moving(motions, t)
+        now = coordinates.frames(state.q, state.v, supports).at_time(t, state)
         accelerations = [
             jnp.sum(model.bodies.rows.mass)
             * jax.jvp(jax.jacfwd(motion), (t,), (jnp.ones_like(t),))[1][:3]
@@ -139,6 +122,19 @@ def _changes(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
     )
 
 
+def _named(
+    model: Model, loads: tuple[Load, ...], word: str, of_motions, of_elements, of_loads
+) -> list[tuple[str, Any]]:
+    """The values of motions, elements and loads, each with its name in messages; `word` comes
+    before the name of an element."""
+    names = [
+        *(f"the motion of '{name}'" for name in model.layout.supports),
+        *(f"{word} '{name}'" for name in of_elements),
+        *(f"a load, {type(load).__name__}, on '{load.on}'" for load in loads),
+    ]
+    return list(zip(names, [*of_motions, *of_elements.values(), *of_loads], strict=True))
+
+
 def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
     """{name of an element: its values}."""
     return {
@@ -151,8 +147,7 @@ def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
 def singular_closure(model: Model, motions: Motions, t: Array, state: State) -> str:
     """The condition that follows from the others at a state, though it does not elsewhere, and the
     smallest singular value."""
-    loops = ClosedLoops(model, motions)
-    left, values, _ = np.linalg.svd(np.asarray(loops.slopes(t, state)))
+    left, values, _ = np.linalg.svd(np.asarray(ClosedLoops(model, motions).slopes(t, state)))
     independent = rank(model)
     condition = names_of_rows(model)[int(np.argmax(np.abs(left[:, independent - 1])))]
     return (
@@ -248,20 +243,13 @@ def _messages(model: Model, moments: list[Any]) -> list[tuple[str, str]]:
     time as text for these, else None."""
     messages = []
     for table, rows in zip(model.elements, moments, strict=False):
-        chosen = [
-            (name, moment)
+        code, what, remedy = table.rows.jump or ("", "", "")
+        jumping = [
+            f"'{name}' {what}{moment}"
             for name, moment in zip(table.names, rows, strict=True)
             if moment is not None
         ]
-        if chosen:
-            code, what, remedy = table.rows.jump
-            messages.append(
-                (
-                    code,
-                    ", ".join(f"'{name}' {what}{moment}" for name, moment in chosen)
-                    + f"; {remedy}",
-                )
-            )
+        messages += [(code, f"{', '.join(jumping)}; {remedy}")] if jumping else []
     return messages
 
 

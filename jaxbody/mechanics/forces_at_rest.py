@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Bool, Float, is_concrete, rows_or_nan
+from jaxbody.core.datasets import rows_of
 from jaxbody.core.errors import Status
 from jaxbody.mechanics.free_motions import (
     constraint_force,
@@ -28,6 +29,7 @@ from jaxbody.mechanics.load_paths import AppliedLoads, generalized_force, summed
 from jaxbody.model.elements.torsions import Torsion
 from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows, redundant_rows, turning_rows
 from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.leaf_paths import springs_of
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import size_of
 
@@ -56,14 +58,7 @@ class ClosureForces(eqx.Module):
 
     def by_name(self, model: Model) -> dict[str, dict[str, Float[Array, ""]]]:
         """{closure: {condition: reaction}}."""
-        named, i = {}, 0
-        for table in model.closures:
-            for name in table.names:
-                named[name] = {
-                    row: self.reactions[..., i + j] for j, row in enumerate(table.rows.rows)
-                }
-                i += len(table.rows.rows)
-        return named
+        return by_closure(model, self.reactions)
 
     def redundant(self, model: Model) -> tuple[str, ...]:
         """The conditions that follow from the others."""
@@ -120,6 +115,16 @@ class ClosureForces(eqx.Module):
             if np.isnan(x)
         ]
         return f"shared, not unique: {', '.join(names)}; "
+
+
+def by_closure(model: Model, reactions: Float[Array, "*n rows"]) -> dict[str, dict[str, Array]]:
+    """{closure: {condition: its reaction}} of the reactions of all conditions."""
+    columns = iter(range(reactions.shape[-1]))
+    return {
+        name: {row: reactions[..., next(columns)] for row in table.rows.rows}
+        for table in model.closures
+        for name in table.names
+    }
 
 
 def closure_forces(
@@ -186,6 +191,32 @@ def element_rows(
     return ("element", "elongation [m]", "force [N]"), [
         (name, e, force) for name, e, _, force, _ in rows
     ]
+
+
+def labeled_elements(
+    model: Model,
+    index: tuple[str, ...],
+    words: tuple[str, str],
+    deformations: dict[str, Array],
+    forces: dict[str, Array],
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """Variables of a dataset: deformations and forces of the springs, side by side, those of the
+    other elements, and the coordinate of the springs. `words`: for the deformation of springs and
+    of others."""
+    springs = springs_of(model)
+    kinds = ((words[0], deformations, "m"), ("force", forces, "N"))
+    of_springs = {
+        word: ((*index, "spring"), rows_of([values[name] for name in springs], -1), unit)
+        for word, values, unit in kinds
+        if springs
+    }
+    of_others = {
+        f"{name}_{word}": ((*index, "component"), values[name], units)
+        for name in deformations
+        if name not in springs
+        for word, values, units in ((words[1], deformations, "m, rad"), ("force", forces, "N, N m"))
+    }
+    return of_springs, of_others, {"spring": springs} if springs else {}
 
 
 def along_and_about(model: Model, name: str, numbers: Any) -> tuple[Any, Any]:

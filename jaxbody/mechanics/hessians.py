@@ -89,9 +89,10 @@ def configuration_at(
 def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:
     """The displacement of the origin and the rotation of every frame per unit of each of
     (Delta, Xi)."""
-    bodies, n, dtype = len(at.model.layout.bodies), len(at.turns), at.q.dtype
+    n, layout, dtype = len(at.turns), at.model.layout, at.q.dtype
     J = jnp.swapaxes(jnp.eye(n, dtype=dtype).reshape(-1, 6, n), 1, 2) if at.J is None else at.J
-    return jnp.concatenate([jnp.zeros((1, n, 6), dtype), J[bodies:], J[:bodies]])
+    moving = np.array(layout.moving(base=at.base), int)
+    return jnp.zeros((len(layout.frames), n, 6), dtype).at[moving].set(J)
 
 
 def slope(at: Configuration) -> Vector:
@@ -158,14 +159,7 @@ def mass(at: Configuration) -> Square:
     M = _projected(at.J, _hessian(at.model, inertia, [], at.base))
     if not inertial_tables(at.model):
         return M
-    twists = (
-        jnp.eye(len(M), dtype=M.dtype).reshape(-1, 6, len(M)).swapaxes(1, 2)
-        if at.J is None
-        else at.J
-    )
-    of_frames = jnp.zeros((len(at.model.layout.frames), *twists.shape[1:]), M.dtype)
-    of_frames = of_frames.at[np.array(at.model.layout.moving(base=at.base))].set(twists)
-    return M + element_inertia(at.model, at.frames, of_frames)[0]
+    return M + element_inertia(at.model, at.frames, frame_twists(at))[0]
 
 
 def damping(at: Configuration) -> Square:

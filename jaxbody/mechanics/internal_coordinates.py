@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float
-from jaxbody.mechanics.element_derivatives import deformation_slopes, on_coordinates
+from jaxbody.mechanics.dynamics import on_coordinates
+from jaxbody.mechanics.element_derivatives import deformation_slopes
 from jaxbody.mechanics.hessians import Configuration, Square, damping, expansion, frame_twists, mass
 from jaxbody.model.joints.element_tables import of_table
 from jaxbody.model.laws.law_states import Apart, memories

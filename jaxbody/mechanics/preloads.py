@@ -31,7 +31,7 @@ from jaxbody.mechanics.free_motions import free_motions
 from jaxbody.mechanics.hessians import configuration_at, slope
 from jaxbody.model.element_states import relaxed, rest_states
 from jaxbody.model.joints.closure_tables import drawn
-from jaxbody.model.joints.kinematics import Chart, Coordinates
+from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import Leaf, leaves_of, matching, write
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision, check_state
@@ -210,16 +210,18 @@ def _preload(
     pose = _closed(Coordinates(model), state.q, None)
 
     def changed(u):
-        """The model, the coordinates and the change of those that may move, rotations scaled with
-        the size of the model."""
-        new_model = write(model, dict(zip(leaves, u[:n], strict=True)))
+        """The coordinates of the changed model, their values and the change of those that may
+        move, rotations scaled with the size of the model."""
+        coordinates = Coordinates(write(model, dict(zip(leaves, u[:n], strict=True))))
         delta = jnp.zeros(layout.nv, u.dtype).at[np.array(rows, int)].set(u[n:]) * scale
-        q = Chart(new_model).retract(pose, delta)
-        return new_model, _closed(Coordinates(new_model), q, held) if rows else q, delta
+        q = coordinates.retract(pose, delta)
+        return coordinates, _closed(coordinates, q, held) if rows else q, delta
 
     def unbalanced(u):
-        new_model, q, _ = changed(u)
-        coordinates = Coordinates(relaxed(new_model, state.z))
+        coordinates, q, _ = changed(u)
+        coordinates = eqx.tree_at(
+            lambda of: of.model, coordinates, relaxed(coordinates.model, state.z)
+        )
         r = slope(configuration_at(coordinates, q, base=False)) * scale
         return free_motions(coordinates, q, scale).projector @ r if model.closures else r
 
@@ -245,30 +247,20 @@ def _preload(
         [Status.UNBALANCED.value, Status.NEGATIVE_LENGTH.value],
         Status.OK.value,
     )
-    new_model, q, delta = changed(u)
-    gap = how_open(Coordinates(new_model), q) if model.closures else jnp.zeros((), q.dtype)
-    status = jnp.where(gap <= CLOSED, status, Status.NOT_CLOSED.value)
-    z = (
-        rest_states(new_model, Coordinates(new_model).at_rest(q).pose(), state.z)
-        if layout.nz
-        else None
-    )
-    balanced, moving = (
-        State(q, jnp.zeros(layout.nv, q.dtype), z),
-        tuple(layout.coordinates[i] for i in rows),
-    )
-    paths = tuple(leaf.path for leaf in leaves)
+    coordinates, q, delta = changed(u)
+    gap = how_open(coordinates, q) if model.closures else jnp.zeros((), q.dtype)
+    z = rest_states(coordinates.model, coordinates.at_rest(q).pose(), state.z)
     return Preload(
-        status,
-        u[:n],
-        (u - start)[:n],
-        delta[np.array(rows, int)],
-        residual / scale,
-        gap,
-        balanced,
-        new_model,
-        paths,
-        moving,
+        status=jnp.where(gap <= CLOSED, status, Status.NOT_CLOSED.value),
+        values=u[:n],
+        change=(u - start)[:n],
+        moves=delta[np.array(rows, int)],
+        residual=residual / scale,
+        gap=gap,
+        state=State(q, jnp.zeros(layout.nv, q.dtype), z),
+        model=coordinates.model,
+        paths=tuple(leaf.path for leaf in leaves),
+        moving=tuple(layout.coordinates[i] for i in rows),
     )
 
 

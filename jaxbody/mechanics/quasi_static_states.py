@@ -35,7 +35,6 @@ from jaxbody.model.joints.kinematics import (
     Coordinates,
     Motions,
     displacements,
-    frames_displaced,
     imposed,
 )
 from jaxbody.model.models import Model, at_rest_in, rest_poses
@@ -60,9 +59,7 @@ def as_initial(initial: Any) -> Any:
 def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     """The state of rest at time t, NaN where there is none, and its equilibrium."""
     coordinates = Coordinates(relaxed(model))
-    xi, xi_dot = jnp.zeros((0, 6)), jnp.zeros((0, 6))
-    if motions:
-        xi, xi_dot = imposed(motions, t)
+    xi, xi_dot = imposed(motions, t) if motions else jnp.zeros((2, 0, 6))
 
     def displaced(xi):
         return eqx.tree_at(lambda c: c.supports, coordinates, coordinates.supports.displaced(xi))
@@ -91,8 +88,7 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
 
         v = implied_change(on_supports, q, r, K, jax.jvp(conditions, (xi,), (xi_dot,))[1])
     else:
-        drift = jax.jvp(slope, (xi,), (xi_dot,))[1]
-        v = -solve(K, drift)
+        v = -solve(K, jax.jvp(slope, (xi,), (xi_dot,))[1])
     return jax.tree.map(lambda x: rows_or_nan(valid, x), State(q, v, eq.state.z)), eq
 
 
@@ -119,14 +115,13 @@ def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str
         return initial
     state, eq = rest_state(model, motions, t)
     if is_concrete(eq.status) and int(eq.status) not in AT_REST:
-        hint = "Give initial=State(q, v), or attach the bodies that are free to move."
         raise JaxbodyError(
             Problem(
                 Status(int(eq.status)).name,
                 where,
                 f'is "rest", but there is no equilibrium: {eq.report()}',
                 "rest",
-                hint=hint,
+                hint="Give initial=State(q, v), or attach the bodies that are free to move.",
             )
         )
     return state
@@ -165,54 +160,33 @@ def excitation(
     state = at.state if isinstance(at, Equilibrium) else at
     check_state(model, state, "state")
     if any(role == "hysteretic" for block in model.layout.blocks for role in block.roles):
-        hint = "Simulate the displacement with a jb.Motion."
-        message = "has hysteretic elements, whose force depends on the path of the displacement"
         raise JaxbodyError(
             Problem(
                 "MEMORY",
                 "excitation.model",
-                message,
+                "has hysteretic elements, whose force depends on the path of the displacement",
                 limit="elements without hysteresis",
-                hint=hint,
+                hint="Simulate the displacement with a jb.Motion.",
             )
         )
     with Problems() as problems:
         given = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
         xi = displacements(model, given, "excitation", problems)
-    return (_excitation_of_loops if model.closures else _excitation)(model, state, xi)
+    return _excitation(model, state, xi)
 
 
 @program
-def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nv"]:
-    zero, model = jnp.zeros(model.layout.nv, xi.dtype), holding(model, completed(model, state).z)
-
-    def slope(xi):
-        return jax.grad(lambda d: potential(model, frames_displaced(model, state, d, xi)))(zero)
-
-    return slope(jnp.zeros_like(xi)) - slope(xi)
-
-
-@program
-def _excitation_of_loops(
-    model: Model, state: State, xi: Float[Array, "ns 6"]
-) -> Float[Array, "nf"]:
+def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nf"]:
     model = holding(model, completed(model, state).z)
-    coordinates, own, still = (
-        Coordinates(model),
-        np.array(model.independent, int),
-        jnp.zeros(model.layout.nv, xi.dtype),
-    )
+    coordinates, still = Coordinates(model), jnp.zeros(model.layout.nv, xi.dtype)
+    own = np.array(model.independent, int)
     rests, held = drawn(coordinates), np.isin(np.arange(len(still)), own)
 
     def energy(delta, xi):
         supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
-        q = closed_on(
-            coordinates,
-            rests,
-            supports,
-            coordinates.retract(state.q, still.at[own].set(delta)),
-            held,
-        )
+        q = coordinates.retract(state.q, still.at[own].set(delta))
+        if model.closures:
+            q = closed_on(coordinates, rests, supports, q, held)
         frames = coordinates.frames(q, still, supports)
         left = jnp.max(jnp.abs(gaps_from(model, rests, frames, q)), initial=0.0)
         return potential(model, frames), left <= CLOSED * size_of(model)

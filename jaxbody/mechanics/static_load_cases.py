@@ -13,7 +13,7 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, stack, vector
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import AXES, Labeled, dataset, rows_of
+from jaxbody.core.datasets import AXES, Labeled, dataset
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, finished, without_derivatives
 from jaxbody.core.units import GRAVITY
@@ -29,14 +29,14 @@ from jaxbody.mechanics.equilibria import (
     of_position,
 )
 from jaxbody.mechanics.equilibrium_solvers import LOADABLE, SearchResult, search_under_loads
-from jaxbody.mechanics.forces_at_rest import along_and_about
+from jaxbody.mechanics.forces_at_rest import along_and_about, labeled_elements
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.load_paths import AppliedLoads, alike, residual, summed
 from jaxbody.model.element_states import holding, relaxed
 from jaxbody.model.inputs.loads import Load, loads_by_name, loads_of
 from jaxbody.model.joints.element_tables import each_element, frames_of
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.model.leaf_paths import of_elements, springs_of
+from jaxbody.model.leaf_paths import of_elements
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_attached, check_memory, check_precision, check_state
 from jaxbody.model.sizes import scale_of, size_of
@@ -137,65 +137,39 @@ class LoadCases(Labeled, Result):
         """An xarray.Dataset by `case`: displacement and rotation by `body`, stroke and force
         by element."""
         model = self.unloaded.model
-        springs = springs_of(model)
+        of_springs, of_others, springs = labeled_elements(
+            model, ("case",), ("stroke", "stroke"), self.strokes, self.forces
+        )
         variables = {
             "displacement": (("case", "body", "axis"), self.displacement_rows, "m"),
             "rotation": (("case", "body", "axis"), self.rotation_rows, "rad"),
             "status": (("case",), self.status, ""),
             "load_factor": (("case",), self.load_factor, ""),
+            **of_springs,
+            **of_others,
         }
-        coordinates = {"case": list(self.names), "body": list(model.layout.bodies), "axis": AXES}
-        strokes, forces = self.strokes, self.forces
-        if springs:
-            variables["stroke"] = (
-                ("case", "spring"),
-                rows_of([strokes[name] for name in springs], -1),
-                "m",
-            )
-            variables["force"] = (
-                ("case", "spring"),
-                rows_of([forces[name] for name in springs], -1),
-                "N",
-            )
-            coordinates["spring"] = springs
-        for name in (name for name in strokes if name not in springs):
-            variables[f"{name}_stroke"] = (("case", "component"), strokes[name], "m, rad")
-            variables[f"{name}_force"] = (("case", "component"), forces[name], "N, N m")
+        coordinates = {
+            "case": list(self.names),
+            "body": list(model.layout.bodies),
+            "axis": AXES,
+            **springs,
+        }
         return dataset(variables, coordinates, "load cases")
 
     @tables.summarized("Load cases", 3, displacement_rows="displacements [m]")
     def _tables(self) -> list[tables.PrintedTable]:
         rows = []
         for i, case in enumerate(self.names):
-            label = case
-            for name in self.unloaded.layout.bodies:
-                rows.append(
-                    (
-                        label,
-                        name,
-                        _text(self.displacements[name][i], 6),
-                        _text(self.rotations[name][i], 6),
-                        "",
-                        "",
-                    )
-                )
-                label = ""
+            for j, name in enumerate(self.unloaded.layout.bodies):
+                moved, turned = self.displacement_rows[i, j], self.rotation_rows[i, j]
+                rows.append(("" if j else case, name, _text(moved, 6), _text(turned, 6), "", ""))
             for name, stroke in self.strokes.items():
                 (s, turn), (f, moment) = (
                     along_and_about(self.unloaded.model, name, x[i])
                     for x in (stroke, self.forces[name])
                 )
-                turn = turn if np.any(moment) else None
-                rows.append(
-                    (
-                        "",
-                        name,
-                        _text(s, 6),
-                        _text(turn, 6),
-                        _text(f, 1),
-                        _text(moment if np.any(moment) else None, 1),
-                    )
-                )
+                turning = (_text(turn, 6), _text(moment, 1)) if np.any(moment) else ("", "")
+                rows.append(("", name, _text(s, 6), turning[0], _text(f, 1), turning[1]))
         columns = (
             "case",
             "",

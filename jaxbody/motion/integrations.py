@@ -23,7 +23,6 @@ from jaxbody.model.joints.kinematics import frames_at_time
 from jaxbody.model.laws.tabulated_laws import has_range
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import take_long
-from jaxbody.model.states import State
 from jaxbody.motion.canonical_equations import Canonical
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.numerics.adjoints import Blocks, Driven, Lasting, Projected, Unstarted, Watched
@@ -89,11 +88,12 @@ def integrate(
         tuple(part.after(given[0]) for part in parts) for parts in (motions, loads)
     )
     dynamics = dynamics_of(model, motions_after, loads_after, equations)
-    initial = (
-        dynamics.coordinates.reference
-        if initial is None
-        else _completed(dynamics, initial, times[0])
-    )
+    if initial is None:
+        initial = dynamics.coordinates.reference
+    else:
+        supports = dynamics.coordinates.supports_moving(motions_after, times[0])
+        frames = dynamics.coordinates.frames(initial.q, initial.v, supports)
+        initial = completed(model, initial, frames)
     initial, closing = dynamics.begun(times[0], initial)
     by_default = (
         solver is None
@@ -102,12 +102,10 @@ def integrate(
         and isinstance(meter, diffrax.NoProgressMeter)
     )
     in_blocks = by_default or isinstance(adjoint, Blocks)
+    form, term = dynamics, LOOPS if model.closures else MOTION
     if isinstance(solver, Gauss):
         _check_for_gauss(model)
-    motion = LOOPS if model.closures else MOTION
-    form, term = (
-        (Canonical(dynamics), CANONICAL) if isinstance(solver, Gauss) else (dynamics, motion)
-    )
+        form, term = Canonical(dynamics), CANONICAL
     y0 = form.pack(initial, times[0])
     solver = solver or diffrax.Dopri8()
     controller = _after(given[0], stepsize_controller)
@@ -165,16 +163,14 @@ def integrate(
         code = jnp.where(
             (code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code
         )
-    statistics = {
-        name: solution.stats[name] for name in ("num_accepted_steps", "num_rejected_steps")
-    }
-    end = (given[0] + t_end, final)
     return Trajectory(
         times=given,
         state=state,
         status=code,
-        statistics=statistics,
-        end=end,
+        statistics={
+            name: solution.stats[name] for name in ("num_accepted_steps", "num_rejected_steps")
+        },
+        end=(given[0] + t_end, final),
         model=model,
         motions=motions,
         loads=loads,
@@ -201,33 +197,26 @@ def _check_for_gauss(model: Model) -> None:
     """Gauss integrates coordinates and momenta of trees of joints, and no other states. Errors:
     MEMORY, CLOSED_LOOPS."""
     if model.layout.nz:
-        message = (
-            "is jb.Gauss, but the model has elements with memory: "
-            f"{', '.join(model.layout.states[:4])}"
-        )
-        hint = "Leave solver= out, or give diffrax.Kvaerno5() for stiff models."
         raise JaxbodyError(
-            Problem("MEMORY", "solver", message, limit="models without memory", hint=hint)
+            Problem(
+                "MEMORY",
+                "solver",
+                "is jb.Gauss, but the model has elements with memory: "
+                + ", ".join(model.layout.states[:4]),
+                limit="models without memory",
+                hint="Leave solver= out, or give diffrax.Kvaerno5() for stiff models.",
+            )
         )
     if model.closures:
-        message = f"is jb.Gauss, but the model has closures: {', '.join(model.closure_names[:4])}"
         raise JaxbodyError(
             Problem(
                 "CLOSED_LOOPS",
                 "solver",
-                message,
+                f"is jb.Gauss, but the model has closures: {', '.join(model.closure_names[:4])}",
                 limit="models without closures",
                 hint="Leave solver= out.",
             )
         )
-
-
-def _completed(dynamics: Dynamics, state: State, t) -> State:
-    """The state with the z of rest at time t where it has none."""
-    frames = dynamics.coordinates.frames(
-        state.q, state.v, dynamics.coordinates.supports_moving(dynamics.motions, t)
-    )
-    return completed(dynamics.model, state, frames)
 
 
 def _in_blocks(

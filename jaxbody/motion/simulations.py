@@ -63,15 +63,10 @@ OPEN = 1e-6
 # longest step times rate for which the classical Runge-Kutta method is stable; diffrax's explicit
 # solvers are similar
 STABLE = 2.8
-KINDS = {
-    "solver": diffrax.AbstractSolver,
-    "stepsize_controller": diffrax.AbstractStepSizeController,
-    "adjoint": diffrax.AbstractAdjoint,
-}
-EXAMPLES = {
-    "solver": "diffrax.Tsit5()",
-    "stepsize_controller": "diffrax.ConstantStepSize()",
-    "adjoint": "diffrax.ForwardMode()",
+KINDS = {  # of diffrax's objects, each with an example
+    "solver": (diffrax.AbstractSolver, "diffrax.Tsit5()"),
+    "stepsize_controller": (diffrax.AbstractStepSizeController, "diffrax.ConstantStepSize()"),
+    "adjoint": (diffrax.AbstractAdjoint, "diffrax.ForwardMode()"),
 }
 
 
@@ -251,11 +246,11 @@ def _warn_of_open(result: Trajectory) -> None:
             "starts from the nearest closed one",
         )
     elif rate > OPEN:
-        message = (
+        warn(
+            "NOT_CLOSED",
             f"simulate: the initial speeds open closures at {rate:.3g} of the largest; the motion "
-            "starts with the nearest that do not"
+            "starts with the nearest that do not",
         )
-        warn("NOT_CLOSED", message)
 
 
 def _warn_of_escape(result: Trajectory, unattached_bodies: list[str]) -> None:
@@ -275,11 +270,10 @@ def _warn_of_escape(result: Trajectory, unattached_bodies: list[str]) -> None:
         )
         if beyond.any() and name not in unattached_bodies:
             t = time_text(result.times[np.argmax(beyond)], result.times)
-            remedy = "look for negative damping or stiffness, or a load that grows"
             warn(
                 "DIVERGED",
                 f"simulate: '{name}' is more than {FAR:.0e} times the size of the model away from "
-                f"t = {t} s on; {remedy}",
+                f"t = {t} s on; look for negative damping or stiffness, or a load that grows",
             )
 
 
@@ -308,16 +302,16 @@ def _forward_mode_explained(adjoint: Any) -> Iterator[None]:
     except TypeError as error:
         if "forward-mode" not in str(error):
             raise
-        message = (
-            "has derivatives in reverse mode only with this solver; jax.jvp, jacfwd and "
-            "hessian need forward mode"
-        )
-        hint = (
-            "Give adjoint=diffrax.ForwardMode(), or leave solver= and stepsize_controller= out: "
-            "both modes then work."
-        )
         raise JaxbodyError(
-            Problem("NO_FORWARD_MODE", "simulate.adjoint", message, adjoint, hint=hint)
+            Problem(
+                "NO_FORWARD_MODE",
+                "simulate.adjoint",
+                "has derivatives in reverse mode only with this solver; jax.jvp, jacfwd and "
+                "hessian need forward mode",
+                adjoint,
+                hint="Give adjoint=diffrax.ForwardMode(), or leave solver= and "
+                "stepsize_controller= out: both modes then work.",
+            )
         ) from None
 
 
@@ -340,36 +334,29 @@ def check_steps(
     not stated."""
     with Problems() as problems:
         given = {"solver": solver, "stepsize_controller": stepsize_controller, "adjoint": adjoint}
-        for name, value in given.items():
-            if value is not None:
-                check_kind(
-                    value,
-                    KINDS[name],
-                    f"{where}.{name}",
-                    f"a diffrax object, such as {EXAMPLES[name]}",
-                    problems,
-                )
+        for name, (kind, example) in KINDS.items():
+            wanted = f"a diffrax object, such as {example}"
+            check_kind(given[name], (kind, type(None)), f"{where}.{name}", wanted, problems)
         if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(
             stepsize_controller, CONSTANT
         ):
-            words = (
-                "is RecursiveCheckpointAdjoint, which with constant steps gives wrong gradients "
-                "where samples lie on steps"
-            )
             problems.add(
                 "WRONG_GRADIENT",
                 f"{where}.adjoint",
-                words,
+                "is RecursiveCheckpointAdjoint, which with constant steps gives wrong gradients "
+                "where samples lie on steps",
                 value=adjoint,
                 hint="Use diffrax.DirectAdjoint() or ForwardMode().",
             )
         if isinstance(solver, Gauss) and not isinstance(stepsize_controller, CONSTANT):
-            message = "is Gauss, which has no error estimate for a controller"
-            hint = (
-                "Give stepsize_controller=diffrax.ConstantStepSize() and a dt0 of a tenth of "
-                "the shortest period."
+            problems.add(
+                "NO_ERROR_ESTIMATE",
+                f"{where}.solver",
+                "is Gauss, which has no error estimate for a controller",
+                value=solver,
+                hint="Give stepsize_controller=diffrax.ConstantStepSize() and a dt0 of a tenth of "
+                "the shortest period.",
             )
-            problems.add("NO_ERROR_ESTIMATE", f"{where}.solver", message, value=solver, hint=hint)
         if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
             problems.add(
                 "NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds."
@@ -395,14 +382,11 @@ def _warn_of_long_steps(
     )
     fastest = np.abs(np.linalg.eigvals(np.asarray(A))).max(initial=0.0)
     if dt * fastest > STABLE and not isinstance(solver, diffrax.AbstractImplicitSolver):
-        remedy = (
-            f"Take dt0 below {STABLE / fastest:.3g} s, leave the steps to the default controller, "
-            "or use an implicit solver"
-        )
         warn(
             "STEP_TOO_LONG",
             f"dt0 times the fastest rate, {fastest:.4g} rad/s, is {dt * fastest:.3g} > {STABLE}, "
-            f"where RK4 becomes unstable. {remedy}",
+            f"where RK4 becomes unstable. Take dt0 below {STABLE / fastest:.3g} s, leave the steps "
+            "to the default controller, or use an implicit solver",
         )
 
 
@@ -434,15 +418,13 @@ def _warn_of_what_steps_pass_over(
         short = (gaps > 1e-9 * (run[-1] - run[0])) & (gaps < (1 - 1e-6) * longest)
         if short.any():
             i = int(np.argmax(short))
-            message = (
+            warn(
+                "STEP_TOO_LONG",
                 f"simulate: steps of {float(longest):.3g} s reach over what {where} does in "
-                f"{gaps[i]:.3g} s from t = "
+                f"{gaps[i]:.3g} s from t = {time_text(known[i], run)} s on, and nothing controls "
+                f"their error. Take steps below {gaps[short].min():.3g} s, or the default "
+                "controller",
             )
-            remedy = (
-                f"s on, and nothing controls their error. Take steps below {gaps[short].min():.3g} "
-                "s, or the default controller"
-            )
-            warn("STEP_TOO_LONG", f"{message}{time_text(known[i], run)} {remedy}")
 
 
 def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion") -> Motions:
@@ -508,13 +490,11 @@ def check_covered(times, functions: list[tuple[str, Any]], problems: Problems) -
                 " to ".join(time_text(t, x, 9) for t in (x[0], x[-1]))
                 for x in ((first, last), requested)
             )
-            hint = "Simulate a shorter time, or give longer samples."
-            message = f"covers {known} s, requested {wanted} s"
             problems.add(
                 "T_RANGE",
                 where,
-                message,
+                f"covers {known} s, requested {wanted} s",
                 value=(requested[0], requested[-1]),
                 limit=f"{known} s",
-                hint=hint,
+                hint="Simulate a shorter time, or give longer samples.",
             )

@@ -29,6 +29,7 @@ from jaxbody.mechanics.failure_causes import (
     nonfinite_ahead,
     singular_closure,
 )
+from jaxbody.mechanics.forces_at_rest import by_closure, labeled_elements
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.null_motions import massless_motions
 from jaxbody.model.element_states import holding
@@ -36,7 +37,7 @@ from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import turning_rows
 from jaxbody.model.joints.element_tables import each_element, inertial_tables, outside_law_range
 from jaxbody.model.joints.kinematics import Motions, frames_at_time
-from jaxbody.model.leaf_paths import by_name, of_elements, springs_of
+from jaxbody.model.leaf_paths import by_name, of_elements
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import size_of, take_long
 from jaxbody.model.states import State
@@ -137,12 +138,7 @@ class Trajectory(Labeled, Result):
         not unique."""
         if not self.model.closures:
             return {}
-        values, named, i = self.at_samples(_closure_reactions, loads=True), {}, 0
-        for table in self.model.closures:
-            for name in table.names:
-                named[name] = {row: values[..., i + j] for j, row in enumerate(table.rows.rows)}
-                i += len(table.rows.rows)
-        return named
+        return by_closure(self.model, self.at_samples(_closure_reactions, loads=True))
 
     def _of_elements(self, function: Callable, *, loads: bool = False) -> dict[str, Array]:
         return of_elements(self.model, self.at_samples(function, loads=loads), axis=self.times.ndim)
@@ -234,13 +230,10 @@ class Trajectory(Labeled, Result):
     def to_xarray(self) -> Any:
         """An xarray.Dataset over time: positions and quaternions of bodies, elongations and forces
         of springs, energies."""
-        model, poses, energies = self.model, self.poses, self.energies
-        elongations, forces, reactions = (
-            self.elongations,
-            self.forces,
-            self.reactions if model.layout.supports else {},
+        layout, poses, energies = self.model.layout, self.poses, self.energies
+        of_springs, of_others, springs = labeled_elements(
+            self.model, ("time",), ("elongation", "deformation"), self.elongations, self.forces
         )
-        springs = springs_of(model)
         variables = {
             "position": (
                 ("time", "frame", "axis"),
@@ -254,28 +247,23 @@ class Trajectory(Labeled, Result):
             ),
             "kinetic_energy": (("time",), energies["kinetic"], "J"),
             "potential_energy": (("time",), energies["potential"], "J"),
+            **of_springs,
         }
-        coordinates: dict[str, Any] = {"frame": list(poses), "axis": AXES, "part": QUATERNION}
-        if springs:
-            variables["elongation"] = (
-                ("time", "spring"),
-                rows_of([elongations[name] for name in springs], -1),
-                "m",
-            )
-            variables["force"] = (
-                ("time", "spring"),
-                rows_of([forces[name] for name in springs], -1),
-                "N",
-            )
-            coordinates["spring"] = springs
-        if model.layout.nz:
+        coordinates: dict[str, Any] = {
+            "frame": list(poses),
+            "axis": AXES,
+            "part": QUATERNION,
+            **springs,
+        }
+        if layout.nz:
             variables["z"] = (
                 ("time", "state"),
                 self.state.z,
-                ", ".join(dict.fromkeys(model.layout.z_units)),
+                ", ".join(dict.fromkeys(layout.z_units)),
             )
-            coordinates["state"] = list(model.layout.states)
-        if reactions:
+            coordinates["state"] = list(layout.states)
+        if layout.supports:
+            reactions = self.reactions
             variables["reaction_force"] = (
                 ("time", "support", "axis"),
                 rows_of([force for force, _ in reactions.values()], -2),
@@ -287,9 +275,7 @@ class Trajectory(Labeled, Result):
                 "N m",
             )
             coordinates["support"] = list(reactions)
-        for name in (name for name, e in elongations.items() if name not in springs):
-            variables[f"{name}_deformation"] = (("time", "component"), elongations[name], "m, rad")
-            variables[f"{name}_force"] = (("time", "component"), forces[name], "N, N m")
+        variables |= of_others
         times = np.asarray(self.times)
         if times.ndim == 1:
             coordinates["time"] = ("time", times, {"units": "s"})
