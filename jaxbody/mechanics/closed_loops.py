@@ -155,9 +155,8 @@ class ClosedLoops(JointedBodies):
             slopes = _slopes(closure, rest, *ends)
             return jnp.zeros_like(slopes) if isinstance(closure, Coupling) else slopes
 
-        frames = _plain(now)
         coordinates = moving_slides(self.model.layout, now.state.q, now.state.v)
-        slopes = each_closure(self.model, self.rests, acting, (frames,), (coordinates,))
+        slopes = each_closure(self.model, self.rests, acting, (_plain(now),), (coordinates,))
         each = -multipliers[:, None, None] * jnp.concatenate(slopes).reshape(-1, 2, 6)
         return jnp.zeros((len(now.p), 6), now.p.dtype).at[ends].add(each)
 
@@ -261,11 +260,8 @@ class ClosedLoops(JointedBodies):
             q, v = state
             frames = self.coordinates.frames(q, v, supports)
             c = gaps_from(self.model, self.rests, frames, q)
-            rates = self._rates(frames, q, v)
-            q, v = (
-                self.coordinates.retract(q, saddle.solve(still, -c)[0]),
-                v + saddle.solve(still, -rates)[0],
-            )
+            v = v + saddle.solve(still, -self._rates(frames, q, v))[0]
+            q = self.coordinates.retract(q, saddle.solve(still, -c)[0])
             return (q, v), jnp.max(jnp.abs(c))
 
         (q, v), gap = jax.lax.scan(step, (q, v), length=STEPS)
@@ -361,16 +357,9 @@ def dynamics_of(
     model: Model, motions: Motions, loads: tuple[Load, ...] = (), equations: str = "structured"
 ) -> Dynamics:
     """A model under imposed motions and loads, in the form that suits it."""
-    form: Any
-    if equations == "lagrange":
-        form = LagrangeLoops if model.closures else LagrangeBodies
-    elif model.closures:
-        form = ClosedLoops
-    else:
-        form = (
-            FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies
-        )
-    return form(model, motions, loads)
+    bodies = FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies
+    forms = {"structured": (bodies, ClosedLoops), "lagrange": (LagrangeBodies, LagrangeLoops)}
+    return forms[equations][bool(model.closures)](model, motions, loads)
 
 
 @program

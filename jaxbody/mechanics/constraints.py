@@ -129,9 +129,8 @@ def near(
     inverse = jax.lax.stop_gradient(
         _inverse(conditions, held, *jax.lax.stop_gradient((model, values, q)))
     )
-    chart = Chart(model)
     return jax.lax.scan(
-        lambda q, _: (chart.retract(q, -inverse @ conditions(model, values, q)), None),
+        lambda q, _: (Chart(model).retract(q, -inverse @ conditions(model, values, q)), None),
         q,
         length=ORDERS,
     )[0]

@@ -169,13 +169,13 @@ class Dynamics(eqx.Module):
         reference pose."""
 
         def stiffest(element, *frames):
-            e = element.deformation(*(f.pose() for f in frames))
-            return jnp.max(jnp.abs(element.tangent(e)))
+            tangent = element.tangent(element.deformation(*(f.pose() for f in frames)))
+            return jnp.max(jnp.abs(tangent))
 
         reference = self._reference_frames()
         model = apart(self.model, rest_states(self.model, reference.pose()))
-        largest = each_element(model, reference, stiffest)
-        return sum((jnp.sum(k) for k in largest), jnp.zeros((), self.model.gravity.dtype))
+        largest = map(jnp.sum, each_element(model, reference, stiffest))
+        return sum(largest, jnp.zeros((), self.model.gravity.dtype))
 
     def begun(self, t: Float[Array, ""], state: State) -> tuple[State, Any]:
         """The state from which a motion starts, and how far that is from closures."""

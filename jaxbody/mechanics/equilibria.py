@@ -40,6 +40,7 @@ from jaxbody.mechanics.equilibrium_solvers import (
 from jaxbody.mechanics.failure_causes import nonfinite_downhill
 from jaxbody.mechanics.forces_at_rest import (
     ClosureForces,
+    by_closure,
     closure_forces,
     element_rows,
     labeled_elements,
@@ -59,7 +60,7 @@ from jaxbody.mechanics.load_paths import (
 from jaxbody.mechanics.null_motions import resisting_stiffness, zero_modes
 from jaxbody.model.element_states import relaxed, rest_states
 from jaxbody.model.inputs.loads import Load, loads_of
-from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows
+from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows, redundant_rows
 from jaxbody.model.joints.element_tables import each_element, outside_law_range
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.laws.tabulated_laws import has_range
@@ -139,21 +140,23 @@ class Equilibrium(Labeled, Result):
         """{support: (force [N], moment about its origin [N m])}, in world axes, exerted by its
         elements and by all that it carries by joints, with weights and, as far as they are
         carried, loads."""
-        rows = {name: self.on_supports[..., i, :] for i, name in enumerate(self.layout.supports)}
-        return {name: (row[..., :3], row[..., 3:]) for name, row in rows.items()}
+        return {
+            name: (self.on_supports[..., i, :3], self.on_supports[..., i, 3:])
+            for i, name in enumerate(self.layout.supports)
+        }
 
     @property
     def closure_reactions(self) -> dict[str, dict[str, Float[Array, "*batch"]]]:
         """{closure: {condition: force [N], or moment [N m] of a "turn"}}, by its second frame on
         its first along the condition, so that positive forces resist an increase of c; NaN where
         closures share a force, so that it is not determined."""
-        return self.closed.by_name(self.model) if self.closed else {}
+        return by_closure(self.model, self.closed.reactions) if self.closed else {}
 
     @property
     def redundant(self) -> tuple[str, ...]:
         """Conditions of closures that follow from the others, such as those out of the plane of a
         planar linkage."""
-        return self.closed.redundant(self.model) if self.closed else ()
+        return redundant_rows(self.model, self.closed.slopes) if self.closed else ()
 
     @property
     def far(self) -> list[str]:
@@ -164,15 +167,12 @@ class Equilibrium(Labeled, Result):
             zip(self.layout.bodies, np.asarray(self.from_drawn), strict=True),
             key=lambda each: np.max(each[1] / limits),
         )
-        said = (
+        if int(self.status) in NOT_AT_REST or not (np.array([way, turn]) > limits).any():
+            return []
+        return [
             f"the equilibrium is far from the drawn pose: '{name}' is {way:.3g} m and "
             f"{np.rad2deg(turn):.3g} degrees from it"
-        )
-        return (
-            [said]
-            if int(self.status) not in NOT_AT_REST and (np.array([way, turn]) > limits).any()
-            else []
-        )
+        ]
 
     @property
     def remarks(self) -> list[str]:
@@ -197,69 +197,62 @@ class Equilibrium(Labeled, Result):
             return "; ".join(zero_modes(self.model, self.state))
         if status == Status.NO_EQUILIBRIUM and self.path is None and not self.descended:
             return self._how_much()
-        size = float(size_of(self.model))
         known = np.isfinite(self.state.q).all()  # NaN of a search inside jit
-        if (
-            known
-            and status == Status.NOT_CONVERGED
-            and (bad := nonfinite_downhill(self.model, self.state.q, self.residual, size))
-        ):
-            where = (
-                f"after {int(self.steps)} steps or at a point slightly downhill; its law "
-                "is not defined there"
-            )
-            return f"energy, force or stiffness of element '{bad[0]}' is not finite {where}"
+        if known and status == Status.NOT_CONVERGED:
+            size = float(size_of(self.model))
+            bad = nonfinite_downhill(self.model, self.state.q, self.residual, size)
+            if bad:
+                return (
+                    f"energy, force or stiffness of element '{bad[0]}' is not finite after "
+                    f"{int(self.steps)} steps or at a point slightly downhill; its law is not "
+                    "defined there"
+                )
         return self._known()
 
     def _known(self) -> str:
         """Details of a failure from the result alone."""
         status = Status(int(self.status))
-        if status == Status.SINGULAR_K:
-            return "report() names it"
-        if self.closed and status in (Status.NOT_CLOSED, Status.SINGULAR_CLOSURE):
-            return self.closed.explain(self.model, status)
-        if status == Status.UNSTABLE:
-            return (
-                f"{int(self.negative)} negative eigenvalue(s) of K; start from a state moved along "
-                "that mode to descend"
-            )
-        if status == Status.TABLE_RANGE:
-            return "; ".join(
-                f"'{name}'"
-                for name, out in zip(self.model.element_names, np.asarray(self.beyond), strict=True)
-                if out
-            )
-        if status == Status.NOT_CONVERGED:
-            worst = (
-                int(np.argmax(np.abs(np.asarray(self.residual))))
-                if np.isfinite(np.asarray(self.residual)).all()
-                else 0
-            )
-            unit = "N m" if self.layout.turns[worst] else "N"
-            remedy = in_float64(self.state.q.dtype) or "start nearer, or give more max_steps"
-            return (
-                f"after {int(self.steps)} steps the largest residual is "
-                f"{float(np.abs(self.residual[worst])):.3g} {unit} in "
-                f"'{self.layout.motions[worst][0]}' ({self.layout.motions[worst][1]}); {remedy}"
-            )
-        if status not in (Status.NO_EQUILIBRIUM, Status.LIMIT_POINT):
-            return ""
-        if self.descended:
-            return (
-                "none was found by raising the loads, as K is singular without them, or by "
-                "descent of their potential from the start; moments and loads that turn with "
-                "their body have no potential"
-            )
-        if self.path is not None:
-            smallest = np.asarray(self.path.smallest)
-            last = smallest[np.isfinite(smallest)][-1]
-            return (
-                "none was found by raising the loads beyond load factor "
-                f"{float(self.load_factor):.4g} of 1, which this state carries; the smallest "
-                "eigenvalue of K, relative to the largest without loads, went from "
-                f"{smallest[0]:.3g} to {last:.3g} (plots.load_path draws it)"
-            )
-        return "none was found by descent; report() says how much of the weights is carried"
+        match status:
+            case Status.SINGULAR_K:
+                return "report() names it"
+            case Status.NOT_CLOSED | Status.SINGULAR_CLOSURE if self.closed:
+                return self.closed.explain(self.model, status)
+            case Status.UNSTABLE:
+                return (
+                    f"{int(self.negative)} negative eigenvalue(s) of K; start from a state moved "
+                    "along that mode to descend"
+                )
+            case Status.TABLE_RANGE:
+                names = np.array(self.model.element_names)[np.asarray(self.beyond)]
+                return "; ".join(f"'{name}'" for name in names)
+            case Status.NOT_CONVERGED:
+                residual = np.abs(np.asarray(self.residual))
+                worst = int(np.argmax(residual)) if np.isfinite(residual).all() else 0
+                unit = "N m" if self.layout.turns[worst] else "N"
+                owner, motion = self.layout.motions[worst]
+                remedy = in_float64(self.state.q.dtype) or "start nearer, or give more max_steps"
+                return (
+                    f"after {int(self.steps)} steps the largest residual is "
+                    f"{residual[worst]:.3g} {unit} in '{owner}' ({motion}); {remedy}"
+                )
+            case Status.NO_EQUILIBRIUM | Status.LIMIT_POINT if self.descended:
+                return (
+                    "none was found by raising the loads, as K is singular without them, or by "
+                    "descent of their potential from the start; moments and loads that turn with "
+                    "their body have no potential"
+                )
+            case Status.NO_EQUILIBRIUM | Status.LIMIT_POINT if self.path is not None:
+                smallest = np.asarray(self.path.smallest)
+                last = smallest[np.isfinite(smallest)][-1]
+                return (
+                    "none was found by raising the loads beyond load factor "
+                    f"{float(self.load_factor):.4g} of 1, which this state carries; the smallest "
+                    "eigenvalue of K, relative to the largest without loads, went from "
+                    f"{smallest[0]:.3g} to {last:.3g} (plots.load_path draws it)"
+                )
+            case Status.NO_EQUILIBRIUM | Status.LIMIT_POINT:
+                return "none was found by descent; report() says how much of the weights is carried"
+        return ""
 
     def _how_much(self) -> str:
         """A sentence on the fraction of the weights that is carried."""
@@ -414,7 +407,6 @@ def at_rest(status: Int[Array, "*n"]) -> Bool[Array, "*n"]:
 
 def of_position(eq: Equilibrium) -> tuple[Any, ...]:
     """What follows from the configuration where the search ended, but for the residual."""
-    closed = (eq.closed.reactions,) if eq.closed else ()
     return (
         eq.state,
         eq.energy,
@@ -422,7 +414,7 @@ def of_position(eq: Equilibrium) -> tuple[Any, ...]:
         eq.element_forces,
         eq.on_supports,
         eq.from_drawn,
-        *closed,
+        *((eq.closed.reactions,) if eq.closed else ()),
     )
 
 

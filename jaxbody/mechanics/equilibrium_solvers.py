@@ -277,16 +277,18 @@ def _by_descent(
 
     def one(applied, others):
         on_path, settled = others
-        steps = jnp.where(settled, 0, max_steps)
-        descent = search_by_descent(coordinates, start, steps, applied)
+        descent = search_by_descent(coordinates, start, jnp.where(settled, 0, max_steps), applied)
         dead = jnp.isfinite(
             dead_forces(configuration_at(coordinates, descent.q, base=False), applied).V
         )
         status = jnp.where(dead, descent.status, Status.NO_EQUILIBRIUM.value)
         ok = status == Status.OK
-        factor = jnp.where(ok, descent.factor, 0.0)
         descent = dataclasses.replace(
-            descent, status=status, factor=factor, path=on_path.path, descended=jnp.array(True)
+            descent,
+            status=status,
+            factor=jnp.where(ok, descent.factor, 0.0),
+            path=on_path.path,
+            descended=jnp.array(True),
         )
         return jax.tree.map(
             lambda a, b: jnp.where(settled | (~ok & (on_path.factor > 0)), a, b), on_path, descent

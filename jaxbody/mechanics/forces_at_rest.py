@@ -27,7 +27,7 @@ from jaxbody.mechanics.free_motions import (
 from jaxbody.mechanics.hessians import Configuration, frame_twists, slope
 from jaxbody.mechanics.load_paths import AppliedLoads, generalized_force, summed, with_load_gravity
 from jaxbody.model.elements.torsions import Torsion
-from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows, redundant_rows, turning_rows
+from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows, turning_rows
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import springs_of
 from jaxbody.model.models import Model
@@ -56,14 +56,6 @@ class ClosureForces(eqx.Module):
         """Whether conditions that are independent elsewhere are not so here."""
         return self.smallest < SINGULAR
 
-    def by_name(self, model: Model) -> dict[str, dict[str, Float[Array, ""]]]:
-        """{closure: {condition: reaction}}."""
-        return by_closure(model, self.reactions)
-
-    def redundant(self, model: Model) -> tuple[str, ...]:
-        """The conditions that follow from the others."""
-        return redundant_rows(model, self.slopes)
-
     def explain(self, model: Model, status: Status) -> str:
         """Details of the statuses NOT_CLOSED and SINGULAR_CLOSURE."""
         names = names_of_rows(model)
@@ -83,7 +75,6 @@ class ClosureForces(eqx.Module):
 
     def table(self, model: Model) -> tables.PrintedTable:
         """The reactions, a row for each closure."""
-        named = self.by_name(model)
         largest = (
             np.nanmax(np.abs(np.asarray(self.reactions)), initial=0.0)
             if is_concrete(self.reactions)
@@ -95,7 +86,7 @@ class ClosureForces(eqx.Module):
                 ", ".join(rows),
                 tables.without_dust(jnp.stack(list(rows.values()), -1), largest),
             )
-            for name, rows in named.items()
+            for name, rows in by_closure(model, self.reactions).items()
         ]
         return tables.PrintedTable(
             "", ("closure", "conditions", "reaction [N, N m]"), rows, self.shared(model)
@@ -135,21 +126,19 @@ def closure_forces(
     size, scale = jax.lax.stop_gradient(size_of(model)), scale_at(model)
     free = free_motions(coordinates, q, scale)
     multipliers = free.multipliers(r * scale)
-    reactions = rows_or_nan(free.unique, multipliers * jnp.where(turning_rows(model), size, 1.0))
     values = jnp.linalg.svdvals(jax.lax.stop_gradient(free.J))
     count = 0 if model.independent is None else model.layout.nv - len(model.independent)
     smallest = (
         values[count - 1] / jnp.maximum(values[0], 1e-300) if count else jnp.ones((), q.dtype)
     )
-    on_supports = (multipliers @ slopes_by_supports(coordinates, q)).reshape(-1, 6)
     return ClosureForces(
-        reactions,
-        multipliers,
-        constraint_force(coordinates, q, multipliers),
-        on_supports,
-        free.J,
-        gaps_at(coordinates, q),
-        smallest,
+        reactions=rows_or_nan(free.unique, multipliers * jnp.where(turning_rows(model), size, 1.0)),
+        multipliers=multipliers,
+        on_coordinates=constraint_force(coordinates, q, multipliers),
+        on_supports=(multipliers @ slopes_by_supports(coordinates, q)).reshape(-1, 6),
+        slopes=free.J,
+        gaps=gaps_at(coordinates, q),
+        smallest=smallest,
     )
 
 

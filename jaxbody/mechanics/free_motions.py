@@ -146,15 +146,17 @@ def slopes_by_supports(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float
     """dc/dXi."""
     layout = coordinates.model.layout
     zero = jnp.zeros((len(layout.supports), 6), q.dtype)
-
-    def displaced(xi):
-        frames = coordinates.frames(
-            q, jnp.zeros(layout.nv, q.dtype), coordinates.supports_at(xi, zero)
-        )
-        return gaps(coordinates.model, coordinates, frames, q)
-
-    J = jax.jacfwd(displaced)(zero)
+    J = jax.jacfwd(lambda xi: _gaps_displaced(coordinates, q, xi))(zero)
     return J.reshape(len(J), layout.nxi)
+
+
+def _gaps_displaced(
+    coordinates: Coordinates, q: Float[Array, "nq"], xi: Float[Array, "ns 6"]
+) -> Float[Array, "n"]:
+    """c at q on supports displaced by Xi."""
+    supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
+    frames = coordinates.frames(q, jnp.zeros(coordinates.model.layout.nv, q.dtype), supports)
+    return gaps(coordinates.model, coordinates, frames, q)
 
 
 def speeds_on_closures(
@@ -255,17 +257,10 @@ def closure_stiffness(
     coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]
 ) -> Float[Array, "m m"]:
     """The Hessian of lambda c in (Delta, Xi)."""
-    model, layout = coordinates.model, coordinates.model.layout
-    zero = jnp.zeros((len(layout.supports), 6), q.dtype)
+    layout = coordinates.model.layout
 
     def work(x):
-        supports = coordinates.supports_at(x[layout.nv :].reshape(zero.shape), zero)
         moved = coordinates.retract(q, x[: layout.nv])
-        return multipliers @ gaps(
-            model,
-            coordinates,
-            coordinates.frames(moved, jnp.zeros(layout.nv, q.dtype), supports),
-            moved,
-        )
+        return multipliers @ _gaps_displaced(coordinates, moved, x[layout.nv :].reshape(-1, 6))
 
     return jax.hessian(work)(jnp.zeros(layout.nv + layout.nxi, q.dtype))

@@ -105,20 +105,16 @@ def generalized_force(
 ) -> Float[Array, "nv"]:
     """Q at q (+) Delta, in the rates of Delta: the virtual power, sum of F . v* + M . w*, with the
     supports at their reference poses."""
-    layout = model.layout
     if not loads:
         return jnp.zeros_like(delta)
-
-    def poses(delta):
-        coordinates = Coordinates(model)
-        return coordinates.at_rest(coordinates.retract(q, delta)).pose()
-
-    at, pull = jax.vjp(poses, delta)
+    coordinates = Coordinates(model)
+    at, pull = jax.vjp(
+        lambda delta: coordinates.at_rest(coordinates.retract(q, delta)).pose(), delta
+    )
     p, R = jnp.zeros_like(at.p), jnp.zeros_like(at.R)
-    t = jnp.zeros((), q.dtype)
     for load, weight in zip(loads, weights, strict=True):
-        i = layout.frame(load.on)
-        now = Pose(at.p[i], at.R[i]).at_rest().at_time(t)
+        i = model.layout.frame(load.on)
+        now = at[i].at_rest().at_time(jnp.zeros((), q.dtype))
         F, M = summed(
             lambda load, weight, now=now: tuple(weight * x for x in load.wrench(now)), load, weight
         )

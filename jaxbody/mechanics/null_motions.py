@@ -35,9 +35,8 @@ def resisting_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
 def zero_modes(model: Model, state: State) -> list[str]:
     """The motions that K does not resist at a state, as text: "'plate' free to turn about z".
     Motions of single coordinates come first."""
-    layout = model.layout
     K = np.asarray(resisting_stiffness(model, state))
-    return describe_null_motions(layout.motions, K, reachable(SINGULAR, K.dtype), "free to")
+    return describe_null_motions(model.layout.motions, K, reachable(SINGULAR, K.dtype), "free to")
 
 
 def massless_motions(

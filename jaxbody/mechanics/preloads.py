@@ -186,9 +186,10 @@ def preload(
         if not matching_rows:
             raise JaxbodyError(unknown(pattern, "preload.moving", model.layout.coordinates))
         rows += matching_rows
-    made = _preload(model, state, leaves, tuple(dict.fromkeys(rows)))
     return finished(
-        made, _balanced, lambda made: (made.values, made.change, made.moves, made.state, made.model)
+        _preload(model, state, leaves, tuple(dict.fromkeys(rows))),
+        _balanced,
+        lambda made: (made.values, made.change, made.moves, made.state, made.model),
     )
 
 

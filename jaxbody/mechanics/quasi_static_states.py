@@ -170,8 +170,8 @@ def excitation(
             )
         )
     with Problems() as problems:
-        given = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
-        xi = displacements(model, given, "excitation", problems)
+        displaced = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
+        xi = displacements(model, displaced, "excitation", problems)
     return _excitation(model, state, xi)
 
 

@@ -80,15 +80,13 @@ class Equilibria(Result):
                 zip(self.solutions, self.distances, self.hits, strict=True)
             )
         ]
-        note = (
-            f"{int(self.hits.sum())} of {self.searches} searches ended in these; there may be more"
-        )
         return [
             tables.PrintedTable(
                 "Equilibria",
                 ("", "energy [J]", "stability", "distance [m]", "searches"),
                 rows,
-                note,
+                f"{int(self.hits.sum())} of {self.searches} searches ended in these; there may be "
+                "more",
             )
         ]
 
@@ -177,8 +175,9 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
     scale = scale_of(model, size)
     reach = spread * size * scale * jnp.where(model.layout.turns, 2.0, 1.0)
     moves: Any = reach[None] * jax.random.normal(key, (starts, len(scale)), size.dtype)
-    q0 = coordinates.reference.q
-    q = jax.vmap(lambda move: moved(coordinates, q0, move))(moves.at[0].set(0.0))
+    q = jax.vmap(lambda move: moved(coordinates, coordinates.reference.q, move))(
+        moves.at[0].set(0.0)
+    )
 
     def descent(q):
         return descend(coordinates, q, scale, size, DESCENT_STEPS)

@@ -140,21 +140,23 @@ class LoadCases(Labeled, Result):
         of_springs, of_others, springs = labeled_elements(
             model, ("case",), ("stroke", "stroke"), self.strokes, self.forces
         )
-        variables = {
-            "displacement": (("case", "body", "axis"), self.displacement_rows, "m"),
-            "rotation": (("case", "body", "axis"), self.rotation_rows, "rad"),
-            "status": (("case",), self.status, ""),
-            "load_factor": (("case",), self.load_factor, ""),
-            **of_springs,
-            **of_others,
-        }
-        coordinates = {
-            "case": list(self.names),
-            "body": list(model.layout.bodies),
-            "axis": AXES,
-            **springs,
-        }
-        return dataset(variables, coordinates, "load cases")
+        return dataset(
+            {
+                "displacement": (("case", "body", "axis"), self.displacement_rows, "m"),
+                "rotation": (("case", "body", "axis"), self.rotation_rows, "rad"),
+                "status": (("case",), self.status, ""),
+                "load_factor": (("case",), self.load_factor, ""),
+                **of_springs,
+                **of_others,
+            },
+            {
+                "case": list(self.names),
+                "body": list(model.layout.bodies),
+                "axis": AXES,
+                **springs,
+            },
+            "load cases",
+        )
 
     @tables.summarized("Load cases", 3, displacement_rows="displacements [m]")
     def _tables(self) -> list[tables.PrintedTable]:
@@ -260,9 +262,8 @@ def load_cases(
         groups, tuple(device_array(weights[:, group]) for group in members), changes
     )
     searches = search_under_loads(model, unloaded, q, applied, MAX_STEPS, many=True)
-    result = _load_cases(model, unloaded, searches, applied, tuple(cases))
     result = finished(
-        result,
+        _load_cases(model, unloaded, searches, applied, tuple(cases)),
         at_rest,
         lambda x: (x.state, x.displacement_rows, x.rotation_rows, x.stroke_rows, x.force_rows),
     )

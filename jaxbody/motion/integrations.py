@@ -256,13 +256,14 @@ def _as_given(
     along them."""
     saveat = diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)])
     if isinstance(controller, CONSTANT):
-        options = {
+        return {
             "solver": solver,
             "dt0": dt0,
+            "saveat": saveat,
             "stepsize_controller": controller,
             "adjoint": adjoint or diffrax.DirectAdjoint(),
+            "max_steps": max_steps,
         }
-        return options | {"saveat": saveat, "max_steps": max_steps}
     rules: Any = Lasting(*(tolerances[name] for name in ("rtol", "atol", "norm", "dtmin")))
     if controller is None:
         controller = rules

@@ -43,8 +43,7 @@ def read(
 
 def readings(trajectory: Trajectory, sensors: dict[str, Sensor]) -> dict[str, Array]:
     """The readings of each sensor along a trajectory, with its chain."""
-    measured = trajectory.at_samples(_read, sensors, loads=True)
-    return _transduced(sensors, trajectory.times, measured)
+    return _transduced(sensors, trajectory.times, trajectory.at_samples(_read, sensors, loads=True))
 
 
 def _read(model, motions, t, state, loads, sensors):

@@ -146,13 +146,12 @@ class Trajectory(Labeled, Result):
     def at_samples(self, function: Callable, *more: Any, loads: bool = False) -> Any:
         """function(model, motions, t, state, *more) at every sample, with `loads` (..., state,
         loads, *more); leading axes of a batch are kept, and each function is compiled once."""
-        with_loads = (self.loads,) if loads else ()
         return _evaluate(
             function,
             self.times.ndim - 1,
             self.model,
             self.motions,
-            with_loads,
+            (self.loads,) if loads else (),
             self.times,
             self.state,
             more,
@@ -172,19 +171,21 @@ class Trajectory(Labeled, Result):
         )
 
     def explain(self) -> str:
-        message, status = self._ended(), Status(int(self.status))
-        if status in (Status.MAX_STEPS, Status.DT_MIN):
-            message += "; " + (
-                force_jump_at(self.model, self.motions, *self.end) or self._what_steps_need(status)
-            )
-        if status == Status.SINGULAR_CLOSURE:
-            message += "; " + singular_closure(self.model, self.motions, *self.end)
-        if status == Status.TABLE_RANGE:
-            return self._outside_tables()
-        if status == Status.NONFINITE:
-            first = nonfinite_ahead(self.model, self.motions, self.loads, self.times, *self.end)
-            message += "; first not finite: " + (first or self._accelerations())
-        return message
+        status = Status(int(self.status))
+        match status:
+            case Status.TABLE_RANGE:
+                return self._outside_tables()
+            case Status.MAX_STEPS | Status.DT_MIN:
+                jump = force_jump_at(self.model, self.motions, *self.end)
+                cause = jump or self._what_steps_need(status)
+            case Status.SINGULAR_CLOSURE:
+                cause = singular_closure(self.model, self.motions, *self.end)
+            case Status.NONFINITE:
+                first = nonfinite_ahead(self.model, self.motions, self.loads, self.times, *self.end)
+                cause = "first not finite: " + (first or self._accelerations())
+            case _:
+                return self._ended()
+        return f"{self._ended()}; {cause}"
 
     def _what_steps_need(self, status: Status) -> str:
         """What changes fastest where the steps ended, and what else to try."""
@@ -297,11 +298,11 @@ class Trajectory(Labeled, Result):
             for name, e in self.elongations.items()
             if e.ndim == 1
         ]
-        added = (
+        return tables.text(
+            *tables.in_numpy(known)._tables(),
             tables.PrintedTable("Positions", ("frame", "x [m]", "y [m]", "z [m]"), rows),
             tables.PrintedTable("", ("spring", "elongation [m]", "tension [N]"), springs),
         )
-        return tables.text(*tables.in_numpy(known)._tables(), *added)
 
     def _tables(self) -> list[tables.PrintedTable]:
         if self.times.ndim > 1 or not is_concrete(self.state.q):

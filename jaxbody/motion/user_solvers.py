@@ -48,10 +48,15 @@ class EquationsOfMotion(eqx.Module):
         knows: poses, forces, energies, plots, and what sensors read by `measure`. Quaternions
         are normalized."""
         states = State(jax.vmap(model.layout.normalized)(states.q), states.v, states.z)
-        end = times[-1], jax.tree.map(lambda x: x[-1], states)
-        run = {"end": end, "model": model, "motions": self.motions, "loads": self.loads}
         return Trajectory(
-            times=times, state=states, status=jnp.array(Status.OK.value), statistics={}, **run
+            times=times,
+            state=states,
+            status=jnp.array(Status.OK.value),
+            statistics={},
+            end=(times[-1], jax.tree.map(lambda x: x[-1], states)),
+            model=model,
+            motions=self.motions,
+            loads=self.loads,
         )
 
 
