@@ -110,8 +110,8 @@ from jaxbody.model.leaf_paths import replace as replace
 from jaxbody.model.models import Model as Model
 from jaxbody.model.states import State as State
 from jaxbody.motion.sensor_readings import measure as measure
+from jaxbody.motion.simulations import equations_of_motion as equations_of_motion
 from jaxbody.motion.simulations import simulate as simulate
-from jaxbody.motion.user_solvers import equations_of_motion as equations_of_motion
 from jaxbody.numerics.adjoints import Blocks as Blocks
 from jaxbody.numerics.gauss_collocations import Gauss as Gauss
 from jaxbody.records.record_files import read_record as read_record
