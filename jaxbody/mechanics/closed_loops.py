@@ -284,8 +284,8 @@ class ClosedLoops(JointedBodies):
         )
         q = closed_on(self.coordinates, self.rests, supports, state.q)
         frames = self.coordinates.frames(q, state.v, supports)
-        y = self.pack(State(q, state.v, state.z))
-        closed, rates = self.unpack(self.projected(t, y)), self._rates(frames, q, state.v)
+        nearest, rates = State(q, state.v, state.z), self._rates(frames, q, state.v)
+        closed = self.unpack(self.projected(t, self.pack(nearest)))
         left = jnp.max(jnp.abs(gaps_from(self.model, self.rests, frames, q))) / self.size
         given, fastest = (
             jnp.max(jnp.abs(v) * jnp.where(self.model.layout.turns, self.size, 1.0))
@@ -296,10 +296,10 @@ class ClosedLoops(JointedBodies):
             jnp.max(jnp.abs(rates)) / jnp.maximum(jnp.maximum(given, fastest), 1e-300),
             0.0,
         )
-        far = Closing(jnp.max(jnp.abs(before)) / self.size, rate, left)
         reached = jax.tree.map(
-            lambda new, old: jnp.where(left <= CLOSED, new, old), closed, State(q, state.v, state.z)
+            lambda new, old: jnp.where(left <= CLOSED, new, old), closed, nearest
         )
+        far = Closing(jnp.max(jnp.abs(before)) / self.size, rate, left)
         return reached, jax.lax.stop_gradient(far)
 
 

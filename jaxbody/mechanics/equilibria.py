@@ -48,7 +48,7 @@ from jaxbody.mechanics.forces_at_rest import (
     support_rows,
 )
 from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
-from jaxbody.mechanics.hessians import Configuration, configuration_at
+from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.load_paths import (
     AppliedLoads,
     Path,
@@ -260,9 +260,9 @@ class Equilibrium(Labeled, Result):
         start = equilibrium_of(weightless, None, 200, None)
         if int(start.status) not in LOADABLE:
             return "none was found by descent, with the weights or without them"
-        applied = AppliedLoads((), np.zeros(0), self.model.gravity)
-        factor = float(along_path(weightless, start, applied, False)[0].factor)
-        return f"none was found by descent; {100 * factor:.4g} % of the weights is carried"
+        weights = AppliedLoads((), np.zeros(0), self.model.gravity)
+        share = 100 * float(along_path(weightless, start, weights, False)[0].factor)
+        return f"none was found by descent; {share:.4g} % of the weights is carried"
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: q by part, residual by coordinate, elongation and force by spring,
@@ -521,36 +521,26 @@ def _implicit_jvp(primals, tangents):
     (coordinates, applied), _, valid = primals
     q = _implicit(*primals)
 
-    def unbalanced(dependencies):
-        return residual(configuration_at(dependencies[0], q, base=False), dependencies[1])
-
     at = configuration_at(coordinates, q, base=False)
     K = tangent(at, applied)
     K = jnp.where(valid, K, jnp.eye(len(K), dtype=K.dtype))
-    if coordinates.model.closures:
-        delta = _change_on_closures((coordinates, applied), tangents[0], at, K)
+
+    def change_of(unbalanced):
+        return jax.jvp(lambda given: unbalanced(*given), (primals[0],), (tangents[0],))[1]
+
+    def unbalanced(coordinates, applied):
+        return residual(configuration_at(coordinates, q, base=False), applied)
+
+    if not coordinates.model.closures:
+        delta = -solve(K, change_of(unbalanced))
     else:
-        delta = -solve(K, jax.jvp(unbalanced, (primals[0],), (tangents[0],))[1])
+        r = residual(at, applied)
+        multipliers = multipliers_at(coordinates, q, r)
+        change = change_of(
+            lambda coordinates, applied: (
+                unbalanced(coordinates, applied) + constraint_force(coordinates, q, multipliers),
+                gaps_at(coordinates, q),
+            )
+        )
+        delta = implied_change(coordinates, q, r, K, change)
     return q, coordinates.rate(q, tangent_or_nan(valid, delta))
-
-
-def _change_on_closures(
-    dependencies: tuple[Coordinates, AppliedLoads],
-    tangents: Any,
-    at: Configuration,
-    K: Float[Array, "nv nv"],
-):
-    """Delta of an equilibrium on closures, for a change of what it depends on."""
-    coordinates, applied = dependencies
-    r = residual(at, applied)
-    multipliers = multipliers_at(coordinates, at.q, r)
-
-    def unbalanced(dependencies):
-        coordinates, applied = dependencies
-        closing = constraint_force(coordinates, at.q, multipliers)
-        return residual(
-            configuration_at(coordinates, at.q, base=False), applied
-        ) + closing, gaps_at(coordinates, at.q)
-
-    _, change = jax.jvp(unbalanced, (dependencies,), (tangents,))
-    return implied_change(coordinates, at.q, r, K, change)

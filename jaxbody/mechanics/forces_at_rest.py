@@ -174,9 +174,8 @@ def element_rows(
         (name, *along_and_about(model, name, e[name]), *along_and_about(model, name, f[name]))
         for name in deformations
     ]
-    heads = ("element", "deformation [m]", "rotation [rad]", "force [N]", "moment [N m]")
     if any(row[2] is not None for row in rows):
-        return heads, rows
+        return ("element", "deformation [m]", "rotation [rad]", "force [N]", "moment [N m]"), rows
     return ("element", "elongation [m]", "force [N]"), [
         (name, e, force) for name, e, _, force, _ in rows
     ]
@@ -227,5 +226,6 @@ def _without_dust(numbers: dict[str, Any]) -> dict[str, Any]:
 
 def support_rows(reactions: dict[str, tuple[Array, Array]]) -> tuple[tuple[str, ...], list[Row]]:
     """The headings and rows of a table of supports."""
-    rows = [(name, *both) for name, both in _without_dust(reactions).items()]
-    return ("support", "force on it [N]", "moment [N m]"), rows
+    return ("support", "force on it [N]", "moment [N m]"), [
+        (name, *both) for name, both in _without_dust(reactions).items()
+    ]

@@ -81,10 +81,9 @@ def curvature(
     coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]
 ) -> Float[Array, "nv nv"]:
     """d2(lambda c)/dDelta2."""
-    zero = jnp.zeros(coordinates.model.layout.nv, q.dtype)
     return jax.hessian(
         lambda delta: multipliers @ gaps_at(coordinates, coordinates.retract(q, delta))
-    )(zero)
+    )(jnp.zeros(coordinates.model.layout.nv, q.dtype))
 
 
 def on_closures(
@@ -181,10 +180,9 @@ def constraint_force(
     coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]
 ) -> Float[Array, "nv"]:
     """J' lambda."""
-    zero = jnp.zeros(coordinates.model.layout.nv, q.dtype)
     return jax.grad(
         lambda delta: multipliers @ gaps_at(coordinates, coordinates.retract(q, delta))
-    )(zero)
+    )(jnp.zeros(coordinates.model.layout.nv, q.dtype))
 
 
 class DependentMotions(eqx.Module):
@@ -209,12 +207,10 @@ class DependentMotions(eqx.Module):
 
     def whole(self, inner: int, nxi: int) -> Float[Array, "n m"]:
         """T, of (Delta, y, Xi)."""
-        zero = jnp.zeros((len(self.N), inner), self.N.dtype)
-        top = jnp.concatenate([self.N, zero, self.S[:, :nxi]], 1)
-        own = jnp.eye(inner + nxi, dtype=self.N.dtype)
-        return jnp.concatenate(
-            [top, jnp.concatenate([jnp.zeros((len(own), self.N.shape[1]), own.dtype), own], 1)]
-        )
+        (nv, nf), dtype = self.N.shape, self.N.dtype
+        own = jnp.eye(inner + nxi, dtype=dtype)
+        top = [self.N, jnp.zeros((nv, inner), dtype), self.S[:, :nxi]]
+        return jnp.block([top, [jnp.zeros((len(own), nf), dtype), own]])
 
 
 def dependent_motions(

@@ -66,11 +66,10 @@ def alike(loads: Sequence[Load]) -> tuple[tuple[Load, ...], list[list[int]]]:
     for i, load in enumerate(loads):
         numbers, structure = jax.tree.flatten(load)
         groups.setdefault((structure, *map(np.shape, numbers)), []).append(i)
-    stacked = tuple(
+    return tuple(
         jax.tree.map(lambda *rows: stack(list(rows)), *(loads[i] for i in group))
         for group in groups.values()
-    )
-    return stacked, list(groups.values())
+    ), list(groups.values())
 
 
 def summed(function: Callable, load: Load, weight: Float[Array, "*k"]) -> Any:

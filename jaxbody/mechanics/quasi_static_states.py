@@ -97,11 +97,7 @@ def _start(coordinates: Coordinates, on_supports: Coordinates):
     first support."""
     if not len(on_supports.supports.p):
         return on_supports.reference.q
-    now, before = (
-        jax.tree.map(lambda x: x[0], supports)
-        for supports in (on_supports.supports, coordinates.supports)
-    )
-    moved = now @ before.inverse()
+    moved = on_supports.supports[0] @ coordinates.supports[0].inverse()
     bodies = jax.vmap(lambda pose: moved @ pose)(coordinates.bodies)
     return at_rest_in(
         on_supports.model, rest_poses(on_supports.model, on_supports.supports, bodies)

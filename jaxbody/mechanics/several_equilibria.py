@@ -146,14 +146,13 @@ def find_equilibria(
     )
     levels = np.cumsum(np.diff([eq.energy for eq in distinct], prepend=-np.inf) > tolerance)
     order = np.lexsort((distances, levels))
-    code = Status.OK if distinct else Status.NOT_CONVERGED
     return warn_if_failed(
         Equilibria(
-            np.array(code.value),
-            tuple(distinct[i] for i in order),
-            distances[order],
-            np.array(hits, int)[order],
-            len(status),
+            status=np.array((Status.OK if distinct else Status.NOT_CONVERGED).value),
+            solutions=tuple(distinct[i] for i in order),
+            distances=distances[order],
+            hits=np.array(hits, int)[order],
+            searches=len(status),
         )
     )
 

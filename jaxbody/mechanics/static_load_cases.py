@@ -18,7 +18,6 @@ from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, finished, without_derivatives
 from jaxbody.core.units import GRAVITY
 from jaxbody.geometry import rotations
-from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import product
 from jaxbody.mechanics.equilibria import (
     DESCENDED,
@@ -32,9 +31,8 @@ from jaxbody.mechanics.equilibrium_solvers import LOADABLE, SearchResult, search
 from jaxbody.mechanics.forces_at_rest import along_and_about, labeled_elements
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.load_paths import AppliedLoads, alike, residual, summed
-from jaxbody.model.element_states import holding, relaxed
+from jaxbody.model.element_states import relaxed
 from jaxbody.model.inputs.loads import Load, loads_by_name, loads_of
-from jaxbody.model.joints.element_tables import each_element, frames_of
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import of_elements
 from jaxbody.model.models import Model
@@ -300,43 +298,25 @@ def _load_cases(
         total = jnp.sum(model.bodies.rows.mass) * jnp.max(jnp.abs(applied.gravity))
         for load, weight in zip(applied.loads, applied.weights, strict=True):
             total = total + summed(largest_of, load, weight)
-        by_joints = (largest <= NEGLIGIBLE * total) & (total > 0)
-        return (
-            eq.status,
-            eq.load_factor,
-            eq.state,
-            _deformed(model, eq.state),
-            eq.descended,
-            by_joints,
-        )
+        pose = coordinates.at_rest(eq.state.q)[model.layout.first_body :].pose()
+        return eq, pose, (largest <= NEGLIGIBLE * total) & (total > 0)
 
-    status, factor, state, (pose, deformations, forces), descended, by_joints = applied.each(
-        one, searches
-    )
-    status = jnp.where(jnp.isin(unloaded.status, jnp.array(LOADABLE)), status, unloaded.status)
-    rest_poses, rest_deformations, _ = _deformed(model, unloaded.state)
-    rotation_rows = rotations.log(product(pose.R, jnp.swapaxes(rest_poses.R, -1, -2)[None]))
-    strokes = tuple(e - e0[None] for e, e0 in zip(deformations, rest_deformations, strict=True))
+    eq, pose, by_joints = applied.each(one, searches)
+    rest_poses = rest.frames[model.layout.first_body :]
     return LoadCases(
-        status,
-        factor,
-        state,
-        unloaded,
-        pose.p - rest_poses.p[None],
-        rotation_rows,
-        strokes,
-        forces,
-        descended,
-        by_joints,
-        names,
+        status=jnp.where(
+            jnp.isin(unloaded.status, jnp.array(LOADABLE)), eq.status, unloaded.status
+        ),
+        load_factor=eq.load_factor,
+        state=eq.state,
+        unloaded=unloaded,
+        displacement_rows=pose.p - rest_poses.p[None],
+        rotation_rows=rotations.log(product(pose.R, jnp.swapaxes(rest_poses.R, -1, -2)[None])),
+        stroke_rows=tuple(
+            e - e0[None] for e, e0 in zip(eq.deformations, unloaded.deformations, strict=True)
+        ),
+        force_rows=eq.element_forces,
+        descended=eq.descended,
+        by_joints=by_joints,
+        names=names,
     )
-
-
-def _deformed(model: Model, state: State) -> tuple[Pose, tuple[Array, ...], tuple[Array, ...]]:
-    """Poses of the bodies, deformations and forces of the elements in a state."""
-    model, frames = holding(model, state.z), frames_of(model, state)
-    both = each_element(
-        model, frames, lambda s, *F: (s.deformation(*(f.pose() for f in F)), s.force(*F))
-    )
-    bodies = frames[model.layout.first_body :].pose()
-    return bodies, tuple(e for e, _ in both), tuple(f for _, f in both)
