@@ -184,13 +184,12 @@ class ClosedLoops(JointedBodies):
                 _slopes(closure, rest, *ends)[:, :, None] * jnp.concatenate(moving, -1).T[None], 1
             )
 
-        of_frames = _plain(frames), jnp.concatenate([still, twists])
         return jnp.concatenate(
             each_closure(
                 self.model,
                 self.rests,
                 slopes,
-                of_frames,
+                (_plain(frames), jnp.concatenate([still, twists])),
                 (moving_slides(self.model.layout, q, zero), along),
             )
         )

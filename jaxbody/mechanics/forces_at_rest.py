@@ -74,12 +74,9 @@ class ClosureForces(eqx.Module):
         )
 
     def table(self, model: Model) -> tables.PrintedTable:
-        """The reactions, a row for each closure."""
-        largest = (
-            np.nanmax(np.abs(np.asarray(self.reactions)), initial=0.0)
-            if is_concrete(self.reactions)
-            else 0.0
-        )
+        """The reactions, a row for each closure, and which of them are not unique."""
+        reactions = np.asarray(self.reactions) if is_concrete(self.reactions) else np.zeros(0)
+        largest = np.nanmax(np.abs(reactions), initial=0.0)
         rows = [
             (
                 name,
@@ -88,24 +85,13 @@ class ClosureForces(eqx.Module):
             )
             for name, rows in by_closure(model, self.reactions).items()
         ]
-        return tables.PrintedTable(
-            "", ("closure", "conditions", "reaction [N, N m]"), rows, self.shared(model)
-        )
-
-    def shared(self, model: Model) -> str:
-        """A sentence on the reactions that are not unique."""
-        if (
-            not is_concrete(self.reactions)
-            or not np.isnan(np.asarray(self.reactions)).any()
-            or self.reactions.ndim > 1
-        ):
-            return ""
-        names = [
+        shared = [
             name
-            for name, x in zip(names_of_rows(model), np.asarray(self.reactions), strict=True)
-            if np.isnan(x)
+            for name, x in zip(names_of_rows(model), reactions, strict=False)
+            if reactions.ndim == 1 and np.isnan(x)
         ]
-        return f"shared, not unique: {', '.join(names)}; "
+        note = f"shared, not unique: {', '.join(shared)}; " if shared else ""
+        return tables.PrintedTable("", ("closure", "conditions", "reaction [N, N m]"), rows, note)
 
 
 def by_closure(model: Model, reactions: Float[Array, "*n rows"]) -> dict[str, dict[str, Array]]:

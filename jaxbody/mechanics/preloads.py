@@ -95,9 +95,7 @@ class Preload(Result):
             f"{-residual[i]:.4g} {'N m' if layout.turns[i] else 'N'} on {layout.coordinates[i]}"
             for i in worst
         ]
-        heights = [
-            name for name in (layout.coordinates[i] for i in worst) if name not in self.moving
-        ]
+        heights = [layout.coordinates[i] for i in worst if layout.coordinates[i] not in self.moving]
         remedy = f", or let it move: moving={heights!r}" if heights else ""
         return (
             f"none of these free lengths balances {', '.join(forces)}; free a length that acts on "

@@ -77,10 +77,9 @@ class Trajectory(Labeled, Result):
         """{body or support: pose}, with `.p` (nt, 3) position of its origin, `.R` (nt, 3, 3)
         orientation, `.quaternion`."""
         frames, lead = self.at_samples(_frames), (slice(None),) * self.times.ndim
-        names = self.model.layout.frames[1:]
         return {
-            name: jax.tree.map(lambda x, i=i: part_of(x, (*lead, i + 1)), frames)
-            for i, name in enumerate(names)
+            name: jax.tree.map(lambda x, i=i: part_of(x, (*lead, i)), frames)
+            for i, name in enumerate(self.model.layout.frames[1:], 1)
         }
 
     @property
@@ -107,7 +106,7 @@ class Trajectory(Labeled, Result):
     @property
     def lost_powers(self) -> dict[str, Array]:
         """{element: power that it dissipates, dR/de_dot . e_dot [W] (nt,)}."""
-        names = tuple(table.names for table in self.model.elements)
+        names = [table.names for table in self.model.elements]
         return by_name(names, self.at_samples(_lost_powers), axis=self.times.ndim)
 
     @property
@@ -124,12 +123,12 @@ class Trajectory(Labeled, Result):
     def reactions(self) -> dict[str, tuple[Array, Array]]:
         """{support: (force, moment about its origin)}, each (nt, 3) in world axes, exerted by all
         that is attached to it."""
-        force, moment = self.at_samples(_reactions, loads=True)
-        lead = (slice(None),) * self.times.ndim
-        return {
-            name: (part_of(force, (*lead, i)), part_of(moment, (*lead, i)))
-            for i, name in enumerate(self.model.layout.supports)
-        }
+        supports = self.model.layout.supports
+        force, moment = (
+            by_name([supports], [x], axis=self.times.ndim)
+            for x in self.at_samples(_reactions, loads=True)
+        )
+        return {name: (force[name], moment[name]) for name in supports}
 
     @property
     def closure_reactions(self) -> dict[str, dict[str, Array]]:
