@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.geometry.frames import Frame
 from jaxbody.lagrange import gravity_energy

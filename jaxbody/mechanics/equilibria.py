@@ -13,6 +13,7 @@ the potential of dead loads and weights.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -521,26 +522,37 @@ def _implicit_jvp(primals, tangents):
     (coordinates, applied), _, valid = primals
     q = _implicit(*primals)
 
-    at = configuration_at(coordinates, q, base=False)
-    K = tangent(at, applied)
+    K = tangent(configuration_at(coordinates, q, base=False), applied)
     K = jnp.where(valid, K, jnp.eye(len(K), dtype=K.dtype))
+    delta = change_of_equilibrium(lambda given: given, primals[0], tangents[0], q, K)
+    return q, coordinates.rate(q, tangent_or_nan(valid, delta))
 
-    def change_of(unbalanced):
-        return jax.jvp(lambda given: unbalanced(*given), (primals[0],), (tangents[0],))[1]
+
+def change_of_equilibrium(
+    given: Callable[[Any], tuple[Coordinates, AppliedLoads]],
+    x: Any,
+    x_dot: Any,
+    q: Float[Array, "nq"],
+    K: Float[Array, "nv nv"],
+) -> Float[Array, "nv"]:
+    """Delta of an equilibrium at q for a change x_dot of x, of which its coordinates and loads
+    are a function."""
+
+    def change(function):
+        return jax.jvp(lambda x: function(*given(x)), (x,), (x_dot,))[1]
 
     def unbalanced(coordinates, applied):
         return residual(configuration_at(coordinates, q, base=False), applied)
 
+    coordinates, applied = given(x)
     if not coordinates.model.closures:
-        delta = -solve(K, change_of(unbalanced))
-    else:
-        r = residual(at, applied)
-        multipliers = multipliers_at(coordinates, q, r)
-        change = change_of(
-            lambda coordinates, applied: (
-                unbalanced(coordinates, applied) + constraint_force(coordinates, q, multipliers),
-                gaps_at(coordinates, q),
-            )
+        return -solve(K, change(unbalanced))
+    r = unbalanced(coordinates, applied)
+    multipliers = multipliers_at(coordinates, q, r)
+    of_both = change(
+        lambda coordinates, applied: (
+            unbalanced(coordinates, applied) + constraint_force(coordinates, q, multipliers),
+            gaps_at(coordinates, q),
         )
-        delta = implied_change(coordinates, q, r, K, change)
-    return q, coordinates.rate(q, tangent_or_nan(valid, delta))
+    )
+    return implied_change(coordinates, q, r, K, of_both)

@@ -23,13 +23,12 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.lagrange import potential
 from jaxbody.mechanics.constraints import CLOSED, closed_on
-from jaxbody.mechanics.equilibria import Equilibrium, equilibrium_at
+from jaxbody.mechanics.equilibria import Equilibrium, change_of_equilibrium, equilibrium_at
 from jaxbody.mechanics.equilibrium_solvers import AT_REST, no_loads, search_by_descent
-from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
 from jaxbody.mechanics.hessians import configuration_at
-from jaxbody.mechanics.load_paths import residual, tangent
+from jaxbody.mechanics.load_paths import tangent
 from jaxbody.model.element_states import holding, relaxed
-from jaxbody.model.joints.closure_tables import drawn, gaps_at, gaps_from
+from jaxbody.model.joints.closure_tables import drawn, gaps_from
 from jaxbody.model.joints.element_tables import completed
 from jaxbody.model.joints.kinematics import (
     Coordinates,
@@ -41,7 +40,6 @@ from jaxbody.model.models import Model, at_rest_in, rest_poses
 from jaxbody.model.preconditions import check_independent, check_precision, check_state
 from jaxbody.model.sizes import size_of
 from jaxbody.model.states import State
-from jaxbody.numerics.small_systems import solve
 
 MAX_STEPS = 200
 
@@ -72,23 +70,9 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
         model,
     )
     q, valid = eq.state.q, jnp.isin(eq.status, jnp.array(AT_REST))
-    here = configuration_at(on_supports, q, base=False)
-    r, K = residual(here, unloaded), jnp.where(valid, tangent(here, unloaded), jnp.nan)
-
-    def slope(xi):
-        return residual(configuration_at(displaced(xi), q, base=False), unloaded)
-
-    if model.closures:
-        multipliers = multipliers_at(on_supports, q, r)
-
-        def conditions(xi):
-            return slope(xi) + constraint_force(displaced(xi), q, multipliers), gaps_at(
-                displaced(xi), q
-            )
-
-        v = implied_change(on_supports, q, r, K, jax.jvp(conditions, (xi,), (xi_dot,))[1])
-    else:
-        v = -solve(K, jax.jvp(slope, (xi,), (xi_dot,))[1])
+    K = tangent(configuration_at(on_supports, q, base=False), unloaded)
+    K = jnp.where(valid, K, jnp.nan)
+    v = change_of_equilibrium(lambda xi: (displaced(xi), unloaded), xi, xi_dot, q, K)
     return jax.tree.map(lambda x: rows_or_nan(valid, x), State(q, v, eq.state.z)), eq
 
 
