@@ -53,8 +53,8 @@ from jaxbody.numerics.small_systems import saddle_point
 
 
 def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
-    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies, and of the energies of elements with
-    inertia. (10), (11) of the paper."""
+    """Return T [J], the sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies and of the kinetic
+    energies of elements with inertia. Source: (10), (11) of the paper."""
     bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
     v_C = moving.velocity(bodies.com)
     w_B = rotate_back(moving.R, moving.w)
@@ -72,7 +72,7 @@ def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
 
 
 def gravity_energy(model: Model, frames: Frame) -> Float[Array, ""]:
-    """-sum of m g . C."""
+    """Return the potential energy of the weights [J], the sum of -m g . C over the bodies."""
     bodies = model.bodies.rows
     return -jnp.sum(
         bodies.mass * dot(frames[model.layout.first_body :].point(bodies.com), model.gravity[None])
@@ -80,15 +80,15 @@ def gravity_energy(model: Model, frames: Frame) -> Float[Array, ""]:
 
 
 def potential(model: Model, frames: Frame) -> Float[Array, ""]:
-    """V = sum of V(e) over the elements - sum of m g . C over the bodies. (22), (60) of
-    the paper."""
+    """Return V [J], the sum of V(e) over the elements minus the sum of m g . C over the bodies.
+    Source: (22), (60) of the paper."""
     return gravity_energy(model, frames) + sum(
         jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.potential(*F))
     )
 
 
 def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
-    """R = sum of R(e, e') over the elements."""
+    """Return R [W], the sum of R(e, e') over the elements."""
     return sum(
         (
             jnp.sum(e)
@@ -104,8 +104,8 @@ def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
 def frames_at(
     model: Model, state: State, delta: Array, delta_dot: Array, xi: Array, xi_dot: Array
 ) -> Frame:
-    """The frames at q (+) Delta on supports displaced by Xi, with the velocities that Delta' and
-    Xi' give them: v = p', [w] = R' R^T."""
+    """Return the frames at q (+) Delta on supports displaced by Xi, with the velocities due to
+    Delta' and Xi': v = p', [w] = R' R^T."""
     pose, rate = jax.jvp(
         lambda delta, xi: frames_displaced(model, state, delta, xi).pose(),
         (delta, xi),
@@ -115,27 +115,27 @@ def frames_at(
 
 
 def T(model: Model, state: State, *small: Array) -> Float[Array, ""]:
-    """T of Delta, Delta', Xi, Xi'."""
+    """Return T for `small` = (Delta, Delta', Xi, Xi')."""
     return kinetic(holding(model, state.z), frames_at(model, state, *small))
 
 
 def V(model: Model, state: State, *small: Array) -> Float[Array, ""]:
-    """V of Delta, Delta', Xi, Xi'; the rates have no effect."""
+    """Return V for `small` = (Delta, Delta', Xi, Xi'), of which the rates have no effect."""
     return potential(holding(model, state.z), frames_at(model, state, *small))
 
 
 def R(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, ""]:
-    """R of z', Delta, Delta', Xi, Xi'."""
+    """Return R for the rates z' of the element states and `small` = (Delta, Delta', Xi, Xi')."""
     return rayleigh(apart(model, state.z, z_dot), frames_at(model, state, *small))
 
 
 def L(model: Model, state: State, *small: Array) -> Float[Array, ""]:
-    """T - V. (12) of the paper."""
+    """Return T - V for `small` = (Delta, Delta', Xi, Xi'). Source: (12) of the paper."""
     return T(model, state, *small) - V(model, state, *small)
 
 
 def c(model: Model, state: State, delta: Array, xi: Array) -> Float[Array, "nc"]:
-    """The conditions of closures."""
+    """Return the conditions c of all closures at q (+) Delta on supports displaced by Xi [m]."""
     coordinates = Coordinates(model)
     q = coordinates.retract(state.q, delta)
     supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
@@ -145,8 +145,8 @@ def c(model: Model, state: State, delta: Array, xi: Array) -> Float[Array, "nc"]
 def Q(
     model: Model, state: State, loads: tuple[Load, ...], t: Any, *small: Array
 ) -> Float[Array, "nv"]:
-    """The generalized forces of loads, by their virtual power P(v*) = Q . v*, v* a virtual Delta':
-    P = sum of F . v* + M . w*."""
+    """Return the generalized forces of loads from their virtual power P(v*) = Q . v*, v* a virtual
+    Delta': P = sum of F . v* + M . w*."""
     now = frames_at(model, state, *small).at_time(t, state)
 
     def power(moved):
@@ -161,8 +161,8 @@ def Q(
 
 
 def H(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, "nv"]:
-    """The generalized forces of what has no potential in elements with hysteresis: P = -sum of
-    (F - dV/de - dR/de') . e*."""
+    """Return the generalized forces of elements with hysteresis as far as they have no potential: P
+    = -sum of (F - dV/de - dR/de') . e*."""
     now, pairs = (
         frames_at(model, state, *small),
         zip(holding(model, state.z).elements, apart(model, state.z, z_dot).elements, strict=True),
@@ -186,14 +186,16 @@ def H(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, "
 def _by_virtual_power(
     power: Callable[[Frame], Array], model: Model, state: State, delta, _, xi, xi_dot
 ) -> Float[Array, "nv"]:
-    """dP/dv*, of the power of frames with the virtual velocities."""
+    """Return dP/dv* of a virtual power P, a function of the frames that move at the virtual
+    velocities."""
     return jax.grad(lambda v: power(frames_at(model, state, delta, v, xi, jnp.zeros_like(xi_dot))))(
         jnp.zeros_like(state.v)
     )
 
 
 def _without_potential(element: Any, *frames: Frame) -> Array:
-    """F - dV/de - dR/de' of an element whose states move, and the same whose rates are known."""
+    """Return F - dV/de - dR/de' of an element, given as the pair (element whose states move, the
+    same element with given rates of its states)."""
     moving, known = element
     e, e_dot = moving.rates(*frames)
     return (
@@ -204,7 +206,7 @@ def _without_potential(element: Any, *frames: Frame) -> Array:
 
 
 def _z_dot(model: Model, state: State, *small: Array) -> Array:
-    """The rates of the states of elements."""
+    """Return the rates z' of the element states."""
     return (
         state_rates(holding(model, state.z), frames_at(model, state, *small))
         if model.layout.nz
@@ -216,7 +218,7 @@ def _z_dot(model: Model, state: State, *small: Array) -> Array:
 
 
 def unbalanced(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv"]:
-    """dV/dDelta - Q - H at rest, zero at an equilibrium without closures."""
+    """Return dV/dDelta - Q - H at rest, zero at an equilibrium without closures."""
     still, base = jnp.zeros_like(state.v), jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
     here = still, still, base, base
     forces = Q(model, state, loads, jnp.zeros((), still.dtype), *here) + H(
@@ -228,7 +230,8 @@ def unbalanced(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Arr
 def matrices(
     model: Model, state: State, loads: tuple[Load, ...], multipliers: Array
 ) -> tuple[Array, Array, Array]:
-    """M, C and K of (Delta, y, Xi) about a state."""
+    """Return M, C and K of (Delta, y, Xi) about a state, under loads and with the multipliers of
+    closures."""
     layout, base = model.layout, jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
     nv, ny, heavy = layout.nv, len(layout.inner_places), len(layout.inertial)
     still, z = jnp.zeros_like(state.v), jnp.asarray(state.z)
@@ -270,8 +273,8 @@ def matrices(
 
 
 def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array):
-    """v' and z' by Lagrange's equations on supports that move, and the equations [M J'; J 0] of v'
-    and lambda, None without closures."""
+    """Return v' and z' by Lagrange's equations on moving supports, and the equations [M J'; J 0] of
+    v' and lambda, None without closures."""
     zero, rest = jnp.zeros_like(state.v), jnp.zeros((2, len(model.layout.supports), 6), t.dtype)
     (xi, xi_dot), (_, xi_ddot) = (
         jax.jvp(lambda t: imposed(motions, t), (t,), (jnp.ones_like(t),))
@@ -313,8 +316,8 @@ def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array
 def kinetic_energy(
     model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
 ) -> Float[Array, ""]:
-    """T at q (+) Delta with the rates Delta', on supports displaced by Xi with the rate Xi' [J];
-    see `lagrangian`.
+    """Return T at q (+) Delta with the rates Delta', on supports displaced by Xi with the rate Xi'
+    [J]. The arguments are those of `lagrangian`.
 
     Source: (10), (11) of the paper.
 
@@ -329,8 +332,8 @@ def kinetic_energy(
 def potential_energy(
     model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
 ) -> Float[Array, ""]:
-    """V at q (+) Delta, on supports displaced by Xi [J]; see `lagrangian`. Source: (22), (60) of
-    the paper.
+    """Return V at q (+) Delta, on supports displaced by Xi [J]. The arguments are those of
+    `lagrangian`; the rates have no effect. Source: (22), (60) of the paper.
 
     >>> model = Model(
     ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 1.5])},
@@ -345,8 +348,8 @@ def potential_energy(
 def dissipation(
     model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
 ) -> Float[Array, ""]:
-    """R [W], 1/2 c e'^2 for a linear damper; 2 R is the power dissipated by linear dampers.
-    See `lagrangian`.
+    """Return R [W], 1/2 c e'^2 for a linear damper; 2 R is the power dissipated by linear dampers.
+    The arguments are those of `lagrangian`.
 
     In derivatives the rates of the states of elements are constant, so that -dR/dDelta' is the
     force of dampers.
@@ -362,7 +365,8 @@ def dissipation(
 def lagrangian(
     model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
 ) -> Float[Array, ""]:
-    """L = T - V of small motions about a state [J], to differentiate. Source: (12) of the paper.
+    """Return L = T - V of small motions about a state [J], to be differentiated. Source: (12) of
+    the paper.
 
     Args:
         delta: increments Delta of the coordinates, by default 0: of a free body the displacement of
@@ -396,7 +400,7 @@ def lagrangian(
 
 
 def _R(model: Model, state: State, *small: Array) -> Float[Array, ""]:
-    """R with the z' of this motion."""
+    """Return R for `small`, with the rates z' of this motion held constant in derivatives."""
     return R(model, state, _z_dot(model, state, *jax.lax.stop_gradient(small)), *small)
 
 

@@ -46,12 +46,13 @@ RANK = 1e-9  # singular values below this part of the largest count as zero
 
 
 def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
-    """c(q), with the supports in their reference poses."""
+    """Return c(q) [m], with the supports in their reference poses; `values` have no effect."""
     return gaps_at(Coordinates(model), q)
 
 
 def closed(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
-    """The nearest q in which all closures are fulfilled, as far as it is reached."""
+    """Return the configuration next to q in which all closures are fulfilled, or where the search
+    for it ended."""
     return _searched(
         lambda _, coordinates, q: gaps_at(coordinates, q), None, coordinates.model, coordinates, q
     )
@@ -64,9 +65,9 @@ def closed_on(
     q: Float[Array, "nq"],
     held: np.ndarray | None = None,
 ) -> Float[Array, "nq"]:
-    """The nearest q in which all closures are fulfilled on moved supports, as a function of q and
-    of the model: steps with all their derivatives; `held` is True for the coordinates that must
-    not move."""
+    """Return the configuration next to q in which all closures are fulfilled on moved supports, by
+    a fixed number of steps that are differentiated with respect to q and the model. `rests`: the
+    relative poses of the closures as drawn; `held`: True for the coordinates that must not move."""
 
     def conditions(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
         return gaps_from(
@@ -78,9 +79,9 @@ def closed_on(
 
 
 def assembled_reference(model: Model) -> State:
-    """The state of rest next to the drawn one in which all closures are fulfilled, with derivatives
-    by every point and length; memory is relaxed in it. Where it is not reached it is NaN while
-    traced; else it warns NOT_CLOSED."""
+    """Return the state of rest next to the drawn one in which all closures are fulfilled, with
+    memory relaxed; it has derivatives with respect to every point and length. Where the search
+    fails, the state is NaN if it is traced; otherwise a warning NOT_CLOSED is issued."""
     state, reached = _assembled(model)
     if not is_concrete(state):
         return jax.tree.map(lambda x: nan_unless(reached, x), state)
@@ -99,7 +100,7 @@ def _assembled(model: Model) -> tuple[State, Bool[Array, ""]]:
 
 
 def how_open(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, ""]:
-    """The largest |c| over the size of the model."""
+    """Return the largest |c| relative to the size of the model."""
     return _largest(gaps_at(coordinates, q)) / size_of(coordinates.model)
 
 
@@ -110,9 +111,9 @@ def solve(
     start: Float[Array, "nq"],
     held: np.ndarray | None = None,
 ):
-    """(q, largest |F| over the size of the model) where F(model, values, q) = 0, from a start,
-    with the least movement where that leaves freedom; `held` is True for the coordinates that must
-    not move."""
+    """Return (q, largest |F| over the size of the model) with F(model, values, q) = 0, found from
+    `start` with the least movement where freedoms are left. `held`: True for the coordinates that
+    must not move."""
     q = near(conditions, model, values, _searched(conditions, held, model, values, start), held)
     return q, _largest(conditions(model, values, q)) / size_of(model)
 
@@ -124,8 +125,8 @@ def near(
     q: Float[Array, "nq"],
     held: np.ndarray | None = None,
 ) -> Float[Array, "nq"]:
-    """The q with F = 0 next to one that has it for these values, as a function of it, the model and
-    the values."""
+    """Return q with F = 0 as a differentiable function of the model and the values, from a q that
+    fulfils F = 0 for these values."""
     inverse = jax.lax.stop_gradient(
         _inverse(conditions, held, *jax.lax.stop_gradient((model, values, q)))
     )
@@ -143,7 +144,7 @@ def _inverse(
     values: Any,
     q: Float[Array, "nq"],
 ) -> Float[Array, "nv n"]:
-    """F_q^+, with the least movement in meters."""
+    """Return F_q^+, which gives the least movement in meters."""
     scale = scale_of(model, size_of(model)) * (1.0 if held is None else np.where(held, 0.0, 1.0))
     _, slopes = values_and_slopes(Chart(model), lambda q: conditions(model, values, q), q)
     return scale[:, None] * jnp.linalg.pinv(slopes * scale[None], rtol=RANK)
@@ -157,7 +158,7 @@ def _searched(
     values: Any,
     start: Float[Array, "nq"],
 ) -> Float[Array, "nq"]:
-    """Steps until F is as small as rounding allows, or no more are left."""
+    """Return q after steps until F is as small as rounding allows, or STEPS steps."""
 
     def going_on(carry: tuple[Array, Array]) -> Bool[Array, ""]:
         i, q = carry
@@ -172,7 +173,7 @@ def _searched(
 
 @_searched.defjvp
 def _searched_jvp(conditions: Conditions, held: np.ndarray | None, primals: Any, tangents: Any):
-    """The same steps in a loop of known length, which reverse mode needs."""
+    """Differentiate the same steps in a loop of fixed length, which reverse mode requires."""
 
     def steps(model: Model, values: Any, start: Array) -> Array:
         def step(q: Array, _: None) -> tuple[Array, None]:
@@ -197,7 +198,8 @@ def _stepped(
     values: Any,
     q: Float[Array, "nq"],
 ) -> Float[Array, "nq"]:
-    """q after a Gauss-Newton step, shortened where an increment is larger than LARGEST_STEP."""
+    """Return q after one Gauss-Newton step, shortened where an increment is larger than
+    LARGEST_STEP."""
     size = size_of(model)
     delta = -_inverse(conditions, held, model, values, q) @ conditions(model, values, q)
     largest = _largest(delta / scale_of(model, size)) / size
@@ -209,7 +211,7 @@ def _stepped(
 
 
 def values_and_slopes(chart: Chart, conditions: Callable[[Array], Array], q: Float[Array, "nq"]):
-    """F(q) and dF/dDelta."""
+    """Return F(q) and dF/dDelta, of the conditions F."""
     zero = jnp.zeros(chart.model.layout.nv, q.dtype)
     return conditions(q), jax.jacfwd(lambda delta: conditions(chart.retract(q, delta)))(zero)
 

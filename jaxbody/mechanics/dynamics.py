@@ -74,18 +74,19 @@ class Dynamics(eqx.Module):
 
     @abstractmethod
     def pack(self, state: State, t: Any = None) -> Float[Array, "ny"]:
-        """y of a state; only momenta (`canonical_equations`) depend on t."""
+        """Return y of a state; y depends on the time t only if it holds momenta
+        (`canonical_equations`)."""
 
     @abstractmethod
     def unpack(self, y: Float[Array, "ny"], t: Any = None) -> State:
-        """The state of y."""
+        """Return the state of y."""
 
     def drive(self, t: Float[Array, ""]) -> Any:
-        """The inputs that depend on time alone."""
+        """Return the inputs u of the system that depend on time alone."""
         return t
 
     def holding(self, z: Float[Array, "nz"]) -> Dynamics:
-        """The equations of motion with these states of the elements."""
+        """Return the equations of motion with the element states z."""
         return (
             eqx.tree_at(lambda dynamics: dynamics.coordinates.model, self, holding(self.model, z))
             if self.model.layout.nz
@@ -94,15 +95,16 @@ class Dynamics(eqx.Module):
 
     @abstractmethod
     def driven(self, u: Any, y: Float[Array, "ny"]) -> Float[Array, "ny"]:
-        """dy/dt with u = drive(t)."""
+        """Return dy/dt with the inputs u = drive(t)."""
 
     def rate(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
-        """dy/dt."""
+        """Return dy/dt."""
         return self.driven(self.drive(t), y)
 
     def scales(self, times: Float[Array, "nt"], start: State) -> Float[Array, "ny"]:
-        """The scale of each component of y: the size of the model or, without extent, how far it
-        moves; 1 for angles; for velocities these times a fast frequency."""
+        """Return the scale of each component of y: for positions the size of the model or, without
+        extent, the distance it moves [m], for angles 1, for velocities these times a fast
+        frequency."""
         model, layout, span = self.model, self.model.layout, times[-1] - times[0]
         square = self._stiffness_sum() / jnp.sum(model.bodies.rows.mass)
         size = size_of(model, self._reach(times, start, jnp.sqrt(square) + 1 / span))
@@ -123,8 +125,8 @@ class Dynamics(eqx.Module):
         )
 
     def _reach(self, times: Float[Array, "nt"], start: State, rate: Array) -> Array:
-        """An estimate of how far [m] the bodies move: |q0| + |v0|/rate + (g + |F|/m)/rate^2 + the
-        range of the supports; 1 if that is 0."""
+        """Estimate how far the bodies move [m]: |q0| + |v0|/rate + (g + |F|/m)/rate^2 + the range
+        of the supports; 1 if that is 0."""
         layout, coordinates = self.model.layout, self.coordinates
 
         frames = coordinates.frames(
@@ -159,13 +161,13 @@ class Dynamics(eqx.Module):
 
     @abstractmethod
     def _packed(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "*n"]:
-        """Numbers for each of q and v in the order of y."""
+        """Return a number for each component of q and v in the order of y."""
 
     def _reference_frames(self) -> Frame:
         return with_world(self.coordinates.supports.at_rest(), self.coordinates.bodies.at_rest())
 
     def _stiffness_sum(self) -> Float[Array, ""]:
-        """The sum over the elements of the largest second derivative of V(e) in the
+        """Return the sum over the elements of the largest second derivative of V(e) in the
         reference pose."""
 
         def stiffest(element, *frames):
@@ -178,37 +180,41 @@ class Dynamics(eqx.Module):
         return sum(largest, jnp.zeros((), self.model.gravity.dtype))
 
     def begun(self, t: Float[Array, ""], state: State) -> tuple[State, Any]:
-        """The state from which a motion starts, and how far that is from closures."""
+        """Return the state from which a motion starts, and the distance of the given state from the
+        closures."""
         return state, None
 
     def projected(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
-        """The state on the closures next to y."""
+        """Return the state on the closures next to y, as y."""
         return y
 
     def ended(self, code: Array, t: Float[Array, ""], state: State, closing: Any) -> Array:
-        """The status of a motion that ended at t in this state."""
+        """Return the status of a motion that ended at time t in this state with the status
+        `code`."""
         return code
 
     @abstractmethod
     def acceleration(
         self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]
     ) -> Float[Array, "nv"]:
-        """dv/dt, in the speeds of the state."""
+        """Return dv/dt for the speeds v of the state."""
 
     @abstractmethod
     def speeds(
         self, q: Float[Array, "nq"], momenta: Float[Array, "nv"], supports: Frame
     ) -> tuple[Array, Frame, Array, Callable]:
-        """The speeds v whose generalized momenta dT/dv these are, the frames, B' dT/dq (q' = B v),
-        and the generalized forces as a function of forces and moments about O on the bodies."""
+        """Return the speeds v with the generalized momenta dT/dv = `momenta`, the frames, B' dT/dq
+        (q' = B v), and a function that converts forces and moments about O on the bodies to
+        generalized forces."""
 
     @abstractmethod
     def accelerated(self, t: Float[Array, ""], state: State) -> Instant:
-        """The frames with the accelerations of their origins and their angular accelerations."""
+        """Return the frames with the accelerations of their origins and their angular
+        accelerations."""
 
     def _net(self, now: Instant):
-        """Applied minus inertial force and moment on each body about its origin, for the
-        accelerations of the frames."""
+        """Return the applied minus the inertial force and moment on each body about its origin, for
+        the accelerations of the frames."""
         first = self.model.layout.first_body
         bodies, moving = self.model.bodies.rows, now[first:]
         a, alpha, F, M = (
@@ -224,15 +230,15 @@ class Dynamics(eqx.Module):
         return F - force, M - (J(alpha) + cross(moving.w, J(moving.w)) + cross(c, force))
 
     def instant(self, t: Float[Array, ""], state: State, *, reactions: bool) -> Instant:
-        """Frames with accelerations and, with `reactions`, the forces and moments that joints,
-        supports and world carry."""
+        """Return the frames with accelerations and, with `reactions`, with the forces and moments
+        that joints, supports and world carry."""
         now = self.accelerated(t, state)
         return self.with_reactions(now) if reactions else now
 
     def with_reactions(self, now: Instant, extra: tuple[Array, Array] | None = None) -> Instant:
-        """An instant with accelerations, and F and M: applied loads minus the rates of momentum,
-        summed over the bodies that a frame carries by joints. `extra`: force and moment on each
-        body about its origin, in addition to the loads."""
+        """Return `now` with F and M of each frame: applied loads minus the rates of momentum,
+        summed over the bodies that the frame carries by joints. `extra`: force [N] and moment [N m]
+        on each body about its origin, in addition to the loads."""
         first = self.model.layout.first_body
         F, M = self._net(now)
         if extra is not None:
@@ -248,8 +254,8 @@ class Dynamics(eqx.Module):
         return replace(now, F=F, M=M)
 
     def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
-        """Force and moment about its origin that the bodies and elements exert on each support, in
-        world axes."""
+        """Return force [N] and moment about its origin [N m] that the bodies and elements exert on
+        each support, in world axes."""
         # in a model with memory, holding its z
         now, first = self.instant(t, State(q, v), reactions=True), self.model.layout.first_body
         assert now.F is not None and now.M is not None
@@ -282,8 +288,8 @@ class JointedBodies(Dynamics):
         return self._solve(t, q, v)[0]
 
     def _solve(self, t, q, v):
-        """v', the instant with the accelerations at v' = 0, and the velocities per unit of
-        each speed."""
+        """Return v', the instant with the accelerations at v' = 0, and the velocities of the bodies
+        per unit of each speed."""
         now, axes = self._bias(t, q, v)
         J = jacobian(self.model.layout, now, *axes)
         return solve_spd(self.inertia(now, *J)[0], generalized(*J, *self._net(now))), now, J
@@ -291,7 +297,7 @@ class JointedBodies(Dynamics):
     def inertia(
         self, frames: Frame, lin: Float[Array, "nb nv 3"], ang: Float[Array, "nb nv 3"]
     ) -> tuple[Float[Array, "nv nv"], Float[Array, "nv"]]:
-        """The mass matrix, and the generalized momenta of the frames' velocities."""
+        """Return the mass matrix, and the generalized momenta of the frames' velocities."""
         bodies, moving = self.model.bodies.rows, frames[self.model.layout.first_body :]
         m, R = bodies.mass[:, None, None], moving.R
         J_C = product(product(R, bodies.inertia), jnp.swapaxes(R, -1, -2))
@@ -312,8 +318,8 @@ class JointedBodies(Dynamics):
         return mass + parts[0], momenta + parts[1]
 
     def _bias(self, t, q, v):
-        """The instant at v' = 0, when accelerations are the derivatives of the velocities along the
-        motion, and the axes."""
+        """Return the instant at v' = 0, at which accelerations are the derivatives of the
+        velocities along the motion, and the axes."""
 
         def moving(t, q):
             frames, axes = self.coordinates.frames_and_axes(
@@ -372,7 +378,7 @@ class FreeBodies(Dynamics):
         )
 
     def _split(self, y):
-        """p, quaternions, v_B, w_B and z."""
+        """Return positions, quaternions, v and w in body axes, and z, of y."""
         n = len(self.model.layout.bodies)
         return (
             y[: 3 * n].reshape(n, 3),
@@ -394,7 +400,7 @@ class FreeBodies(Dynamics):
         return _state(p, quaternion, rotate(R, v_B), rotate(R, w_B), z)
 
     def drive(self, t: Float[Array, ""]):
-        """t and the frames of the supports."""
+        """Return t and the frames of the supports."""
         return t, self.coordinates.supports_moving(self.motions, t)
 
     def driven(self, u, y):
@@ -430,7 +436,7 @@ class FreeBodies(Dynamics):
         ].ravel()
 
     def accelerated(self, t, state: State):
-        """a = R (v_B' + w_B x v_B), alpha = R w_B'."""
+        """Return the frames with a = R (v_B' + w_B x v_B), alpha = R w_B'."""
 
         def moving(t):
             supports = self.coordinates.supports_moving(self.motions, t)
@@ -446,7 +452,8 @@ class FreeBodies(Dynamics):
         return replace(now, a=a, alpha=jnp.concatenate([zero, alpha, rotate(R, w_rate)]))
 
     def speeds(self, q, momenta, supports: Frame):
-        """v = R mass_B^-1 R' momenta; B' dT/dq = -(0, v x P + w x H)."""
+        """Return v = R mass_B^-1 R' momenta, the frames, B' dT/dq = -(0, v x P + w x H), and the
+        conversion of forces and moments."""
         q, momenta = q.reshape(-1, 7), momenta.reshape(-1, 2, 3)
         R = rotations.matrix(q[:, 3:])
         in_body = rotate_back(R[:, None], momenta).reshape(-1, 1, 6)
@@ -473,20 +480,20 @@ def _state(
     w: Float[Array, "nb 3"],
     z: Float[Array, "nz"],
 ) -> State:
-    """The state of free bodies."""
+    """Return the state of free bodies."""
     return State(
         jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([v, w], -1).ravel(), z
     )
 
 
 def generalized(lin, ang, F: Float[Array, "nb 3"], M: Float[Array, "nb 3"]) -> Float[Array, "nv"]:
-    """The generalized forces J' (F, M) of forces and moments about O on the bodies."""
+    """Return the generalized forces J' (F, M) of forces and moments about O on the bodies."""
     return jnp.sum(lin * F[:, None] + ang * M[:, None], (0, 2))
 
 
 def _acting(model: Model, now: Instant, loads: tuple[Load, ...] = ()) -> tuple[Array, Array]:
-    """Force and moment on each frame about its origin, those of the inertia of
-    elements included."""
+    """Return force and moment on each frame about its origin, including those of the inertia of
+    elements."""
     F, M = wrenches(model, now, loads)
     if not inertial_tables(model):
         return F, M
@@ -495,14 +502,14 @@ def _acting(model: Model, now: Instant, loads: tuple[Load, ...] = ()) -> tuple[A
 
 
 def all_free(layout: Layout) -> bool:
-    """Whether every body is free on the world, so that the speeds are the velocities of the bodies
-    and their Jacobian is 1."""
+    """Return whether every body is free on the world, so that the speeds are the velocities of the
+    bodies and their Jacobian is 1."""
     return all(block.kind is Free for block in layout.joints) and set(layout.parents) == {WORLD}
 
 
 def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
-    """The inverse of [[m I, -m [c]], [m [c], J_C - m [c][c]]], the mass of each body about O (42),
-    from the inverse of J_C, as v_C = v_O - [c] w."""
+    """Return the inverse of [[m I, -m [c]], [m [c], J_C - m [c][c]]], the mass of each body about O
+    (42), from the inverse of J_C, as v_C = v_O - [c] w."""
     bodies = model.bodies.rows
     C = skew(bodies.com)
     G = inverse_of_three((bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2)
@@ -519,8 +526,8 @@ def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
 
 
 def accelerated(model: Model, now: Instant, table: KindTable, function) -> Any:
-    """function(element, (A, B, ...), their derivatives in time) of the elements of one table, for
-    the accelerations of the frames."""
+    """Return function(element, (A, B, ...), their derivatives in time) of the elements of one
+    table, for the accelerations of the frames."""
     ends = (
         tuple(frames[rows] for rows in end_rows(model, table)) for frames in (now, now.changes())
     )
@@ -530,8 +537,8 @@ def accelerated(model: Model, now: Instant, table: KindTable, function) -> Any:
 def inertial_wrenches(
     model: Model, now: Instant
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Force and moment about its origin that the inertia of elements exerts on each frame, in
-    world axes."""
+    """Return force and moment about its origin that the inertia of elements exerts on each frame,
+    in world axes."""
     tables = inertial_tables(model)
     by_table = [
         accelerated(model, now, table, lambda s, *F: s.inertial_wrenches(*F)) for table in tables
@@ -542,8 +549,8 @@ def inertial_wrenches(
 def element_inertia(
     model: Model, frames: Frame, twists: Float[Array, "nf n 6"]
 ) -> tuple[Float[Array, "n n"], Float[Array, "n"]]:
-    """The part of the elements in the mass matrix of coordinates whose unit speeds move the frames
-    by `twists`, and in the momenta of the frames' velocities."""
+    """Return the contribution of the elements to the mass matrix of the coordinates whose unit
+    speeds move the frames by `twists`, and to the generalized momenta of the frames' velocities."""
     mass, momenta = 0.0, 0.0
     for table in inertial_tables(model):
         slopes, second, first = of_table(model, frames, table, _of_element)
@@ -558,7 +565,8 @@ def element_inertia(
 def on_coordinates(
     model: Model, table: KindTable, slopes: list[Float[Array, "ne k 6"]], twists: Any
 ) -> Float[Array, "ne k n"]:
-    """de/d(Delta, Xi) of the elements of a table from their slopes and the twists of the frames."""
+    """Return de/d(Delta, Xi) of the elements of a table from their slopes in the motions of their
+    frames and the twists of the frames."""
     rows: Any = end_rows(model, table)
     return sum(
         slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True)
@@ -566,7 +574,7 @@ def on_coordinates(
 
 
 def _of_element(element: Element, *frames: Frame):
-    """de_dot/d(velocity, angular velocity) of each frame, T'' and T' in e_dot."""
+    """Return de_dot/d(velocity, angular velocity) of each frame, and T'' and T' in e_dot."""
     e, e_dot = element.rates(*frames)
     k = e.size
 

@@ -37,42 +37,42 @@ class FreeMotions(NamedTuple):
 
     @property
     def projector(self) -> Float[Array, "nv nv"]:
-        """P."""
+        """P, the projector on the null space of J."""
         return jnp.eye(len(self.inverse), dtype=self.J.dtype) - self.inverse @ self.J
 
     @property
     def unique(self) -> Bool[Array, "n"]:
-        """The conditions whose multiplier is determined."""
+        """True for the conditions whose multiplier is unique."""
         return 1 - jnp.sum(self.inverse.T * self.J, 1) < UNIQUE
 
     def multipliers(self, r: Float[Array, "nv"]) -> Float[Array, "n"]:
-        """lambda."""
+        """Return lambda = -(J^+)' r."""
         return -self.inverse.T @ r
 
     def stiffness(self, H: Float[Array, "nv nv"]) -> Float[Array, "nv nv"]:
-        """P H P, and across the free motions the largest stiffness, so that these are neither free
-        nor unstable."""
+        """Return P H P, with the largest stiffness across the free motions, so that these
+        directions are neither free nor unstable."""
         P = self.projector
         K, unit = P.T @ H @ P, jnp.max(jnp.abs(H), initial=0.0)
         return K + jnp.where(unit > 0, unit, 1.0) * (jnp.eye(len(P), dtype=P.dtype) - P)
 
 
 def scale_at(model: Model) -> Float[Array, "nv"]:
-    """The change of each speed per scaled increment, a constant."""
+    """Return the change of each coordinate per scaled increment, without derivatives."""
     return jax.lax.stop_gradient(scale_of(model, size_of(model)))
 
 
 def scaled_slopes(
     coordinates: Coordinates, q: Float[Array, "nq"], scale: Float[Array, "nv"]
 ) -> Float[Array, "n nv"]:
-    """J."""
+    """Return J = dc/dDelta by scaled increments."""
     return values_and_slopes(coordinates, lambda q: gaps_at(coordinates, q), q)[1] * scale[None]
 
 
 def free_motions(
     coordinates: Coordinates, q: Float[Array, "nq"], scale: Float[Array, "nv"]
 ) -> FreeMotions:
-    """The free motions at q."""
+    """Return the free motions at q."""
     J = scaled_slopes(coordinates, q, scale)
     return FreeMotions(J, jnp.linalg.pinv(J, rtol=RANK))
 
@@ -80,7 +80,7 @@ def free_motions(
 def curvature(
     coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]
 ) -> Float[Array, "nv nv"]:
-    """d2(lambda c)/dDelta2."""
+    """Return d2(lambda c)/dDelta2."""
     return jax.hessian(
         lambda delta: multipliers @ gaps_at(coordinates, coordinates.retract(q, delta))
     )(jnp.zeros(coordinates.model.layout.nv, q.dtype))
@@ -93,7 +93,8 @@ def on_closures(
     K: Float[Array, "nv nv"],
     scale: Float[Array, "nv"],
 ) -> tuple[Float[Array, "nv"], Float[Array, "nv nv"]]:
-    """Scaled r and K along the closures; as they are for a model without."""
+    """Return the scaled residual r and stiffness K along the closures, unchanged for a model
+    without closures."""
     if not coordinates.model.closures:
         return r, K
     free = free_motions(coordinates, q, scale)
@@ -104,20 +105,20 @@ def on_closures(
 def moved(
     coordinates: Coordinates, q: Float[Array, "nq"], delta: Float[Array, "nv"]
 ) -> Float[Array, "nq"]:
-    """q (+) Delta, from there to the closures."""
+    """Return q (+) Delta, moved to the nearest configuration that fulfils the closures."""
     q = coordinates.retract(q, delta)
     return closed(coordinates, q) if coordinates.model.closures else q
 
 
 def is_closed(coordinates: Coordinates, q: Float[Array, "nq"]) -> Bool[Array, ""]:
-    """Whether all closures are fulfilled; True for a model without."""
+    """Return whether all closures are fulfilled; True for a model without closures."""
     return how_open(coordinates, q) <= CLOSED if coordinates.model.closures else jnp.array(True)
 
 
 def multipliers_at(
     coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Array, "nv"]
 ) -> Float[Array, "n"]:
-    """lambda at q."""
+    """Return lambda at q for the residual r."""
     scale = scale_at(coordinates.model)
     return free_motions(coordinates, q, scale).multipliers(r * scale)
 
@@ -129,8 +130,8 @@ def implied_change(
     K: Float[Array, "nv nv"],
     change: tuple[Float[Array, "nv"], Float[Array, "n"]],
 ) -> Float[Array, "nv"]:
-    """Delta of an equilibrium on closures, of which r + J' lambda, at fixed q and lambda, and c
-    change so:
+    """Return Delta of an equilibrium on closures for a change of what it depends on, where `change`
+    holds the changes of r + J' lambda at fixed q and lambda, and of c:
 
     J Delta = -dc,   P (H Delta + dr) = 0"""
     scale = scale_at(coordinates.model)
@@ -142,7 +143,7 @@ def implied_change(
 
 
 def slopes_by_supports(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n nxi"]:
-    """dc/dXi."""
+    """Return dc/dXi."""
     layout = coordinates.model.layout
     zero = jnp.zeros((len(layout.supports), 6), q.dtype)
     J = jax.jacfwd(lambda xi: _gaps_displaced(coordinates, q, xi))(zero)
@@ -152,7 +153,7 @@ def slopes_by_supports(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float
 def _gaps_displaced(
     coordinates: Coordinates, q: Float[Array, "nq"], xi: Float[Array, "ns 6"]
 ) -> Float[Array, "n"]:
-    """c at q on supports displaced by Xi."""
+    """Return c at q on supports displaced by Xi."""
     supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
     frames = coordinates.frames(q, jnp.zeros(coordinates.model.layout.nv, q.dtype), supports)
     return gaps(coordinates.model, coordinates, frames, q)
@@ -161,8 +162,8 @@ def _gaps_displaced(
 def speeds_on_closures(
     coordinates: Coordinates, q: Float[Array, "nq"], own: Float[Array, "nf"]
 ) -> Float[Array, "nv"]:
-    """The speeds of all coordinates with J v = 0, from those of the independent ones, as a function
-    of q with derivatives of any order:
+    """Return the speeds of all coordinates with J v = 0 from the independent ones, `own`, as a
+    function of q with derivatives of any order:
 
     J_d v_d = -J_i v_i,   by (J_d' J_d)^-1 J_d', as repeated conditions agree"""
     model = coordinates.model
@@ -179,16 +180,17 @@ def speeds_on_closures(
 def constraint_force(
     coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]
 ) -> Float[Array, "nv"]:
-    """J' lambda."""
+    """Return J' lambda."""
     return jax.grad(
         lambda delta: multipliers @ gaps_at(coordinates, coordinates.retract(q, delta))
     )(jnp.zeros(coordinates.model.layout.nv, q.dtype))
 
 
 class DependentMotions(eqx.Module):
-    """N, of all coordinates per unit of the independent ones, S, per unit of the supports' Xi, the
-    multipliers lambda, `reaction` lambda dc/dXi, and `smallest`: the smallest singular value of
-    J_d, zero where the coordinates do not determine the others."""
+    """How the dependent coordinates follow: N, all coordinates per unit of the independent ones, S,
+    per unit of the supports' Xi, the multipliers lambda, `reaction` lambda dc/dXi, and `smallest`,
+    the smallest singular value of J_d relative to the largest, zero where the independent
+    coordinates do not determine the others."""
 
     N: Float[Array, "nv nf"]
     S: Float[Array, "nv nxi"]
@@ -197,8 +199,8 @@ class DependentMotions(eqx.Module):
     smallest: Float[Array, ""]
 
     def of(self, H: Float[Array, "n n"], inner: int = 0) -> Float[Array, "m m"]:
-        """T' H T of a matrix of (Delta, y, Xi), or of Delta alone; y: `inner` coordinates
-        of elements."""
+        """Return T' H T of a matrix H of (Delta, y, Xi), or of Delta alone, with `inner`
+        coordinates y of elements."""
         nv = len(self.N)
         if len(H) == nv:
             return self.N.T @ H @ self.N
@@ -206,7 +208,7 @@ class DependentMotions(eqx.Module):
         return T.T @ H @ T
 
     def whole(self, inner: int, nxi: int) -> Float[Array, "n m"]:
-        """T, of (Delta, y, Xi)."""
+        """Return T of (Delta, y, Xi), which is N, 1 and S in blocks."""
         (nv, nf), dtype = self.N.shape, self.N.dtype
         own = jnp.eye(inner + nxi, dtype=dtype)
         top = [self.N, jnp.zeros((nv, inner), dtype), self.S[:, :nxi]]
@@ -219,7 +221,8 @@ def dependent_motions(
     r: Float[Array, "nv"],
     independent: tuple[int, ...],
 ) -> DependentMotions:
-    """Those at q, where r = dV/dDelta - Q."""
+    """Return the dependent motions at q for these independent coordinates, where r = dV/dDelta -
+    Q."""
     scale, nv = scale_at(coordinates.model), coordinates.model.layout.nv
     own = np.array(independent, int)
     others = np.setdiff1d(np.arange(nv), own)
@@ -252,7 +255,7 @@ def dependent_motions(
 def closure_stiffness(
     coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]
 ) -> Float[Array, "m m"]:
-    """The Hessian of lambda c in (Delta, Xi)."""
+    """Return the Hessian of lambda c in (Delta, Xi)."""
     layout = coordinates.model.layout
 
     def work(x):
