@@ -52,9 +52,9 @@ SINGULAR = 1e-4
 
 
 class Closing(NamedTuple):
-    """How far a state is from the closures: the largest `gap` c, of the size of the model, and the
-    largest `rate` c', of the largest speed of a coordinate, zero at rest; and the largest c that is
-    `left` where the search ended, of the size."""
+    """The distance of a state from the closures: the largest `gap` c, relative to the size of the
+    model; the largest `rate` c', relative to the largest speed of a coordinate, zero at rest; and
+    `left`, the largest c where the search for a closed state ended, relative to the size."""
 
     gap: Float[Array, ""]
     rate: Float[Array, ""]
@@ -74,7 +74,7 @@ class ClosedLoops(JointedBodies):
     def driven_on_closures(
         self, t: Float[Array, ""], y: Float[Array, "ny"]
     ) -> tuple[Float[Array, "ny"], SaddlePoint]:
-        """dy/dt, and the equations of which it is the solution."""
+        """Return dy/dt, and the equations [M J'; J 0] from which it follows."""
         q, v, z = self.model.layout.split(y)
         here: Any = self.holding(z)
         v_dot, now, _, saddle = here.solved(t, q, v)
@@ -85,8 +85,8 @@ class ClosedLoops(JointedBodies):
         return self.solved(t, q, v)[:3]
 
     def solved(self, t, q, v):
-        """v', the instant with the accelerations at v' = 0, the velocities per unit of each speed,
-        and [M J'; J 0]."""
+        """Return v', the instant with the accelerations at v' = 0, the velocities of the bodies per
+        unit of each speed, and [M J'; J 0]."""
         now, axes = self._bias(t, q, v)
         J = jacobian(self.model.layout, now, *axes)
         saddle = self._saddle(now, q, J)
@@ -100,14 +100,16 @@ class ClosedLoops(JointedBodies):
     def multipliers(
         self, t: Float[Array, ""], state: State
     ) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
-        """lambda, the least of those that are possible, and where it is unique."""
+        """Return lambda, with the least norm where it is not unique, and which of its components
+        are unique."""
         return self._balancing(self.accelerated(t, state))
 
     def _balancing(
         self, now: Instant, extra: tuple[Array, Array] | None = None
     ) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
-        """lambda of given accelerations, by J' lambda = Q - M v', and where it is unique. `extra`:
-        forces and moments besides the loads."""
+        """Return lambda for given accelerations, from J' lambda = Q - M v', and which of its
+        components are unique. `extra`: forces and moments on the bodies in addition to the
+        loads."""
         layout = self.model.layout
         frames, axes = self.coordinates.frames_and_axes(
             now.state.q, now.state.v, _plain(now)[1 : layout.first_body]
@@ -124,8 +126,8 @@ class ClosedLoops(JointedBodies):
         return free.multipliers(-scale * generalized(*J, F, M)), free.unique
 
     def with_reactions(self, now: Instant, extra: tuple[Array, Array] | None = None) -> Instant:
-        """F and M as in a tree, where closures push as well, with the forces that balance
-        the accelerations."""
+        """Return `now` with F and M as in a tree of joints on which the closures act as well, with
+        the forces that balance the accelerations."""
         first = self.model.layout.first_body
         F, M = jnp.split(self._wrenches(now, self._balancing(now, extra)[0]), 2, -1)
         of_bodies = F[first:], M[first:]
@@ -139,8 +141,8 @@ class ClosedLoops(JointedBodies):
         return replace(now, **dict(zip("FM", on_fixed, strict=True)))
 
     def _wrenches(self, now: Instant, multipliers: Float[Array, "n"]) -> Float[Array, "nf 6"]:
-        """Force and moment about its origin that closures exert on each frame. Couplings exert
-        none: their forces act along coordinates, in the joints."""
+        """Return force and moment about its origin that closures exert on each frame. Those of
+        couplings are zero: their forces act along coordinates, in the joints."""
         frame, tables = self.model.layout.frame, self.model.closures
         ends = np.array(
             [
@@ -161,7 +163,7 @@ class ClosedLoops(JointedBodies):
         return jnp.zeros((len(now.p), 6), now.p.dtype).at[ends].add(each)
 
     def _saddle(self, frames: Frame, q: Float[Array, "nq"], J: tuple[Array, Array]) -> SaddlePoint:
-        """[M J'; J 0] from the velocities of the bodies per unit of each speed."""
+        """Return [M J'; J 0] from the velocities of the bodies per unit of each speed."""
         return saddle_point(
             self.inertia(frames, *J)[0], self._slopes(frames, q, J), rank(self.model)
         )
@@ -169,7 +171,7 @@ class ClosedLoops(JointedBodies):
     def _slopes(
         self, frames: Frame, q: Float[Array, "nq"], J: tuple[Array, Array]
     ) -> Float[Array, "n nv"]:
-        """dc/dDelta."""
+        """Return dc/dDelta from the velocities of the bodies per unit of each speed."""
         twists, zero = jnp.concatenate(J, -1), jnp.zeros(self.model.layout.nv, q.dtype)
         speeds = np.array([j for _, j in self.model.layout.coordinate_places.values()], int)
         along = (
@@ -195,7 +197,7 @@ class ClosedLoops(JointedBodies):
         )
 
     def slopes(self, t: Float[Array, ""], state: State) -> Float[Array, "n nv"]:
-        """dc/dDelta by increments in meters."""
+        """Return dc/dDelta by increments in meters."""
         supports = self.coordinates.supports_moving(self.motions, t)
         frames, axes = self.coordinates.frames_and_axes(state.q, state.v, supports)
         return (
@@ -204,15 +206,15 @@ class ClosedLoops(JointedBodies):
         )
 
     def smallest(self, t: Float[Array, ""], state: State) -> Float[Array, ""]:
-        """The smallest singular value of dc/dDelta that should not be zero, relative to
-        the largest."""
+        """Return the smallest singular value of dc/dDelta that belongs to an independent condition,
+        relative to the largest."""
         values = jnp.linalg.svdvals(jax.lax.stop_gradient(self.slopes(t, state)))
         return values[rank(self.model) - 1] / jnp.maximum(values[0], 1e-300)
 
     def _rates(
         self, frames: Frame, q: Float[Array, "nq"], v: Float[Array, "nv"]
     ) -> Float[Array, "n"]:
-        """c'."""
+        """Return c'."""
         return jnp.concatenate(
             each_closure(
                 self.model,
@@ -224,7 +226,7 @@ class ClosedLoops(JointedBodies):
         )
 
     def _changes(self, now: Instant) -> Float[Array, "n"]:
-        """c'' for the accelerations of the frames at v' = 0."""
+        """Return c'' for the accelerations of the frames at v' = 0."""
         coordinates = moving_slides(self.model.layout, now.state.q, now.state.v)
         return jnp.concatenate(
             each_closure(
@@ -239,7 +241,7 @@ class ClosedLoops(JointedBodies):
         )
 
     def projected(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
-        """P(t, y)."""
+        """Return P(t, y)."""
         q, v, _ = self.model.layout.split(y)
         frames, axes = self.coordinates.frames_and_axes(
             q, v, self.coordinates.supports_moving(self.motions, t)
@@ -251,7 +253,8 @@ class ClosedLoops(JointedBodies):
     def closer(
         self, t: Float[Array, ""], y: Float[Array, "ny"], saddle: SaddlePoint
     ) -> Float[Array, "ny"]:
-        """P(t, y) with the equations [M J'; J 0] of y; NaN where the steps do not come close."""
+        """Return P(t, y) with the equations [M J'; J 0] of y; NaN where the steps do not converge
+        to the closures."""
         q, v, z = self.model.layout.split(y)
         supports, still = self.coordinates.supports_moving(self.motions, t), jnp.zeros_like(v)
 
@@ -268,15 +271,16 @@ class ClosedLoops(JointedBodies):
         return jnp.where(near, self.model.layout.pack(State(q, v, z)), jnp.nan)
 
     def ended(self, code: Array, t: Float[Array, ""], state: State, closing: Closing) -> Array:
-        """NOT_CLOSED where no motion starts, SINGULAR_CLOSURE where it ends because closures
-        become dependent."""
+        """Return NOT_CLOSED where no motion starts, SINGULAR_CLOSURE where it ends because closures
+        become dependent, and `code` otherwise."""
         early = [Status.DT_MIN.value, Status.NONFINITE.value, Status.MAX_STEPS.value]
         singular = jnp.isin(code, jnp.array(early)) & (self.smallest(t, state) < SINGULAR)
         code = jnp.where(singular, Status.SINGULAR_CLOSURE.value, code)
         return jnp.where(closing.left > CLOSED, Status.NOT_CLOSED.value, code)
 
     def begun(self, t: Float[Array, ""], state: State) -> tuple[State, Closing]:
-        """The state on the closures next to another, and how far that is from them."""
+        """Return the state on the closures next to the given one, and the distance of the given one
+        from them."""
         supports = self.coordinates.supports_moving(self.motions, t)
         before = gaps_from(
             self.model, self.rests, self.coordinates.frames(state.q, state.v, supports), state.q
@@ -307,14 +311,14 @@ def _plain(frames: Frame) -> Frame:
 
 
 def _rate(closure: Closure, rest: Pose, A: Frame, B: Frame) -> Float[Array, "rows"]:
-    """c' of one closure."""
+    """Return c' of one closure."""
     return jax.jvp(
         lambda a, b: closure.gap(a, b, rest), (A.pose(), B.pose()), (A.rates(), B.rates())
     )[1]
 
 
 def _slopes(closure: Closure, rest: Pose, A: Frame, B: Frame) -> Float[Array, "rows 12"]:
-    """c' per unit of the velocities and angular velocities of A and B."""
+    """Return c' per unit of the velocities and angular velocities of A and B."""
 
     def rate(x):
         return _rate(
@@ -343,7 +347,7 @@ class LagrangeLoops(ClosedLoops):
 def _lagrange_rate(
     dynamics: Dynamics, t: Float[Array, ""], y: Float[Array, "ny"]
 ) -> tuple[Float[Array, "ny"], Any]:
-    """dy/dt, and the equations of v' and lambda."""
+    """Return dy/dt, and the equations of v' and lambda."""
     model = dynamics.model
     q, v, z = model.layout.split(y)
     v_dot, z_dot, equations = lagrange.rates(
@@ -355,7 +359,8 @@ def _lagrange_rate(
 def dynamics_of(
     model: Model, motions: Motions, loads: tuple[Load, ...] = (), equations: str = "structured"
 ) -> Dynamics:
-    """A model under imposed motions and loads, in the form that suits it."""
+    """Return the equations of motion of a model under imposed motions and loads, in the form that
+    suits the model."""
     bodies = FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies
     forms = {"structured": (bodies, ClosedLoops), "lagrange": (LagrangeBodies, LagrangeLoops)}
     return forms[equations][bool(model.closures)](model, motions, loads)
@@ -363,7 +368,7 @@ def dynamics_of(
 
 @program
 def state_slopes(model: Model, state: State) -> Float[Array, "ny ny"]:
-    """df/dy of y' = f(t, y) at t = 0, with the supports at rest in their reference poses."""
+    """Return df/dy of y' = f(t, y) at t = 0, with the supports at rest in their reference poses."""
     dynamics = dynamics_of(model, ())
     state = completed(model, state, dynamics.coordinates.at_rest(state.q))
     zero = jnp.zeros((), state.q.dtype)
@@ -373,7 +378,7 @@ def state_slopes(model: Model, state: State) -> Float[Array, "ny ny"]:
 def acceleration(
     model: Model, state: State, t: Any = 0.0, motions: Motions = (), loads: tuple[Load, ...] = ()
 ) -> Float[Array, "nv"]:
-    """dv/dt from the equations of motion, in the speeds of the state."""
+    """Return dv/dt from the equations of motion, for the speeds of the state."""
     return dynamics_of(holding(model, state.z), motions, loads).acceleration(
         jnp.asarray(t, state.q.dtype), state.q, state.v
     )

@@ -24,20 +24,21 @@ from jaxbody.model.states import State
 
 
 class ElementDerivatives(NamedTuple):
-    """Of the k deformations e of each of ne elements: J = de/d(Delta, Xi), V''(e) and R''(e,
-    e_dot); of energies of the user's own e are the displacements and rotations of their frames."""
+    """Derivatives of the k deformations e of each of ne elements: J = de/d(Delta, Xi), V''(e) and
+    R''(e, e_dot). For energies written by the user e are the displacements and rotations of their
+    frames."""
 
     J: Float[Array, "ne k n"]
     stiffness: Float[Array, "ne k k"]
     damping: Float[Array, "ne k k"]
 
     def elastic(self) -> Float[Array, "ne n n"]:
-        """J' V'' J of each element."""
+        """Return J' V'' J of each element."""
         return jnp.swapaxes(self.J, 1, 2) @ self.stiffness @ self.J
 
 
 def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
-    """The derivatives for each table of elements, at the speeds of the configuration."""
+    """Return the derivatives for each table of elements, at the speeds of the configuration."""
 
     def of(element, *frames: Frame):
         if isinstance(element, OfFrames):
@@ -67,7 +68,7 @@ def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
 
 
 def deformation_slopes(element: Element, *frames: Frame) -> list[Float[Array, "k 6"]]:
-    """de/d(displacement and rotation) of each frame of an element."""
+    """Return de/d(displacement and rotation) of each frame of an element."""
 
     def deformation(moves):
         return element.deformation(
@@ -79,7 +80,7 @@ def deformation_slopes(element: Element, *frames: Frame) -> list[Float[Array, "k
 
 @program
 def gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
-    """The Hessian of the potential energy of the weights."""
+    """Return the Hessian of the potential energy of the weights."""
     return jax.hessian(lambda d: gravity_energy(model, frames_displaced(model, state, d)))(
         jnp.zeros(model.layout.nv, state.q.dtype)
     )
@@ -87,8 +88,8 @@ def gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
 
 @program
 def split_stiffness(model: Model, state: State):
-    """Elastic and geometric stiffness of every element, table by table: V'' de de, and the rest of
-    the Hessian, V' d2e."""
+    """Return elastic and geometric stiffness of every element, table by table: V'' de de, and the
+    rest of the Hessian, V' d2e."""
     zero = jnp.zeros(n := model.layout.nv, state.q.dtype)
 
     def potentials(d):

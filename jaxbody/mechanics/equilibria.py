@@ -148,9 +148,9 @@ class Equilibrium(Labeled, Result):
 
     @property
     def closure_reactions(self) -> dict[str, dict[str, Float[Array, "*batch"]]]:
-        """{closure: {condition: force [N], or moment [N m] of a "turn"}}, by its second frame on
-        its first along the condition, so that positive forces resist an increase of c; NaN where
-        closures share a force, so that it is not determined."""
+        """{closure: {condition: force [N], or moment [N m] of a "turn"}}, exerted by its second
+        frame on its first along the condition, so that positive forces resist an increase of c; NaN
+        where closures share a force, so that it is not unique."""
         return by_closure(self.model, self.closed.reactions) if self.closed else {}
 
     @property
@@ -161,8 +161,8 @@ class Equilibrium(Labeled, Result):
 
     @property
     def far(self) -> list[str]:
-        """In words, the body that is farthest from where it is drawn, if that is far for the size
-        of the model."""
+        """A text on the body that is farthest from where it is drawn, if it is far relative to the
+        size of the model; empty otherwise."""
         limits = np.array([FAR * float(size_of(self.model)), TURNED])
         name, (way, turn) = max(
             zip(self.layout.bodies, np.asarray(self.from_drawn), strict=True),
@@ -177,7 +177,7 @@ class Equilibrium(Labeled, Result):
 
     @property
     def remarks(self) -> list[str]:
-        """What looks like wrong geometry, which no status says: mounts drawn apart, a body far from
+        """Texts on geometry that looks wrong but has no status: mounts drawn apart, a body far from
         where it is drawn."""
         return (
             []
@@ -211,7 +211,7 @@ class Equilibrium(Labeled, Result):
         return self._known()
 
     def _known(self) -> str:
-        """Details of a failure from the result alone."""
+        """Describe a failure from the numbers of the result alone."""
         status = Status(int(self.status))
         match status:
             case Status.SINGULAR_K:
@@ -256,7 +256,7 @@ class Equilibrium(Labeled, Result):
         return ""
 
     def _how_much(self) -> str:
-        """A sentence on the fraction of the weights that is carried."""
+        """Describe which fraction of the weights is carried."""
         weightless = with_gravity(self.model, -self.model.gravity)
         start = equilibrium_of(weightless, None, 200, None)
         if int(start.status) not in LOADABLE:
@@ -266,8 +266,8 @@ class Equilibrium(Labeled, Result):
         return f"none was found by descent; {share:.4g} % of the weights is carried"
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: q by part, residual by coordinate, elongation and force by spring,
-        reactions by support, energy, status."""
+        """Return an xarray.Dataset: q by part, residual by coordinate, elongation and force by
+        spring, reactions by support, energy, status."""
         layout = self.layout
         of_springs, of_others, springs = labeled_elements(
             self.model, (), ("elongation", "deformation"), self.elongations, self.forces
@@ -344,8 +344,8 @@ def equilibrium(
     loads: dict[str, Load] | None = None,
     max_steps: int = 200,
 ) -> Equilibrium:
-    """The stable equilibrium reached by descent from `start`, with the supports at their
-    reference poses.
+    """Find the stable equilibrium by descent from `start`, with the supports at their reference
+    poses.
 
         dV/dDelta = Q,   K = d2V/dDelta2 - dQ/dDelta positive definite
 
@@ -402,12 +402,13 @@ def equilibrium(
 
 
 def at_rest(status: Int[Array, "*n"]) -> Bool[Array, "*n"]:
-    """Whether a search ended at an equilibrium."""
+    """Return whether a search ended at an equilibrium, for each status."""
     return ~jnp.isin(status, jnp.array(NOT_AT_REST))
 
 
 def of_position(eq: Equilibrium) -> tuple[Any, ...]:
-    """What follows from the configuration where the search ended, but for the residual."""
+    """Return the parts of an equilibrium that follow from the configuration where the search ended,
+    except the residual."""
     return (
         eq.state,
         eq.energy,
@@ -426,7 +427,8 @@ def equilibrium_of(
     max_steps: int,
     z: Float[Array, "nz"] | None = None,
 ) -> Equilibrium:
-    """The jitted core of `equilibrium` without loads; `z`: hysteretic states."""
+    """Return the equilibrium without loads, the jitted core of `equilibrium`; `z`: hysteretic
+    states."""
     coordinates = Coordinates(relaxed(model, z))
     return equilibrium_at(
         coordinates,
@@ -446,8 +448,9 @@ def _equilibrium_at(
 def equilibrium_at(
     coordinates: Coordinates, search: SearchResult, applied: AppliedLoads, given: Model
 ) -> Equilibrium:
-    """The equilibrium where a search ended: its stability, its derivative, deformations and forces.
-    `given`: the model, whose elements with memory are relaxed in the coordinates."""
+    """Return the equilibrium where a search ended: its stability, its derivative, deformations and
+    forces. `given`: the model as the user gave it; in the model of the coordinates elements with
+    memory are relaxed."""
     failed = search.status != Status.OK
     q = _implicit((coordinates, applied), search.q, ~failed & ~search.singular)
     model, at = coordinates.model, configuration_at(coordinates, q)
@@ -498,8 +501,8 @@ def equilibrium_at(
 
 
 def _from_drawn(model: Model, frames: Frame) -> Float[Array, "nb 2"]:
-    """How far the center of mass of each body is from where it is drawn, and 2
-    asin(|R - R_drawn|/sqrt 8), without derivatives."""
+    """Return the distance of the center of mass of each body from where it is drawn [m], and 2
+    asin(|R - R_drawn|/sqrt 8) [rad], without derivatives."""
     bodies, now, drawn = jax.lax.stop_gradient(
         (model.bodies.rows, frames[model.layout.first_body :].pose(), body_poses(model))
     )
@@ -512,8 +515,8 @@ def _from_drawn(model: Model, frames: Frame) -> Float[Array, "nb 2"]:
 def _implicit(
     dependencies: tuple[Coordinates, AppliedLoads], q: Float[Array, "nq"], valid: Bool[Array, ""]
 ) -> Float[Array, "nq"]:
-    """q, with the derivative of an equilibrium by the implicit function theorem; NaN where there
-    is none."""
+    """Return q, with the derivative of an equilibrium by the implicit function theorem, NaN where
+    it is not valid."""
     return q
 
 
@@ -535,8 +538,8 @@ def change_of_equilibrium(
     q: Float[Array, "nq"],
     K: Float[Array, "nv nv"],
 ) -> Float[Array, "nv"]:
-    """Delta of an equilibrium at q for a change x_dot of x, of which its coordinates and loads
-    are a function."""
+    """Return Delta of an equilibrium at q for a change x_dot of x, where given(x) are the
+    coordinates and the applied loads, and K the stiffness at q."""
 
     def change(function):
         return jax.jvp(lambda x: function(*given(x)), (x,), (x_dot,))[1]

@@ -56,8 +56,8 @@ TINY = 1e-6  # step, relative to the size, whose decrease of energy may be less 
 def descend(
     coordinates: Coordinates, q, scale, size, max_steps, applied: AppliedLoads | None = None
 ):
-    """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step
-    descend, under dead forces."""
+    """Return (q, signs of the eigenvalues of K, converged, steps) by Newton's method with a shift
+    that makes every step descend, under dead forces."""
     numbers, rest = eqx.partition((coordinates, applied), eqx.is_array)
     if coordinates.model.closures:
         return _descend(coordinates, applied, q, scale, size, max_steps)
@@ -73,8 +73,8 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
     tiny_step, least_slope = reachable(TINY, q.dtype, 8 * NEWTON), reachable(1e-14, q.dtype)
 
     def expand(q):
-        """V, and its scaled slope and stiffness, on the closures; no energy where these
-        stay open."""
+        """Return V, its scaled slope and its scaled stiffness on the closures; V is NaN where the
+        closures stay open."""
         at = configuration_at(coordinates, q, base=False)
         value, slope, K = (
             expansion(at)
@@ -91,7 +91,7 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
         )
 
     def step(carry):
-        """Evaluate the trial configuration, keep it if it is better, propose the next."""
+        """Evaluate the trial configuration, accept it if it is better, and propose the next one."""
         best, trial, shift, expected, tiny, _, n = carry
         value, slope, K = expand(trial)
         # below `tiny` rounding of the energy hides its decrease
@@ -141,8 +141,8 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
 def eigenvalue_signs(
     K: Float[Array, "nv nv"], singular: float = SINGULAR
 ) -> tuple[Int[Array, ""], Bool[Array, ""]]:
-    """The number of negative eigenvalues of K, and whether one is zero, below `singular` of its
-    norm; they are counted only where elimination shows that K is not definite."""
+    """Return the number of negative eigenvalues of K, and whether one is zero, below `singular`
+    relative to its norm. They are counted only where elimination shows that K is not definite."""
     none = jnp.zeros((), int), jnp.array(False)
     if not len(K):  # nothing can move
         return none
@@ -168,8 +168,8 @@ ITERATED = 1e-10
 
 
 class SearchResult(eqx.Module):
-    """The end of a search: the configuration, the number of negative eigenvalues of K and whether
-    one is zero, the status except for stability."""
+    """The end of a search: the configuration, the number of negative eigenvalues of K, whether one
+    is zero, and the status before stability is considered."""
 
     q: Float[Array, "nq"]
     negative: Int[Array, ""]
@@ -187,7 +187,7 @@ def search_by_descent(
     max_steps,
     applied: AppliedLoads | None = None,
 ) -> SearchResult:
-    """The search by descent from the start, or from the reference pose."""
+    """Search by descent from `start`, by default the reference pose."""
     frozen, applied = jax.lax.stop_gradient((coordinates, applied))
     start = frozen.reference.q if start is None else jax.lax.stop_gradient(start)
     size = size_of(frozen.model)
@@ -213,8 +213,8 @@ def search_by_descent(
 def search_under_loads(
     model: Model, unloaded: Any, start, applied: AppliedLoads, max_steps: int, *, many: bool = False
 ) -> SearchResult:
-    """The search under loads, by their path or by descent; `many`: for each row of the weights and
-    changes of gravity.
+    """Search under loads, along their path or by descent; `many`: for each row of the weights and
+    of the changes of gravity.
 
     There are two programs, because few models need the second; inside a user's program both are
     part of it, and the second takes no steps where the first has settled."""
@@ -228,9 +228,9 @@ def search_under_loads(
 def along_path(
     model: Model, unloaded: Any, applied: AppliedLoads, many: bool
 ) -> tuple[SearchResult, Bool[Array, "*n"]]:
-    """The search along the load path from the unloaded equilibrium, and whether its result
-    is valid: it is not if K is singular at the start, unless the path reached its end or a
-    limit point."""
+    """Search along the load path from the unloaded equilibrium, and return the result with whether
+    it is valid: it is not if K is singular at the start, unless the path reached its end or a limit
+    point."""
     frozen, loads, q0 = jax.lax.stop_gradient(
         (Coordinates(relaxed(model, unloaded.state.z)), applied, unloaded.state.q)
     )
@@ -271,8 +271,8 @@ def _by_descent(
     settled: Bool[Array, "*n"],
     z,
 ) -> SearchResult:
-    """The search by descent of the potential of model and loads, where the result of the path is
-    not valid."""
+    """Search by descent of the potential of model and loads where the result of the path is not
+    valid."""
     coordinates = Coordinates(relaxed(model, z))
 
     def one(applied, others):
@@ -299,5 +299,5 @@ def _by_descent(
 
 
 def no_loads(dtype) -> AppliedLoads:
-    """No loads and no change of gravity."""
+    """Return no loads and no change of gravity."""
     return AppliedLoads((), jnp.zeros(0, dtype), jnp.zeros(3, dtype))

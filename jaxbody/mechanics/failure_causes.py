@@ -31,8 +31,8 @@ BEND = 0.5  # relative difference allowed between the chord of two samples and t
 def nonfinite_ahead(
     model: Model, motions: Motions, loads: tuple[Load, ...], times: Array, t: Array, state: State
 ) -> str:
-    """The motion, element, load or body that first gives a number that is not finite, at this state
-    or just after; "" if none."""
+    """Name the motion, element, load or body that first gives a number that is not finite, at this
+    state or just after it; return "" if there is none."""
     for ahead in np.maximum(np.abs(t - times[0]), 1.0) * np.array(AHEAD, state.q.dtype):
         numbers = jax.tree.map(np.asarray, _numbers(model, motions, loads, t, state, ahead))
         for what, (good, *e) in _named(model, loads, "the force of element", *numbers):
@@ -49,8 +49,8 @@ def nonfinite_ahead(
 
 @program
 def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
-    """Which numbers are finite `ahead` of a state: of the motions, of the elements with their e and
-    e_dot, of the loads."""
+    """Return which numbers are finite at the time `ahead` [s] after a state: of the motions, of the
+    elements with their e and e_dot, of the loads."""
     dynamics = dynamics_of(holding(model, state.z), motions, loads)
     model, coordinates = dynamics.model, dynamics.coordinates
     change, moment = dynamics.acceleration(t, state.q, state.v), t + ahead
@@ -76,8 +76,9 @@ def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
 def changing_most(
     model: Model, motions: Motions, loads: tuple[Load, ...], times: Array, t: Array, state: State
 ) -> str:
-    """The support, element or load whose force changes most just after this state, and by how much;
-    of a support the inertia force of all bodies at the change of its acceleration."""
+    """Name the support, element or load whose force changes most just after this state, with the
+    change [N]; for a support it is the inertia force of all bodies at the change of its
+    acceleration."""
     ahead = AHEAD[3] * max(float(t - times[0]), 1e-3 * float(times[-1] - times[0]))
     changes = jax.tree.map(
         np.asarray, _changes(model, motions, loads, t, state, jnp.asarray(ahead, state.q.dtype))
@@ -92,8 +93,8 @@ def changing_most(
 
 @program
 def _changes(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
-    """By how much forces change from a state to `ahead` of it: of the motions, of the elements, of
-    the loads."""
+    """Return the change of the forces during the time `ahead` [s] after a state: of the motions, of
+    the elements, of the loads."""
     dynamics = dynamics_of(holding(model, state.z), motions, loads)
     model, coordinates = dynamics.model, dynamics.coordinates
     moved = State(
@@ -125,8 +126,8 @@ def _changes(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
 def _named(
     model: Model, loads: tuple[Load, ...], word: str, of_motions, of_elements, of_loads
 ) -> list[tuple[str, Any]]:
-    """The values of motions, elements and loads, each with its name in messages; `word` comes
-    before the name of an element."""
+    """Return pairs (name in messages, value) of motions, elements and loads; `word` comes before
+    the name of an element."""
     names = [
         *(f"the motion of '{name}'" for name in model.layout.supports),
         *(f"{word} '{name}'" for name in of_elements),
@@ -136,7 +137,7 @@ def _named(
 
 
 def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
-    """{name of an element: its values}."""
+    """Return {name of an element: its values} from the values of each table of elements."""
     return {
         name: jax.tree.map(lambda x, i=i: x[i], value)
         for table, value in zip(model.elements, values, strict=True)
@@ -145,8 +146,8 @@ def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
 
 
 def singular_closure(model: Model, motions: Motions, t: Array, state: State) -> str:
-    """The condition that follows from the others at a state, though it does not elsewhere, and the
-    smallest singular value."""
+    """Name the condition that follows from the others at this state although it does not elsewhere,
+    with the smallest singular value."""
     left, values, _ = np.linalg.svd(np.asarray(ClosedLoops(model, motions).slopes(t, state)))
     independent = rank(model)
     condition = names_of_rows(model)[int(np.argmax(np.abs(left[:, independent - 1])))]
@@ -159,8 +160,8 @@ def singular_closure(model: Model, motions: Motions, t: Array, state: State) -> 
 def nonfinite_downhill(
     model: Model, q: Float[Array, "nq"], slope: Float[Array, "nv"], size: float
 ) -> list[str]:
-    """The elements whose energy, force or stiffness is not finite at q or, if all are finite there,
-    at a point slightly downhill."""
+    """Return the elements whose energy, force or stiffness is not finite at q or, if all are finite
+    there, at a point slightly downhill."""
     down = np.where(np.isfinite(slope), -np.asarray(slope), 0.0)
     down = down * size / max(np.abs(down).max(initial=0.0), np.finfo(down.dtype).tiny)
     for far in DOWNHILL:
@@ -185,8 +186,8 @@ def _finite(
 
 
 def force_jump_at(model: Model, motions: Motions, t: Array, state: State) -> str:
-    """The elements at a jump of their force, of zero length or turned by half a turn; empty if
-    there are none."""
+    """Name the elements at a jump of their force, of zero length or turned by half a turn; return
+    "" if there are none."""
     sample = jax.tree.map(lambda x: np.asarray(x)[None], (t, state))
     near = [np.linalg.norm(x[0], axis=-1) < NEAR for x, _ in _away(model, motions, *sample)]
     return "; ".join(
@@ -198,8 +199,8 @@ def force_jump_at(model: Model, motions: Motions, t: Array, state: State) -> str
 def force_jumps_along(
     model: Model, motions: Motions, times: Array, states: State
 ) -> list[Float[np.ndarray, "_"]]:
-    """The time of the first jump of the force of each element between these samples, or NaN, for
-    each table; empty if no force can jump."""
+    """Return, for each table, the time of the first jump of the force of each element between these
+    samples, or NaN; an empty list if no force can jump."""
     if not any(table.rows.jump for table in model.elements):
         return []
     away = jax.tree.map(np.asarray, _away(model, motions, times, states))
@@ -209,7 +210,8 @@ def force_jumps_along(
 def force_jump_messages(
     model: Model, times_of_jumps: list[Float[np.ndarray, "_"]], times: Array
 ) -> list[tuple[str, str]]:
-    """Code and message of the elements whose force jumps, at the times of `force_jumps_along`."""
+    """Return (code, message) of the elements whose force jumps, from the times of
+    `force_jumps_along`."""
     return _messages(
         model,
         [
@@ -223,7 +225,8 @@ def force_jump_messages(
 def _away(
     model: Model, motions: Motions, times: Float[Array, "nt"], states: State
 ) -> list[tuple[Array, Array]]:
-    """The vector `away_from_jump` of all elements, and its rate, at these times, table by table."""
+    """Return the vector `away_from_jump` of all elements, and its rate, at these times, table by
+    table."""
 
     def away(element, *frames):
         return jax.jvp(
@@ -239,8 +242,8 @@ def _away(
 
 
 def _messages(model: Model, moments: list[Any]) -> list[tuple[str, str]]:
-    """Code and message for each table with elements at a jump of their force: `moments` has the
-    time as text for these, else None."""
+    """Return (code, message) for each table with elements at a jump of their force; `moments` has
+    the time as text for these elements, None for others."""
     messages = []
     for table, rows in zip(model.elements, moments, strict=False):
         code, what, remedy = table.rows.jump or ("", "", "")
@@ -256,8 +259,8 @@ def _messages(model: Model, moments: list[Any]) -> list[tuple[str, str]]:
 def _zero_crossings(
     times: np.ndarray, x: Float[np.ndarray, "nt n m"], rate: Float[np.ndarray, "nt n m"]
 ) -> Float[np.ndarray, "n"]:
-    """The time when each of n vectors first passes zero between two samples so close that its path
-    is nearly straight, else NaN.
+    """Return the time when each of n vectors first passes zero between two samples so close that
+    its path is nearly straight, else NaN.
 
     On the cubic through both samples with both rates: x0 + u v0 + u^2 (3 d - 2 v0 - v1) + u^3
     (v0 + v1 - 2 d), 0 <= u <= 1.

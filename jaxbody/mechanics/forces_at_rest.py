@@ -38,10 +38,10 @@ SINGULAR = 1e-7
 
 
 class ClosureForces(eqx.Module):
-    """The forces of all conditions: `reactions` [N, N m], NaN where they are not unique,
-    `multipliers`, the least of those, J' lambda `on_coordinates`, and minus the force and moment
-    `on_supports`. `slopes` J by increments in meters, `gaps` c [m]; `smallest`: the smallest
-    singular value of J that should not be zero, relative to the largest."""
+    """The forces of all conditions: `reactions` [N, N m], NaN where they are not unique;
+    `multipliers`, of least norm; J' lambda `on_coordinates`; and minus the force and moment
+    `on_supports`. `slopes`: J by increments in meters; `gaps`: c [m]; `smallest`: the smallest
+    singular value of J that belongs to an independent condition, relative to the largest."""
 
     reactions: Float[Array, "n"]
     multipliers: Float[Array, "n"]
@@ -53,11 +53,11 @@ class ClosureForces(eqx.Module):
 
     @property
     def singular(self) -> Bool[Array, ""]:
-        """Whether conditions that are independent elsewhere are not so here."""
+        """Whether conditions that are independent elsewhere are dependent here."""
         return self.smallest < SINGULAR
 
     def explain(self, model: Model, status: Status) -> str:
-        """Details of the statuses NOT_CLOSED and SINGULAR_CLOSURE."""
+        """Describe a failure with the status NOT_CLOSED or SINGULAR_CLOSURE."""
         names = names_of_rows(model)
         if status == Status.NOT_CLOSED:
             i = int(np.argmax(np.abs(self.gaps)))
@@ -74,7 +74,8 @@ class ClosureForces(eqx.Module):
         )
 
     def table(self, model: Model) -> tables.PrintedTable:
-        """The reactions, a row for each closure, and which of them are not unique."""
+        """Return the table of reactions, a row for each closure, with a note on those that are not
+        unique."""
         reactions = np.asarray(self.reactions) if is_concrete(self.reactions) else np.zeros(0)
         largest = np.nanmax(np.abs(reactions), initial=0.0)
         rows = [
@@ -95,7 +96,7 @@ class ClosureForces(eqx.Module):
 
 
 def by_closure(model: Model, reactions: Float[Array, "*n rows"]) -> dict[str, dict[str, Array]]:
-    """{closure: {condition: its reaction}} of the reactions of all conditions."""
+    """Return {closure: {condition: reaction}} from the reactions of all conditions."""
     columns = iter(range(reactions.shape[-1]))
     return {
         name: {row: reactions[..., next(columns)] for row in table.rows.rows}
@@ -107,7 +108,7 @@ def by_closure(model: Model, reactions: Float[Array, "*n rows"]) -> dict[str, di
 def closure_forces(
     coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Array, "nv"]
 ) -> ClosureForces:
-    """The forces of closures that balance r = dV/dDelta - Q at q."""
+    """Return the forces of closures that balance r = dV/dDelta - Q at q."""
     model = coordinates.model
     size, scale = jax.lax.stop_gradient(size_of(model)), scale_at(model)
     free = free_motions(coordinates, q, scale)
@@ -134,8 +135,9 @@ Row = tuple[Any, ...]
 def residual_and_reactions(
     at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
 ) -> tuple[Float[Array, "nv"], Float[Array, "ns 6"]]:
-    """dV/dDelta - lambda Q; and force and moment about its origin on each support, -dV/dXi with the
-    loads on all that it carries by joints, in world axes. `at` has columns for the base."""
+    """Return dV/dDelta - lambda Q, and force and moment about its origin on each support, -dV/dXi
+    plus the loads on all that it carries by joints, in world axes. `at` has columns for the
+    base."""
     layout, nv = at.model.layout, at.model.layout.nv
     G = slope(with_load_gravity(at, applied, factor))
     Q = generalized_force(at.model, at.q, applied.loads, applied.weights, jnp.zeros(nv, at.q.dtype))
@@ -153,8 +155,8 @@ def residual_and_reactions(
 def element_rows(
     model: Model, deformations: dict[str, Array], forces: dict[str, Array]
 ) -> tuple[tuple[str, ...], list[Row]]:
-    """The headings and rows of a table of elements; what is about axes stands in columns of its
-    own, where an element has it."""
+    """Return the headings and rows of a table of elements; rotations and moments have columns of
+    their own if an element has them."""
     e, f = (_without_dust(numbers) for numbers in (deformations, forces))
     rows = [
         (name, *along_and_about(model, name, e[name]), *along_and_about(model, name, f[name]))
@@ -174,9 +176,9 @@ def labeled_elements(
     deformations: dict[str, Array],
     forces: dict[str, Array],
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-    """Variables of a dataset: deformations and forces of the springs, side by side, those of the
-    other elements, and the coordinate of the springs. `words`: for the deformation of springs and
-    of others."""
+    """Return variables of a dataset: deformations and forces of the springs, side by side, then
+    those of each other element, and the coordinate of the springs. `index`: the dimensions before
+    that of elements; `words`: the names of the deformation of springs and of others."""
     springs = springs_of(model)
     kinds = ((words[0], deformations, "m"), ("force", forces, "N"))
     of_springs = {
@@ -194,7 +196,8 @@ def labeled_elements(
 
 
 def along_and_about(model: Model, name: str, numbers: Any) -> tuple[Any, Any]:
-    """The numbers of an element along its axes, and those about them."""
+    """Return the components of an element's deformation or force along its axes, and those about
+    them; None for those that it does not have."""
     element = model[name]
     if element.size == 1:
         return (None, numbers) if isinstance(element, Torsion) else (numbers, None)
@@ -202,7 +205,7 @@ def along_and_about(model: Model, name: str, numbers: Any) -> tuple[Any, Any]:
 
 
 def _without_dust(numbers: dict[str, Any]) -> dict[str, Any]:
-    """The numbers, zero where they are rounding errors of the largest."""
+    """Return the numbers, with zero for rounding errors relative to the largest."""
     every = jax.tree.leaves(numbers)
     largest = (
         max((np.abs(x).max(initial=0.0) for x in every), default=0.0) if is_concrete(every) else 0.0
@@ -211,7 +214,7 @@ def _without_dust(numbers: dict[str, Any]) -> dict[str, Any]:
 
 
 def support_rows(reactions: dict[str, tuple[Array, Array]]) -> tuple[tuple[str, ...], list[Row]]:
-    """The headings and rows of a table of supports."""
+    """Return the headings and rows of a table of supports."""
     return ("support", "force on it [N]", "moment [N m]"), [
         (name, *both) for name, both in _without_dust(reactions).items()
     ]

@@ -53,9 +53,9 @@ Square = Float[Array, "n n"]
 
 
 class Configuration(eqx.Module):
-    """A model with its bodies at q and its supports at rest in their reference poses: the table of
-    frames; for each column of (Delta, Xi), or without `base` of Delta, the rotation of its own
-    frame per unit of it; and J, the motion of each frame, None for the identity."""
+    """A model with its bodies at q and its supports in their reference poses: the table of frames;
+    for each column of (Delta, Xi), or of Delta alone if `base` is False, the rotation of its own
+    frame per unit of it; and J, the motion of each frame, None if it is the identity."""
 
     model: Model
     q: Float[Array, "nq"]
@@ -72,7 +72,8 @@ def configuration_at(
     *,
     base: bool = True,
 ) -> Configuration:
-    """The bodies at q, at rest or at the speeds v."""
+    """Return the configuration at q, with the bodies at rest or at the speeds v; `base`: whether it
+    has columns for the displacements Xi of the supports."""
     model, layout = coordinates.model, coordinates.model.layout
     v = jnp.zeros(layout.nv, q.dtype) if v is None else v
     frames, (linear, angular) = coordinates.frames_and_axes(q, v, coordinates.supports.at_rest())
@@ -87,7 +88,7 @@ def configuration_at(
 
 
 def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:
-    """The displacement of the origin and the rotation of every frame per unit of each of
+    """Return the displacement of the origin and the rotation of every frame per unit of each of
     (Delta, Xi)."""
     n, layout, dtype = len(at.turns), at.model.layout, at.q.dtype
     J = jnp.swapaxes(jnp.eye(n, dtype=dtype).reshape(-1, 6, n), 1, 2) if at.J is None else at.J
@@ -96,13 +97,13 @@ def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:
 
 
 def slope(at: Configuration) -> Vector:
-    """dV/d(Delta, Xi) at rest."""
+    """Return dV/d(Delta, Xi) at rest."""
     G = -jnp.concatenate(wrenches(at.model, at.frames), -1)[at.model.layout.moving(base=at.base)]
     return _pulled_back(at.J, G)
 
 
 def stiffness(at: Configuration) -> Square:
-    """K | -K~ | K_bb as one matrix."""
+    """Return K | -K~ | K_bb as one matrix."""
     return expansion(at)[2]
 
 
@@ -119,8 +120,8 @@ class DeadForces(NamedTuple):
 def expansion(
     at: Configuration, dead: DeadForces | None = None
 ) -> tuple[Float[Array, ""], Vector, Square]:
-    """V, dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix; a search and the derivative of its
-    result share one trace."""
+    """Return V, dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix, with the dead forces included.
+    JAX traces it once for a search and the derivative of its result."""
     model, frames, J, base = at.model, at.frames, at.J, at.base
     layout = model.layout
     arms = rotate(frames.R[layout.first_body :], model.bodies.rows.com)
@@ -144,13 +145,13 @@ def expansion(
 
 
 def inertias(at: Configuration) -> Float[Array, "nb 3 3"]:
-    """The inertias of the bodies about their centers of mass, in world axes."""
+    """Return the inertias of the bodies about their centers of mass, in world axes."""
     R, own = at.frames.R[at.model.layout.first_body :], at.model.bodies.rows.inertia
     return product(product(R, (own + jnp.swapaxes(own, -1, -2)) / 2), jnp.swapaxes(R, -1, -2))
 
 
 def mass(at: Configuration) -> Square:
-    """M | -M~ | M_bb as one matrix."""
+    """Return M | -M~ | M_bb as one matrix."""
     bodies, R = at.model.bodies.rows, at.frames.R[at.model.layout.first_body :]
     m, c = bodies.mass[:, None], rotate(R, bodies.com)
     inertia = Block(
@@ -163,7 +164,7 @@ def mass(at: Configuration) -> Square:
 
 
 def damping(at: Configuration) -> Square:
-    """C | -C~ | C_bb as one matrix."""
+    """Return C | -C~ | C_bb as one matrix."""
     return _projected(
         at.J,
         _hessian(
@@ -174,8 +175,8 @@ def damping(at: Configuration) -> Square:
 
 @program
 def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
-    """M, C and K at a state, with the supports at rest in their reference poses and coordinates of
-    elements held."""
+    """Return M, C and K at a state, with the supports at rest in their reference poses and the
+    coordinates of elements held."""
     at = configuration_at(
         Coordinates(apart(model, completed(model, state).z)), state.q, state.v, base=False
     )
@@ -187,7 +188,7 @@ def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
 
 
 def _places(layout: Layout, base: bool) -> dict[str, int | None]:
-    """Name of a frame -> its index among the moving frames, None for others."""
+    """Return {name of a frame: its index among the moving frames, None for others}."""
     rows = list(layout.moving(base=base))
     return {
         name: rows.index(row) if row in rows else None for row, name in enumerate(layout.frames)
@@ -195,8 +196,8 @@ def _places(layout: Layout, base: bool) -> dict[str, int | None]:
 
 
 def _precedence(layout: Layout) -> np.ndarray:
-    """(n, n): 1 where column i turns the axis of column j, 1/2 where both turn one joint together,
-    or are one."""
+    """Return the matrix (n, n) with 1 where column i turns the axis of column j, and 1/2 where both
+    turn one joint together or are the same column."""
     movers, n = layout.movers, len(layout.movers)
     turns = np.concatenate([layout.turns, np.tile([0, 0, 0, 1, 1, 1], len(layout.supports))])
     in_series = np.array(
@@ -210,12 +211,12 @@ def _precedence(layout: Layout) -> np.ndarray:
 
 
 def _pulled_back(J: Array | None, G: Array) -> Vector:
-    """J' G."""
+    """Return J' G."""
     return G.reshape(-1) if J is None else jnp.sum(J * G[:, None], (0, 2))
 
 
 def _projected(J: Array | None, H: Float[Array, "frames 6 frames 6"]) -> Square:
-    """J' H J."""
+    """Return J' H J."""
     n = 6 * len(H)
     if J is None:
         return H.reshape(n, n)
@@ -224,7 +225,7 @@ def _projected(J: Array | None, H: Float[Array, "frames 6 frames 6"]) -> Square:
 
 
 def _collected(parts: list[tuple[Array, list[int | None]]], n: int) -> Array:
-    """The sum of the rows for each of n indices; rows whose index is None are left out."""
+    """Return the sum of the rows for each of n indices; rows with the index None are left out."""
     rows = jnp.concatenate([part for part, _ in parts])
     targets = [index for _, indices in parts for index in indices]
     groups = [[i for i, target in enumerate(targets) if target == index] for index in range(n)]
@@ -237,7 +238,7 @@ def _gradient(
     elements: list[tuple[Float[Array, "_ 6"], ...]],
     base: bool,
 ) -> Float[Array, "frames 6"]:
-    """The gradients of bodies and elements, summed by frame."""
+    """Return the gradients of bodies and elements, summed by frame."""
     places = _places(model.layout, base)
     ends = [
         (part, [places[link[end]] for link in table.links])
@@ -252,7 +253,7 @@ def _gradient(
 def _hessian(
     model: Model, bodies: Block, elements: list[PairBlocks], base: bool
 ) -> Float[Array, "frames 6 frames 6"]:
-    """The Hessians of bodies and elements, summed by pairs of frames."""
+    """Return the Hessians of bodies and elements, summed by pairs of frames."""
     places, n = _places(model.layout, base), len(model.layout.moving(base=base))
 
     def cells(table, one: int, other: int):

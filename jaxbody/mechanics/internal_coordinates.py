@@ -34,8 +34,8 @@ class InnerRows(NamedTuple):
 
 
 def inner_rows(at: Configuration) -> InnerRows:
-    """The rows at a configuration of a model whose coordinates of elements, or those with mass,
-    are apart."""
+    """Return the blocks at a configuration of a model whose coordinates of elements, or those with
+    mass, are apart."""
     twists, parts, layout = frame_twists(at), [], at.model.layout
 
     def of(element, *frames):
@@ -67,7 +67,7 @@ def inner_rows(at: Configuration) -> InnerRows:
 
 
 def _diagonal(blocks: Float[Array, "n k k"]) -> Array:
-    """The matrix with these blocks on its diagonal."""
+    """Return the matrix with these blocks on its diagonal."""
     n, k, _ = blocks.shape
     return jnp.swapaxes(
         jnp.eye(n, dtype=blocks.dtype)[:, :, None, None] * blocks[:, None], 1, 2
@@ -77,7 +77,7 @@ def _diagonal(blocks: Float[Array, "n k k"]) -> Array:
 def inserted(
     H: Square, H_yx: Float[Array, "ny n"], H_yy: Float[Array, "ny ny"], nv: int
 ) -> Float[Array, "m m"]:
-    """The matrix of (Delta, y, Xi) from that of (Delta, Xi)."""
+    """Return the matrix of (Delta, y, Xi) from that of (Delta, Xi) and the blocks of y."""
     return jnp.block(
         [
             [H[:nv, :nv], H_yx[:, :nv].T, H[:nv, nv:]],
@@ -88,20 +88,20 @@ def inserted(
 
 
 def following(K: Square, nv: int, ny: int) -> Float[Array, "n m"]:
-    """T, by which y follows slow motions of (Delta, Xi)."""
+    """Return T, with which y follows slow motions of (Delta, Xi)."""
     own, x = slice(nv, nv + ny), jnp.concatenate([jnp.arange(nv), jnp.arange(nv + ny, len(K))])
     one = jnp.eye(len(x), dtype=K.dtype)
     return jnp.concatenate([one[:nv], -jnp.linalg.solve(K[own, own], K[own][:, x]), one[nv:]])
 
 
 def slow_matrices(M: Square, K: Square, nv: int) -> tuple[Square, Square]:
-    """M and K of Delta alone, in slow motions."""
+    """Return M and K of Delta alone in slow motions."""
     T = following(K, nv, len(K) - nv)
     return T.T @ M @ T, T.T @ K @ T
 
 
 def whole_matrices(at: Configuration) -> tuple[tuple[Float[Array, "m m"], ...], Float[Array, "n"]]:
-    """M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi); y apart in the model of
+    """Return M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi), where y are apart in the model of
     the configuration."""
     nv, ny = at.model.layout.nv, len(at.model.layout.inner)
     _, slope, stiffness = expansion(at)

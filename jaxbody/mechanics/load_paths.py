@@ -52,7 +52,8 @@ class AppliedLoads(eqx.Module):
     gravity: Float[Array, "*cases 3"]
 
     def each(self, function, *more):
-        """function(loads, ...) by row of the weights, of the changes of gravity and of `more`."""
+        """Return function(loads, ...) for each row of the weights, of the changes of gravity and of
+        `more`."""
 
         def one(weights, gravity, *more):
             return function(AppliedLoads(self.loads, weights, gravity), *more)
@@ -61,7 +62,8 @@ class AppliedLoads(eqx.Module):
 
 
 def alike(loads: Sequence[Load]) -> tuple[tuple[Load, ...], list[list[int]]]:
-    """Groups of alike loads, and the numbers of the loads in each."""
+    """Return groups of alike loads, each stacked into one, and the indices of the loads in each
+    group."""
     groups: dict[Any, list[int]] = {}
     for i, load in enumerate(loads):
         numbers, structure = jax.tree.flatten(load)
@@ -73,7 +75,7 @@ def alike(loads: Sequence[Load]) -> tuple[tuple[Load, ...], list[list[int]]]:
 
 
 def summed(function: Callable, load: Load, weight: Float[Array, "*k"]) -> Any:
-    """function(load, weight), summed over alike loads."""
+    """Return function(load, weight), summed over alike loads."""
     if weight.ndim == 0:
         return function(load, weight)
     return jax.tree.map(lambda x: jnp.sum(x, 0), jax.vmap(function)(load, weight))
@@ -88,22 +90,22 @@ class Path(eqx.Module):
 
 
 def with_gravity(model: Model, change: Float[Array, "3"]) -> Model:
-    """The model with g + change."""
+    """Return the model with g + `change` [m/s2]."""
     return eqx.tree_at(lambda m: m.gravity, model, model.gravity + change)
 
 
 def with_load_gravity(
     at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
 ) -> Configuration:
-    """The configuration with a fraction `factor` of the change of gravity."""
+    """Return the configuration with a fraction `factor` of the change of gravity."""
     return dataclasses.replace(at, model=with_gravity(at.model, factor * applied.gravity))
 
 
 def generalized_force(
     model: Model, q, loads: tuple[Load, ...], weights: Any, delta: Float[Array, "nv"]
 ) -> Float[Array, "nv"]:
-    """Q at q (+) Delta, in the rates of Delta: the virtual power, sum of F . v* + M . w*, with the
-    supports at their reference poses."""
+    """Return Q at q (+) Delta for the rates of Delta, from the virtual power sum of F . v* + M .
+    w*, with the supports at their reference poses."""
     if not loads:
         return jnp.zeros_like(delta)
     coordinates = Coordinates(model)
@@ -125,7 +127,7 @@ def generalized_force(
 def stiffness_of_loads(
     model: Model, q, loads: tuple[Load, ...], weights: Any
 ) -> Float[Array, "nv nv"]:
-    """dQ/dDelta."""
+    """Return dQ/dDelta."""
     zero = jnp.zeros(model.layout.nv, q.dtype)
     if not loads:
         return jnp.zeros((len(zero), len(zero)), q.dtype)
@@ -135,7 +137,7 @@ def stiffness_of_loads(
 def residual(
     at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
 ) -> Float[Array, "nv"]:
-    """dV/dDelta - lambda Q; `at` has no columns for the base."""
+    """Return dV/dDelta - lambda Q for lambda = `factor`; `at` has no columns for the base."""
     Q = generalized_force(
         at.model, at.q, applied.loads, applied.weights, jnp.zeros(at.model.layout.nv, at.q.dtype)
     )
@@ -145,14 +147,15 @@ def residual(
 def tangent(
     at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
 ) -> Float[Array, "nv nv"]:
-    """K = d2V/dDelta2 - lambda dQ/dDelta; `at` has no columns for the base."""
+    """Return K = d2V/dDelta2 - lambda dQ/dDelta for lambda = `factor`; `at` has no columns for the
+    base."""
     return stiffness(with_load_gravity(at, applied, factor)) - factor * stiffness_of_loads(
         at.model, at.q, applied.loads, applied.weights
     )
 
 
 def dead_forces(at: Configuration, applied: AppliedLoads) -> DeadForces:
-    """The contribution of the loads at time 0; NaN where one of them is not dead."""
+    """Return the contribution of the loads at time 0; NaN where one of them is not dead."""
     layout, t = at.model.layout, jnp.zeros((), at.q.dtype)
     V, G, Q = (
         t,
@@ -193,8 +196,8 @@ def follow_load_path(
     scale: Float[Array, "nv"],
     size: Float[Array, ""],
 ):
-    """(q, K, lambda, path, whether K turns negative ahead) at the end of the path from the unloaded
-    equilibrium q.
+    """Return (q, K, lambda, path, whether K turns negative ahead) at the end of the path from the
+    unloaded equilibrium q.
 
     One loop, whose body is one iteration of Newton's method, so that K is compiled once."""
     n, dtype = len(scale), q.dtype
@@ -277,8 +280,8 @@ def follow_load_path(
 def _negative_ahead(
     nondimensional, coordinates: Coordinates, at: _At, scale, size
 ) -> Bool[Array, ""]:
-    """Whether K turns negative within one size of the model along its softest motion: true beyond a
-    limit point, false under a force that no displacement can balance."""
+    """Return whether K turns negative within one size of the model along its softest motion: true
+    beyond a limit point, false under a force that no displacement can balance."""
     vectors = jnp.linalg.eigh(at.K + at.K.T)[1]
     softest = vectors[:, 0] / jnp.max(jnp.abs(vectors[:, 0]), initial=1e-300)
     moves = size * jnp.concatenate([s := jnp.logspace(-4, 0, 9, dtype=at.q.dtype), -s])

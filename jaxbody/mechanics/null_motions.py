@@ -24,7 +24,7 @@ from jaxbody.numerics.precisions import reachable
 
 @program
 def resisting_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
-    """Scaled K with the tangents of hysteresis, along the closures where there are some."""
+    """Return the scaled K with the tangents of hysteresis, along the closures if there are any."""
     coordinates = Coordinates(resisting(model, state.z))
     at, scale = configuration_at(coordinates, state.q, base=False), scale_of(model, size_of(model))
     return on_closures(
@@ -33,8 +33,8 @@ def resisting_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
 
 
 def zero_modes(model: Model, state: State) -> list[str]:
-    """The motions that K does not resist at a state, as text: "'plate' free to turn about z".
-    Motions of single coordinates come first."""
+    """Return the motions that K does not resist at a state, as text: "'plate' free to turn about
+    z". Motions of single coordinates come first."""
     K = np.asarray(resisting_stiffness(model, state))
     return describe_null_motions(model.layout.motions, K, reachable(SINGULAR, K.dtype), "free to")
 
@@ -42,8 +42,8 @@ def zero_modes(model: Model, state: State) -> list[str]:
 def massless_motions(
     layout: Layout, M: Any, independent: tuple[int, ...] | None = None
 ) -> list[str]:
-    """The motions that a mass matrix does not resist, as text; `independent`: its coordinates, by
-    default all."""
+    """Return the motions that a mass matrix does not resist, as text; `independent`: the
+    coordinates of the matrix, by default all."""
     M = np.asarray(M)
     size = np.sqrt(np.where(np.diagonal(M) > 0, np.diagonal(M), 1.0))
     motions = (
@@ -61,8 +61,8 @@ def massless_motions(
 def describe_null_motions(
     motions: tuple[tuple[str, str], ...], matrix: np.ndarray, tolerance: float, what: str
 ) -> list[str]:
-    """The motions whose eigenvalues are zero, relative to the largest. Motions of single
-    coordinates come first."""
+    """Return texts on the motions whose eigenvalues are zero relative to the largest, each with
+    `what` between body and motion. Motions of single coordinates come first."""
     values, vectors = np.linalg.eigh(matrix)
     null = vectors[:, np.abs(values) <= tolerance * max(np.abs(values).max(initial=0.0), 1e-300)]
     texts, rest = [], null

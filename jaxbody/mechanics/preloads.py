@@ -121,7 +121,7 @@ class Preload(Result):
 def preload(
     model: Model, pose: State | None = None, *, free=("*.free_length",), moving=()
 ) -> Preload:
-    """The free lengths that make a pose an equilibrium, with the least change.
+    """Find the free lengths that make a pose an equilibrium with the least change.
 
     Args:
         pose: the pose that becomes an equilibrium; by default the reference pose.
@@ -209,8 +209,8 @@ def _preload(
     pose = _closed(Coordinates(model), state.q, None)
 
     def changed(u):
-        """The coordinates of the changed model, their values and the change of those that may
-        move, rotations scaled with the size of the model."""
+        """Return the coordinates of the changed model, their values, and the change of those that
+        may move, with rotations scaled by the size of the model."""
         coordinates = Coordinates(write(model, dict(zip(leaves, u[:n], strict=True))))
         delta = jnp.zeros(layout.nv, u.dtype).at[np.array(rows, int)].set(u[n:]) * scale
         q = coordinates.retract(pose, delta)
@@ -266,7 +266,8 @@ def _preload(
 def _closed(
     coordinates: Coordinates, q: Float[Array, "nq"], held: np.ndarray | None
 ) -> Float[Array, "nq"]:
-    """The nearest q that fulfils the closures."""
+    """Return the configuration next to q that fulfils the closures; q for a model without
+    closures."""
     return (
         closed_on(coordinates, drawn(coordinates), coordinates.supports.at_rest(), q, held)
         if coordinates.model.closures

@@ -49,13 +49,13 @@ class Rest(eqx.Module):
 
 
 def as_initial(initial: Any) -> Any:
-    """Rest() in place of "rest"; other values unchanged."""
+    """Return Rest() for "rest" and other values unchanged."""
     return Rest() if isinstance(initial, str) and initial == "rest" else initial
 
 
 @program
 def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
-    """The state of rest at time t, NaN where there is none, and its equilibrium."""
+    """Return the state of rest at time t, NaN where there is none, and its equilibrium."""
     coordinates = Coordinates(relaxed(model))
     xi, xi_dot = imposed(motions, t) if motions else jnp.zeros((2, 0, 6))
 
@@ -77,7 +77,7 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
 
 
 def _start(coordinates: Coordinates, on_supports: Coordinates):
-    """Start of the search: the reference pose, with free bodies moved along with the
+    """Return the start of the search: the reference pose, with free bodies moved along with the
     first support."""
     if not len(on_supports.supports.p):
         return on_supports.reference.q
@@ -89,8 +89,8 @@ def _start(coordinates: Coordinates, on_supports: Coordinates):
 
 
 def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str) -> State | None:
-    """The initial state of a run. Error: the status of the equilibrium, if "rest" is given and no
-    equilibrium is found."""
+    """Return the initial state of a run. Error: the status of the equilibrium, if "rest" is given
+    and no equilibrium is found."""
     if not isinstance(initial, Rest):
         return initial
     state, eq = rest_state(model, motions, t)
@@ -110,8 +110,8 @@ def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str
 def excitation(
     model: Model, at: Equilibrium | State, displaced: dict[str, Any]
 ) -> Float[Array, "nf"]:
-    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, with
-    the coordinates held fixed:
+    """Return the exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}
+    [m, rad], with the coordinates held fixed:
 
         F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of
                                                          the paper

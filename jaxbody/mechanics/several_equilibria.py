@@ -94,8 +94,9 @@ class Equilibria(Result):
 def find_equilibria(
     model: Model, *, starts: int = 64, spread: float = 1.0, key: Array | None = None
 ) -> Equilibria:
-    """Equilibria, stable and unstable, by searches from many configurations at once: from each, one
-    search descends and one follows Newton's method on dV/dDelta = 0 to saddles and maxima as well.
+    """Find equilibria, stable and unstable, by searches from many configurations at once: from
+    each, one search descends and one follows Newton's method on dV/dDelta = 0 to saddles and maxima
+    as well.
 
     Args:
         starts: number of configurations: the reference pose and random ones.
@@ -158,8 +159,8 @@ def find_equilibria(
 
 
 def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
-    """Whether two have the same configuration, or the same energy and a free motion
-    between them."""
+    """Return whether two equilibria have the same configuration, or the same energy and a free
+    motion between them."""
     if abs(float(one.energy) - float(other.energy)) > tolerance:
         return False
     near = float(distance_between(one.model, one.state.q, other.state.q)) <= 1e-5 * float(
@@ -182,7 +183,7 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
         return descend(coordinates, q, scale, size, DESCENT_STEPS)
 
     def newton_search(q):
-        """Newton's method on dV/dDelta, which stops at saddles and maxima as well."""
+        """Search by Newton's method on dV/dDelta, which also stops at saddles and maxima."""
 
         def step(carry, _):
             q, _ = carry
@@ -219,8 +220,8 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
 def distance_between(
     model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]
 ) -> Float[Array, ""]:
-    """The largest displacement of a body between two configurations [m], rotations times the size
-    of the model."""
+    """Return the largest displacement of a body between two configurations [m], with rotations
+    times the size of the model."""
     both = jax.vmap(Coordinates(model).at_rest)(jnp.stack([one, other]))
     moved, turned = (
         jnp.sqrt(jnp.sum((x[0] - x[1]) ** 2, axes))

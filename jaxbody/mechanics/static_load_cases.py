@@ -132,7 +132,7 @@ class LoadCases(Labeled, Result):
         return "; ".join([*(failed or ["ok"]), *notes])
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset by `case`: displacement and rotation by `body`, stroke and force
+        """Return an xarray.Dataset by `case`: displacement and rotation by `body`, stroke and force
         by element."""
         model = self.unloaded.model
         of_springs, of_others, springs = labeled_elements(
@@ -190,8 +190,8 @@ def _text(values: Any, digits: int) -> str:
 def load_cases(
     model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | State | None = None
 ) -> LoadCases:
-    """The equilibrium of every load case, in one batch: displacement and rotation of every body
-    relative to the equilibrium without the case, stroke and force of every element.
+    """Compute the equilibrium of every load case, in one batch: displacement and rotation of every
+    body relative to the equilibrium without the case, stroke and force of every element.
 
         dV/dDelta = Q - m a, with loads raised from zero along the stable branch of each case
 
@@ -283,7 +283,8 @@ def _load_cases(
     scale = scale_of(model, size_of(model))
 
     def largest_of(load, weight):
-        """Of a load at rest: force, or moment over the size of the model."""
+        """Return the largest component of the force of a load at rest, or of its moment over the
+        size of the model."""
         frame = rest.frames[model.layout.frame(load.on)]
         force, moment = load.wrench(frame.at_time(jnp.zeros((), scale.dtype), unloaded.state))
         return weight * jnp.maximum(

@@ -52,7 +52,7 @@ class Canonical(eqx.Module):
         )
 
     def rate(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
-        """dy/dt."""
+        """Return dy/dt."""
         q, p = jnp.split(y, 2)
         coordinates = self.dynamics.coordinates
         v, frames, slope, generalized = self.dynamics.speeds(
@@ -71,6 +71,6 @@ class Canonical(eqx.Module):
         return self.dynamics.coordinates.supports_moving(self.dynamics.motions, t)
 
     def _lift(self, q: Float[Array, "nq"], Q: Float[Array, "nv"]) -> Float[Array, "nq"]:
-        """B (B' B)^-1 Q; B' B is diagonal, 1/4 q . q for a quaternion."""
+        """Return B (B' B)^-1 Q; B' B is diagonal, 1/4 q . q for a quaternion."""
         rate = self.dynamics.coordinates.rate
         return rate(q, Q / self.dynamics.coordinates.rate_transposed(q, rate(q, jnp.ones_like(Q))))

@@ -81,8 +81,8 @@ def integrate(
     meter,
     equations,
 ) -> Trajectory:
-    """The jitted core of `simulate`: arrays only, never raises. It counts time from the
-    first sample."""
+    """Integrate the motion: the jitted core of `simulate`, which takes arrays only and never
+    raises. Inside, time is counted from the first sample."""
     given, times = times, times - times[0]
     motions_after, loads_after = (
         tuple(part.after(given[0]) for part in parts) for parts in (motions, loads)
@@ -179,7 +179,7 @@ def integrate(
 
 
 def _after(t0, controller):
-    """A controller of diffrax with times of its own counted from t0."""
+    """Return the controller with its own times, if it has any, counted from t0."""
     names = [
         name for name in ("ts", "step_ts", "jump_ts") if getattr(controller, name, None) is not None
     ]
@@ -194,8 +194,8 @@ def _after(t0, controller):
 
 
 def _check_for_gauss(model: Model) -> None:
-    """Gauss integrates coordinates and momenta of trees of joints, and no other states. Errors:
-    MEMORY, CLOSED_LOOPS."""
+    """Refuse models that Gauss cannot integrate: those with states of elements or with closures.
+    Errors: MEMORY, CLOSED_LOOPS."""
     if model.layout.nz:
         raise JaxbodyError(
             Problem(
@@ -222,8 +222,8 @@ def _check_for_gauss(model: Model) -> None:
 def _in_blocks(
     dynamics: Dynamics, times, tolerances, solver, controller, adjoint, dt0, max_steps
 ) -> dict[str, Any]:
-    """Options of diffeqsolve for `Blocks`, which have the times and the first step; steps end at
-    kinks of motions and loads."""
+    """Return the options of diffeqsolve for `Blocks`, which contain the times and the first step;
+    steps end at kinks of motions and loads."""
     if controller is None:
         controller, more = _cut_at_kinks(dynamics, diffrax.PIDController(**tolerances))
         max_steps += more
@@ -251,9 +251,9 @@ def _as_given(
     dt0,
     max_steps,
 ) -> dict[str, Any]:
-    """Options of diffeqsolve for its own loop: the user's objects, with defaults for the others.
-    Where errors control the steps, these end at kinks of motions and loads, and the solver looks
-    along them."""
+    """Return the options of diffeqsolve for its own loop: the user's objects, with defaults for the
+    others. Where errors control the steps, these end at kinks of motions and loads, and the solver
+    checks the samples in between."""
     saveat = diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)])
     if isinstance(controller, CONSTANT):
         return {
@@ -286,7 +286,8 @@ def _as_given(
 
 
 def _cut_at_kinks(dynamics: Dynamics, controller: Any) -> tuple[Any, int]:
-    """The controller, whose steps end at kinks of motions and loads, and how many there may be."""
+    """Return the controller, whose steps end at kinks of motions and loads, and the largest number
+    of such kinks."""
     kinks = kinks_of(
         (*dynamics.motions, *(signal for load in dynamics.loads for signal in load.signals()))
     )
@@ -296,8 +297,8 @@ def _cut_at_kinks(dynamics: Dynamics, controller: Any) -> tuple[Any, int]:
 
 
 def _tolerances(dynamics: Dynamics, times, initial, rtol) -> dict[str, Any]:
-    """The local error allowed, and the shortest step: constants for both modes
-    of differentiation."""
+    """Return the allowed local error and the shortest step, which are constants in both modes of
+    differentiation."""
     dynamics, times, initial, local = jax.lax.stop_gradient(
         (dynamics, times, initial, SAFETY * rtol)
     )
@@ -312,8 +313,8 @@ def _tolerances(dynamics: Dynamics, times, initial, rtol) -> dict[str, Any]:
 
 
 def _status(result, form: Dynamics | Canonical, t, y, span) -> Array:
-    """The status of diffrax's own loop, which ends as at the shortest step where the rate is
-    not finite."""
+    """Return the status of diffrax's own loop, where a rate that is not finite looks like the
+    shortest step."""
     code = jnp.select(
         [result == of for of, _ in STATUSES],
         [status.value for _, status in STATUSES],

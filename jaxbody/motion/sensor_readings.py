@@ -29,8 +29,8 @@ def read(
     sensors: dict[str, Sensor],
     loads: tuple[Load, ...] = (),
 ) -> dict[str, Array]:
-    """The readings of all sensors at one time, before their chains; accelerations are computed
-    once, if any sensor needs them."""
+    """Return the readings of all sensors at one time, before their signal chains; accelerations are
+    computed once, if any sensor needs them."""
     model = holding(model, state.z)
     if any(sensor.needs_accelerations(model) for sensor in sensors.values()):
         instant = dynamics_of(model, motions, loads).instant(
@@ -42,7 +42,7 @@ def read(
 
 
 def readings(trajectory: Trajectory, sensors: dict[str, Sensor]) -> dict[str, Array]:
-    """The readings of each sensor along a trajectory, with its chain."""
+    """Return the readings of each sensor along a trajectory, after its signal chain."""
     return _transduced(sensors, trajectory.times, trajectory.at_samples(_read, sensors, loads=True))
 
 
@@ -69,7 +69,7 @@ def measure(
     noise: float | dict[str, Any] = 0.0,
     key: PRNGKeyArray | None = None,
 ) -> dict[str, Array]:
-    """{sensor: readings (nt, ...)} of a trajectory, with white Gaussian noise.
+    """Return {sensor: readings (nt, ...)} of a trajectory, with white Gaussian noise.
 
     Args:
         sensors: {name: sensor}.
@@ -124,7 +124,7 @@ def _measured(
     levels: dict[str, Array],
     key: PRNGKeyArray | None,
 ) -> dict[str, Array]:
-    """Readings, NaN for samples that are unknown, with noise of these levels."""
+    """Return the readings with noise of these levels, NaN for samples that are unknown."""
     values = {
         name: _nan_outside(sensors[name], trajectory.times, x)
         for name, x in readings(trajectory, sensors).items()
@@ -139,7 +139,7 @@ def _measured(
 
 
 def _nan_outside(sensor: Sensor, times: Array, x: Array) -> Array:
-    """NaN for delayed samples that lie outside the trajectory."""
+    """Return x with NaN for delayed samples that lie outside the trajectory."""
     if sensor.delay is None:
         return x
     inside = jnp.vectorize(sensor.weight, signature="(n)->(n)")(times) > 0

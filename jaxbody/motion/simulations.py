@@ -91,8 +91,8 @@ def simulate(
     progress: bool | None = None,
     equations: str = "structured",
 ) -> Trajectory:
-    """The motion from `initial` at times[0], sampled at `times` [s], which may be far from
-    zero, as Unix times: steps are counted from times[0], and motions and loads are evaluated
+    """Integrate the motion from `initial` at times[0], sampled at `times` [s], which may be far
+    from zero, as Unix times: steps are counted from times[0], and motions and loads are evaluated
     by `after(times[0])`.
 
     Args:
@@ -259,8 +259,8 @@ def _warn_of_open(result: Trajectory) -> None:
 
 
 def _warn_of_escape(result: Trajectory, unattached_bodies: list[str]) -> None:
-    """Warn about bodies that leave all supports and the world behind by FAR, with the time of the
-    first sample that shows it."""
+    """Warn about bodies that move away from all supports and the world by more than FAR sizes of
+    the model, with the time of the first sample that shows it."""
     if not is_concrete(result):
         return
     far = FAR * float(size_of(result.model))
@@ -283,8 +283,8 @@ def _warn_of_escape(result: Trajectory, unattached_bodies: list[str]) -> None:
 
 
 def _with_jumps(result: Trajectory) -> Trajectory:
-    """Warn about springs that pass through zero length and elements past half a turn, if as many
-    steps were rejected as a jump of force costs."""
+    """Return the result after warnings about springs that pass through zero length and elements
+    past half a turn, if as many steps were rejected as a jump of force costs."""
     if not is_concrete(result.statistics):
         return result
     accepted, rejected = (
@@ -301,7 +301,7 @@ def _with_jumps(result: Trajectory) -> Trajectory:
 
 @contextmanager
 def _forward_mode_explained(adjoint: Any) -> Iterator[None]:
-    """Replaces JAX's error for a function of diffrax that has derivatives in reverse mode only."""
+    """Replace JAX's error for a function of diffrax that has derivatives in reverse mode only."""
     try:
         yield
     except TypeError as error:
@@ -321,7 +321,7 @@ def _forward_mode_explained(adjoint: Any) -> Iterator[None]:
 
 
 def most_steps(samples: int, least: int) -> int:
-    """The number of steps allowed where none is stated."""
+    """Return the number of steps allowed by default, for this number of samples."""
     return max(least, PER_SAMPLE * samples)
 
 
@@ -335,8 +335,8 @@ def check_steps(
     adjoint: diffrax.AbstractAdjoint | None = None,
 ) -> int | None:
     """Check that solver, controller and adjoint are diffrax objects, that Gauss has constant steps
-    with dt0, and that rtol and dt0 are positive. Returns max_steps as an integer, or None if it is
-    not stated."""
+    with dt0, and that rtol and dt0 are positive. Return max_steps as an integer, or None if it is
+    not given."""
     with Problems() as problems:
         given = {"solver": solver, "stepsize_controller": stepsize_controller, "adjoint": adjoint}
         for name, (kind, example) in KINDS.items():
@@ -398,8 +398,8 @@ def _warn_of_long_steps(
 def _warn_of_what_steps_pass_over(
     model: Model, motions: Motions, loads: dict[str, Load], times, controller: Any, dt: Any
 ) -> None:
-    """Warn where steps that no error controls are longer than a motion or load takes from one kink
-    or change to the next."""
+    """Warn if steps without error control are longer than the time of a motion or load from one
+    kink or change to the next."""
     if controller is None or isinstance(controller, diffrax.AbstractAdaptiveStepSizeController):
         return
     run, steps = (
@@ -433,7 +433,7 @@ def _warn_of_what_steps_pass_over(
 
 
 def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion") -> Motions:
-    """One motion for each support, in the order of the supports."""
+    """Return one motion for each support, in the order of the supports."""
     supports = model.layout.supports
     with Problems() as problems:
         given = checked_dict(motion, where, "support: jb.Harmonic(...)", problems)
@@ -455,8 +455,8 @@ def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion
 def check_run(
     model: Model, times, motions: Motions, loads: dict[str, Load], initial: Any
 ) -> Float[Array, "nt"]:
-    """The times, after a check that they increase, that motions and loads cover them, and that the
-    initial state has the right shape."""
+    """Return the times, after a check that they increase, that motions and loads cover them, and
+    that the initial state has the right shape."""
     with Problems() as problems:
         checked = check_times(times, problems, "times", minimum=2)
     assert checked is not None
@@ -470,7 +470,7 @@ def check_run(
 def _signals_of_run(
     model: Model, motions: Motions, loads: dict[str, Load]
 ) -> list[tuple[str, Any]]:
-    """The motions and the signals of the loads, each with its place in messages."""
+    """Return the motions and the signals of the loads, each with its place in messages."""
     of_motions = [
         (f"motion['{name}']", motion)
         for name, motion in zip(model.layout.supports, motions, strict=False)
@@ -512,7 +512,7 @@ class EquationsOfMotion(eqx.Module):
     loads: tuple[Load, ...]
 
     def __call__(self, t: Any, state: State, model: Model) -> State:
-        """The rates q', v' and z' of a state at time t [s]."""
+        """Return the rates q', v' and z' of a state at time t [s]."""
         time, held = jnp.asarray(t, state.q.dtype), holding(model, state.z)
         z_dot = (
             state_rates(held, frames_at_time(held, self.motions, time, state))
@@ -526,9 +526,9 @@ class EquationsOfMotion(eqx.Module):
         )
 
     def trajectory(self, times: Float[Array, "nt"], states: State, model: Model) -> Trajectory:
-        """States at these times, such as `ts` and `ys` of a solution, with all that a trajectory
-        knows: poses, forces, energies, plots, and what sensors read by `measure`. Quaternions
-        are normalized."""
+        """Return the states at these times, such as `ts` and `ys` of a solution, as a Trajectory,
+        with poses, forces, energies, plots, and sensor readings by `measure`. Quaternions are
+        normalized."""
         states = State(jax.vmap(model.layout.normalized)(states.q), states.v, states.z)
         return Trajectory(
             times=times,
@@ -545,7 +545,7 @@ class EquationsOfMotion(eqx.Module):
 def equations_of_motion(
     model: Model, *, motion: dict[str, Any] | None = None, loads: dict[str, Load] | None = None
 ) -> EquationsOfMotion:
-    """The equations of motion y' = f(t, y, model) for `diffrax.ODETerm`, with any solver,
+    """Return the equations of motion y' = f(t, y, model) for `diffrax.ODETerm`, with any solver,
     controller, adjoint, SaveAt and Event.
 
     y is a State, `f(t, y, model)` the State of its rates; give the model as `args`, by which

@@ -99,7 +99,7 @@ class Trajectory(Labeled, Result):
 
     @property
     def energies(self) -> dict[str, Array]:
-        """kinetic, potential and total [J], each (nt,)."""
+        """{"kinetic", "potential", "total": energy [J] (nt,)}."""
         T, V = self.at_samples(_energies)
         return {"kinetic": T, "potential": V, "total": T + V}
 
@@ -111,8 +111,8 @@ class Trajectory(Labeled, Result):
 
     @property
     def powers(self) -> dict[str, Array]:
-        """damping: power dissipated by all elements; supports, loads: power that the imposed
-        motions and the loads supply [W], each (nt,)."""
+        """{"damping": power dissipated by all elements, "supports" and "loads": power that the
+        imposed motions and the loads supply [W] (nt,)}."""
         return {
             "damping": sum(self.lost_powers.values(), jnp.zeros_like(self.times)),
             "supports": self.at_samples(_support_power, loads=True),
@@ -143,8 +143,9 @@ class Trajectory(Labeled, Result):
         return of_elements(self.model, self.at_samples(function, loads=loads), axis=self.times.ndim)
 
     def at_samples(self, function: Callable, *more: Any, loads: bool = False) -> Any:
-        """function(model, motions, t, state, *more) at every sample, with `loads` (..., state,
-        loads, *more); leading axes of a batch are kept, and each function is compiled once."""
+        """Return function(model, motions, t, state, *more) at every sample, with `loads`
+        function(model, motions, t, state, loads, *more). Leading axes of a batch are kept, and each
+        function is compiled once."""
         return _evaluate(
             function,
             self.times.ndim - 1,
@@ -157,7 +158,7 @@ class Trajectory(Labeled, Result):
         )
 
     def _ended(self) -> str:
-        """When and after how many steps it ended."""
+        """Describe when and after how many steps the integration ended."""
         if self.status == Status.TABLE_RANGE:
             return "report() names the elements"
         taken, rejected = (
@@ -187,7 +188,7 @@ class Trajectory(Labeled, Result):
         return f"{self._ended()}; {cause}"
 
     def _what_steps_need(self, status: Status) -> str:
-        """What changes fastest where the steps ended, and what else to try."""
+        """Describe what changes fastest where the steps ended, and what else to try."""
         changing = changing_most(self.model, self.motions, self.loads, self.times, *self.end)
         remedy = (
             "dt0, a first step of your own" if status == Status.DT_MIN else "a larger max_steps"
@@ -204,8 +205,8 @@ class Trajectory(Labeled, Result):
         return "; ".join(filter(None, (changing, usual)))
 
     def _accelerations(self) -> str:
-        """The name of the nonfinite part where all forces and motions are finite: accelerations or
-        the state."""
+        """Name what is not finite where all forces and motions are finite: the accelerations or the
+        state."""
         layout, q = self.model.layout, self.end[1].q
         massless = massless_motions(layout, matrices(self.model, State(q, np.zeros(layout.nv)))[0])
         return (
@@ -215,7 +216,7 @@ class Trajectory(Labeled, Result):
         )
 
     def _outside_tables(self) -> str:
-        """Which elements leave their tables, and when they first do."""
+        """Name the elements that leave their tables, with the time when they first do."""
         beyond = np.asarray(self.at_samples(_beyond_laws))
         parts = [
             (
@@ -228,8 +229,8 @@ class Trajectory(Labeled, Result):
         return "; ".join(parts) + ": beyond its table a law continues with its end slope"
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset over time: positions and quaternions of bodies, elongations and forces
-        of springs, energies."""
+        """Return an xarray.Dataset over time: positions and quaternions of bodies, elongations and
+        forces of springs, energies."""
         layout, poses, energies = self.model.layout, self.poses, self.energies
         of_springs, of_others, springs = labeled_elements(
             self.model, ("time",), ("elongation", "deformation"), self.elongations, self.forces
@@ -285,8 +286,8 @@ class Trajectory(Labeled, Result):
         return result.assign(status=(result["kinetic_energy"].dims[:-1], np.asarray(self.status)))
 
     def summary(self) -> str:
-        """The printed table of one motion, with positions of frames, elongations and tensions of
-        springs, and jumps of forces."""
+        """Return the printed table of one motion, with positions of frames, elongations and
+        tensions of springs, and jumps of forces."""
         known = replace(
             self, jumps=force_jumps_along(self.model, self.motions, self.times, self.state)
         )
@@ -347,7 +348,8 @@ def _forces(model, motions, t, state):
 
 
 def _forces_with_inertia(model, motions, t, state, loads):
-    """Forces of the elements, with those of their inertia at the accelerations of the motion."""
+    """Return the forces of the elements, including those of their inertia at the accelerations of
+    the motion."""
     now, forces = dynamics_of(model, motions, loads).accelerated(t, state), []
     for table, force in zip(model.elements, _forces(model, motions, t, state), strict=True):
         inertia = (
