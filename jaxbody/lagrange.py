@@ -3,7 +3,7 @@ by jax.hessian, jax.grad and jax.jvp.
 
 All are functions of small motions about a state: the coordinates become q (+) Delta, the supports
 move by Xi from their reference poses, and the velocities of all frames are the derivatives of their
-poses along Delta' and Xi'. At Delta = 0, Delta' = v is the state itself.
+poses along Delta' and Xi'. Delta = 0 with Delta' = v is the state itself.
 
     M | -M~ | M_bb    Hessian of T in (Delta', y', Xi')
     C | -C~ | C_bb    Hessian of R in (Delta', y', Xi')
@@ -12,10 +12,10 @@ poses along Delta' and Xi'. At Delta = 0, Delta' = v is the state itself.
                       z' = f(e, e', z)
 
 y are the coordinates of elements with memory; | separates the blocks 11, 12 and 22. Q and H are
-the generalized forces of loads and of hysteresis, which have no potential, by their
-virtual power; in C and K hysteresis has those of its tangent. c are the conditions of closures,
-J = dc/dDelta, lambda their multipliers, z the states of elements. Faster, structured forms of the
-same stand in `mechanics`; tests hold them to this file.
+the generalized forces of loads and of hysteresis, which have no potential, from their virtual
+power; C and K contain hysteresis by its tangent. c are the conditions of closures, J = dc/dDelta,
+lambda their multipliers, z the states of elements. Faster, structured forms of the same equations
+are in `mechanics`; tests compare them with this file.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from jaxbody.model.preconditions import check_state
 from jaxbody.model.states import State
 from jaxbody.numerics.small_systems import saddle_point
 
-# T, V and R of the frames of a model whose laws with memory know their states
+# T, V and R from the frames of a model whose laws with memory hold their states
 
 
 def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
@@ -98,7 +98,7 @@ def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
     )
 
 
-# The same in the chart at a state
+# The same as functions of small motions about a state
 
 
 def frames_at(
@@ -214,7 +214,7 @@ def _z_dot(model: Model, state: State, *small: Array) -> Array:
     )
 
 
-# What follows
+# Equilibrium, matrices and motion, which follow by differentiation
 
 
 def unbalanced(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv"]:
@@ -310,7 +310,7 @@ def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array
     return equations.solve(f, -bend)[0], z_dot, equations
 
 
-# For users: the same with their defaults, each a program
+# The public functions: with defaults of the arguments, each compiled as a program
 
 
 def kinetic_energy(

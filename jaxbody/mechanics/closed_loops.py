@@ -1,4 +1,4 @@
-"""Equations of motion of closed loops, those of Lagrange as `lagrange.py` states them, and the
+"""Equations of motion of closed loops, Lagrange's equations as `lagrange.py` states them, and the
 choice of the equations that suit a model.
 
     c(q(t), Xi(t)) = 0   closures, and with them   c' = J v + c_t = 0,
@@ -13,7 +13,7 @@ brings a state back to c = c' = 0 by Newton steps in the metric of M,
 
     [M J'; J 0] [Delta; mu] = [0; -c],   q <- q (+) Delta,   and the same for v with c'
 
-with M and J of the state it starts from.
+with M and J of the state from which the projection starts.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.small_systems import SaddlePoint, saddle_point
 
-STEPS = 3  # of the projection: each takes the gap times the error of a step
-# smallest singular value of closures at a position in which an integration ends because of it,
-# relative to the largest
+STEPS = 3  # of the projection; each multiplies the gap by the relative error of a step
+# smallest singular value of closures, relative to the largest, below which an integration that
+# ended there is said to have ended for this reason
 SINGULAR = 1e-4
 
 
@@ -64,7 +64,7 @@ class Closing(NamedTuple):
 class ClosedLoops(JointedBodies):
     """Bodies on joints and closures."""
 
-    rests: list[Pose]  # of the second frame of each closure on the first, as drawn
+    rests: list[Pose]  # poses of the second frame of each closure on the first, as drawn
     size: Float[Array, ""]
 
     def __init__(self, model: Model, motions: Motions, loads: tuple[Load, ...] = ()):

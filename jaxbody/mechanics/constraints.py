@@ -5,11 +5,11 @@ A configuration is found by Gauss-Newton steps
 
     q <- q (+) -F_q^+ F(q)
 
-with the least squares inverse F_q^+, so that conditions that repeat others, such as those out of
-the plane of a planar linkage, do no harm. These are differentiated step by step, because where
-freedoms are left the result depends on the whole movement. A few more steps with the last inverse,
-held fixed, are differentiated as they are: each makes the derivatives of one more order exact, in
-forward and reverse mode.
+with the least squares inverse F_q^+, so that redundant conditions, such as those out of the plane
+of a planar linkage, do no harm. These steps are differentiated one by one, because the result
+depends on the whole movement where freedoms are left. They are followed by a few steps with a fixed
+inverse, the last one; each of these makes the derivatives of one more order exact, in forward and
+reverse mode.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.precisions import in_float64
 
-# F of the model, of other numbers and of q
+# F(model, values, q)
 Conditions = Callable[[Model, Any, Float[Array, "nq"]], Float[Array, "n"]]
-CLOSING = 12  # steps of an initial state
-STEPS = 30  # of the search; ten are enough from a rough drawing
-ORDERS = 4  # of derivatives that are exact
-LARGEST_STEP = 0.5  # of an increment, of the size of the model or in rad
-PRECISE = 1e-12  # of the size of the model; about where rounding begins
-CLOSED = 1e-9  # of the size of the model
-RANK = 1e-9  # singular values below this part of the largest count as zero
+CLOSING = 12  # steps for an initial state
+STEPS = 30  # most steps of the search; ten are enough from a rough drawing
+ORDERS = 4  # derivatives are exact up to this order
+LARGEST_STEP = 0.5  # largest increment of a step, in sizes of the model or rad
+PRECISE = 1e-12  # |c| over the size of the model at which rounding begins
+CLOSED = 1e-9  # |c| over the size of the model up to which closures count as fulfilled
+RANK = 1e-9  # singular values, relative to the largest, below which they count as zero
 
 
 def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:

@@ -11,7 +11,7 @@ the wrenches.
 
 Tests compare them with the Lagrange equations of L = T - V with R. Where every body is free on the
 world the mass matrix is constant in body axes and is inverted once, unless elements have inertia:
-`closed_loops.dynamics_of` chooses between the forms, and no one else asks.
+`closed_loops.dynamics_of` chooses the form for a model.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from jaxbody.model.states import State
 from jaxbody.model.storage import KindTable
 from jaxbody.numerics.small_systems import solve_spd
 
-SAMPLES = 128  # of motions and loads, at most, that tell how far a model without extent moves
+SAMPLES = 128  # most samples of motions and loads from which a model's reach is estimated
 
 
 class Dynamics(eqx.Module):
@@ -245,7 +245,7 @@ class Dynamics(eqx.Module):
             F, M = F + extra[0], M + extra[1]
         outboard = jnp.asarray(self.model.layout.carries[:, first:], F.dtype)[..., None]
         moment = M[None] + cross(now.p[first:][None] - now.p[:, None], F[None])
-        # elements on world and supports
+        # elements attached to world and supports
         direct = (jnp.concatenate([x[:first], jnp.zeros_like(F)]) for x in _acting(self.model, now))
         F, M = (
             x + jnp.sum(outboard * of_bodies, 1)
@@ -256,7 +256,7 @@ class Dynamics(eqx.Module):
     def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
         """Return force [N] and moment about its origin [N m] that the bodies and elements exert on
         each support, in world axes."""
-        # in a model with memory, holding its z
+        # a model with memory must hold its z here
         now, first = self.instant(t, State(q, v), reactions=True), self.model.layout.first_body
         assert now.F is not None and now.M is not None
         return now.F[1:first], now.M[1:first]
@@ -520,9 +520,8 @@ def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
     return jnp.concatenate([top, jnp.concatenate([-GC, G], -1)], -2)
 
 
-# Elements that have a kinetic energy T(e, e_dot) of their own, such as inerters: with
-# J = de/d(Delta, Xi), M | -M~ | M_bb have J' T'' J, and the force d/dt dT/de_dot - dT/de acts as
-# tension does
+# Elements with a kinetic energy T(e, e_dot), such as inerters: with J = de/d(Delta, Xi) they add
+# J' T'' J to M | -M~ | M_bb, and the force d/dt dT/de_dot - dT/de acts like a tension
 
 
 def accelerated(model: Model, now: Instant, table: KindTable, function) -> Any:

@@ -82,7 +82,7 @@ NOT_AT_REST = (  # no linearization about such a state
     Status.NOT_CLOSED,
     Status.SINGULAR_CLOSURE,
 )
-# of the size of the model, and rad: a body is far from where it is drawn
+# displacement, in sizes of the model, and rotation [rad] of a body that is far from where it is drawn
 FAR, TURNED = 0.3, np.deg2rad(30)
 DESCENDED = (
     "by descent of the potential of the loads, which cannot be raised step by step because K is "
@@ -119,9 +119,9 @@ class Equilibrium(Labeled, Result):
     load_factor: Float[Array, ""]
     path: Path | None
     descended: Bool[Array, ""]
-    beyond: Bool[Array, "ne"]  # the elements used beyond the points of their tables
-    # of each body: how far its center of mass is from where it is drawn [m], and its turn from
-    # there [rad]
+    beyond: Bool[Array, "ne"]  # True for elements beyond the points of their tables
+    # of each body: displacement of its center of mass from where it is drawn [m], and its rotation
+    # from there [rad]
     from_drawn: Float[Array, "nb 2"]
     closed: ClosureForces | None = None  # None without closures
 
@@ -351,10 +351,10 @@ def equilibrium(
 
     Args:
         start: the state to start from; by default the reference pose. Massless
-            coordinates of elements with memory are relaxed; hysteretic states, which stay
-            at rest, are those of `start`, by default 0, and stability is counted with
-            them fixed. A body that only they hold rests anywhere: there it stays where it
-            is drawn.
+            coordinates of elements with memory are relaxed; hysteretic states do not change:
+            they are those of `start`, by default 0, and stability is counted with them
+            fixed. A body that is held by hysteresis alone can rest anywhere and stays where
+            it is drawn.
         loads: {name: load}, evaluated at time 0 and raised from zero along the stable branch; by
             default none. Where K is singular without loads (an unstressed string pushed
             sideways) the search descends V minus the work of dead forces instead, and the result
@@ -465,7 +465,7 @@ def equilibrium_at(
     )
     state = State(q, zero, rest_states(model, frames.pose()) if model.layout.nz else None)
     singular = search.singular
-    # whose states are held in K, but not in a motion
+    # their states are held in K, but not in a motion
     if any("hysteretic" in block.roles for block in model.layout.blocks):
         singular &= eigenvalue_signs(resisting_stiffness(given, jax.lax.stop_gradient(state)))[1]
     status = jnp.select(

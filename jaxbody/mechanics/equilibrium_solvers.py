@@ -1,17 +1,10 @@
-"""Solvers for an equilibrium: descent of the potential energy, and the path of loads that are
-raised from zero.
-
-Descent: Newton's method in which every step lowers the potential energy; lambda makes K + lambda
-I positive definite.
-
-It works on nondimensional increments, rotations times a length.
-
-
-Searches for an equilibrium: by descent of the potential energy, or along the path of loads that
+"""Searches for an equilibrium: by descent of the potential energy, or along the path of loads that
 are raised from zero.
 
-A model with closures is first moved to the nearest configuration that fulfils them, and stays on
-them in all steps.
+Descent is Newton's method with a shift lambda that makes K + lambda I positive definite, so that
+every step lowers the potential energy. Increments are nondimensional, with rotations times a
+length. A model with closures is first moved to the nearest configuration that fulfils them, and
+stays on them in all steps.
 """
 
 from __future__ import annotations
@@ -61,7 +54,7 @@ def descend(
     numbers, rest = eqx.partition((coordinates, applied), eqx.is_array)
     if coordinates.model.closures:
         return _descend(coordinates, applied, q, scale, size, max_steps)
-    # more share the overhead of a loop, with fewer all of K stays in the cache
+    # more lanes share the overhead of a loop; with fewer lanes all of K stays in the cache
     lanes = 2 * LANES if len(scale) <= 6 else LANES
     return in_lanes(
         lambda numbers, *given: _descend(*eqx.combine(numbers, rest), *given), lanes=lanes
@@ -94,7 +87,7 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
         """Evaluate the trial configuration, accept it if it is better, and propose the next one."""
         best, trial, shift, expected, tiny, _, n = carry
         value, slope, K = expand(trial)
-        # below `tiny` rounding of the energy hides its decrease
+        # in a tiny step the decrease of energy may be less than rounding
         falls = (expected > 0) & (best[1] - value >= 1e-4 * expected)
         accept = jnp.isfinite(value) & (falls | tiny | (n == 0))
         best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (trial, value, slope, K), best)
@@ -112,7 +105,7 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
             definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0
         )  # otherwise no step, and a larger shift next
         expected = -jnp.sum(y * slope) - 0.5 * jnp.sum(y * jnp.sum(K * y[None], -1))
-        # also on a saddle, which no Newton step leaves
+        # also at a saddle point, from which Newton steps are zero
         at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= least_slope * unit * size
         near = accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= tolerance * size)
         done = definite & (near | at_rest) & jnp.isfinite(best[1])
@@ -158,12 +151,12 @@ def eigenvalue_signs(
 
 # distance from the start, in sizes of the model, beyond which the model falls without limit
 RUNAWAY = 20
-AT_REST = (Status.OK, Status.TABLE_RANGE)  # stable and isolated: a run may start there
+AT_REST = (Status.OK, Status.TABLE_RANGE)  # stable and isolated: a motion may start there
 LOADABLE = (*AT_REST, Status.SINGULAR_K)  # loads may be raised from there
-# least ratio of eigenvalues of K at the start of a path; with only cubic springs a search ends
-# at 1e-9
+# least ratio of eigenvalues of K at the start of a path; with cubic springs alone a search ends at
+# a ratio of 1e-9
 SOFTEST = 1e-7
-# error of K at the end of a path, which is that of the last iterate, relative to its norm
+# error of K, relative to its norm, at the end of a path, where it is K of the last iterate
 ITERATED = 1e-10
 
 
@@ -216,8 +209,9 @@ def search_under_loads(
     """Search under loads, along their path or by descent; `many`: for each row of the weights and
     of the changes of gravity.
 
-    There are two programs, because few models need the second; inside a user's program both are
-    part of it, and the second takes no steps where the first has settled."""
+    The path and the descent are two programs, because few models need the descent. Inside a user's
+    program both are part of it, and the descent takes no steps where the path has a valid
+    result."""
     search, settled = along_path(model, unloaded, applied, many)
     if is_concrete(settled) and np.asarray(settled).all():
         return search

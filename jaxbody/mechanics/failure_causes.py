@@ -1,5 +1,5 @@
-"""Causes of failed motions and equilibria, by name: numbers that are not finite, elements turned
-too far, springs of zero length."""
+"""Causes of failed motions and equilibria, with the names of parts: numbers that are not finite,
+elements turned too far, springs of zero length."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from jaxbody.model.joints.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 
-# relative to the time since the first sample, or to a second where that is longer
+# times ahead, relative to the time since the first sample or, if that is shorter, to a second
 AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
-DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)  # relative to the size of the model
+DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)  # distances, relative to the size of the model
 NEAR = 1e-2  # relative to the free length; for angles the cosine of half the angle: 179 degrees
 BEND = 0.5  # relative difference allowed between the chord of two samples and the tangent at either
 

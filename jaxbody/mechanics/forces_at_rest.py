@@ -1,5 +1,5 @@
-"""Forces at rest: of closures, by the multipliers lambda of their conditions, and of what is
-attached to a support; how deformations and forces stand in tables.
+"""Forces at rest: those of closures, by the multipliers lambda of their conditions, and those on
+supports; rows of tables and variables of data sets for deformations and forces.
 
 dV/dDelta - Q + J' lambda = 0,
 reaction of a condition = lambda, a moment times the size of the model where it is on an angle
@@ -33,7 +33,7 @@ from jaxbody.model.leaf_paths import springs_of
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import size_of
 
-# smallest slope of conditions that are independent elsewhere, relative to the largest
+# smallest singular value of independent conditions, relative to the largest, that counts as zero
 SINGULAR = 1e-7
 
 

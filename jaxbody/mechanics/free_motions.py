@@ -5,8 +5,8 @@ J = dc/dDelta and r = dV/dDelta - Q:
     lambda = -(J^+)' r     the multipliers, with which r + J' lambda = 0 at rest
     H = K + d2(lambda c)   second derivatives along the closures: those of V on them are P H P
 
-In scaled increments, in meters. J^+ is the least squares inverse: conditions that repeat others do
-no harm, and the multipliers of those that share a force are the least.
+in scaled increments, in meters. J^+ is the least squares inverse: redundant conditions do no harm,
+and the multipliers of conditions that share a force have the least norm.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import scale_of, scaled, size_of
 
-# a multiplier that changes by less than this while the others of one share a force is unique
+# a multiplier is unique if its diagonal element of 1 - J J^+ is below this
 UNIQUE = 1e-6
 
 
@@ -240,7 +240,7 @@ def dependent_motions(
     S = jnp.zeros((nv, J_Xi.shape[1]), q.dtype).at[others].set(-inverse @ J_Xi)
     multipliers = -inverse.T @ (r * scale)[others]
     values = jnp.linalg.svdvals(jax.lax.stop_gradient(J_d))
-    # where more conditions hold than in the reference pose
+    # more conditions are independent here than in the reference pose
     open_ = jnp.max(jnp.abs(jax.lax.stop_gradient(free.J @ N)), initial=0.0)
     smallest = jnp.where(open_ > 1e-6 * values[0], 0.0, values[-1] / jnp.maximum(values[0], 1e-300))
     return DependentMotions(

@@ -4,8 +4,8 @@ and T in (Delta, y, Xi).
     K_yy = V_yy,   K_yx = V_ye de/dx,   C_yy = R_yy,   C_yx = R_ye de/dx,   M_yy = T_yy,   M_yx = 0,
     x of (Delta, Xi)
 
-Those with mass come first, then those without, whose T_yy is 0. Slow motions take y along, K_yy
-y + K_yx x = 0: the matrices of these are T' H T with x -> (x, y) = T x.
+Coordinates with mass come first, then those without, whose T_yy is 0. In slow motions y follows x
+by K_yy y + K_yx x = 0: their matrices are T' H T with x -> (x, y) = T x.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def inner_rows(at: Configuration) -> InnerRows:
     K_yx, C_yx = (
         jnp.concatenate([getattr(part, name) for part in parts]) for name in ("K_yx", "C_yx")
     )
-    from jax.scipy.linalg import block_diag  # for the few models with inner coordinates
+    from jax.scipy.linalg import block_diag  # few models have inner coordinates
 
     K_yy, C_yy, M_yy = (
         block_diag(*(getattr(part, name) for part in parts)) for name in ("K_yy", "C_yy", "M_yy")

@@ -31,10 +31,10 @@ from jaxbody.model.models import Model
 from jaxbody.model.sizes import scaled
 from jaxbody.numerics.precisions import NEWTON, reachable
 
-# steps of lambda: the first, the smallest, their largest number
+# steps of lambda: the first one, the smallest one, their largest number
 FIRST, LEAST, MOST = 0.25, 1e-5, 64
-ITERATIONS = 10  # of Newton's method, within a step
-CONVERGED = 1e-10  # last step of Newton's method, relative to the size of the model
+ITERATIONS = 10  # most iterations of Newton's method within a step
+CONVERGED = 1e-10  # size of the last step of Newton's method, relative to that of the model
 # largest move of an iteration, in sizes of the model; a larger one may reach another branch
 FARTHEST = 0.25
 SHIFT = 1e-11  # keeps a free motion from making the system singular
@@ -44,8 +44,8 @@ SINGULAR = 1e-10
 class AppliedLoads(eqx.Module):
     """The loads raised with lambda: each load at time 0, times its weight, and a change of gravity.
 
-    Alike loads, of one class on one body, may stand in `loads` as one whose numbers have a further
-    axis, with a row of weights: so they are traced once."""
+    Alike loads, of one class on one body, may be one entry of `loads` whose numbers have a further
+    axis, with a row of weights, so that they are traced once."""
 
     loads: tuple[Load, ...]
     weights: Float[Array, "n"] | tuple[Float[Array, "..."], ...]

@@ -1,5 +1,4 @@
-"""Motions that a matrix does not resist, in words: those without stiffness, those
-without inertia."""
+"""Motions that a stiffness or mass matrix does not resist, described in words."""
 
 from __future__ import annotations
 

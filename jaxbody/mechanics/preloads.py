@@ -51,9 +51,9 @@ class Preload(Result):
 
     `state` is the pose, `moved` {coordinate: change [m, rad]} of its coordinates that may move,
     `residual` the unbalanced forces [N, N m]. `status` UNBALANCED where these are not zero,
-    NEGATIVE_LENGTH where a length would have to be negative, NOT_CLOSED where closures stay open,
-    by the `gap` relative to the size of the model. With closures the residual is along the motions
-    that they leave free."""
+    NEGATIVE_LENGTH where a length would have to be negative, NOT_CLOSED where closures stay open;
+    `gap` is the largest gap, relative to the size of the model. With closures the residual is along
+    the motions that they leave free."""
 
     status: Int[Array, ""]
     values: Float[Array, "n"]
@@ -128,8 +128,7 @@ def preload(
         free: paths or patterns of the `free_length` (or `free_angle` of torsion springs) that may
             change; by default all free lengths.
         moving: names or patterns of `model.layout.coordinates` that may change too, such as the
-            height of a wheel on a given tyre; by default
-        none.
+            height of a wheel on a given tyre; by default none.
 
     With closures the pose is the nearest that fulfils them; where some coordinates may move, the
     others follow with the least movement.

@@ -1,11 +1,11 @@
-"""At rest on supports that are displaced or move slowly: in equilibrium with their present poses,
-and moving with them.
+"""States of rest on supports that are displaced or move slowly: in equilibrium with the present
+poses of the supports, and moving with them.
 
     dV/dDelta(q, Xi) = 0,   K v = K~ Xi'      and with closures  c(q, Xi) = 0,
     J v = -c_Xi Xi' as well
 
-is the initial state of a run that has been at rest for long: displaced and tilted with its base,
-under gravity, at the speed of its base.
+Such a state is the initial state of a run that has been at rest for a long time: displaced and
+tilted with its base, under gravity, at the speed of its base.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ MAX_STEPS = 200
 
 
 class Rest(eqx.Module):
-    """The initial state given as "rest"."""
+    """The initial state that is given as "rest"."""
 
 
 def as_initial(initial: Any) -> Any:

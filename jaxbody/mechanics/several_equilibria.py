@@ -32,7 +32,7 @@ from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_attached, check_memory, check_precision
 from jaxbody.model.sizes import scale_of, scaled, size_of
 
-SAME = 1e-9  # relative to the spread of energies: within it two results may be one equilibrium
+SAME = 1e-9  # difference of energy, relative to their spread, within which two may be the same
 DESCENT_STEPS, NEWTON_STEPS = 200, 60
 
 

@@ -40,8 +40,8 @@ from jaxbody.model.preconditions import check_attached, check_memory, check_prec
 from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.states import State
 
-MAX_STEPS = 200  # of a search
-NEGLIGIBLE = 1e-9  # relative to the applied loads: less than this in every coordinate is round-off
+MAX_STEPS = 200  # most steps of a search
+NEGLIGIBLE = 1e-9  # generalized force, relative to the applied loads, that is round-off
 BY_JOINTS = (
     "carried by the joints alone, so that no body moves and no spring is loaded; if a case is "
     "meant to tilt a body, put the point O, about which that body turns, and its center of mass "
@@ -195,10 +195,11 @@ def load_cases(
 
         dV/dDelta = Q - m a, with loads raised from zero along the stable branch of each case
 
-    `at`: where the search for the equilibrium without loads starts. A case that cannot be carried
-    in full ends at the largest load factor that can, with status NO_EQUILIBRIUM or LIMIT_POINT; the
-    report names cases that joints carry alone. Differentiable. Errors: NO_CASE, UNKNOWN_BODY,
-    UNATTACHED, WRONG_KIND.
+    `at`: the state or equilibrium from which the search for the equilibrium without loads starts;
+    by default the reference pose. A case that cannot be carried in full ends at the largest load
+    factor that can be carried, with status NO_EQUILIBRIUM or LIMIT_POINT; the report names cases
+    that are carried by joints alone. Differentiable. Errors: NO_CASE, UNKNOWN_BODY, UNATTACHED,
+    WRONG_KIND.
 
     >>> mount = Spring(("engine", [0, 0, 0]), ("world", [0, 0, -1]), stiffness=8e5, free_length=1.0)
     >>> model = Model(

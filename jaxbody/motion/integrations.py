@@ -30,9 +30,9 @@ from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.precisions import reachable
 from jaxbody.numerics.runge_kutta_steps import TRIAL, first_length
 
-# least local error; below it float32 takes shorter steps without a gain
+# least local error; below it steps in float32 become shorter without a gain in accuracy
 FINEST = {"float64": 0.0, "float32": 1.5e-5}
-SAFETY = 0.1  # local error over rtol, because the order between steps is lower than that of a step
+SAFETY = 0.1  # local error over rtol: the order between the ends of a step is lower than at them
 CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
 STATUSES = (
     (diffrax.RESULTS.successful, Status.OK),
@@ -141,7 +141,7 @@ def integrate(
         else _status(solution.result, form, t_end, y_end, times[-1] - times[0])
     )
     finite = jnp.isfinite(samples).all(1)
-    overflow = (code == Status.OK.value) & ~finite.all()  # which constant steps do not detect
+    overflow = (code == Status.OK.value) & ~finite.all()  # constant steps do not detect it
     last = jnp.maximum(jnp.argmin(finite) - 1, 0)
     t_end, y_end = (
         jnp.where(overflow, times[last], t_end),
@@ -313,8 +313,8 @@ def _tolerances(dynamics: Dynamics, times, initial, rtol) -> dict[str, Any]:
 
 
 def _status(result, form: Dynamics | Canonical, t, y, span) -> Array:
-    """Return the status of diffrax's own loop, where a rate that is not finite looks like the
-    shortest step."""
+    """Return the status of diffrax's own loop: NONFINITE where it stopped because the rate is not
+    finite, which diffrax reports as too short a step."""
     code = jnp.select(
         [result == of for of, _ in STATUSES],
         [status.value for _, status in STATUSES],

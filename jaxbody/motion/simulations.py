@@ -1,5 +1,5 @@
 """Nonlinear motion: the equations of motion integrated under imposed motions of the supports, and
-as a function of time, state and model for a solver of one's own."""
+as a function of time, state and model for your own solver."""
 
 from __future__ import annotations
 
@@ -53,22 +53,21 @@ from jaxbody.motion.trajectories import Trajectory
 from jaxbody.numerics.eigenproblems import companion
 from jaxbody.numerics.gauss_collocations import Gauss
 
-MAX_STEPS = 100_000  # or PER_SAMPLE for each sample, if that is more
-# steps that noise in every sample of a recorded input may take at rtol 1e-8, rejected ones included
+MAX_STEPS = 100_000  # or PER_SAMPLE times the number of samples, if that is more
+# steps per sample for a recorded input with noise in every sample at rtol 1e-8, with rejected ones
 PER_SAMPLE = 30
-# rejected steps, and their ratio to accepted ones; a jump of force costs 18 at rtol 1e-3, 30 to 90
-# by default
+# number of rejected steps, and their ratio to accepted ones, that may come from a jump of a force,
+# which costs 18 at rtol 1e-3, 30 to 90 by default
 MANY, OFTEN = 15, 0.15
-# distance, in sizes of the model, by which a body that is attached has left all supports: the
-# motion is unstable
+# distance of an attached body from all supports, in sizes of the model, of an unstable motion
 FAR = 1e6
-# of an initial state that is moved onto the closures with a warning, of the size of the model or of
-# the largest speed
+# gap of an initial state, relative to the size of the model or to the largest speed, above which it
+# is moved onto the closures with a warning
 OPEN = 1e-6
-# longest step times rate for which the classical Runge-Kutta method is stable; diffrax's explicit
-# solvers are similar
+# largest product of step and rate for which the classical Runge-Kutta method is stable; diffrax's
+# explicit solvers are similar
 STABLE = 2.8
-KINDS = {  # of diffrax's objects, each with an example
+KINDS = {  # argument: (class of diffrax, example for messages)
     "solver": (diffrax.AbstractSolver, "diffrax.Tsit5()"),
     "stepsize_controller": (diffrax.AbstractStepSizeController, "diffrax.ConstantStepSize()"),
     "adjoint": (diffrax.AbstractAdjoint, "diffrax.ForwardMode()"),
@@ -109,9 +108,9 @@ def simulate(
         solver: a diffrax solver; by default Dopri8.
         stepsize_controller: a diffrax controller; by default the error controls the steps; with
             diffrax.ConstantStepSize() they are dt0.
-        adjoint: a diffrax adjoint; by default jb.Blocks(), in which forward and reverse mode work,
-            and forward over reverse. For few parameters diffrax.ForwardMode() is faster; forward
-            mode needs it, or jb.Blocks(), if you give a `solver`.
+        adjoint: a diffrax adjoint; by default jb.Blocks(), with which forward and reverse mode
+            work, and forward over reverse. For few parameters diffrax.ForwardMode() is faster; with
+            a `solver` forward mode requires it, or jb.Blocks().
         dt0: the first step, or the constant step [s]; by default chosen.
         max_steps: the largest number of steps; by default 100,000, or 30 for each sample if that
             is more.
@@ -120,19 +119,18 @@ def simulate(
         progress: None shows the time taken on a terminal or in a notebook after five seconds; False
             is silent, True shows diffrax's meter.
 
-    diffrax's own loop takes the place of the blocks with a solver, another stepsize_controller or
-    adjoint, or progress=True. A batch by jax.vmap runs in chunks of 40, each member with its own
-    steps; constant steps take half the time, but nothing controls the error: compare with a
-    shorter dt0.
+    With a solver, another stepsize_controller or adjoint, or progress=True, diffrax's own loop
+    replaces the blocks. A batch by jax.vmap runs in chunks of 40, each member with its own steps;
+    constant steps take half the time, but nothing controls the error: compare with a shorter dt0.
 
-    Results are at the times asked for: for diffrax's SaveAt (dense, steps, a function) and Event
-    take `jb.equations_of_motion`.
+    Results are at the requested times; for diffrax's SaveAt (dense, steps, a function) and Event
+    use `jb.equations_of_motion`.
 
-    Steps end at kinks of motions and loads and where records begin to act. After a step that tells
-    nothing about the next, as at rest or in free flight, the next is checked between its ends and
-    at `times` before it is taken, also with other solvers that have an error; sample where
-    something short may act. Constant steps are not checked: warns STEP_TOO_LONG where a motion or
-    load does more in one of them.
+    Steps end at kinks of motions and loads and where records begin to act. After a step that gives
+    no information about the next one, as at rest or in free flight, the next step is checked
+    between its ends and at `times` before it is accepted, also with other solvers that estimate the
+    error; sample where something short may act. Constant steps are not checked: warns STEP_TOO_LONG
+    if a motion or load changes within one of them.
 
     Errors by rtol after 10 s on a shaking base, of a plate on 5 springs and three boxes on 14: the
     largest error [m, rad], the relative error of a derivative by reverse mode, and the time
@@ -173,7 +171,7 @@ def simulate(
     (11, 3)
     """
     check_precision("simulate", model)
-    if not model.layout.nz:  # elements with memory relax between fixed bodies, too
+    if not model.layout.nz:  # elements with memory relax even between fixed bodies
         check_moves("simulate", model)
     initial = as_initial(initial)
     with Problems() as problems:
@@ -198,7 +196,7 @@ def simulate(
     if unattached_bodies:
         warn("UNATTACHED", f"nothing connects {', '.join(unattached_bodies)} to world or a support")
     meter = diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter()
-    # Python numbers would be compiled in
+    # as arrays, because Python numbers would be constants of the program
     tolerance, step = (None if x is None else device_array(float_array(x)) for x in (rtol, dt0))
     _warn_of_what_steps_pass_over(model, motions, loads or {}, times, stepsize_controller, step)
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(
@@ -548,11 +546,11 @@ def equations_of_motion(
     """Return the equations of motion y' = f(t, y, model) for `diffrax.ODETerm`, with any solver,
     controller, adjoint, SaveAt and Event.
 
-    y is a State, `f(t, y, model)` the State of its rates; give the model as `args`, by which
-    derivatives are taken. `f.trajectory(ts, ys, model)` makes the solution a Trajectory. The
-    equations are those that `simulate` integrates: structured, with multipliers where there are
-    closures, to which `simulate` projects each step and a solver of one's own does not: there c
-    drifts by its errors.
+    y is a State, `f(t, y, model)` the State of its rates; give the model as `args`, with respect to
+    which derivatives are taken. `f.trajectory(ts, ys, model)` converts the solution to a
+    Trajectory. The equations are those that `simulate` integrates: structured, with multipliers of
+    closures. `simulate` also projects each step onto the closures; your own solver does not, so
+    that c drifts by its errors.
 
     Args:
         motion: {support: motion}; a support without an entry is at rest.

@@ -44,7 +44,7 @@ from jaxbody.model.states import State
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import in_float64
 
-BLURRED = 1e-10  # rounding of times, of the whole time, from which functions of time are rough
+BLURRED = 1e-10  # rounding of times, relative to the whole time, above which it disturbs motions
 
 
 class Trajectory(Labeled, Result):
@@ -52,10 +52,10 @@ class Trajectory(Labeled, Result):
     `energies` [J], `powers` [W], `reactions` [N, N m].
 
     `status`: MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED if the integration ended early, with
-    NaN in later samples; SINGULAR_CLOSURE if it did where closures become dependent, NOT_CLOSED
+    NaN in later samples; SINGULAR_CLOSURE if it ended where closures become dependent, NOT_CLOSED
     if no initial state fulfils them; TABLE_RANGE if a motion left the table of a law.
-    `statistics`: accepted and rejected steps. `closing`: how far the given initial state was from
-    closures. Quantities by name and `summary()` are computed when they are read; printing
+    `statistics`: accepted and rejected steps. `closing`: distance of the given initial state from
+    the closures. Quantities by name and `summary()` are computed when they are read; printing
     computes nothing."""
 
     index = "time"
@@ -69,8 +69,8 @@ class Trajectory(Labeled, Result):
     loads: tuple[Load, ...] = ()
     jumps: list[Float[np.ndarray, "_"]] = field(
         default_factory=list
-    )  # times of jumps of forces by `force_jumps_along`, where simulate has computed them
-    closing: Closing | None = None  # how far the initial state was from closures
+    )  # times of jumps of forces by `force_jumps_along`, if simulate has computed them
+    closing: Closing | None = None  # distance of the initial state from the closures
 
     @property
     def poses(self) -> dict[str, Pose]:
