@@ -82,7 +82,7 @@ NOT_AT_REST = (  # no linearization about such a state
     Status.NOT_CLOSED,
     Status.SINGULAR_CLOSURE,
 )
-# displacement, in sizes of the model, and rotation [rad] of a body that is far from where it is drawn
+# displacement, in sizes of the model, and rotation [rad] of a body far from where it is drawn
 FAR, TURNED = 0.3, np.deg2rad(30)
 DESCENDED = (
     "by descent of the potential of the loads, which cannot be raised step by step because K is "
