@@ -174,11 +174,16 @@ def H(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, "
     ]
 
     def power(moved):
-        P = jnp.zeros((), state.q.dtype)
-        for table in tables:
-            rates = of_table(model, moved, table, lambda s, *F: s[0].rates(*F)[1])
-            P = P - jnp.sum(of_table(model, now, table, _without_potential) * rates)
-        return P
+        return -sum(
+            (
+                jnp.sum(
+                    of_table(model, now, table, _without_potential)
+                    * of_table(model, moved, table, lambda s, *F: s[0].rates(*F)[1])
+                )
+                for table in tables
+            ),
+            jnp.zeros((), state.q.dtype),
+        )
 
     return _by_virtual_power(power, model, state, *small)
 

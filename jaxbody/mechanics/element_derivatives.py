@@ -51,11 +51,10 @@ def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
             )
         e, e_dot = element.rates(*frames)
         k = e.size
-        damping = jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot)
         return (
             deformation_slopes(element, *frames),
             element.tangent(e).reshape(k, k),
-            damping.reshape(k, k),
+            jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot).reshape(k, k),
         )
 
     twists = frame_twists(at)

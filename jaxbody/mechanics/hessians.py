@@ -92,8 +92,7 @@ def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:
     (Delta, Xi)."""
     n, layout, dtype = len(at.turns), at.model.layout, at.q.dtype
     J = jnp.swapaxes(jnp.eye(n, dtype=dtype).reshape(-1, 6, n), 1, 2) if at.J is None else at.J
-    moving = np.array(layout.moving(base=at.base), int)
-    return jnp.zeros((len(layout.frames), n, 6), dtype).at[moving].set(J)
+    return jnp.zeros((len(layout.frames), n, 6), dtype).at[layout.moving(base=at.base)].set(J)
 
 
 def slope(at: Configuration) -> Vector:
@@ -187,12 +186,9 @@ def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
 # with `base`, supports
 
 
-def _places(layout: Layout, base: bool) -> dict[str, int | None]:
-    """Return {name of a frame: its index among the moving frames, None for others}."""
-    rows = list(layout.moving(base=base))
-    return {
-        name: rows.index(row) if row in rows else None for row, name in enumerate(layout.frames)
-    }
+def _places(layout: Layout, base: bool) -> dict[str, int]:
+    """Return {name of a moving frame: its index among these}."""
+    return {layout.frames[row]: i for i, row in enumerate(layout.moving(base=base))}
 
 
 def _precedence(layout: Layout) -> np.ndarray:
@@ -241,7 +237,7 @@ def _gradient(
     """Return the gradients of bodies and elements, summed by frame."""
     places = _places(model.layout, base)
     ends = [
-        (part, [places[link[end]] for link in table.links])
+        (part, [places.get(link[end]) for link in table.links])
         for table, parts in zip(model.elements, elements, strict=True)
         for end, part in enumerate(parts)
     ]
@@ -257,7 +253,7 @@ def _hessian(
     places, n = _places(model.layout, base), len(model.layout.moving(base=base))
 
     def cells(table, one: int, other: int):
-        pairs = [(places[link[one]], places[link[other]]) for link in table.links]
+        pairs = [(places.get(link[one]), places.get(link[other])) for link in table.links]
         return [None if i is None or j is None else i * n + j for i, j in pairs]
 
     parts: list[tuple[Block, list[int | None]]] = [
