@@ -322,9 +322,13 @@ def kinetic_energy(
     model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
 ) -> Float[Array, ""]:
     """Return T at q (+) Delta with the rates Delta', on supports displaced by Xi with the rate Xi'
-    [J]. The arguments are those of `lagrangian`.
+    [J]; see `lagrangian`. Source: (10), (11) of the paper.
 
-    Source: (10), (11) of the paper.
+    Args:
+        delta: increments Delta of the coordinates [m, rad], by default 0
+        delta_dot: Delta' [m/s, rad/s], by default the speeds v of the state
+        xi: displacements Xi of the supports [m, rad], by default 0
+        xi_dot: their rates [m/s, rad/s], by default 0
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
     >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
@@ -337,8 +341,14 @@ def kinetic_energy(
 def potential_energy(
     model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
 ) -> Float[Array, ""]:
-    """Return V at q (+) Delta, on supports displaced by Xi [J]. The arguments are those of
-    `lagrangian`; the rates have no effect. Source: (22), (60) of the paper.
+    """Return V at q (+) Delta, on supports displaced by Xi [J]; see `lagrangian`. The rates have no
+    effect. Source: (22), (60) of the paper.
+
+    Args:
+        delta: increments Delta of the coordinates [m, rad], by default 0
+        delta_dot: Delta' [m/s, rad/s], by default the speeds v of the state
+        xi: displacements Xi of the supports [m, rad], by default 0
+        xi_dot: their rates [m/s, rad/s], by default 0
 
     >>> model = Model(
     ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 1.5])},
@@ -354,7 +364,13 @@ def dissipation(
     model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
 ) -> Float[Array, ""]:
     """Return R [W], 1/2 c e'^2 for a linear damper; 2 R is the power dissipated by linear dampers.
-    The arguments are those of `lagrangian`.
+    See `lagrangian`.
+
+    Args:
+        delta: increments Delta of the coordinates [m, rad], by default 0
+        delta_dot: Delta' [m/s, rad/s], by default the speeds v of the state
+        xi: displacements Xi of the supports [m, rad], by default 0
+        xi_dot: their rates [m/s, rad/s], by default 0
 
     In derivatives the rates of the states of elements are constant, so that -dR/dDelta' is the
     force of dampers.
