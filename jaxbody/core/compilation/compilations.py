@@ -33,11 +33,9 @@ REMEDIES = {
     ),
 }
 
-# the event of JAX after which a program is compiled
-LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
-PHASES = {
+PHASES = {  # of compilation, in the order of JAX
     "/jax/core/compile/jaxpr_trace_duration": 0,
-    LOWERED: 1,
+    "/jax/core/compile/jaxpr_to_mlir_module_duration": 1,
     "/jax/core/compile/backend_compile_duration": 2,
 }
 HIT = "/jax/compilation_cache/cache_hits"
@@ -74,12 +72,15 @@ class CompileTimes:
     def seconds(self) -> float:
         return sum(sum(times) for *times, _ in self.programs.values())
 
-    def heard(self, event: str, seconds: float, **more: str) -> None:
+    def heard(self, event: str, seconds: float = 0.0, **data: str) -> None:
         """Record an event of JAX. Only traces that become programs are counted; traces of inner
         functions are part of those of the outer functions, and programs that are compiled and run
         during a trace are no part of it."""
-        phase, name, now = PHASES.get(event), program(more), time.perf_counter()
-        if phase == 0:
+        phase, name, now = PHASES.get(event), program(data), time.perf_counter()
+        self.cached += event == HIT
+        if event == LEFT:
+            self.left_to_vmap[data["function"]] = data["why"]
+        elif phase == 0:
             self.traced.setdefault(name, []).append((now - seconds, now))
         elif phase is not None:
             trace, lowered, compiled, n = self.programs.get(name, (0.0, 0.0, 0.0, 0))
@@ -93,14 +94,10 @@ class CompileTimes:
 
     def count_once(self, begin: float, end: float) -> float:
         """Seconds of this span that were not counted before; they are counted from now on."""
-        spent = (
-            end
-            - begin
-            - sum(max(min(end, until) - max(begin, since), 0.0) for since, until in self.counted)
-        )
-        self.counted = [
-            (since, until) for since, until in self.counted if not begin <= since <= until <= end
-        ] + [(begin, end)]
+        overlaps = (max(min(end, until) - max(begin, since), 0.0) for since, until in self.counted)
+        spent = end - begin - sum(overlaps)
+        outside = [span for span in self.counted if not begin <= span[0] <= span[1] <= end]
+        self.counted = [*outside, (begin, end)]
         return max(spent, 0.0)
 
     def __repr__(self) -> str:
@@ -108,38 +105,24 @@ class CompileTimes:
             ((name, *times) for name, times in self.programs.items()),
             key=lambda row: -sum(row[1:4]),
         )
-        rest = rows[MOST_ROWS:]
-        shown = rows[:MOST_ROWS]
-        if rest:
-            shown.append(
-                (
-                    f"{len(rest)} others",
-                    *(sum(column) for column in list(zip(*rest, strict=True))[1:]),
-                )
-            )
-        end = f"{tables.counted(self.count, 'compilation')}, {self.seconds:.3g} s" + (
-            f", {self.cached} from the cache" if self.cached else ""
-        )
-        printed = [
-            tables.PrintedTable(
-                "Compilations",
-                ("function", "traced [s]", "lowered [s]", "compiled [s]", "count"),
-                shown,
-                end,
-            )
-        ]
+        if rest := rows[MOST_ROWS:]:
+            sums = map(sum, list(zip(*rest, strict=True))[1:])
+            rows[MOST_ROWS:] = [(f"{len(rest)} others", *sums)]
+        cached = f", {self.cached} from the cache" if self.cached else ""
+        heads = ("function", "traced [s]", "lowered [s]", "compiled [s]", "count")
+        end = f"{tables.counted(self.count, 'compilation')}, {self.seconds:.3g} s{cached}"
+        printed = [tables.PrintedTable("Compilations", heads, rows, end)]
         if self.left_to_vmap:
+            left = list(self.left_to_vmap.items())
             printed.append(
-                tables.PrintedTable(
-                    "Left to jax.vmap, slower", ("function", "why"), list(self.left_to_vmap.items())
-                )
+                tables.PrintedTable("Left to jax.vmap, slower", ("function", "why"), left)
             )
         return tables.text(*printed)
 
 
-def program(more: dict[str, str]) -> str:
+def program(data: dict[str, str]) -> str:
     """The name of the function that is traced, lowered or compiled, from the data of an event."""
-    return more.get("fun_name", "?").removeprefix("jit(").removesuffix(")")
+    return data.get("fun_name", "?").removeprefix("jit(").removesuffix(")")
 
 
 def note_left_to_vmap(function: str, why: str) -> None:
@@ -162,79 +145,61 @@ def compile_times() -> Iterator[CompileTimes]:
     >>> print(times)  # doctest: +SKIP
     """
     record = CompileTimes()
-
-    def counted(event: str, **more: Any) -> None:
-        record.cached += event == HIT
-        if event == LEFT:
-            record.left_to_vmap[more["function"]] = more["why"]
-
-    with listening(record.heard, counted):
-        yield record
-
-
-@contextmanager
-def listening(
-    to_times: Callable[..., None], to_events: Callable[..., None] = lambda event, **more: None
-) -> Iterator[None]:
-    """Inside, JAX calls to_times(event, seconds, **data) and to_events(event, **data)."""
-    inside = True
-
-    def timed(event: str, duration_secs: float, **more: Any) -> None:
-        if inside:
-            to_times(event, duration_secs, **more)
-
-    def counted(event: str, **more: Any) -> None:
-        if inside:
-            to_events(event, **more)
-
-    monitoring.register_event_duration_secs_listener(timed)
-    monitoring.register_event_listener(counted)
+    _listen()
+    _listeners.append(record.heard)
     try:
-        yield
+        yield record
     finally:
-        inside = False
-        # older versions of JAX cannot remove them
-        if hasattr(monitoring, "unregister_event_listener"):
-            monitoring.unregister_event_duration_listener(timed)
-            monitoring.unregister_event_listener(counted)
+        _listeners.remove(record.heard)
 
 
-class Compiled:
+_listeners: list[Callable[..., None]] = []  # are called as listener(event, seconds, **data)
+
+
+@functools.cache
+def _listen() -> None:
+    """Pass on the events of JAX from now on. Older versions of JAX cannot remove a listener."""
+
+    def heard(*event: Any, **data: Any) -> None:
+        for listener in [*_listeners]:
+            listener(*event, **data)
+
+    monitoring.register_event_listener(heard)
+    monitoring.register_event_duration_secs_listener(heard)
+    _listeners.append(_add_seconds)
+
+
+# {driver that is called: seconds that JAX spends on its compilation}
+_called: dict[str, float] = {}
+
+
+def _add_seconds(event: str, seconds: float = 0.0, **data: str) -> None:
+    if event in PHASES and program(data) in _called:
+        _called[program(data)] += seconds
+
+
+class Compilations:
     """The successive compilations of a function, with what changed in its arguments."""
 
     def __init__(self, function: Callable[..., Any]):
-        self.name, self.program = (
-            f"{function.__module__}.{function.__qualname__}",
-            function.__name__,
-        )
+        self.name = f"{function.__module__}.{function.__qualname__}"
+        self.program = function.__name__
         self.parameters = tuple(inspect.signature(function).parameters)
         self.last: dict[str, Any] = {}
         self.reason: tuple[str, tuple[str, ...]] | None = None
         self.seen: list[str] = []
         self.warned = False
-        self.calling = self.begun = False
 
     @contextmanager
     def watched(self, args: tuple[Any, ...]) -> Iterator[None]:
-        """A call with these arguments; note it if it is compiled."""
-        self.calling, self.begun = True, False
+        """A call with these arguments. If it is compiled, warns SLOW_COMPILATION; warns RECOMPILED
+        once, if only one thing changes."""
+        _listen()
+        _called[self.program] = 0.0
         try:
             yield
         finally:
-            self.calling = False
-        if self.begun:
-            self.end(args)
-
-    def begin(self) -> None:
-        """Note the start of a trace; only that of a call is compiled by itself."""
-        if self.calling:
-            self.begun = True
-            _under_way()[self.program] = 0.0
-
-    def end(self, args: tuple[Any, ...]) -> None:
-        """Note the end of a compilation for these arguments. Warns SLOW_COMPILATION; warns
-        RECOMPILED once, if only one thing changes."""
-        seconds = _under_way().pop(self.program, 0.0)
+            seconds = _called.pop(self.program, 0.0)
         if seconds > LONG:
             remedy = (
                 "new numbers in the same shapes compile nothing, JAX keeps programs for later "
@@ -247,7 +212,8 @@ class Compiled:
                 f"{self.name} took {seconds:.0f} s to compile; {remedy}; jb.compile_times shows "
                 "which function takes how long",
             )
-        self._compare(args)
+        if seconds:
+            self._compare(args)
 
     def _compare(self, args: tuple[Any, ...]) -> None:
         now = _described(self.parameters, args)
@@ -269,20 +235,6 @@ class Compiled:
             f"{self.name} was compiled {len(self.seen)} times in a row for {what} "
             f"{places}{values}; {REMEDIES[kind]}",
         )
-
-
-@functools.cache
-def _under_way() -> dict[str, float]:
-    """{function that is being compiled: seconds that JAX has spent on it}, from events of JAX after
-    the first call."""
-    spent: dict[str, float] = {}
-
-    def heard(event: str, duration_secs: float, **more: Any) -> None:
-        if event in PHASES and program(more) in spent:
-            spent[program(more)] += duration_secs
-
-    monitoring.register_event_duration_secs_listener(heard)
-    return spent
 
 
 def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any, TypeVar
@@ -13,12 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.compilation.compilations import Compiled
+from jaxbody.core.compilation.compilations import Compilations
 from jaxbody.core.jax_internals import outermost, without_manual_axes
 
 ARRAYS = (jax.Array, np.ndarray, np.generic)
 
 
+@jax.tree_util.register_static
 @dataclass(frozen=True, eq=False)
 class Remainder:
     """A part of a result that holds no array, known when the function is traced."""
@@ -26,59 +28,26 @@ class Remainder:
     value: Any
 
 
-jax.tree_util.register_pytree_node(
-    Remainder, lambda remainder: ((), remainder.value), lambda value, _: Remainder(value)
-)
+def separated(tree: Any) -> tuple[list[Any], Any, tuple[tuple[type, Any] | None, ...]]:
+    """The arrays of a tree, its structure, and its other leaves with their types, as 1, 1.0 and
+    True are equal; None in the places of arrays."""
+    leaves, structure = jax.tree.flatten(tree)
+    others = tuple(None if isinstance(leaf, ARRAYS) else (type(leaf), leaf) for leaf in leaves)
+    return [leaf for leaf in leaves if isinstance(leaf, ARRAYS)], structure, others
 
 
-@dataclass(frozen=True, eq=False)
-class ArrayFunction:
-    """function(*args) as a function of the arrays in args; it returns the arrays of the result, and
-    a Remainder with all else of it. No result has a weak type: batches lose it, and what takes the
-    result would be traced again."""
-
-    function: Callable[..., Any]
-    name: str
-    compiled: Compiled | None  # of a driver: what notes its traces
-    tree: Any  # of args
-    # leaves of args with their types (1, 1.0 and True are equal); None for arrays
-    others: tuple[tuple[type, Any] | None, ...]
-
-    @property
-    def __name__(self) -> str:
-        return self.name
-
-    def __call__(self, *arrays: Any) -> tuple[list[Any], Remainder]:
-        given, shown = arrays, lambda x: x
-        if self.compiled:  # independent of devices, as functions of the user may not be
-            self.compiled.begin()
-            given, shown = without_manual_axes(arrays)
-        given = iter(given)
-        leaves = [next(given) if other is None else other[1] for other in self.others]
-        results, remainder = separated(self.function(*jax.tree.unflatten(self.tree, leaves)))
-        return [without_weak_type(shown(x)) for x in results], remainder
+def joined(arrays: Sequence[Any], structure: Any, others: Sequence[Any]) -> Any:
+    """The tree of `separated`."""
+    given = iter(arrays)
+    return jax.tree.unflatten(
+        structure, [next(given) if other is None else other[1] for other in others]
+    )
 
 
 def without_weak_type(x: Any) -> Any:
     """x with the type that it has, where JAX would let others decide it, as of a number
     of Python."""
     return jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x
-
-
-def separated(tree: Any) -> tuple[list[Any], Remainder]:
-    """The arrays of a tree, and all else of it."""
-    leaves, structure = jax.tree.flatten(tree)
-    others = tuple(None if isinstance(leaf, ARRAYS) else (leaf,) for leaf in leaves)
-    return [leaf for leaf in leaves if isinstance(leaf, ARRAYS)], Remainder((structure, others))
-
-
-def joined(arrays: Sequence[Any], remainder: Remainder) -> Any:
-    """The tree of `separated`."""
-    structure, others = remainder.value
-    given = iter(arrays)
-    return jax.tree.unflatten(
-        structure, [next(given) if other is None else other[0] for other in others]
-    )
 
 
 Options = tuple[tuple[str, Any], ...]  # of XLA, names and values
@@ -126,15 +95,14 @@ def jit(function: F) -> F:
     >>> print(f"{slope['suspension'].stiffness:.2e} Hz per N/m")
     1.69e-05 Hz per N/m
     """
-    name = getattr(function, "__name__", type(function).__name__)
-    programs = _Programs(lambda args, named: function(*args, **named), name)
+    compiled = _compiled(function, QUICK)
 
     @functools.wraps(function)
     def call(*args, **named):
-        given = jax.tree.map(
+        args, named = jax.tree.map(
             lambda x: jnp.asarray(x) if isinstance(x, float | complex) else x, (args, named)
         )
-        return programs(given, QUICK if outermost() else ())
+        return compiled(*args, **named)
 
     return call  # pyright: ignore[reportReturnType]
 
@@ -150,40 +118,50 @@ def program_with(options: Options | Callable[..., Options]) -> Callable[[F], F]:
     chooses from their shapes. As a part of another program, or of a derivative or batch, it has
     none: JAX takes no options there."""
 
-    def driver_of(function):
-        compiled = Compiled(function)
-        programs = _Programs(function, function.__name__, compiled)
-
-        @functools.wraps(function)
-        def driver(*args):
-            if not outermost():
-                return programs(args, ())
-            with compiled.watched(args):
-                return programs(args, options(*args) if callable(options) else options)
-
-        return driver
-
-    return driver_of  # pyright: ignore[reportReturnType]
+    return lambda function: _compiled(function, options, Compilations(function))
 
 
-class _Programs:
-    """The programs of a function, one for each structure of its arguments with all in it that is
-    no array."""
+def _compiled(
+    function: Any,
+    options: Options | Callable[..., Options],
+    compilations: Compilations | None = None,
+) -> Any:
+    """The function, compiled once for each structure of its arguments with all in it that is no
+    array: jax.jit takes arrays alone.
 
-    def __init__(self, function: Callable[..., Any], name: str, compiled: Compiled | None = None):
-        self.of_arrays = functools.lru_cache(STRUCTURES)(
-            lambda x64, *fixed: ArrayFunction(function, name, compiled, *fixed)
-        )
-        self.jitted = functools.lru_cache(STRUCTURES)(
-            lambda function, options: jax.jit(function, compiler_options=dict(options) or None)
-        )
+    Args:
+        function: the function, whose results may hold anything.
+        options: of XLA, for calls outside of other programs, or a function of the arguments.
+        compilations: what notes compilations by themselves; None for a function of a user, which
+            may depend on devices.
+    """
 
-    def __call__(self, args: tuple[Any, ...], options: Options) -> Any:
-        leaves, tree = jax.tree.flatten(args)
-        arrays = [x for x in leaves if isinstance(x, ARRAYS)]
-        # JAX keeps NumPy's constants of a function as they were in its first trace
-        x64 = jax.config.read("jax_enable_x64")
-        function = self.of_arrays(
-            x64, tree, tuple(None if isinstance(x, ARRAYS) else (type(x), x) for x in leaves)
-        )
-        return joined(*self.jitted(function, options)(*arrays))
+    @functools.lru_cache(STRUCTURES)
+    def of_arrays(structure, others, x64):  # JAX keeps constants of NumPy as first traced
+        def traced(*arrays):
+            given, shown = without_manual_axes(arrays) if compilations else (arrays, lambda x: x)
+            args, named = joined(given, structure, others)
+            results, *rest = separated(function(*args, **named))
+            # batches lose weak types, and what takes the result would be traced again
+            return [without_weak_type(shown(x)) for x in results], Remainder(rest)
+
+        traced.__name__ = getattr(function, "__name__", type(function).__name__)
+        return traced
+
+    @functools.lru_cache(STRUCTURES)
+    def program_of(traced, options):
+        return jax.jit(traced, compiler_options=dict(options) or None)
+
+    @functools.wraps(function)
+    def call(*args, **named):
+        arrays, structure, others = separated((args, named))
+        traced = of_arrays(structure, others, jax.config.read("jax_enable_x64"))
+        if not outermost():  # JAX takes no options there
+            results, remainder = program_of(traced, ())(*arrays)
+        else:
+            chosen = options(*args) if callable(options) else options
+            with compilations.watched(args) if compilations else nullcontext():
+                results, remainder = program_of(traced, chosen)(*arrays)
+        return joined(results, *remainder.value)
+
+    return call
