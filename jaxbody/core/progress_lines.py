@@ -1,8 +1,8 @@
 """Progress lines: a computation that takes longer than five seconds reports its progress on a
 terminal or in a notebook.
 
-A thread writes the last reports of the outermost computation and of those within it, and clears the
-line at the end.
+A thread writes the last reports of the outermost computation and of those within it; the line is
+cleared at the end.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, TextIO
 
 AFTER, EVERY = 5.0, 1.0  # s until the first line, and between lines
@@ -32,10 +32,17 @@ class Line:
 
 
 class _Display:
-    """The lines of one outermost computation on the screen."""
+    """The lines of one outermost computation on the screen, written every second by a thread."""
 
     def __init__(self, lines: list[Line], screen: TextIO):
         self.lines, self.screen, self.start, self.width = lines, screen, time.monotonic(), 0
+        self.ended = threading.Event()
+
+    def run(self) -> None:
+        while not self.ended.wait(EVERY):
+            with _lock:
+                if _displays[-1:] == [self]:
+                    self.write()
 
     def write(self) -> None:
         elapsed = time.monotonic() - self.start
@@ -43,61 +50,29 @@ class _Display:
             return
         text = f"{elapsed:.0f} s, " + ", ".join(map(str, self.lines))
         text = text[: shutil.get_terminal_size().columns - 1]
-        self.screen.write("\r" + text.ljust(self.width))
-        self.screen.flush()
+        self._replace(text.ljust(self.width))
         self.width = len(text)
 
     def clear(self) -> None:
         if self.width:
-            self.screen.write("\r" + " " * self.width + "\r")
-            self.screen.flush()
+            self._replace(" " * self.width + "\r")
             self.width = 0
 
-
-class _Clock:
-    """The thread that writes, asleep while there are no displays."""
-
-    def __init__(self):
-        self.lock, self.wake = threading.Lock(), threading.Event()
-        self.displays: list[_Display] = []
-        self.thread: threading.Thread | None = None
-
-    def add(self, display: _Display) -> None:
-        with self.lock:
-            self.displays.append(display)
-            self.wake.set()
-            if self.thread is None or not self.thread.is_alive():
-                self.thread = threading.Thread(target=self._run, daemon=True)
-                self.thread.start()
-
-    def remove(self, display: _Display) -> None:
-        with self.lock:
-            self.displays.remove(display)
-            display.clear()
-
-    def clear(self) -> None:
-        with self.lock:
-            for display in self.displays:
-                display.clear()
-
-    def _run(self) -> None:
-        while True:
-            self.wake.wait()
-            time.sleep(EVERY)
-            with self.lock:
-                if self.displays:
-                    self.displays[-1].write()
-                else:
-                    self.wake.clear()
+    def _replace(self, text: str) -> None:
+        self.screen.write("\r" + text)
+        self.screen.flush()
 
 
-_clock = _Clock()
+_displays: list[_Display] = []  # of all threads that compute; the last one is written
+_lock = threading.Lock()  # of the displays and what they write
 _local = threading.local()  # the lines of this thread, outermost first
 
 
 def clear() -> None:
     """Clear the line before other output; it is written again later."""
-    _clock.clear()
+    with _lock:
+        for display in _displays:
+            display.clear()
 
 
 def screen() -> TextIO | None:
@@ -116,15 +91,25 @@ def working(name: str, progress: bool | None = None) -> Iterator[Line]:
 
     False turns it off; so does True, because reports are then printed on lines of their own."""
     lines = _local.__dict__.setdefault("lines", [])
-    line, outermost = Line(name), not lines
-    stream = screen() if outermost and progress is None else None
-    display = None if stream is None else _Display(lines, stream)
+    stream = None if lines or progress is not None else screen()
+    line = Line(name)
     lines.append(line)
-    if display is not None:
-        _clock.add(display)
     try:
-        yield line
+        with nullcontext() if stream is None else _shown(_Display(lines, stream)):
+            yield line
     finally:
         lines.pop()
-        if display is not None:
-            _clock.remove(display)
+
+
+@contextmanager
+def _shown(display: _Display) -> Iterator[None]:
+    with _lock:
+        _displays.append(display)
+    threading.Thread(target=display.run, daemon=True).start()
+    try:
+        yield
+    finally:
+        display.ended.set()
+        with _lock:
+            _displays.remove(display)
+            display.clear()
