@@ -3,12 +3,10 @@
 
     trace_state_clean             whether a driver is called by itself; without it options are
                                   left out
-    backends_are_initialized      whether options of XLA come too late; without it they have
-                                  no effect
     ClosedJaxpr, Literal          programs and constants in them, which `lanes` rewrites; without
                                   `lanes` all batches are those of jax.vmap
-    Primitive, primitive_jvps, primitive_transposes, primitive_batchers, register_lowering,
-    lower_fun, core_call_lowering
+    Primitive, primitive_jvps, primitive_transposes, deflinear2, primitive_batchers,
+    register_lowering, lower_fun, core_call_lowering
                                   operations with rules of their own; custom_jvp and custom_vmap
                                   are the way back, traced more often
     Zero, instantiate_zeros       tangents that are known to be zero, in such rules
@@ -115,45 +113,28 @@ def new_operation(
     batch: Callable[..., Any] | None = None,
     typed: Callable[..., Any] | None = None,
     several: bool = False,
-    inside: Callable[..., Any] | None = None,
     lowered: Callable[..., Any] | None = None,
     jvp: Callable[..., Any] | None = None,
     transpose: Callable[..., Any] | None = None,
 ) -> Primitive:
     """A new operation of JAX that computes a function of (*arrays, **parameters), one array or
     several, with its rules. Types and lowering are those of `compute` unless `typed` and `lowered`
-    are given, or what computes the same `inside` of a program; with a transpose but no jvp the
-    operation is linear, and of one array."""
+    are given; with a transpose but no jvp the operation is linear."""
     primitive = Primitive(name)
     primitive.multiple_results = several
     primitive.def_impl(compute)
     primitive.def_abstract_eval(typed or functools.partial(_type_of, compute))
-    mlir.register_lowering(
-        primitive, lowered or mlir.lower_fun(inside or compute, multiple_results=several)
-    )
-    if batch is not None:
-        batching.primitive_batchers[primitive] = batch
-    if jvp is None and transpose is not None:
-        jvp, transpose = _rules_of_linear(primitive, transpose)
-    for rules, rule in ((ad.primitive_jvps, jvp), (ad.primitive_transposes, transpose)):
+    mlir.register_lowering(primitive, lowered or mlir.lower_fun(compute, multiple_results=several))
+    for rules, rule in (
+        (batching.primitive_batchers, batch),
+        (ad.primitive_jvps, jvp),
+        (ad.primitive_transposes, transpose),
+    ):
         if rule is not None:
             rules[primitive] = rule
+    if jvp is None and transpose is not None:
+        ad.deflinear2(primitive, transpose)
     return primitive
-
-
-def _rules_of_linear(
-    primitive: Primitive, transpose: Callable[..., Any]
-) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """The derivative of a linear operation of one array, and its transpose where nothing may
-    come back."""
-
-    def jvp(primals, tangents, **parameters):
-        return primitive.bind(*primals, **parameters), primitive.bind(*tangents, **parameters)
-
-    def transposed(cotangent, x, **parameters):
-        return [Zero(x.aval)] if type(cotangent) is Zero else transpose(cotangent, x, **parameters)
-
-    return jvp, transposed
 
 
 def same_numbers(

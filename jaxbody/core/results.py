@@ -123,14 +123,10 @@ def finished(
     warn_if_failed(result)
     if is_concrete(result):
         return result
-    numbers = {id(x) for x in jax.tree.leaves(parts(result))}
-    leaves, tree = jax.tree.flatten(result)
-    chosen = [i for i, x in enumerate(leaves) if id(x) in numbers]
-    for i, x in zip(
-        chosen, _nan_unless_found(found, result.status, [leaves[i] for i in chosen]), strict=True
-    ):
-        leaves[i] = x
-    return jax.tree.unflatten(tree, leaves)
+    numbers = jax.tree.leaves(parts(result))
+    checked = _nan_unless_found(found, result.status, numbers)
+    of_number = dict(zip(map(id, numbers), checked, strict=True))
+    return jax.tree.map(lambda x: of_number.get(id(x), x), result)
 
 
 @partial(jax.jit, static_argnums=0)

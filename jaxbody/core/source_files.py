@@ -157,12 +157,10 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
+def writing(path: Path, hint: str = "Choose another path.") -> Iterator[None]:
     """A block that writes a file. Error: NOT_SAVED."""
     try:
         yield
     except OSError as error:
-        message = f"cannot be written: {error.strerror}"
-        raise JaxbodyError(
-            Problem("NOT_SAVED", str(path), message, path, hint="Choose another path.")
-        ) from None
+        message = f"cannot be written: {error.strerror or error}"
+        raise JaxbodyError(Problem("NOT_SAVED", str(path), message, path, hint=hint)) from None

@@ -47,17 +47,27 @@ PRESSURE: Dimension = (-1, 1, -2, 0, 0)
 CURRENT: Dimension = (0, 0, 0, 0, 1)
 NONE: Dimension = (0, 0, 0, 0, 0)
 
-PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "k": 1e3, "M": 1e6, "G": 1e9}
-PREFIXED = {  # with their usual prefixes
-    "m": (1.0, LENGTH, "numcdk"),
-    "s": (1.0, TIME, "num"),
-    "N": (1.0, FORCE, "umkM"),
-    "V": (1.0, VOLTAGE, "numkM"),
-    "A": (1.0, CURRENT, "numk"),
-    "Pa": (1.0, PRESSURE, "kMG"),
-    "Hz": (1.0, RATE, "mkM"),
-    "rad": (1.0, ANGLE, "num"),
-    "J": (1.0, MOMENT, "mk"),
+PREFIXES = {
+    "": 1.0,
+    "n": 1e-9,
+    "u": 1e-6,
+    "m": 1e-3,
+    "c": 1e-2,
+    "d": 0.1,
+    "k": 1e3,
+    "M": 1e6,
+    "G": 1e9,
+}
+PREFIXED = {  # SI units with their usual prefixes
+    "m": (LENGTH, "numcdk"),
+    "s": (TIME, "num"),
+    "N": (FORCE, "umkM"),
+    "V": (VOLTAGE, "numkM"),
+    "A": (CURRENT, "numk"),
+    "Pa": (PRESSURE, "kMG"),
+    "Hz": (RATE, "mkM"),
+    "rad": (ANGLE, "num"),
+    "J": (MOMENT, "mk"),
 }
 PLAIN = {
     "kg": (1.0, MASS),
@@ -127,10 +137,11 @@ ALSO = {
     "hertz": "Hz",
     "percent": "%",
 }
-KNOWN = {**PLAIN}
-for _name, (_factor, _dimension, _prefixes) in PREFIXED.items():
-    KNOWN[_name] = (_factor, _dimension)
-    KNOWN |= {prefix + _name: (PREFIXES[prefix] * _factor, _dimension) for prefix in _prefixes}
+KNOWN = PLAIN | {
+    prefix + name: (PREFIXES[prefix], dimension)
+    for name, (dimension, prefixes) in PREFIXED.items()
+    for prefix in ("", *prefixes)
+}
 WORDS = {
     LENGTH: "m",
     SPEED: "m/s",
@@ -303,12 +314,11 @@ def _power(
     elif (kind, token) == ("number", "1"):
         factor, dimension = 1.0, NONE
     elif kind == "word":
-        name, digit = (
+        name, power = (
             (token[:-1], int(token[-1]))
             if token[-1].isdigit() and token not in ALSO
             else (token, 1)
         )
-        power = digit
         name = name if name in KNOWN else ALSO.get(name.lower(), name)
         if name not in KNOWN:
             raise _unknown(name, written, where)

@@ -102,49 +102,26 @@ class Lasting(diffrax.AbstractAdaptiveStepSizeController):
         return kept, t0, t1, jump, state, RESULTS.where(stuck, RESULTS.dt_min_reached, result)  # pyright: ignore[reportArgumentType]
 
 
+def _of_solver(name: str) -> Any:
+    return property(lambda self: getattr(self.solver, name))
+
+
 class Wrapped(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
     """The base of solvers that change the steps of the user's; one around the other is too deep for
     diffrax, which gives the tolerances of the controller to an implicit solver inside one."""
 
     solver: diffrax.AbstractSolver  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    @property
-    def term_structure(self):  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.solver.term_structure
-
-    @property
-    def interpolation_cls(self):  # pyright: ignore[reportIncompatibleMethodOverride]
-        return self.solver.interpolation_cls
-
-    @property
-    def term_compatible_contr_kwargs(self):  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.solver.term_compatible_contr_kwargs
-
-    @property
-    def root_finder(self):
-        """That of an implicit solver, to which diffeqsolve gives the tolerances of
-        the controller."""
-        return self.solver.root_finder  # pyright: ignore[reportAttributeAccessIssue]
-
-    @property
-    def scan_kind(self):
-        """That of a Runge-Kutta method, which diffrax.ForwardMode and DirectAdjoint set."""
-        return self.solver.scan_kind  # pyright: ignore[reportAttributeAccessIssue]
-
-    def order(self, terms):
-        return self.solver.order(terms)
-
-    def strong_order(self, terms):
-        return self.solver.strong_order(terms)
-
-    def error_order(self, terms):
-        return self.solver.error_order(terms)
-
-    def init(self, terms, t0, t1, y0, args) -> Any:
-        return self.solver.init(terms, t0, t1, y0, args)
-
-    def func(self, terms, t0, y0, args):
-        return self.solver.func(terms, t0, y0, args)
+    term_structure = _of_solver("term_structure")
+    interpolation_cls = _of_solver("interpolation_cls")
+    term_compatible_contr_kwargs = _of_solver("term_compatible_contr_kwargs")
+    root_finder = _of_solver("root_finder")  # of an implicit solver: diffrax sets its tolerances
+    scan_kind = _of_solver("scan_kind")  # of a Runge-Kutta method: set by adjoints of diffrax
+    order = _of_solver("order")
+    strong_order = _of_solver("strong_order")
+    error_order = _of_solver("error_order")
+    init = _of_solver("init")
+    func = _of_solver("func")
 
     def projected_step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
         """A step that ends at P(y1), with P of a `Driven` term that has one. Its error is what is

@@ -17,6 +17,7 @@ Optimization 8 (1994) 207.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -261,42 +262,33 @@ def coincide(one: Complex[Array, "n"], other: Complex[Array, "n"]) -> Bool[Array
     ).astype(size.dtype)
 
 
+@functools.partial(jnp.vectorize, signature="(n,n),(n),(n)->(n)")
 def _one_sided_poles(W: Array, cluster: Array, order: Array) -> Array:
     """The eigenvalues of the block of W of each cluster, assigned to its members in the order of
     imaginary parts."""
-
-    def one(W, cluster, order):
-        same = together(cluster)
-        B = jnp.where(same, W, 0.0)
-        # of each block: a small one keeps its digits
-        size = jnp.max(jnp.where(same, jnp.sum(jnp.abs(B), -1), 0.0), -1, initial=0.0)
-        size = 8 * jnp.where(size > 0, size, 1.0)
-        values = jnp.linalg.eigvals(
-            B / size[:, None].astype(W.dtype) + jnp.diag(cluster).astype(W.dtype)
-        )
-        label = jnp.round(values.real)
-        members = jnp.lexsort((order, cluster))
-        values = (values - label.astype(values.dtype))[jnp.lexsort((values.imag, label))] * size[
-            members
-        ].astype(values.dtype)
-        return jnp.where(
-            _alone(cluster), jnp.diagonal(W), jnp.zeros_like(values).at[members].set(values)
-        )
-
-    for _ in range(W.ndim - 2):
-        one = jax.vmap(one)
-    return one(W, cluster, order)
-
-
-def _second_of_poles(W: Array, cluster: Array, order: Array) -> Array:
-    return second(W, cluster)
+    same = together(cluster)
+    B = jnp.where(same, W, 0.0)
+    # of each block: a small one keeps its digits
+    size = jnp.max(jnp.where(same, jnp.sum(jnp.abs(B), -1), 0.0), -1, initial=0.0)
+    size = 8 * jnp.where(size > 0, size, 1.0)
+    values = jnp.linalg.eigvals(
+        B / size[:, None].astype(W.dtype) + jnp.diag(cluster).astype(W.dtype)
+    )
+    label = jnp.round(values.real)
+    members = jnp.lexsort((order, cluster))
+    values = (values - label.astype(values.dtype))[jnp.lexsort((values.imag, label))] * size[
+        members
+    ].astype(values.dtype)
+    return jnp.where(
+        _alone(cluster), jnp.diagonal(W), jnp.zeros_like(values).at[members].set(values)
+    )
 
 
 pole_slopes = linear_one_way(
     "pole_slopes",
     _one_sided_poles,
     lambda x, cluster, order: _if_alike(x, cluster),
-    again=_second_of_poles,
+    again=lambda W, cluster, order: second(W, cluster),
 )
 
 
@@ -339,8 +331,7 @@ def eig(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Complex[Array, "n 
             'Set jax.config.update("jax_platforms", "cpu") first.',
         )
         raise JaxbodyError(Problem("DEVICE", "poles", message, device, ", ".join(WITH_EIG), hint))
-    values, vectors = jnp.linalg.eig(A)
-    return values, vectors
+    return tuple(jnp.linalg.eig(A))
 
 
 @jax.custom_jvp

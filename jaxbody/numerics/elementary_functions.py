@@ -12,6 +12,8 @@ Elementary Functions (1980); the polynomials are minimax (Remez), within 4e-18.
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
@@ -36,11 +38,11 @@ def root(x: Float[Array, "*n"], degree: int = 2) -> Float[Array, "*n"]:
     return jnp.where(positive, known, jnp.where(jnp.isnan(x), x, 0.0))
 
 
-def polynomial(coefficients: list[float], x: Array) -> Array:
+def polynomial(coefficients: Any, x: Any) -> Any:
     """sum c_n x^n by Horner's rule."""
-    total = jnp.full_like(x, coefficients[-1])
-    for c in reversed(coefficients[:-1]):
-        total = total * x + c
+    total = coefficients[-1]
+    for n in range(len(coefficients) - 2, -1, -1):
+        total = total * x + coefficients[n]
     return total
 
 

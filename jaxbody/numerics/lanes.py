@@ -123,6 +123,21 @@ SAME_AXES = {
     "squeeze",
     "sum_in_lanes",
 }
+# operations on an array x with a last axis of n lanes
+WITH_LANES: dict[str, Callable[[Array, dict[str, Any], int], Array]] = {
+    "any_of_batch": lambda x, p, n: jnp.any(x, -1),
+    "broadcast_in_dim": lambda x, p, n: lax.broadcast_in_dim(
+        x, (*p["shape"], n), (*p["broadcast_dimensions"], len(p["shape"]))
+    ),
+    "reshape": lambda x, p, n: lax.reshape(x, (*p["new_sizes"], n)),
+    "slice": lambda x, p, n: lax.slice(
+        x,
+        (*p["start_indices"], 0),
+        (*p["limit_indices"], n),
+        p["strides"] and (*p["strides"], 1),
+    ),
+    "transpose": lambda x, p, n: lax.transpose(x, (*p["permutation"], x.ndim - 1)),
+}
 APART = {
     "cholesky",
     "cond",
@@ -381,22 +396,8 @@ class Lanes:
                 self._spread(a, o, v.aval.shape) for a, o, v in zip(x, on, eqn.invars, strict=True)
             ]
             return [eqn.primitive.bind(*parts, **p)]
-        if name == "broadcast_in_dim" and len(x) == 1:
-            axes = (*p["broadcast_dimensions"], len(p["shape"]))
-            return [lax.broadcast_in_dim(x[0], (*p["shape"], n), axes)]
-        if name == "reshape" and len(x) == 1:
-            return [lax.reshape(x[0], (*p["new_sizes"], n))]
-        if name == "transpose":
-            return [lax.transpose(x[0], (*p["permutation"], x[0].ndim - 1))]
-        if name == "slice":
-            return [
-                lax.slice(
-                    x[0],
-                    (*p["start_indices"], 0),
-                    (*p["limit_indices"], n),
-                    p["strides"] and (*p["strides"], 1),
-                )
-            ]
+        if name in WITH_LANES:
+            return [WITH_LANES[name](x[0], p, n)]
         if name == "pad" and not on[1]:
             return [lax.pad(x[0], x[1], (*p["padding_config"], (0, 0, 0)))]
         if name == "dynamic_slice" and not any(on[1:]):
@@ -419,8 +420,6 @@ class Lanes:
         if name == "eigh" and x[0].ndim == 3 and jnp.issubdtype(x[0].dtype, jnp.floating):
             traced = jax.make_jaxpr(eigenvalues)(jax.ShapeDtypeStruct(x[0].shape[:-1], x[0].dtype))
             return [self._by_vmap(eqn, on, x)[0], *self.run(traced, on, x)]
-        if name == "any_of_batch":
-            return [jnp.any(x[0], -1)]
         if name == "custom_jvp_call":
             return self._with_own_rule(eqn, on, x)
         if name == "while":

@@ -25,6 +25,7 @@ from jax import lax
 
 from jaxbody.core.arrays import Array, Bool, Float, Int
 from jaxbody.core.errors import Status
+from jaxbody.numerics import elementary_functions
 from jaxbody.numerics.lanes import vmap_last
 from jaxbody.numerics.xla_workarounds import any_of_batch
 
@@ -67,10 +68,7 @@ class Method:
         self.order: Any = solver.order(diffrax.ODETerm(lambda t, y, args: y))
 
 
-@functools.cache
-def method_of(solver: diffrax.AbstractERK) -> Method:
-    """The coefficients of a solver of diffrax, worked out once."""
-    return Method(solver)
+method_of = functools.cache(Method)  # for a solver of diffrax, worked out once
 
 
 def _polynomials(solver: diffrax.AbstractERK, b: np.ndarray) -> np.ndarray:
@@ -135,11 +133,6 @@ class Look(NamedTuple):
     on: Bool[Array, ""]
     theta: Float[Array, "n"]
     y: Float[Array, "n ny"]
-
-
-def points_of_look(problem: InitialValueProblem) -> int:
-    """The number of points of a look: as many as a step has rates."""
-    return len(problem.method.A) + (problem.project is not None)
 
 
 def step(
@@ -371,14 +364,15 @@ class Ahead(NamedTuple):
 def look_along(problem: InitialValueProblem, ahead: Ahead, tau, past: Float[Array, "nt"]) -> Look:
     """The points of the next look along a step."""
     ahead, tau = lax.stop_gradient((ahead, tau))
-    n, on = points_of_look(problem), ahead.at != NOT_LOOKING
+    on = ahead.at != NOT_LOOKING
+    n = len(problem.method.A) + (problem.project is not None)  # as many as a step has rates
 
     def points():
         at_samples = jnp.minimum(
             (past[jnp.minimum(ahead.at + np.arange(n), len(past) - 1)] - tau) / ahead.h, 1.0
         )
         theta = jnp.where(ahead.at == EVENLY, np.arange(1, n + 1) / (n + 1), at_samples)
-        return theta, jax.vmap(lambda theta: polynomial_at(ahead.c, theta))(theta)
+        return theta, jax.vmap(lambda theta: elementary_functions.polynomial(ahead.c, theta))(theta)
 
     theta, y = lax.cond(
         any_of_batch(on),
@@ -465,11 +459,3 @@ def controlled(
         Course(longer, unseen, shortest, accepted, rejected, code),
         ahead._replace(at=at, seen=seen),
     )
-
-
-def polynomial_at(c: Float[Array, "m *n ny"], theta: Array) -> Float[Array, "*n ny"]:
-    """The polynomial at theta."""
-    value = c[-1]
-    for i in range(len(c) - 2, -1, -1):
-        value = value * theta + c[i]
-    return value

@@ -45,13 +45,21 @@ def solve_if_definite(
     if n > LARGEST_UNROLLED:
         factor = jnp.linalg.cholesky(A)
         return _by_cholesky(factor, b[:, None])[:, 0], jnp.isfinite(factor).all()
-    Ab = jnp.concatenate([A, b[:, None]], -1)
-    pivots = []
-    for i in range(n):  # Gauss-Jordan: eliminate the first column from all rows but i, and drop it
-        pivots.append(Ab[i, 0])
-        row = Ab[i, 1:] / Ab[i, 0]
-        Ab = jnp.where((np.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row[None])
-    return Ab[:, 0], jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)
+    x, pivots = _gauss_jordan(A, b[:, None])
+    return x[:, 0], jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)
+
+
+def _gauss_jordan(
+    A: Float[Array, "n n"], B: Float[Array, "n m"]
+) -> tuple[Float[Array, "n m"], list[Array]]:
+    """X with A X = B, and the pivots of the elimination: the first column is eliminated from all
+    rows but i, and dropped."""
+    AB, pivots = jnp.concatenate([A, B], -1), []
+    for i in range(len(A)):
+        pivots.append(AB[i, 0])
+        row = AB[i, 1:] / AB[i, 0]
+        AB = jnp.where((np.arange(len(A)) == i)[:, None], row, AB[:, 1:] - AB[:, :1] * row[None])
+    return AB, pivots
 
 
 def _by_cholesky(L: Float[Array, "n n"], b: Float[Array, "n m"]) -> Float[Array, "n m"]:
@@ -182,16 +190,10 @@ def _orthonormal_rows(
 
 def inverse_spd(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """The inverse of a symmetric positive definite matrix."""
-    n = len(A)
-    if n > LARGEST_UNROLLED:
-        return _by_cholesky(jnp.linalg.cholesky(A), jnp.eye(n, dtype=A.dtype))
-    both = jnp.concatenate([A, jnp.eye(n, dtype=A.dtype)], -1)
-    for i in range(n):
-        row = both[i, 1:] / both[i, 0]
-        both = jnp.where(
-            (np.arange(n) == i)[:, None], row[None], both[:, 1:] - both[:, :1] * row[None]
-        )
-    return both
+    one = jnp.eye(len(A), dtype=A.dtype)
+    if len(A) > LARGEST_UNROLLED:
+        return _by_cholesky(jnp.linalg.cholesky(A), one)
+    return _gauss_jordan(A, one)[0]
 
 
 def times(A: Float[Array, "m n"], x: Float[Array, "n"]) -> Float[Array, "m"]:

@@ -31,6 +31,7 @@ from jaxbody.core.jax_internals import (
     new_operation,
     shaped,
 )
+from jaxbody.numerics import elementary_functions
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.runge_kutta_steps import (
     NOT_LOOKING,
@@ -45,7 +46,6 @@ from jaxbody.numerics.runge_kutta_steps import (
     first_length,
     look_along,
     polynomial,
-    polynomial_at,
     rate,
     row_at,
     rows_of_polynomial,
@@ -122,24 +122,16 @@ def _tangents(primals, tangents, *, problem):
         leaves = jax.tree.leaves(given)
 
         def of_moved(moved):
-            moved = iter(moved)
-            ended = solve(
-                problem,
-                *tree.unflatten(
-                    [next(moved) if m else x for x, m in zip(leaves, moves, strict=True)]
-                ),
-            )
+            ended = solve(problem, *tree.unflatten(merged(moves, moved, leaves)))
             return ended.samples, ended.y
 
-        return jax.jvp(
-            of_moved, ([x for x, m in zip(leaves, moves, strict=True) if m],), (changes,)
-        )[1]
+        return jax.jvp(of_moved, (chosen(leaves, moves),), (changes,))[1]
 
     def backward(known, cotangents):
         (numbers, kept), (of_samples, of_y) = known, cotangents
         problem, given = combine(numbers, rest)
         slopes = _backward(kept, of_samples, of_y, given, problem)
-        return [x for x, m in zip(tree.flatten_up_to(slopes), moves, strict=True) if m]
+        return chosen(tree.flatten_up_to(slopes), moves)
 
     of_samples, of_y = linear_with_transpose(
         forward, backward, (numbers, kept), jax.tree.leaves(changes), (ended.samples, ended.y)
@@ -445,9 +437,9 @@ def _sampled(
     row = jnp.searchsorted(lax.stop_gradient(steps.start + steps.h), past)
     start, h = steps.start[row], steps.h[row]
     theta = ((past - start) / jnp.where(h > 0, h, 1.0))[:, None]
-    return polynomial_at(jnp.moveaxis(steps.c[row], 1, 0), theta), (past <= tau) & (
-        past > begun.filled
-    )
+    return elementary_functions.polynomial(jnp.moveaxis(steps.c[row], 1, 0), theta), (
+        past <= tau
+    ) & (past > begun.filled)
 
 
 def _last(steps: Steps) -> Steps:

@@ -54,18 +54,8 @@ class _Writer:
         kind = type(x)
         if x is None or kind in (bool, int, str):
             return x
-        if kind is float:
-            return ["float", x.hex()]
-        if kind is complex:
-            return ["complex", x.real.hex(), x.imag.hex()]
-        if kind in (tuple, list, set, frozenset):
-            items = [self.encoded(y) for y in x]
-            return [
-                kind.__name__,
-                *(sorted(items, key=json.dumps) if kind in (set, frozenset) else items),
-            ]
-        if kind is dict:
-            return ["dict", *([self.encoded(key), self.encoded(y)] for key, y in x.items())]
+        if kind in WRITERS:
+            return [kind.__name__, *WRITERS[kind](self, x)]
         if isinstance(x, enum.Enum):
             return ["enum", self.name(kind), x.name]
         if isinstance(x, np.dtype):
@@ -79,6 +69,9 @@ class _Writer:
         ):
             return ["name", self.name(x)]
         return self.object(x)
+
+    def all(self, items: Any) -> list[Any]:
+        return [self.encoded(item) for item in items]
 
     def array(self, x: Any) -> Any:
         """The place of an array among the others."""
@@ -201,6 +194,15 @@ class _Reader:
         return x if kind == "numpy" else jax.device_put(x)
 
 
+WRITERS: dict[type, Callable[[_Writer, Any], Sequence[Any]]] = {
+    float: lambda write, x: [x.hex()],
+    complex: lambda write, x: [x.real.hex(), x.imag.hex()],
+    tuple: _Writer.all,
+    list: _Writer.all,
+    set: lambda write, x: sorted(write.all(x), key=json.dumps),
+    frozenset: lambda write, x: sorted(write.all(x), key=json.dumps),
+    dict: lambda write, x: [write.all(item) for item in x.items()],
+}
 BUILTINS = (bool, int, float, complex, str, tuple, list, dict, set, frozenset, type(None))
 READERS: dict[str, Callable[..., Any]] = {
     "float": lambda read, x: float.fromhex(x),

@@ -218,15 +218,13 @@ def batch_of(
 
     shapes = tuple((x.shape, x.dtype) for x in [*shared, *rows(0, 1)])
     place = "batch", place, rest, shapes, count, width, memory, jax.config.read("jax_enable_x64")
-    made = kept_by(
-        owner, place, lambda: _without_rows(_sized(of_width, width, crew, memory, where))
-    )
-    return dataclasses.replace(made, shared=shared, rows=rows)
 
+    def sized() -> ChunkedBatch:
+        """The batch as it is kept: it must not hold what its rows are made of."""
+        batch = _sized(of_width, width, crew, memory, where)
+        return dataclasses.replace(batch, shared=[], rows=lambda first, last: [])
 
-def _without_rows(batch: ChunkedBatch) -> ChunkedBatch:
-    """The batch as it is kept: it must not hold what its rows are made of."""
-    return dataclasses.replace(batch, shared=[], rows=lambda first, last: [])
+    return dataclasses.replace(kept_by(owner, place, sized), shared=shared, rows=rows)
 
 
 def _sized(
@@ -322,7 +320,7 @@ def store_of(
         **dict(program.versions),
     }
     plan |= {"x64": program.x64, "program": program.name[:16]}
-    given = types_of(dict(zip(inputs, batch.rows(0, 1), strict=True)), 1)
+    given = types_of(dict(zip(inputs, batch.rows(0, 1), strict=True)))
     return ChunkStore(
         Path(out),
         plan,

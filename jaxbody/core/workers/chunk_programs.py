@@ -114,7 +114,7 @@ def exported(
     given = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in rows]
     program = jax.jit(function)
     # errors of the user's own functions are raised as they are
-    results = types_of(jax.eval_shape(program, list(shared), given), 1)
+    results = types_of(jax.eval_shape(program, list(shared), given))
     given = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in shared], given
     try:
         made = _export(program, given)
@@ -152,9 +152,9 @@ def filled(x: np.ndarray, first: int, width: int) -> np.ndarray:
     return x[np.minimum(np.arange(first, first + width), len(x) - 1)]
 
 
-def types_of(arrays: dict[str, Any], axes: int = 0) -> Types:
-    """Shapes, without leading `axes`, and types of arrays."""
-    return {name: (tuple(x.shape[axes:]), str(x.dtype)) for name, x in arrays.items()}
+def types_of(arrays: dict[str, Any]) -> Types:
+    """Shapes, without the axis of rows, and types of arrays."""
+    return {name: (tuple(x.shape[1:]), str(x.dtype)) for name, x in arrays.items()}
 
 
 @functools.cache

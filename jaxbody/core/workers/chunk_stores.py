@@ -19,6 +19,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterable
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ import jax
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, Status, import_extra
+from jaxbody.core.source_files import writing
 from jaxbody.core.workers.chunk_programs import Types
 
 PLAN, STATUS, LOST = "jaxbody", "status", "lost"
@@ -101,40 +103,33 @@ class ChunkStore:
         if not path.exists():
             self._make(plan, arrays)
         self.size: int = self._checked(plan, any_size)["chunk"]
-        root = self._written(lambda: self.zarr.open_group(path, mode="r+"))
+        with self._writing():
+            root = self.zarr.open_group(path, mode="r+")
         self.arrays = {name: root[name] for name in [*arrays, STATUS]}
 
     def _make(self, plan: dict[str, Any], arrays: Types) -> None:
         """Make it elsewhere and rename it, so that of several processes that do so one succeeds and
         all see a whole one."""
         new = self.path.with_name(f"{self.path.name}.{secrets.token_hex(4)}.new")
-        size = plan["chunk"]
-
-        def make():
+        with ExitStack() as stack, self._writing():
+            stack.callback(shutil.rmtree, new, ignore_errors=True)
             root = self.zarr.open_group(new, mode="w-", attributes={PLAN: plan})
             for name, (shape, dtype) in {**arrays, STATUS: ((), "int8")}.items():
                 fill = Status.INTERRUPTED.value if name == STATUS else nothing(dtype)
                 names = [self.dimension, *(f"{name}_{i}" for i in range(len(shape)))]
-                whole, chunk = (self.count, *shape), (size, *(max(n, 1) for n in shape))
                 root.create_array(
                     name,
-                    shape=whole,
-                    chunks=chunk,
+                    shape=(self.count, *shape),
+                    chunks=(plan["chunk"], *(max(n, 1) for n in shape)),
                     dtype=dtype,
                     fill_value=fill,
                     dimension_names=names,
                 )
-
             try:
                 new.rename(self.path)
             except OSError:
                 if not self.path.exists():
                     raise
-
-        try:
-            self._written(make)
-        finally:
-            shutil.rmtree(new, ignore_errors=True)
 
     def _checked(self, plan: dict[str, Any], any_size: bool) -> dict[str, Any]:
         """The plan of the store, which must be that of the call."""
@@ -185,8 +180,7 @@ class ChunkStore:
         Error: NOT_SAVED."""
         rows = slice(chunk * self.size, min((chunk + 1) * self.size, self.count))
         mark = self.path / STATUS / LOST / str(chunk)
-
-        def write():
+        with self._writing():
             if lost:
                 mark.parent.mkdir(exist_ok=True)
                 mark.touch()
@@ -196,26 +190,17 @@ class ChunkStore:
             if not lost:
                 mark.unlink(missing_ok=True)
 
-        self._written(write)
-
     def read(self, names: Iterable[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Arrays of all rows in memory, NaN or zero where there is nothing, and the status of
         each row."""
         return {name: self.arrays[name][:] for name in names}, self.arrays[STATUS][:].astype(int)
 
-    def _written(self, write: Any) -> Any:
-        try:
-            return write()
-        except OSError as error:
-            raise self._not_saved(error) from None
-
-    def _not_saved(self, error: OSError) -> JaxbodyError:
-        message = f"cannot be written: {error.strerror or error}"
+    def _writing(self) -> AbstractContextManager[None]:
         hint = (
             "Its complete chunks are kept: with room or permission to write, the "
             "same call continues."
         )
-        return JaxbodyError(Problem("NOT_SAVED", str(self.path), message, self.path, hint=hint))
+        return writing(self.path, hint)
 
     def opened(self, title: str) -> Any:
         """The store as an xarray.Dataset that reads what is asked for."""

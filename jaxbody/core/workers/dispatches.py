@@ -28,7 +28,6 @@ def dispatched(
     chunks: Iterable[int],
     arguments: Callable[[int], tuple[Any, ...]],
     where: str,
-    compute: Callable[..., Any] = compute_chunk,
     *,
     continued: bool = False,
 ) -> Iterator[tuple[int, ComputedChunk | FailedChunk]]:
@@ -37,9 +36,8 @@ def dispatched(
     Args:
         crew: the workers.
         chunks: numbers of chunks.
-        arguments: chunk -> arguments of `compute`, made when it is sent.
+        arguments: chunk -> arguments of `compute_chunk`, made when it is sent.
         where: the place in the call, for messages.
-        compute: the function that workers are sent.
         continued: whether other chunks of the batch have been computed before.
 
     Errors: OTHER_WORKER; BAD_WORKERS, also where processes end before they compute anything; LOST
@@ -51,7 +49,7 @@ def dispatched(
 
     def send(chunk: int) -> bool:
         try:
-            sent[crew.executor.submit(compute, *arguments(chunk))] = chunk
+            sent[crew.executor.submit(compute_chunk, *arguments(chunk))] = chunk
         except futures.BrokenExecutor:
             (alone if failures[chunk] == TWICE else again).appendleft(chunk)
             return False

@@ -106,39 +106,36 @@ def crew_of(workers: Any, where: str) -> Iterator[Crew]:
 
 def check_workers(workers: Any, where: str) -> None:
     """Check `workers` before anything is computed. Errors: BAD_WORKERS, MISSING_EXTRA."""
-    limit = "None, a number of processes above 0, or an executor of processes"
     if workers is None:
         return
     if isinstance(workers, int) and not isinstance(workers, bool):
-        if workers < 1:
-            hint = f"This machine has {os.cpu_count()} cores; None computes in this process."
-            raise JaxbodyError(Problem("BAD_WORKERS", where, f"is {workers}", workers, limit, hint))
-        import_extra("loky", where)
-        return
-    if isinstance(workers, ThreadPoolExecutor):
+        if workers >= 1:
+            import_extra("loky", where)
+            return
+        message = f"is {workers}"
+        hint = f"This machine has {os.cpu_count()} cores; None computes in this process."
+    elif isinstance(workers, ThreadPoolExecutor):
+        message = "is an executor of threads"
         hint = (
             "Programs of one process compute one after the other, as LAPACK in two threads may "
             "never end: give a number of processes."
         )
-        raise JaxbodyError(
-            Problem("BAD_WORKERS", where, "is an executor of threads", workers, limit, hint)
-        )
-    if not isinstance(workers, Executor):
+    elif not isinstance(workers, Executor):
+        message = f"is {kind_of(workers)}"
         hint = (
             "Of a Dask client, give client.get_executor(pure=False)."
             if hasattr(workers, "get_executor")
             else "Give workers=2."
         )
-        raise JaxbodyError(
-            Problem("BAD_WORKERS", where, f"is {kind_of(workers)}", workers, limit, hint)
-        )
-    try:
-        workers.submit(int)
-    except RuntimeError as error:  # a broken executor raises a kind of it
-        hint = "Open it with a `with` block round the call."
-        raise JaxbodyError(
-            Problem("BAD_WORKERS", where, f"takes no work: {error}", workers, limit, hint)
-        ) from None
+    else:
+        try:
+            workers.submit(int)
+            return
+        except RuntimeError as error:  # a broken executor raises a kind of it
+            message = f"takes no work: {error}"
+            hint = "Open it with a `with` block round the call."
+    limit = "None, a number of processes above 0, or an executor of processes"
+    raise JaxbodyError(Problem("BAD_WORKERS", where, message, workers, limit, hint))
 
 
 def _crew(workers: Any, where: str) -> Crew:
@@ -178,7 +175,11 @@ def _processes(number: int, where: str) -> Executor:
     loky = import_extra("loky", where)
     environment = dict.fromkeys(ONE_THREAD, "1") | _cache()
     executor = loky.get_reusable_executor(
-        max_workers=number, timeout=IDLE, initializer=_ignore_interrupts, env=environment
+        max_workers=number,
+        timeout=IDLE,
+        initializer=signal.signal,  # Ctrl-C on a terminal reaches all processes; the caller decides
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+        env=environment,
     )
     for _ in range(number):
         executor.submit(worker_name)  # imports JAX, while the caller traces
@@ -188,11 +189,6 @@ def _processes(number: int, where: str) -> Executor:
 def _close_processes(executor: Any, at_once: bool) -> None:
     if at_once:
         executor.shutdown(wait=True, kill_workers=True)
-
-
-def _ignore_interrupts() -> None:
-    """Ctrl-C on a terminal reaches all of its processes; the caller alone decides."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _cache() -> dict[str, str]:
