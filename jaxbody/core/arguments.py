@@ -40,14 +40,13 @@ def checked_dict(things: Any, where: str, kind: str, problems: Problems) -> dict
     if things is None:
         return {}
     if not isinstance(things, Mapping):
-        hint = f'Write {where.rpartition(".")[2]}={{"...": {kind.partition(": ")[2]}}}.'
         problems.add(
             "WRONG_KIND",
             where,
             f"is {kind_of(things)}",
             value=things,
             limit=f"a dict {{{kind}}}",
-            hint=hint,
+            hint=f'Write {where.rpartition(".")[2]}={{"...": {kind.partition(": ")[2]}}}.',
         )
         return {}
     return {plain(name): thing for name, thing in things.items()}
@@ -176,20 +175,24 @@ def check_returned(
     try:
         out = jax.eval_shape(call, module, jax.ShapeDtypeStruct((), jnp.result_type(float)))
     except jax.errors.JAXTypeError:
-        message = (
-            "cannot be traced by JAX: it passes its argument to numpy or math, "
-            "or asks for its value"
+        problems.add(
+            "NOT_TRACEABLE",
+            where,
+            (
+                "cannot be traced by JAX: it passes its argument to numpy or math, "
+                "or asks for its value"
+            ),
+            limit="functions of jax.numpy",
+            hint=USE_JNP,
         )
-        problems.add("NOT_TRACEABLE", where, message, limit="functions of jax.numpy", hint=USE_JNP)
     except Exception as error:  # a function of the user may raise anything
         text = (str(error).splitlines() or [""])[0]
-        hint = f"Call it by itself with {of}; it must return {returns}."
         problems.add(
             "FUNCTION_FAILED",
             where,
             f"raises {type(error).__name__}: {text:.200}",
             limit=returns,
-            hint=hint,
+            hint=f"Call it by itself with {of}; it must return {returns}.",
         )
     else:
         returned = getattr(out, "shape", None)

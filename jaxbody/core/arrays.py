@@ -89,11 +89,16 @@ def time_array(value: Any, where: str) -> np.ndarray | jax.Array:
     if str(getattr(value, "dtype", "")) in ("bool", "boolean") or (
         isinstance(value, list | tuple) and bool in map(type, value)
     ):
-        message, hint = (
-            "are True and False, not times",
-            "Give times [s]; is this a comparison, such as t > 0?",
+        raise JaxbodyError(
+            Problem(
+                "NOT_A_NUMBER",
+                where,
+                "are True and False, not times",
+                value,
+                "numbers",
+                "Give times [s]; is this a comparison, such as t > 0?",
+            )
         )
-        raise JaxbodyError(Problem("NOT_A_NUMBER", where, message, value, "numbers", hint))
     return array
 
 
@@ -269,13 +274,12 @@ def check_times(
     known = concrete(times)
     if times.ndim != 1 or times.shape[0] < minimum:
         code = "NO_DATA" if times.size == 0 or times.ndim == 1 else "BAD_SHAPE"
-        limit = f"(n,) with n >= {minimum}"
         problems.add(
             code,
             where,
             f"has shape {times.shape}",
             value=times.shape,
-            limit=limit,
+            limit=f"(n,) with n >= {minimum}",
             hint=f"Give at least {minimum} times.",
         )
         return None
@@ -283,14 +287,13 @@ def check_times(
         return times
     if not np.isfinite(known).all():
         i = int(np.flatnonzero(~np.isfinite(known))[0])
-        hint = "Cut the record, or drop the samples whose time is unknown."
         problems.add(
             "NAN_TIME",
             where,
             f"is {known[i]} at index {i}",
             value=float(known[i]),
             limit="finite",
-            hint=hint,
+            hint="Cut the record, or drop the samples whose time is unknown.",
         )
         return None
     steps = np.diff(known if kept else known.astype(jnp.result_type(float)))

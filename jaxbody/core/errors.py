@@ -159,14 +159,13 @@ def import_extra(module: str, where: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        hint = f"Install it: pip install 'jaxbody[{EXTRAS.get(package, package)}]'."
         raise JaxbodyError(
             Problem(
                 "MISSING_EXTRA",
                 where,
                 f"needs the optional package {package}: {error}",
                 package,
-                hint=hint,
+                hint=f"Install it: pip install 'jaxbody[{EXTRAS.get(package, package)}]'.",
             )
         ) from None
 

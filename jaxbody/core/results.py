@@ -75,9 +75,13 @@ class Result(tables.Printed, eqx.Module):
         Error inside jit or vmap: TRACED."""
         where = type(self).__name__.lower()
         if not is_concrete(self.status):
-            hint = "Call raise_if_failed() on what the compiled or batched function returns."
             raise JaxbodyError(
-                Problem("TRACED", where, "has no status yet inside jit or vmap", hint=hint)
+                Problem(
+                    "TRACED",
+                    where,
+                    "has no status yet inside jit or vmap",
+                    hint="Call raise_if_failed() on what the compiled or batched function returns.",
+                )
             )
         codes = np.asarray(self.status)
         if not codes.any():

@@ -26,9 +26,14 @@ def check_file(
         if stat.S_ISREG(status.st_mode):
             path.open("rb").close()
     except (OSError, ValueError) as error:
-        message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
         raise JaxbodyError(
-            Problem("NO_FILE", str(path)[-200:], message, path, hint="Give the path of a file.")
+            Problem(
+                "NO_FILE",
+                str(path)[-200:],
+                f"cannot be read: {getattr(error, 'strerror', None) or error}",
+                path,
+                hint="Give the path of a file.",
+            )
         ) from None
     if stat.S_ISDIR(status.st_mode):
         raise JaxbodyError(
@@ -78,12 +83,18 @@ def check_size(
     Error: TOO_LARGE."""
     if size > largest:
         setting = f"largest={1.1 * size:.2g}" + (f" ({option} {1.1 * size:.2g})" if option else "")
-        hint = (
-            f"Set {setting} if about {memory * size / 1e9:.2g} GB of memory are "
-            "free, or split the file."
-        )
         raise JaxbodyError(
-            Problem("TOO_LARGE", name, f"has {size:.4g} {what}", size, f"{largest:.4g} bytes", hint)
+            Problem(
+                "TOO_LARGE",
+                name,
+                f"has {size:.4g} {what}",
+                size,
+                f"{largest:.4g} bytes",
+                (
+                    f"Set {setting} if about {memory * size / 1e9:.2g} GB of memory are "
+                    "free, or split the file."
+                ),
+            )
         )
 
 
@@ -117,12 +128,12 @@ def decoded(data: bytes, name: str, encoding: str) -> str:
         text = data.decode("utf-8-sig" if encoding == "utf-8" else encoding)
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        message = f"has byte 0x{data[error.start]:02x} at offset {error.start} (line {line})"
         raise JaxbodyError(
             Problem(
                 "ENCODING",
                 name,
-                message + f", which is not {encoding}",
+                f"has byte 0x{data[error.start]:02x} at offset {error.start} (line {line}), which "
+                f"is not {encoding}",
                 error.start,
                 encoding,
                 hint,
@@ -135,11 +146,15 @@ def decoded(data: bytes, name: str, encoding: str) -> str:
             )
         ) from None
     if "\0" in text:
-        message, hint = (
-            f"has a zero byte at offset {text.index(chr(0))}",
-            "Is it a text file? If so, give its encoding, else its format.",
+        raise JaxbodyError(
+            Problem(
+                "WRONG_FORMAT",
+                name,
+                f"has a zero byte at offset {text.index(chr(0))}",
+                limit="text",
+                hint="Is it a text file? If so, give its encoding, else its format.",
+            )
         )
-        raise JaxbodyError(Problem("WRONG_FORMAT", name, message, limit="text", hint=hint))
     return text
 
 
@@ -162,5 +177,12 @@ def writing(path: Path, hint: str = "Choose another path.") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        message = f"cannot be written: {error.strerror or error}"
-        raise JaxbodyError(Problem("NOT_SAVED", str(path), message, path, hint=hint)) from None
+        raise JaxbodyError(
+            Problem(
+                "NOT_SAVED",
+                str(path),
+                f"cannot be written: {error.strerror or error}",
+                path,
+                hint=hint,
+            )
+        ) from None

@@ -285,7 +285,6 @@ def _product(
             return factor, dimension  # pyright: ignore[reportReturnType]
         sign = -1 if token == "/" else 1
         if divided and sign == 1:
-            hint = "A product after a slash may belong above or below it: use parentheses."
             raise JaxbodyError(
                 Problem(
                     "UNKNOWN_UNIT",
@@ -293,7 +292,7 @@ def _product(
                     f"unit '{written}' can be read in two ways",
                     written,
                     "N/(m s) or N s/m",
-                    hint,
+                    "A product after a slash may belong above or below it: use parentheses.",
                 )
             )
         divided = divided or sign == -1

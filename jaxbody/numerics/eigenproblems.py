@@ -326,11 +326,16 @@ def first_order(M: Any, C: Any, K: Any, n: int) -> tuple[Any, Any]:
 def eig(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Complex[Array, "n n"]]:
     """s and x (columns, unit length) of A x = s x, in the order of LAPACK. Error: DEVICE."""
     if (device := jax.default_backend()) not in WITH_EIG:
-        message, hint = (
-            f"JAX has no eig for the device {device}",
-            'Set jax.config.update("jax_platforms", "cpu") first.',
+        raise JaxbodyError(
+            Problem(
+                "DEVICE",
+                "poles",
+                f"JAX has no eig for the device {device}",
+                device,
+                ", ".join(WITH_EIG),
+                'Set jax.config.update("jax_platforms", "cpu") first.',
+            )
         )
-        raise JaxbodyError(Problem("DEVICE", "poles", message, device, ", ".join(WITH_EIG), hint))
     return tuple(jnp.linalg.eig(A))
 
 

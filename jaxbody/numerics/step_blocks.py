@@ -207,22 +207,20 @@ def _march(
 def _check_memory(max_steps: int, blocks: int, each: int) -> None:
     """Check the memory of a derivative, which is reserved for max_steps. Error: TOO_LARGE."""
     if blocks * each > MOST_KEPT:
-        message = (
-            f"reserves {blocks * each / 1e9:.3g} GB for the derivative: {each} bytes for every "
-            f"{BLOCK} of max_steps={max_steps}"
-        )
-        hint = (
-            f"Give fewer max_steps, {int(MOST_KEPT / each) * BLOCK:.1g} at most, or "
-            "adjoint=diffrax.ForwardMode(), which needs none."
-        )
         raise JaxbodyError(
             Wrong(
                 "TOO_LARGE",
                 "simulate.max_steps",
-                message,
+                (
+                    f"reserves {blocks * each / 1e9:.3g} GB for the derivative: {each} bytes for "
+                    f"every {BLOCK} of max_steps={max_steps}"
+                ),
                 max_steps,
                 f"{MOST_KEPT / 1e9:g} GB",
-                hint,
+                (
+                    f"Give fewer max_steps, {int(MOST_KEPT / each) * BLOCK:.1g} at most, or "
+                    "adjoint=diffrax.ForwardMode(), which needs none."
+                ),
             )
         )
 

@@ -42,13 +42,18 @@ def keep_programs(folder: str | os.PathLike | None = None) -> Path:
             Problem("NOT_SAVED", str(path), str(error), hint="Name another folder.")
         ) from None
     if hasattr(os, "getuid") and (state.st_uid != os.getuid() or state.st_mode & 0o077):
-        message = (
-            f"belongs to user {state.st_uid} and has mode {state.st_mode & 0o777:04o}, so that "
-            "others might change programs in it"
-        )
-        hint = f"Name a folder of your own, or make it private: chmod 700 {path}"
         raise JaxbodyError(
-            Problem("UNSAFE_FOLDER", str(path), message, path, "your own, mode 0700", hint)
+            Problem(
+                "UNSAFE_FOLDER",
+                str(path),
+                (
+                    f"belongs to user {state.st_uid} and has mode {state.st_mode & 0o777:04o}, so "
+                    "that others might change programs in it"
+                ),
+                path,
+                "your own, mode 0700",
+                f"Name a folder of your own, or make it private: chmod 700 {path}",
+            )
         )
     present = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     if present:

@@ -170,9 +170,12 @@ def checked_chunks(
     except (TypeError, ValueError):
         numbers = [-1]
     if min(numbers, default=0) < 0:
-        limit = "whole numbers from 0, such as range(0, n, 8)"
         problems.add(
-            "BAD_CHUNK", f"{where}.chunks", f"are {chunks!r:.60}", value=chunks, limit=limit
+            "BAD_CHUNK",
+            f"{where}.chunks",
+            f"are {chunks!r:.60}",
+            value=chunks,
+            limit="whole numbers from 0, such as range(0, n, 8)",
         )
     return numbers
 

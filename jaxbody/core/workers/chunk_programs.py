@@ -120,13 +120,17 @@ def exported(
         made = _export(program, given)
         data, text = bytes(made.serialize()), LOCATION.sub("", made.mlir_module())
     except Exception as error:  # a callback, or an operation that this version of JAX cannot export
-        hint = (
-            "Leave out callbacks, such as jax.debug.print and pure_callback, or compute "
-            "without workers= and out=."
-        )
-        message = f"cannot be sent to workers: {str(error).splitlines()[0]:.200}"
         raise JaxbodyError(
-            Problem("NOT_SENT", where, message, limit="a program without callbacks", hint=hint)
+            Problem(
+                "NOT_SENT",
+                where,
+                f"cannot be sent to workers: {str(error).splitlines()[0]:.200}",
+                limit="a program without callbacks",
+                hint=(
+                    "Leave out callbacks, such as jax.debug.print and pure_callback, or compute "
+                    "without workers= and out=."
+                ),
+            )
         ) from error
     x64: bool = jax.config.read("jax_enable_x64")
     rest: Any = (width, results, OPTIMIZED, x64, versions())
@@ -202,17 +206,16 @@ def worker_name() -> str:
 
 def other_worker(message: str, wanted: Any) -> JaxbodyError:
     """The error of a worker that differs from the caller."""
-    hint = (
-        "Install the same versions for the caller and all workers, and set the same "
-        "options before JAX starts."
-    )
     return JaxbodyError(
         Problem(
             "OTHER_WORKER",
             f"worker {worker_name()}",
             message,
             limit=f"{wanted}, as the caller",
-            hint=hint,
+            hint=(
+                "Install the same versions for the caller and all workers, and set the same "
+                "options before JAX starts."
+            ),
         )
     )
 

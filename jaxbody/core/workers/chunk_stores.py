@@ -93,12 +93,15 @@ class ChunkStore:
                 or name in ("", ".", "..", STATUS)
                 or name in inputs.keys() & results.keys()
             ):
-                hint, limit = (
-                    "Rename the quantity: names are folders of the store.",
-                    "no '/'; not 'status', nor the name of an input",
-                )
                 raise JaxbodyError(
-                    Problem("BAD_NAME", "out", f"cannot have an array {name!r}", name, limit, hint)
+                    Problem(
+                        "BAD_NAME",
+                        "out",
+                        f"cannot have an array {name!r}",
+                        name,
+                        "no '/'; not 'status', nor the name of an input",
+                        "Rename the quantity: names are folders of the store.",
+                    )
                 )
         if not path.exists():
             self._make(plan, arrays)
@@ -136,10 +139,13 @@ class ChunkStore:
         try:
             found = json.loads((self.path / "zarr.json").read_text())["attributes"][PLAN]
         except (OSError, ValueError, KeyError, TypeError):
-            hint = "Name a folder that does not exist yet."
             raise JaxbodyError(
                 Problem(
-                    "OTHER_STORE", str(self.path), "is no store of jaxbody", self.path, hint=hint
+                    "OTHER_STORE",
+                    str(self.path),
+                    "is no store of jaxbody",
+                    self.path,
+                    hint="Name a folder that does not exist yet.",
                 )
             ) from None
         differing = [
@@ -149,14 +155,13 @@ class ChunkStore:
         ]
         if differing:
             each = [f"{word} {found.get(word)} there, {plan.get(word)} here" for word in differing]
-            hint = "Repeat the call that it is from, or name another folder."
             raise JaxbodyError(
                 Problem(
                     "OTHER_STORE",
                     str(self.path),
                     f"is of another call: {'; '.join(each)}",
                     self.path,
-                    hint=hint,
+                    hint="Repeat the call that it is from, or name another folder.",
                 )
             )
         return found
@@ -196,11 +201,13 @@ class ChunkStore:
         return {name: self.arrays[name][:] for name in names}, self.arrays[STATUS][:].astype(int)
 
     def _writing(self) -> AbstractContextManager[None]:
-        hint = (
-            "Its complete chunks are kept: with room or permission to write, the "
-            "same call continues."
+        return writing(
+            self.path,
+            (
+                "Its complete chunks are kept: with room or permission to write, the "
+                "same call continues."
+            ),
         )
-        return writing(self.path, hint)
 
     def opened(self, title: str) -> Any:
         """The store as an xarray.Dataset that reads what is asked for."""

@@ -63,12 +63,16 @@ def dispatched(
                 and not continued
                 and (given_up := sum(n > TWICE for n in failures.values())) >= MOST_FIRST
             ):
-                message = (
-                    f"none of the first {given_up} chunks could be computed; the "
-                    f"last one: {why.message}"
-                )
                 raise JaxbodyError(
-                    Problem("LOST", where, message, hint="Compute a few designs without workers=.")
+                    Problem(
+                        "LOST",
+                        where,
+                        (
+                            f"none of the first {given_up} chunks could be computed; the "
+                            f"last one: {why.message}"
+                        ),
+                        hint="Compute a few designs without workers=.",
+                    )
                 )
             yield chunk, why
         else:
@@ -113,16 +117,15 @@ def dispatched(
                     )
                 renewals = 0 if crew.seen else renewals + 1
                 if renewals > MOST_RENEWALS:
-                    hint = (
-                        "Processes end as soon as they start: is there memory for them, and can "
-                        "they import jaxbody?"
-                    )
                     raise JaxbodyError(
                         Problem(
                             "BAD_WORKERS",
                             where,
                             f"broke {renewals} times before anything was computed",
-                            hint=hint,
+                            hint=(
+                                "Processes end as soon as they start: is there memory for them, "
+                                "and can they import jaxbody?"
+                            ),
                         )
                     )
                 crew.renew(where)

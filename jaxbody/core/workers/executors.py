@@ -67,17 +67,16 @@ class Crew:
         """Replace a broken executor. Error: BAD_WORKERS if it is the user's, of a kind that cannot
         be made again."""
         if self.make is None:
-            hint = (
-                "Give workers= a number of processes, which are started again; "
-                "what is stored is kept."
-            )
             raise JaxbodyError(
                 Problem(
                     "BAD_WORKERS",
                     where,
                     "is broken: one of its processes has ended",
                     self.executor,
-                    hint=hint,
+                    hint=(
+                        "Give workers= a number of processes, which are started again; "
+                        "what is stored is kept."
+                    ),
                 )
             )
         self.close(self.executor, True)
@@ -134,8 +133,16 @@ def check_workers(workers: Any, where: str) -> None:
         except RuntimeError as error:  # a broken executor raises a kind of it
             message = f"takes no work: {error}"
             hint = "Open it with a `with` block round the call."
-    limit = "None, a number of processes above 0, or an executor of processes"
-    raise JaxbodyError(Problem("BAD_WORKERS", where, message, workers, limit, hint))
+    raise JaxbodyError(
+        Problem(
+            "BAD_WORKERS",
+            where,
+            message,
+            workers,
+            "None, a number of processes above 0, or an executor of processes",
+            hint,
+        )
+    )
 
 
 def _crew(workers: Any, where: str) -> Crew:
