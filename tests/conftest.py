@@ -81,8 +81,11 @@ def batches(request):
     else:
         from jaxbody.numerics import lanes
 
-        with lanes.switched_off():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(lanes, "_no_lanes", lambda: "lanes are switched off")
+            jax.clear_caches()
             yield
+        jax.clear_caches()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -137,6 +137,20 @@ def new_operation(
     return primitive
 
 
+def with_tangent(change: Callable[..., Any]) -> Callable[..., Any]:
+    """The function (x, *known) -> x, whose tangent is change(tangent of x, x, *known)."""
+
+    @jax.custom_jvp
+    def same(x, *known):
+        return x
+
+    @same.defjvp
+    def _(primals, tangents):
+        return same(*primals), change(tangents[0], *primals)
+
+    return same
+
+
 def same_numbers(
     name: str, typed: Callable[..., Any] = lambda x, **_: x, **rules: Any
 ) -> Primitive:

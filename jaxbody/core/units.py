@@ -187,7 +187,7 @@ SUPERSCRIPTS = str.maketrans(
     }
 )
 TOKEN = re.compile(
-    r"\s*(?:(?P<power>\*\*|\^)|(?P<sign>[*/.()]|-(?=[A-Za-z°]))|(?P<number>[+-]?\d+)|(?P<word>[A-Za-z°%]+\d?(?=$|[^\d])|[A-Za-z°%]+))"
+    r"\s*(?:(?P<power>\*\*|\^)|(?P<sign>[*/.()]|-(?=[A-Za-z°]))|(?P<number>[+-]?\d+)|(?P<word>[A-Za-z°%]+\d?(?=$|[^\d])|[A-Za-z°%]+)|(?P<other>\S))"
 )
 
 
@@ -239,7 +239,11 @@ def parse(text: str, where: str) -> Unit:
         )
     if written in PLAIN:
         return Unit(written, *PLAIN[written])
-    rest = [*_tokens(written.translate(SUPERSCRIPTS), written, where), ("end", "")]
+    tokens = TOKEN.finditer(written.translate(SUPERSCRIPTS))
+    rest = [(str(match.lastgroup), match.group().strip()) for match in tokens]
+    if len(written) > 60 or "other" in dict(rest):
+        raise _unknown(written, written, where)
+    rest.append(("end", ""))
     factor, dimension = _product(rest, written, where)
     if rest[0][0] != "end":
         raise _unknown(written, written, where)
@@ -257,17 +261,6 @@ def is_unit(text: str) -> bool:
     except JaxbodyError:
         return False
     return True
-
-
-def _tokens(text: str, written: str, where: str) -> list[tuple[str, str]]:
-    tokens, at = [], 0
-    while at < len(text):
-        match = TOKEN.match(text, at)
-        if match is None or len(text) > 60:
-            raise _unknown(written, written, where)
-        tokens.append((str(match.lastgroup), match.group().strip()))
-        at = match.end()
-    return tokens
 
 
 def _product(

@@ -27,7 +27,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Complex, Float, Int, module_of
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.core.jax_internals import Zero, new_operation
+from jaxbody.core.jax_internals import Zero, new_operation, with_tangent
 from jaxbody.numerics.lanes import in_lanes
 
 CLUSTERED = 1e-6  # relative distance of eigenvalues below which they belong to one cluster
@@ -154,15 +154,8 @@ second_cotangent = linear_one_way("branch_second_cotangent", _nan_if_shared, _na
 slopes = linear_one_way("branch_slopes", _one_sided, _if_alike, again=second)
 
 
-@jax.custom_jvp
-def only_alone(cotangent: Array, cluster: Array) -> Array:
-    """The cotangent; its own derivative is NaN in a cluster."""
-    return cotangent
-
-
-@only_alone.defjvp
-def _only_alone_jvp(primals, tangents):
-    return only_alone(*primals), second_cotangent(tangents[0], primals[1])
+# the cotangent; its own derivative is NaN in a cluster
+only_alone = with_tangent(lambda change, cotangent, cluster: second_cotangent(change, cluster))
 
 
 # Single eigenvectors
@@ -184,18 +177,8 @@ def _if_of_the_space(cotangent: Array, shapes: Array, cluster: Array) -> Array:
 shape_changes = linear_one_way("shape_changes", _unless_shared, _if_of_the_space)
 
 
-@jax.custom_jvp
-def refused_in_clusters(
-    shapes: Float[Array, "*m n"], cluster: Int[Array, "n"]
-) -> Float[Array, "*m n"]:
-    """The shapes; a single shape of a cluster has no derivative (NaN)."""
-    return shapes
-
-
-@refused_in_clusters.defjvp
-def _refused_jvp(primals, tangents):
-    shapes, cluster = primals
-    return refused_in_clusters(*primals), shape_changes(tangents[0], shapes, cluster)
+# the shapes of (shapes, cluster); a single shape of a cluster has no derivative (NaN)
+refused_in_clusters = with_tangent(shape_changes)
 
 
 @jax.custom_jvp
@@ -336,7 +319,8 @@ def eig(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Complex[Array, "n 
                 'Set jax.config.update("jax_platforms", "cpu") first.',
             )
         )
-    return tuple(jnp.linalg.eig(A))
+    values, vectors = jnp.linalg.eig(A)
+    return values, vectors
 
 
 @jax.custom_jvp
@@ -375,14 +359,7 @@ def _poles_jvp(primals, tangents):
     return (s, X), (ds, X @ jnp.where(same, 0.0, W / gap))
 
 
-@jax.custom_jvp
-def refused_if_shared(vectors: Array, cluster: Int[Array, "n"]) -> Array:
-    """The vectors; those of a cluster have no derivatives (NaN)."""
-    return vectors
-
-
-@refused_if_shared.defjvp
-def _refused_if_shared_jvp(primals, tangents):
-    return refused_if_shared(*primals), jax.vmap(second_cotangent, in_axes=(0, None))(
-        tangents[0], primals[1]
-    )
+# the vectors of (vectors, cluster); those of a cluster have no derivatives (NaN)
+refused_if_shared = with_tangent(
+    lambda changes, vectors, cluster: jax.vmap(second_cotangent, (0, None))(changes, cluster)
+)

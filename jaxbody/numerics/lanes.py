@@ -11,9 +11,7 @@ are kept.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -123,20 +121,38 @@ SAME_AXES = {
     "squeeze",
     "sum_in_lanes",
 }
-# operations on an array x with a last axis of n lanes
-WITH_LANES: dict[str, Callable[[Array, dict[str, Any], int], Array]] = {
-    "any_of_batch": lambda x, p, n: jnp.any(x, -1),
-    "broadcast_in_dim": lambda x, p, n: lax.broadcast_in_dim(
-        x, (*p["shape"], n), (*p["broadcast_dimensions"], len(p["shape"]))
+# {operation: (number of its first arguments, which alone may have a last axis of n lanes, function
+# of (arguments, parameters, n))}
+WITH_LANES: dict[str, tuple[int, Callable[[list[Array], dict[str, Any], int], Array]]] = {
+    "any_of_batch": (1, lambda x, p, n: jnp.any(x[0], -1)),
+    "broadcast_in_dim": (
+        1,
+        lambda x, p, n: lax.broadcast_in_dim(
+            x[0], (*p["shape"], n), (*p["broadcast_dimensions"], len(p["shape"]))
+        ),
     ),
-    "reshape": lambda x, p, n: lax.reshape(x, (*p["new_sizes"], n)),
-    "slice": lambda x, p, n: lax.slice(
-        x,
-        (*p["start_indices"], 0),
-        (*p["limit_indices"], n),
-        p["strides"] and (*p["strides"], 1),
+    "dynamic_slice": (
+        1,
+        lambda x, p, n: lax.dynamic_slice(
+            x[0], (*x[1:], jnp.zeros_like(x[1])), (*p["slice_sizes"], n)
+        ),
     ),
-    "transpose": lambda x, p, n: lax.transpose(x, (*p["permutation"], x.ndim - 1)),
+    "dynamic_update_slice": (
+        2,
+        lambda x, p, n: lax.dynamic_update_slice(x[0], x[1], (*x[2:], jnp.zeros_like(x[2]))),
+    ),
+    "pad": (1, lambda x, p, n: lax.pad(x[0], x[1], (*p["padding_config"], (0, 0, 0)))),
+    "reshape": (1, lambda x, p, n: lax.reshape(x[0], (*p["new_sizes"], n))),
+    "slice": (
+        1,
+        lambda x, p, n: lax.slice(
+            x[0],
+            (*p["start_indices"], 0),
+            (*p["limit_indices"], n),
+            p["strides"] and (*p["strides"], 1),
+        ),
+    ),
+    "transpose": (1, lambda x, p, n: lax.transpose(x[0], (*p["permutation"], x[0].ndim - 1))),
 }
 APART = {
     "cholesky",
@@ -156,31 +172,12 @@ APART = {
     "stop_gradient",
     "triangular_solve",
 }  # left to jax.vmap, which is fast for them, or as they are rare
-SWITCHED_OFF = ContextVar("lanes switched off", default=False)
-
-
-@contextmanager
-def switched_off() -> Iterator[None]:
-    """Within this context all batches are left to jax.vmap; programs are compiled again."""
-    jax.clear_caches()
-    token = SWITCHED_OFF.set(True)
-    try:
-        yield
-    finally:
-        SWITCHED_OFF.reset(token)
-        jax.clear_caches()
 
 
 def _no_lanes() -> str:
     """The reason why lanes cannot be used; "" if they can."""
     platform = jax.default_backend()
-    return (
-        "lanes are switched off"
-        if SWITCHED_OFF.get()
-        else ""
-        if platform == "cpu"
-        else f"lanes are for a CPU, this is a {platform}"
-    )
+    return "" if platform == "cpu" else f"lanes are for a CPU, this is a {platform}"
 
 
 def in_lanes(
@@ -340,13 +337,14 @@ class Lanes:
             wanted: True for results that must have that axis; None: only those that depend on the
                 lane have it
         """
-        values: dict = dict(zip(jaxpr.jaxpr.constvars, jaxpr.consts, strict=True)) | dict(
-            zip(jaxpr.jaxpr.invars, args, strict=True)
-        )
-        lanes = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
+        # {variable: (its value, True with a last axis of lanes)}
+        known: dict[Any, tuple[Any, bool]] = {
+            x: (value, False) for x, value in zip(jaxpr.jaxpr.constvars, jaxpr.consts, strict=True)
+        }
+        known |= dict(zip(jaxpr.jaxpr.invars, zip(args, on, strict=True), strict=True))
 
         def look(x):
-            return (x.val, False) if isinstance(x, Literal) else (values[x], lanes.get(x, False))
+            return (x.val, False) if isinstance(x, Literal) else known[x]
 
         for eqn in jaxpr.jaxpr.eqns:
             given, of_lanes = zip(*map(look, eqn.invars), strict=True) if eqn.invars else ((), ())
@@ -356,8 +354,7 @@ class Lanes:
                 if any(of_lanes)
                 else same_operation(eqn, given)
             )
-            values |= dict(zip(eqn.outvars, out, strict=True))
-            lanes |= dict(zip(eqn.outvars, reached, strict=True))
+            known |= dict(zip(eqn.outvars, zip(out, reached, strict=True), strict=True))
         outvars: list[Any] = jaxpr.jaxpr.outvars
         results = [look(x) for x in outvars]
         wanted = [o for _, o in results] if wanted is None else wanted
@@ -396,18 +393,13 @@ class Lanes:
                 self._spread(a, o, v.aval.shape) for a, o, v in zip(x, on, eqn.invars, strict=True)
             ]
             return [eqn.primitive.bind(*parts, **p)]
-        if name in WITH_LANES:
-            return [WITH_LANES[name](x[0], p, n)]
-        if name == "pad" and not on[1]:
-            return [lax.pad(x[0], x[1], (*p["padding_config"], (0, 0, 0)))]
-        if name == "dynamic_slice" and not any(on[1:]):
-            return [lax.dynamic_slice(x[0], (*x[1:], jnp.zeros_like(x[1])), (*p["slice_sizes"], n))]
-        if name == "dynamic_update_slice" and not any(on[2:]):
-            whole, part = (
+        arrays, rule = WITH_LANES.get(name, (0, None))
+        if rule is not None and not any(on[arrays:]):
+            spread = [
                 self._spread(a, o, v.aval.shape)
-                for a, o, v in zip(x[:2], on, eqn.invars, strict=False)
-            )
-            return [lax.dynamic_update_slice(whole, part, (*x[2:], jnp.zeros_like(x[2])))]
+                for a, o, v in zip(x[:arrays], on, eqn.invars, strict=False)
+            ]
+            return [rule([*spread, *x[arrays:]], p, n)]
         if name == "gather" and not on[1]:
             axes = p["dimension_numbers"]
             axes = axes._replace(offset_dims=(*axes.offset_dims, eqn.outvars[0].aval.ndim))

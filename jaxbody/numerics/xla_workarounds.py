@@ -84,13 +84,12 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.core.jax_internals import new_operation, same_numbers, shaped
+from jaxbody.core.jax_internals import new_operation, same_numbers, shaped, with_tangent
 
 FEW_RUNS = 64  # most slices in a sum; compiling more would cost more than running a gather
 
@@ -137,17 +136,10 @@ sum_p = new_operation(
 # Loops and rows
 
 
-@jax.custom_jvp
-def carried(carry: Any, known: Any) -> Any:
-    """What a loop starts with, which has a derivative as soon as what the loop knows has one: JAX
-    would find by tracing the derivative of the loop's body once more, for each loop around it
-    again, that what it carries changes."""
-    return carry
-
-
-@carried.defjvp
-def _carried_jvp(primals, tangents):
-    return primals[0], tangents[0]
+# The carry of (carry, known), with which a loop starts. It has a derivative as soon as what the
+# loop uses has one: JAX would find by tracing the derivative of the loop's body once more, for
+# each loop around it again, that what it carries changes.
+carried = with_tangent(lambda change, carry, known: change)
 
 
 def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]:

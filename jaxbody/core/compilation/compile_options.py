@@ -53,15 +53,17 @@ def without_weak_type(x: Any) -> Any:
 Options = tuple[tuple[str, Any], ...]  # of XLA, names and values
 F = TypeVar("F", bound=Callable[..., Any])
 
-# without them programs compile in two thirds of the time and run as fast
+# without them programs compile in two thirds of the time and run as fast; later versions of jaxlib
+# always use them
 EMITTERS = "xla_cpu_use_fusion_emitters"
-VERSION = tuple(map(int, version("jaxlib").split(".")[:2]))
-HAS_EMITTERS = VERSION < (0, 11)  # later ones always use them
+HAS_EMITTERS = tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 11)
 OPTIMIZED: Options = ((EMITTERS, False),) if HAS_EMITTERS else ()
-WIDE: Options = ((EMITTERS, True),) if HAS_EMITTERS else ()
-# in bits, 512 for all that the processor has; XLA's default is 256. Loops over a thousand numbers
-# or so run in two thirds of the time
-WIDE += (("xla_cpu_prefer_vector_width", 512),)
+WIDE: Options = (
+    *(((EMITTERS, True),) if HAS_EMITTERS else ()),
+    # in bits, 512 for all that the processor has; XLA's default is 256. Loops over a thousand
+    # numbers or so run in two thirds of the time
+    ("xla_cpu_prefer_vector_width", 512),
+)
 # compiles in half the time of OPTIMIZED; programs take up to three times as long
 QUICK: Options = (
     *OPTIMIZED,

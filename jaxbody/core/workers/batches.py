@@ -245,13 +245,10 @@ def _sized(
         return next(answer for _, answer in dispatched(crew, [0], lambda _: trial, where))
 
     batch = of_width(width)
-    answer = None if memory is None else tried(batch)
-    if (
-        memory is not None
-        and isinstance(answer, ComputedChunk)
-        and answer.memory > memory
-        and width > 1
-    ):
+    if memory is None:
+        return batch
+    answer = tried(batch)
+    if isinstance(answer, ComputedChunk) and answer.memory > memory and width > 1:
         width = max(1, int(width * memory / answer.memory))
         batch = of_width(width)
         answer = tried(batch)
@@ -321,8 +318,9 @@ def store_of(
         "model": hash_of(*batch.shared),
         "width": program.width,
         **dict(program.versions),
+        "x64": program.x64,
+        "program": program.name[:16],
     }
-    plan |= {"x64": program.x64, "program": program.name[:16]}
     given = types_of(dict(zip(inputs, batch.rows(0, 1), strict=True)))
     return ChunkStore(
         Path(out),

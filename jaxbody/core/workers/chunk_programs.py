@@ -182,10 +182,9 @@ def _sources(folder: Any) -> list[Any]:
 def versions() -> tuple[tuple[str, str], ...]:
     """What the numbers depend on: jaxbody with a hash of its source, JAX and its compiler, and the
     kind of device."""
-    libraries = [(name, metadata.version(name)) for name in ("jax", "jaxlib")]
     return (
         ("jaxbody", f"{metadata.version('jaxbody')} of source {hash_of_source()[:8]}"),
-        *libraries,
+        *((name, metadata.version(name)) for name in ("jax", "jaxlib")),
         ("device", jax.default_backend()),
     )
 

@@ -55,28 +55,25 @@ def dispatched(
             return False
         return True
 
-    def failed(chunk: int, why: FailedChunk) -> Iterator[tuple[int, FailedChunk]]:
+    def given_up(chunk: int, why: FailedChunk) -> bool:
         failures[chunk] += 1
-        if failures[chunk] > TWICE:
-            if (
-                not crew.seen
-                and not continued
-                and (given_up := sum(n > TWICE for n in failures.values())) >= MOST_FIRST
-            ):
-                raise JaxbodyError(
-                    Problem(
-                        "LOST",
-                        where,
-                        (
-                            f"none of the first {given_up} chunks could be computed; the "
-                            f"last one: {why.message}"
-                        ),
-                        hint="Compute a few designs without workers=.",
-                    )
-                )
-            yield chunk, why
-        else:
+        if failures[chunk] <= TWICE:
             (alone if failures[chunk] == TWICE else again).append(chunk)
+            return False
+        lost = sum(n > TWICE for n in failures.values())
+        if lost >= MOST_FIRST and not crew.seen and not continued:
+            raise JaxbodyError(
+                Problem(
+                    "LOST",
+                    where,
+                    (
+                        f"none of the first {lost} chunks could be computed; the last one: "
+                        f"{why.message}"
+                    ),
+                    hint="Compute a few designs without workers=.",
+                )
+            )
+        return True
 
     renewals = 0
     try:
@@ -95,26 +92,15 @@ def dispatched(
                 broken = not send(alone.popleft())
             if not sent and not broken:
                 return
-            for future in (
-                futures.wait(sent, return_when=futures.FIRST_COMPLETED).done if sent else ()
-            ):
-                chunk = sent.pop(future)
-                answer = _answer(future)
-                broken = broken or isinstance(answer, futures.BrokenExecutor)
+            finished = futures.wait(sent, return_when=futures.FIRST_COMPLETED).done if sent else ()
+            broken = broken or any(map(_is_of_broken, finished))
+            for future in [*sent] if broken else finished:
+                chunk, answer = sent.pop(future), _answer(future)
                 if isinstance(answer, ComputedChunk):
                     crew.seen.add(answer.worker)
+                if isinstance(answer, ComputedChunk) or given_up(chunk, answer):
                     yield chunk, answer
-                else:
-                    yield from failed(chunk, _failure(answer))
             if broken:
-                for future, chunk in [*sent.items()]:
-                    sent.pop(future)
-                    answer = _answer(future) if future.done() else "its worker was lost"
-                    yield from (
-                        [(chunk, answer)]
-                        if isinstance(answer, ComputedChunk)
-                        else failed(chunk, _failure(answer))
-                    )
                 renewals = 0 if crew.seen else renewals + 1
                 if renewals > MOST_RENEWALS:
                     raise JaxbodyError(
@@ -134,21 +120,20 @@ def dispatched(
             future.cancel()
 
 
-def _answer(future: futures.Future[Any]) -> Any:
+def _is_of_broken(future: futures.Future[Any]) -> bool:
+    """Whether the executor of a future that is done is broken."""
+    return not future.cancelled() and isinstance(future.exception(), futures.BrokenExecutor)
+
+
+def _answer(future: futures.Future[Any]) -> ComputedChunk | FailedChunk:
+    """The results of a chunk, or why there are none. Error: OTHER_WORKER, where its worker
+    refused it."""
+    if not future.done():
+        return FailedChunk("its worker was lost")
     try:
-        return future.result()
+        answer = future.result()
     except Exception as error:
-        return error
-
-
-def _failure(answer: Any) -> FailedChunk:
-    """Why a chunk failed. Error: OTHER_WORKER, where its worker refused it."""
-    if isinstance(answer, FailedChunk):
-        if answer.refused is not None:
-            raise JaxbodyError(answer.refused)
-        return answer
-    return FailedChunk(
-        f"{type(answer).__name__}: {answer!s:.200}"
-        if isinstance(answer, BaseException)
-        else str(answer)
-    )
+        return FailedChunk(f"{type(error).__name__}: {error!s:.200}")
+    if isinstance(answer, FailedChunk) and answer.refused is not None:
+        raise JaxbodyError(answer.refused)
+    return answer
