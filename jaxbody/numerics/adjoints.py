@@ -17,6 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jaxbody.core.arguments import kind_of
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problems, Status
+from jaxbody.core.results import without_derivatives
 from jaxbody.numerics import step_blocks
 from jaxbody.numerics.precisions import reachable
 from jaxbody.numerics.runge_kutta_steps import DEFECT, QUIET, InitialValueProblem, method_of
@@ -167,10 +168,9 @@ class Watched(Projected):
         )
         if error is None:
             return y1, error, dense, (inner, solver_state[1]), result
-        numbers, rest = eqx.partition(
-            (self.interpolation_cls(t0=t0, t1=t1, **dense), terms, args), eqx.is_array
+        between, terms, args = without_derivatives(
+            (self.interpolation_cls(t0=t0, t1=t1, **dense), terms, args)
         )
-        between, terms, args = eqx.combine(lax.stop_gradient(numbers), rest)
         begin, end, times, size = lax.stop_gradient(
             (t0, t1, self.times, jnp.maximum(jnp.abs(y0), jnp.abs(y1)))
         )
@@ -315,11 +315,9 @@ class Blocks(diffrax.AbstractAdjoint):
             drive, rate, arguments = _time, _rate, (_field(terms, t0, y0, unravel, args), args)
         first = dt0 if self.first is None else self.first
         method = method_of(solver)
-        problem, rest = eqx.partition(
-            InitialValueProblem(drive, rate, method, max_steps, control, first, kinks, project),
-            eqx.is_array,
+        problem = without_derivatives(
+            InitialValueProblem(drive, rate, method, max_steps, control, first, kinks, project)
         )
-        problem = eqx.combine(lax.stop_gradient(problem), rest)
         if self.forward_only:
             ended = step_blocks.solve(problem, arguments, y0, times)
         else:
