@@ -19,15 +19,15 @@ USE_JNP = "Write it with jax.numpy: jnp.sin for np.sin and math.sin, jnp.where f
 
 
 def plain(name: Any) -> Any:
-    """A name, or a tuple of names, as Python strings, because JAX treats NumPy strings
-    as arrays."""
+    """Return a name, or a tuple of names, as Python strings, as JAX treats NumPy strings as
+    arrays."""
     if isinstance(name, tuple):
         return tuple(map(plain, name))
     return str(name) if isinstance(name, str) else name
 
 
 def kind_of(value: Any) -> str:
-    """ "a list", "an Equilibrium", "the class Tsit5"."""
+    """Return the kind of a value in words: "a list", "an Equilibrium", "the class Tsit5"."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     name = type(value).__name__
@@ -35,8 +35,15 @@ def kind_of(value: Any) -> str:
 
 
 def checked_dict(things: Any, where: str, kind: str, problems: Problems) -> dict[Any, Any]:
-    """The dict with Python strings as names; empty if `things` is not a dict, with a
-    problem added."""
+    """Return the dict with Python strings as names; empty if `things` is not a dict, with a problem
+    added.
+
+    Args:
+        things: the argument, a dict or None.
+        where: its place in the call, for messages.
+        kind: what it should hold, for messages, such as "name: body".
+        problems: collects the problem.
+    """
     if things is None:
         return {}
     if not isinstance(things, Mapping):
@@ -55,8 +62,16 @@ def checked_dict(things: Any, where: str, kind: str, problems: Problems) -> dict
 def whole_number(
     value: Any, where: str, problems: Problems, least: int = 1, code: str = "BAD_NUMBER"
 ) -> Any:
-    """A whole number, `least` or more; 1e5 counts as whole. Traced numbers are
-    returned unchanged."""
+    """Return a whole number, `least` or more; 1e5 counts as whole. Traced numbers are returned
+    unchanged.
+
+    Args:
+        value: the argument.
+        where: its place in the call, for messages.
+        problems: collects the problem.
+        least: the least number allowed, which replaces a wrong one; 1 by default.
+        code: code of the problem.
+    """
     if isinstance(value, Tracer):
         return value
     number: Any = int(value) if isinstance(value, float) and value.is_integer() else value
@@ -73,8 +88,9 @@ def whole_number(
 
 
 def positive_number(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER") -> Any:
-    """One finite number above zero; None if it is not, with a problem added, and NaN if it
-    is traced."""
+    """Return one finite number above zero.
+
+    None if it is not, with a problem added; a traced number is NaN if it is not."""
     number = checked(value, ((),), where, problems)
     known = None if number is None else concrete(number)
     if known is not None and not known > 0:
@@ -91,7 +107,16 @@ def check_one_of(
     problems: Problems,
     hint: str = "Give one of these.",
 ) -> None:
-    """Check that a word is one of those that are known."""
+    """Check that a word is one of those that are known.
+
+    Args:
+        value: the argument.
+        known: the known words.
+        code: code of the problem.
+        where: its place in the call, for messages.
+        problems: collects the problem.
+        hint: what to do, for the message.
+    """
     if value not in known:
         problems.add(
             code,
@@ -104,8 +129,14 @@ def check_one_of(
 
 
 def check_key(key: Any, where: str, problems: Problems, needed: str = "") -> None:
-    """Check a random key of JAX, typed or of the old kind. `needed`: the reason why a key is
-    required, for the hint; "" if the key may be None."""
+    """Check a random key of JAX, typed or of the old kind.
+
+    Args:
+        key: the argument.
+        where: its place in the call, for messages.
+        problems: collects the problem.
+        needed: the reason why a key is required, for the hint; "" if the key may be None.
+    """
     if key is None:
         if needed:
             problems.add("NO_KEY", where, "is missing", hint=f"{needed} key=jax.random.key(...).")
@@ -130,7 +161,7 @@ def check_key(key: Any, where: str, problems: Problems, needed: str = "") -> Non
 
 
 def warn_of_degrees(angle: Any, where: str) -> None:
-    """Warn UNIT for an angle of more than one turn."""
+    """Warn UNIT for an angle [rad] of more than one turn."""
     known = concrete(angle)
     if known is not None and (largest := float(np.abs(known).max(initial=0.0))) > 2 * np.pi:
         warn(
@@ -143,8 +174,16 @@ def warn_of_degrees(angle: Any, where: str) -> None:
 def check_kind(
     value: Any, kinds: type | tuple[type, ...], where: str, wanted: str, problems: Problems
 ) -> None:
-    """Check that an object is of one of these kinds; a class given instead of an instance gets its
-    own hint."""
+    """Check that an object is of one of these kinds; a class given instead of an instance has its
+    own hint.
+
+    Args:
+        value: the argument.
+        kinds: class or classes of which it may be.
+        where: its place in the call, for messages.
+        wanted: these kinds in words.
+        problems: collects the problem.
+    """
     if not isinstance(value, kinds):
         hint = f"Write {value.__name__}(...)." if isinstance(value, type) else f"Give {wanted}."
         problems.add(
@@ -153,7 +192,7 @@ def check_kind(
 
 
 def is_own(part: Any) -> bool:
-    """True for a module of a class that the user wrote, and for one that holds a bare function."""
+    """Return whether a module is of a class that the user wrote, or holds a bare function."""
     return not type(part).__module__.startswith("jaxbody.") or type(part).__name__.endswith(
         "Function"
     )
@@ -167,10 +206,17 @@ def check_returned(
     problems: Problems,
     of: str = "jnp.array(0.1)",
 ) -> None:
-    """Check that JAX can trace call(module, number), a function `of` this argument, and that it
-    returns an array of this shape; nothing is computed or compiled.
+    """Check that JAX can trace a function of the user, and that it returns an array of this shape;
+    nothing is computed or compiled.
 
-    Errors: NOT_TRACEABLE, FUNCTION_FAILED, BAD_SHAPE."""
+    Args:
+        call: call(module, number) calls the function.
+        module: the module that holds it.
+        shape: the shape that it must return.
+        where: its place in the call, for messages.
+        problems: collects the problems: NOT_TRACEABLE, FUNCTION_FAILED, BAD_SHAPE.
+        of: an argument, for the hint.
+    """
     returns = "one number" if shape == () else f"{shape[0]} numbers in one array"
     try:
         out = jax.eval_shape(call, module, jax.ShapeDtypeStruct((), jnp.result_type(float)))

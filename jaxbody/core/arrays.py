@@ -19,11 +19,11 @@ Array = jax.Array | np.ndarray
 
 
 def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
-    """A number, list, array or data frame as a float64 NumPy array; as a JAX array where some of it
-    is traced.
+    """Return a number, list, array or data frame as a float64 NumPy array; as a JAX array where
+    some of it is traced.
 
-    With NumPy, building a model uses no device and does not depend on the x64 switch.
-    """
+    With NumPy, building a model uses no device and does not depend on the x64 switch. Errors:
+    COMPLEX, NOT_A_NUMBER."""
     traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(float), np.nan)  # a gap, not the number behind the mask
@@ -56,7 +56,7 @@ def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
 
 
 def _not_a_number(value: Any, kind: str) -> tuple[str, str]:
-    """Which element of an array or list is no number, as text, and what to do; `kind` of NumPy's
+    """Return which element of an array or list is no number, as text, and a hint; `kind` of NumPy's
     type, "m" or "M" of durations or dates."""
     hint = "Give a number, or a list or array of numbers."
     try:
@@ -84,7 +84,7 @@ def _not_a_number(value: Any, kind: str) -> tuple[str, str]:
 
 
 def time_array(value: Any, where: str) -> np.ndarray | jax.Array:
-    """The same of times, which are not True or False."""
+    """Return times [s] as `float_array` does. Error: NOT_A_NUMBER, also for True and False."""
     array = float_array(value, where)
     if str(getattr(value, "dtype", "")) in ("bool", "boolean") or (
         isinstance(value, list | tuple) and bool in map(type, value)
@@ -103,8 +103,8 @@ def time_array(value: Any, where: str) -> np.ndarray | jax.Array:
 
 
 def numbers(value: Any, where: str) -> Any:
-    """An array of floats as it is; lists, integers and single numbers as one.
-    Error: NOT_A_NUMBER."""
+    """Return an array of floats unchanged; lists, integers and single numbers as an array of
+    floats. Error: NOT_A_NUMBER."""
     return (
         float_array(value, where) if getattr(value, "dtype", np.dtype(int)).kind in "biu" else value
     )
@@ -113,7 +113,15 @@ def numbers(value: Any, where: str) -> Any:
 def checked(
     value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problems: Problems, hint: str = ""
 ) -> Any:
-    """A finite float array of one of the shapes; None if it is not, with a problem added."""
+    """Return a finite float array of one of the shapes; None if it is not, with a problem added.
+
+    Args:
+        value: the argument.
+        shapes: the allowed shapes.
+        where: its place in the call, for messages.
+        problems: collects the problem.
+        hint: what to do about a wrong shape; by default the numbers that it must have.
+    """
     array = problems.gather(lambda: float_array(value, where))
     if array is None:
         return None
@@ -144,13 +152,13 @@ def checked(
 
 
 def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -> Any:
-    """A finite float array of this shape; zeros where it is not, with a problem added."""
+    """Return a finite float array of this shape; zeros where it is not, with a problem added."""
     array = checked(value, (shape,), where, problems)
     return np.zeros(shape) if array is None else array
 
 
 def device_array(value: Any) -> jax.Array:
-    """The value as a JAX array, float64 or, where x64 is off, float32; numbers are converted
+    """Return the value as a JAX array, float64 or, where x64 is off, float32; numbers are converted
     without a program."""
     return jnp.asarray(
         np.asarray(value, jnp.result_type(float)) if module_of(value) is np else value, float
@@ -158,31 +166,31 @@ def device_array(value: Any) -> jax.Array:
 
 
 def functions_as_nodes(tree: Any) -> Any:
-    """The tree with each leaf that is a function, such as the activation of a network, replaced by
-    a node that can be called."""
+    """Return the tree with each leaf that is a function, such as the activation of a network, as a
+    node that can be called."""
     return jax.tree.map(lambda leaf: jax.tree_util.Partial(leaf) if callable(leaf) else leaf, tree)
 
 
 def stack(rows: list[Any]) -> jax.Array:
-    """Rows of equal shape as one JAX array."""
+    """Return rows of equal shape as one JAX array."""
     if any(isinstance(row, jax.Array) for row in rows):
         return jnp.stack([device_array(row) for row in rows])
     return device_array(np.stack(rows))
 
 
 def module_of(*x: Any) -> Any:
-    """The module numpy if all are NumPy arrays or Python numbers, jax.numpy if not."""
+    """Return the module numpy if all are NumPy arrays or Python numbers, else jax.numpy."""
     return np if all(isinstance(y, np.ndarray | np.generic | float | int) for y in x) else jnp
 
 
 def as_numpy(x: Any) -> Any:
-    """x as a NumPy array, with which single operations are no programs to compile; x itself while
-    it is being traced."""
+    """Return x as a NumPy array, with which single operations are no programs to compile; x itself
+    while it is traced."""
     return x if isinstance(x, Tracer) else np.asarray(x)
 
 
 def part_of(x: Array, index: Any) -> Array:
-    """x[index] of the same kind of array, without a program for it."""
+    """Return x[index] as the same kind of array, without a program for it."""
     return (
         x[index]
         if isinstance(x, Tracer | np.ndarray)
@@ -191,24 +199,27 @@ def part_of(x: Array, index: Any) -> Array:
 
 
 def indices(shape: tuple[int, ...]) -> list[str]:
-    """The index of each number of an array, as text: "[0,1]", or "" for a scalar."""
+    """Return the index of each number of an array, as text: "[0,1]", or "" for a scalar."""
     return [str(list(i)).replace(" ", "") if i else "" for i in np.ndindex(shape)]
 
 
 def concrete(value: Any) -> np.ndarray | None:
-    """The value as a NumPy array; None while it is being traced."""
+    """Return the value as a NumPy array; None while it is traced."""
     return None if isinstance(value, Tracer) else np.asarray(value)
 
 
 def nan_unless(valid: Any, x: Any) -> jax.Array:
-    """x, and NaN with NaN as its derivative where it is not valid."""
+    """Return x; where it is not valid NaN, with NaN as its derivative."""
     return x * jnp.where(valid, jnp.ones((), x.dtype), jnp.nan)
 
 
 @jax.custom_jvp
 def rows_or_nan(valid: Any, x: Any) -> jax.Array:
-    """The same, where derivatives of valid rows remain: `nan_unless` would lose them in reverse
-    mode, and `jnp.where` has derivatives of zero where x is not valid."""
+    """Return x; where it is not valid NaN, with NaN as its derivative. Derivatives of valid rows
+    remain.
+
+    `nan_unless` would lose those in reverse mode, and `jnp.where` has derivatives of zero where x
+    is not valid."""
     return jnp.where(valid, x, jnp.nan)
 
 
@@ -218,8 +229,8 @@ def _rows_or_nan_jvp(primals, tangents):
 
 
 def tangent_or_nan(valid: Any, x: Any) -> jax.Array:
-    """A tangent where it is valid, else NaN; backward a slope of zero remains zero. Use it in
-    rules, which JAX transposes."""
+    """Return a tangent where it is valid, else NaN, for rules, which JAX transposes; in reverse
+    mode a slope of zero remains zero."""
 
     def backward(_, slope):
         return jnp.where(valid | (slope == 0), slope, jnp.nan)
@@ -230,23 +241,23 @@ def tangent_or_nan(valid: Any, x: Any) -> jax.Array:
 
 
 def is_concrete(*trees: Any) -> bool:
-    """True when nothing in the trees is being traced, so that values can be read."""
+    """Return whether nothing in the trees is traced, so that values can be read."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
 def scalar(value: Any, where: str, problems: Problems) -> Any:
-    """A number. Error: BAD_SHAPE."""
+    """Return one finite number; zero where it is not, with a problem added."""
     return shaped(value, (), where, problems)
 
 
 def vector(value: Any, where: str, problems: Problems) -> Any:
-    """Three numbers. Error: BAD_SHAPE."""
+    """Return three finite numbers; zeros where they are not, with a problem added."""
     return shaped(value, (3,), where, problems)
 
 
 def of_unit_length(rows: np.ndarray) -> np.ndarray:
-    """Rows divided by their lengths. A row that has length 1 but for rounding stays, so that it is
-    the same if it is given again."""
+    """Return rows divided by their lengths. A row of length 1 to rounding is unchanged, so that it
+    is the same if it is given again."""
     length = np.linalg.norm(rows, axis=-1, keepdims=True)
     return np.where(
         np.abs(length - 1) <= 4 * jnp.finfo(jnp.result_type(float)).eps, rows, rows / length
@@ -254,7 +265,8 @@ def of_unit_length(rows: np.ndarray) -> np.ndarray:
 
 
 def time_text(t: Any, times: Any, digits: int = 6) -> str:
-    """A time [s] with so many digits besides those that all `times` share, as Unix times do."""
+    """Return a time [s] as text with `digits` digits besides those that all `times` share, as Unix
+    times do."""
     known = np.asarray(times, float)
     known = known[np.isfinite(known)]
     shared = (
@@ -266,8 +278,16 @@ def time_text(t: Any, times: Any, digits: int = 6) -> str:
 def check_times(
     times, problems: Problems, where: str = "times", minimum: int = 1, *, kept: bool = False
 ) -> np.ndarray | jax.Array | None:
-    """Increasing, finite, one-dimensional times, as JAX's arrays hold them or, with `kept`, as they
-    are; None if they are not, with a problem added."""
+    """Return increasing, finite, one-dimensional times [s]; None if they are not, with a problem
+    added.
+
+    Args:
+        times: the argument.
+        problems: collects the problem.
+        where: its place in the call, for messages.
+        minimum: the least number of times.
+        kept: True: they must increase in the given precision; False: as JAX's arrays hold them.
+    """
     times = problems.gather(lambda given=times: time_array(given, where))
     if times is None:
         return None

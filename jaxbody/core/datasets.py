@@ -1,9 +1,8 @@
-"""Results as labeled arrays, an xarray.Dataset with names, units and coordinates, and as a table
-of pandas.
+"""Results as labeled arrays, an xarray.Dataset with names, units and coordinates, and as a table of
+pandas.
 
-Both are imported here, on first use, and are an extra: `pip install 'jaxbody[xarray]'`. Leading
-axes of a batch become `sample`.
-"""
+Both libraries are imported here, at their first use, and are an extra: `pip install
+'jaxbody[xarray]'`. The leading axis of a batch becomes `sample`."""
 
 from __future__ import annotations
 
@@ -19,16 +18,17 @@ AXES, QUATERNION = list("xyz"), list("wxyz")
 
 
 class Labeled(ABC):
-    """What has labeled arrays. Class attribute: `index`, the dimension over which it is a table."""
+    """The base class of objects with labeled arrays. Class attribute: `index`, the dimension of
+    their table."""
 
     index: ClassVar[str]
 
     @abstractmethod
     def to_xarray(self) -> Any:
-        """An xarray.Dataset with units in the attributes of its variables."""
+        """Return an xarray.Dataset with units in the attributes of its variables."""
 
     def to_pandas(self, over: str | None = None) -> Any:
-        """A pandas.DataFrame of the variables of `to_xarray` that have one dimension, a row for
+        """Return a pandas.DataFrame of the variables of `to_xarray` over one dimension, a row for
         each of its values.
 
         Args:
@@ -43,7 +43,8 @@ class Labeled(ABC):
 
 
 def frame_of(data: Any, over: str, where: str) -> Any:
-    """The variables of a Dataset over one dimension as a DataFrame, as `to_pandas` describes it."""
+    """Return the variables of a Dataset over one dimension as a DataFrame, as `to_pandas` describes
+    it."""
     pandas = import_extra("pandas", where)
     if over not in data.dims:
         raise JaxbodyError(unknown(over, where, tuple(map(str, data.dims))))
@@ -82,8 +83,8 @@ def frame_of(data: Any, over: str, where: str) -> Any:
 
 
 def _unit(data: Any, array: Any, place: dict[str, int]) -> str:
-    """The unit of a column, in which the word `unit` stands for that in the variable `unit` at
-    this place."""
+    """Return the unit of a column. The word `unit` in it stands for the value of the variable
+    `unit` at this place."""
     stated = array.attrs.get("units", "")
     if "unit" not in stated or "unit" not in data:
         return stated
@@ -96,8 +97,8 @@ def _unit(data: Any, array: Any, place: dict[str, int]) -> str:
 def dataset(
     variables: dict[str, tuple[tuple[str, ...], Any, str]], coordinates: dict[str, Any], kind: str
 ) -> Any:
-    """{name: (dimensions, values, unit)} as a Dataset; values with one axis more than dimensions
-    are a batch of samples."""
+    """Return {name: (dimensions, values, unit)} as a Dataset; values with one axis more than
+    dimensions are a batch of samples."""
     xarray = import_extra("xarray", "to_xarray")
     arrays = {}
     for name, (dimensions, values, unit) in variables.items():
@@ -111,5 +112,5 @@ def dataset(
 
 
 def rows_of(arrays: list[Any], axis: int) -> np.ndarray:
-    """Arrays side by side along a new axis, in NumPy."""
+    """Return arrays stacked along a new axis, in NumPy."""
     return np.stack([np.asarray(array) for array in arrays], axis)

@@ -34,7 +34,7 @@ SKIPPED = {"jaxbody", "equinox", "jax", "jaxtyping", "beartype", "contextlib", "
 
 @dataclass(frozen=True)
 class Problem:
-    """One problem of an input: its place, a message, and a remedy."""
+    """One problem of an input: its code, place, message, value, allowed values and remedy."""
 
     code: str
     where: str
@@ -52,7 +52,7 @@ class Problem:
 
 
 class JaxbodyError(ValueError):
-    """The one exception of jaxbody, with all `problems` of a call; the fields of the first are its
+    """The exception of jaxbody, with all `problems` of a call; the fields of the first are its
     attributes. `jb.codes()` lists codes.
 
     >>> JaxbodyError(Problem("BAD_MASS", "plate", "has a mass of -3 kg")).code
@@ -80,7 +80,7 @@ class JaxbodyError(ValueError):
 
 
 class JaxbodyWarning(UserWarning):
-    """The one warning of jaxbody, with its `code`. To turn warnings into errors:
+    """The warning of jaxbody, with its `code`. To turn warnings into errors:
     `warnings.simplefilter("error", JaxbodyWarning)`.
 
     >>> JaxbodyWarning("TINY_MASS", "mass of 'bolt' is tiny").code
@@ -111,7 +111,7 @@ def warn_of(warning: Warning) -> None:
 
 @dataclass
 class Problems:
-    """Collects problems, so that one error holds all of them: `with Problems() as problems:` raises
+    """A list of problems, so that one error has all of them: `with Problems() as problems:` raises
     it at its end."""
 
     collected: list[Problem] = field(default_factory=list)
@@ -140,8 +140,9 @@ class Problems:
         function: Callable[[], Any],
         placed: Callable[[Problem], Problem] = lambda problem: problem,
     ) -> Any:
-        """The result of `function`; None if it raises, and its problems are collected, each as
-        `placed` makes it, such as at its line of a file."""
+        """Return the result of `function`; None if it raises, with its problems added.
+
+        `placed` changes each problem, for instance adds its line in a file."""
         try:
             return function()
         except JaxbodyError as error:
@@ -154,7 +155,7 @@ class Problems:
 
 
 def import_extra(module: str, where: str) -> Any:
-    """A module of an optional package. Error: MISSING_EXTRA."""
+    """Return a module of an optional package. Error: MISSING_EXTRA."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -216,7 +217,7 @@ MESSAGES = {status: CODES[status.name][0] for status in Status}
 
 
 def codes() -> str:
-    """All codes of errors, warnings and statuses: what each means, and what to do.
+    """Return all codes of errors, warnings and statuses as text: what each means, and what to do.
 
     >>> print(codes())  # doctest: +ELLIPSIS
     ALL_NAN               all samples of a record are missing; leave its sensor out, ...
@@ -225,7 +226,7 @@ def codes() -> str:
 
 
 def unknown(name: str, where: str, known: tuple[str, ...]) -> Problem:
-    """The problem of an unknown name, with the nearest known one."""
+    """Return the problem of an unknown name, with the nearest known one."""
     near = difflib.get_close_matches(str(name), known := tuple(map(str, known)), 1)
     hint = (
         (f"Did you mean '{near[0]}'? " if near else "")

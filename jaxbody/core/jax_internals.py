@@ -1,8 +1,8 @@
 """Internal functions of JAX that jaxbody uses, with an alternative where a version lacks them;
-`lanes` knows operations by name.
+`lanes` has rules for operations by name.
 
-    trace_state_clean             whether a driver is called by itself; without it options are
-                                  left out
+    trace_state_clean             whether a driver is called outside of other programs; without it
+                                  options are left out
     ClosedJaxpr, Literal          programs and constants in them, which `lanes` rewrites; without
                                   `lanes` all batches are those of jax.vmap
     Primitive, primitive_jvps, primitive_transposes, deflinear2, primitive_batchers,
@@ -20,7 +20,7 @@ Changes of JAX that matter here:
       `Jaxpr`. XLA always uses fusion emitters
 Expected: JAX's documents recommend high operations for custom rules; custom_jvp and custom_vjp
 exist in that form but are not used yet. Programs will then have `call_hi_primitive` where `lanes`
-knows `custom_jvp_call`, and `without_high_operations` would drop their rules.
+has a rule for `custom_jvp_call`, and `without_high_operations` would drop their rules.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ __all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "instantiate_zeros"]  # u
 
 
 def outermost() -> bool:
-    """Whether nothing is being traced. False where JAX cannot tell: callers are then slower,
+    """Return whether nothing is traced. False where JAX gives no answer: callers are then slower,
     but correct."""
     try:
         from jax._src import core
@@ -54,12 +54,13 @@ def outermost() -> bool:
 
 
 def chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
-    """Those of x that are chosen, in their order."""
+    """Return those of x that are chosen, in order."""
     return [y for y, c in zip(x, which, strict=True) if c]
 
 
 def merged(which: Sequence[bool], given: Sequence[Any], others: Sequence[Any]) -> list[Any]:
-    """What is `given`, one after the other, in the places that are chosen, and the others."""
+    """Return `given`, one after the other, in the places that are chosen, and `others` in
+    the rest."""
     own = iter(given)
     return [next(own) if c else x for c, x in zip(which, others, strict=True)]
 
@@ -68,7 +69,7 @@ def merged(which: Sequence[bool], given: Sequence[Any], others: Sequence[Any]) -
 
 
 def jaxpr_as_fun(jaxpr: ClosedJaxpr) -> Callable[..., list[Any]]:
-    """The function that runs a program."""
+    """Return the function that runs a program."""
     return functools.partial(eval_jaxpr, jaxpr.jaxpr, jaxpr.consts)
 
 
@@ -77,7 +78,8 @@ REST_HAS_DERIVATIVES = jax.__version_info__ >= (0, 8)
 
 
 def only_what_is_needed(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
-    """The program without operations that its results do not need, where JAX can remove them."""
+    """Return the program without operations that its results do not need, where JAX can remove
+    them."""
     if not hasattr(partial_eval, "dce_jaxpr"):
         return jaxpr
     return ClosedJaxpr(
@@ -87,16 +89,17 @@ def only_what_is_needed(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
 
 
 def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
-    """The same program in operations with batching and lowering rules. Since version 0.12 a
-    program may have "high" operations, such as searchsorted, which JAX replaces by others just
-    before it compiles."""
+    """Return the same program in operations with batching and lowering rules.
+
+    Since version 0.12 a program may have "high" operations, such as searchsorted, which JAX
+    replaces by others just before it compiles."""
     if not getattr(jaxpr, "is_high", False):
         return jaxpr
     return jax.jit(jaxpr_as_fun(jaxpr)).trace(*jaxpr.in_avals).lojax.jaxpr  # pyright: ignore
 
 
 def same_operation(equation: Any, args: Sequence[Any]) -> list[Any]:
-    """The results of the operation of one equation of a program, with other arguments."""
+    """Return the results of the operation of one equation of a program, with other arguments."""
     params = equation.primitive.get_bind_params(equation.params)
     functions, params = params if isinstance(params, tuple) else ((), params)
     out = equation.primitive.bind(*functions, *args, **params)
@@ -117,9 +120,18 @@ def new_operation(
     jvp: Callable[..., Any] | None = None,
     transpose: Callable[..., Any] | None = None,
 ) -> Primitive:
-    """A new operation of JAX that computes a function of (*arrays, **parameters), one array or
-    several, with its rules. Types and lowering are those of `compute` unless `typed` and `lowered`
-    are given; with a transpose but no jvp the operation is linear."""
+    """Make an operation of JAX that computes a function of (*arrays, **parameters).
+
+    Args:
+        name: its name in programs.
+        compute: the function; it returns one array, or several.
+        batch: its rule for jax.vmap.
+        typed: the types of results; by default those of `compute`.
+        several: whether it returns several arrays.
+        lowered: its rule of lowering; by default that of `compute`.
+        jvp: its rule for forward mode; without it, but with a transpose, the operation is linear.
+        transpose: its rule for reverse mode.
+    """
     primitive = Primitive(name)
     primitive.multiple_results = several
     primitive.def_impl(compute)
@@ -138,7 +150,7 @@ def new_operation(
 
 
 def with_tangent(change: Callable[..., Any]) -> Callable[..., Any]:
-    """The function (x, *known) -> x, whose tangent is change(tangent of x, x, *known)."""
+    """Make the function (x, *known) -> x whose tangent is change(tangent of x, x, *known)."""
 
     @jax.custom_jvp
     def same(x, *known):
@@ -154,14 +166,14 @@ def with_tangent(change: Callable[..., Any]) -> Callable[..., Any]:
 def same_numbers(
     name: str, typed: Callable[..., Any] = lambda x, **_: x, **rules: Any
 ) -> Primitive:
-    """An operation that returns its argument."""
+    """Make an operation that returns its argument."""
     return new_operation(
         name, lambda x, **_: x, typed=typed, lowered=lambda context, x, **_: [x], **rules
     )
 
 
 def call_of(name: str, **rules: Any) -> Primitive:
-    """An operation that runs its parameter `jaxpr`."""
+    """Make an operation that runs its parameter `jaxpr`."""
     primitive = new_operation(
         name,
         lambda *args, jaxpr, **_: jaxpr_as_fun(jaxpr)(*args),
@@ -200,7 +212,7 @@ def _type_of(compute: Callable[..., Any], *avals: Any, **parameters: Any) -> Sha
 
 
 def shaped(shape: tuple[int, ...], dtype: Any) -> ShapedArray:
-    """The type of an array, on the current mesh of devices."""
+    """Return the type of an array, on the current mesh of devices."""
     mesh = jax.sharding.get_abstract_mesh()
     if mesh.empty:
         return ShapedArray(shape, dtype)
@@ -213,14 +225,14 @@ def shaped(shape: tuple[int, ...], dtype: Any) -> ShapedArray:
     )
 
 
-# Within `jax.shard_map` the type of an array says over which axes of the mesh its values vary, and
-# a loop must not start with a constant, which does not vary, and continue with values that do.
-# Functions that are independent of devices are therefore traced without these types.
+# Within `jax.shard_map` the type of an array states over which axes of the mesh its values vary. A
+# loop must not start with a constant, which does not vary, and continue with values that do:
+# functions that are independent of devices are therefore traced without these types.
 
 
 def without_manual_axes(arrays: Sequence[Any]) -> tuple[Sequence[Any], Callable[[Any], Any]]:
-    """Arrays of which none varies over the axes of a mesh, and the function with which a result of
-    them does again."""
+    """Return the arrays without types that vary over the axes of a mesh, and the function with
+    which a result varies over them again."""
     axes = frozenset().union(*(_varying(jax.typeof(x)) for x in arrays))
     if not axes:
         return arrays, lambda x: x
@@ -228,8 +240,8 @@ def without_manual_axes(arrays: Sequence[Any]) -> tuple[Sequence[Any], Callable[
 
 
 def _hidden(x: Array, axes: frozenset) -> Array:
-    """x without varying axes, after it is made to vary over all of them: derivatives with respect
-    to constants are then correct sums over devices."""
+    """Return x without varying axes, after it is made to vary over all of them: derivatives with
+    respect to constants are then correct sums over devices."""
     missing = tuple(axes - _varying(jax.typeof(x)))
     if missing:
         x = (
@@ -260,7 +272,7 @@ def _with_varying(aval: Any, axes: frozenset) -> Any:
 def _type_only(
     name: str, varying: Callable[[frozenset], frozenset], back: Callable[[], Primitive]
 ) -> Primitive:
-    """An operation that changes the type of an array but not its numbers."""
+    """Make an operation that changes the type of an array but not its numbers."""
     primitive = same_numbers(
         name,
         typed=lambda x, axes: _with_varying(x, varying(axes)),

@@ -1,6 +1,6 @@
-"""Functions that the lower packages call and upper ones define, by the names under which
-`jaxbody/__init__` hands them down: what draws a result, what assembles closed loops. They are
-imported at their first use."""
+"""Functions that lower packages call and upper ones define, such as what draws a result or
+assembles closed loops. `jaxbody/__init__` registers them by name; they are imported at their first
+use."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ _PLACES: dict[str, tuple[str, str]] = {}
 
 
 def hand_down(**places: tuple[str, str]) -> None:
-    """Say where functions are: name=(module, function)."""
+    """Register functions: name=(module, function)."""
     _PLACES.update(places)
 
 
 def handed_down(name: str) -> Any:
-    """The function of this name."""
+    """Return the function of this name."""
     module, function = _PLACES[name]
     return getattr(import_module(module), function)

@@ -76,7 +76,7 @@ def clear() -> None:
 
 
 def screen() -> TextIO | None:
-    """stderr of a terminal or stdout of a notebook; None if there is neither."""
+    """Return stderr of a terminal or stdout of a notebook; None if there is neither."""
     if sys.stderr is not None and sys.stderr.isatty():
         return sys.stderr
     ipython: Any = sys.modules.get("IPython")
@@ -86,8 +86,7 @@ def screen() -> TextIO | None:
 
 @contextmanager
 def working(name: str, progress: bool | None = None) -> Iterator[Line]:
-    """A progress line for the duration of a `with` block, shown after five seconds where progress
-    is None.
+    """Show a progress line during a `with` block, after five seconds, where progress is None.
 
     False turns it off; so does True, because reports are then printed on lines of their own."""
     lines = _local.__dict__.setdefault("lines", [])

@@ -1,4 +1,4 @@
-"""The base classes of results: a status with its message, and printing as small tables."""
+"""The base classes of results: a status with its message, and tables that are printed."""
 
 from collections.abc import Callable
 from functools import partial
@@ -26,8 +26,8 @@ AnyResult = TypeVar("AnyResult", bound="Result")
 
 
 class Result(tables.Printed, eqx.Module):
-    """`.status` (one code per sample), `.ok`, `.report()`, `.raise_if_failed()`, and printing
-    as tables."""
+    """The base class of results: `.status` (one code per sample), `.ok`, `.report()`,
+    `.raise_if_failed()`, and printing as tables."""
 
     status: eqx.AbstractVar[Any]
 
@@ -37,13 +37,13 @@ class Result(tables.Printed, eqx.Module):
         return as_numpy(self.status) == Status.OK
 
     def explain(self) -> str:
-        """Details of the failure of a single sample; "" if there are none. A trajectory or an
-        equilibrium computes them when asked."""
+        """Return details of the failure of a single sample; "" if there are none. Trajectories and
+        equilibria compute them here."""
         return ""
 
     def report(self) -> str:
-        """The status with its message and details; for a batch, the number of samples of each
-        status; "traced" inside jit or vmap."""
+        """Return the status with its message and details; for a batch, the number of samples of
+        each status; "traced" inside jit or vmap."""
         return self.message(type(self).explain)
 
     @property
@@ -53,7 +53,7 @@ class Result(tables.Printed, eqx.Module):
         return self.report() if is_concrete(self.status) and np.any(self.status) else ""
 
     def message(self, details: Callable[[Any], str]) -> str:
-        """The same text as `report`, with other details than those of `explain`."""
+        """Return the same text as `report`, with details by another function than `explain`."""
         if not is_concrete(self.status):
             return "traced"
         codes = np.asarray(self.status)
@@ -71,8 +71,8 @@ class Result(tables.Printed, eqx.Module):
         )
 
     def raise_if_failed(self) -> None:
-        """Raise a JaxbodyError unless every sample is ok; a batch lists the indices that are not.
-        Error inside jit or vmap: TRACED."""
+        """Raise a JaxbodyError unless every sample is ok; for a batch it lists the indices that are
+        not. Error inside jit or vmap: TRACED."""
         where = type(self).__name__.lower()
         if not is_concrete(self.status):
             raise JaxbodyError(
@@ -108,22 +108,24 @@ class OfOutputs(Labeled, Result):
         return part_of(getattr(self, self.main), (..., self.outputs.index(output)))
 
     def labeled(self, kind: str, variables: dict[str, Any], coordinates: Any = ()) -> Any:
-        """A dataset of these variables, with the units of outputs and the status."""
+        """Return a dataset of these variables, with the units of outputs and the status."""
         own = {"unit": (("output",), np.array(self.units), ""), "status": ((), self.status, "")}
         return dataset(variables | own, {"output": list(self.outputs), **dict(coordinates)}, kind)
 
 
 def without_derivatives(tree: Any) -> Any:
-    """The tree with values in place of the tracers of jax.grad, jax.jvp and jax.vjp; tracers of jit
-    and vmap remain."""
+    """Return the tree with values in place of the tracers of jax.grad, jax.jvp and jax.vjp; tracers
+    of jit and vmap remain."""
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, Tracer) else x, tree)
 
 
 def finished(
     result: AnyResult, found: Callable[[Any], Any], parts: Callable[[AnyResult], Any]
 ) -> AnyResult:
-    """The result, after a warning if it failed. Where it is traced, these parts are NaN unless
-    found, by the status, with NaN as their derivatives: no warning is seen there."""
+    """Return the result, after a warning if it failed.
+
+    If it is traced there is no warning; its `parts` are then NaN, with NaN as their derivatives,
+    where `found` of its status is False."""
     warn_if_failed(result)
     if is_concrete(result):
         return result
@@ -142,8 +144,7 @@ def _nan_unless_found(found: Callable[[Any], Any], status: Any, numbers: list[An
 
 
 def warn_if_failed(result: AnyResult) -> AnyResult:
-    """The result itself, which a public function returns, after a warning if it failed and its
-    status is not traced."""
+    """Return the result, after a warning if it failed and its status is not traced."""
     if is_concrete(result.status) and (codes := np.asarray(result.status)).any():
         warn(
             Status(int(codes.flat[np.flatnonzero(codes)[0]])).name,

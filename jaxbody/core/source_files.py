@@ -1,5 +1,5 @@
-"""Files of a user: extension, existence, kind, size and encoding before they are read, and the
-error of a file that cannot be written."""
+"""Files of a user: extension, existence, kind, size and encoding are checked before they are read;
+errors of files that cannot be written."""
 
 from __future__ import annotations
 
@@ -17,9 +17,16 @@ OF_RECORDS = 5.0  # bytes of memory for each byte of a file of numbers
 def check_file(
     path: Path, largest: float = math.inf, memory: float = OF_RECORDS, option: str = ""
 ) -> None:
-    """Check that a path is a regular file, not empty, of at most `largest` bytes, and readable. A
-    pipe or a device is refused before it is opened, because it might block or never end. `memory`:
-    bytes of memory for each byte of the file; `option`: that of the command which sets the limit.
+    """Check that a path is a readable regular file, not empty, of at most `largest` bytes.
+
+    A pipe or a device is refused before it is opened, because it might block or never end.
+
+    Args:
+        path: path of the file.
+        largest: largest size [bytes].
+        memory: bytes of memory for each byte of the file.
+        option: option of the command that sets the limit; "": none.
+
     Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
     try:
         status = path.stat()
@@ -80,6 +87,15 @@ def check_size(
     option: str = "",
 ) -> None:
     """Check that a file, or its numbers at 8 bytes each, take at most `largest` bytes.
+
+    Args:
+        name: name of the file.
+        size: size [bytes].
+        largest: largest size [bytes].
+        what: the unit of the size in the message.
+        memory: bytes of memory for each byte of the file.
+        option: option of the command that sets the limit; "": none.
+
     Error: TOO_LARGE."""
     if size > largest:
         setting = f"largest={1.1 * size:.2g}" + (f" ({option} {1.1 * size:.2g})" if option else "")
@@ -99,8 +115,8 @@ def check_size(
 
 
 def extension_of(path: Path, *known: str, hint: str = "") -> str:
-    """The extension of a path in small letters, one of those known, such as ".toml".
-    Error: UNKNOWN_FORMAT."""
+    """Return the extension of a path in small letters, one of those known, such as ".toml". Error:
+    UNKNOWN_FORMAT."""
     extension = path.suffix.lower()
     if extension not in known:
         raise JaxbodyError(
@@ -117,7 +133,7 @@ def extension_of(path: Path, *known: str, hint: str = "") -> str:
 
 
 def decoded(data: bytes, name: str, encoding: str) -> str:
-    """Text of bytes, without a byte order mark of UTF-8. Errors: ENCODING, with byte and
+    """Return the text of bytes, without a byte order mark of UTF-8. Errors: ENCODING, with byte and
     offset; WRONG_FORMAT."""
     hint = 'Give encoding="latin-1", or the encoding in which it was written.'
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") and encoding == "utf-8":
@@ -160,8 +176,9 @@ def decoded(data: bytes, name: str, encoding: str) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """The path of a new file, which takes the place of this one at the end of the block, so that
-    each reader sees a whole one; of a block that fails or is interrupted nothing is left."""
+    """Provide the path of a new file, which replaces this one at the end of the `with` block.
+
+    Readers always see a complete file; a block that fails or is interrupted leaves nothing."""
     new = path.with_name(f"{path.name}.new")
     try:
         yield new
@@ -173,7 +190,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def writing(path: Path, hint: str = "Choose another path.") -> Iterator[None]:
-    """A block that writes a file. Error: NOT_SAVED."""
+    """Run a `with` block that writes a file. Error: NOT_SAVED."""
     try:
         yield
     except OSError as error:

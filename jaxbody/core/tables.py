@@ -1,5 +1,5 @@
-"""How results are shown: as small tables with units, in a terminal and in a notebook, and by `plot`
-as a picture."""
+"""Printed results: small tables with units, in a terminal and in a notebook, and `plot` for a
+picture."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ class PlotMethod:
 
 
 class Printed(ABC):
-    """An object that prints as tables. They are made of its arrays in NumPy, so that printing runs
-    no program of JAX."""
+    """An object that prints as tables. They are made of its arrays in NumPy, so that no program of
+    JAX runs."""
 
     plot = PlotMethod()
 
     @abstractmethod
     def _tables(self) -> list[PrintedTable]:
-        """The tables that are printed."""
+        """Return the tables that are printed."""
 
     def __repr__(self) -> str:
         return text(*in_numpy(self)._tables())
@@ -62,9 +62,10 @@ class Printed(ABC):
 
 
 def summarized(title: str, ndim: int, **heads: str) -> Callable:
-    """A decorator of `_tables` for results that may be batches. If the first of these attributes
-    does not have `ndim` axes, or is traced, the result prints as one table of the attributes, each
-    with its heading."""
+    """Return a decorator of `_tables` for results that may be batches.
+
+    If the first of the attributes in `heads` does not have `ndim` axes, or is traced, the result
+    prints as one table of the attributes, each with its heading."""
 
     def of_method(
         single: Callable[[Any], list[PrintedTable]],
@@ -81,7 +82,7 @@ def summarized(title: str, ndim: int, **heads: str) -> Callable:
 
 
 def in_numpy(tree: Any) -> Any:
-    """The tree with JAX arrays converted to NumPy arrays; tracers stay."""
+    """Return the tree with JAX arrays converted to NumPy arrays; tracers stay."""
     return jax.tree.map(
         lambda x: np.asarray(x) if isinstance(x, jax.Array) and not isinstance(x, Tracer) else x,
         tree,
@@ -89,7 +90,8 @@ def in_numpy(tree: Any) -> Any:
 
 
 def of_matrix(title: str, matrix: Any, names: tuple[str, ...]) -> PrintedTable:
-    """A square matrix with the names of its rows; dots for a large matrix or a batch."""
+    """Return a square matrix as a table with the names of its rows; dots for a large matrix or a
+    batch."""
     few, matrix = matrix.ndim == 2 and len(names) <= 12, without_dust(matrix)
     heads = map(str, range(len(names))) if few else [""]
     return PrintedTable(
@@ -100,8 +102,8 @@ def of_matrix(title: str, matrix: Any, names: tuple[str, ...]) -> PrintedTable:
 
 
 def number(value: Any) -> str:
-    """A number to six digits, a short vector, or the shape of a larger array; "traced" inside jit
-    or vmap."""
+    """Return a number with six digits, a short vector, or the shape of a larger array, as text;
+    "traced" inside jit or vmap."""
     if value is None or isinstance(value, str):
         return value or ""
     if isinstance(value, Tracer):
@@ -115,7 +117,7 @@ def number(value: Any) -> str:
 
 
 def percent(share: Any) -> str:
-    """A share in percent, to two digits; empty if it is round-off or not finite.
+    """Return a share in percent, with two digits; empty if it is round-off or not finite.
 
     >>> percent(0.0123), percent(2.1), percent(2e-14)
     ('1.2 %', '210 %', '')
@@ -128,12 +130,12 @@ def percent(share: Any) -> str:
 
 
 def counted(count: int, what: str) -> str:
-    """A count with its noun: "1 line", "2 lines"."""
+    """Return a count with its noun: "1 line", "2 lines"."""
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def without_dust(values: Any, unit: Any = None) -> Any:
-    """The numbers with rounding errors set to zero: those below 1e-12 of a unit, or of the
+    """Return the numbers with rounding errors set to zero: those below 1e-12 of `unit`, or of the
     largest number."""
     if isinstance(values, Tracer):
         return values
@@ -146,7 +148,8 @@ def without_dust(values: Any, unit: Any = None) -> Any:
 
 
 def text(*shown: PrintedTable) -> str:
-    """Aligned columns; a blank line before every title but the first."""
+    """Return the tables as text with aligned columns; a blank line before every title but the
+    first."""
     return "\n".join(
         ("\n" if i and table.title else "") + "\n".join(_lines(table))
         for i, table in enumerate(shown)
@@ -177,7 +180,7 @@ def _rest(table: PrintedTable) -> str:
 
 
 def html(*shown: PrintedTable) -> str:
-    """The tables as HTML, for a notebook."""
+    """Return the tables as HTML, for a notebook."""
     blocks = []
     for table in shown:
         head = "".join(f"<th>{escape(c)}</th>" for c in table.columns)

@@ -193,7 +193,7 @@ TOKEN = re.compile(
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit: how it was written, its factor to SI, its dimension.
+    """A unit: its text, its factor to SI, its dimension.
 
     >>> parse("km/h", "speed").si
     'm/s'
@@ -210,7 +210,7 @@ class Unit:
 
 
 def si_words(dimension: Dimension) -> str:
-    """The usual name of an SI unit, "m/s2", or else its base units, "kg m s-1"."""
+    """Return the usual name of an SI unit, "m/s2", or else its base units, "kg m s-1"."""
     if dimension in WORDS:
         return WORDS[dimension]
     m, kg, *others = dimension
@@ -219,8 +219,8 @@ def si_words(dimension: Dimension) -> str:
 
 
 def parse(text: str, where: str) -> Unit:
-    """The unit with this name; messages begin with `where`. Errors: UNKNOWN_UNIT, with the nearest
-    names; NO_UNIT for an empty name.
+    """Return the unit with this name; messages begin with `where`. Errors: UNKNOWN_UNIT, with the
+    nearest names; NO_UNIT for an empty name.
 
     >>> parse("mm", "stroke").factor
     0.001
@@ -251,7 +251,7 @@ def parse(text: str, where: str) -> Unit:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is the name of a unit.
+    """Return whether a text is the name of a unit.
 
     >>> is_unit("N/mm"), is_unit("left")
     (True, False)
@@ -266,8 +266,8 @@ def is_unit(text: str) -> bool:
 def _product(
     rest: list[tuple[str, str]], written: str, where: str, depth: int = 0
 ) -> tuple[float, Dimension]:
-    """The product of the units up to the end or a closing parenthesis; they are removed
-    from `rest`."""
+    """Return factor and dimension of the product of the units up to the end or a closing
+    parenthesis; they are removed from `rest`."""
     factor, dimension, sign, divided = 1.0, NONE, 1, False
     while True:
         f, d = _power(rest, written, where, depth)
@@ -296,7 +296,7 @@ def _product(
 def _power(
     rest: list[tuple[str, str]], written: str, where: str, depth: int
 ) -> tuple[float, Dimension]:
-    """One unit, or a product in parentheses, with its power."""
+    """Return factor and dimension of one unit, or a product in parentheses, with its power."""
     kind, token = rest.pop(0)
     power = 1
     if token == "(" and depth < 5:

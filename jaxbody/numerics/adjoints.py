@@ -28,10 +28,11 @@ POINTS = 13  # of a look between the ends of a step, besides samples
 
 class Driven(diffrax.ODETerm):
     """y' = driven(u, y, args) with u = drive(t, args), the part that depends on time alone.
-    `Blocks` compute u for all stages of a step at once. Both are traced once for each shape, also
-    where diffeqsolve looks at their shapes only; give functions of a module. `project`: project(u,
-    y, at_y, args), the state next to y that fulfils conditions which solutions fulfil, with what
-    `driven` then returns besides y'; None without such conditions."""
+
+    `Blocks` computes u for all stages of a step at once. Both functions are traced once for each
+    shape, also where diffeqsolve needs only their shapes; give functions of a module. `project`:
+    project(u, y, at_y, args), the state next to y that fulfils conditions which solutions fulfil,
+    with what `driven` then returns besides y'; None without such conditions."""
 
     drive: Callable[[Any, Any], Any]
     driven: Callable[[Any, Any, Any], Any]
@@ -50,7 +51,7 @@ class Driven(diffrax.ODETerm):
         )
 
     def projected(self, t, y, args):
-        """The state next to y at the time t that fulfils the conditions."""
+        """Return the state next to y at the time t that fulfils the conditions."""
         u = self.drive(t, args)
         return self.project(u, y, self.driven(u, y, args)[1], args)  # pyright: ignore[reportOptionalCall]
 
@@ -80,8 +81,8 @@ class Unstarted(diffrax.AbstractStepSizeController):
 
 
 class Lasting(diffrax.AbstractAdaptiveStepSizeController):
-    """diffrax.PIDController(rtol, atol, norm) with a shortest step, which ends an integration only
-    where it is refused: a step that was short because a kink cut it may grow."""
+    """diffrax.PIDController(rtol, atol, norm) with a shortest step. An integration ends there only
+    if that step is refused: a step that was short because a kink cut it may grow."""
 
     rtol: Any
     atol: Any
@@ -149,11 +150,15 @@ class Projected(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
 
 
 class Watched(Projected):
-    """A solver whose steps end projected, and that looks along them, as `Blocks` do: after a step
-    with an error far below the tolerance the defect of the next one's interpolation, h (f(t,
-    y(t)) - y'(t)), is evaluated at points between its ends and at the sample times, otherwise in
-    its middle alone, where half the digits suffice. A step with a larger defect has an infinite
-    error, and any controller refuses it."""
+    """A solver whose steps end projected, with looks along them, as in `Blocks`.
+
+    After a step with an error far below the tolerance, the next one's interpolation is evaluated
+    at points between its ends and at the sample times, otherwise in its middle alone, where half
+    the digits suffice:
+
+        defect = h (f(t, y(t)) - y'(t))
+
+    A step with a larger defect has an infinite error, so that any controller refuses it."""
 
     times: Float[Array, "nt"]
     rtol: Any
@@ -240,8 +245,8 @@ class Blocks(diffrax.AbstractAdjoint):
     Solvers are explicit Runge-Kutta methods of diffrax, such as Dopri8, Tsit5 or Heun;
     stepsize_controller is ConstantStepSize() or PIDController(rtol, atol), also with a norm,
     safety and limits, and in ClipStepSizeController(step_ts=...); saveat may have t0, t1, ts and
-    fn. Samples after an early end are NaN. `stats["status"]` is a jb.Status and tells NONFINITE
-    from DT_MIN.
+    fn. Samples after an early end are NaN. `stats["status"]` is a jb.Status, which differs for
+    NONFINITE and DT_MIN.
 
     Errors, all at once: WRONG_KIND for a solver, controller, saveat, event or progress meter that
     blocks do not know, and for max_steps=None; TOO_LARGE for derivatives that would reserve more
@@ -351,14 +356,14 @@ class Blocks(diffrax.AbstractAdjoint):
 
 
 def within(terms: Any) -> Any:
-    """The term that the user gave: diffeqsolve wraps it in another, for integration backward
-    in time."""
+    """Return the term that the user gave: for integration backward in time, diffeqsolve wraps it in
+    another."""
     return getattr(terms, "term", terms)
 
 
 def _field(terms, t0, y0, unravel, args) -> Callable[[Array, Array, Any], Array]:
-    """The vector field of vectors, with what it closes over as arrays of its own, which can
-    have derivatives."""
+    """Return the vector field as a function of vectors; arrays in its closure become its own, which
+    can have derivatives."""
 
     def field(t, y, args):
         return ravel_pytree(
@@ -378,7 +383,7 @@ def _rate(t, y, arguments):
 
 
 def _steps_of(controller: Any) -> tuple[Any, Array | None]:
-    """A PIDController, None for constant steps, or any other controller; and times at which
+    """Return a PIDController, None for constant steps, or any other controller; and times at which
     steps end."""
     kinks, controller = (
         None,
@@ -394,7 +399,7 @@ def _steps_of(controller: Any) -> tuple[Any, Array | None]:
 
 
 def _check(solver, control, event, saveat, max_steps, meter) -> None:
-    """Check that Blocks can do what is asked. Errors, all at once: WRONG_KIND."""
+    """Check that Blocks support these options. Errors, all at once: WRONG_KIND."""
     explicit = isinstance(solver, diffrax.AbstractERK) and len(solver.tableau.c) > 0  # pyright: ignore
     integral = isinstance(control, diffrax.PIDController) and (
         (control.pcoeff, control.icoeff, control.dcoeff, control.dtmax) == (0, 1, 0, None)

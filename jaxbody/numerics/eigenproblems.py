@@ -41,19 +41,19 @@ SWEPT = 128  # lanes for eigenvalues, whose many short loops take longer to call
 
 
 def clusters(values: Float[Array, "*n"]) -> Int[Array, "*n"]:
-    """The number of the cluster, from 0 ascending, of each of the ascending values."""
+    """Return the number of the cluster, from 0 ascending, of each of the ascending values."""
     top = jnp.max(jnp.abs(values), initial=0.0)
     apart = jnp.diff(values) > CLUSTERED * jnp.abs(values[1:]) + ZERO * top
     return jnp.concatenate([jnp.zeros(min(1, len(values)), int), jnp.cumsum(apart)])
 
 
 def together(cluster: Int[Array, "*b n"]) -> Bool[Array, "*b n n"]:
-    """Whether i and j belong to one cluster."""
+    """Return whether i and j belong to one cluster."""
     return cluster[..., :, None] == cluster[..., None, :]
 
 
 def averaged(x: Float[Array, "*m n"], cluster: Int[Array, "n"]) -> Float[Array, "*m n"]:
-    """The mean over each cluster, along the last axis."""
+    """Return the mean over each cluster, along the last axis."""
     same = together(cluster)
     return x @ (same.astype(x.dtype) / jnp.sum(same, 0).astype(x.dtype)[None])
 
@@ -64,7 +64,7 @@ def averaged(x: Float[Array, "*m n"], cluster: Int[Array, "n"]) -> Float[Array, 
 def linear_one_way(
     name: str, forward: Callable[..., Any], backward: Callable[..., Any], again: Any = None
 ) -> Callable[..., Array]:
-    """A function of a tangent and of known arrays, with its own transpose; all functions take
+    """Make a function of a tangent and of known arrays with its own transpose; all functions take
     leading axes of batches.
 
     A custom rule of JAX would transpose `forward`, which here need not be linear, and cannot
@@ -107,8 +107,8 @@ def _alone(cluster: Array) -> Array:
 
 
 def _one_sided(W: Array, cluster: Array) -> Array:
-    """The ascending eigenvalues of the block of W of each cluster; clusters are kept apart by
-    a shift."""
+    """Return the ascending eigenvalues of the block of W of each cluster; a shift keeps clusters
+    apart."""
     B = jnp.where(together(cluster), (W + jnp.swapaxes(W, -1, -2)) / 2, 0.0)
     shift = (
         4 * jnp.max(jnp.sum(jnp.abs(B), -1), -1, initial=0.0)[..., None] * cluster.astype(W.dtype)
@@ -123,7 +123,8 @@ def _one_sided(W: Array, cluster: Array) -> Array:
 
 
 def _if_alike(cotangent: Array, cluster: Array) -> Array:
-    """A diagonal matrix of the cotangent, NaN where it differs between branches of a cluster."""
+    """Return a diagonal matrix of the cotangent, NaN where it differs between branches of a
+    cluster."""
     same = together(cluster)
     middle = jnp.sum(jnp.where(same, cotangent[..., None, :], 0.0), -1) / jnp.sum(
         same, -1, dtype=cotangent.dtype
@@ -142,7 +143,7 @@ def _nan_if_shared(x: Array, cluster: Array) -> Array:
 
 
 def _second(W: Array, cluster: Array) -> Array:
-    """The change of a slope: NaN in a cluster, unless nothing changes there."""
+    """Return the change of a slope: NaN in a cluster, unless nothing changes there."""
     still = jnp.sum(jnp.where(together(cluster), jnp.abs(W), 0.0), -1) == 0
     return jnp.where(_alone(cluster) | still, jnp.diagonal(W, axis1=-2, axis2=-1), jnp.nan)
 
@@ -166,8 +167,8 @@ def _unless_shared(change: Array, shapes: Array, cluster: Array) -> Array:
 
 
 def _if_of_the_space(cotangent: Array, shapes: Array, cluster: Array) -> Array:
-    """The cotangent where rotating the vectors of a cluster within their space has no effect,
-    else NaN."""
+    """Return the cotangent where rotating the vectors of a cluster within their space has no
+    effect, else NaN."""
     X = jnp.where(together(cluster), jnp.swapaxes(shapes, -1, -2) @ cotangent, 0.0)
     turn = jnp.max(jnp.abs(X - jnp.swapaxes(X, -1, -2)), -2, initial=0.0)
     good = turn <= ALIKE * jnp.max(jnp.abs(X), -2, initial=0.0)
@@ -185,7 +186,8 @@ refused_in_clusters = with_tangent(shape_changes)
 def natural(
     K: Float[Array, "n n"], M: Float[Array, "n n"]
 ) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
-    """w^2, ascending, and phi (columns) of K phi = w^2 M phi, with the symmetric parts of K and M.
+    """Return w^2, ascending, and phi (columns) of K phi = w^2 M phi, with the symmetric parts of K
+    and M.
 
     Normalized to phi' M phi = 1, the largest component positive."""
     A, L = in_lanes(_standard)(K, M)
@@ -200,14 +202,14 @@ def natural(
 
 
 def _standard(K, M):
-    """A and L of the standard problem A y = w^2 y, with y = L' phi and L L' = M."""
+    """Return A and L of the standard problem A y = w^2 y, with y = L' phi and L L' = M."""
     L = cholesky_of_mass(M)
     half = jax.lax.linalg.triangular_solve(L, K, left_side=True, lower=True)
     return _symmetric(jax.lax.linalg.triangular_solve(L, half.T, left_side=True, lower=True)), L
 
 
 def cholesky_of_mass(M: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """L of M = L L'; NaN where M is singular to round-off."""
+    """Return L of M = L L'; NaN where M is singular to round-off."""
     L = jnp.linalg.cholesky(_symmetric(M), symmetrize_input=False)
     pivots = jnp.diagonal(L) ** 2
     return jnp.where(jnp.min(pivots - MASSLESS * jnp.diagonal(M), initial=jnp.inf) > 0, L, jnp.nan)
@@ -236,8 +238,8 @@ PARALLEL = 1e-9
 
 
 def coincide(one: Complex[Array, "n"], other: Complex[Array, "n"]) -> Bool[Array, "n n"]:
-    """Whether two poles coincide; rounding splits a double pole with a single vector by the square
-    root of the relative rounding error."""
+    """Return whether two poles coincide; rounding splits a double pole with a single vector by the
+    square root of the relative rounding error."""
     top = jnp.max(jnp.abs(one), initial=0.0)
     size = jnp.maximum(jnp.abs(one)[:, None], jnp.abs(other)[None])
     return jnp.abs(one[:, None] - other[None]) <= CLUSTERED * size + CLUSTERED / 10 * top * (
@@ -247,8 +249,8 @@ def coincide(one: Complex[Array, "n"], other: Complex[Array, "n"]) -> Bool[Array
 
 @functools.partial(jnp.vectorize, signature="(n,n),(n),(n)->(n)")
 def _one_sided_poles(W: Array, cluster: Array, order: Array) -> Array:
-    """The eigenvalues of the block of W of each cluster, assigned to its members in the order of
-    imaginary parts."""
+    """Return the eigenvalues of the block of W of each cluster, assigned to its members by
+    imaginary part."""
     same = together(cluster)
     B = jnp.where(same, W, 0.0)
     # of each block: a small one keeps its digits
@@ -276,15 +278,16 @@ pole_slopes = linear_one_way(
 
 
 def companion(M: Any, C: Any, K: Any) -> Any:
-    """A of x' = A x, x = (Delta, Delta'), where M Delta'' + C Delta' + K Delta = 0."""
+    """Return A of x' = A x, x = (Delta, Delta'), where M Delta'' + C Delta' + K Delta = 0."""
     xp, n = module_of(M), len(M)
     rates = xp.linalg.solve(M.astype(K.dtype), xp.concatenate([-K, -C.astype(K.dtype)], 1))
     return xp.concatenate([np.eye(n, 2 * n, n, dtype=K.dtype), rates])
 
 
 def first_order(M: Any, C: Any, K: Any, n: int) -> tuple[Any, Any]:
-    """A and B of x' = A x + B f, x = (Delta, Delta', y), where M (Delta, y)'' + C (Delta, y)' + K
-    (Delta, y) = f.
+    """Return A and B of x' = A x + B f, x = (Delta, Delta', y), where
+
+        M (Delta, y)'' + C (Delta, y)' + K (Delta, y) = f.
 
     The rows of y, those after the first n, have M = 0 and a definite C_yy."""
     ny, eye = len(M) - n, np.eye(n, dtype=K.dtype)
@@ -307,7 +310,7 @@ def first_order(M: Any, C: Any, K: Any, n: int) -> tuple[Any, Any]:
 
 
 def eig(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Complex[Array, "n n"]]:
-    """s and x (columns, unit length) of A x = s x, in the order of LAPACK. Error: DEVICE."""
+    """Return s and x (columns, unit length) of A x = s x, in the order of LAPACK. Error: DEVICE."""
     if (device := jax.default_backend()) not in WITH_EIG:
         raise JaxbodyError(
             Problem(
@@ -325,12 +328,12 @@ def eig(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Complex[Array, "n 
 
 @jax.custom_jvp
 def poles(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Array]:
-    """s and x of A x = s x as `eig` gives them, with derivatives."""
+    """Return s and x of A x = s x as `eig` does, with derivatives."""
     return eig(A)
 
 
 def pole_clusters(values: Complex[Array, "n"]) -> Int[Array, "n"]:
-    """A number for each pole, equal for poles that coincide."""
+    """Return a number for each pole, equal for poles that coincide."""
     return jnp.argmax(coincide(values, values), axis=0)
 
 

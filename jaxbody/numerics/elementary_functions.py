@@ -31,7 +31,8 @@ C = [
 
 
 def root(x: Float[Array, "*n"], degree: int = 2) -> Float[Array, "*n"]:
-    """The square root, or that of another degree, with the derivative zero at zero; zero below."""
+    """Return the square root, or that of another degree, with the derivative zero at zero; zero
+    below."""
     positive = x > 0
     known = jnp.where(positive, x, 1.0)
     known = jnp.sqrt(known) if degree == 2 else known ** (1 / degree)
@@ -39,7 +40,7 @@ def root(x: Float[Array, "*n"], degree: int = 2) -> Float[Array, "*n"]:
 
 
 def polynomial(coefficients: Any, x: Any) -> Any:
-    """sum c_n x^n by Horner's rule."""
+    """Return sum c_n x^n by Horner's rule."""
     total = coefficients[-1]
     for n in range(len(coefficients) - 2, -1, -1):
         total = total * x + coefficients[n]
@@ -48,7 +49,7 @@ def polynomial(coefficients: Any, x: Any) -> Any:
 
 @jax.custom_jvp
 def sincos(x: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """sin x and cos x, within 1 ulp; NaN where x is not finite. In float32 these are XLA's
+    """Return sin x and cos x, within 1 ulp; NaN where x is not finite. In float32 these are XLA's
     own functions.
 
     >>> s, c = sincos(jnp.array(1e5))
@@ -58,18 +59,18 @@ def sincos(x: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"
     if x.dtype != jnp.float64:
         return jnp.sin(x), jnp.cos(x)
     n = jnp.round(x * (2 / jnp.pi))
-    r, lost = x - n * HALF_PI[0], jnp.zeros_like(x)
+    r, rest = x - n * HALF_PI[0], jnp.zeros_like(x)
     for part in HALF_PI[1:]:
         part, before = n * part, r
         r = before - part
-        lost = lost + ((before - r) - part)
+        rest = rest + ((before - r) - part)
     # only exceeded where x is too large for the reduction
-    r, lost = jnp.clip(r, -0.8, 0.8), jnp.clip(lost, -1e-15, 1e-15)
+    r, rest = jnp.clip(r, -0.8, 0.8), jnp.clip(rest, -1e-15, 1e-15)
     z = r * r
-    s = r + (lost * (1 - z / 2) + z * r * polynomial(S, z))
+    s = r + (rest * (1 - z / 2) + z * r * polynomial(S, z))
     half = z / 2
     w = 1 - half
-    c = w + (((1 - w) - half) + (z * z * polynomial(C, z) - r * lost))
+    c = w + (((1 - w) - half) + (z * z * polynomial(C, z) - r * rest))
     turn = n - 4 * jnp.floor(n / 4)
     odd = (turn == 1) | (turn == 3)
     s, c = jnp.where(odd, c, s), jnp.where(odd, s, c)

@@ -110,13 +110,13 @@ class Gauss(AbstractSolver):
 
 
 def weighted(A: np.ndarray, k: Float[Array, "stages ny"]) -> Array:
-    """A k, computed as a sum."""
+    """Return A k, computed as a sum."""
     return jnp.sum(jnp.asarray(A, k.dtype)[..., None] * k[(None,) * (np.ndim(A) - 1)], -2)
 
 
 def fixed_point(function, guess: Array) -> tuple[Array, Array]:
-    """x = function(x) by iteration until changes no longer decrease, and whether they have
-    decreased enough; derivatives by the implicit function theorem."""
+    """Solve x = function(x) by iteration until changes no longer decrease, and return x and whether
+    they have decreased enough; derivatives by the implicit function theorem."""
 
     def change(x):
         return function(x) - x

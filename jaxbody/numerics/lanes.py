@@ -175,7 +175,7 @@ APART = {
 
 
 def _no_lanes() -> str:
-    """The reason why lanes cannot be used; "" if they can."""
+    """Return the reason why lanes cannot be used; "" if they can."""
     platform = jax.default_backend()
     return "" if platform == "cpu" else f"lanes are for a CPU, this is a {platform}"
 
@@ -183,7 +183,7 @@ def _no_lanes() -> str:
 def in_lanes(
     function: Callable, *, reversible: bool = False, lanes: int = LANES, name: str = ""
 ) -> Callable[..., Any]:
-    """The function, rewritten in a batch for chunks on the last axis.
+    """Return the function, rewritten in a batch for chunks on the last axis.
 
     Args:
         function: a function from arrays to arrays
@@ -215,7 +215,7 @@ def in_lanes(
 
 
 def vmap_last(function: Callable) -> Callable[[Array], Any]:
-    """The function of one array, mapped over its last axis; results have that axis last."""
+    """Map a function of one array over its last axis; results have that axis last."""
 
     def over(x: Array):
         if _no_lanes():
@@ -244,8 +244,8 @@ def _jvp(primals, tangents, *, jaxpr, reversible, lanes, name):
 def _pushed(
     function: Callable, moved: list[bool], smooth: list[bool]
 ) -> Callable[[list, list], tuple[list, list]]:
-    """A function of (arguments, tangents of those that are `moved`) with (results, tangents of
-    those that are `smooth`)."""
+    """Return a function of (arguments, tangents of those that are `moved`) with (results, tangents
+    of those that are `smooth`)."""
 
     def pushed(primals, tangents):
         def of_moved(*x):
@@ -259,7 +259,7 @@ def _pushed(
 
 
 def _batch(args, axes, *, jaxpr, reversible, lanes, name):
-    """The batch in lanes, or else by jax.vmap, which follows changes of JAX."""
+    """Compute a batch in lanes, or else by jax.vmap, which follows changes of JAX."""
     why = _no_lanes()
     try:
         if not why:
@@ -273,7 +273,7 @@ def _batch(args, axes, *, jaxpr, reversible, lanes, name):
 
 
 def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
-    """The batch in chunks, so that memory does not grow with it."""
+    """Compute a batch in chunks, so that memory does not grow with it."""
     on = [axis is not None for axis in axes]
     args = [
         jnp.moveaxis(x, axis, -1) if o else x for x, axis, o in zip(args, axes, on, strict=True)
@@ -285,8 +285,10 @@ def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
         return out, [x.ndim - 1 if o else None for x, o in zip(out, reached, strict=True)]
 
     def chunk(i, joined):
-        """One chunk; the last one is moved back to be complete: some members are then computed
-        twice, and no array is padded."""
+        """Compute one chunk.
+
+        The last chunk is moved back to be complete: some members are then computed twice, and no
+        array is padded."""
         begin = jnp.minimum(i * lanes, n - lanes)
         given = [
             lax.dynamic_slice_in_dim(x, begin, lanes, -1) if o else x
@@ -314,8 +316,8 @@ _lanes_p = call_of("in_lanes", batch=_batch, jvp=_jvp)
 def _function(
     jaxpr: ClosedJaxpr, on: tuple[bool, ...], n: int, name: str
 ) -> Callable[..., list[Any]]:
-    """The body of a call for n members at once, jitted: JAX keeps its trace for all calls of one
-    jitted function."""
+    """Return the body of a call for n members at once, jitted: JAX keeps its trace for all calls of
+    one jitted function."""
     return jax.jit(lambda *x: Lanes(n, name).run(jaxpr, list(on), list(x)))
 
 
@@ -328,7 +330,7 @@ class Lanes:
     def run(
         self, jaxpr: ClosedJaxpr, on: list[bool], args: list[Any], wanted: list[bool] | None = None
     ) -> list[Any]:
-        """Results of a jaxpr.
+        """Return the results of a jaxpr.
 
         Args:
             jaxpr: the jaxpr to be evaluated
@@ -364,7 +366,8 @@ class Lanes:
         ]
 
     def _spread(self, x, on: bool, shape) -> Array:
-        """x with the given shape and lanes; a scalar, or one scalar for each lane, is repeated."""
+        """Return x with the given shape and lanes; a scalar, or one scalar for each lane, is
+        repeated."""
         x = jnp.asarray(x)
         axes = tuple(range(len(shape))) if x.ndim - on == len(shape) else ()
         return (
@@ -434,7 +437,7 @@ class Lanes:
         return [a if r else a[..., 0] for a, r in zip(out, reach_of(eqn, on), strict=True)]
 
     def _with_own_rule(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
-        """An operation with a custom derivative, which is used, in lanes, where the batch
+        """Evaluate an operation with a custom derivative, which is used, in lanes, where the batch
         is differentiated."""
         outs = [v.aval for v in eqn.outvars]
         moved, smooth = (
@@ -464,7 +467,7 @@ class Lanes:
         return call(*x)
 
     def _cond(self, eqn, on, x):
-        """Both branches, that of True only where a lane takes it."""
+        """Evaluate both branches, that of True only where a lane takes it."""
 
         def result(branch):
             return self.run(branch, on[1:], x[1:], [True] * len(eqn.outvars))
@@ -475,8 +478,8 @@ class Lanes:
         return [jnp.where(takes, a, b) for a, b in zip(taken, otherwise, strict=True)]
 
     def _while(self, p, on, x):
-        """A loop whose lanes end apart goes on until the last one has ended; those that have ended
-        keep what they carry."""
+        """Run a loop whose lanes may end at different steps until the last one has ended; lanes
+        that have ended keep their values."""
         a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
         apart, carry = reach_of_while(p, on)
         carry = [True] * len(carry) if apart else carry

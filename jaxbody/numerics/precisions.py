@@ -1,4 +1,4 @@
-"""Precision of numbers: tolerances that it can reach."""
+"""Tolerances that the precision of numbers allows."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ NEWTON = 1024
 
 
 def reachable(tolerance: float, dtype: np.dtype, roundings: int = 32) -> float:
-    """The larger of the tolerance and this number of roundings of 1: 32 are 7e-15 in float64, 4e-6
-    in float32."""
+    """Return the larger of the tolerance and this number of roundings of 1: 32 are 7e-15 in
+    float64, 4e-6 in float32."""
     return max(tolerance, roundings * float(np.finfo(dtype).eps))
 
 
 def in_float64(dtype: np.dtype) -> str:
-    """Advice where float32 may be too coarse; "" in float64."""
+    """Return advice where float32 may be too coarse; "" in float64."""
     return (
         'compute in float64: jax.config.update("jax_enable_x64", True) before building the model'
         if dtype == np.float32

@@ -6,7 +6,8 @@ control of steps.
     y(t + theta h) = y + sum_i p_i(theta) k_i,  p_i a polynomial without a constant
     defect at theta = h f(t + theta h, y(t + theta h)) - sum_i p_i'(theta) k_i
 
-The error sees what acts at the stages of a step; the defect sees what acts between them.
+What acts at the stages of a step is in its error; what acts between them is in its defect. A look
+along a step that was made evaluates its defect at some points.
 The coefficients are those of a solver of diffrax; by default Dopri8 (Prince, Dormand, J. Comp.
 Appl. Math. 7 (1981) 67).
 """
@@ -35,13 +36,13 @@ TRIAL = 1e-6
 # errors by round-off, in eps of the state; smaller errors do not lengthen the next step further,
 ROUNDED = 100.0
 LEAST_ERROR = 1e-3  # nor do errors below this where tolerances are near round-off
-# error over its tolerance; a step with less, or that changes hardly anything, tells nothing about
-# the next one, and that is looked along before it is taken
+# error over its tolerance; a step with less, or that changes hardly anything, gives no information
+# about the next one, and that is looked along before it is taken
 QUIET = 0.02
 # unless both are cut at kinks and equally long, as those from sample to sample of a record
 LONGER = 1.01
-# a step longer than so many of the shortest that an error has asked for is looked along, too: what
-# was met once comes again
+# a step this many times longer than the shortest that an error has required is looked along, too:
+# what happened once may happen again
 SHARP = 100.0
 NOT_LOOKING, EVENLY = -2, -1  # where a look is, unless at samples
 DEFECT = 1e3  # allowed, over the tolerance of the error
@@ -72,8 +73,8 @@ method_of = functools.cache(Method)  # for a solver of diffrax, worked out once
 
 
 def _polynomials(solver: diffrax.AbstractERK, b: np.ndarray) -> np.ndarray:
-    """P of the solver's interpolation, from its table of coefficients or else from its values at
-    some theta."""
+    """Return P of the solver's interpolation, from its table of coefficients or else from its
+    values at some theta."""
     interpolation: Any = solver.interpolation_cls
     if hasattr(interpolation, "eval_coeffs"):
         return np.asarray(interpolation.eval_coeffs)[:, ::-1].T
@@ -108,7 +109,7 @@ class InitialValueProblem(NamedTuple):
 
 
 def rate(problem: InitialValueProblem, arguments, t, y):
-    """y' at the time t."""
+    """Return y' at the time t."""
     there = problem.rate(problem.drive(t, arguments), y, arguments)
     return there if problem.project is None else there[0]
 
@@ -127,8 +128,8 @@ class Step(NamedTuple):
 
 
 class Look(NamedTuple):
-    """A look along a step that was made, in place of a step: the points theta and the
-    states there."""
+    """A look along a step: the points theta at which its defect is evaluated, and the states there;
+    `on`: whether there is one, in place of a step."""
 
     on: Bool[Array, ""]
     theta: Float[Array, "n"]
@@ -145,17 +146,28 @@ def step(
     trial: Bool[Array, ""] | None = None,
     look: Look | None = None,
 ) -> Step:
-    """A step of length h, or a look along one that was made.
+    """Make a step of length h, or look along one that was made.
 
-    A trial step has only two stages, k_1 = h f(t, y) and the rate a little later; a separate
-    function would compile the rate twice. For the same reason the projection, with the rate there,
-    is one more stage, and a look is a step whose stages are at its points."""
+    Args:
+        problem: the problem.
+        arguments: its arguments.
+        t: time at the start [s].
+        y: state there.
+        f: rate there.
+        h: length [s].
+        trial: whether it is a trial step, of two stages only: k_1 = h f(t, y) and the rate a little
+            later; None: steps of a constant or known length, without a trial.
+        look: where to look instead; None: nowhere.
+
+    A separate function for a trial step would compile the rate twice. For the same reason the
+    projection, with the rate there, is one more stage, and a look is a step whose stages are at its
+    points."""
     method, project = problem.method, problem.project
     carry: Any
     stages = len(method.A) + 1
 
     def place(stage, i):
-        """The state of a stage, or the point of a look, which needs no derivative."""
+        """Return the state of a stage, or the point of a look, which needs no derivative."""
         return (
             stage
             if look is None
@@ -233,9 +245,9 @@ def step(
 
 
 def error_ratio(problem: InitialValueProblem, y, made: Step) -> Float[Array, ""]:
-    """A step's error over its tolerance, or, if that is larger, the difference of its last two
-    stages over half the digits: both are at its end, and the last one is in the polynomial, but not
-    in the error."""
+    """Return a step's error over its tolerance, or, if that is larger, the difference of its last
+    two stages over half the digits: both are at its end, and the last one is in the polynomial, but
+    not in the error."""
     method, error = (
         problem.method,
         jnp.abs(_sum(problem.method.E, made.k) if made.error is None else made.error),
@@ -248,7 +260,7 @@ def error_ratio(problem: InitialValueProblem, y, made: Step) -> Float[Array, ""]
 
 
 def change_ratio(problem: InitialValueProblem, y, made: Step) -> Float[Array, ""]:
-    """A step's change of the state over half the digits."""
+    """Return a step's change of the state over half the digits."""
     return problem.control.norm(
         jnp.sqrt(problem.control.rtol) * (made.y - y) / _tolerance(problem, y, made.y)
     )
@@ -257,8 +269,8 @@ def change_ratio(problem: InitialValueProblem, y, made: Step) -> Float[Array, ""
 def defects(
     problem: InitialValueProblem, y, made: Step, look: Look, c: Float[Array, "m ny"]
 ) -> Float[Array, "n"]:
-    """The defects seen by a look along a step from y with the polynomial c, over what is allowed;
-    zero without a look."""
+    """Return the defects of a step from y with the polynomial c at the points of a look along it,
+    over their allowed values; zero without a look."""
 
     def seen():
         scale = DEFECT * _tolerance(problem, y, made.y)
@@ -280,21 +292,22 @@ def _tolerance(problem: InitialValueProblem, y0, y1) -> Float[Array, "ny"]:
 
 
 def rows_of_polynomial(problem: InitialValueProblem) -> int:
-    """The number of coefficients of the polynomial of a step."""
+    """Return the number of coefficients of the polynomial of a step."""
     rows = len(problem.method.P) + 1
     return rows if problem.project is None else max(rows, 4)
 
 
 def _sum(a, k: Float[Array, "n ny"]) -> Float[Array, "ny"]:
-    """sum of a_i k_i, term by term: loops over ny are fast, a reduction over n is
-    not (xla_workarounds)."""
+    """Return the sum of a_i k_i, term by term: loops over ny are fast, a reduction over n is not
+    (xla_workarounds)."""
     terms = [a[i] * k[i] for i in range(len(k)) if isinstance(a, jax.Array) or a[i] != 0]
     return sum(terms[1:], terms[0])
 
 
 def polynomial(method: Method, y, made: Step) -> Float[Array, "n ny"]:
-    """c_0, c_1 ... of the state c_0 + c_1 theta + ... in the step, with theta^2 (3 - 2 theta)
-    (P(y1) - y1) where it ends projected."""
+    """Return c_0, c_1 ... of the state c_0 + c_1 theta + ... in the step.
+
+    Where it ends projected, theta^2 (3 - 2 theta) (P(y1) - y1) is added."""
     c = [y, *(_sum(p, made.k) for p in method.P)]
     if made.moved is not None:
         c += [jnp.zeros_like(y)] * (4 - len(c))
@@ -303,10 +316,11 @@ def polynomial(method: Method, y, made: Step) -> Float[Array, "n ny"]:
 
 
 def first_length(control: Any, order: int, y0, f0, f1, dt, end) -> Float[Array, ""]:
-    """The first step's length, from the rates at the start and dt later. Of each component of y0 at
-    least as much counts as has equal tolerances, atol/rtol: a start that is zero up to rounding
-    says nothing about the step. Source: Hairer, Norsett, Wanner, Solving Ordinary Differential
-    Equations I, II.4."""
+    """Return the first step's length [s], from the rates f0 at the start and f1 dt later.
+
+    Of each component of y0 at least as much counts as has equal tolerances, atol/rtol: a start that
+    is zero up to rounding gives no information about the step. Source: Hairer, Norsett, Wanner,
+    Solving Ordinary Differential Equations I, II.4."""
     scale = control.atol + control.rtol * jnp.abs(y0)
     d0, d1, d2 = (
         control.norm(x / scale)
@@ -324,14 +338,14 @@ def first_length(control: Any, order: int, y0, f0, f1, dt, end) -> Float[Array, 
 
 
 def root(order: int, x: Array) -> Array:
-    """The root of the degree of a method's order; roots of roots are faster than a power."""
+    """Return the root of the degree of a method's order; roots of roots are faster than a power."""
     if order == 8:
         return jnp.sqrt(jnp.sqrt(jnp.sqrt(x)))
     return x ** (1 / order)
 
 
 def row_at(x: Array, i: Array) -> Array:
-    """x[i]; for a single row without an index, so that a batch needs no gather."""
+    """Return x[i]; for a single row without an index, so that a batch needs no gather."""
     return x[0] if len(x) == 1 else lax.dynamic_index_in_dim(x, i, 0, keepdims=False)
 
 
@@ -340,7 +354,7 @@ def row_at(x: Array, i: Array) -> Array:
 
 class Course(NamedTuple):
     """The state of step control: next step length, the longest that is taken without a look, the
-    shortest that was asked for by an error, numbers of accepted and rejected steps, status."""
+    shortest that an error has required, numbers of accepted and rejected steps, status."""
 
     h: Float[Array, ""]
     unseen: Float[Array, ""]
@@ -351,9 +365,10 @@ class Course(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """A step whose error is small, looked along before it is taken: where the next look is, EVENLY
-    or at the user's samples from this one on; up to which theta the samples were seen; length and
-    polynomial of the step."""
+    """A step whose error is small, and along which is looked before it is taken.
+
+    `at`: where the next look is, EVENLY or at the user's samples from this one on; `seen`: theta up
+    to which the samples are checked; `h`: length; `c`: polynomial of the step."""
 
     at: Int[Array, ""]
     seen: Float[Array, ""]
@@ -362,7 +377,7 @@ class Ahead(NamedTuple):
 
 
 def look_along(problem: InitialValueProblem, ahead: Ahead, tau, past: Float[Array, "nt"]) -> Look:
-    """The points of the next look along a step."""
+    """Return the points of the next look along a step."""
     ahead, tau = lax.stop_gradient((ahead, tau))
     on = ahead.at != NOT_LOOKING
     n = len(problem.method.A) + (problem.project is not None)  # as many as a step has rates
@@ -394,12 +409,12 @@ def controlled(
     change,
     defects,
 ):
-    """Whether a step is taken, the course after it, and where the next look along it is if it is
-    not yet taken.
+    """Return whether a step is taken, the course after it, and where the next look along it is if
+    it is not yet taken.
 
-    The error decides about the length of the next step. A step after a quiet one, whose error tells
-    nothing, or one that is long beside the shortest of the run, is made again and taken if its
-    defect was small in all looks, and otherwise becomes as long as it was small."""
+    The error determines the length of the next step. A step after a quiet one, whose error says
+    nothing about it, or a step much longer than the shortest of the run, is made again. It is taken
+    if its defect was small in all looks, and otherwise shortened to the part where it was small."""
     rules, h = problem.control, ahead.h
     good = error <= 1
     least = jnp.minimum(ROUNDED * jnp.finfo(h.dtype).eps / rules.rtol, LEAST_ERROR)

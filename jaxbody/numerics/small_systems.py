@@ -1,5 +1,5 @@
-"""Small systems of equations, solved without LAPACK, whose calls would split a compiled program,
-and which rows depend."""
+"""Small systems of equations, solved without LAPACK, whose calls would split a compiled program;
+independent rows of a matrix."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ SHORTEST = 1e-8
 
 
 def solve_spd(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
-    """x with A x = b for symmetric positive definite A."""
+    """Return x with A x = b for symmetric positive definite A."""
     return solve_if_definite(A, b)[0]
 
 
 def is_definite(A: Float[Array, "n n"]) -> Bool[Array, ""]:
-    """Whether the symmetric A is positive definite: all pivots of an elimination are positive. As a
-    loop it compiles faster than `solve_if_definite`."""
+    """Return whether the symmetric A is positive definite: all pivots of an elimination are
+    positive. As a loop it compiles faster than `solve_if_definite`."""
 
     def clear(k, carry):
         A, definite = carry
@@ -39,7 +39,7 @@ def is_definite(A: Float[Array, "n n"]) -> Bool[Array, ""]:
 def solve_if_definite(
     A: Float[Array, "n n"], b: Float[Array, "n"]
 ) -> tuple[Float[Array, "n"], Bool[Array, ""]]:
-    """x with A x = b, and whether the symmetric A is positive definite: all pivots of the
+    """Return x with A x = b, and whether the symmetric A is positive definite: all pivots of the
     elimination are positive."""
     n = A.shape[-1]
     if n > LARGEST_UNROLLED:
@@ -52,8 +52,8 @@ def solve_if_definite(
 def _gauss_jordan(
     A: Float[Array, "n n"], B: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m"], list[Array]]:
-    """X with A X = B, and the pivots of the elimination: the first column is eliminated from all
-    rows but i, and dropped."""
+    """Return X with A X = B, and the pivots of the elimination: for each row i, the first column is
+    cleared in all other rows and dropped."""
     AB, pivots = jnp.concatenate([A, B], -1), []
     for i in range(len(A)):
         pivots.append(AB[i, 0])
@@ -63,7 +63,7 @@ def _gauss_jordan(
 
 
 def _by_cholesky(L: Float[Array, "n n"], b: Float[Array, "n m"]) -> Float[Array, "n m"]:
-    """x with L L' x = b."""
+    """Return x with L L' x = b."""
     return lax.linalg.triangular_solve(
         L,
         lax.linalg.triangular_solve(L, b, left_side=True, lower=True),
@@ -74,7 +74,8 @@ def _by_cholesky(L: Float[Array, "n n"], b: Float[Array, "n m"]) -> Float[Array,
 
 
 def solve(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
-    """x with A x = b, by elimination with partial pivoting; not finite where A is singular."""
+    """Return x with A x = b, by elimination with partial pivoting; not finite where A is
+    singular."""
     if not 0 < len(A) <= LARGEST_UNROLLED:
         return jnp.linalg.solve(A, b)
     known = lax.stop_gradient(A)
@@ -87,8 +88,8 @@ def solve(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
 
 
 def _eliminated(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
-    """x with A x = b: each column is cleared in all rows but that of its pivot, which stays where
-    it is."""
+    """Return x with A x = b: each column is cleared in all rows but that of its pivot; rows are not
+    exchanged."""
     n = len(A)
 
     def clear(k, carry):
@@ -108,9 +109,10 @@ def _eliminated(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n
 
 
 def independent_rows(matrix: np.ndarray, *, enough: float = 1.0) -> list[int]:
-    """The rows of a matrix of which the others are sums, in the order of elimination: each time the
-    last one that is not shorter than `enough` of the longest, after the parts along those before
-    are taken off."""
+    """Return the rows of a matrix of which the others are sums, in the order of elimination.
+
+    Each time it is the last one that is not shorter than `enough` of the longest, after the parts
+    along those before are taken off."""
     rest, chosen, longest = np.array(matrix), [], 0.0
     for _ in range(min(rest.shape)):
         sizes = np.linalg.norm(rest, axis=1)
@@ -126,12 +128,12 @@ def independent_rows(matrix: np.ndarray, *, enough: float = 1.0) -> list[int]:
 
 
 class SaddlePoint(NamedTuple):
-    """[M J'; J 0] with symmetric positive definite M, ready to be solved. Rows of J that follow
-    from others do no harm: J has `rank` independent ones, found by orthonormalizing its rows in the
-    metric of M^-1, the longest remaining first.
+    """[M J'; J 0] with symmetric positive definite M, ready to be solved.
 
-    `inverse`: M^-1, and `of_rows`: S with A S A = A for A = J M^-1 J', both constants; derivatives
-    are those of the solution."""
+    Rows of J that follow from others do no harm: J has `rank` independent ones, found by
+    orthonormalizing its rows in the metric of M^-1, the longest remaining first. `inverse`: M^-1,
+    and `of_rows`: S with A S A = A for A = J M^-1 J', both constants; derivatives are those of the
+    solution."""
 
     M: Float[Array, "n n"]
     J: Float[Array, "m n"]
@@ -141,7 +143,7 @@ class SaddlePoint(NamedTuple):
     def solve(
         self, f: Float[Array, "n"], g: Float[Array, "m"]
     ) -> tuple[Float[Array, "n"], Float[Array, "m"]]:
-        """x and l with M x + J' l = f and J x = g."""
+        """Return x and l with M x + J' l = f and J x = g."""
         n = len(f)
 
         def product(xl):
@@ -158,7 +160,7 @@ class SaddlePoint(NamedTuple):
 
 
 def saddle_point(M: Float[Array, "n n"], J: Float[Array, "m n"], rank: int) -> SaddlePoint:
-    """[M J'; J 0] of a J with at most `rank` independent rows."""
+    """Return [M J'; J 0] of a J with at most `rank` independent rows."""
     fixed_M, fixed_J = lax.stop_gradient((M, J))
     inverse = inverse_spd(fixed_M)
     combined = _orthonormal_rows(fixed_J, jnp.sum(fixed_J[:, None] * inverse[None], -1), rank)
@@ -168,8 +170,8 @@ def saddle_point(M: Float[Array, "n n"], J: Float[Array, "m n"], rank: int) -> S
 def _orthonormal_rows(
     J: Float[Array, "m n"], D: Float[Array, "m n"], rank: int
 ) -> Float[Array, "rank m"]:
-    """The combinations C of rows that are orthonormal, C J (C D)' = 1, with D = J M^-1; zero for
-    rows that are missing."""
+    """Return the combinations C of rows that are orthonormal, C J (C D)' = 1, with D = J M^-1; zero
+    for missing rows."""
     m, n = J.shape
 
     def one(carry, _):
@@ -189,7 +191,7 @@ def _orthonormal_rows(
 
 
 def inverse_spd(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """The inverse of a symmetric positive definite matrix."""
+    """Return the inverse of a symmetric positive definite matrix."""
     one = jnp.eye(len(A), dtype=A.dtype)
     if len(A) > LARGEST_UNROLLED:
         return _by_cholesky(jnp.linalg.cholesky(A), one)
@@ -197,5 +199,5 @@ def inverse_spd(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 
 def times(A: Float[Array, "m n"], x: Float[Array, "n"]) -> Float[Array, "m"]:
-    """A x, as a sum."""
+    """Return A x, as a sum."""
     return jnp.sum(A * x[None], -1)

@@ -73,7 +73,7 @@ class Steps(NamedTuple):
 
 class Begun(NamedTuple):
     """The start of a block: time tau after t0, state and its rate, the step before it, the window
-    of samples, and the time up to which that is filled."""
+    of samples, and the time up to which that window is filled."""
 
     tau: Float[Array, ""]
     y: Float[Array, "ny"]
@@ -96,7 +96,8 @@ class Solution(NamedTuple):
 def solve(
     problem: InitialValueProblem, arguments: Any, y0: Float[Array, "ny"], times: Float[Array, "nt"]
 ) -> Solution:
-    """The solution from y0 at times[0]; differentiable in forward mode only, at the least cost."""
+    """Return the solution from y0 at times[0]; differentiable in forward mode only, at the least
+    cost."""
     return _march(problem, arguments, y0, times, keep=False)[0]
 
 
@@ -104,8 +105,8 @@ def solve(
 def solve_both_ways(
     given: tuple[Any, Float[Array, "ny"], Float[Array, "nt"]], *, problem: InitialValueProblem
 ) -> Solution:
-    """`solve` of given = (arguments, y0, times); differentiable in reverse mode, in forward mode,
-    which solves twice, and in forward mode over either."""
+    """Return `solve` of given = (arguments, y0, times); differentiable in reverse mode, in forward
+    mode, which solves twice, and in forward mode over either."""
     return _march(problem, *given, keep=False)[0]
 
 
@@ -146,8 +147,8 @@ def _backward(
     given,
     problem: InitialValueProblem,
 ):
-    """Cotangents of (arguments, y0, times) by the chain rule, block by block from the last to
-    the first."""
+    """Return the cotangents of (arguments, y0, times) by the chain rule, block by block from the
+    last to the first."""
     arguments, y0, times = given
     begun, lengths, n = kept
     varied, fixed = partition(arguments, is_inexact_array)
@@ -193,8 +194,8 @@ def _backward(
 def _march(
     problem: InitialValueProblem, arguments: Any, y0, times, keep: bool
 ) -> tuple[Solution, Any]:
-    """The solution, block after block; with `keep` also the starts and step lengths of
-    the blocks."""
+    """Return the solution, block after block; with `keep` also the starts and step lengths of the
+    blocks."""
     numbers, rest = partition((problem, arguments), is_array)
 
     def march(numbers, y0, times):
@@ -259,7 +260,7 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
     ahead = Ahead(none + NOT_LOOKING, zero, zero, lax.stop_gradient(c))
 
     def running(begun, course):
-        """Until all samples up to the end are computed: one step may reach over many windows."""
+        """Return whether samples up to the end remain: one step may reach over many windows."""
         return begun.filled < jnp.where(course.code == Status.OK.value, end, begun.tau)
 
     def block(carry):
@@ -314,8 +315,8 @@ def _advance(
     size: int,
     starting: Bool[Array, ""],
 ):
-    """Take steps until `goal`, at most one block of them; if `starting`, take a trial
-    step first."""
+    """Take steps until `goal`, at most one block of them; if `starting`, take a trial step
+    first."""
     t0, past = times[0], lax.stop_gradient(times - times[0])
     end = past[-1]
     rows = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), begun.last)._replace(
@@ -325,7 +326,7 @@ def _advance(
     ends = None if problem.kinks is None else jnp.append(problem.kinks - t0, jnp.inf)
 
     def stop(tau):
-        """Where a step from tau must end."""
+        """Return the time at which a step from tau must end."""
         if ends is None:
             return end
         return jnp.minimum(
@@ -411,7 +412,7 @@ def _advance(
 
 
 def _repeat(problem: InitialValueProblem, arguments, t0, begun: Begun, lengths: Float[Array, "n"]):
-    """The steps of a block from their lengths, and the final state and rate."""
+    """Return the steps of a block from their lengths, and the final state and rate."""
 
     def one(carry, h):
         tau, y, f = carry
@@ -429,7 +430,7 @@ def _repeat(problem: InitialValueProblem, arguments, t0, begun: Begun, lengths: 
 def _sampled(
     times, begun: Begun, steps: Steps, tau
 ) -> tuple[Float[Array, "w ny"], Bool[Array, "w"]]:
-    """The samples of the window from the polynomials of the steps, and which of them lie in
+    """Return the samples of the window from the polynomials of the steps, and which of them lie in
     this block."""
     past = row_at(_windows(times - times[0]), begun.window)
     row = jnp.searchsorted(lax.stop_gradient(steps.start + steps.h), past)
@@ -441,14 +442,14 @@ def _sampled(
 
 
 def _last(steps: Steps) -> Steps:
-    """The last step that was made."""
+    """Return the last step that was made."""
     made = (steps.h > 0) & jnp.isfinite(steps.h)
     i = jnp.max(jnp.where(made, jnp.arange(len(made)), 0))
     return jax.tree.map(lambda x: x[i], steps)
 
 
 def _windows(x: Float[Array, "nt *k"], more: Array | None = None) -> Float[jax.Array, "n w *k"]:
-    """Rows in windows, filled with the last row or with `more`."""
+    """Return rows in windows, filled with the last row or with `more`."""
     w = min(WINDOW, len(x))
     n = -(-len(x) // w)
     x = jnp.concatenate(
@@ -473,9 +474,17 @@ def linear_with_transpose(
     moved: Any,
     like: Any,
 ) -> Any:
-    """forward(known, moved), linear in the arrays `moved`, with its own transpose(known,
-    cotangents); `like` has arrays of the shapes and types of the results. Neither function may hold
-    arrays. Only the one that is needed is traced; both can be differentiated again."""
+    """Return forward(known, moved), linear in the arrays `moved`, with its own transpose.
+
+    Args:
+        forward: a function of (known, moved).
+        transpose: its transpose, a function of (known, cotangents).
+        known: arrays in which it need not be linear.
+        moved: arrays in which it is linear.
+        like: arrays of the shapes and types of the results.
+
+    Neither function may hold arrays. Only the one that is needed is traced; both can be
+    differentiated again."""
     given, tree = jax.tree.flatten((known, moved))
     n, known_tree = len(jax.tree.leaves(known)), jax.tree.structure(known)
 

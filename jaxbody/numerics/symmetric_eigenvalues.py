@@ -25,13 +25,13 @@ SWEEPS = 30  # most sweeps for each eigenvalue; three are usual
 
 
 def eigenvalues(A: Float[Array, "n n"]) -> Float[Array, "n"]:
-    """The eigenvalues in ascending order; NaN where A is not finite."""
+    """Return the eigenvalues in ascending order; NaN where A is not finite."""
     size = _size(A)
     return size * _ascending(_diagonalized(*_tridiagonal(A / size)))
 
 
 def number_below(A: Float[Array, "n n"], x: Float[Array, "m"]) -> Int[Array, "m"]:
-    """How many eigenvalues are less than each x; as loops without LAPACK, which would split a
+    """Return the number of eigenvalues below each x, by loops without LAPACK, which would split a
     compiled program."""
     size = _size(A)
     (d, e), x = _tridiagonal(A / size), x / size
@@ -51,7 +51,7 @@ def _size(A: Float[Array, "n n"]) -> Float[Array, ""]:
 
 
 def _tridiagonal(A: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-    """d and e of the tridiagonal form; e ends with a zero."""
+    """Return d and e of the tridiagonal form; e ends with a zero."""
     row = np.arange(len(A))
 
     def reflect(k, A):
@@ -70,12 +70,12 @@ def _tridiagonal(A: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array
 
 
 def _diagonalized(d: Float[Array, "n"], e: Float[Array, "n"]) -> Float[Array, "n"]:
-    """d when e has vanished. All matrices of a batch are swept until the last of them
-    has converged."""
+    """Return d when e has vanished. All matrices of a batch are swept until the last of them has
+    converged."""
     n = len(d)
 
     def settled(d, e):
-        """e with zeros for round-off, and the index of its first nonzero."""
+        """Return e with zeros for round-off, and the index of its first nonzero."""
         next_d = jnp.concatenate([d[1:], jnp.zeros_like(d[:1])])
         e = jnp.where(e <= jnp.finfo(d.dtype).eps ** 2 * jnp.abs(d * next_d), 0.0, e)
         left = any_of_batch(e > 0)
@@ -121,7 +121,8 @@ def _diagonalized(d: Float[Array, "n"], e: Float[Array, "n"]) -> Float[Array, "n
 
 
 def _ascending(d: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Sorted numbers, each placed by the number of smaller ones; NaN everywhere if one is NaN."""
+    """Return the numbers sorted, each placed by the number of smaller ones; NaN everywhere if one
+    is NaN."""
     i = np.arange(len(d), dtype=d.dtype)
     before = (d[:, None] < d[None]) | ((d[:, None] == d[None]) & (i[:, None] < i))
     rank = jnp.sum(before.astype(d.dtype), 0)

@@ -4,7 +4,7 @@ package with the gain of each.
 Gains are times, or where no unit is given ratios to the time of a C program, for tasks T1 (a
 motion), T2 (its gradient), T3 (1000 motions) and T4 (10000 equilibria with modes) of one body on
 five springs or, where stated, of three bodies, with jaxlib 0.10.2 unless another version is stated;
-tests/benchmarks/README.md describes the measurements. Brackets hold the plain form: to see whether
+tests/benchmarks/README.md describes the measurements. Brackets hold the plain form: to find whether
 a workaround is still needed, replace it by the plain form, run tests/benchmarks/run.py, and keep
 the plain form where nothing is lost.
 
@@ -106,7 +106,7 @@ any_of_batch: Callable[[Bool[Array, "*n"]], Bool[Array, "*n"]] = _any_p.bind
 # A reducer that XLA does not recognize: it passes large reductions to a library, whose calls keep a
 # loop from being compiled whole. It must still be a sum, as XLA merges sums of sums.
 def plain_sum(x: Array, axes: tuple) -> Array:
-    """The sum over axes, never by a call of a library."""
+    """Return the sum over axes, never by a call of a library."""
     return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
 
 
@@ -143,8 +143,8 @@ carried = with_tangent(lambda change, carry, known: change)
 
 
 def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]:
-    """The sum of the rows of each group: over slices where groups are a few runs of consecutive
-    rows, else by a padded gather."""
+    """Return the sum of the rows of each group: over slices where groups are a few runs of
+    consecutive rows, else by a padded gather."""
     if all(len(rows) == 1 for rows in groups):
         return x[np.concatenate(groups)]
     runs = [_runs(rows) for rows in groups]
@@ -156,7 +156,7 @@ def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]
 
 
 def _runs(rows: Any) -> list[np.ndarray]:
-    """Rows as runs of consecutive ones."""
+    """Return rows as runs of consecutive ones."""
     return np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1) if len(rows) else []
 
 
@@ -169,5 +169,6 @@ def _sum_of_runs(x: Float[Array, "m k"], runs: list[np.ndarray]) -> Float[Array,
 
 
 def _slice(x: Array, run: np.ndarray) -> Array:
-    """The rows of a run, staged in a fifth of the time that JAX takes to interpret an index."""
+    """Return the rows of a run, staged in a fifth of the time that JAX takes to interpret
+    an index."""
     return lax.slice_in_dim(x, int(run[0]), int(run[-1]) + 1)

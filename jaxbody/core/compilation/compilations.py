@@ -73,9 +73,11 @@ class CompileTimes:
         return sum(sum(times) for *times, _ in self.programs.values())
 
     def heard(self, event: str, seconds: float = 0.0, **data: str) -> None:
-        """Record an event of JAX. Only traces that become programs are counted; traces of inner
-        functions are part of those of the outer functions, and programs that are compiled and run
-        during a trace are no part of it."""
+        """Record an event of JAX.
+
+        Only traces that become programs are counted. The trace of an inner function is part
+        of that of the outer function; a program that is compiled and run during a trace is
+        not part of it."""
         phase, name, now = PHASES.get(event), program(data), time.perf_counter()
         self.cached += event == HIT
         if event == LEFT:
@@ -93,7 +95,7 @@ class CompileTimes:
             )
 
     def count_once(self, begin: float, end: float) -> float:
-        """Seconds of this span that were not counted before; they are counted from now on."""
+        """Return the seconds of this span that were not counted before, and count them."""
         overlaps = (max(min(end, until) - max(begin, since), 0.0) for since, until in self.counted)
         spent = end - begin - sum(overlaps)
         outside = [span for span in self.counted if not begin <= span[0] <= span[1] <= end]
@@ -121,12 +123,13 @@ class CompileTimes:
 
 
 def program(data: dict[str, str]) -> str:
-    """The name of the function that is traced, lowered or compiled, from the data of an event."""
+    """Return the name of the function that is traced, lowered or compiled, from the data of an
+    event."""
     return data.get("fun_name", "?").removeprefix("jit(").removesuffix(")")
 
 
 def note_left_to_vmap(function: str, why: str) -> None:
-    """Report to `compile_times` that a batch was left to jax.vmap, and why."""
+    """Report to `compile_times` that the batch of a function was left to jax.vmap, and why."""
     monitoring.record_event(LEFT, function=function, why=why)
 
 
@@ -158,7 +161,9 @@ _listeners: list[Callable[..., None]] = []  # are called as listener(event, seco
 
 @functools.cache
 def _listen() -> None:
-    """Pass on the events of JAX from now on. Older versions of JAX cannot remove a listener."""
+    """Pass the events of JAX on to all `_listeners`, from the first call on.
+
+    Older versions of JAX cannot remove a listener, so that one serves for all."""
 
     def heard(*event: Any, **data: Any) -> None:
         for listener in [*_listeners]:
@@ -179,7 +184,7 @@ def _add_seconds(event: str, seconds: float = 0.0, **data: str) -> None:
 
 
 class Compilations:
-    """The successive compilations of a function, with what changed in its arguments."""
+    """The successive compilations of a function, and what changed in its arguments between them."""
 
     def __init__(self, function: Callable[..., Any]):
         self.name = f"{function.__module__}.{function.__qualname__}"
@@ -192,8 +197,10 @@ class Compilations:
 
     @contextmanager
     def watched(self, args: tuple[Any, ...]) -> Iterator[None]:
-        """A call with these arguments. If it is compiled, warns SLOW_COMPILATION; warns RECOMPILED
-        once, if only one thing changes."""
+        """Watch a call with these arguments for a compilation.
+
+        Warns SLOW_COMPILATION if it takes more than a minute; warns RECOMPILED, once, if the
+        function is compiled again and again because one thing changes."""
         _listen()
         _called[self.program] = 0.0
         try:
@@ -238,8 +245,8 @@ class Compilations:
 
 
 def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, Any]:
-    """{place: (shape, type) of an array, any other leaf itself, or the structure of
-    an argument}."""
+    """Return {place in the arguments: (shape, type) of an array, any other leaf itself, or the
+    structure of an argument}."""
     places: dict[str, Any] = {}
     for name, arg in zip(parameters, args, strict=False):
         leaves, structure = jax.tree_util.tree_flatten_with_path(arg)
@@ -252,8 +259,10 @@ def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, 
 
 
 def _difference(before: dict[str, Any], now: dict[str, Any]) -> tuple[str, tuple[str, ...]] | None:
-    """The kind of change, and where; None if several kinds changed, or if the new arguments need
-    another program anyway."""
+    """Return the kind of change between two descriptions of arguments, and its places.
+
+    None if changes are of several kinds, or if the new arguments need another program in
+    any case."""
     if before.keys() != now.keys():
         return None
     changed = [place for place in now if before[place] != now[place]]

@@ -1,5 +1,5 @@
-"""One way to compile: a function of models and arrays as one program, compiled quickly by itself
-and a part of others inside them."""
+"""Drivers: functions of models and arrays, each compiled as one program with options of XLA; inside
+another program they are a part of it."""
 
 from __future__ import annotations
 
@@ -29,15 +29,17 @@ class Remainder:
 
 
 def separated(tree: Any) -> tuple[list[Any], Any, tuple[tuple[type, Any] | None, ...]]:
-    """The arrays of a tree, its structure, and its other leaves with their types, as 1, 1.0 and
-    True are equal; None in the places of arrays."""
+    """Split a tree into its arrays, its structure and its other leaves.
+
+    Other leaves stand with their types, as 1, 1.0 and True are equal; None stands in place of
+    arrays."""
     leaves, structure = jax.tree.flatten(tree)
     others = tuple(None if isinstance(leaf, ARRAYS) else (type(leaf), leaf) for leaf in leaves)
     return [leaf for leaf in leaves if isinstance(leaf, ARRAYS)], structure, others
 
 
 def joined(arrays: Sequence[Any], structure: Any, others: Sequence[Any]) -> Any:
-    """The tree of `separated`."""
+    """Return the tree that `separated` has split."""
     given = iter(arrays)
     return jax.tree.unflatten(
         structure, [next(given) if other is None else other[1] for other in others]
@@ -45,8 +47,8 @@ def joined(arrays: Sequence[Any], structure: Any, others: Sequence[Any]) -> Any:
 
 
 def without_weak_type(x: Any) -> Any:
-    """x with the type that it has, where JAX would let others decide it, as of a number
-    of Python."""
+    """Return x with its type fixed: that of a Python number would depend on what x is combined
+    with."""
     return jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x
 
 
@@ -75,8 +77,8 @@ STRUCTURES = 4096  # of arguments that a function keeps programs for
 
 
 def jit(function: F) -> F:
-    """jax.jit for functions of models and arrays, with options of XLA with which they
-    compile quickly.
+    """Compile a function of models and arrays as jax.jit does, with options of XLA with which it
+    compiles quickly.
 
     Arrays and Python floats, anywhere in the arguments, are arguments of the program, so that new
     values compile nothing; all else (names, functions, integers) is fixed in it. Results may hold
@@ -85,9 +87,9 @@ def jit(function: F) -> F:
         first = lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
         slopes = jb.jit(jax.grad(first))
 
-    What is lost: such a program runs up to three times slower; take `jax.jit` for what is called
-    thousands of times. Inside another `jit`, or inside a `grad`, `vmap` or `scan` that is in none,
-    where JAX takes no options, it is an ordinary `jax.jit`.
+    The price: such a program runs up to three times slower; use `jax.jit` for a function that is
+    called thousands of times. Inside another `jit`, and inside a `grad`, `vmap` or `scan` that is
+    not compiled, JAX takes no options, and it is an ordinary `jax.jit`.
 
     >>> import jax
     >>> import jaxbody as jb
@@ -110,15 +112,16 @@ def jit(function: F) -> F:
 
 
 def program(function: F) -> F:
-    """A driver: `jit` for jaxbody's own functions that take milliseconds, whose Python numbers are
-    fixed in the program."""
+    """Compile a driver: one of jaxbody's own functions, which takes milliseconds, and whose Python
+    numbers are fixed in its program."""
     return program_with(QUICK)(function)
 
 
 def program_with(options: Options | Callable[..., Options]) -> Callable[[F], F]:
-    """A decorator: a driver with these options, or with those that a function of its arguments
-    chooses from their shapes. As a part of another program, or of a derivative or batch, it has
-    none: JAX takes no options there."""
+    """Return a decorator that compiles a driver with these options of XLA.
+
+    They may be a function of the driver's arguments, which chooses options from their shapes.
+    Inside another program, a derivative or a batch there are none: JAX takes no options there."""
 
     return lambda function: _compiled(function, options, Compilations(function))
 
@@ -128,14 +131,17 @@ def _compiled(
     options: Options | Callable[..., Options],
     compilations: Compilations | None = None,
 ) -> Any:
-    """The function, compiled once for each structure of its arguments with all in it that is no
-    array: jax.jit takes arrays alone.
+    """Return the function, compiled once for each structure of its arguments with all in it that is
+    no array.
+
+    jax.jit takes arrays alone: the function is compiled as one of the arrays in its arguments,
+    which returns the arrays of its result. What else is in a result is known when it is traced.
 
     Args:
         function: the function, whose results may hold anything.
-        options: of XLA, for calls outside of other programs, or a function of the arguments.
-        compilations: what notes compilations by themselves; None for a function of a user, which
-            may depend on devices.
+        options: of XLA, for calls outside of other programs; or a function of the arguments.
+        compilations: notes the compilations of calls outside of other programs; None for a function
+            of a user, which may depend on devices.
     """
 
     @functools.lru_cache(STRUCTURES)

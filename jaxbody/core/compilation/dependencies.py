@@ -1,4 +1,4 @@
-"""What of a traced program depends on some of its arguments."""
+"""Which results of a traced program depend on some of its arguments."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CALLS = {
 
 
 def reach(jaxpr: ClosedJaxpr, on: list[bool]) -> list[bool]:
-    """Which results depend on the arguments that are `on`."""
+    """Return which results of a program depend on those arguments that are `on`."""
     known = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
     for eqn in jaxpr.jaxpr.eqns:
         given = [not isinstance(x, Literal) and known.get(x, False) for x in eqn.invars]
@@ -22,13 +22,13 @@ def reach(jaxpr: ClosedJaxpr, on: list[bool]) -> list[bool]:
 
 
 def reach_of(eqn, on: list[bool]) -> list[bool]:
-    """Which results of one operation depend on its arguments that are `on`."""
+    """Return which results of one operation depend on those of its arguments that are `on`."""
     name, p = eqn.primitive.name, eqn.params
     if name in CALLS:
         return reach(p[CALLS[name]], on)
     if name == "while" and any(on):
-        asks, carry = reach_of_while(p, on)
-        return [True] * len(carry) if asks else carry
+        ends_apart, carry = reach_of_while(p, on)
+        return [True] * len(carry) if ends_apart else carry
     if name == "scan":
         consts, end = parts_of_scan(eqn)
         carry = fixpoint(p["jaxpr"], on[:consts], on[consts:end], on[end:])
@@ -41,16 +41,17 @@ def reach_of(eqn, on: list[bool]) -> list[bool]:
 
 
 def reach_of_while(p, on: list[bool]) -> tuple[bool, list[bool]]:
-    """Whether the condition of a while loop depends on the arguments that are `on`, and which of
-    its carried values do."""
+    """Return whether the condition of a while loop depends on those arguments that are `on`, and
+    which of its carried values do."""
     a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
     carry = fixpoint(p["body_jaxpr"], on[a:b], on[b:], [])
     return reach(p["cond_jaxpr"], on[:a] + carry)[0], carry
 
 
 def parts_of_scan(eqn) -> tuple[int, int]:
-    """Where the carry begins and ends among the arguments of a scan; carried values have the same
-    shape in the body, mapped ones do not."""
+    """Return where the carry begins and ends among the arguments of a scan.
+
+    Carried values have the same shape in its body; mapped ones do not."""
 
     def alike(outer, inner):
         return sum(a.aval.shape == b.aval.shape for a, b in zip(outer, inner, strict=True))
@@ -63,7 +64,7 @@ def parts_of_scan(eqn) -> tuple[int, int]:
 def fixpoint(
     body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list[bool]
 ) -> list[bool]:
-    """Which carried values of a loop depend on what is `on` after any number of steps."""
+    """Return which carried values of a loop depend on what is `on` after any number of steps."""
     while True:
         after = [a or b for a, b in zip(carry, reach(body, consts + carry + xs), strict=False)]
         if after == carry:

@@ -12,14 +12,14 @@ from jaxbody.core.errors import JaxbodyError, Problem
 
 
 def keep_programs(folder: str | os.PathLike | None = None) -> Path:
-    """Let JAX keep what it compiles on disk, for later processes, and return the folder.
+    """Let JAX keep its compiled programs on disk, for later processes, and return the folder.
 
     Args:
-        folder: a folder of your own that no other user may read or write; by default `jaxbody` in
-            your cache folder (XDG_CACHE_HOME or ~/.cache). It is made if there is none.
+        folder: a folder of your own that no other user may read or write, made if there is none; by
+            default `jaxbody` in your cache folder (XDG_CACHE_HOME or ~/.cache).
 
-    This is JAX's persistent cache with programs of any size, however fast they compile; where JAX
-    has a folder already (JAX_COMPILATION_CACHE_DIR), that one stays. A later process traces its
+    This is JAX's persistent cache, for programs of any size and time of compilation. Where JAX has
+    a folder already (JAX_COMPILATION_CACHE_DIR), that one stays. A later process traces its
     functions again, which is the greater part of the time, but compiles only those that have
     changed. Call it before the first computation; the command `jaxbody` does.
 

@@ -1,9 +1,8 @@
 """Values as plain text and arrays, and back: names, numbers and tuples of them, never code.
 
-Classes and functions are written by name; only those of jaxbody and of the libraries that it is
-built on are known, as their source is that of an installed version. A value of another kind has no
-text: `Unnamed` says which.
-"""
+Classes and functions are written by name. Only those of jaxbody and of the libraries that it uses
+are known, as their source is that of an installed version. Other values have no text: the error
+`Unnamed` describes them."""
 
 from __future__ import annotations
 
@@ -24,18 +23,25 @@ LIBRARIES = ("jaxbody", "diffrax", "equinox", "jax", "lineax", "optimistix")
 
 
 class Unnamed(Exception):
-    """A value that has no text, with a description of it."""
+    """The error of a value that has no text, with a description of it."""
 
 
 def text_of(value: Any, arrays: list[Any] | None = None, allow: Sequence[str] = ()) -> str:
-    """The text of a value; equal values have equal texts. Arrays are added to `arrays`, where it is
-    given, and the text has their places in it. `allow`: modules whose classes have names too.
+    """Return the text of a value; equal values have equal texts.
+
+    Args:
+        value: the value.
+        arrays: a list to which its arrays are added, whose places in it the text has; None: arrays
+            have no text.
+        allow: modules whose classes have names too.
+
     Error: Unnamed."""
     return json.dumps(_Writer(arrays, allow).encoded(value), separators=(",", ":"))
 
 
 def value_of(text: str, arrays: Sequence[Any] = (), allow: Sequence[str] = ()) -> Any:
-    """The value of a text. Error: ValueError where the text is not that of a value."""
+    """Return the value of a text, with these arrays. Error: ValueError where the text is not that
+    of a value."""
     try:
         return _Reader(arrays, allow).decoded(json.loads(text))
     except (AttributeError, ImportError, IndexError, KeyError, RuntimeError, TypeError) as error:
@@ -45,7 +51,7 @@ def value_of(text: str, arrays: Sequence[Any] = (), allow: Sequence[str] = ()) -
 
 @dataclasses.dataclass
 class _Writer:
-    """Values to lists of plain values, the first of which says what they are."""
+    """Writes values as lists of plain values, the first of which names the kind of the value."""
 
     arrays: list[Any] | None
     allow: Sequence[str]
@@ -74,7 +80,7 @@ class _Writer:
         return [self.encoded(item) for item in items]
 
     def array(self, x: Any) -> Any:
-        """The place of an array among the others."""
+        """Return the place of an array among the others."""
         if self.arrays is None or isinstance(x, Tracer) or x.dtype.kind not in "biufc":
             return _refused(x)
         place = next((i for i, other in enumerate(self.arrays) if other is x), len(self.arrays))
@@ -100,7 +106,7 @@ class _Writer:
         return ["name", f"{home}:{names[0]}"] if names else _refused(x)
 
     def name(self, thing: Any) -> str:
-        """ "module:name" of a class or function that can be found by it."""
+        """Return "module:name" of a class or function that can be found by it."""
         module, name = getattr(thing, "__module__", None) or "", getattr(thing, "__qualname__", "")
         if module == "builtins" and isinstance(thing, type):
             return f"builtins:{name}"
@@ -112,8 +118,7 @@ class _Writer:
 
 
 def _fields(kind: type) -> tuple[str, ...] | None:
-    """The names of the values that an object of a class consists of; None where it does not
-    say so."""
+    """Return the names of the values of which an object of a class consists; None if unknown."""
     if issubclass(kind, tuple):
         return getattr(kind, "_fields", None)
     if dataclasses.is_dataclass(kind):
@@ -147,7 +152,7 @@ def _refused(x: Any) -> Any:
 
 @dataclasses.dataclass
 class _Reader:
-    """The values of such lists."""
+    """Reads the values of such lists."""
 
     arrays: Sequence[Any]
     allow: Sequence[str]

@@ -1,5 +1,5 @@
-"""A batch of independent rows as chunks: how long one is, who computes it, and where its results
-are kept, in memory or in a store."""
+"""A batch of independent rows in chunks: the size of a chunk, the workers that compute it, and its
+results, in memory or in a store."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from jaxbody.core.workers.executors import Crew, check_workers
 BUSY = 2.0  # time for which a chunk should keep a worker busy [s]
 FEWEST = 16  # chunks in a batch, so that workers end at about the same time
 LARGEST = 2**26  # results of a chunk [bytes]
-TRIED = 4  # times the width that a worker computes to find out how long it takes
+TRIED = 4  # rows of a trial, over the width, from which the time of a row follows
 
 Report = Callable[[int, int], None]  # rows that are done, workers
 
@@ -69,8 +69,10 @@ class ChunkedBatch:
 def arrays_apart(
     function: Callable[..., Any], tree: Any
 ) -> tuple[Callable[..., Any], list[Any], Any]:
-    """function(tree, *rows) as a function of two lists of arrays, (shared, rows); the arrays of the
-    tree, which are `shared`; and what else the tree is, which is part of the program."""
+    """Return function(tree, *rows) as a function of two lists of arrays, (shared, rows).
+
+    Also returns `shared`, the arrays of the tree, and the rest of the tree, which is part of the
+    program."""
     numbers, rest = eqx.partition(tree, lambda x: isinstance(x, jax.Array | np.ndarray))
     shared, structure = jax.tree.flatten(numbers)
 
@@ -85,7 +87,7 @@ programs: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictio
 
 
 def kept_by(owner: Any, key: Any, make: Callable[[], Any]) -> Any:
-    """What `make` returns, made once for a key that says what else it depends on."""
+    """Return the result of `make`, which is called once for each key as long as the owner lives."""
     return kept(programs.setdefault(owner, {}), key, make)
 
 
@@ -100,9 +102,11 @@ def computed_here(
     place: Any = (),
     memory: float | None = None,
 ) -> Iterator[dict[str, np.ndarray]]:
-    """The results by function(tree, *rows) of `width` rows at a time, in their order, by this
-    process and without workers; arguments as in `batch_of`. The program is that of workers but not
-    made data, so that the numbers are the same, and callbacks are possible."""
+    """Yield the results of function(tree, *rows), `width` rows at a time in order, computed in this
+    process.
+
+    Arguments are those of `batch_of`. The program is that of workers, but not sent as data: the
+    numbers are the same, and callbacks are possible."""
     apart, shared, rest = arrays_apart(function, tree)
     one, width = rows(0, 1), min(width, count)
 
@@ -131,7 +135,7 @@ def computed_here(
 
 
 def gathered_here(report: Report, **batch: Any) -> dict[str, np.ndarray]:
-    """All results by `computed_here`."""
+    """Return all results of `computed_here`, with a report after each part."""
     parts, done = [], 0
     for part in computed_here(**batch):
         parts.append(part)
@@ -143,10 +147,16 @@ def gathered_here(report: Report, **batch: Any) -> dict[str, np.ndarray]:
 def checked_chunks(
     where: str, workers: Any, out: Any, chunks: Any, problems: Problems, *, fixed: bool
 ) -> list[int] | None:
-    """The numbers of the chunks that a call computes, None for all; `fixed`: whether the size of
-    chunks is that of every call.
+    """Check the options of a batch, and return the numbers of the chunks to compute, None for all.
 
-    Problems: BAD_WORKERS, MISSING_EXTRA, WRONG_KIND, BAD_CHUNK."""
+    Args:
+        where: the place in the call, for messages.
+        workers: None, a number of processes, or an executor.
+        out: path of a store, or None.
+        chunks: numbers of chunks, or None.
+        problems: collects the problems: BAD_WORKERS, MISSING_EXTRA, WRONG_KIND, BAD_CHUNK.
+        fixed: whether all calls have chunks of the same size.
+    """
     problems.gather(lambda: check_workers(workers, f"{where}.workers"))
     if out is not None and not isinstance(out, str | os.PathLike):
         problems.add(
@@ -193,24 +203,23 @@ def batch_of(
     place: Any = (),
     memory: float | None = None,
 ) -> ChunkedBatch:
-    """A batch by function(tree, *rows); its program and the size of its chunks are kept for
-    other numbers.
+    """Return a batch by function(tree, *rows); its program and the size of its chunks are kept for
+    later calls with other numbers.
 
     Args:
         function: returns {name: array of `width` rows} for a tree and arrays of `width` rows.
-        tree: what all rows share.
+        tree: the part of the arguments that all rows share.
         rows: (first, last) -> arrays of these rows.
         count: number of rows.
         width: number of rows that are computed at a time.
         where: the place in the call, for messages.
         crew: the workers.
-        owner, place: the function that `function` is made of, and what else it depends on.
-        memory: temporary memory that these may take [bytes], or fewer are computed at a time; a
-            chunk is then so long that it keeps a worker busy for BUSY, as a worker finds out. By
-            default a chunk has `width` rows.
+        owner, place: the function of which `function` is made, and what else it depends on.
+        memory: temporary memory that these rows may take [bytes]; where they need more, fewer are
+            computed at a time. A chunk then has as many rows as keep a worker busy for BUSY, which
+            is measured. By default a chunk has `width` rows.
 
-    Errors: NOT_SENT, OTHER_WORKER, BAD_WORKERS.
-    """
+    Errors: NOT_SENT, OTHER_WORKER, BAD_WORKERS."""
     apart, arrays, rest = arrays_apart(function, tree)
     shared, width = [np.asarray(x) for x in arrays], min(width, count)
 
@@ -223,7 +232,7 @@ def batch_of(
     place = "batch", place, rest, shapes, count, width, memory, jax.config.read("jax_enable_x64")
 
     def sized() -> ChunkedBatch:
-        """The batch as it is kept: it must not hold what its rows are made of."""
+        """Return the batch to be kept, without references to its rows."""
         batch = _sized(of_width, width, crew, memory, where)
         return dataclasses.replace(batch, shared=[], rows=lambda first, last: [])
 
@@ -237,8 +246,8 @@ def _sized(
     memory: float | None,
     where: str,
 ) -> ChunkedBatch:
-    """The batch with as many rows in a program as memory allows and in a chunk as keep a worker
-    busy, as it finds out; `memory` None: one program, one chunk."""
+    """Return the batch with as many rows in a program as memory allows, and in a chunk as keep a
+    worker busy, as a trial shows; `memory` None: one program, one chunk."""
 
     def tried(batch: ChunkedBatch) -> ComputedChunk | FailedChunk:
         trial = batch.program, batch.shared, batch.rows(0, min(TRIED * batch.size, batch.count))
@@ -252,7 +261,7 @@ def _sized(
         width = max(1, int(width * memory / answer.memory))
         batch = of_width(width)
         answer = tried(batch)
-    if not isinstance(answer, ComputedChunk):  # what fails is found out in its turn
+    if not isinstance(answer, ComputedChunk):  # it will fail again when it is computed
         return batch
     times = min(TRIED * width, batch.count) / width
     most = min(
@@ -272,8 +281,8 @@ def computed(
     *,
     continued: bool = False,
 ) -> Iterator[tuple[int, ComputedChunk | None]]:
-    """(chunk, its results, None if it is lost) as they finish; `continued` as in `dispatched`.
-    Warns LOST at the end, with the rows."""
+    """Yield (chunk, its results or None if it is lost) as chunks finish; `continued` as in
+    `dispatched`. Warns LOST at the end, with the rows."""
     lost: list[tuple[int, str]] = []
     done = 0
     for chunk, answer in dispatched(crew, chunks, batch.arguments, where, continued=continued):
@@ -302,17 +311,17 @@ def store_of(
     dimension: str,
     any_size: bool = False,
 ) -> ChunkStore:
-    """The store of a batch, which keeps its rows, too.
+    """Return the store of a batch, which keeps its rows, too.
 
     Args:
-        out: its path.
-        plan: what identifies the rows.
+        batch: the batch.
+        out: path of the store.
+        plan: identifies the rows.
         inputs: names of the arrays of the rows.
-        dimension: what a row is, such as "design".
-        any_size: whether a store that exists may have chunks of another size.
+        dimension: name of a row, such as "design".
+        any_size: whether an existing store may have chunks of another size.
 
-    Errors: those of `ChunkStore`.
-    """
+    Errors: those of `ChunkStore`."""
     program = batch.program
     plan = plan | {
         "model": hash_of(*batch.shared),
@@ -343,10 +352,18 @@ def gathered(
     chunks: Iterable[int] | None = None,
     **of_store: Any,
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """All results in memory, NaN where there are none, and the status of each row, by way of a
-    store at the path `out` if there is one, made with the other arguments of `store_of`.
+    """Return all results in memory, NaN where there are none, and the status of each row.
 
-    Ctrl-C returns what is done. Warns INTERRUPTED, LOST."""
+    Args:
+        batch: the batch.
+        crew: the workers.
+        where: the place in the call, for messages.
+        report: is called with the numbers of finished rows and of workers.
+        out: path of a store for the results; None: none.
+        chunks: numbers of the chunks to compute, in a store; None: all.
+        of_store: other arguments of `store_of`.
+
+    Ctrl-C returns the finished part. Warns INTERRUPTED, LOST."""
     if out is not None:
         store = store_of(batch, out, **of_store)
         stored(batch, store, chunks, crew, where, report)
@@ -379,8 +396,8 @@ def stored(
     where: str,
     report: Report,
 ) -> None:
-    """Compute the chunks that the store lacks, of those that are asked for, and write each with its
-    rows as it comes.
+    """Compute those of the `chunks` that the store lacks, and write each with its rows when it is
+    finished.
 
     Those that were lost before are tried once more, last. Ctrl-C ends it. Warns INTERRUPTED, LOST.
     Errors: those of `dispatched`, NOT_SAVED."""

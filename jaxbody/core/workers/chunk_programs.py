@@ -1,10 +1,9 @@
-"""Programs as data: what one process has traced for a batch of one width, any other loads, keeps by
-its name, and runs on chunks of rows.
+"""Programs as data: one process traces the program of a batch of one width; any other process loads
+it, keeps it by its name, and runs it on chunks of rows.
 
-`jax.export` writes the program with all that it depends on but its arguments, so that neither
+`jax.export` writes a program with all that it depends on but its arguments, so that neither
 functions of the user nor JAX's own objects are sent. A chunk has any number of rows; the program
-computes `width` of them at a time, on each device of the process.
-"""
+computes `width` of them at a time, on each device of the process."""
 
 from __future__ import annotations
 
@@ -44,8 +43,8 @@ Types = dict[str, tuple[tuple[int, ...], str]]  # {name: shape and type of an ar
 
 @dataclass(frozen=True)
 class ChunkProgram:
-    """A program: (arrays that all rows share, arrays of `width` rows) -> {name: array of
-    `width` results}."""
+    """A program: (arrays that all rows share, arrays of `width` rows) -> {name: array of `width`
+    results}."""
 
     # a hash of the program, without lines of the source, and of what follows the data: the same in
     # every process
@@ -60,8 +59,8 @@ class ChunkProgram:
     def __call__(
         self, shared: Sequence[np.ndarray], rows: Sequence[np.ndarray]
     ) -> dict[str, np.ndarray]:
-        """The results of a chunk of rows; the last `width` of them is filled up with its last row.
-        Error: OTHER_WORKER."""
+        """Return the results of a chunk of rows; its last row is repeated to fill up the last
+        `width`. Error: OTHER_WORKER."""
         loaded, count, parts = self.loaded(), len(rows[0]), []
         with one_at_a_time, precision(self.x64):
             for first in range(0, count, loaded.width):
@@ -72,8 +71,8 @@ class ChunkProgram:
         return {name: np.concatenate([part[name] for part in parts])[:count] for name in parts[0]}
 
     def loaded(self) -> LoadedProgram:
-        """The program compiled, kept in this process by its name. Error: OTHER_WORKER if this
-        process would not compute the same numbers as the caller."""
+        """Return the compiled program, kept in this process by its name. Error: OTHER_WORKER if
+        this process would not compute the same numbers as the caller."""
         with one_at_a_time, precision(self.x64):
             self._check()
             return kept(_loaded, self.name, lambda: _compiled(self))
@@ -89,8 +88,8 @@ class ChunkProgram:
 
 @dataclass(frozen=True)
 class LoadedProgram:
-    """A program that is compiled for the devices of this process, which compute `width` rows at a
-    time together."""
+    """A program compiled for the devices of this process, which together compute `width` rows at a
+    time."""
 
     call: Callable[..., dict[str, jax.Array]]
     width: int
@@ -100,7 +99,7 @@ class LoadedProgram:
 def exported(
     function: Callable[..., Any], shared: Sequence[Any], rows: Sequence[Any], width: int, where: str
 ) -> ChunkProgram:
-    """function(shared, rows), which returns {name: array of `width` rows}, as data.
+    """Return function(shared, rows), whose results are {name: array of `width` rows}, as data.
 
     Args:
         function: a function of two lists of arrays.
@@ -109,8 +108,7 @@ def exported(
         width: number of rows that are computed at a time.
         where: the place in the call, for messages.
 
-    Error: NOT_SENT.
-    """
+    Error: NOT_SENT."""
     given = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in rows]
     program = jax.jit(function)
     # errors of the user's own functions are raised as they are
@@ -138,8 +136,8 @@ def exported(
 
 
 def _export(program: Any, given: tuple[Any, ...]) -> jax.export.Exported:
-    """Export a program with calls of LAPACK or a device's library that other versions of jaxlib may
-    lack; workers have the same one."""
+    """Export a program that may call LAPACK or a device's library, which other versions of jaxlib
+    may lack; workers have the same version."""
     try:
         return jax.export.export(program)(*given)
     except ValueError as error:
@@ -152,18 +150,18 @@ def _export(program: Any, given: tuple[Any, ...]) -> jax.export.Exported:
 
 
 def filled(x: np.ndarray, first: int, width: int) -> np.ndarray:
-    """`width` rows from the first, filled up with the last one."""
+    """Return `width` rows from the first on, where the last row is repeated to fill them up."""
     return x[np.minimum(np.arange(first, first + width), len(x) - 1)]
 
 
 def types_of(arrays: dict[str, Any]) -> Types:
-    """Shapes, without the axis of rows, and types of arrays."""
+    """Return shapes, without the axis of rows, and types of arrays."""
     return {name: (tuple(x.shape[1:]), str(x.dtype)) for name, x in arrays.items()}
 
 
 @functools.cache
 def hash_of_source() -> str:
-    """A hash of all files of jaxbody."""
+    """Return a hash of all files of jaxbody."""
     source = hashlib.sha256()
     for file in sorted(_sources(resources.files("jaxbody")), key=str):  # also in a zip
         source.update(file.read_bytes())
@@ -180,8 +178,8 @@ def _sources(folder: Any) -> list[Any]:
 
 @functools.cache
 def versions() -> tuple[tuple[str, str], ...]:
-    """What the numbers depend on: jaxbody with a hash of its source, JAX and its compiler, and the
-    kind of device."""
+    """Return the versions on which numbers depend: jaxbody with a hash of its source, JAX and its
+    compiler, and the kind of device."""
     return (
         ("jaxbody", f"{metadata.version('jaxbody')} of source {hash_of_source()[:8]}"),
         *((name, metadata.version(name)) for name in ("jax", "jaxlib")),
@@ -190,7 +188,7 @@ def versions() -> tuple[tuple[str, str], ...]:
 
 
 def precision(x64: bool) -> AbstractContextManager:
-    """A context of float64, or of float32, for what this thread computes."""
+    """Return a context in which this thread computes in float64, or in float32."""
     if hasattr(jax, "enable_x64"):
         return jax.enable_x64(x64)
     from jax.experimental import enable_x64  # pyright: ignore  before version 0.8
@@ -199,12 +197,12 @@ def precision(x64: bool) -> AbstractContextManager:
 
 
 def worker_name() -> str:
-    """This process, as messages name it."""
+    """Return the name of this process in messages."""
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
 def other_worker(message: str, wanted: Any) -> JaxbodyError:
-    """The error of a worker that differs from the caller."""
+    """Return the error of a worker that differs from the caller."""
     return JaxbodyError(
         Problem(
             "OTHER_WORKER",
@@ -223,7 +221,7 @@ _loaded: dict[str, LoadedProgram] = {}
 
 
 def kept(known: dict[Any, Any], key: Any, make: Callable[[], Any]) -> Any:
-    """What `make` returns, made once for each of the last KEPT keys."""
+    """Return the result of `make`, which is called once for each of the last KEPT keys."""
     if key not in known:
         while len(known) >= KEPT:
             known.pop(next(iter(known)))
@@ -232,9 +230,11 @@ def kept(known: dict[Any, Any], key: Any, make: Callable[[], Any]) -> Any:
 
 
 def _compiled(program: ChunkProgram) -> LoadedProgram:
-    """Each device runs the same program on its own rows, so that numbers do not depend on how many
-    there are."""
-    # jaxlib then knows where LAPACK is
+    """Compile a program for the devices of this process.
+
+    Each device runs the same program on its own rows, so that results do not depend on the number
+    of devices."""
+    # which makes jaxlib find LAPACK
     jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), jnp.result_type(float)))
     exported = jax.export.deserialize(bytearray(program.data))
     devices = (
@@ -262,8 +262,8 @@ def _compiled(program: ChunkProgram) -> LoadedProgram:
 
 @dataclass(frozen=True)
 class ComputedChunk:
-    """Results of a chunk, the worker, the time that they took [s], without that to load the
-    program, and its memory [bytes]."""
+    """Results of a chunk, name of its worker, time of the computation without loading of the
+    program [s], and temporary memory of the program [bytes]."""
 
     results: dict[str, np.ndarray]
     worker: str
@@ -273,8 +273,8 @@ class ComputedChunk:
 
 @dataclass(frozen=True)
 class FailedChunk:
-    """Why a chunk has no results; `refused` if this worker cannot compute any. (Not an exception,
-    as some cannot be sent.)"""
+    """The reason why a chunk has no results; `refused` if its worker cannot compute any chunk. It
+    is not an exception, as some exceptions cannot be sent."""
 
     message: str
     refused: Problem | None = None
@@ -286,7 +286,7 @@ def compute_chunk(
     rows: Sequence[np.ndarray],
     function: Callable[..., Any] | None = None,
 ) -> ComputedChunk | FailedChunk:
-    """Compute a chunk, by the program or by a function of jaxbody that calls it: function(program,
+    """Compute a chunk, by its program or by a function of jaxbody that calls it: function(program,
     shared, rows) -> results."""
     try:
         memory = program.loaded().memory

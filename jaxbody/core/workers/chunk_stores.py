@@ -35,7 +35,7 @@ FORMAT = 1
 
 
 def hash_of(*things: Any) -> str:
-    """A short hash of arrays and words."""
+    """Return a short hash of arrays and words."""
     made = hashlib.sha256()
     for thing in things:
         array = np.asarray(thing) if isinstance(thing, np.ndarray | jax.Array) else None
@@ -48,25 +48,23 @@ def hash_of(*things: Any) -> str:
 
 
 def nothing(dtype: str) -> float:
-    """What stands for a result that is missing."""
+    """Return the value that stands for a missing result."""
     return np.nan if np.dtype(dtype).kind == "f" else 0
 
 
 class ChunkStore:
-    """A store on disk.
+    """A store of the results of a batch on disk.
 
     Args:
         path: its folder, made if there is none.
         plan: {word: text or number} that identifies the call.
-        inputs, results: {name: (shape of a row, type)} of what the rows are, and of what
-            is computed.
+        inputs, results: {name: (shape of a row, type)} of the inputs and of the results.
         dimension: name of the dimension over the rows.
         count: number of rows.
-        size: number of rows in a chunk; a store that exists keeps its own if `any_size`.
+        size: number of rows in a chunk; an existing store keeps its own if `any_size`.
         any_size: whether the call leaves the size open.
 
-    Errors: OTHER_STORE, NOT_SAVED, BAD_NAME, MISSING_EXTRA.
-    """
+    Errors: OTHER_STORE, NOT_SAVED, BAD_NAME, MISSING_EXTRA."""
 
     def __init__(
         self,
@@ -111,8 +109,8 @@ class ChunkStore:
         self.arrays = {name: root[name] for name in [*arrays, STATUS]}
 
     def _make(self, plan: dict[str, Any], arrays: Types) -> None:
-        """Make it elsewhere and rename it, so that of several processes that do so one succeeds and
-        all see a whole one."""
+        """Make the store elsewhere and rename it: of several processes that do so one succeeds, and
+        each sees a complete store."""
         new = self.path.with_name(f"{self.path.name}.{secrets.token_hex(4)}.new")
         with ExitStack() as stack, self._writing():
             stack.callback(shutil.rmtree, new, ignore_errors=True)
@@ -135,9 +133,9 @@ class ChunkStore:
                     raise
 
     def _checked(self, plan: dict[str, Any], any_size: bool) -> dict[str, Any]:
-        """The plan of the store, which must be that of the call."""
+        """Return the plan of the store. Error: OTHER_STORE if it is not that of the call."""
         try:
-            found = json.loads((self.path / "zarr.json").read_text())["attributes"][PLAN]
+            stored = json.loads((self.path / "zarr.json").read_text())["attributes"][PLAN]
         except (OSError, ValueError, KeyError, TypeError):
             raise JaxbodyError(
                 Problem(
@@ -150,11 +148,11 @@ class ChunkStore:
             ) from None
         differing = [
             word
-            for word in {**plan, **found}
-            if plan.get(word) != found.get(word) and not (any_size and word == "chunk")
+            for word in {**plan, **stored}
+            if plan.get(word) != stored.get(word) and not (any_size and word == "chunk")
         ]
         if differing:
-            each = [f"{word} {found.get(word)} there, {plan.get(word)} here" for word in differing]
+            each = [f"{word} {stored.get(word)} there, {plan.get(word)} here" for word in differing]
             raise JaxbodyError(
                 Problem(
                     "OTHER_STORE",
@@ -164,14 +162,14 @@ class ChunkStore:
                     hint="Repeat the call that it is from, or name another folder.",
                 )
             )
-        return found
+        return stored
 
     def complete(self) -> set[int]:
-        """The chunks with results, whose files of `status` exist."""
+        """Return the chunks with results, whose files of `status` exist."""
         return self._numbered("c") - self.lost()
 
     def lost(self) -> set[int]:
-        """The chunks that were given up."""
+        """Return the chunks that were given up."""
         return self._numbered(LOST)
 
     def _numbered(self, folder: str) -> set[int]:
@@ -181,8 +179,8 @@ class ChunkStore:
             return set()
 
     def write(self, chunk: int, arrays: dict[str, np.ndarray], *, lost: bool = False) -> None:
-        """Write the rows of a chunk, without results if it is lost, and then its status.
-        Error: NOT_SAVED."""
+        """Write the rows of a chunk, without results if it is lost, and then its status. Error:
+        NOT_SAVED."""
         rows = slice(chunk * self.size, min((chunk + 1) * self.size, self.count))
         mark = self.path / STATUS / LOST / str(chunk)
         with self._writing():
@@ -196,8 +194,8 @@ class ChunkStore:
                 mark.unlink(missing_ok=True)
 
     def read(self, names: Iterable[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Arrays of all rows in memory, NaN or zero where there is nothing, and the status of
-        each row."""
+        """Return arrays of all rows in memory, NaN or zero where there is nothing, and the status
+        of each row."""
         return {name: self.arrays[name][:] for name in names}, self.arrays[STATUS][:].astype(int)
 
     def _writing(self) -> AbstractContextManager[None]:
@@ -210,7 +208,7 @@ class ChunkStore:
         )
 
     def opened(self, title: str) -> Any:
-        """The store as an xarray.Dataset that reads what is asked for."""
+        """Return the store as an xarray.Dataset that reads its arrays when they are used."""
         xarray = import_extra("xarray", "out")
         return (
             xarray.open_zarr(self.path, consolidated=False, chunks=None)

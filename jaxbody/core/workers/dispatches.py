@@ -1,10 +1,9 @@
-"""Chunks sent to workers and received as they finish; what is lost with a worker is sent again,
-what fails three times is given up.
+"""Chunks sent to workers and received as they finish. A chunk that is lost with its worker is sent
+again; one that fails three times is given up.
 
 A chunk that fails twice, by an error or with its worker, is sent a third time when no other is
-under way: a chunk that ends any process that computes it takes its neighbors with it, and they must
-not be blamed for that.
-"""
+under way. If it ends every process that computes it, the other chunks of these processes are lost
+with them, and would otherwise be given up too."""
 
 from __future__ import annotations
 
@@ -31,7 +30,7 @@ def dispatched(
     *,
     continued: bool = False,
 ) -> Iterator[tuple[int, ComputedChunk | FailedChunk]]:
-    """(chunk, its results or why it has none) for each chunk, in the order in which they finish.
+    """Yield (chunk, its results or the reason of its failure) for each chunk, as they finish.
 
     Args:
         crew: the workers.
@@ -41,8 +40,7 @@ def dispatched(
         continued: whether other chunks of the batch have been computed before.
 
     Errors: OTHER_WORKER; BAD_WORKERS, also where processes end before they compute anything; LOST
-    where the first chunks all fail, unless `continued`.
-    """
+    where the first chunks all fail, unless `continued`."""
     waiting, again, alone = iter(chunks), deque[int](), deque[int]()
     failures: Counter[int] = Counter()
     sent: dict[futures.Future[Any], int] = {}
@@ -121,13 +119,13 @@ def dispatched(
 
 
 def _is_of_broken(future: futures.Future[Any]) -> bool:
-    """Whether the executor of a future that is done is broken."""
+    """Return whether the executor of a finished future is broken."""
     return not future.cancelled() and isinstance(future.exception(), futures.BrokenExecutor)
 
 
 def _answer(future: futures.Future[Any]) -> ComputedChunk | FailedChunk:
-    """The results of a chunk, or why there are none. Error: OTHER_WORKER, where its worker
-    refused it."""
+    """Return the results of a chunk, or the reason of its failure. Error: OTHER_WORKER if its
+    worker refused it."""
     if not future.done():
         return FailedChunk("its worker was lost")
     try:

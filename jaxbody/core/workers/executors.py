@@ -1,5 +1,5 @@
-"""Who computes a batch: this process, a number of processes of this machine by loky, or any
-executor of processes that the user gives."""
+"""Workers of a batch: this process, a number of processes of this machine by loky, or any executor
+of processes that the user gives."""
 
 from __future__ import annotations
 
@@ -38,10 +38,9 @@ class ThisProcess(Executor):
 class Crew:
     """The workers of one call.
 
-    `executor`: where chunks are sent; `make` makes another in place of one that is broken; `most`:
-    largest number of chunks that are sent and have not come back, None if it follows from the
-    number of workers that have answered.
-    """
+    `executor`: computes the chunks; `make` makes another in place of a broken one; `most`: largest
+    number of chunks that are sent and not finished, None if it follows from the number of workers
+    that have answered; `close(executor, at_once)` ends its processes."""
 
     def __init__(
         self,
@@ -59,7 +58,7 @@ class Crew:
         self.seen: set[str] = set()  # workers that have answered
 
     def room(self, sent: int) -> bool:
-        """Whether another chunk may be sent: enough to keep all workers busy, few enough that they
+        """Return whether another chunk may be sent: enough to keep all workers busy, few enough to
         need little memory."""
         return sent < (self.most or 4 * max(FEWEST, len(self.seen)))
 
@@ -85,15 +84,14 @@ class Crew:
 
 @contextmanager
 def crew_of(workers: Any, where: str) -> Iterator[Crew]:
-    """The workers that the user asks for, during a `with` block. At Ctrl-C and errors processes
-    that were started here end at once.
+    """Provide the workers that the user gives, during a `with` block. At Ctrl-C and errors the
+    processes that were started here end at once.
 
     Args:
         workers: None, a number of processes, or an executor.
         where: the place in the call, for messages.
 
-    Errors: BAD_WORKERS, MISSING_EXTRA.
-    """
+    Errors: BAD_WORKERS, MISSING_EXTRA."""
     crew = _crew(workers, where)
     try:
         yield crew
@@ -177,8 +175,8 @@ def _crew(workers: Any, where: str) -> Crew:
 
 
 def _processes(number: int, where: str) -> Executor:
-    """Processes of this machine, one thread each, which later calls find with their programs until
-    they have been idle for a while."""
+    """Start processes of this machine, one thread each. Later calls use the same ones, with their
+    programs, until they have been idle for a while."""
     loky = import_extra("loky", where)
     environment = dict.fromkeys(ONE_THREAD, "1") | _cache()
     executor = loky.get_reusable_executor(
@@ -199,8 +197,8 @@ def _close_processes(executor: Any, at_once: bool) -> None:
 
 
 def _cache() -> dict[str, str]:
-    """The folder in which processes share compiled programs: that of JAX or `keep_programs`, if
-    any, or a temporary one."""
+    """Return the variables that name the folder in which processes share compiled programs: that of
+    JAX or `keep_programs`, if any, or a temporary one."""
     folder = jax.config.jax_compilation_cache_dir or _temporary_folder().name  # pyright: ignore[reportAttributeAccessIssue]
     return {
         "JAX_COMPILATION_CACHE_DIR": str(folder),
