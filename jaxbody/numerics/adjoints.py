@@ -329,10 +329,10 @@ class Blocks(diffrax.AbstractAdjoint):
             ended = step_blocks.solve_both_ways((arguments, y0, times), problem=problem)
         t_end, course = times[0] + ended.tau, ended.course
         # without those added at t0 and t1
-        asked = slice(1, -1) if self.times is None else slice(None)
+        inner = slice(1, -1) if self.times is None else slice(None)
         saved = (
             [(t0[None], y0[None])] * sub.t0
-            + [(times[asked], ended.samples[asked])]
+            + [(times[inner], ended.samples[inner])]
             + [(t_end[None], ended.y[None])] * sub.t1
         )
         ts, ys = (jnp.concatenate(x) for x in zip(*saved, strict=True))

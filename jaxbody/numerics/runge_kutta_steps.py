@@ -223,9 +223,9 @@ def step(
         at_y = jax.eval_shape(
             lambda u, y, arguments: problem.rate(u, y, arguments)[1], u, y, arguments
         )
-        still = jnp.zeros_like(y)
+        zeros = jnp.zeros_like(y)
         carry, one = (
-            (*carry, still, still, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), at_y)),
+            (*carry, zeros, zeros, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), at_y)),
             stage_or_projection,
         )
     if trial is None:
@@ -423,16 +423,19 @@ def controlled(
     longer = h * jnp.where(jnp.isfinite(error), factor, rules.factormin)
     # after a step that was cut at a kink
     longer = jnp.where(good & cut, jnp.maximum(longer, course.h), longer)
-    asked = good & (h > course.unseen)
+    needs_look = good & (h > course.unseen)
     quiet = (error < QUIET) | (change < 1)
     after = jnp.where(quiet, jnp.where(cut, LONGER * h, 0.0), SHARP * course.shortest)
     unseen = jnp.where(good, after, course.unseen)
-    longer, unseen = jnp.where(asked, course.h, longer), jnp.where(asked, course.unseen, unseen)
+    longer, unseen = (
+        jnp.where(needs_look, course.h, longer),
+        jnp.where(needs_look, course.unseen, unseen),
+    )
     stepped = (
-        good & ~asked,
+        good & ~needs_look,
         longer,
         unseen,
-        jnp.where(asked, EVENLY, NOT_LOOKING),
+        jnp.where(needs_look, EVENLY, NOT_LOOKING),
         jnp.zeros_like(h),
         ~good,
         jnp.isfinite(error),
