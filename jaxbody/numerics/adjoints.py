@@ -108,13 +108,10 @@ def _of_solver(name: str) -> Any:
     return property(lambda self: getattr(self.solver, name))
 
 
-class Projected(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
-    """The user's solver with steps that end at P(y1), with P of a `Driven` term that has one. Their
-    error is what is left after the projection, P(y1) - P(y1 - error), and the rate at the start of
-    a step is evaluated again.
-
-    One such solver around another would be too deep for diffrax, which gives the tolerances of the
-    controller to an implicit solver inside one."""
+class Wrapped(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
+    """The base of solvers that change the steps of the user's. One around the other would be too
+    deep for diffrax, which gives the tolerances of the controller to an implicit solver inside
+    one."""
 
     solver: diffrax.AbstractSolver  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -129,7 +126,11 @@ class Projected(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
     init = _of_solver("init")
     func = _of_solver("func")
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
+    def projected_step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
+        """Make a step that ends at P(y1), with P of a `Driven` term that has one.
+
+        Its error is what is left after the projection, P(y1) - P(y1 - error), and the rate at the
+        start of a step is evaluated again."""
         if getattr(within(terms), "project", None) is None:
             return self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
         y1, error, dense, solver_state, result = self.solver.step(
@@ -149,7 +150,14 @@ class Projected(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
         )
 
 
-class Watched(Projected):
+class Projected(Wrapped):
+    """A solver whose steps end projected."""
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
+        return self.projected_step(terms, t0, t1, y0, args, solver_state, made_jump)
+
+
+class Watched(Wrapped):
     """A solver whose steps end projected, with looks along them, as in `Blocks`.
 
     After a step with an error far below the tolerance, the next one's interpolation is evaluated
@@ -168,7 +176,7 @@ class Watched(Projected):
         return self.solver.init(terms, t0, t1, y0, args), jnp.zeros_like(y0[0])
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
-        y1, error, dense, inner, result = super().step(
+        y1, error, dense, inner, result = self.projected_step(
             terms, t0, t1, y0, args, solver_state[0], made_jump
         )
         if error is None:
