@@ -15,7 +15,7 @@ from typing import Any
 from jaxbody.core.error_codes import CODES
 from jaxbody.core.progress_lines import clear
 
-# listed of a batch, and of a message, whose `problems` holds them all
+# most failed samples that an error lists, and most problems, of which `problems` has all
 MOST_PROBLEMS, MOST_LINES = 20, 10
 EXTRAS = {
     "pandas": "xarray",

@@ -73,7 +73,7 @@ def jaxpr_as_fun(jaxpr: ClosedJaxpr) -> Callable[..., list[Any]]:
     return functools.partial(eval_jaxpr, jaxpr.jaxpr, jaxpr.consts)
 
 
-# what 0.7 leaves of functions with rules of their own has none
+# whether functions with custom rules keep their derivatives in `only_what_is_needed`
 REST_HAS_DERIVATIVES = jax.__version_info__ >= (0, 8)
 
 

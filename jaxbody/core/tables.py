@@ -17,7 +17,7 @@ import numpy as np
 from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.late_binding import handed_down
 
-MOST_ROWS = 400  # that print
+MOST_ROWS = 400  # of a table that are printed
 ROUND_OFF = 1e-8  # shares below are not printed
 
 

@@ -23,7 +23,7 @@ from jaxbody.numerics.precisions import reachable
 from jaxbody.numerics.runge_kutta_steps import DEFECT, QUIET, InitialValueProblem, method_of
 
 RESULTS = diffrax.RESULTS
-POINTS = 13  # of a look between the ends of a step, besides samples
+POINTS = 13  # at which a look checks a step between its ends, besides samples
 
 
 class Driven(diffrax.ODETerm):

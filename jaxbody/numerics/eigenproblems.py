@@ -192,7 +192,7 @@ def natural(
     Normalized to phi' M phi = 1, the largest component positive."""
     A, L = in_lanes(_standard)(K, M)
     values = in_lanes(lambda A: jnp.linalg.eigvalsh(A, symmetrize_input=False), lanes=SWEPT)(A)
-    # separate from the values: in a batch LAPACK is slow, and XLA drops it where no shapes are used
+    # apart from the values: LAPACK is slow in a batch, and XLA drops it where no shapes are used
     _, vectors = jnp.linalg.eigh(A, symmetrize_input=False)
     shapes = jax.lax.linalg.triangular_solve(
         L, vectors, left_side=True, lower=True, transpose_a=True
@@ -253,7 +253,7 @@ def _one_sided_poles(W: Array, cluster: Array, order: Array) -> Array:
     imaginary part."""
     same = together(cluster)
     B = jnp.where(same, W, 0.0)
-    # of each block: a small one keeps its digits
+    # a scale for each block, so that small ones keep their digits
     size = jnp.max(jnp.where(same, jnp.sum(jnp.abs(B), -1), 0.0), -1, initial=0.0)
     size = 8 * jnp.where(size > 0, size, 1.0)
     values = jnp.linalg.eigvals(

@@ -411,7 +411,7 @@ class Lanes:
                     *x, **p | {"dimension_numbers": axes, "slice_sizes": (*p["slice_sizes"], n)}
                 )
             ]
-        # vectors by LAPACK, where they are used
+        # vectors by LAPACK; XLA drops them where they are not used
         if name == "eigh" and x[0].ndim == 3 and jnp.issubdtype(x[0].dtype, jnp.floating):
             traced = jax.make_jaxpr(eigenvalues)(jax.ShapeDtypeStruct(x[0].shape[:-1], x[0].dtype))
             return [self._by_vmap(eqn, on, x)[0], *self.run(traced, on, x)]

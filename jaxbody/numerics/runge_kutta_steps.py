@@ -30,7 +30,7 @@ from jaxbody.numerics import elementary_functions
 from jaxbody.numerics.lanes import vmap_last
 from jaxbody.numerics.xla_workarounds import any_of_batch
 
-DEGREE = 6  # at most, of the polynomial between the ends of a step
+DEGREE = 6  # highest of the polynomial between the ends of a step
 # length of the trial step, relative to the whole time; it gives the first rate and the first step
 TRIAL = 1e-6
 # errors by round-off, in eps of the state; smaller errors do not lengthen the next step further,
@@ -44,8 +44,8 @@ LONGER = 1.01
 # a step this many times longer than the shortest that an error has required is looked along, too:
 # what happened once may happen again
 SHARP = 100.0
-NOT_LOOKING, EVENLY = -2, -1  # where a look is, unless at samples
-DEFECT = 1e3  # allowed, over the tolerance of the error
+NOT_LOOKING, EVENLY = -2, -1  # values of `Ahead.at` other than numbers of samples
+DEFECT = 1e3  # largest that is allowed, over the tolerance of the error
 ZERO = 1e-12  # coefficients of that polynomial below this are round-off
 
 
@@ -64,7 +64,7 @@ class Method:
         self.E = np.pad(tableau.b_error, (0, stages - len(tableau.b_error)))
         P = _polynomials(solver, tableau.b_sol)
         self.P = np.pad(P, ((0, 0), (0, stages - P.shape[1])))
-        # another stage at the end of the step
+        # the other stage at the end of the step, if there is one
         self.end = next((i for i in range(stages - 2, 0, -1) if self.C[i - 1] == 1), None)
         self.order: Any = solver.order(diffrax.ODETerm(lambda t, y, args: y))
 
@@ -190,7 +190,7 @@ def step(
             there, other = jax.vmap(lambda y: problem.project(u, y, at_y, arguments))(both)  # pyright: ignore[reportOptionalCall]
             return there, there - y1, there - other
 
-        # which would repeat the states for each tangent of forward mode
+        # for reverse mode; in forward mode it would repeat the states for each tangent
         last = jax.checkpoint(projected) if trial is None else projected
         y_i, moved, error = lax.cond(i == stages, last, lambda: (y + _sum(a, k), error, error))
         y_i = place(y_i, i)
@@ -207,7 +207,7 @@ def step(
     A, C = method.A, method.C.astype(y.dtype)
     if project is not None:
         A, C = np.concatenate([A, A[-1:]]), np.append(C, C[-1])
-    # of a trial step, which begins with f = 0
+    # those of a trial step, which begins with f = 0
     c = C if trial is None else jnp.where(trial, np.array([0.0, A[1, 1], *C[2:]]), C)
     c = c if look is None else jnp.where(look.on, look.theta, c)
     driven = vmap_last(lambda t: problem.drive(t, arguments))(t + c * h)  # for all stages at once
@@ -380,7 +380,8 @@ def look_along(problem: InitialValueProblem, ahead: Ahead, tau, past: Float[Arra
     """Return the points of the next look along a step."""
     ahead, tau = lax.stop_gradient((ahead, tau))
     on = ahead.at != NOT_LOOKING
-    n = len(problem.method.A) + (problem.project is not None)  # as many as a step has rates
+    # a look has as many points as a step has rates
+    n = len(problem.method.A) + (problem.project is not None)
 
     def points():
         at_samples = jnp.minimum(

@@ -12,9 +12,9 @@ from jax import lax
 from jaxbody.core.arrays import Array, Bool, Float
 
 LARGEST_UNROLLED = 30
-DEPENDENT = 1e-8  # of the longest row
-# of the longest row, after the parts along the others are taken off: shorter ones are not
-# solved for
+DEPENDENT = 1e-8  # length of remaining rows, over the longest, that count as dependent
+# length of rows over the longest, after the parts along the others are taken off: shorter ones are
+# not solved for
 SHORTEST = 1e-8
 
 

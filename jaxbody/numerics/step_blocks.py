@@ -152,7 +152,7 @@ def _backward(
     arguments, y0, times = given
     begun, lengths, n = kept
     varied, fixed = partition(arguments, is_inexact_array)
-    # the first sample is y0
+    # the first sample is y0, and of no block
     of_windows = _windows(of_samples.at[0].set(0.0), jnp.zeros((1, len(y0)), y0.dtype))
 
     def back(carry):
@@ -244,7 +244,7 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
     course = Course(TRIAL * end, zero, zero + jnp.inf, none, none, jnp.full((), Status.OK.value))
     # for few samples few steps are kept
     size = BLOCK if keep else min(max(len(times) // 8, 16), BLOCK)
-    # full ones, one for each window, the last ones
+    # full ones, one that ends each window, and the last ones
     blocks = problem.max_steps // BLOCK + len(reach) + 2 if keep else 0
     of_block = (begun, jnp.zeros(BLOCK, y0.dtype))
     _check_memory(

@@ -55,8 +55,8 @@ def without_weak_type(x: Any) -> Any:
 Options = tuple[tuple[str, Any], ...]  # of XLA, names and values
 F = TypeVar("F", bound=Callable[..., Any])
 
-# without them programs compile in two thirds of the time and run as fast; later versions of jaxlib
-# always use them
+# without XLA's fusion emitters programs compile in two thirds of the time and run as fast; later
+# versions of jaxlib always use them
 EMITTERS = "xla_cpu_use_fusion_emitters"
 HAS_EMITTERS = tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 11)
 OPTIMIZED: Options = ((EMITTERS, False),) if HAS_EMITTERS else ()
@@ -73,7 +73,7 @@ QUICK: Options = (
     # parts of a program that LLVM compiles one by one, for which so little work does not pay
     ("xla_cpu_parallel_codegen_split_count", 1),
 )
-STRUCTURES = 4096  # of arguments that a function keeps programs for
+STRUCTURES = 4096  # of arguments, for which a function keeps programs
 
 
 def jit(function: F) -> F:
@@ -145,7 +145,7 @@ def _compiled(
     """
 
     @functools.lru_cache(STRUCTURES)
-    def of_arrays(structure, others, x64):  # JAX keeps constants of NumPy as first traced
+    def of_arrays(structure, others, x64):  # JAX keeps NumPy constants as first traced
         def traced(*arrays):
             given, shown = without_manual_axes(arrays) if compilations else (arrays, lambda x: x)
             args, named = joined(given, structure, others)

@@ -92,11 +92,11 @@ class _Writer:
         names = _fields(kind)
         if names is not None:
             fields = {name: self.encoded(getattr(x, name)) for name in names if hasattr(x, name)}
-            # of a module, by equinox before 0.13.3 in the order of a set
+            # of a module; equinox before 0.13.3 keeps them in the order of a set
             if "wrapper_fields" in fields:
                 fields["wrapper_fields"][1:] = sorted(fields["wrapper_fields"][1:], key=json.dumps)
             return ["object", self.name(kind), *map(list, fields.items())]
-        # of an object that stands for what is missing
+        # an object that stands for a missing value has the name of a variable
         home = "equinox._module._module" if kind is object else kind.__module__
         names = (
             [name for name, one in vars(sys.modules[home]).items() if one is x]

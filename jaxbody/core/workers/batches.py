@@ -45,7 +45,7 @@ class ChunkedBatch:
 
     program: ChunkProgram
     shared: list[np.ndarray]
-    rows: Callable[[int, int], list[np.ndarray]]  # from the first up to the last
+    rows: Callable[[int, int], list[np.ndarray]]  # arrays of the rows (first, last)
     count: int
     size: int
     function: Callable[..., Any] | None = None  # as in `compute_chunk`
@@ -82,7 +82,7 @@ def arrays_apart(
     return apart, shared, (structure, tuple(jax.tree.leaves(rest)))
 
 
-# of each function that they are made of, as long as this lives
+# {function of which programs are made: {key: program}}, as long as the function lives
 programs: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
 
 
@@ -401,7 +401,7 @@ def stored(
 
     Those that were lost before are tried once more, last. Ctrl-C ends it. Warns INTERRUPTED, LOST.
     Errors: those of `dispatched`, NOT_SAVED."""
-    # rows that are sent and not written yet, as it may be costly to make them again
+    # rows that are sent and not written yet, kept as it may be costly to make them again
     made: dict[tuple[int, int], list[np.ndarray]] = {}
 
     def rows(first: int, last: int) -> list[np.ndarray]:

@@ -29,7 +29,7 @@ from jax.sharding import AxisType, PartitionSpec
 from jaxbody.core.compilation.compile_options import OPTIMIZED
 from jaxbody.core.errors import JaxbodyError, Problem
 
-KEPT = 16  # programs that a worker keeps, and a caller of one function
+KEPT = 16  # most programs in a worker, and of one function in its caller
 WORD = r'(?:"(?:[^"\\]|\\.)*"|[^()"])*'
 CUSTOM_CALL = re.compile(r"stablehlo\.custom_call @(\w+)")
 # lines of the source, in the text of a program
@@ -234,7 +234,7 @@ def _compiled(program: ChunkProgram) -> LoadedProgram:
 
     Each device runs the same program on its own rows, so that results do not depend on the number
     of devices."""
-    # which makes jaxlib find LAPACK
+    # jaxlib finds LAPACK only after such a call
     jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), jnp.result_type(float)))
     exported = jax.export.deserialize(bytearray(program.data))
     devices = (

@@ -18,7 +18,7 @@ from jaxbody.core.workers.executors import Crew
 
 TWICE = 2  # failures after which a chunk is sent alone
 MOST_ALONE = 8  # chunks that wait to be sent alone
-# chunks given up, and executors made again, before anything is computed
+# most chunks given up, and most executors made again, before anything is computed
 MOST_FIRST, MOST_RENEWALS = 4, 20
 
 
@@ -77,7 +77,7 @@ def dispatched(
     try:
         while True:
             broken = False
-            # they are not left until the end, as all may fail
+            # chunks to be sent alone do not wait until the end, as all may fail
             full = len(alone) >= (MOST_ALONE if crew.seen else 1)
             while (
                 not full

@@ -128,7 +128,7 @@ def check_workers(workers: Any, where: str) -> None:
         try:
             workers.submit(int)
             return
-        except RuntimeError as error:  # a broken executor raises a kind of it
+        except RuntimeError as error:  # of which BrokenExecutor is one
             message = f"takes no work: {error}"
             hint = "Open it with a `with` block round the call."
     raise JaxbodyError(
