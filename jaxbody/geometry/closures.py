@@ -12,6 +12,7 @@ so that in the reference pose as it is drawn R = 1, and the points need not meet
 them together.
 """
 
+import copy
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
@@ -76,7 +77,7 @@ class AlongAxis(Closure):
 
     axis: Float[Array, "3"] = field("", "direction")
 
-    def placed(self, a: Any, b: Any, axis: Any) -> None:
+    def __init__(self, a, b, *, axis):
         kind = type(self).__name__
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), kind, problems)
@@ -119,10 +120,8 @@ class Hinge(AlongAxis):
     ('x', 'y', 'z', 'turn 1', 'turn 2')
     """
 
+    __init__ = AlongAxis.__init__  # for type checkers
     rows = ("x", "y", "z", "turn 1", "turn 2")
-
-    def __init__(self, a, b, *, axis):
-        self.placed(a, b, axis)
 
     def gap(self, A, B, rest):
         n = rotate(_turn(A, B, rest), self.axis)
@@ -143,10 +142,8 @@ class Guide(AlongAxis):
     5
     """
 
+    __init__ = AlongAxis.__init__  # for type checkers
     rows = ("across 1", "across 2", "turn x", "turn y", "turn z")
-
-    def __init__(self, a, b, *, axis):
-        self.placed(a, b, axis)
 
     def gap(self, A, B, rest):
         return jnp.concatenate([_across(self.axis, self.offset(A, B)), axial(_turn(A, B, rest))])
@@ -166,10 +163,8 @@ class Inline(AlongAxis):
     ('across 1', 'across 2')
     """
 
+    __init__ = AlongAxis.__init__  # for type checkers
     rows = ("across 1", "across 2")
-
-    def __init__(self, a, b, *, axis):
-        self.placed(a, b, axis)
 
     def gap(self, A, B, rest):
         return _across(self.axis, self.offset(A, B))
@@ -217,14 +212,16 @@ class Rod(Closure):
     def __init__(self, a, b, *, length=None):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), "Rod", problems)
-            self.length = None
-            if length is not None:
-                self.length = in_domain(
+            self.length = (
+                None
+                if length is None
+                else in_domain(
                     scalar(length, "Rod.length", problems),
                     kind_of(self, "length"),
                     "Rod.length",
                     problems,
                 )
+            )
 
     def gap(self, A, B, rest):
         d = self.offset(A, B)
@@ -308,22 +305,19 @@ class Coupling(Closure):
             self.ratio = None if ratio is None else scalar(ratio, "Coupling.ratio", problems)
             self.function = function
             if (ratio is None) == (function is None):
-                hint = "Give ratio=... for f(y) = ratio y, or function=... for another f."
                 problems.add(
                     "WRONG_KIND",
                     "Coupling",
                     "needs a ratio or a function",
                     limit="one of them",
-                    hint=hint,
+                    hint="Give ratio=... for f(y) = ratio y, or function=... for another f.",
                 )
 
     def counted_in(self, unit: str) -> "Coupling":
         """The coupling with x in this unit."""
-        copy = object.__new__(type(self))
-        for name, value in vars(self).items():
-            object.__setattr__(copy, name, value)
-        object.__setattr__(copy, "rows", ("turn",) if unit == "rad" else ("move",))
-        return copy
+        changed = copy.copy(self)
+        object.__setattr__(changed, "rows", ("turn",) if unit == "rad" else ("move",))
+        return changed
 
     def gap(self, A, B, rest):
         x, y = A.p[0], B.p[0]

@@ -306,17 +306,14 @@ def _check_signs(known: np.ndarray, kind: Kind, where: str, problems: Problems) 
 def _check_definite(known: np.ndarray, kind: Kind, where: str, problems: Problems) -> None:
     largest, difference = np.abs(known).max(), known - known.T
     if known.ndim == 2 and np.abs(difference).max() > 1e-9 * largest:
-        message = f"is not symmetric: largest |K - K'| = {np.abs(difference).max():.3g}"
-        hint = (
-            "Such a matrix has no potential energy; give (K + K')/2 if you mean its symmetric part."
-        )
         problems.add(
             "NOT_SYMMETRIC",
             where,
-            message,
+            f"is not symmetric: largest |K - K'| = {np.abs(difference).max():.3g}",
             value=difference,
             limit=f"{1e-9 * largest:.3g}",
-            hint=hint,
+            hint="Such a matrix has no potential energy; give (K + K')/2 if you mean its "
+            "symmetric part.",
         )
         return
     values = known if known.ndim == 1 else np.linalg.eigvalsh(known)

@@ -95,11 +95,14 @@ class Instant(Frame):
 
     def frame(self, row: int) -> Instant:
         """One frame at this instant."""
-        a, alpha, F, M = (
-            None if x is None else x[row] for x in (self.a, self.alpha, self.F, self.M)
-        )
         return Instant(
-            self.p[row], self.R[row], self.v[row], self.w[row], self.t, self.state, a, alpha, F, M
+            self.p[row],
+            self.R[row],
+            self.v[row],
+            self.w[row],
+            self.t,
+            self.state,
+            *(None if x is None else x[row] for x in (self.a, self.alpha, self.F, self.M)),
         )
 
     def changes(self) -> Frame:

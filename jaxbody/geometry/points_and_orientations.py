@@ -88,15 +88,13 @@ def ends(given, kind: str, problems: Problems, *, points: bool = True):
         coordinates.append(vector(end[1], f"{where} ({end[0]})", problems))
     twice = [name for i, name in enumerate(names) if name in names[:i] and name != "?"]
     if twice:
-        hint = "It would exert no force: name another body or support at one end."
-        which = "has both ends" if len(names) == 2 else "has two of its ends"
         problems.add(
             "SELF_SPRING",
             kind,
-            f"{which} on '{twice[0]}'",
+            f"has {'both ends' if len(names) == 2 else 'two of its ends'} on '{twice[0]}'",
             value=twice[0],
             limit="different bodies or supports",
-            hint=hint,
+            hint="It would exert no force: name another body or support at one end.",
         )
     return tuple(names), coordinates
 
@@ -156,14 +154,13 @@ class Euler(eqx.Module):
             )
             known = None if self.angles is None else concrete(self.angles)
             if known is not None and (np.abs(known) > 2 * np.pi).any():
-                hint = "Are these degrees? np.deg2rad converts them."
                 problems.add(
                     "DEGREES",
                     "Euler.angles",
                     f"is {known.tolist()} rad",
                     value=known,
                     limit="2 pi",
-                    hint=hint,
+                    hint="Are these degrees? np.deg2rad converts them.",
                 )
 
     def _quaternion(self, xp):
@@ -225,18 +222,17 @@ def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
     if known.shape == (4,):
         length = np.linalg.norm(known)
         if abs(length - 1) > 1e-3:
-            hint = (
-                "All four numbers are zero."
-                if length == 0
-                else "Divide it by its length; the order is w, x, y, z."
-            )
             problems.add(
                 "BAD_QUATERNION",
                 where,
                 f"has length {length:.6g}",
                 value=known,
                 limit="1 within 1e-3",
-                hint=hint,
+                hint=(
+                    "Divide it by its length; the order is w, x, y, z."
+                    if length
+                    else "All four numbers are zero."
+                ),
             )
             return np.array(IDENTITY)
         return of_unit_length(known)

@@ -42,12 +42,17 @@ BERNOULLI = [
 COTC = [b / factorial(2 * n + 2) for n, b in enumerate(BERNOULLI)]
 
 
+def _branches(x: Array, limit: float = 1.0) -> tuple[Array, Array, Array, Array]:
+    """Where a power series in x = t^2 is used, x there, and x and t elsewhere."""
+    small = x < limit
+    far = jnp.where(small, 1.0, x)
+    return small, jnp.where(small, x, 0.0), far, jnp.sqrt(far)
+
+
 @jax.jit
 def _coefficients(x: Array) -> tuple[Array, Array]:
     """sin(t)/t and (1 - cos(t))/t^2 as functions of x = t^2."""
-    small = x < 1.0
-    near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
-    t = jnp.sqrt(far)
+    small, near, far, t = _branches(x)
     sin, cos = sincos(t)
     return (
         jnp.where(small, polynomial(SINC, near), sin / t),
@@ -85,9 +90,7 @@ def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     """J with angular velocity = J(phi) dphi/dt for R = exp([phi]), in world axes."""
     x = dot(phi, phi)
     _, b = _coefficients(x)
-    small = x < 1.0
-    near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
-    t = jnp.sqrt(far)
+    small, near, far, t = _branches(x)
     third = [(-1) ** n / factorial(2 * n + 3) for n in range(TERMS)]  # (t - sin(t))/t^3
     c = jnp.where(small, polynomial(third, near), (t - sincos(t)[0]) / (far * t))
     P = skew(phi)
@@ -101,10 +104,7 @@ def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
 @jax.jit
 def exp_quaternion(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
     """Unit quaternion (cos(t/2), sin(t/2)/t phi) of a rotation vector."""
-    x = dot(phi, phi) / 4
-    small = x < 1.0
-    near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
-    t = jnp.sqrt(far)
+    small, near, _, t = _branches(dot(phi, phi) / 4)
     w = jnp.where(small, polynomial(COS, near), jnp.cos(t))
     s = jnp.where(small, polynomial(SINC, near), jnp.sin(t) / t)
     return jnp.concatenate([w[..., None], s[..., None] * phi / 2], -1)
@@ -116,10 +116,8 @@ def log_quaternion(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
     4 atan(y)/y (x, y, z)/(1 + w), y = tan(t/4)."""
     q = jnp.where(q[..., :1] < 0, -q, q)
     y = q[..., 1:] / (1 + q[..., :1])
-    x = dot(y, y)
-    small = x < 0.07  # t < 1.03: sixteen terms of the series give 1e-18
-    near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
-    t = jnp.sqrt(far)
+    # angles below 1.03: sixteen terms of the series give 1e-18
+    small, near, _, t = _branches(dot(y, y), 0.07)
     f = jnp.where(small, polynomial(ATANC, near), jnp.arctan(t) / t)
     return 4 * f[..., None] * y
 
@@ -156,9 +154,7 @@ def away_from_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
 @jax.jit
 def cotc(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """(1 - (t/2) cot(t/2))/t^2 as a function of x = t^2."""
-    small = x < 1.0
-    near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
-    t = jnp.sqrt(far)
+    small, near, far, t = _branches(x)
     return jnp.where(small, polynomial(COTC, near), (1 - t / 2 / jnp.tan(t / 2)) / far)
 
 
