@@ -94,8 +94,7 @@ def _text(path: Path, pick: Pick, largest: float, **options: Any) -> Contents:
 
 
 def _parquet(path: Path, pick: Pick, largest: float) -> Contents:
-    parquet = import_extra("pyarrow.parquet", path.name)
-    file = parquet.ParquetFile(path)
+    file = import_extra("pyarrow.parquet", path.name).ParquetFile(path)
     schema = file.schema_arrow
     names = pick(list(schema.names))
     for name in names.values():
@@ -246,8 +245,7 @@ def _check_chunks(where: str, data: Any, largest: float) -> None:
 
 
 def _tdms(path: Path, pick: Pick, largest: float) -> Contents:
-    nptdms = import_extra("nptdms", path.name)
-    with nptdms.TdmsFile.open(path) as file:
+    with import_extra("nptdms", path.name).TdmsFile.open(path) as file:
         channels = {
             f"{group.name}/{channel.name}": channel
             for group in file.groups()
@@ -281,8 +279,7 @@ def _tdms(path: Path, pick: Pick, largest: float) -> Contents:
 
 
 def _mdf(path: Path, pick: Pick, largest: float) -> Contents:
-    asammdf = import_extra("asammdf", path.name)
-    with asammdf.MDF(path) as file:
+    with import_extra("asammdf", path.name).MDF(path) as file:
         places = {}
         for name, entries in file.channels_db.items():
             entries = [place for place in entries if file.masters_db.get(place[0]) != place[1]]

@@ -47,10 +47,8 @@ def read_lvm(data: bytes, name: str, encoding: str, pick: Pick) -> Contents:
                 limit="a line of names from X_Value on, and numbers",
             )
         )
-    names, decimal = (
-        names[: names.index("Comment")] if "Comment" in names else names,
-        (head.get("Decimal_Separator") or ["."])[0] or ".",
-    )
+    names = names[: names.index("Comment")] if "Comment" in names else names
+    decimal = (head.get("Decimal_Separator") or ["."])[0] or "."
     values = numbers_of(
         [(i, separator.join(cells[: len(names)])) for i, cells in table[1:]],
         name,

@@ -105,17 +105,18 @@ def read_record(
         for columns, _ in (*wanted.values(), *([clock] if clock else []))
         for column in columns
     ]
-    text = {
-        "encoding": encoding,
-        "separator": separator,
-        "decimal": decimal,
-        "skip": skip,
-        "footer": footer,
-    }
 
     def read(names: list[Asked]) -> Any:
         return format_readers.read_columns(
-            path, list(dict.fromkeys(names)), format=format, largest=largest, **text
+            path,
+            list(dict.fromkeys(names)),
+            format=format,
+            largest=largest,
+            encoding=encoding,
+            separator=separator,
+            decimal=decimal,
+            skip=skip,
+            footer=footer,
         )
 
     contents = problems.gather(lambda: read(asked))
@@ -151,8 +152,10 @@ def read_record(
             )
         else:
             in_file = {contents.columns[column].unit for column in columns}
-            agreed = agreed_unit(unit, in_file, f"{name}['{key}']", problems, notes)
-            given[key] = (parts[0] if len(parts) == 1 else np.stack(parts, 1), agreed)
+            given[key] = (
+                parts[0] if len(parts) == 1 else np.stack(parts, 1),
+                agreed_unit(unit, in_file, f"{name}['{key}']", problems, notes),
+            )
     problems.raise_if_any()
     record = Record(times, given, time_unit=time_unit, name=name, **options)
     record.notes = (*notes, *record.notes)

@@ -79,26 +79,26 @@ class Record(Labeled, tables.Printed):
             _check_options(rate, fill, max_gap, drop, problems)
             given = _channels(channels, name, problems)
             t = _times(times, time_unit, rate, given, name, problems)
-        for key in [key for key, (x, _) in given.items() if len(x) != len(t)]:
-            x, _ = given[key]
-            problems.add(
-                "BAD_SHAPE",
-                f"{name}['{key}']",
-                f"has {len(x)} samples",
-                value=x.shape,
-                limit=f"{len(t)}, as many as times",
-                hint=(
-                    "It looks transposed: give values.T."
-                    if x.shape[-1] == len(t)
-                    else "One row per time."
-                ),
-            )
+        for key, (x, _) in given.items():
+            if len(x) != len(t):
+                problems.add(
+                    "BAD_SHAPE",
+                    f"{name}['{key}']",
+                    f"has {len(x)} samples",
+                    value=x.shape,
+                    limit=f"{len(t)}, as many as times",
+                    hint=(
+                        "It looks transposed: give values.T."
+                        if x.shape[-1] == len(t)
+                        else "One row per time."
+                    ),
+                )
         problems.raise_if_any()
         if drop_duplicates:
             t, given = without_duplicates(t, given, name, notes)
         if rate is not None and len(t) > 1 and (np.diff(t) > 0).all():
             t = at_rate(t, rate, f"{name}.times", problems, notes)
-        sampling = check_sampling(
+        check_sampling(
             t,
             problems,
             f"{name}.times",
@@ -109,7 +109,6 @@ class Record(Labeled, tables.Printed):
         for key, (x, unit) in given.items():
             check_values(x, unit, t, problems, f"{name}['{key}']", may_lack=drop is not None)
         problems.raise_if_any()
-        assert sampling is not None
         if drop is not None:
             given = without_empty(given, notes, name)
         if fill is not None:
@@ -140,16 +139,15 @@ class Record(Labeled, tables.Printed):
         """The samples from start to stop [s], both included. Error: NO_DATA for fewer than two."""
         inside = (self.times >= start) & (self.times <= stop)
         if inside.sum() < 2:
-            message, limit = (
-                (
-                    f"has {inside.sum()} samples from {time_text(start, self.times)} to "
-                    f"{time_text(stop, self.times)} s"
-                ),
-                self._span(),
-            )
             raise JaxbodyError(
                 Problem(
-                    "NO_DATA", "Record.part", message, (start, stop), limit, "Give a longer part."
+                    "NO_DATA",
+                    "Record.part",
+                    f"has {inside.sum()} samples from {time_text(start, self.times)} to "
+                    f"{time_text(stop, self.times)} s",
+                    (start, stop),
+                    self._span(),
+                    "Give a longer part.",
                 )
             )
         new = object.__new__(Record)
@@ -160,22 +158,20 @@ class Record(Labeled, tables.Printed):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset of the channels over time."""
-        axes = {
-            name: ("time", *(f"{name}_component",) * (x.ndim - 1))
+        variables = {
+            name: (("time", *(f"{name}_component",) * (x.ndim - 1)), x, self.units[name])
             for name, x in self.channels.items()
         }
-        variables = {name: (axes[name], x, self.units[name]) for name, x in self.channels.items()}
         return dataset(variables, {"time": ("time", self.times, {"units": "s"})}, "record")
 
     def _tables(self) -> list[tables.PrintedTable]:
         s, rows = self.sampling, []
         for name, x in self.channels.items():
             for k, column in enumerate(x.reshape(len(x), -1).T):
-                label = name + (f"[{k}]" if x.ndim == 2 else "")
                 gone = int(np.isnan(column).sum())
                 rows.append(
                     (
-                        label,
+                        name + (f"[{k}]" if x.ndim == 2 else ""),
                         self.units[name],
                         self.stated[name],
                         len(x) - gone,

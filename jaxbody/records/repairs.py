@@ -10,7 +10,7 @@ import numpy as np
 from jaxbody.core.arrays import time_text
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.tables import counted
-from jaxbody.records.sampling_checks import EQUAL, counts_of, sampling_of
+from jaxbody.records.sampling_checks import EQUAL, counts_of, runs, sampling_of
 
 FILLS = ("linear", "spline")
 MISMATCH = 1e-3  # largest relative difference between a stated rate and that of the times
@@ -27,10 +27,9 @@ def without_duplicates(
         same &= ((rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1]))).all(1)
     keep = np.concatenate([[True], ~same])
     if same.any():
-        first = time_text(t[1:][same][0], t, 9)
         notes.append(
             f"dropped {counted(int(same.sum()), 'row')} equal to the one before, "
-            f"the first at {first} s"
+            f"the first at {time_text(t[1:][same][0], t, 9)} s"
         )
     return t[keep], {key: (x[keep], unit) for key, (x, unit) in given.items()}
 
@@ -110,19 +109,16 @@ def filled(
         rows = np.insert(x.reshape(len(x), -1), places, np.nan, axis=0)
         for k, column in enumerate(rows.T):
             gone = np.isnan(column)
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], gone.astype(int), [0]]))).reshape(
-                -1, 2
-            )
             short = [
-                np.arange(i, j) for i, j in edges if j - i <= max_gap and i > 0 and j < len(column)
+                np.arange(i, j)
+                for i, j in runs(gone)
+                if j - i <= max_gap and i > 0 and j < len(column)
             ]
             if short and (~gone).sum() >= 4:
                 at = np.concatenate(short)
-                s, known = new[~gone], column[~gone]
+                known = new[~gone], column[~gone]
                 rows[at, k] = (
-                    CubicSpline(s, known)(new[at])
-                    if fill == "spline"
-                    else np.interp(new[at], s, known)
+                    CubicSpline(*known)(new[at]) if fill == "spline" else np.interp(new[at], *known)
                 )
                 notes.append(
                     f"filled {counted(len(at), 'sample')} of '{key}'"

@@ -53,9 +53,10 @@ def read_responses(
                     hint="Read it separately.",
                 )
             else:
-                factor = _factor(above, response.above, where, problems)
                 measured[pair] = (
-                    response.values * factor / _factor(below, response.below, where, problems)
+                    response.values
+                    * _factor(above, response.above, where, problems)
+                    / _factor(below, response.below, where, problems)
                 )
     if grid is None:
         raise JaxbodyError(

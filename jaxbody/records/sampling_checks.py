@@ -60,11 +60,10 @@ def resolutions(times: np.ndarray) -> list[float]:
         for k in range(16)
         if np.abs(times * 10.0**k - np.round(times * 10.0**k)).max() < 1e-15 * largest * 10.0**k
     )
-    floats = [
-        np.spacing(largest),
-        *([np.spacing(np.float32(largest))] if (times == times.astype(np.float32)).all() else []),
-    ]
-    return [float(x) for x in (*floats, next(decimals, 0.0))]
+    steps = [np.spacing(largest), next(decimals, 0.0)]
+    if (times == times.astype(np.float32)).all():
+        steps.append(np.spacing(np.float32(largest)))
+    return [float(x) for x in steps]
 
 
 def evenly_spaced(times: np.ndarray) -> bool:
@@ -113,7 +112,7 @@ def check_sampling(
     irregular: bool,
     highest: float | None,
     dropped: bool,
-) -> Sampling | None:
+) -> None:
     """Check times and their sampling. Errors: those of times, JITTER, GAPS; warns
     TIME_UNIT, LOW_RATE."""
     known = check_times(times, problems, where, minimum=2, kept=True)
@@ -125,7 +124,7 @@ def check_sampling(
                 else "Give drop_duplicates=True to leave out rows that repeat the one before."
             )
             problems.collected[-1] = replace(problems.collected[-1], hint=hint)
-        return None
+        return
     s = sampling_of(np.asarray(known))
     message = (
         f"jitters by {100 * s.jitter / s.step:.2g} % of a step (rms), {s.missing} of "
@@ -137,12 +136,12 @@ def check_sampling(
     elif not irregular and s.missing > IRREGULAR * len(known):
         problems.add("GAPS", where, message, value=s.missing, limit="5 %", hint=hint)
     if not USUAL_RATES[0] <= s.rate <= USUAL_RATES[1]:
-        unit = "milliseconds or microseconds" if s.rate < 1 else "milliseconds"
-        unit = unit if s.rate < USUAL_RATES[0] else "seconds"
-        span = f"{time_text(known[0], known)} to {time_text(known[-1], known)} s"
+        slow = "milliseconds or microseconds" if s.rate < 1 else "milliseconds"
         warn(
             "TIME_UNIT",
-            f"{where}: {len(known)} samples from {span} give {s.rate:.4g} Hz; are they in {unit}?",
+            f"{where}: {len(known)} samples from {time_text(known[0], known)} to "
+            f"{time_text(known[-1], known)} s give {s.rate:.4g} Hz; are they in "
+            f"{slow if s.rate < USUAL_RATES[0] else 'seconds'}?",
         )
     if highest is not None and s.rate < 10 * highest:
         bad = (
@@ -154,7 +153,6 @@ def check_sampling(
             "LOW_RATE",
             f"{where}: {s.rate:.4g} Hz for frequencies up to {highest:.4g} Hz gives {bad}",
         )
-    return s
 
 
 def check_values(
@@ -211,21 +209,23 @@ def warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) ->
             _warn_of_rails(x, unit, times, name)
 
 
+def runs(where: np.ndarray) -> list[list[int]]:
+    """[first, end] of each run of True, as for a slice."""
+    return np.flatnonzero(np.diff(where, prepend=False, append=False)).reshape(-1, 2).tolist()
+
+
 def _warn_of_rails(x: np.ndarray, unit: str, times: np.ndarray, where: str) -> None:
     for rail in (np.nanmax(x), np.nanmin(x)):
-        edges = np.flatnonzero(
-            np.diff(np.concatenate([[0], (x == rail).astype(int), [0]]))
-        ).reshape(-1, 2)
-        runs = [(i, j) for i, j in edges.tolist() if j - i >= RUN and not _turns(x, i, j)]
-        if (count := sum(j - i for i, j in runs)) > AT_THE_RAILS * len(x):
-            some = [
+        stays = [(i, j) for i, j in runs(x == rail) if j - i >= RUN and not _turns(x, i, j)]
+        if (count := sum(j - i for i, j in stays)) > AT_THE_RAILS * len(x):
+            when = [
                 f"{time_text(times[i], times)} to {time_text(times[j - 1], times)} s"
-                for i, j in runs[:3]
+                for i, j in stays[:3]
             ]
-            when = ", ".join(some) + (", ..." if len(runs) > 3 else "")
             warn(
                 "SATURATED",
-                f"{where} stays at {rail:.6g} {unit} for {count} of {len(x)} samples: {when}",
+                f"{where} stays at {rail:.6g} {unit} for {count} of {len(x)} samples: "
+                f"{', '.join(when)}{', ...' if len(stays) > 3 else ''}",
             )
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -178,12 +179,11 @@ def _is_data(line: str, separator: str | None, decimal: str) -> bool:
         return False
     separator = separator or _separator(line)
     cells = _cells(line, separator)
-    looks = [
+    return all(
         NUMBER.fullmatch(_pointed(cell, decimal))
         or (separator != "," and COMMA_NUMBER.fullmatch(cell))
         for cell in cells
-    ]
-    return all(looks) and any(cell[:1].isdigit() or cell[:1] in ("+", "-", ".") for cell in cells)
+    ) and any(cell[:1].isdigit() or cell[:1] in ("+", "-", ".") for cell in cells)
 
 
 def _pointed(cell: str, decimal: str) -> str:
@@ -207,14 +207,12 @@ def _thousands(cells: list[str]) -> str:
 def _dated(cells: list[str]) -> str:
     """The hint for a date or a time of day; "" if there is none."""
     cell = next((cell for cell in cells if DATE.fullmatch(cell)), None)
-    hint = (
-        "write seconds in its place, or give jb.Record the columns that pandas.read_csv(..., "
-        "parse_dates=) reads, with "
-    )
     return (
         ""
         if cell is None
-        else f"'{cell:.30}' is a date or a time of day: {hint}(t - t[0]).dt.total_seconds()."
+        else f"'{cell:.30}' is a date or a time of day: write seconds in its place, or give "
+        "jb.Record the columns that pandas.read_csv(..., parse_dates=) reads, with "
+        "(t - t[0]).dt.total_seconds()."
     )
 
 
@@ -240,19 +238,16 @@ def numbers_of(
     rows: list[tuple[int, str]], name: str, separator: str, decimal: str, *, complete: bool
 ) -> np.ndarray:
     """(n, k) numbers; NaN where a cell is empty."""
-    try:  # fast, and enough for nearly all files
-        if decimal != "." or any('"' in line for _, line in rows[:1]):
-            raise ValueError
-        values = np.loadtxt(
-            [line for _, line in rows],
-            delimiter=None if separator == " " else separator,
-            comments=None,
-            ndmin=2,
-        )
-        if np.isfinite(values).all():
-            return values
-    except (ValueError, OverflowError):
-        pass
+    if decimal == "." and '"' not in rows[0][1]:
+        with suppress(ValueError, OverflowError):  # fast, and enough for nearly all files
+            values = np.loadtxt(
+                [line for _, line in rows],
+                delimiter=None if separator == " " else separator,
+                comments=None,
+                ndmin=2,
+            )
+            if np.isfinite(values).all():
+                return values
     with Problems() as problems:
         cells = [_cells(line, separator) for _, line in rows]
         width = len(cells[0])

@@ -60,8 +60,7 @@ OF_AXES = {8: "m", 18: "Hz", 19: "rpm", 20: "1"}  # data types of abscissas that
 
 def sets_of(path: Path) -> list[dict[str, Any]]:
     """The functions (sets 58) of a universal file."""
-    pyuff = import_extra("pyuff", path.name)
-    file = pyuff.UFF(str(path))
+    file = import_extra("pyuff", path.name).UFF(str(path))
     kinds = [int(kind) for kind in file.get_set_types()]
     if 58 not in kinds:
         raise JaxbodyError(
