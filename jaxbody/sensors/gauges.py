@@ -115,11 +115,17 @@ class StringPotentiometer(Gauge):
         if p is None or other is None:
             return None
         length, size = np.linalg.norm(p - other), np.abs(p).max()
-        message = f"has length {length:.3g} m in the reference pose, which gives it no direction"
         return (
             None
             if length > 1e-12 * size
-            else Problem("ZERO_LENGTH", where, message, length, "> 0", "Move one of its points.")
+            else Problem(
+                "ZERO_LENGTH",
+                where,
+                f"has length {length:.3g} m in the reference pose, which gives it no direction",
+                length,
+                "> 0",
+                "Move one of its points.",
+            )
         )
 
 
@@ -146,7 +152,9 @@ class LaserLine(Sensor):
     normal: Float[Array, "3"] | None = field("", "direction")
     shape = ()
 
-    def aimed(self, on: str, point: Any, axis: Any, origin: Any, normal: Any, chain: Chain) -> None:
+    def __init__(
+        self, on: str, point=(0, 0, 0), *, axis, origin=None, normal=None, **chain: Unpack[Chain]
+    ):
         kind = type(self).__name__
         with Problems() as problems:
             self.on, self.point = on, vector(point, f"{kind}.point", problems)
@@ -181,11 +189,10 @@ class LaserLine(Sensor):
             or abs(cosine := axis @ R @ normal) > GRAZING
         ):
             return None
-        message = "has a beam parallel to the surface in the reference pose"
         return Problem(
             "GRAZING",
             where,
-            message,
+            "has a beam parallel to the surface in the reference pose",
             cosine,
             f"|cosine to the normal| > {GRAZING:g}",
             "Turn the beam or the normal.",
@@ -213,12 +220,8 @@ class LaserVibrometer(LaserLine):
     'm/s'
     """
 
+    __init__ = LaserLine.__init__  # for type checkers
     unit = "m/s"
-
-    def __init__(
-        self, on: str, point=(0, 0, 0), *, axis, origin=None, normal=None, **chain: Unpack[Chain]
-    ):
-        self.aimed(on, point, axis, origin, normal, chain)
 
     def reading(self, model, frames):
         frame, n = frames[model.layout.frame(self.on)], jnp.asarray(self.axis)
@@ -242,7 +245,7 @@ class LaserDistance(LaserLine):
     unit = "m"
 
     def __init__(self, on: str, point=(0, 0, 0), *, origin, axis, normal, **chain: Unpack[Chain]):
-        self.aimed(on, point, axis, origin, normal, chain)
+        super().__init__(on, point, axis=axis, origin=origin, normal=normal, **chain)
 
     def reading(self, model, frames):
         return self.distance(frames[model.layout.frame(self.on)].pose())

@@ -268,13 +268,10 @@ class LoadCell(OfElement):
 def _force(element: Element, *ends: Any) -> Array:
     if not element.has_inertia():
         return element.force(*ends)
-    frames, changes = (
-        tuple(ends)
-        for ends in zip(
-            *((Frame(end.p, end.R, end.v, end.w), end.changes()) for end in ends), strict=True
-        )
+    frames = tuple(Frame(end.p, end.R, end.v, end.w) for end in ends)
+    return element.force(*frames) + element.inertial_force(
+        frames, tuple(end.changes() for end in ends)
     )
-    return element.force(*frames) + element.inertial_force(frames, changes)
 
 
 class WrenchSensor(Components):
@@ -389,11 +386,9 @@ class Reaction(WrenchSensor):
 
     def problem(self, model, where):
         layout = model.layout
-        if self.on in layout.supports:
-            return super().problem(model, where)
-        if self.on not in layout.bodies:
+        if self.on not in layout.supports + layout.bodies:
             return unknown(self.on, where, layout.supports + layout.bodies)
-        if layout.block(self.on).kind is Free:
+        if self.on in layout.bodies and layout.block(self.on).kind is Free:
             return Problem(
                 "NO_JOINT",
                 where,
@@ -432,12 +427,14 @@ class JointAngle(Components):
         turns = [i for i, unit in enumerate(block.q_units) if unit == "rad"]
         if (self.component is None and block.nv == 1 and turns) or self.component in turns:
             return None
-        message = (
-            f"reads component {self.component} of the joint of '{self.on}', a {block.kind.__name__}"
-        )
-        limit = f"one of {turns}" if turns else "a joint that turns"
         return Problem(
-            "BAD_COMPONENT", where, message, self.component, limit, "Give the number of a rotation."
+            "BAD_COMPONENT",
+            where,
+            f"reads component {self.component} of the joint of '{self.on}', "
+            f"a {block.kind.__name__}",
+            self.component,
+            f"one of {turns}" if turns else "a joint that turns",
+            "Give the number of a rotation.",
         )
 
 
@@ -449,13 +446,12 @@ def _component_problem(
         component is None or component in range(size or 0)
     ):
         return None
-    limit = "no component" if size is None else f"0 to {size - 1}"
     return Problem(
         "BAD_COMPONENT",
         where,
         f"reads component {component} of {what}",
         component,
-        limit,
+        "no component" if size is None else f"0 to {size - 1}",
         "Change `component`.",
     )
 
@@ -522,15 +518,13 @@ class Attitude(Sensor):
         off = np.flatnonzero(np.abs(length - 1) > 1e-3)  # not where it is NaN
         if not len(off):
             return None
-        message = f"has a quaternion of length {length[off[0]]:.6g} in row {off[0]}"
-        columns = ("x, y, z, then " if self.places else "") + "the quaternion w, x, y, z"
         return Problem(
             "BAD_QUATERNION",
             where,
-            message,
+            f"has a quaternion of length {length[off[0]]:.6g} in row {off[0]}",
             measured[off[0]],
             "1 within 1e-3",
-            f"Columns: {columns}.",
+            f"Columns: {'x, y, z, then ' if self.places else ''}the quaternion w, x, y, z.",
         )
 
 

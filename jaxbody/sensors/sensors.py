@@ -137,10 +137,8 @@ def known(times: Float[Array, "n"], tau: Float[Array, ""]) -> Float[Array, "n"]:
     """The weight of a delayed sample: 1 where t - tau lies in the record, 0 more than a sample
     outside, linear between."""
     t = times - tau
-    before, after = (
-        (times[0] - t) / (times[1] - times[0]),
-        (t - times[-1]) / (times[-1] - times[-2]),
-    )
+    before = (times[0] - t) / (times[1] - times[0])
+    after = (t - times[-1]) / (times[-1] - times[-2])
     return jnp.clip(1 - jnp.maximum(before, after), 0.0, 1.0)
 
 
@@ -293,8 +291,8 @@ class Sensor(Described, Channel):
                 )
                 continue
             shape = shapes.get(name, ())
-            several = shape if "gain" in self.stages else ()
-            array = checked(value, ((), shape) if shape and several else (shape,), where, problems)
+            one_or_all = ((), shape) if shape and "gain" in self.stages else (shape,)
+            array = checked(value, one_or_all, where, problems)
             setattr(
                 self,
                 name,
@@ -322,9 +320,9 @@ class Sensor(Described, Channel):
     ) -> Float[Array, "*s"]:
         """The residual from a reading at rest, whose derivatives are the rows of an output of
         responses; the model, and that at rest, hold the states of their elements."""
-        now, before = self.reading(model, frames), self.reading(at_rest, rest)
+        readings = self.reading(model, frames), self.reading(at_rest, rest)
         return self.residual(
-            *(x if self.bias is None else self.disturbed(x, self.bias) for x in (now, before))
+            *(x if self.bias is None else self.disturbed(x, self.bias) for x in readings)
         )
 
     def transduced(
@@ -436,14 +434,13 @@ def noise_levels(
         )
         known = None if level is None else concrete(level)
         if known is not None and ((known < 0).any() or not (zero or known.all())):
-            hint = "" if zero else "Leave noise out to have it estimated."
             problems.add(
                 "BAD_NOISE",
                 place,
                 f"is {known}",
                 value=known,
                 limit=">= 0" if zero else "> 0",
-                hint=hint,
+                hint="" if zero else "Leave noise out to have it estimated.",
             )
         if level is not None:
             levels[name] = level
