@@ -38,22 +38,40 @@ from jaxbody.suspension.assemblies import (
     readings,
     resting_position,
     resting_positions,
+    with_value,
 )
 from jaxbody.suspension.wheels import Wheel
 
-WORDS = (
-    "camber, toe, caster, kingpin, trail, scrub, wheel, contact, roll, side, motion, length, "
-    "wheel force, wheel rate"
-)
-ORDER = tuple(WORDS.split(", "))  # of printed curves, by the words with which their names begin
-ANGLES = (
+# of printed curves, by the words with which their names begin
+ORDER = (
     "camber",
     "toe",
     "caster",
     "kingpin",
-    "side view angle of the contact",
-    "side view angle of the center",
+    "trail",
+    "scrub",
+    "wheel",
+    "contact",
+    "roll",
+    "side",
+    "motion",
+    "length",
+    "wheel force",
+    "wheel rate",
 )
+# unit and factor with which numbers are printed
+PRINTED = {"rad": ("deg", 180 / np.pi), "m": ("mm", 1e3), "N/m": ("N/mm", 1e-3)}
+# of curves that are neither lengths [m] nor motion ratios
+UNITS = {
+    "camber": "rad",
+    "toe": "rad",
+    "caster": "rad",
+    "kingpin": "rad",
+    "side view angle of the contact": "rad",
+    "side view angle of the center": "rad",
+    "wheel force": "N",
+    "wheel rate": "N/m",
+}
 MOST_COLUMNS = 6  # of curves in a printed table
 # of the size of the model: how far the wheel may move while all driven readings are held
 FREE = 1e-6
@@ -100,10 +118,7 @@ class SuspensionCurves(Labeled, Result):
 
     def unit(self, name: str) -> str:
         """The unit of a curve or of a driven reading."""
-        for drive in self.drives:
-            if drive.name == name:
-                return drive.unit
-        return curve_unit(name)
+        return {drive.name: drive.unit for drive in self.drives}.get(name, curve_unit(name))
 
     def _tables(self) -> list[tables.PrintedTable]:
         driven, shown = [drive.name for drive in self.drives], []
@@ -113,13 +128,7 @@ class SuspensionCurves(Labeled, Result):
         )
         for begin in range(0, len(names), MOST_COLUMNS):
             part = [*driven, *names[begin : begin + MOST_COLUMNS]]
-            heads = tuple(
-                f"{name} [{_printed_unit(self.unit(name))}]".replace(" []", "") for name in part
-            )
-            columns = [
-                _printed(np.asarray((self.over | self.curves)[name]), self.unit(name))
-                for name in part
-            ]
+            heads, columns = zip(*map(self._column, part), strict=True)
             shown.append(
                 tables.PrintedTable(
                     "Suspension" if not shown else "", heads, list(zip(*columns, strict=True))
@@ -129,10 +138,15 @@ class SuspensionCurves(Labeled, Result):
             shown[-1].note = self.failure
         return shown
 
+    def _column(self, name: str) -> tuple[str, list[float]]:
+        unit, factor = PRINTED.get(self.unit(name), (self.unit(name), 1.0))
+        numbers = factor * np.asarray((self.over | self.curves)[name])
+        return f"{name} [{unit}]".replace(" []", ""), tables.without_dust(numbers, 1.0).tolist()
+
     def to_xarray(self):
-        everything = {**self.over, **self.curves}
         variables = {
-            name: (("row",), values, self.unit(name)) for name, values in everything.items()
+            name: (("row",), values, self.unit(name))
+            for name, values in (self.over | self.curves).items()
         }
         for drive, slopes in self.slopes.items():
             unit = self.unit(drive)
@@ -145,20 +159,7 @@ class SuspensionCurves(Labeled, Result):
 
 def curve_unit(name: str) -> str:
     """The unit of a curve."""
-    if name in ANGLES:
-        return "rad"
-    return {"wheel force": "N", "wheel rate": "N/m"}.get(
-        name, "" if name.startswith("motion ratio") else "m"
-    )
-
-
-def _printed_unit(unit: str) -> str:
-    return {"rad": "deg", "m": "mm", "N/m": "N/mm"}.get(unit, unit)
-
-
-def _printed(values: np.ndarray, unit: str) -> list[float]:
-    shown = values * {"rad": 180 / np.pi, "m": 1e3, "N/m": 1e-3}.get(unit, 1.0)
-    return tables.without_dust(shown, 1.0).tolist()
+    return UNITS.get(name, "" if name.startswith("motion ratio") else "m")
 
 
 def suspension_curves(
@@ -244,25 +245,20 @@ def suspension_curves(
     with Problems() as problems:
         acting = loads_of(loads, model.layout.bodies, "suspension_curves.loads")
         if acting and not equilibrium:
-            hint = "Say equilibrium=True, or leave the loads out."
             problems.add(
                 "BAD_OPTION",
                 "suspension_curves.loads",
                 "act on what is held by its readings",
                 limit="an equilibrium",
-                hint=hint,
+                hint="Say equilibrium=True, or leave the loads out.",
             )
         if equilibrium and not model.elements:
-            limit, hint = (
-                "a model with springs or bushings",
-                "Leave the option out, or give the model elements (`jb.compliant`).",
-            )
             problems.add(
                 "BAD_OPTION",
                 "suspension_curves.equilibrium",
                 "has no elements to rest on",
-                limit=limit,
-                hint=hint,
+                limit="a model with springs or bushings",
+                hint="Leave the option out, or give the model elements (`jb.compliant`).",
             )
     return warn_if_failed(_curves(*found, acting if equilibrium else None))
 
@@ -312,24 +308,22 @@ def _targets(drives: tuple[Drive, ...], over: Mapping[str, Any], where: str) -> 
         shape = next(iter(lengths), (1,))
         for name in names:
             if name not in over:
-                hint = "Give a number to hold it."
                 problems.add(
                     "BAD_SHAPE",
                     f"{where}.over",
                     f"has no values of '{name}'",
                     value=name,
                     limit=str(shape),
-                    hint=hint,
+                    hint="Give a number to hold it.",
                 )
                 continue
-            array = checked(
+            values[name] = checked(
                 over[name],
                 ((), shape),
                 f"{where}.over['{name}']",
                 problems,
                 "One number, or as many as the others have.",
             )
-            values[name] = array
     xp: Any = np if all(is_concrete(x) for x in values.values()) else jnp
     return jnp.asarray(
         xp.stack([xp.broadcast_to(xp.asarray(values[name]), shape) for name in names], -1)
@@ -352,13 +346,12 @@ def _check_determined(
         )
         for name, row in zip(names, slopes[count:], strict=True):
             if np.abs(row @ free).max(initial=0.0) <= 1e-9:
-                hint = "Drive a reading that the closures leave free."
                 problems.add(
                     "UNDRIVEN",
                     f"{where}.drive['{name}']",
                     "does not move while the closures are fulfilled",
                     value=name,
-                    hint=hint,
+                    hint="Drive a reading that the closures leave free.",
                 )
         held = scipy.linalg.null_space(slopes, rcond=RANK)
         loose = np.abs(moved @ held).max(initial=0.0)
@@ -368,11 +361,10 @@ def _check_determined(
                 f"Drive one more reading for each freedom, such as one of '{worst}'; or "
                 "equilibrium=True leaves the rest in equilibrium."
             )
-            message = f"leaves the wheel free to move: {held.shape[1]} freedoms remain"
             problems.add(
                 "UNDRIVEN",
                 f"{where}.drive",
-                message,
+                f"leaves the wheel free to move: {held.shape[1]} freedoms remain",
                 value=names,
                 limit="all freedoms of the wheel",
                 hint=hint,
@@ -433,10 +425,10 @@ def _curves(
             return _placed(model, q, row), q
 
         def read(x: Array):
-            slopes, (values, q) = jax.jacfwd(_with_value(placed), has_aux=True)(x)
+            slopes, (values, q) = jax.jacfwd(with_value(placed), has_aux=True)(x)
             return _read(wheel, side, steering, values, slopes[0], model), q
 
-        (slopes, _), (values, q) = jax.jacfwd(_with_value(read), has_aux=True)(x)
+        (slopes, _), (values, q) = jax.jacfwd(with_value(read), has_aux=True)(x)
         return values, slopes, q
 
     values, slopes, q = jax.vmap(at)(targets, known)
@@ -448,23 +440,16 @@ def _curves(
         drive: {name: rows_or_nan(found, x[:, i]) for name, x in slopes.items()}
         for i, drive in enumerate(names)
     }
-    q = rows_or_nan(found[:, None], q)
-    over: dict[str, Any] = dict(zip(names, targets.T, strict=True))
     return SuspensionCurves(
-        over=over,
+        over=dict(zip(names, targets.T, strict=True)),
         curves=values,
         slopes=by_drive,
-        q=q,
+        q=rows_or_nan(found[:, None], q),
         status=status,
         model=model,
         drives=drives,
         wheel=wheel,
     )
-
-
-def _with_value(function):
-    """(y, y) for y = function(x), so that a derivative with auxiliary data traces it once."""
-    return lambda x: ((y := function(x)), y)
 
 
 def _placed(model: Model, q: Float[Array, "nq"], row: int):
@@ -499,19 +484,17 @@ def _read(
         found |= wheel.steering(pose, side, pose.p + cross(w, v) / dot(w, w), w)
     w, v = _twist(pose, turning, 0)
     at_contact, at_center = v + cross(w, C - pose.p), v + cross(w, center - pose.p)
-    found["roll center height"] = C[1] * at_contact[1] / at_contact[2]
-    found["side view angle of the contact"] = jnp.arctan2(-at_contact[0], at_contact[2])
-    found["side view angle of the center"] = jnp.arctan2(-at_center[0], at_center[2])
-    found |= {f"motion ratio of {name}": e_slopes[i, 0] for i, name in enumerate(single)}
+    found |= {
+        "roll center height": C[1] * at_contact[1] / at_contact[2],
+        "side view angle of the contact": jnp.arctan2(-at_contact[0], at_contact[2]),
+        "side view angle of the center": jnp.arctan2(-at_center[0], at_center[2]),
+        **{f"motion ratio of {name}": e_slopes[i, 0] for i, name in enumerate(single)},
+    }
     for table in model.elements:
         if isinstance(table.rows, LineElement):
-            lengths = [
-                e[single.index(name)] + table.rows.free_length[i]
-                for i, name in enumerate(table.names)
-            ]
             found |= {
-                f"length of {name}": length
-                for name, length in zip(table.names, lengths, strict=True)
+                f"length of {name}": e[single.index(name)] + table.rows.free_length[i]
+                for i, name in enumerate(table.names)
             }
     return found | ({"wheel force": V_slopes[0]} if single else {})
 

@@ -17,6 +17,7 @@ are differentiated as they are (mechanics/constraints.py).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -175,12 +176,12 @@ def _assembled(model: Model, start: State, hold: tuple[str, ...]) -> Assembly:
     before = closure_gaps(model, None, start.q)
     q, far = solve(closure_gaps, model, None, start.q, _held(model, hold))
     after, slopes = values_and_slopes(Chart(model), lambda q: closure_gaps(model, None, q), q)
-    size = size_of(model)
-    status = jnp.where(far <= CLOSED, Status.OK, Status.NOT_CLOSED)
-    scaled = slopes * scale_of(model, size)[None]
-    state = State(q, jnp.zeros_like(start.v))
     return Assembly(
-        model=model, state=state, gaps=jnp.stack([before, after]), slopes=scaled, status=status
+        model=model,
+        state=State(q, jnp.zeros_like(start.v)),
+        gaps=jnp.stack([before, after]),
+        slopes=slopes * scale_of(model, size_of(model))[None],
+        status=jnp.where(far <= CLOSED, Status.OK, Status.NOT_CLOSED),
     )
 
 
@@ -222,14 +223,13 @@ def drives_of(model: Model, given: dict[str, Any], where: str) -> tuple[Drive, .
                     )
                 )
             elif drive.shape != ():
-                hint = 'Give it an axis: jb.Position("upright", [0, 0, 0], axis="z").'
                 problems.add(
                     "BAD_SHAPE",
                     place,
                     f"reads {drive.shape[0]} numbers",
                     value=drive.shape,
                     limit="one number",
-                    hint=hint,
+                    hint='Give it an axis: jb.Position("upright", [0, 0, 0], axis="z").',
                 )
             else:
                 found.append(Drive(name, None, drive.unit, drive))
@@ -240,16 +240,7 @@ def _coordinate(model: Model, name: str, path: str, where: str) -> Drive:
     places = model.layout.coordinate_places
     if path not in places:
         problem = unknown(path, where, tuple(places))
-        raise JaxbodyError(
-            Problem(
-                problem.code,
-                where,
-                problem.message,
-                path,
-                "a coordinate of a joint, or a sensor",
-                problem.hint,
-            )
-        )
+        raise JaxbodyError(replace(problem, limit="a coordinate of a joint, or a sensor"))
     at, _ = places[path]
     return Drive(name, at, model.layout.q_units[at])
 
@@ -353,12 +344,15 @@ class RestingSystem(NamedTuple):
     ) -> tuple[Float[Array, "m"], Float[Array, "m m"]]:
         """The equations and their slopes [H C_q'; C_q 0]."""
 
-        def values(step):
-            found = self.equations(target, self.moved(at, step))
-            return found, found
+        slopes, values = jax.jacfwd(
+            with_value(lambda step: self.equations(target, self.moved(at, step))), has_aux=True
+        )(jnp.zeros(len(at.inverse), at.q.dtype))
+        return values, slopes
 
-        slopes, found = jax.jacfwd(values, has_aux=True)(jnp.zeros(len(at.inverse), at.q.dtype))
-        return found, slopes
+
+def with_value(function):
+    """(y, y) for y = function(x), so that a derivative with auxiliary data traces it once."""
+    return lambda x: ((y := function(x)), y)
 
 
 def resting_positions(
@@ -371,11 +365,8 @@ def resting_positions(
     """(positions, statuses, k) for each row of targets, each from the last one reached: NOT_CLOSED
     where none is found, UNSTABLE where it is no minimum of the energy. They have no derivatives:
     see `resting_position`."""
-    rest, size, nv = (
-        RestingSystem(model, loads, drives, _stiffness(model)),
-        size_of(model),
-        model.layout.nv,
-    )
+    rest = RestingSystem(model, loads, drives, _stiffness(model))
+    size, nv = size_of(model), model.layout.nv
     n = len(conditions(model, (drives, targets[0]), start))
     zero = jnp.zeros((nv + n, nv + n), start.dtype)
 
@@ -398,10 +389,8 @@ def resting_positions(
         )
         reached = far <= REACHED * size
         at = jax.tree.map(lambda new, old: jnp.where(reached, new, old), at, last)
-        values, rank = (
-            jnp.linalg.eigvalsh((A + A.T) / 2),
-            jnp.sum(jnp.linalg.svdvals(A[nv:]) > RANK),
-        )
+        values = jnp.linalg.eigvalsh((A + A.T) / 2)
+        rank = jnp.sum(jnp.linalg.svdvals(A[nv:]) > RANK)
         # as many as there are independent conditions, at a minimum
         negative = jnp.sum(values < -NEGATIVE * jnp.max(jnp.abs(values)))
         stable = jnp.where(negative > rank, Status.UNSTABLE, Status.OK)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -83,19 +84,13 @@ def compliant(model: Model, compliances: Mapping[str, Compliance]) -> Model:
         for name, compliance in compliances.items():
             where = f"compliant['{name}']"
             if name in closing:
-                made = problems.gather(
-                    lambda name=name, c=compliance, at=where: _of_closure(
-                        model, closing.pop(name), c, at
-                    )
+                elements[name] = problems.gather(
+                    partial(_of_closure, model, closing.pop(name), compliance, where)
                 )
-                elements |= {} if made is None else {name: made}
             elif name in joints:
-                made = problems.gather(
-                    lambda name=name, c=compliance, at=where: _of_joint(
-                        model, name, joints.pop(name), c, at
-                    )
+                elements[f"{name} joint"] = problems.gather(
+                    partial(_of_joint, model, name, joints.pop(name), compliance, where)
                 )
-                elements |= {} if made is None else {f"{name} joint": made}
             else:
                 problems.collected.append(
                     unknown(name, where, (*model.layout.bodies, *model.closure_names))
@@ -104,8 +99,7 @@ def compliant(model: Model, compliances: Mapping[str, Compliance]) -> Model:
 
 
 def _of_joint(model: Model, body: str, joint: Joint, compliance: Compliance, where: str) -> Element:
-    if not isinstance(joint, JOINTS):
-        raise JaxbodyError(_no_bushing(type(joint), JOINTS, where))
+    _check_kind(joint, JOINTS, where)
     A, B = pose_at_reference(model, joint.parent), pose_at_reference(model, body)
     on_B = jnp.zeros(3, B.p.dtype) if joint.at is None else B.inverse().point(A.point(joint.at))
     on_A = A.inverse().point(B.p) if joint.at is None else joint.at
@@ -117,25 +111,35 @@ def _of_joint(model: Model, body: str, joint: Joint, compliance: Compliance, whe
 def _of_closure(
     model: Model, closure: closures.Closure, compliance: Compliance, where: str
 ) -> Element:
-    if not isinstance(closure, CLOSURES):
-        raise JaxbodyError(_no_bushing(type(closure), CLOSURES, where))
-    ends = tuple(zip(closure.between, closure.points, strict=True))
+    _check_kind(closure, CLOSURES, where)
+    a, b = zip(closure.between, closure.points, strict=True)
     A, B = (pose_at_reference(model, name) for name in closure.between)
     if not isinstance(closure, closures.Rod):
-        return _bushing(ends[0], ends[1], A, B, getattr(closure, "axis", None), compliance)
+        return _bushing(a, b, A, B, getattr(closure, "axis", None), compliance)
     d = B.point(closure.b) - A.point(closure.a)
     length = jnp.sqrt(dot(d, d)) if closure.length is None else closure.length
-    damping = 0.0 if compliance.damping is None else compliance.damping
     return Spring(
-        ends[0], ends[1], stiffness=compliance.stiffness, damping=damping, free_length=length
+        a,
+        b,
+        stiffness=compliance.stiffness,
+        damping=0.0 if compliance.damping is None else compliance.damping,
+        free_length=length,
     )
 
 
-def _no_bushing(kind: type, kinds: tuple[type, ...], where: str) -> Problem:
-    allowed = ", ".join(each.__name__ for each in kinds)
-    return Problem(
-        "WRONG_KIND", where, f"is a {kind.__name__}", kind, allowed, "Give it elements of your own."
-    )
+def _check_kind(part: Any, kinds: tuple[type, ...], where: str) -> None:
+    """Check that a joint or closure is one that can be a bushing. Error: WRONG_KIND."""
+    if not isinstance(part, kinds):
+        raise JaxbodyError(
+            Problem(
+                "WRONG_KIND",
+                where,
+                f"is a {type(part).__name__}",
+                type(part),
+                ", ".join(kind.__name__ for kind in kinds),
+                "Give it elements of your own.",
+            )
+        )
 
 
 def _bushing(a: Any, b: Any, A: Pose, B: Pose, axis: Any, compliance: Compliance) -> Bushing:
@@ -144,8 +148,16 @@ def _bushing(a: Any, b: Any, A: Pose, B: Pose, axis: Any, compliance: Compliance
     on_A = jnp.eye(3, dtype=A.R.dtype) if axis is None else _along(jnp.asarray(axis))
     turns = rotations.from_matrix(on_A), rotations.from_matrix(B.R.T @ A.R @ on_A)
     k = _coefficients(compliance.stiffness)
-    c = None if compliance.damping is None else _coefficients(compliance.damping, np.shape(k))
-    return Bushing(a, b, stiffness=k, damping=c, orientation=turns[0], orientation_b=turns[1])
+    return Bushing(
+        a,
+        b,
+        stiffness=k,
+        damping=None
+        if compliance.damping is None
+        else _coefficients(compliance.damping, np.shape(k)),
+        orientation=turns[0],
+        orientation_b=turns[1],
+    )
 
 
 def _along(n: Float[Array, "3"]) -> Float[Array, "3 3"]:

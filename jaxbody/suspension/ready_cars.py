@@ -23,7 +23,13 @@ from jaxbody.model.joints.combined_joints import HeavePitchRoll
 from jaxbody.model.joints.joints import Ball, Guide, Hinge, Joint
 from jaxbody.model.models import Model
 from jaxbody.suspension.alignment_curves import SuspensionCurves, suspension_curves
-from jaxbody.suspension.suspensions import DOUBLE_WISHBONE, Points, Suspension, points_of
+from jaxbody.suspension.suspensions import (
+    DOUBLE_WISHBONE,
+    Points,
+    Suspension,
+    points_of,
+    wheel_of,
+)
 from jaxbody.suspension.wheels import Wheel
 
 G = 9.81
@@ -65,10 +71,12 @@ class Car(Suspension):
         if wheel not in names:
             raise JaxbodyError(unknown(wheel, "Car.curves.wheel", names))
         held = {name: f"car.q.{i}" for i, name in enumerate(("heave", "pitch", "roll"))}
-        over = {"travel": travel, "steering": steering} | dict.fromkeys(held, 0.0)
-        of = getattr(self, wheel)
+        moved = getattr(self, wheel)
         return suspension_curves(
-            self.model, drive={"travel": of, "steering": "rack.q"} | held, over=over, wheel=of
+            self.model,
+            drive={"travel": moved, "steering": "rack.q"} | held,
+            over={"travel": travel, "steering": steering} | dict.fromkeys(held, 0.0),
+            wheel=moved,
         )
 
 
@@ -126,10 +134,9 @@ def car_on_double_wishbones(
     (14, 24, 8)
     """
     with Problems() as problems:
-        given = (("front_points", front_points), ("rear_points", rear_points))
         axles = [
-            points_of(DOUBLE_WISHBONE, points, f"car_on_double_wishbones.{name}", problems)
-            for name, points in given
+            points_of(DOUBLE_WISHBONE, points, f"car_on_double_wishbones.{end}_points", problems)
+            for end, points in (("front", front_points), ("rear", rear_points))
         ]
     xp: Any = (
         np if is_concrete((axles, front, rear, height, mass, unsprung, arm, rack, gravity)) else jnp
@@ -169,14 +176,19 @@ def car_on_double_wishbones(
         k, c, k_tyre = stiffness[wheel.axle], damping[wheel.axle], tyre[wheel.axle]
         lower, upper = wheel.points["spring lower"], wheel.points["spring upper"]
         length, center = xp.linalg.norm(upper - lower), wheel.points["wheel center"]
-        ends = (f"{name} lower arm", lower), ("car", wheel.on_car(upper))
         elements[f"spring {name}"] = Spring(
-            *ends, stiffness=k, damping=c, free_length=length - pull / k
+            (f"{name} lower arm", lower),
+            ("car", wheel.on_car(upper)),
+            stiffness=k,
+            damping=c,
+            free_length=length - pull / k,
         )
-        radius = center[2] + loads[wheel.axle] / k_tyre + ENGAGEMENT / 2
-        hub = (f"{name} upright", center)
         elements[f"tyre {name}"] = Tyre(
-            hub, f"road {name}", stiffness=k_tyre, radius=radius, engagement=ENGAGEMENT
+            (f"{name} upright", center),
+            f"road {name}",
+            stiffness=k_tyre,
+            radius=center[2] + loads[wheel.axle] / k_tyre + ENGAGEMENT / 2,
+            engagement=ENGAGEMENT,
         )
     for axle, (end, name) in enumerate(zip(ENDS, ("front", "rear"), strict=True)):
         left, right = (
@@ -197,13 +209,17 @@ def car_on_double_wishbones(
         closures=closures,
         gravity=xp.stack([0.0, 0.0, -gravity]),
     )
-    of = {name: wheel.wheel() for name, wheel in wheels.items()}
     named = {
         f"{name} {point}": place
         for name, points in zip(("front", "rear"), axles, strict=True)
         for point, place in points.items()
     }
-    return Car(model, **of, hard_points=named, build=_weightless)
+    return Car(
+        model,
+        **{name: wheel.wheel() for name, wheel in wheels.items()},
+        hard_points=named,
+        build=_weightless,
+    )
 
 
 def _weightless(points: Points) -> Car:
@@ -238,14 +254,7 @@ class _Drawn(NamedTuple):
 
     def wheel(self) -> Wheel:
         at = self.points
-        center, kingpin = at["wheel center"], self.xp.stack([at["lower outer"], at["upper outer"]])
-        return Wheel(
-            f"{self.name} upright",
-            center=center,
-            axis=center - at["axle inner"],
-            radius=center[2],
-            kingpin=kingpin,
-        )
+        return wheel_of(at, at["wheel center"][2], at["upper outer"], f"{self.name} upright")
 
     @property
     def centers(self) -> dict[str, Any]:

@@ -138,8 +138,12 @@ class Corner(Suspension):
 
         >>> toe = jb.double_wishbone().curves([-0.04, 0.0, 0.04])["toe"]  # doctest: +SKIP
         """
-        over = {"travel": travel, "steering": steering}
-        return suspension_curves(self.model, drive=self.drive, over=over, wheel=self.wheel)
+        return suspension_curves(
+            self.model,
+            drive=self.drive,
+            over={"travel": travel, "steering": steering},
+            wheel=self.wheel,
+        )
 
     @property
     def drive(self) -> dict[str, Any]:
@@ -232,7 +236,7 @@ def double_wishbone(
     )
     return Corner(
         model,
-        _wheel(points, radius, points["upper outer"]),
+        wheel_of(points, radius, points["upper outer"]),
         hard_points=points,
         build=double_wishbone,
     )
@@ -267,7 +271,7 @@ def macpherson(
         },
         elements={"spring": spring_between("upright", lower, upper, stiffness, force)},
     )
-    return Corner(model, _wheel(points, radius, upper), hard_points=points, build=macpherson)
+    return Corner(model, wheel_of(points, radius, upper), hard_points=points, build=macpherson)
 
 
 def five_link(
@@ -306,7 +310,7 @@ def five_link(
         closures=links | {"tie rod": _tie_rod(points)},
         elements={"spring": spring_between("upright", lower, upper, stiffness, force)},
     )
-    return Corner(model, _wheel(points, radius), hard_points=points, build=five_link)
+    return Corner(model, wheel_of(points, radius), hard_points=points, build=five_link)
 
 
 def _points(source: Points, given: Points | None, where: str) -> dict[str, Any]:
@@ -378,11 +382,11 @@ def _check_side(points: dict[str, Any], given: Points, where: str, problems: Pro
     ]
     if wrong:
         listed = ", ".join(f"'{name}' at y = {float(points[name][1]):.6g} m" for name in wrong)
-        own = [name for name in wrong if name not in given]
         hint = (
-            "Give all points of a right wheel: those that are not given are those of a left one."
-            if own
-            else "Correct the signs of y."
+            "Correct the signs of y."
+            if given.keys() >= set(wrong)
+            else "Give all points of a right wheel: those that are not given are those of a left "
+            "one."
         )
         problems.add(
             "WRONG_SIDE",
@@ -392,11 +396,6 @@ def _check_side(points: dict[str, Any], given: Points, where: str, problems: Pro
             limit=f"{side}, as the wheel center",
             hint=hint,
         )
-
-
-def _distance(a: Any, b: Any) -> Any:
-    xp: Any = np if is_concrete((a, b)) else jnp
-    return xp.linalg.norm(a - b)
 
 
 def _bodies(points: dict[str, Any]) -> dict[str, Body]:
@@ -423,15 +422,16 @@ def _hinge(points: dict[str, Any], front: str, rear: str) -> Hinge:
     return Hinge("world", axis=points[front] - points[rear], at=points[front])
 
 
-def _wheel(points: dict[str, Any], radius: Any, upper: Any = None) -> Wheel:
-    """The wheel; `upper`: the upper point of its steering axis, whose lower one is the lower
-    outer point."""
-    center, kingpin = (
-        points["wheel center"],
-        None if upper is None else [points["lower outer"], upper],
-    )
+def wheel_of(points: Points, radius: Any, upper: Any = None, on: str = "upright") -> Wheel:
+    """The wheel on a body; `upper`: the upper point of its steering axis, whose lower one is the
+    lower outer point."""
+    center = points["wheel center"]
     return Wheel(
-        "upright", center=center, axis=center - points["axle inner"], radius=radius, kingpin=kingpin
+        on,
+        center=center,
+        axis=center - points["axle inner"],
+        radius=radius,
+        kingpin=None if upper is None else [points["lower outer"], upper],
     )
 
 
@@ -441,11 +441,12 @@ def _tie_rod(points: dict[str, Any]) -> Rod:
 
 def spring_between(on: str, lower: Any, upper: Any, stiffness: Any, force: Any) -> Spring:
     """The spring from a body up to the car, compressed by `force` in the design position."""
+    xp: Any = np if is_concrete((upper, lower)) else jnp
     return Spring(
         (on, lower),
         ("world", upper),
         stiffness=stiffness,
-        free_length=_distance(upper, lower) + force / stiffness,
+        free_length=xp.linalg.norm(upper - lower) + force / stiffness,
     )
 
 
@@ -468,11 +469,10 @@ SOLID_AXLE = {
     "left wheel center": (0.0, 0.75, 0.31),
     "right wheel center": (0.0, -0.75, 0.31),
 }
-AXLE_LINKS = {
+RODS = {  # of the axle: their points on the car and on the axle
     f"{name} link": (f"{name} link front", f"{name} link rear")
     for name in ("left lower", "right lower", "upper")
-}
-RODS = AXLE_LINKS | {"Panhard rod": ("Panhard rod body", "Panhard rod axle")}
+} | {"Panhard rod": ("Panhard rod body", "Panhard rod axle")}
 
 
 class Axle(Suspension):
@@ -499,9 +499,11 @@ class Axle(Suspension):
         >>> axle = jb.solid_axle()
         >>> camber = axle.curves([-0.03, 0.0, 0.03], [0.03, 0.0, -0.03])["camber"]  # doctest: +SKIP
         """
-        drive = {"left": self.left, "right": self.right}
         return suspension_curves(
-            self.model, drive=drive, over={"left": left, "right": right}, wheel=self.left
+            self.model,
+            drive={"left": self.left, "right": self.right},
+            over={"left": left, "right": right},
+            wheel=self.left,
         )
 
 
@@ -537,19 +539,22 @@ def solid_axle(
     with Problems() as problems:
         points = points_of(SOLID_AXLE, hard_points, "solid_axle.hard_points", problems)
     center = (points["left wheel center"] + points["right wheel center"]) / 2
-    springs = {
-        f"{side} spring": spring_between(
-            "axle", points[f"{side} spring lower"], points[f"{side} spring upper"], stiffness, force
-        )
-        for side in ("left", "right")
-    }
     model = Model(
         bodies={"axle": Body(mass=mass, inertia=inertia, com=center)},
         closures={
             name: Rod(("world", points[on_car]), ("axle", points[on_axle]))
             for name, (on_car, on_axle) in RODS.items()
         },
-        elements=springs,
+        elements={
+            f"{side} spring": spring_between(
+                "axle",
+                points[f"{side} spring lower"],
+                points[f"{side} spring upper"],
+                stiffness,
+                force,
+            )
+            for side in ("left", "right")
+        },
     )
     wheels = {
         side: Wheel(

@@ -84,9 +84,8 @@ class Wheel(eqx.Module):
     def alignment(self, pose: Pose, s: Float[Array, ""]) -> dict[str, Array]:
         """Angles [rad] and places [m] that need no steering axis."""
         a, center, C = rotate(pose.R, self.axis), pose.point(self.center), self.contact(pose)
-        found = {"camber": -jnp.arctan2(a[2], s * a[1]), "toe": jnp.arctan2(a[0], s * a[1])}
         return (
-            found
+            {"camber": -jnp.arctan2(a[2], s * a[1]), "toe": jnp.arctan2(a[0], s * a[1])}
             | {f"wheel {x}": center[i] for i, x in enumerate("xyz")}
             | {f"contact {x}": C[i] for i, x in enumerate("xyz")}
         )

@@ -59,15 +59,13 @@ def four_bar(
     # at the end of the crank, of the triangle with the rocker
     cosine = (distance**2 + coupler**2 - rocker**2) / (2 * distance * coupler)
     if not abs(cosine) <= 1:
-        limit = f"{abs(coupler - rocker):.6g} to {coupler + rocker:.6g} m"
-        message = f"has coupler and rocker that do not meet over {distance:.6g} m"
         raise JaxbodyError(
             Problem(
                 "NOT_CLOSED",
                 "four_bar",
-                message,
+                f"has coupler and rocker that do not meet over {distance:.6g} m",
                 distance,
-                limit,
+                f"{abs(coupler - rocker):.6g} to {coupler + rocker:.6g} m",
                 "Change a length or the angle of the crank.",
             )
         )
@@ -79,13 +77,12 @@ def four_bar(
         """A uniform one, at this angle from x."""
         mass, half = density * length, turned / 2
         across, about = mass * length**2 / 12, mass * (SLENDER * length) ** 2 / 2
-        orientation = [np.cos(half), 0, 0, np.sin(half)]
         return Body(
             mass=mass,
             inertia=[about, across, across],
             com=[length / 2, 0, 0],
             position=[*start, 0],
-            orientation=orientation,
+            orientation=[np.cos(half), 0, 0, np.sin(half)],
         )
 
     return Model(

@@ -208,8 +208,7 @@ def full_car(
         "rr": (-rear, -track / 2, 1),
     }
     share = (rear / (front + rear) / 2, front / (front + rear) / 2)
-    bodies = {"car": Body(mass=mass, inertia=inertia, com=com, position=place)}
-    bodies |= {
+    bodies = {"car": Body(mass=mass, inertia=inertia, com=com, position=place)} | {
         name: Body(mass=unsprung[axle], inertia=POINT, position=[x, y, radius])
         for name, (x, y, axle) in wheels.items()
     }
@@ -430,16 +429,15 @@ def stewart_table(
     below = [below[-1], *below[:-1]]  # each leg leans toward the neighboring pair
     length = np.linalg.norm(np.add(above[0], [0, 0, height]) - below[0])
     relaxed = length + mass * gravity * length / (6 * stiffness * height)
-    legs = {
-        f"leg {i}": Spring(
-            ("table", a), ("base", b), stiffness=stiffness, damping=damping, free_length=relaxed
-        )
-        for i, (a, b) in enumerate(zip(above, below, strict=True), 1)
-    }
     return Model(
         bodies={"table": Body(mass=mass, inertia=inertia, position=[0, 0, height])},
         supports={"base": Support()},
-        elements=legs,
+        elements={
+            f"leg {i}": Spring(
+                ("table", a), ("base", b), stiffness=stiffness, damping=damping, free_length=relaxed
+            )
+            for i, (a, b) in enumerate(zip(above, below, strict=True), 1)
+        },
         gravity=[0, 0, -gravity],
     )
 
@@ -584,8 +582,10 @@ def rubber_isolators(
     """
 
     def isolator(k):
-        branches = (laws.Maxwell(stiffness=g * k, relaxation_time=tau) for g, tau in prony)
-        return laws.Sum(laws.Linear(k), *branches)
+        return laws.Sum(
+            laws.Linear(k),
+            *(laws.Maxwell(stiffness=g * k, relaxation_time=tau) for g, tau in prony),
+        )
 
     x, y, z = map(isolator, stiffness)
     return Model(
