@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +18,7 @@ from jaxbody.core.arrays import Array, Float, device_array, indices, module_of
 from jaxbody.core.compilation.compile_options import OPTIMIZED, program_with
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import REST_HAS_DERIVATIVES, jaxpr_as_fun, only_what_is_needed
+from jaxbody.core.results import Result
 from jaxbody.core.workers.batches import batch_of, computed
 from jaxbody.core.workers.executors import crew_of
 from jaxbody.design.searches import DesignVector, Rows, Search, run_in_worker
@@ -28,6 +30,17 @@ Quantities = dict[str, Array]
 Evaluate = Callable[..., Any]
 Shapes = tuple[tuple[str, tuple[int, ...]], ...]  # names and shapes of quantities
 NamedLimits = dict[str, tuple[float, float]]
+
+
+class OfQuantities(Result):
+    """The base class of results with a row for each of the `quantities`, which are named."""
+
+    quantities: tuple[str, ...] = eqx.field(static=True, kw_only=True)
+
+    def row(self, quantity: str) -> int:
+        if quantity not in self.quantities:
+            raise JaxbodyError(unknown(quantity, type(self).__name__.lower(), self.quantities))
+        return self.quantities.index(quantity)
 
 
 @dataclass(eq=False)
@@ -152,7 +165,7 @@ class Flat:
 
 def split(values: Float[Array, "*b m"], shapes: Shapes) -> Quantities:
     """The quantities in one vector or in a batch of them."""
-    ends = np.cumsum([int(np.prod(shape)) for _, shape in shapes])[:-1]
+    ends = np.cumsum([math.prod(shape) for _, shape in shapes])[:-1]
     parts = module_of(values).split(values, ends, axis=-1)
     return {
         name: part.reshape((*values.shape[:-1], *shape))
@@ -277,55 +290,53 @@ def check_names(program: Program) -> None:
             ]
         shape = shapes.get(program.minimize, ())
         if shape:
-            hint = "Minimize one number; limit the others."
             problems.add(
                 "BAD_OBJECTIVE",
                 f"evaluate[{program.minimize!r}]",
                 f"has shape {shape}",
                 value=shape,
                 limit="one number",
-                hint=hint,
+                hint="Minimize one number; limit the others.",
             )
 
 
 def limits_of(limits: dict[str, Any]) -> NamedLimits:
     """{name: (lower, upper)}."""
-    parsed = {}
-    with Problems() as problems:
-        if not isinstance(limits, dict):
-            problems.add(
+    if not isinstance(limits, dict):
+        raise JaxbodyError(
+            Problem(
                 "BAD_LIMITS",
                 "tune.limits",
                 f"is {limits!r:.60}",
-                value=limits,
-                limit="{name: (lower, upper)}",
+                limits,
+                "{name: (lower, upper)}",
             )
-            problems.raise_if_any()
+        )
+    parsed = {}
+    with Problems() as problems:
         for name, given in limits.items():
-            message = f"is {given!r:.60}"
+            message, allowed = f"is {given!r:.60}", ""
             try:
                 lower, upper = (
                     (given, given)
                     if np.ndim(given) == 0 and not isinstance(given, tuple)
                     else given
                 )
-                ends = (
+                parsed[name] = ends = (
                     -np.inf if lower is None else float(lower),
                     np.inf if upper is None else float(upper),
                 )
             except (TypeError, ValueError):
                 allowed = "(lower, upper), a number, or None for either"
             else:
-                parsed[name] = ends
                 if np.isnan(ends).any() or ends == (-np.inf, np.inf):
                     allowed = "a number at one end or both"
-                elif ends[0] <= ends[1]:
-                    continue
-                else:
+                elif ends[0] > ends[1]:
                     message = f"has lower {ends[0]:g} > upper {ends[1]:g}"
                     allowed = "lower <= upper"
-            where = f"tune.limits[{name!r}]"
-            problems.add("BAD_LIMITS", where, message, value=given, limit=allowed)
+            if allowed:
+                where = f"tune.limits[{name!r}]"
+                problems.add("BAD_LIMITS", where, message, value=given, limit=allowed)
     return parsed
 
 
@@ -341,8 +352,10 @@ def not_finite(program: Program, searches: Sequence[Search]) -> JaxbodyError:
             for name, x in zip(program.space.labels, first.slopes[i], strict=True)
             if not np.isfinite(x)
         ]
-        message = "has derivatives that are not finite at the start: of "
-        message += ", ".join(bad[:4]) + (", ..." if len(bad) > 4 else "")
+        message = (
+            "has derivatives that are not finite at the start: of "
+            f"{', '.join(bad[:4])}{', ...' if len(bad) > 4 else ''}"
+        )
         hint = (
             "Look for square roots and norms of zero, or simulate(adjoint=...); smooth quantities "
             "are in jb.objectives."

@@ -119,11 +119,10 @@ def pareto(
     names = [minimize] if isinstance(minimize, str) else list(minimize)
     with Problems() as problems:
         if len(set(names)) != len(names) or len(names) not in (2, 3):
-            message = f"has the objectives {', '.join(map(str, names))}"
             problems.add(
                 "BAD_FRONT",
                 "pareto.minimize",
-                message,
+                f"has the objectives {', '.join(map(str, names))}",
                 value=names,
                 limit="two or three different names",
             )
@@ -217,28 +216,23 @@ def _over(names: list[str], ends: list[Tuning], least: Any, points: int) -> list
 
 
 def _front(names: list[str], designs: list[Tuning]) -> Front:
-    objectives = {name: np.array([_value(design, name) for design in designs]) for name in names}
-    slopes = np.array(
+    slopes = [
         [
-            [
-                design.multipliers.get(name, 0.0) if design.minimize == names[0] else np.nan
-                for name in names[1:]
-            ]
-            for design in designs
+            design.multipliers.get(name, 0.0) if design.minimize == names[0] else np.nan
+            for name in names[1:]
         ]
-    )
-    values: dict[str, Array] = {
-        path: jnp.stack([design.values[path] for design in designs]) for path in designs[0].values
-    }
-    quantities: Quantities = {
-        name: np.stack([design.after[name] for design in designs]) for name in designs[0].after
-    }
-    status = np.array([int(design.status) for design in designs])
+        for design in designs
+    ]
     return Front(
-        objectives=objectives,
-        values=values,
-        quantities=quantities,
-        slopes=slopes,
-        status=status,
+        objectives={name: np.array([_value(design, name) for design in designs]) for name in names},
+        values={
+            path: jnp.stack([design.values[path] for design in designs])
+            for path in designs[0].values
+        },
+        quantities={
+            name: np.stack([design.after[name] for design in designs]) for name in designs[0].after
+        },
+        slopes=np.array(slopes),
+        status=np.array([int(design.status) for design in designs]),
         designs=tuple(designs),
     )

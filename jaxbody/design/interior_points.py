@@ -82,12 +82,15 @@ def minimize_by_ipopt(
 
     values, x = Values("values", [(n, 1)], [(1, 1), (m, 1)], {}), casadi.MX.sym("u", n)
     f, c = values(x)
-    quiet = {"print_time": False, "error_on_fail": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
     options = {
+        "print_time": False,
+        "error_on_fail": False,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
         "ipopt.max_iter": iterations,
         "ipopt.tol": tolerance,
         "ipopt.hessian_approximation": "limited-memory",
     }
-    solver = casadi.nlpsol("solver", "ipopt", {"x": x, "f": f, "g": c}, quiet | options)
+    solver = casadi.nlpsol("solver", "ipopt", {"x": x, "f": f, "g": c}, options)
     solver(x0=u, lbx=bounds[0], ubx=bounds[1], lbg=limits[0], ubg=limits[1])
     return int(solver.stats()["iter_count"])

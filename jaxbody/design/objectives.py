@@ -44,7 +44,6 @@ def __dir__():
 
 
 LEAST_SHARE = 1e-6  # shares of energy below this are rounded off to avoid a kink at zero
-SIGMAS = 3.0
 
 
 def smooth_max(x: Any, width: Any) -> Float[Array, ""]:
@@ -143,8 +142,7 @@ def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
 
 @program
 def _coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
-    e = kinetic_shares(lin)
-    size = jnp.sqrt(e**2 + LEAST_SHARE**2) - LEAST_SHARE
+    size = jnp.sqrt(kinetic_shares(lin) ** 2 + LEAST_SHARE**2) - LEAST_SHARE
     return jnp.sum(jnp.sum(size, 0) ** 2 - jnp.sum(size**2, 0))
 
 
@@ -220,10 +218,14 @@ def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Ar
     """
     known = concrete(response.frequencies)
     if known is not None and not known.all():
-        hint = "The average is over log(f): omit 0 Hz."
         raise JaxbodyError(
             Problem(
-                "BAD_FREQUENCY", "transmitted.response", "has a frequency of 0 Hz", 0.0, "> 0", hint
+                "BAD_FREQUENCY",
+                "transmitted.response",
+                "has a frequency of 0 Hz",
+                0.0,
+                "> 0",
+                "The average is over log(f): omit 0 Hz.",
             )
         )
     return _transmitted(response, output, name)
@@ -326,7 +328,7 @@ def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Arr
 
 @program
 def _stroke(ride: RandomResponse, output: str, static: Float[Array, ""]) -> Float[Array, ""]:
-    return jnp.abs(static) + SIGMAS * ride[output]
+    return jnp.abs(static) + 3 * ride[output]
 
 
 def _root(square: Float[Array, ""]) -> Float[Array, ""]:

@@ -51,8 +51,9 @@ class Rows:
 
     def scale(self, values: np.ndarray) -> np.ndarray:
         """The size of each limit; for a limit of zero, the size of the limited quantity."""
-        finite = [np.where(np.isfinite(end), np.abs(end), 0.0) for end in (self.lower, self.upper)]
-        size = np.maximum(*finite)
+        size = np.maximum(
+            *(np.where(np.isfinite(end), np.abs(end), 0.0) for end in (self.lower, self.upper))
+        )
         return np.where(size > 0, size, np.maximum(np.abs(values[self.limited]), 1e-12))
 
     def violation(self, values: np.ndarray, scale: np.ndarray) -> Any:
@@ -256,10 +257,13 @@ def _restored(search: Search, at: At, iterations: int) -> bool:
         excess = np.maximum(c - upper, 0) - np.maximum(lower - c, 0)
         return float(excess @ excess), 2 * excess @ A
 
-    bounds = list(zip(search.low, search.high, strict=True))
-    options = dict(maxiter=iterations, ftol=1e-16, gtol=1e-10)
     solution = scipy.optimize.minimize(
-        squares, search.u, jac=True, bounds=bounds, method="L-BFGS-B", options=options
+        squares,
+        search.u,
+        jac=True,
+        bounds=scipy.optimize.Bounds(search.low, search.high),  # pyright: ignore
+        method="L-BFGS-B",
+        options=dict(maxiter=iterations, ftol=1e-16, gtol=1e-10),
     )
     search.iterations += int(solution.nit)
     return search.violation <= MET

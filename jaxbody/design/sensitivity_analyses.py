@@ -9,10 +9,10 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import Float, Int
-from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.core.progress_lines import working
-from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.design.design_programs import Evaluate, Program
+from jaxbody.core.results import warn_if_failed
+from jaxbody.design.design_programs import Evaluate, OfQuantities, Program
 from jaxbody.design.searches import one_thread
 from jaxbody.fitting.parameters.spaces import space_of
 from jaxbody.model.models import Model
@@ -21,7 +21,7 @@ from jaxbody.model.preconditions import check_precision
 SHOWN = 5  # parameters printed for each quantity
 
 
-class Sensitivities(Result):
+class Sensitivities(OfQuantities):
     """Result of `sensitivities`: `nominal` values of the `quantities`, their `slopes` d q/d x
     (quantities, parameters), and their values `low` and `high` with each of the `parameters`
     lower and higher by the relative `change`. `ranked(quantity)` lists the parameters, the
@@ -32,14 +32,8 @@ class Sensitivities(Result):
     low: Float[np.ndarray, "m n"]
     high: Float[np.ndarray, "m n"]
     status: Int[np.ndarray, ""]
-    quantities: tuple[str, ...]
     parameters: tuple[str, ...]
     change: float
-
-    def row(self, quantity: str) -> int:
-        if quantity not in self.quantities:
-            raise JaxbodyError(unknown(quantity, "sensitivities", self.quantities))
-        return self.quantities.index(quantity)
 
     def ranked(self, quantity: str) -> tuple[str, ...]:
         return tuple(self.parameters[i] for i in self.order(quantity))
@@ -57,10 +51,10 @@ class Sensitivities(Result):
         rows = []
         for row, name in enumerate(self.quantities):
             for k, i in enumerate(self.order(name)[:SHOWN]):
-                first = (name, self.nominal[row]) if not k else ("", "")
                 rows.append(
                     (
-                        *first,
+                        "" if k else name,
+                        "" if k else self.nominal[row],
                         self.parameters[i],
                         self.slopes[row, i],
                         self.low[row, i],
@@ -132,16 +126,16 @@ def sensitivities(
     with one_thread(), working("sensitivities", progress) as program.line:
         values, slopes = map(np.array, zip(*map(program, U), strict=True))
     low, high = np.split(values[1:].T, 2, axis=1)
-    bad = not (np.isfinite(values).all() and np.isfinite(slopes[0]).all())
+    finite = np.isfinite(values).all() and np.isfinite(slopes[0]).all()
     return warn_if_failed(
         Sensitivities(
             values[0],
             slopes[0] / space.numbers(U[0])[1],
             low,
             high,
-            np.asarray(Status.NONFINITE.value if bad else 0),
-            tuple(program.labels()),
+            np.asarray(0 if finite else Status.NONFINITE.value),
             tuple(space.labels),
             change,
+            quantities=tuple(program.labels()),
         )
     )

@@ -10,9 +10,11 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import check_key, checked_dict, whole_number
@@ -113,10 +115,9 @@ def sweep(
             for path in given
         }
         columns = {path: values for path, values in columns.items() if values is not None}
-        empty = not columns or any(
-            values.ndim < 1 or not len(values) for values in columns.values()
-        )
-        if empty and not problems.collected:
+        if not problems.collected and (
+            not columns or any(values.ndim < 1 or not len(values) for values in columns.values())
+        ):
             problems.add(
                 "EMPTY_SWEEP",
                 "sweep.over",
@@ -182,24 +183,26 @@ def sweep(
             with crew_of(workers, "sweep.workers") as crew:
                 batch = batch_of(**points, where="sweep.evaluate", crew=crew)
                 if STATUS in batch.program.results:
-                    message = f"returns a quantity {STATUS!r}"
-                    hint = "Rename it: status says which models were computed."
                     raise JaxbodyError(
-                        Problem("BAD_NAME", "sweep.evaluate", message, STATUS, "another name", hint)
+                        Problem(
+                            "BAD_NAME",
+                            "sweep.evaluate",
+                            f"returns a quantity {STATUS!r}",
+                            STATUS,
+                            "another name",
+                            "Rename it: status says which models were computed.",
+                        )
                     )
                 if out is not None:
                     import_extra("xarray", "sweep.out")
-                    plan = {
-                        "over": hash_of(
-                            *columns,
-                            *columns.values(),
-                            samples,
-                            sampler,
-                            np.asarray(jax.random.key_data(key)),
-                        )
-                    }
+                    random = np.asarray(jax.random.key_data(key))
                     store = store_of(
-                        batch, out, plan, list(columns), "design", any_size=chunk is None
+                        batch,
+                        out,
+                        {"over": hash_of(*columns, *columns.values(), samples, sampler, random)},
+                        list(columns),
+                        "design",
+                        any_size=chunk is None,
                     )
                     stored(batch, store, chunks, crew, "sweep", report)
                     return store.opened("sweep")
@@ -232,7 +235,8 @@ def _grid(columns: dict[str, np.ndarray]) -> tuple[PointsOf, int]:
     def rows(first: int, last: int) -> list[np.ndarray]:
         index = np.unravel_index(np.arange(first, last), shape)
         return [
-            values[i].astype(_dtype()) for values, i in zip(columns.values(), index, strict=True)
+            values[i].astype(jnp.result_type(float))
+            for values, i in zip(columns.values(), index, strict=True)
         ]
 
     return rows, math.prod(shape)
@@ -262,7 +266,9 @@ def _samples(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> Po
         unit = _sequence(draw, first, last) if whole is None else whole[first:last]
         parts = np.split(unit, np.cumsum(sizes)[:-1], axis=1)
         return [
-            (low + (high - low) * part.reshape(last - first, *low.shape)).astype(_dtype())
+            (low + (high - low) * part.reshape(last - first, *low.shape)).astype(
+                jnp.result_type(float)
+            )
             for (low, high), part in zip(ranges.values(), parts, strict=True)
         ]
 
@@ -280,42 +286,28 @@ def _sequence(draw: Any, first: int, last: int) -> np.ndarray:
         return draw.random(last - first)
 
 
-def _dtype() -> Any:
-    return jax.dtypes.canonicalize_dtype(float)
-
-
 def _extremes(columns: dict[str, Any], rows: PointsOf, count: int) -> dict[str, np.ndarray]:
     """Values of each path among which are the smallest and the largest."""
-    found = []
+    extremes = []
     for first in range(0, count, MANY):
         values = rows(first, min(first + MANY, count))
-        found += [[_end(x, which) for x in values] for which in (np.argmin, np.argmax)]
-    return {
-        path: np.array(values)
-        for path, values in zip(columns, zip(*found, strict=True), strict=True)
-    }
+        extremes += [[_end(x, which) for x in values] for which in (np.argmin, np.argmax)]
+    return dict(zip(columns, map(np.array, zip(*extremes, strict=True)), strict=True))
 
 
 def _quantities_of(evaluate: Evaluate, paths: list[str]) -> Callable[..., Any]:
     """(model, values of the paths for several models) -> their quantities."""
 
-    def quantities_of(model, *values):
-        def one(*values):
-            return evaluated(evaluate, replace(model, dict(zip(paths, values, strict=True))))
+    def of_one(model, *values):
+        return evaluated(evaluate, replace(model, dict(zip(paths, values, strict=True))))
 
-        return jax.vmap(one)(*values)
-
-    return quantities_of
+    return lambda model, *values: jax.vmap(partial(of_one, model))(*values)
 
 
 def sweep_dataset(columns: dict[str, Any], quantities: dict[str, Any], *, on_grid: bool) -> Any:
     """The dataset of a sweep: each quantity over the axes of the grid, or over `sample`."""
     axes = tuple(columns) if on_grid else ("sample",)
-    lengths = (
-        tuple(len(values) for values in columns.values())
-        if on_grid
-        else (len(next(iter(columns.values()))),)
-    )
+    lengths = tuple(map(len, columns.values()))[: len(axes)]
     variables = variables_over(
         axes, {name: x.reshape(*lengths, *x.shape[1:]) for name, x in quantities.items()}
     )

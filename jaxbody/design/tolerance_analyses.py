@@ -8,7 +8,7 @@ x + s xi, xi normal and independent:   first order    mean f,             varian
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
@@ -20,9 +20,9 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import Array, Float, Int, concrete, device_array, float_array, module_of
 from jaxbody.core.compilation.compile_options import OPTIMIZED, program_with
-from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
+from jaxbody.core.errors import Problems, Status
 from jaxbody.core.progress_lines import working
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import warn_if_failed
 from jaxbody.core.workers.batches import (
     batch_of,
     checked_chunks,
@@ -34,6 +34,7 @@ from jaxbody.core.workers.executors import crew_of
 from jaxbody.design.design_programs import (
     Evaluate,
     Flat,
+    OfQuantities,
     Quantities,
     labels_of,
     split,
@@ -51,7 +52,7 @@ SHOWN = 3  # parameters printed for each quantity
 Scatter = dict[str, Any]
 
 
-class Tolerances(Result):
+class Tolerances(OfQuantities):
     """Result of `tolerances`, for each of m `quantities`: `nominal` values; standard deviations to
     `first` order; `mean` and standard `deviation` to second order; `sampled_mean` and
     `sampled_deviation` of all `samples` (n, m); `shares` (m, k) of the `parameters` in the variance
@@ -64,7 +65,6 @@ class Tolerances(Result):
     samples: Float[Array, "n m"]
     shares: Float[Array, "m k"]
     status: Int[Array, ""]
-    quantities: tuple[str, ...] = eqx.field(static=True)
     parameters: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -75,11 +75,6 @@ class Tolerances(Result):
     def sampled_deviation(self) -> Float[Array, "m"]:
         return module_of(self.samples).nanstd(self.samples, 0, ddof=1)
 
-    def row(self, quantity: str) -> int:
-        if quantity not in self.quantities:
-            raise JaxbodyError(unknown(quantity, "tolerances", self.quantities))
-        return self.quantities.index(quantity)
-
     def explain(self) -> str:
         return (
             f"{int(np.sum(~np.isfinite(self.samples).all(-1)))} of {len(self.samples)} "
@@ -87,27 +82,25 @@ class Tolerances(Result):
         )
 
     def _tables(self) -> list[tables.PrintedTable]:
-        columns = (
+        strongest = [
+            ", ".join(
+                f"{self.parameters[i]} {100 * float(share[i]):.0f} %"
+                for i in np.argsort(-share)[:SHOWN]
+                if share[i] > 0.005
+            )
+            for share in np.asarray(self.shares)
+        ]
+        rows = zip(
+            self.quantities,
             self.nominal,
             self.first,
             self.mean,
             self.deviation,
             self.sampled_mean,
             self.sampled_deviation,
+            strongest,
+            strict=True,
         )
-        most = [np.argsort(-np.asarray(share))[:SHOWN] for share in self.shares]
-        strongest = [
-            ", ".join(
-                f"{self.parameters[i]} {100 * float(share[i]):.0f} %"
-                for i in order
-                if share[i] > 0.005
-            )
-            for order, share in zip(most, self.shares, strict=True)
-        ]
-        rows = [
-            (name, *numbers, words)
-            for name, *numbers, words in zip(self.quantities, *columns, strongest, strict=True)
-        ]
         heads = (
             "quantity",
             "nominal",
@@ -120,7 +113,7 @@ class Tolerances(Result):
         )
         return [
             tables.PrintedTable(
-                "Tolerances", heads, rows, f"{len(self.samples)} samples; {self.report()}"
+                "Tolerances", heads, list(rows), f"{len(self.samples)} samples; {self.report()}"
             )
         ]
 
@@ -187,10 +180,12 @@ def tolerances(
     key = jax.random.key(0) if key is None else key
     with working("tolerances", progress) as line:
         line(f"derivatives and {samples} samples")
-        (*moments, shares), labels = jax.block_until_ready(_to_second_order(space, evaluate))
+        (nominal, first, mean, deviation, shares), labels = jax.block_until_ready(
+            _to_second_order(space, evaluate)
+        )
         deviations = np.asarray(jax.random.normal(key, (samples, space.size)))
         points: Any = dict(
-            function=_values_of(evaluate),
+            function=lambda space, xi: {"values": jax.vmap(Flat(space, evaluate))(xi)},
             tree=space,
             rows=lambda first, last: [deviations[first:last]],
             count=samples,
@@ -224,15 +219,19 @@ def tolerances(
     code = status.max(initial=Status.OK.value)
     if not code and not np.isfinite(drawn).all():
         code = Status.NONFINITE.value
-    result = Tolerances(
-        **dict(zip(("nominal", "first", "mean", "deviation"), moments, strict=True)),
-        samples=device_array(drawn),
-        shares=shares,
-        status=jnp.asarray(code),
-        quantities=labels,
-        parameters=tuple(space.labels),
+    return warn_if_failed(
+        Tolerances(
+            nominal=nominal,
+            first=first,
+            mean=mean,
+            deviation=deviation,
+            samples=device_array(drawn),
+            shares=shares,
+            status=jnp.asarray(code),
+            quantities=labels,
+            parameters=tuple(space.labels),
+        )
     )
-    return warn_if_failed(result)
 
 
 def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Evaluate:
@@ -287,18 +286,13 @@ def scattering(model: Model, scatter: Scatter, where: str) -> Space:
                 if given.shape not in ((), shape) or (
                     known is not None and not ((known >= 0).all() and np.isfinite(known).all())
                 ):
-                    at, limit, hint = (
-                        f"{where}['{leaf.path}']",
-                        f"one number >= 0, or of shape {shape}",
-                        "Give standard deviations.",
-                    )
                     problems.add(
                         "BAD_SCATTER",
-                        at,
+                        f"{where}['{leaf.path}']",
                         f"is {scatter[pattern]!r:.60}",
                         value=given,
-                        limit=limit,
-                        hint=hint,
+                        limit=f"one number >= 0, or of shape {shape}",
+                        hint="Give standard deviations.",
                     )
                     continue
                 if leaf.path in (parameter.path for parameter in parameters):
@@ -346,8 +340,3 @@ def _to_second_order(space: Space, evaluate: Evaluate):
     variance = jnp.sum(J**2, 1)
     shares = J**2 / jnp.where(variance > 0, variance, 1.0)[:, None]
     return (f, jnp.sqrt(variance), *_moments(f, J, H), shares), tuple(labels_of(flat.shapes))
-
-
-def _values_of(evaluate: Evaluate) -> Callable[..., Any]:
-    """(space, deviations of several samples) -> the values of their quantities."""
-    return lambda space, xi: {"values": jax.vmap(Flat(space, evaluate))(xi)}

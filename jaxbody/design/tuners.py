@@ -202,10 +202,8 @@ def _catalogs(
             if values is None:
                 continue
             for i in dict.fromkeys(owner[leaf] for leaf in leaves):
-                (parameter, at), where = (
-                    space.parts[i],
-                    f"tune.catalogues['{space.parameters[i].path}']",
-                )
+                parameter, at = space.parts[i]
+                where = f"tune.catalogues['{parameter.path}']"
                 form: Any = parameter.form
                 if (
                     form.start.ndim
@@ -224,7 +222,10 @@ def _catalogs(
                     continue
                 catalog = np.array([form.inverse(x)[0] for x in values])
                 inside = (catalog >= low[at] - 1e-12) & (catalog <= high[at] + 1e-12)
-                if not inside.any():
+                if inside.any():
+                    catalogs[i] = available = catalog[inside]
+                    low[at], high[at] = min(available.min(), 0.0), max(available.max(), 0.0)
+                else:
                     problems.add(
                         "BAD_CATALOGUE",
                         where,
@@ -232,9 +233,6 @@ def _catalogs(
                         value=values,
                         hint="Widen the bounds.",
                     )
-                    continue
-                catalogs[i] = catalog[inside]
-                low[at], high[at] = min(catalog[inside].min(), 0.0), max(catalog[inside].max(), 0.0)
     return catalogs
 
 
@@ -318,8 +316,6 @@ def _run_optax(
 ) -> None:
     """Run an optax optimizer from all starts in one program; u is clipped to the bounds after
     each step."""
-    U = device_array(np.stack([search.start for search in searches]))
-    low, high = device_array(searches[0].low), device_array(searches[0].high)
     ends, history = _descend(
         program.space,
         program.evaluate,
@@ -327,9 +323,9 @@ def _run_optax(
         method,
         steps,
         program.key is not None,
-        U,
-        low,
-        high,
+        device_array(np.stack([search.start for search in searches])),
+        device_array(searches[0].low),
+        device_array(searches[0].high),
         key,
     )
     program.count += steps

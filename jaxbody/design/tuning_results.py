@@ -142,10 +142,10 @@ class Tuning(Labeled, Result):
         if int(self.status) == Status.NOT_CONVERGED:
             unbounded = [name for name, where in self.places.items() if where == UNBOUNDED]
             if unbounded:
-                change = (
-                    f"changed by more than a factor of {np.exp(FAR):.0f} without reaching a limit"
+                return (
+                    f"{', '.join(unbounded)} changed by more than a factor of {np.exp(FAR):.0f} "
+                    "without reaching a limit; add bounds or limits"
                 )
-                return f"{', '.join(unbounded)} {change}; add bounds or limits"
             return f"after {self.evaluations} evaluations; the best iterate is kept; {self.remedy}"
         return ""
 
@@ -153,14 +153,15 @@ class Tuning(Labeled, Result):
         """An xarray.Dataset over `start`: objective, violation, status, and every quantity
         and parameter."""
         runs = self.runs
-        all_starts = {
+        variables = {
+            **runs.values,
+            **runs.quantities,
             "objective": runs.objective,
             "violation": runs.violation,
             "status": runs.status,
         }
-        variables = variables_over(("start",), {**runs.values, **runs.quantities, **all_starts})
         return dataset(
-            variables,
+            variables_over(("start",), variables),
             {"start": np.arange(len(runs.status))},
             f"design with the least {self.minimize}",
         )
@@ -236,10 +237,13 @@ def _places(space: Space, search: Search) -> dict[str, str]:
             for parameter in space.parameters
         ]
     )
-    ended = space.ended(search.u) != ""
     far = (np.abs(search.u) > FAR) & np.isinf(np.where(search.u < 0, search.low, search.high))
     words = np.select(
-        [search.low == search.high, at | (far & ended & ~positive), far & positive],
+        [
+            search.low == search.high,
+            at | (far & (space.ended(search.u) != "") & ~positive),
+            far & positive,
+        ],
         [CHOSEN, BOUND, UNBOUNDED],
         "",
     )
@@ -311,10 +315,7 @@ def tuning_of(
     U, values = (
         np.stack([getattr(search, name) for search in searches]) for name in ("u", "values")
     )
-    codes = np.array([_status_and_multipliers(search, space)[0] for search in searches])
-    violation = rows.violation(values, rows.scale(best.values))
     design, values_of, values_of_runs = placed(space, device_array(best.u), device_array(U))
-    runs = Runs(values[:, rows.objective], violation, codes, values_of_runs, quantities(values))
     status, prices = _status_and_multipliers(best, space)
     constraints = (
         []
@@ -336,7 +337,13 @@ def tuning_of(
         unmet=_unmet(program, best.values),
         history=np.array(best.history).reshape(-1, 2),
         evaluations=program.count,
-        runs=runs,
+        runs=Runs(
+            objective=values[:, rows.objective],
+            violation=rows.violation(values, rows.scale(best.values)),
+            status=np.array([_status_and_multipliers(search, space)[0] for search in searches]),
+            values=values_of_runs,
+            quantities=quantities(values),
+        ),
         status=np.asarray(status),
         space=space,
         minimize=program.minimize,
@@ -384,10 +391,12 @@ def _active_constraints(
         rows.limited, rows.lower, rows.upper, prices.limits, strict=True
     ):
         if price:
-            sign = "=" if lower == upper else ">=" if price > 0 else "<="
             constraints.append(
                 ActiveConstraint(
-                    labels[row], float(lower if price > 0 else upper), float(price), sign
+                    labels[row],
+                    float(lower if price > 0 else upper),
+                    float(price),
+                    "=" if lower == upper else ">=" if price > 0 else "<=",
                 )
             )
     numbers, slopes = space.numbers(best.u)
