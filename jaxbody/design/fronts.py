@@ -53,21 +53,27 @@ class Front(Labeled, Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset over `point`: every quantity, parameter and slope."""
-        slopes = {
-            f"slope over {name}": slope
-            for name, slope in zip(list(self.objectives)[1:], self.slopes.T, strict=True)
+        variables = {
+            **self.values,
+            **self.quantities,
+            "status": self.status,
+            **{
+                f"slope over {name}": slope
+                for name, slope in zip(list(self.objectives)[1:], self.slopes.T, strict=True)
+            },
         }
-        variables = variables_over(
-            ("point",), {**self.values, **self.quantities, "status": self.status, **slopes}
+        return dataset(
+            variables_over(("point",), variables),
+            {"point": np.arange(1, 1 + len(self.status))},
+            "front",
         )
-        return dataset(variables, {"point": np.arange(1, 1 + len(self.status))}, "front")
 
     def _tables(self) -> list[tables.PrintedTable]:
         names = tuple(self.objectives)
-        columns = (*self.objectives.values(), *self.slopes.T)
+        points = zip(*self.objectives.values(), *self.slopes.T, strict=True)
         rows = [
-            (str(i + 1), *("" if np.isnan(x) else x for x in numbers))
-            for i, numbers in enumerate(zip(*columns, strict=True))
+            (str(i), *("" if np.isnan(x) else x for x in numbers))
+            for i, numbers in enumerate(points, 1)
         ]
         heads = ("point", *names, *(f"d {names[0]}/d {name}" for name in names[1:]))
         return [tables.PrintedTable("Front of " + " and ".join(names), heads, rows, self.report())]

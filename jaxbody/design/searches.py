@@ -219,19 +219,20 @@ def _minimize(search: Search, at: At, method: str, iterations: int, tolerance: f
         ]
         options: dict[str, Any] = dict(options=dict(maxiter=iterations, ftol=tolerance))
     else:
-        hess = scipy.optimize.BFGS
         limits = scipy.optimize.NonlinearConstraint(
             lambda u: at(u)[2],
             lower,
             upper,
             jac=lambda u: at(u)[3],  # pyright: ignore[reportArgumentType]  SciPy takes functions, too
-            hess=hess(),
+            hess=scipy.optimize.BFGS(),
         )
         inside = np.isfinite(np.r_[lower[~same], upper[~same], search.low, search.high]).any()
         # a larger gtol would end the search at a large barrier parameter
         gtol = 1e-14 if inside else tolerance**0.8
-        ends = dict(gtol=gtol, xtol=tolerance, barrier_tol=tolerance**0.8)
-        options = dict(hess=hess(), options=dict(maxiter=iterations, **ends))
+        options = dict(
+            hess=scipy.optimize.BFGS(),
+            options=dict(maxiter=iterations, gtol=gtol, xtol=tolerance, barrier_tol=tolerance**0.8),
+        )
     solution = scipy.optimize.minimize(
         lambda u: at(u)[0],
         search.u,

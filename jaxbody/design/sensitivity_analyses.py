@@ -48,19 +48,18 @@ class Sensitivities(OfQuantities):
         )
 
     def _tables(self) -> list[tables.PrintedTable]:
-        rows = []
-        for row, name in enumerate(self.quantities):
-            for k, i in enumerate(self.order(name)[:SHOWN]):
-                rows.append(
-                    (
-                        "" if k else name,
-                        "" if k else self.nominal[row],
-                        self.parameters[i],
-                        self.slopes[row, i],
-                        self.low[row, i],
-                        self.high[row, i],
-                    )
-                )
+        rows = [
+            (
+                "" if k else name,
+                "" if k else self.nominal[row],
+                self.parameters[i],
+                self.slopes[row, i],
+                self.low[row, i],
+                self.high[row, i],
+            )
+            for row, name in enumerate(self.quantities)
+            for k, i in enumerate(self.order(name)[:SHOWN])
+        ]
         heads = (
             "quantity",
             "value",

@@ -3,6 +3,8 @@ Euler angles with their sequence."""
 
 from __future__ import annotations
 
+import re
+from functools import reduce
 from itertools import pairwise
 from typing import Any
 
@@ -23,7 +25,7 @@ from jaxbody.core.arrays import (
     of_unit_length,
     vector,
 )
-from jaxbody.core.errors import Problems
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry import rotations
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  # along and about axes
@@ -121,29 +123,22 @@ class Euler(eqx.Module):
 
     def __init__(self, sequence: str, angles):
         with Problems() as problems:
-            one_case = (
-                isinstance(sequence, str)
-                and 1 <= len(sequence) <= 3
-                and (sequence.islower() or sequence.isupper())
-            )
             if (
-                not one_case
-                or set(sequence.lower()) - set(AXES)
+                not isinstance(sequence, str)
+                or not re.fullmatch("[xyz]{1,3}|[XYZ]{1,3}", sequence)
                 or any(a == b for a, b in pairwise(sequence))
             ):
-                hint = (
-                    'Capitals: axes that turn with the frame ("ZYX": yaw, pitch, roll); small '
-                    "letters: fixed axes; no axis twice in a row."
+                raise JaxbodyError(
+                    Problem(
+                        "BAD_SEQUENCE",
+                        "Euler.sequence",
+                        f"is {sequence!r}",
+                        sequence,
+                        "one to three of XYZ, or of xyz",
+                        'Capitals: axes that turn with the frame ("ZYX": yaw, pitch, roll); small '
+                        "letters: fixed axes; no axis twice in a row.",
+                    )
                 )
-                problems.add(
-                    "BAD_SEQUENCE",
-                    "Euler.sequence",
-                    f"is {sequence!r}",
-                    value=sequence,
-                    limit="one to three of XYZ, or of xyz",
-                    hint=hint,
-                )
-                problems.raise_if_any()
             self.sequence = sequence
             self.angles = checked(
                 angles,
@@ -164,20 +159,13 @@ class Euler(eqx.Module):
                 )
 
     def _quaternion(self, xp):
-        q = None
-        for letter, angle in zip(self.sequence.lower(), self.angles, strict=True):
-            turn = [
-                xp.cos(angle / 2),
-                *(xp.sin(angle / 2) * float(letter == axis) for axis in AXES),
-            ]
-            q = (
-                turn
-                if q is None
-                else _product(q, turn)
-                if self.sequence.isupper()
-                else _product(turn, q)
-            )
-        return xp.stack(q)
+        turns = [
+            [xp.cos(angle / 2), *(xp.sin(angle / 2) * float(letter == axis) for axis in AXES)]
+            for letter, angle in zip(self.sequence.lower(), self.angles, strict=True)
+        ]
+        if self.sequence.islower():
+            return xp.stack(reduce(lambda q, turn: _product(turn, q), turns))
+        return xp.stack(reduce(_product, turns))
 
     def __array__(self, dtype=None, copy=None):
         return np.asarray(self._quaternion(np), dtype)

@@ -278,10 +278,8 @@ class Sensor(Described, Channel):
         for name, value in chain.items():
             if name not in Chain.__annotations__:
                 raise TypeError(f"{kind} has no argument '{name}'")
-            where = f"{kind}.{name}"
-            if value is None:
-                continue
-            if name not in self.stages:
+            where, shape = f"{kind}.{name}", shapes.get(name, ())
+            if value is not None and name not in self.stages:
                 problems.add(
                     "BAD_CHAIN",
                     where,
@@ -289,15 +287,11 @@ class Sensor(Described, Channel):
                     value=value,
                     limit=", ".join(self.stages),
                 )
-                continue
-            shape = shapes.get(name, ())
-            one_or_all = ((), shape) if shape and "gain" in self.stages else (shape,)
-            array = checked(value, one_or_all, where, problems)
-            setattr(
-                self,
-                name,
-                None if array is None else in_domain(array, kind_of(self, name), where, problems),
-            )
+            elif value is not None:
+                one_or_all = ((), shape) if shape and "gain" in self.stages else (shape,)
+                array = checked(value, one_or_all, where, problems)
+                if array is not None:
+                    setattr(self, name, in_domain(array, kind_of(self, name), where, problems))
         if self.start is not None and self.lag is None:
             problems.add(
                 "BAD_CHAIN",

@@ -301,9 +301,9 @@ def _targets(drives: tuple[Drive, ...], over: Mapping[str, Any], where: str) -> 
     """(n, nd) values of the driven readings."""
     names, values = tuple(drive.name for drive in drives), {}
     with Problems() as problems:
-        for name in over:
-            if name not in names:
-                problems.collected.append(unknown(name, f"{where}.over", names))
+        problems.collected += [
+            unknown(name, f"{where}.over", names) for name in over if name not in names
+        ]
         lengths = {n for x in over.values() if (n := np.shape(x)) != ()}
         shape = next(iter(lengths), (1,))
         for name in names:
@@ -316,14 +316,14 @@ def _targets(drives: tuple[Drive, ...], over: Mapping[str, Any], where: str) -> 
                     limit=str(shape),
                     hint="Give a number to hold it.",
                 )
-                continue
-            values[name] = checked(
-                over[name],
-                ((), shape),
-                f"{where}.over['{name}']",
-                problems,
-                "One number, or as many as the others have.",
-            )
+            else:
+                values[name] = checked(
+                    over[name],
+                    ((), shape),
+                    f"{where}.over['{name}']",
+                    problems,
+                    "One number, or as many as the others have.",
+                )
     xp: Any = np if all(is_concrete(x) for x in values.values()) else jnp
     return jnp.asarray(
         xp.stack([xp.broadcast_to(xp.asarray(values[name]), shape) for name in names], -1)

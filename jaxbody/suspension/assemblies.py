@@ -92,13 +92,15 @@ class Assembly(Result):
 
     def _tables(self) -> list[tables.PrintedTable]:
         columns = ("closure", "before [m]", "after [m]")
-        rows, start = [], 0
-        for table in self.model.closures:
-            width = len(table.rows.rows)
-            for name in table.names:
-                part = np.abs(np.asarray(self.gaps[:, start : start + width]))
-                rows.append((name, *tables.without_dust(part.max(1), 1.0)))
-                start += width
+        names = [name for table in self.model.closures for name in table.names]
+        ends = np.cumsum(
+            [len(table.rows.rows) for table in self.model.closures for _ in table.names]
+        )
+        parts = np.split(np.abs(np.asarray(self.gaps)), ends[:-1], axis=1)
+        rows = [
+            (name, *tables.without_dust(part.max(1), 1.0))
+            for name, part in zip(names, parts, strict=True)
+        ]
         repeated = f"implied by the others: {', '.join(self.redundant)}" if self.redundant else ""
         note = "; ".join(
             filter(

@@ -331,10 +331,10 @@ def points_of(
     points: dict[str, Any] = {name: np.asarray(point) for name, point in source.items()}
     for name, point in (given or {}).items():
         place = f"{where}['{name}']"
-        if name not in source:
+        if name in source:
+            points[name] = checked(point, ((3,),), place, problems, "Give x, y and z in meters.")
+        else:
             problems.collected.append(unknown(name, place, tuple(source)))
-            continue
-        points[name] = checked(point, ((3,),), place, problems, "Give x, y and z in meters.")
     if not problems.collected and is_concrete(points):
         _check_axes(points, where, problems)
     return points
