@@ -259,11 +259,17 @@ def evaluated(evaluate: Evaluate, *given: Any) -> Quantities:
     try:
         result = evaluate(*given)
     except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
-        message = (
-            "converts a traced JAX number to a Python or NumPy number: "
-            f"{str(error).splitlines()[0]}"
-        )
-        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", message, hint=hint)) from error
+        raise JaxbodyError(
+            Problem(
+                "BAD_OBJECTIVE",
+                "evaluate",
+                (
+                    "converts a traced JAX number to a Python or NumPy number: "
+                    f"{str(error).splitlines()[0]}"
+                ),
+                hint=hint,
+            )
+        ) from error
     named = result if isinstance(result, dict) else {"objective": result}
     try:
         quantities: Quantities = {str(name): jnp.asarray(x, float) for name, x in named.items()}

@@ -226,12 +226,20 @@ def _no_numbers(
     )
     cells = [_cells(row, separator or _separator(row)) for _, row in lines[:LONGEST_PREAMBLE]]
     hint = next((text for row in cells if (text := _thousands(row) or _dated(row))), hint)
-    message = (
-        f"has no line with numbers only; line {i} is {line!r:.60}"
-        if lines
-        else "has only blank lines"
+    return JaxbodyError(
+        Problem(
+            "NO_NUMBERS",
+            name,
+            (
+                f"has no line with numbers only; line {i} is {line!r:.60}"
+                if lines
+                else "has only blank lines"
+            ),
+            i,
+            "a table of numbers",
+            hint,
+        )
     )
-    return JaxbodyError(Problem("NO_NUMBERS", name, message, i, "a table of numbers", hint))
 
 
 def numbers_of(

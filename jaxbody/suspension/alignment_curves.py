@@ -357,17 +357,16 @@ def _check_determined(
         loose = np.abs(moved @ held).max(initial=0.0)
         if not problems.collected and loose > FREE and not resting:
             worst = model.layout.coordinates[int(np.argmax(np.abs(held).max(1)))]
-            hint = (
-                f"Drive one more reading for each freedom, such as one of '{worst}'; or "
-                "equilibrium=True leaves the rest in equilibrium."
-            )
             problems.add(
                 "UNDRIVEN",
                 f"{where}.drive",
                 f"leaves the wheel free to move: {held.shape[1]} freedoms remain",
                 value=names,
                 limit="all freedoms of the wheel",
-                hint=hint,
+                hint=(
+                    f"Drive one more reading for each freedom, such as one of '{worst}'; or "
+                    "equilibrium=True leaves the rest in equilibrium."
+                ),
             )
 
 

@@ -352,15 +352,20 @@ def _check_axes(points: dict[str, Any], where: str, problems: Problems) -> None:
             for word in (ahead, behind)
         )
         if one < other:
-            message = (
-                f"has '{ahead}' points at {axis[0]} = {one:.4g} m on average, and '{behind}' "
-                f"ones at {other:.4g} m"
+            problems.add(
+                "WRONG_SIDE",
+                where,
+                (
+                    f"has '{ahead}' points at {axis[0]} = {one:.4g} m on average, and '{behind}' "
+                    f"ones at {other:.4g} m"
+                ),
+                value=(one, other),
+                limit=axis,
+                hint=(
+                    f"Is {axis[0]} {'rearward' if i == 0 else 'down'} there? Turn the axes of the "
+                    "points: two signs change, not one."
+                ),
             )
-            hint = (
-                f"Is {axis[0]} {'rearward' if i == 0 else 'down'} there? Turn the axes of the "
-                "points: two signs change, not one."
-            )
-            problems.add("WRONG_SIDE", where, message, value=(one, other), limit=axis, hint=hint)
     if (extent := float(np.ptp(np.array(list(points.values())), 0).max())) > LARGEST:
         problems.add(
             "UNIT",
@@ -382,19 +387,18 @@ def _check_side(points: dict[str, Any], given: Points, where: str, problems: Pro
     ]
     if wrong:
         listed = ", ".join(f"'{name}' at y = {float(points[name][1]):.6g} m" for name in wrong)
-        hint = (
-            "Correct the signs of y."
-            if given.keys() >= set(wrong)
-            else "Give all points of a right wheel: those that are not given are those of a left "
-            "one."
-        )
         problems.add(
             "WRONG_SIDE",
             f"{where}.hard_points",
             f"has {listed}",
             value=wrong,
             limit=f"{side}, as the wheel center",
-            hint=hint,
+            hint=(
+                "Correct the signs of y."
+                if given.keys() >= set(wrong)
+                else "Give all points of a right wheel: those that are not given are those of a "
+                "left one."
+            ),
         )
 
 
