@@ -16,7 +16,7 @@ the axes are those of the world.
 """
 
 from abc import abstractmethod
-from typing import ClassVar, Unpack
+from typing import Any, ClassVar, Unpack
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -47,6 +47,9 @@ class Kinematic(Sensor):
     relative_to: str = field(static=True, converter=plain)
 
     def __init__(self, on: str, *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+        self.placed(on, axis, relative_to, chain)
+
+    def placed(self, on: Any, axis: Any, relative_to: Any, chain: Chain, point: Any = None) -> None:
         kind = type(self).__name__
         with Problems() as problems:
             for name, given in (("on", on), ("relative_to", relative_to)):
@@ -60,6 +63,8 @@ class Kinematic(Sensor):
                         hint=f'Write {kind}("plate", ..., relative_to="base").',
                     )
             self.on, self.relative_to = on, relative_to
+            if isinstance(self, KinematicOfPoint):
+                self.point = vector(point, f"{kind}.point", problems)
             self.axis = None if axis is None else direction(axis, f"{kind}.axis", problems)
             self.chained(problems, **chain)
 
@@ -122,11 +127,7 @@ class KinematicOfPoint(KinematicVector):
         relative_to: str = WORLD,
         **chain: Unpack[Chain],
     ):
-        with Problems() as problems:
-            problems.gather(
-                lambda: Kinematic.__init__(self, on, axis=axis, relative_to=relative_to, **chain)
-            )
-            self.point = vector(point, f"{type(self).__name__}.point", problems)
+        self.placed(on, axis, relative_to, chain, point)
 
     def moved(self, frames, row, twist, carried_by):
         arm = frames[row].point(self.point) - frames.p[carried_by]
