@@ -64,11 +64,11 @@ class Closure(eqx.Module):
 
     @abstractmethod
     def gap(self, A: Pose, B: Pose, rest: Pose) -> Float[Array, "rows"]:
-        """c, zero where the loop is closed: lengths [m], or sines of angles where a description
-        begins with "turn"; `rest` is the pose of B on A in the reference poses."""
+        """Return c, zero where the loop is closed: lengths [m], or sines of angles where a
+        description begins with "turn"; `rest` is the pose of B on A in the reference poses."""
 
     def offset(self, A: Pose, B: Pose) -> Float[Array, "3"]:
-        """d, from a to b in the axes of A."""
+        """Return d, from a to b in the axes of A."""
         return rotate_back(A.R, (B.p - A.p) + (rotate(B.R, self.b) - rotate(A.R, self.a)))
 
 
@@ -267,14 +267,14 @@ class Equation(Closure):
 
 
 class Coupling(Closure):
-    """A coordinate of a joint as a function of another, as of a rack and its pinion, or of two
-    gears: x - f(y) = 0.
+    """A coordinate of a joint as a function of another, such as those of a rack and its pinion or
+    of two gears: x - f(y) = 0.
 
     Coordinates count from the reference pose, turns of any number included. They are named as in
     `suspension_curves`: "rack.q" for the one of a joint, "nut.q.0", "nut.q.1" for those of a joint
     with several (not the numbers of a quaternion). The forces act along the coordinates, between a
-    body and what carries it, as those of a drive in the joint: they are part of the reaction of
-    the joint.
+    body and what carries it, as those of a drive in the joint: they are part of the reaction of the
+    joint.
 
     Args:
         of: x, such as "rack.q"
@@ -314,7 +314,7 @@ class Coupling(Closure):
                 )
 
     def counted_in(self, unit: str) -> "Coupling":
-        """The coupling with x in this unit."""
+        """Return the coupling with x in this unit."""
         changed = copy.copy(self)
         object.__setattr__(changed, "rows", ("turn",) if unit == "rad" else ("move",))
         return changed
@@ -326,7 +326,7 @@ class Coupling(Closure):
 
 
 def as_slide(x: Float[Array, "n"]) -> Pose:
-    """Coordinates as the poses that couplings read, with p = (x, 0, 0)."""
+    """Return coordinates x as the poses that couplings read, with p = (x, 0, 0)."""
     zero = jnp.zeros_like(x)
     return Pose(
         jnp.stack([x, zero, zero], -1),
@@ -335,13 +335,13 @@ def as_slide(x: Float[Array, "n"]) -> Pose:
 
 
 def _turn(A: Pose, B: Pose, rest: Pose) -> Float[Array, "3 3"]:
-    """R, in the axes of A."""
+    """Return R, in the axes of A."""
     return product(product(A.R.T, B.R), rest.R.T)
 
 
 def _across(n: Float[Array, "3"], d: Float[Array, "3"]) -> Float[Array, "2"]:
-    """The components of d along two directions across n: t_1, across the axis that is farthest from
-    n, and n x t_1."""
+    """Return the components of d along two directions across n: t_1, across the axis that is
+    farthest from n, and n x t_1."""
     farthest = jnp.asarray(np.eye(3, dtype=n.dtype))[jnp.argmin(jnp.abs(n))]
     t = cross(n, farthest)
     t = t / jnp.sqrt(dot(t, t))

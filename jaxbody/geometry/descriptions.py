@@ -24,14 +24,14 @@ class Described:
     """An object that prints with the numbers and units of its fields: Stop(gap=0.06 m,
     stiffness=200000 N/m, engagement=0.01 m).
 
-    A unit is left out where it depends on an owner that is not known: a linear law may be that of a
-    spring or of a damper."""
+    A unit is left out where it depends on an unknown owner: a linear law may be that of a spring or
+    of a damper."""
 
     def __repr__(self) -> str:
         return self._described({})
 
     def _described(self, words: dict[str, str]) -> str:
-        """The text, with the words of units from the object that holds this one."""
+        """Return the text, with the words of units from the object that contains this one."""
         # of a dataclass derived from this
         of_class = fields(self)  # pyright: ignore[reportArgumentType]
         values = {each.name: (getattr(self, each.name, None), each.default) for each in of_class}
@@ -48,7 +48,8 @@ class Described:
 
 
 def text_of(owner: Any, name: str, words: dict[str, str] | None = None) -> str:
-    """A field of an object: numbers with their unit, or a law or signal in its own words.
+    """Return a field of an object as text: numbers with their unit, or the description of a law or
+    signal.
 
     >>> text_of(
     ...     SpringDamper(("mass", [0, 0, 0]), ("world", [0, 0, 1]), spring=20e3, free_length=0.9),
@@ -81,7 +82,7 @@ def text_of(owner: Any, name: str, words: dict[str, str] | None = None) -> str:
 
 
 def _row(numbers: np.ndarray, units: list[str]) -> str:
-    """[1 2 3] m, [1 N/m, 2 N/m2], or [200 numbers from 0 to 1] m."""
+    """Return a row as text: [1 2 3] m, [1 N/m, 2 N/m2], or [200 numbers from 0 to 1] m."""
     if len(set(units)) > 1:
         values = [f"{tables.number(x)} {unit}" for x, unit in zip(numbers, units, strict=True)]
         return f"[{', '.join(values)}]"

@@ -66,7 +66,7 @@ def field(
     words: dict[str, str] | None = None,
     **options,
 ) -> Any:
-    """A field of an element, law, joint, load, motion or sensor, with the unit and domain of
+    """Define a field of an element, law, joint, load, motion or sensor, with the unit and domain of
     its numbers.
 
     These determine the values that `replace` refuses, the variable that `fit` and `tune` use for
@@ -119,7 +119,8 @@ def field(
 
 
 def kind_of(owner: Any, name: str, words: dict[str, str] | None = None) -> Kind:
-    """The kind of an owner's field, with the words from the object that holds the owner."""
+    """Return the kind of an owner's field, with the words from the object that contains the
+    owner."""
     kind, _ = _stated(owner, name)
     domain, _, flag = kind.domain.partition(" unless ")
     if flag and getattr(owner, flag):
@@ -128,7 +129,7 @@ def kind_of(owner: Any, name: str, words: dict[str, str] | None = None) -> Kind:
 
 
 def words_for(owner: Any, name: str, words: dict[str, str]) -> dict[str, str]:
-    """The words of units for the object in an owner's field: those that the owner has, and those of
+    """Return the words of units for the object in an owner's field: those of the owner and those of
     the field."""
     return {
         **words,
@@ -137,13 +138,13 @@ def words_for(owner: Any, name: str, words: dict[str, str]) -> dict[str, str]:
 
 
 def kind_along(root: Any, keys: tuple[Any, ...]) -> Kind:
-    """The kind of the numbers at a path of JAX keys from a root, with the words from all objects on
-    the path."""
+    """Return the kind of the numbers at a path of JAX keys from a root, with the words from all
+    objects on the path."""
     return _along(root, keys)[0]
 
 
 def words_along(root: Any, keys: tuple[Any, ...]) -> dict[str, str]:
-    """The words that apply to the object at a path of JAX keys from a root."""
+    """Return the words that apply to the object at a path of JAX keys from a root."""
     return _along(root, keys)[1]
 
 
@@ -168,8 +169,8 @@ def _stated(owner: Any, name: str) -> tuple[Kind, dict[str, str]]:
 
 
 def resolved(unit: str, owner: Any, words: dict[str, str]) -> str:
-    """A unit with its words replaced: by those given, by those of the owner's class (`words`), or
-    by an attribute of the owner that is a unit; "" if a word is missing."""
+    """Return a unit with its words replaced: by the given words, by the `words` of the owner's
+    class, or by an attribute of the owner that is a unit; "" if a word is missing."""
     own = getattr(owner, unit, unit) if unit.isidentifier() else unit
     text, words = own if isinstance(own, str) else unit, {**getattr(owner, "words", {}), **words}
     return "; ".join(
@@ -178,7 +179,7 @@ def resolved(unit: str, owner: Any, words: dict[str, str]) -> str:
 
 
 def _reduced(unit: str, words: dict[str, str]) -> str:
-    """A product of units with each unit once: "N/m" for "force/argument" with force in N and
+    """Return a product of units with each unit once: "N/m" for "force/argument" with force in N and
     argument in m."""
     powers = _powers(unit, words)
     if any(name not in KNOWN for name in powers):
@@ -202,7 +203,7 @@ def _powers(unit: str, words: dict[str, str]) -> dict[str, int]:
 
 
 def units_of(kind: Kind, shape: tuple[int, ...]) -> list[str]:
-    """The unit of each number of an array.
+    """Return the unit of each number of an array.
 
     If the units are those of a matrix, a row has the first of them. The units are "" if the shape
     cannot be divided into one part per unit."""
@@ -218,23 +219,23 @@ def units_of(kind: Kind, shape: tuple[int, ...]) -> list[str]:
 def take(owner: Any, problems: Problems | None = None, **values) -> None:
     """Set fields of an object in its constructor, and check their domains. Errors are added to
     `problems`, or raised if it is None."""
-    found = Problems() if problems is None else problems
+    collector = Problems() if problems is None else problems
     for name, value in values.items():
         where = f"{type(owner).__name__}.{name}"
-        number = scalar(value, where, found)
-        if not any(problem.where == where for problem in found.collected):
-            number = in_domain(number, kind_of(owner, name), where, found)
+        number = scalar(value, where, collector)
+        if not any(problem.where == where for problem in collector.collected):
+            number = in_domain(number, kind_of(owner, name), where, collector)
         setattr(owner, name, number)
     if problems is None:
-        found.raise_if_any()
+        collector.raise_if_any()
 
 
 def in_domain(value: Any, kind: Kind, where: str, problems: Problems) -> Any:
-    """The value, whose signs and symmetry are checked; where it is traced, with NaN in place of
+    """Return the value after a check of its signs and symmetry; a traced value has NaN in place of
     numbers outside of the domain.
 
-    Errors: that of the field, or NEGATIVE, NOT_POSITIVE, NOT_A_FRACTION; NOT_SYMMETRIC for
-    a matrix."""
+    Errors: that of the field, or NEGATIVE, NOT_POSITIVE, NOT_A_FRACTION; NOT_SYMMETRIC for a
+    matrix."""
     known = concrete(value)
     if known is None:
         return nan_outside(value, kind.domain, value.ndim)
@@ -246,9 +247,9 @@ def in_domain(value: Any, kind: Kind, where: str, problems: Problems) -> Any:
 
 
 def nan_outside(value: jax.Array, domain: str, rank: int, scale: Any = 0.0) -> jax.Array:
-    """Traced numbers, of which the last `rank` axes are one value, with NaN where they are not in
-    the domain: what is computed from them is then NaN and has a status, as there can be no error.
-    An inertia is compared with its trace and `scale` [kg m2]."""
+    """Return traced numbers with NaN where they are not in the domain; the last `rank` axes are one
+    value. Results computed from them are NaN and have a status, as no error can be raised. An
+    inertia is compared with its trace and `scale` [kg m2]."""
     limited = (domain in LIMITS and (domain != "symmetric" or rank == 2)) or domain == "inertia"
     return nan_unless(_inside(value, domain, rank, scale), value) if limited else value
 

@@ -28,23 +28,23 @@ class Pose(eqx.Module):
         return Pose(*(_rows(x, rows) for x in (self.p, self.R)))
 
     def point(self, a_B: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """World position p + R a of a point fixed in the frame."""
+        """Return the world position p + R a of a point fixed in the frame."""
         return self.p + rotate(self.R, a_B)
 
     def __matmul__(self, other: Pose) -> Pose:
-        """The pose of `other`, given in this frame, in the world."""
+        """Return the pose in the world of `other`, which is given in this frame."""
         return Pose(self.point(other.p), product(self.R, other.R))
 
     def inverse(self) -> Pose:
         return Pose(-rotate_back(self.R, self.p), jnp.swapaxes(self.R, -1, -2))
 
     def at_rest(self) -> Frame:
-        """The pose as a frame with zero velocity."""
+        """Return the pose as a frame with zero velocity."""
         return Frame(self.p, self.R, jnp.zeros_like(self.p), jnp.zeros_like(self.p))
 
     def displaced(self, xi: Float[Array, "*n 6"]) -> Pose:
-        """The chart of a free frame: xi = (displacement of the origin, rotation vector), in world
-        axes; R -> exp([theta]) R."""
+        """Return the pose after a displacement in the chart of a free frame: xi = (displacement of
+        the origin, rotation vector), in world axes; R -> exp([theta]) R."""
         return Pose(self.p + xi[..., :3], product(rotations.exp(xi[..., 3:]), self.R))
 
     @property
@@ -59,14 +59,14 @@ class Frame(Pose):
     w: Float[Array, "*n 3"]
 
     def velocity(self, a_B: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """World velocity v + w x (R a) of a point fixed in the frame."""
+        """Return the world velocity v + w x (R a) of a point fixed in the frame."""
         return self.v + cross(self.w, rotate(self.R, a_B))
 
     def __getitem__(self, rows) -> Frame:
         return Frame(*(_rows(x, rows) for x in (self.p, self.R, self.v, self.w)))
 
     def rates(self) -> Pose:
-        """The time derivative of the pose: (v, [w] R)."""
+        """Return the time derivative of the pose: (v, [w] R)."""
         return Pose(
             self.v, cross(self.w[..., None, :], jnp.swapaxes(self.R, -1, -2)).swapaxes(-1, -2)
         )
@@ -75,16 +75,16 @@ class Frame(Pose):
         return Pose(self.p, self.R)
 
     def at_time(self, t: Float[Array, ""], state: Any = None) -> Instant:
-        """The frame or table at time t, with the state of the model."""
+        """Return the frame or table at time t, with the state of the model."""
         return Instant(self.p, self.R, self.v, self.w, t, state)
 
 
 class Instant(Frame):
-    """The frames of a model, or one of them, at time t [s], with the state of the model: what loads
-    and sensors read. If instruments need them, also the accelerations a of the origins, the angular
+    """The frames of a model, or one of them, at time t [s], with the state of the model: the input
+    of loads and sensors. If sensors need them, also the accelerations a of the origins, the angular
     accelerations alpha, and the force F and moment M about the origin, in world axes: for world and
-    supports those that bodies and elements exert on them, for a body those that it and all bodies
-    that it carries exert on its joint."""
+    supports those of bodies and elements on them, for a body those that it and all bodies carried
+    by it exert on its joint."""
 
     t: Float[Array, ""]
     state: Any = None
@@ -94,7 +94,7 @@ class Instant(Frame):
     M: Float[Array, "*n 3"] | None = None
 
     def frame(self, row: int) -> Instant:
-        """One frame at this instant."""
+        """Return one frame at this instant."""
         return Instant(
             self.p[row],
             self.R[row],
@@ -106,26 +106,27 @@ class Instant(Frame):
         )
 
     def changes(self) -> Frame:
-        """The derivative of the frames in time: (v, [w] R, a, alpha)."""
+        """Return the time derivative of the frames: (v, [w] R, a, alpha)."""
         assert self.a is not None and self.alpha is not None
         rates = self.rates()
         return Frame(rates.p, rates.R, self.a, self.alpha)
 
     def acceleration(self, row: int, a_B: Float[Array, "3"]) -> Float[Array, "3"]:
-        """World acceleration a + alpha x r + w x (w x r), r = R a, of a point fixed in a frame."""
+        """Return the world acceleration a + alpha x r + w x (w x r), r = R a, of a point fixed in a
+        frame."""
         assert self.a is not None and self.alpha is not None
         r, w = rotate(self.R[row], a_B), self.w[row]
         return self.a[row] + cross(self.alpha[row], r) + cross(w, cross(w, r))
 
 
 def _rows(x: Array, rows: Any) -> Array:
-    """x[rows]; of an array of rows in two operations, where JAX asks first whether one is
-    negative."""
+    """Return x[rows]; for an array of rows in two operations, where x[rows] would also test for
+    negative rows."""
     return jnp.take(x, rows, 0, mode="clip") if isinstance(rows, np.ndarray) else x[rows]
 
 
 def stack(frames: list[Frame]) -> Frame:
-    """One table with the rows of several."""
+    """Return one table with the rows of several."""
     if len(frames) == 1:
         return frames[0]
     return Frame(

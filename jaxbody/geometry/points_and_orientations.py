@@ -33,7 +33,7 @@ ORDER = ("first", "second", "third")
 
 
 def of_length_1(n: Any, where: str, problems: Problems) -> Any:
-    """Rows divided by their lengths. Error: ZERO_AXIS."""
+    """Return rows divided by their lengths. Error: ZERO_AXIS."""
     known = concrete(n)
     if known is None:
         return n / jnp.linalg.norm(n, axis=-1, keepdims=True)
@@ -51,8 +51,8 @@ def of_length_1(n: Any, where: str, problems: Problems) -> Any:
 
 
 def direction(given, where: str, problems: Problems) -> Any:
-    """The unit vector along x, y or z, given by name, or along a direction of any length. Errors:
-    BAD_DIRECTION, ZERO_AXIS."""
+    """Return the unit vector along x, y or z, given by name, or along a direction of any length.
+    Errors: BAD_DIRECTION, ZERO_AXIS."""
     if not isinstance(given, str):
         n = checked(given, ((3,),), where, problems)
         return np.array([0.0, 0, 1]) if n is None else of_length_1(n, where, problems)
@@ -69,8 +69,8 @@ def direction(given, where: str, problems: Problems) -> Any:
 
 
 def ends(given, kind: str, problems: Problems, *, points: bool = True):
-    """((name, ...), [point, ...]) of (name, point) pairs; where `points` is False, a pair may be a
-    name alone."""
+    """Return ((name, ...), [point, ...]) of (name, point) pairs; if `points` is False, a pair may
+    be a name alone. Errors: BAD_END, SELF_SPRING."""
     names, coordinates = [], []
     for end, order in zip(given, ORDER, strict=False):
         where = f"{kind}, {order} end"
@@ -175,7 +175,7 @@ class Euler(eqx.Module):
 
 
 def _product(p: list[Any], q: list[Any]) -> list[Any]:
-    """The quaternion product p q: the rotation q followed by p."""
+    """Return the quaternion product p q: the rotation q followed by p."""
     (a, b, c, d), (w, x, y, z) = p, q
     return [
         a * w - b * x - c * y - d * z,
@@ -186,15 +186,16 @@ def _product(p: list[Any], q: list[Any]) -> list[Any]:
 
 
 def product(p: Any, q: Any) -> Any:
-    """The product of two quaternions: the rotation q followed by p; in NumPy unless one
+    """Return the product p q of two quaternions, the rotation q followed by p; in NumPy unless one
     is traced."""
     p, q = as_numpy(p), as_numpy(q)
     return module_of(p, q).stack(_product(list(p), list(q)))
 
 
 def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
-    """The unit quaternion of a quaternion (length 1 within 1e-3), a rotation matrix (orthogonal
-    within 1e-12) or Euler angles."""
+    """Return the unit quaternion of a quaternion (length 1 within 1e-3), a rotation matrix
+    (orthogonal within 1e-12) or Euler angles. Errors: BAD_QUATERNION, BAD_ROTATION, those of
+    `checked`."""
     array = checked(
         value,
         ((4,), (3, 3)),
@@ -241,15 +242,15 @@ def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
 
 
 def _nan_unless_rotation(R: jax.Array) -> jax.Array:
-    """A traced matrix; NaN where it is no rotation."""
+    """Return a traced matrix, NaN if it is no rotation."""
     error = jnp.sqrt(jnp.sum((R.T @ R - jnp.eye(3, dtype=R.dtype)) ** 2))
     right = (error <= max(1e-12, 64 * float(jnp.finfo(R.dtype).eps))) & (jnp.linalg.det(R) > 0)
     return nan_unless(jax.lax.stop_gradient(right), R)
 
 
 def _quaternion(R: np.ndarray) -> np.ndarray:
-    """The unit quaternion of a rotation matrix, as the dominant eigenvector of 4 q q' - I; in
-    NumPy, so that nothing is compiled."""
+    """Return the unit quaternion of a rotation matrix, as the dominant eigenvector of 4 q q' - I;
+    in NumPy, so that nothing is compiled."""
     x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     S = R + R.T
     K = np.block(
@@ -263,8 +264,8 @@ def _quaternion(R: np.ndarray) -> np.ndarray:
 
 
 def matrix(q: Any) -> Any:
-    """Rotation matrix of a unit quaternion; in NumPy unless it is traced, so that nothing
-    is compiled."""
+    """Return the rotation matrix of a unit quaternion; in NumPy unless it is traced, so that
+    nothing is compiled."""
     q = known if (known := concrete(q)) is not None else q
     if not isinstance(q, np.ndarray):
         return rotations.matrix(q)

@@ -43,7 +43,8 @@ COTC = [b / factorial(2 * n + 2) for n, b in enumerate(BERNOULLI)]
 
 
 def _branches(x: Array, limit: float = 1.0) -> tuple[Array, Array, Array, Array]:
-    """Where a power series in x = t^2 is used, x there, and x and t elsewhere."""
+    """Return where x = t^2 is below the limit, so that a power series is used; x there, else 0; and
+    x and t elsewhere, else 1."""
     small = x < limit
     far = jnp.where(small, 1.0, x)
     return small, jnp.where(small, x, 0.0), far, jnp.sqrt(far)
@@ -51,7 +52,7 @@ def _branches(x: Array, limit: float = 1.0) -> tuple[Array, Array, Array, Array]
 
 @jax.jit
 def _coefficients(x: Array) -> tuple[Array, Array]:
-    """sin(t)/t and (1 - cos(t))/t^2 as functions of x = t^2."""
+    """Return sin(t)/t and (1 - cos(t))/t^2 as functions of x = t^2."""
     small, near, far, t = _branches(x)
     sin, cos = sincos(t)
     return (
@@ -62,8 +63,8 @@ def _coefficients(x: Array) -> tuple[Array, Array]:
 
 @jax.jit
 def exp(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """Rotation matrix of a rotation vector,
-    exp([phi]) = I + sin(t)/t [phi] + (1 - cos(t))/t^2 [phi]^2."""
+    """Return the rotation matrix of a rotation vector, exp([phi]) = I + sin(t)/t [phi] + (1 -
+    cos(t))/t^2 [phi]^2."""
     a, b = _coefficients(dot(phi, phi))
     P = skew(phi)
     return (
@@ -75,8 +76,8 @@ def exp(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
 
 @jax.jit
 def about(n: Float[Array, "*n 3"], angle: Float[Array, "*n"]) -> Float[Array, "*n 3 3"]:
-    """Rotation matrix of a turn about a unit vector,
-    I + sin(angle) [n] + (1 - cos(angle)) [n]^2."""
+    """Return the rotation matrix of a turn about a unit vector, I + sin(angle) [n] + (1 -
+    cos(angle)) [n]^2."""
     N = skew(n)
     return (
         to_rank(np.eye(3, dtype=N.dtype), N.ndim)
@@ -87,7 +88,7 @@ def about(n: Float[Array, "*n 3"], angle: Float[Array, "*n"]) -> Float[Array, "*
 
 @jax.jit
 def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """J with angular velocity = J(phi) dphi/dt for R = exp([phi]), in world axes."""
+    """Return J with angular velocity = J(phi) dphi/dt for R = exp([phi]), in world axes."""
     x = dot(phi, phi)
     _, b = _coefficients(x)
     small, near, far, t = _branches(x)
@@ -103,7 +104,7 @@ def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
 
 @jax.jit
 def exp_quaternion(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
-    """Unit quaternion (cos(t/2), sin(t/2)/t phi) of a rotation vector."""
+    """Return the unit quaternion (cos(t/2), sin(t/2)/t phi) of a rotation vector."""
     small, near, _, t = _branches(dot(phi, phi) / 4)
     w = jnp.where(small, polynomial(COS, near), jnp.cos(t))
     s = jnp.where(small, polynomial(SINC, near), jnp.sin(t) / t)
@@ -112,8 +113,8 @@ def exp_quaternion(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
 
 @jax.jit
 def log_quaternion(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
-    """Rotation vector with |phi| <= pi of a unit quaternion:
-    4 atan(y)/y (x, y, z)/(1 + w), y = tan(t/4)."""
+    """Return the rotation vector with |phi| <= pi of a unit quaternion, 4 atan(y)/y (x, y, z)/(1 +
+    w), y = tan(t/4)."""
     q = jnp.where(q[..., :1] < 0, -q, q)
     y = q[..., 1:] / (1 + q[..., :1])
     # angles below 1.03: sixteen terms of the series give 1e-18
@@ -124,21 +125,21 @@ def log_quaternion(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
 
 @jax.jit
 def log(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
-    """Rotation vector with |phi| <= pi of a rotation matrix."""
+    """Return the rotation vector with |phi| <= pi of a rotation matrix."""
     return log_quaternion(from_matrix(R))
 
 
 @jax.jit
 def log_below_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
-    """`log` for turns of less than pi, three times as fast. Its error grows as 1/(pi - |phi|); at
-    half a turn it is NaN."""
+    """Return `log` for turns of less than pi, three times as fast. The error grows as 1/(pi -
+    |phi|); at half a turn the result is NaN."""
     return log_quaternion(normalize(away_from_half_turn(R)))
 
 
 @jax.jit
 def away_from_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
-    """(1 + tr R, skew part of R), which equals 4 w (w, x, y, z) for the unit quaternion; it is zero
-    at half a turn."""
+    """Return (1 + tr R, skew part of R), which equals 4 w (w, x, y, z) for the unit quaternion; it
+    is zero at half a turn."""
     trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
     return jnp.stack(
         [
@@ -153,7 +154,7 @@ def away_from_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
 
 @jax.jit
 def cotc(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """(1 - (t/2) cot(t/2))/t^2 as a function of x = t^2."""
+    """Return (1 - (t/2) cot(t/2))/t^2 as a function of x = t^2."""
     small, near, far, t = _branches(x)
     return jnp.where(small, polynomial(COTC, near), (1 - t / 2 / jnp.tan(t / 2)) / far)
 
@@ -162,15 +163,15 @@ def cotc(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
 def inverse_left_jacobian(
     phi: Float[Array, "*n 3"], a: Float[Array, "*n 3"]
 ) -> Float[Array, "*n 3"]:
-    """J^-1 a for the J of `left_jacobian`:
-    a - phi x a/2 + (1 - (t/2) cot(t/2))/t^2 phi x (phi x a)."""
+    """Return J^-1 a for the J of `left_jacobian`: a - phi x a/2 + (1 - (t/2) cot(t/2))/t^2 phi x
+    (phi x a)."""
     turned = cross(phi, a)
     return a - turned / 2 + cotc(dot(phi, phi))[..., None] * cross(phi, turned)
 
 
 @jax.jit
 def multiply(p: Float[Array, "*#n 4"], q: Float[Array, "*#n 4"]) -> Float[Array, "*#n 4"]:
-    """Quaternion product p q: the rotation q followed by p."""
+    """Return the quaternion product p q: the rotation q followed by p."""
     pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
     return jnp.concatenate(
         [pw * qw - jnp.sum(pv * qv, -1, keepdims=True), pw * qv + qw * pv + cross(pv, qv)], -1
@@ -179,13 +180,14 @@ def multiply(p: Float[Array, "*#n 4"], q: Float[Array, "*#n 4"]) -> Float[Array,
 
 @jax.jit
 def normalize(q: Float[Array, "*n 4"]) -> Float[Array, "*n 4"]:
-    """q/|q|."""
+    """Return q/|q|."""
     return q / jnp.sqrt(jnp.sum(q * q, -1, keepdims=True))
 
 
 @jax.jit
 def matrix(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3 3"]:
-    """Rotation matrix of a quaternion (w, u) of any length, I + 2 (w [u] + [u]^2)/|q|^2."""
+    """Return the rotation matrix of a quaternion (w, u) of any length, I + 2 (w [u] +
+    [u]^2)/|q|^2."""
     w, x, y, z = (q[..., i] for i in range(4))
     s = 2.0 / jnp.sum(q * q, -1)
     x2, y2, z2 = s * x, s * y, s * z
@@ -210,8 +212,8 @@ def matrix(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3 3"]:
 
 @jax.jit
 def from_matrix(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
-    """Unit quaternion of a rotation matrix, from its largest component (Shepperd, J. Guidance and
-    Control 1 (1978) 223)."""
+    """Return the unit quaternion of a rotation matrix, from its largest component (Shepperd, J.
+    Guidance and Control 1 (1978) 223)."""
     a, b, c = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
     four_squares = jnp.stack([1 + a + b + c, 1 + a - b - c, 1 - a + b - c, 1 - a - b + c], -1)
     largest = jnp.argmax(four_squares, -1)[..., None] == to_rank(np.arange(4), four_squares.ndim)
@@ -227,7 +229,7 @@ def from_matrix(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
 
 @jax.jit
 def quaternion_rate(q: Float[Array, "*n 4"], omega: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
-    """dq/dt = 1/2 (0, omega) q for an angular velocity in world axes."""
+    """Return dq/dt = 1/2 (0, omega) q for an angular velocity in world axes."""
     return multiply(jnp.concatenate([jnp.zeros_like(omega[..., :1]), 0.5 * omega], -1), q)
 
 
@@ -235,5 +237,5 @@ def quaternion_rate(q: Float[Array, "*n 4"], omega: Float[Array, "*n 3"]) -> Flo
 def quaternion_rate_body(
     q: Float[Array, "*n 4"], omega: Float[Array, "*n 3"]
 ) -> Float[Array, "*n 4"]:
-    """dq/dt = 1/2 q (0, omega) for an angular velocity in body axes."""
+    """Return dq/dt = 1/2 q (0, omega) for an angular velocity in body axes."""
     return multiply(q, jnp.concatenate([jnp.zeros_like(omega[..., :1]), 0.5 * omega], -1))
