@@ -57,7 +57,7 @@ DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3  # HDF5's numbers of its filters
 def read_columns(
     path: Any, wanted: list[Asked], *, format: str | None = None, largest: float = 1e9, **text: Any
 ) -> Contents:
-    """The requested columns of a file, under the names of the request.
+    """Read the requested columns of a file, under the names of the request.
 
     Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT,
     WRONG_FORMAT, MISSING_EXTRA, UNREADABLE, UNKNOWN_CHANNEL, NOT_A_NUMBER, EXTERNAL_DATA and
@@ -206,7 +206,7 @@ def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> C
 
 def _check_chunks(where: str, data: Any, largest: float) -> None:
     """Check that no chunk that could exceed the limit inflates beyond its stated size, which HDF5
-    notices too late."""
+    detects too late. Error: TOO_LARGE."""
     plan = data.id.get_create_plist()
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
     most = MOST_INFLATED ** filters.count(DEFLATE)
@@ -312,8 +312,8 @@ def _mdf(path: Path, pick: Pick, largest: float) -> Contents:
 
 
 def _peer(path: Path, pick: Pick, largest: float) -> Contents:
-    """A heading of four lines, with the unit in the third, number of samples and time step in the
-    fourth; then the samples, row by row."""
+    """Read a PEER file: a heading of four lines, with the unit in the third, the number of samples
+    and the time step in the fourth; then the samples, row by row."""
     lines = path.read_text(encoding="latin-1").splitlines()
     heading = " ".join(lines[2:4]).upper()
     unit = re.search(r"UNITS OF\s+([A-Z/0-9]+)", heading)

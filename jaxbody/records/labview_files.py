@@ -18,8 +18,8 @@ DIMENSIONS = {"": None, "Time": None, "Frequency": "Hz"}
 
 
 def read_lvm(data: bytes, name: str, encoding: str, pick: Pick) -> Contents:
-    """The requested columns of an .lvm file of one segment, each with its unit and times. Errors:
-    ENCODING, WRONG_FORMAT, NOT_A_RECORD and those of tables."""
+    """Read the requested columns of an .lvm file of one segment, each with its unit and times.
+    Errors: ENCODING, WRONG_FORMAT, NO_NUMBERS, NOT_A_RECORD and those of tables."""
     lines = list(enumerate(decoded(data, name, encoding).splitlines(), 1))
     ends = [k for k, (_, line) in enumerate(lines) if line.startswith(END)]
     if len(ends) not in (1, 2):

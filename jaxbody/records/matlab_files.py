@@ -31,9 +31,9 @@ ELEMENT = 16  # memory of an element without its data (object, name, shape), in 
 def read_matlab(
     path: Path, largest: float
 ) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, str]]]:
-    """Numeric arrays by the names that MATLAB gives them, "run.acc", "data{2}" or "run(2).acc",
-    counted from 1, and {name: what it is, what to do} of the rest. Raises ValueError for a broken
-    file. Error: TOO_LARGE."""
+    """Read the arrays of a file. Return the numeric arrays by their names in MATLAB, "run.acc",
+    "data{2}" or "run(2).acc", counted from 1, and {name: (what it is, hint)} of everything else.
+    Raises ValueError for a broken file. Error: TOO_LARGE."""
     from scipy.io import loadmat
 
     check(path.read_bytes(), path.name, largest)
@@ -41,7 +41,8 @@ def read_matlab(
     others: dict[str, tuple[str, str]] = {}
 
     def walk(name: str, value: Any) -> str | None:
-        """Note a value and its parts; returns the name of the first array in it."""
+        """Add a value and its parts to the arrays and others; return the name of the first array in
+        it."""
         if isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim in (1, 2):
             arrays[name] = value
             return name
@@ -79,7 +80,7 @@ def read_matlab(
 
 def check(data: bytes, name: str, largest: float) -> None:
     """Raise ValueError unless all elements of the file are complete and of the right type. Error:
-    TOO_LARGE, for all numbers together."""
+    TOO_LARGE if all numbers together exceed the limit."""
     if len(data) < 136 or data[126:128] not in (b"IM", b"MI"):
         raise ValueError("no header of a MATLAB file of version 5 to 7")
     order = "<" if data[126:128] == b"IM" else ">"
@@ -99,7 +100,7 @@ def check(data: bytes, name: str, largest: float) -> None:
 
 
 def _elements(data: bytes, order: str, name: str, largest: float) -> list[tuple[int, bytes]]:
-    """(type, content) of the elements in the data."""
+    """Return (type, content) of each element in the data."""
     elements, at = [], 0
     while at < len(data):
         check_numbers(name, ELEMENT * len(elements), largest)
@@ -122,8 +123,8 @@ def _elements(data: bytes, order: str, name: str, largest: float) -> list[tuple[
 
 
 def _check_matrix(content: bytes, order: str, depth: int, name: str, largest: float) -> int:
-    """Check flags, dimensions, name and the parts of a matrix; returns the memory that they take,
-    in numbers of 8 bytes."""
+    """Check flags, dimensions, name and the parts of a matrix; return the memory that they take, in
+    numbers of 8 bytes."""
     if not content:
         return ELEMENT  # an empty cell
     if depth > DEEPEST:

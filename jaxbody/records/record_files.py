@@ -31,7 +31,7 @@ def read_record(
     footer: int = 0,
     **options: Any,
 ) -> Record:
-    """The Record in a file: CSV, LVM and other text tables (also .gz), Parquet, MATLAB, HDF5,
+    """Read a Record from a file: CSV, LVM and other text tables (also .gz), Parquet, MATLAB, HDF5,
     UFF58, TDMS, MDF4, PEER AT2.
 
     Args:
@@ -163,7 +163,7 @@ def read_record(
 
 
 def _wanted(spec: Any, where: str, problems: Problems) -> tuple[list[Asked], str | None]:
-    """Columns, and their unit where it is stated."""
+    """Return the requested columns and their unit; None if no unit is stated. Error: WRONG_KIND."""
     columns, unit = spec if isinstance(spec, tuple) and len(spec) == 2 else (spec, None)
     names = columns if isinstance(columns, list) else [columns]
     if (
@@ -183,7 +183,8 @@ def _wanted(spec: Any, where: str, problems: Problems) -> tuple[list[Asked], str
 
 
 def _part(column: Column, asked: Asked) -> np.ndarray:
-    """The values of a column, or of the column of an array for a name such as "X[2]"."""
+    """Return the values of a column; for a name such as "X[2]", those of one column of the array.
+    Error: UNKNOWN_CHANNEL."""
     index = re.search(r"\[(\d+)\]$", str(asked))
     if index is None or column.values.ndim == 1:
         return column.values
@@ -209,8 +210,8 @@ def agreed_unit(
     notes: list[str],
     hint: str = 'State it: ("column", "m/s2"), or "1" for numbers without a unit.',
 ) -> str:
-    """The unit stated by the user, by the file, or by both in agreement. A unit in the file that is
-    unknown is noted."""
+    """Return the unit stated by the user or by the file; if both state one, they must agree. An
+    unknown unit in the file is reported in `notes`. Errors: NO_UNIT, UNIT_CONFLICT."""
     known = in_file - {None}
     if stated is None and (len(in_file) != 1 or not known):
         what = "no unit" if not known else f"different units {sorted(map(str, in_file))}"
@@ -246,7 +247,8 @@ def _clock(
     problems: Problems,
     notes: list[str],
 ) -> tuple[Any, str]:
-    """Times and their unit: from a column, from the file, or None where a rate is given."""
+    """Return times and their unit, from the requested column or as the file states them; times are
+    None where a rate is given. Errors: DIFFERENT_TIMES, NO_TIME."""
     if clock is not None:
         column = columns[clock[0][0]]
         return _part(column, clock[0][0]), agreed_unit(

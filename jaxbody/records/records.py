@@ -136,7 +136,8 @@ class Record(Labeled, tables.Printed):
         return " to ".join(time_text(t, self.times) for t in self.times[[0, -1]]) + " s"
 
     def part(self, start: float, stop: float) -> Record:
-        """The samples from start to stop [s], both included. Error: NO_DATA for fewer than two."""
+        """Return the samples from start to stop [s], both included. Error: NO_DATA for fewer than
+        two."""
         inside = (self.times >= start) & (self.times <= stop)
         if inside.sum() < 2:
             raise JaxbodyError(
@@ -157,7 +158,7 @@ class Record(Labeled, tables.Printed):
         return new
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset of the channels over time."""
+        """Return an xarray.Dataset of the channels over time."""
         variables = {
             name: (("time", *(f"{name}_component",) * (x.ndim - 1)), x, self.units[name])
             for name, x in self.channels.items()
@@ -233,7 +234,8 @@ def _channels(
 
 
 def _channel(pair: Any, where: str) -> tuple[np.ndarray, units.Unit]:
-    """The values and the unit of a channel. Errors: NO_UNIT, NO_DATA, BAD_SHAPE, those of both."""
+    """Return the values and the unit of a channel. Errors: NO_UNIT, NO_DATA, BAD_SHAPE, those of
+    values and units."""
     if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], str):
         raise JaxbodyError(
             Problem(

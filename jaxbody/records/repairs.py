@@ -19,8 +19,8 @@ MISMATCH = 1e-3  # largest relative difference between a stated rate and that of
 def without_duplicates(
     t: np.ndarray, given: dict[str, Any], name: str, notes: list[str]
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Times and channels without rows that repeat the previous one in time and values; the check
-    reports repeated times with other values."""
+    """Return times and channels without rows that equal the previous one in time and values.
+    Repeated times with other values stay, and are an error of `check_sampling`."""
     same = np.diff(t) == 0
     for x, _ in given.values():
         rows = x.reshape(len(x), -1)
@@ -37,8 +37,8 @@ def without_duplicates(
 def at_rate(
     t: np.ndarray, rate: float, where: str, problems: Problems, notes: list[str]
 ) -> np.ndarray:
-    """Increasing times, each moved to the nearest t_0 + k/rate. Error: RATE_MISMATCH where k is not
-    that of its row and of missing ones."""
+    """Return increasing times, each moved to the nearest t_0 + k/rate. Error: RATE_MISMATCH if the
+    rate differs from that of the times, or a time is nearest to the k of another row."""
     steps = np.round((t - t[0]) * rate)
     own = sampling_of(t).rate
     wrong = np.flatnonzero(np.diff(steps) != counts_of(t))
@@ -68,7 +68,7 @@ def at_rate(
 
 
 def without_empty(given: dict[str, Any], notes: list[str], name: str) -> dict[str, Any]:
-    """The channels that have samples. Error: NO_DATA where none has."""
+    """Return the channels that have samples. Error: NO_DATA if no channel has any."""
     empty = [key for key, (x, _) in given.items() if np.isnan(x.reshape(len(x), -1)).all(0).any()]
     if len(empty) == len(given):
         raise JaxbodyError(
@@ -88,8 +88,8 @@ def without_empty(given: dict[str, Any], notes: list[str], name: str) -> dict[st
 def filled(
     t: np.ndarray, given: dict[str, Any], fill: str, max_gap: int, notes: list[str]
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Times and channels in which gaps of up to `max_gap` rows, or samples of one channel, are
-    filled; longer gaps remain."""
+    """Return times and channels with gaps of up to `max_gap` samples filled, of whole rows or of
+    one channel; longer gaps remain."""
     from scipy.interpolate import CubicSpline
 
     counts = counts_of(t).astype(int)

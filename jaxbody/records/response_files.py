@@ -16,16 +16,16 @@ from jaxbody.records.universal_files import read_uff_responses
 def read_responses(
     path: Any, pairs: dict[tuple[str, str], Any], *, largest: float = 1e9
 ) -> tuple[np.ndarray, dict[tuple[str, str], np.ndarray]]:
-    """(frequencies [Hz], {(output, input): complex (nf,)}) of the frequency responses in a
-    universal file (sets 58 of function type 4).
+    """Read frequency responses from a universal file (sets 58 of function type 4). Return the
+    frequencies [Hz] and {(output, input): complex (nf,)}.
 
     `pairs` is {(output, input): "4+Z/1+Z"}, response over reference, each a node and a direction,
     +X to -Z or +RX to -RZ; or, where the file states no units, {(output, input): ("4+Z/1+Z",
     "m/s2", "N")}. If you and the file both state units, they must agree. `largest`: largest size of
     the file [bytes].
 
-    Errors: those of a file in `read_record`, NOT_A_RESPONSE, NO_UNIT, UNKNOWN_UNIT,
-    UNIT_CONFLICT, DIFFERENT_FREQUENCIES.
+    Errors: those of a file in `read_record`, NOT_A_RESPONSE, NO_UNIT, UNKNOWN_UNIT, UNIT_CONFLICT,
+    DIFFERENT_FREQUENCIES.
 
     >>> frequencies, measured = read_responses(
     ...     "plate.uff", {("corner", "hammer"): "4+Z/1+Z"}
@@ -72,7 +72,8 @@ def read_responses(
 
 
 def _factor(stated: str | None, in_file: str | None, where: str, problems: Problems) -> float:
-    """The factor to SI of the unit stated by the user, by the file, or by both in agreement."""
+    """Return the factor to SI of the unit stated by the user or by the file; if both state one,
+    they must agree."""
     hint = 'State both: ("4+Z/1+Z", "m/s2", "N").'
     unit = problems.gather(
         lambda: units.parse(agreed_unit(stated, {in_file}, where, problems, [], hint), where)

@@ -38,13 +38,14 @@ class Sampling:
 
 
 def counts_of(times: np.ndarray) -> np.ndarray:
-    """The number of sampling steps between neighbors: 1, or more where samples are missing."""
+    """Return the number of sampling steps between neighboring times: 1, or more where samples are
+    missing."""
     steps = np.diff(times)
     return np.maximum(np.round(steps / np.median(steps)), 1)
 
 
 def sampling_of(times: np.ndarray) -> Sampling:
-    """The sampling of two or more increasing times."""
+    """Return the sampling of two or more increasing times."""
     counts = counts_of(times)
     step = float((times[-1] - times[0]) / counts.sum())
     jitter = float(np.sqrt(np.mean((np.diff(times) - counts * step) ** 2)))
@@ -52,8 +53,9 @@ def sampling_of(times: np.ndarray) -> Sampling:
 
 
 def resolutions(times: np.ndarray) -> list[float]:
-    """What numbers as these can tell apart [s]: their last decimal, 0.001 where all are whole
-    milliseconds; the distance between two floating-point numbers, of 32 bits where all are such."""
+    """Return the resolutions [s] of times as they are stored: their last decimal, such as 0.001 if
+    all are whole milliseconds, and the distance between two floating-point numbers, also that of 32
+    bits if all are such numbers."""
     largest = np.abs(times).max()
     decimals = (
         10.0**-k
@@ -67,8 +69,8 @@ def resolutions(times: np.ndarray) -> list[float]:
 
 
 def evenly_spaced(times: np.ndarray) -> bool:
-    """Whether increasing times have equal steps, or are those of equal steps when these are rounded
-    to what the numbers can tell apart."""
+    """Return whether increasing times have equal steps, or equal steps rounded to one of their
+    resolutions."""
     step = (times[-1] - times[0]) / (len(times) - 1)
     far = np.abs(times - times[0] - step * np.arange(len(times))).max()
     rounded = any(
@@ -80,9 +82,8 @@ def evenly_spaced(times: np.ndarray) -> bool:
 def even_samples(
     times: Any, values: Any, where: tuple[str, str], problems: Problems
 ) -> tuple[Any, Any]:
-    """Values, one for each of evenly spaced times, and the step between these [s]; None and
-    1 where they are not, with a problem added. Errors: those of times, NOT_UNIFORM,
-    BAD_SHAPE, NON_FINITE."""
+    """Return values, one for each of evenly spaced times, and the time step [s]; None and 1 if they
+    are not, with a problem added. Errors: those of times, NOT_UNIFORM, BAD_SHAPE, NON_FINITE."""
     t = check_times(times, problems, where[0], minimum=2, kept=True)
     known = None if t is None else concrete(t)
     if known is not None and not evenly_spaced(known):
@@ -164,8 +165,8 @@ def check_values(
     *,
     may_lack: bool,
 ) -> None:
-    """Check the values (n,) or (n, k) of one channel in its own unit. Errors: NON_FINITE, ALL_NAN;
-    warns MISSING, DEAD, SATURATED, UNIT."""
+    """Check the values (n,) or (n, k) of one channel in its given unit. Errors: NON_FINITE,
+    ALL_NAN, unless `may_lack`; warns MISSING, DEAD, SATURATED, UNIT."""
     if np.isinf(values).any():
         i = int(np.argwhere(np.isinf(values))[0][0])
         problems.add(
@@ -210,7 +211,7 @@ def warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) ->
 
 
 def runs(where: np.ndarray) -> list[list[int]]:
-    """[first, end] of each run of True, as for a slice."""
+    """Return [first, end] of each run of True, as for a slice."""
     return np.flatnonzero(np.diff(where, prepend=False, append=False)).reshape(-1, 2).tolist()
 
 
@@ -230,8 +231,8 @@ def _warn_of_rails(x: np.ndarray, unit: str, times: np.ndarray, where: str) -> N
 
 
 def _turns(x: np.ndarray, i: int, j: int) -> bool:
-    """Whether equal samples x[i:j] are the peak of a motion with rounded values: a parabola through
-    two samples on either side exceeds them by no more than rounding."""
+    """Return whether equal samples x[i:j] are the peak of a motion with rounded values: a parabola
+    through two samples on either side exceeds them by no more than rounding."""
     beside = [k for k in (i - 2, i - 1, j, j + 1) if 0 <= k < len(x) and np.isfinite(x[k])]
     if len(beside) < 4:
         return False

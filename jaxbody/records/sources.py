@@ -43,8 +43,8 @@ SUFFIXES = {
 
 
 def kind_of(path: Path, format: str | None, largest: float) -> str:
-    """The format of an existing file, by its suffix or as stated, checked against its
-    first bytes."""
+    """Return the format of an existing file, by its suffix or as stated by the user, checked
+    against its first bytes. Errors: UNKNOWN_FORMAT, WRONG_FORMAT, those of `check_file`."""
     if format is not None and format not in SUFFIXES:
         raise JaxbodyError(
             Problem(
@@ -102,8 +102,7 @@ def kind_of(path: Path, format: str | None, largest: float) -> str:
 
 
 def check_numbers(name: str, count: float, largest: float) -> None:
-    """Check that `count` numbers, which are to be read, take at most `largest` bytes.
-    Error: TOO_LARGE."""
+    """Check that `count` numbers to be read take at most `largest` bytes. Error: TOO_LARGE."""
     check_size(name, 8.0 * count, largest, f"bytes of numbers ({count:.4g})")
 
 
@@ -114,10 +113,16 @@ def find_name(
     aliases: list[str] | None = None,
     others: dict[str, tuple[str, str]] | None = None,
 ) -> str:
-    """The name of the requested channel in the file, or its alias. A name matches in full, without
-    its unit, or without an index such as [2]; a number is the index of a name, from 0. `others`
-    are {name: what it is, what to do} of those that are no arrays of numbers. Errors:
-    UNKNOWN_CHANNEL, NOT_A_NUMBER."""
+    """Return the name in the file, or its alias, of a requested channel. A name matches in full,
+    without its unit, or without an index such as [2]; a number is the index of a name, from 0.
+    Errors: UNKNOWN_CHANNEL, NOT_A_NUMBER.
+
+    Args:
+        asked: the requested name or number
+        names: names of the channels in the file
+        where: name of the file, in messages
+        aliases: other names of channels
+        others: {name: (what it is, hint)} of entries that are no arrays of numbers"""
     if isinstance(asked, int):
         if 0 <= asked < len(names):
             return names[asked]
@@ -163,9 +168,9 @@ def find_name(
 
 
 def along(x: Any, unit: str | None, si: str, where: str) -> np.ndarray:
-    """Times (`si` "s") or frequencies ("Hz") in SI, from an axis in the unit that the file states
-    for it, in SI without one. Errors: NOT_A_RECORD, NOT_A_RESPONSE for an axis of something else.
-    Warns TIME_UNIT, UNIT for an unknown unit."""
+    """Return times (`si` is "s") or frequencies ("Hz") in SI, from an axis in the unit that the
+    file states for it; without a unit it is in SI. Errors: NOT_A_RECORD, NOT_A_RESPONSE for an axis
+    of another quantity. Warns TIME_UNIT, UNIT for an unknown unit."""
     dimensions, usual = AXES[si]
     known = next((name for name in usual if name.lower() == str(unit).lower()), unit)
     if not known or not units.is_unit(known):
@@ -197,8 +202,8 @@ def along(x: Any, unit: str | None, si: str, where: str) -> np.ndarray:
 
 
 def stated_number(values: np.ndarray, stated: int, where: str) -> np.ndarray:
-    """The values whose number the heading states; zeros after them fill up a line. Errors:
-    TRUNCATED, RAGGED_LINE."""
+    """Return as many values as the heading states; zeros after them only fill up a line. Errors:
+    TRUNCATED for fewer values, RAGGED_LINE for more."""
     if 0 <= stated <= len(values) and not np.any(values[stated:]):
         return values[:stated]
     code, hint = (
@@ -260,14 +265,15 @@ def reader_errors(path: Path, kind: str) -> Iterator[None]:
 def column(
     values: Any, name: str, where: str, unit: str | None = None, times: np.ndarray | None = None
 ) -> Column:
-    """A column of numbers, or of dates as seconds since the first one. Error: NOT_A_NUMBER."""
+    """Return a column of numbers, or of dates as seconds since the first one. Error:
+    NOT_A_NUMBER."""
     if np.asarray(values).dtype.kind == "M":
         values, unit = (values - values[0]) / np.timedelta64(1, "s"), "s"
     return Column(numeric(values, name, where), unit or None, times)
 
 
 def numeric(values: Any, name: str, where: str) -> np.ndarray:
-    """Float64 numbers (n,) or (n, k). Error: NOT_A_NUMBER."""
+    """Return float64 numbers (n,) or (n, k). Error: NOT_A_NUMBER."""
     array = np.asarray(values)
     if array.dtype.kind not in "biuf" or array.ndim not in (1, 2):
         raise JaxbodyError(

@@ -34,7 +34,7 @@ LONGEST_PREAMBLE = 1000
 @dataclass
 class Column:
     """One channel of a file: values (n,) or (n, k), the unit that the file states, and its own
-    times [s] where it has them."""
+    times [s], if any."""
 
     values: np.ndarray
     unit: str | None = None
@@ -44,7 +44,7 @@ class Column:
 @dataclass
 class Contents:
     """Columns by name, notes on how they were read, and for text the line number of the names, or
-    else of the first numbers."""
+    of the first numbers if there are no names."""
 
     columns: dict[Any, Column]
     notes: list[str] = field(default_factory=list)
@@ -61,7 +61,7 @@ def read_text(
     skip: int = 0,
     footer: int = 0,
 ) -> Contents:
-    """The columns of a text table.
+    """Read the columns of a text table.
 
     Args:
         data: content of the file
@@ -135,8 +135,8 @@ def read_text(
 
 
 def distinct(names: list[str]) -> list[str]:
-    """The names, those that come more than once with their number, and the number alone in place of
-    no name."""
+    """Return the names made distinct: "name#k" with the column number k for a name that occurs more
+    than once, and k alone for an empty name."""
     often = Counter(names)
     return [
         name if name and often[name] == 1 else f"{name}#{k}" if name else str(k)
@@ -159,7 +159,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _fits_head(head: str, separator: str, width: int) -> bool:
-    """Whether a line above the numbers is valid: as many names as columns, a comment, or
+    """Return whether a line above the numbers is valid: as many names as columns, a comment, or
     other text."""
     cells = _cells(head, separator)
     return (
@@ -191,7 +191,7 @@ def _pointed(cell: str, decimal: str) -> str:
 
 
 def _thousands(cells: list[str]) -> str:
-    """The hint for a number with thousands separators; "" if there is none."""
+    """Return the hint for a number with thousands separators; "" if there is none."""
     cell = next(
         (cell for cell in cells if THOUSANDS.fullmatch(cell) and not NUMBER.fullmatch(cell)), None
     )
@@ -205,7 +205,7 @@ def _thousands(cells: list[str]) -> str:
 
 
 def _dated(cells: list[str]) -> str:
-    """The hint for a date or a time of day; "" if there is none."""
+    """Return the hint for a date or a time of day; "" if there is none."""
     cell = next((cell for cell in cells if DATE.fullmatch(cell)), None)
     return (
         ""
@@ -245,7 +245,16 @@ def _no_numbers(
 def numbers_of(
     rows: list[tuple[int, str]], name: str, separator: str, decimal: str, *, complete: bool
 ) -> np.ndarray:
-    """(n, k) numbers; NaN where a cell is empty."""
+    """Return the numbers (n, k) of the lines of a table, NaN where a cell is empty.
+
+    Args:
+        rows: (line number, line) of the table
+        name: name of the file, in messages
+        separator: separator between columns
+        decimal: decimal mark
+        complete: whether the file ends with a line end; otherwise a short last line is TRUNCATED
+
+    Errors: BAD_LINE, RAGGED_LINE, DECIMAL_COMMA, TRUNCATED, NON_FINITE."""
     if decimal == "." and '"' not in rows[0][1]:
         with suppress(ValueError, OverflowError):  # fast, and enough for nearly all files
             values = np.loadtxt(
@@ -364,8 +373,8 @@ def _ragged_hint(cells: int, width: int, separator: str) -> str:
 
 
 def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], list[str | None], int]:
-    """Names and units from the lines above the numbers, and the number of these lines; columns
-    without names are numbered."""
+    """Return names and units from the lines above the numbers, and the number of these lines;
+    columns without names have empty names."""
     rows = []
     for line in reversed(lines[-2:]):
         row = _cells(line.lstrip("".join(COMMENTS)).strip(), separator)
@@ -391,7 +400,7 @@ def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], lis
 
 
 def _opening(head: str) -> int:
-    """The position of the bracket that is closed at the end; -1 if there is none."""
+    """Return the position of the bracket that is closed at the end; -1 if there is none."""
     opens = {"]": "[", ")": "("}.get(head[-1:])
     depth = 0
     for at in range(len(head) - 1, -1, -1) if opens else ():
@@ -402,8 +411,8 @@ def _opening(head: str) -> int:
 
 
 def split_unit(head: str) -> tuple[str, str | None]:
-    """Name and unit from a heading such as "acc [g]"; parentheses are read only if they contain
-    a unit.
+    """Return name and unit from a heading such as "acc [g]"; parentheses are read only if they
+    contain a unit.
 
     >>> split_unit("acc [g]"), split_unit("speed (m/s)"), split_unit("x (left)")
     (('acc', 'g'), ('speed', 'm/s'), ('x (left)', None))

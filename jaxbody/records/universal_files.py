@@ -59,7 +59,7 @@ OF_AXES = {8: "m", 18: "Hz", 19: "rpm", 20: "1"}  # data types of abscissas that
 
 
 def sets_of(path: Path) -> list[dict[str, Any]]:
-    """The functions (sets 58) of a universal file."""
+    """Return the functions (sets 58) of a universal file. Error: WRONG_FORMAT."""
     file = import_extra("pyuff", path.name).UFF(str(path))
     kinds = [int(kind) for kind in file.get_set_types()]
     if 58 not in kinds:
@@ -85,7 +85,8 @@ def sets_of(path: Path) -> list[dict[str, Any]]:
 
 
 def _uff_place(s: dict[str, Any], of: str) -> str:
-    """Node and direction of the response (`rsp`) or reference (`ref`), "4+Z"."""
+    """Return node and direction, such as "4+Z", of the response (`of` "rsp") or reference
+    ("ref")."""
     return f"{int(s[of + '_node'])}{DIRECTIONS.get(int(s[of + '_dir']), '')}"
 
 
@@ -95,7 +96,7 @@ def _uff_unit(s: dict[str, Any], axis: str) -> str | None:
 
 
 def _axes(s: dict[str, Any], name: str, path: Path, si: str) -> tuple[np.ndarray, np.ndarray]:
-    """The axis of a function in SI, and its values, as many as the heading states."""
+    """Return the axis of a function in SI, and as many of its values as the heading states."""
     where, stated, unit = f"{path.name}['{name}']", int(s["num_pts"]), _uff_unit(s, "abscissa")
     if int(s["func_type"]) == 0:  # a general function, which may be one of frequency or distance
         unit = unit or OF_AXES.get(int(s["abscissa_spec_data_type"]))
@@ -109,7 +110,7 @@ def _is(s: dict[str, Any]) -> str:
 
 
 def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
-    """Functions of time, by node and direction or by a unique id line. Errors: WRONG_FORMAT,
+    """Read functions of time, by node and direction or by a unique id line. Errors: WRONG_FORMAT,
     UNKNOWN_CHANNEL, NOT_A_RECORD, TRUNCATED, RAGGED_LINE."""
     sets = sets_of(path)
     names = distinct([_uff_place(s, "rsp") for s in sets])
@@ -150,7 +151,8 @@ class Response:
 
 
 def read_uff_responses(path: Any, wanted: list[str], largest: float) -> dict[str, Response]:
-    """Frequency responses of a universal file by "response/reference"."""
+    """Read the frequency responses named "response/reference" in a universal file. Errors:
+    NOT_A_RESPONSE, UNKNOWN_CHANNEL, those of a file."""
     path = Path(path)
     kind_of(path, "uff", largest)
     with reader_errors(path, "uff"):
