@@ -52,12 +52,12 @@ class Gauge(Sensor):
 
 class Displacement(Gauge):
     """Displacement [m] of a point relative to a body or support, in the axes of the latter: R_B'
-    (p_a - p_B) - b, as read by an LVDT or a ruler. A Position with `relative_to` is that from the
-    origin of the latter.
+    (p_a - p_B) - b, as read by an LVDT or a ruler. A Position with `relative_to` is measured from
+    the origin of the latter.
 
     Args:
         a: (name, point), or a name for its origin
-        b: the reference point, likewise; default: the origin of the world
+        b: the reference, in the same form; default: the origin of the world
         axis: the sensitive direction in the axes of b, for one number; None: three numbers
         chain: `gain`, `bias` (sets the zero), `delay`, `lag`, `start`: see Sensor
 
@@ -171,7 +171,7 @@ class LaserLine(Sensor):
             self.chained(problems, **chain)
 
     def distance(self, frame: Pose) -> Float[Array, ""]:
-        """The distance d from the beam's origin to the spot."""
+        """Return the distance d [m] from the beam's origin to the spot."""
         N = rotate(frame.R, jnp.asarray(self.normal))
         return dot(frame.point(self.point) - jnp.asarray(self.origin), N) / dot(
             jnp.asarray(self.axis), N

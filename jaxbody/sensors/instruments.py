@@ -61,8 +61,8 @@ class Mounted(Sensor):
         return (3,) if self.axis is None else ()
 
     def along(self, R: Float[Array, "3 3"], x: Float[Array, "3"]) -> Float[Array, "*r"]:
-        """The components of a world vector in the axes of the instrument, or its component along
-        the one axis."""
+        """Return the components of a world vector x in the axes of the instrument, or its component
+        along the one axis."""
         x_B = rotate_back(R, x)
         if self.axis is not None:
             return dot(jnp.asarray(self.axis), x_B)
@@ -168,8 +168,8 @@ class Tilt(Mounted):
 
 
 def _elevation(e: Float[Array, "*n 3"], u: Float[Array, "3"]) -> Float[Array, "*n"]:
-    """The angle of e above the plane normal to u; its derivatives are finite where e is parallel
-    to u."""
+    """Return the angle [rad] of e above the plane normal to u; its derivatives are finite where e
+    is parallel to u."""
     u = jnp.broadcast_to(u, e.shape)
     across = cross(e, u)
     return jnp.arctan2(dot(e, u), jnp.sqrt(jnp.maximum(dot(across, across), 1e-24)))
@@ -188,8 +188,8 @@ class Components(Sensor):
 
 
 class OfElement(Components):
-    """The base class of sensors of an element: one number; of a bushing a `component`, 0 to 2 along
-    and 3 to 5 about the axes of its end a."""
+    """The base class of sensors of an element, which read one number; for a bushing, a `component`,
+    0 to 2 along and 3 to 5 about the axes of its end a."""
 
     shape = ()
     units_of_parts: ClassVar[tuple[str, str]]  # along and about an axis
@@ -295,7 +295,7 @@ class WrenchSensor(Components):
     def picked(
         self, R: Float[Array, "3 3"], F: Float[Array, "3"], M: Float[Array, "3"]
     ) -> Float[Array, "*r"]:
-        """Force and moment in the axes R: all six numbers, or the selected component."""
+        """Return force and moment in the axes R: all six numbers, or the selected component."""
         both = jnp.concatenate([rotate_back(R, F), rotate_back(R, M)])
         return both if self.component is None else both[self.component]
 
@@ -311,9 +311,9 @@ class ForcePlate(WrenchSensor):
     """Total force [N] on a support, or `world`, and moment [N m] about its origin, in its axes: six
     numbers, or `component` 0 to 5 of them.
 
-    It is the sum of all that bodies, springs and loads exert on the base, as read by a force plate
-    or a shaker table. A Reaction reads it in world axes. Noise is one number, or two: for forces
-    [N] and moments [N m]. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor. Errors:
+    It is the sum of the forces of all bodies, springs and loads on the base, as read by a force
+    plate or a shaker table. A Reaction reads it in world axes. Noise is one number, or two: for
+    forces [N] and moments [N m]. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor. Errors:
     UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
 
     >>> ForcePlate("base").shape, ForcePlate("base", component=2).unit
@@ -331,11 +331,11 @@ class ForcePlate(WrenchSensor):
 
 class Reaction(WrenchSensor):
     """Force [N] and moment [N m] of a joint on the body that it carries, in the axes of its
-    parent, or on a support by all that is attached to it, in world axes: six numbers, or
+    parent, or of everything attached to a support on it, in world axes: six numbers, or
     `component` 0 to 5.
 
         F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;
-        M likewise, about the joint
+        M the sum of their moments about the joint
 
     Along the joint's degrees of freedom it is zero, or the force of a coupling
     (`jb.closures.Coupling`). Noise is one number, or two: for forces [N] and moments [N m].
@@ -441,7 +441,8 @@ class JointAngle(Components):
 def _component_problem(
     component: int | None, size: int | None, what: str, where: str
 ) -> Problem | None:
-    """The problem of a missing, superfluous or nonexistent component; None if there is none."""
+    """Return the problem of a missing, superfluous or nonexistent component; None if there is
+    none."""
     if (component is None) == (size is None) and (
         component is None or component in range(size or 0)
     ):
@@ -503,8 +504,8 @@ class Attitude(Sensor):
         return jnp.concatenate([reading[..., :n] + noise[..., :n], turned], -1)
 
     def delayed(self, times, x):
-        """Interpolated quaternions: the polynomial through samples with consistent
-        signs, normalized."""
+        """Return interpolated quaternions: the polynomial through samples with consistent signs,
+        normalized."""
         n, q = self.places, x[..., self.places :]
         turns = jnp.where(jnp.sum(q[1:] * q[:-1], -1, keepdims=True) < 0, -1.0, 1.0)
         signs = jnp.concatenate(

@@ -39,7 +39,7 @@ class Kinematic(Sensor):
     or one.
 
     Class attribute: `order`, 0 for a displacement, 1 for a velocity, 2 for an acceleration. Each
-    names its `__init__`, as type checkers would take that of a dataclass."""
+    subclass repeats `__init__`, because type checkers would assume that of a dataclass."""
 
     order: ClassVar[int] = 0
     on: str = eqx.field(static=True, converter=plain)
@@ -77,14 +77,14 @@ class Kinematic(Sensor):
         return (self.on, self.relative_to)
 
     def along(self, x: Float[Array, "3"]) -> Float[Array, "*r"]:
-        """All components, or the one along the axis."""
+        """Return all components of x, or the one along the axis."""
         return x if self.axis is None else dot(jnp.asarray(self.axis), x)
 
     def rows(
         self, model: Model, frames: Frame, twists: Float[Array, "nf n 6"]
     ) -> Float[Array, "n *r"]:
-        """The change of the displacement, or of the rotation, per unit of each of n coordinates
-        that move the frames by their `twists`."""
+        """Return the change of the displacement, or of the rotation, per unit of each of n
+        coordinates that move the frames by their `twists`."""
         row, other = (model.layout.frame(name) for name in self.names)
         moved = self.moved(frames, row, twists[row], row)
         carried = self.moved(frames, row, twists[other], other)
@@ -94,14 +94,14 @@ class Kinematic(Sensor):
     def moved(
         self, frames: Frame, row: int, twist: Float[Array, "n 6"], carried_by: int
     ) -> Float[Array, "n 3"]:
-        """The rotation of a frame in world axes, or the displacement of the point when carried
-        along by a frame."""
+        """Return the rotation of frame `row` in world axes, or the displacement of the point, for a
+        twist of frame `carried_by`."""
         return twist[:, 3:]
 
 
 class KinematicVector(Kinematic):
-    """The base class of those whose reading is a vector, `relative` to the frame in another row, in
-    world axes."""
+    """The base class of kinematic sensors whose reading is a vector: `relative` returns it in world
+    axes for the frames in two rows."""
 
     __init__ = Kinematic.__init__
 
@@ -179,9 +179,9 @@ class Velocity(KinematicOfPoint):
 
 
 class Acceleration(KinematicOfPoint):
-    """Acceleration [m/s2] of a point of a body or support, d2p/dt2, without gravity: what
-    comfort values are of. An Accelerometer reads the specific force in its own axes, which
-    contains gravity.
+    """Acceleration [m/s2] of a point of a body or support, d2p/dt2, without gravity, as used for
+    comfort values. An Accelerometer reads the specific force in its own axes, which contains
+    gravity.
 
     Its arguments and errors are those of Position. A stone that falls:
 
@@ -240,7 +240,7 @@ class Rotation(Kinematic):
         return self._turned(self._seen(model, frames), self._seen(model, rest))
 
     def _seen(self, model: Model, frames: Instant) -> Float[Array, "3 3"]:
-        """Q = R_B' R."""
+        """Return Q = R_B' R."""
         R, B = (frames.R[model.layout.frame(name)] for name in self.names)
         return product(B.T, R)
 

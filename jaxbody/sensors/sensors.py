@@ -40,16 +40,16 @@ class Channel(eqx.Module):
     parts: ClassVar[tuple[str, ...]] = ()
 
     def residual(self, reading: Array, measured: Array) -> Float[Array, "*r"]:
-        """Reading minus measured, zero where a sample is missing."""
+        """Return reading minus measured, zero where a sample is missing."""
         return module_of(reading, measured).where(self.missing(measured), 0.0, reading - measured)
 
     def missing(self, measured: Any) -> Any:
-        """True for components of a residual whose sample is missing (NaN)."""
+        """Return True for components of a residual whose sample is missing (NaN)."""
         return module_of(measured).isnan(measured)
 
     def spread(self, level: Any) -> Any:
-        """Noise levels of the components of a residual, from one number or one for each unit;
-        several as a row of the samples."""
+        """Return the noise levels of the components of a residual, from one number or one for each
+        unit; several units give one row, which broadcasts over samples."""
         if self.units == 1:
             return level
         xp = module_of(level)
@@ -58,7 +58,7 @@ class Channel(eqx.Module):
         ]
 
     def pooled(self, x: Any) -> Any:
-        """The sum of the components of residuals over all samples: one number for each unit."""
+        """Return the sum of residual components x over all samples: one number for each unit."""
         return (
             x.sum()
             if self.units == 1
@@ -80,7 +80,7 @@ class Channel(eqx.Module):
         return DIRECTIONS[:count] if count <= len(DIRECTIONS) else tuple(map(str, range(count)))
 
     def unit_on(self, model: Any) -> str:
-        """The unit on a model, where it depends on the kind of an element."""
+        """Return the unit on a model, as it may depend on the kind of an element."""
         return self.unit
 
     @property
@@ -104,8 +104,8 @@ SERIES, TERMS = 3.0, 28
 def between(
     times: Float[Array, "n"], x: Float[Array, "n k"], cells: Int[Array, "m"], t: Float[Array, "m q"]
 ) -> Float[Array, "m q k"]:
-    """x at times t in (or near) cells, cell i from times[i] to times[i + 1], by
-    Lagrange's formula."""
+    """Return x at times t in (or near) cells, by Lagrange's formula. Cell i is from times[i] to
+    times[i + 1]."""
     n = len(times)
     points = min(POINTS, n)
     first = jnp.clip(cells - (points // 2 - 1), 0, n - points)
@@ -127,15 +127,16 @@ def between(
 def delayed(
     times: Float[Array, "n"], x: Float[Array, "n *r"], tau: Float[Array, ""]
 ) -> Float[Array, "n *r"]:
-    """x(t - tau); the polynomials of the first and last cell extrapolate by at most one sample."""
+    """Return x(t - tau); the polynomials of the first and last cell extrapolate by at most one
+    sample."""
     t = jnp.clip(times - tau, 2 * times[0] - times[1], 2 * times[-1] - times[-2])
     cells = jnp.clip(jnp.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
     return between(times, x.reshape(len(times), -1), cells, t[:, None])[:, 0].reshape(x.shape)
 
 
 def known(times: Float[Array, "n"], tau: Float[Array, ""]) -> Float[Array, "n"]:
-    """The weight of a delayed sample: 1 where t - tau lies in the record, 0 more than a sample
-    outside, linear between."""
+    """Return the weight of each delayed sample: 1 where t - tau lies in the record, 0 more than a
+    sample outside, linear between."""
     t = times - tau
     before = (times[0] - t) / (times[1] - times[0])
     after = (t - times[-1]) / (times[-1] - times[-2])
@@ -148,7 +149,8 @@ def lagged(
     T: Float[Array, ""],
     start: Float[Array, "*r"],
 ) -> Float[Array, "n *r"]:
-    """The solution y of T y' + y = x, y(t_0) = start, which is exact for the polynomials through x:
+    """Return the solution y of T y' + y = x, y(t_0) = start, which is exact for the polynomials
+    through x:
 
     y(t + h) = e^-z y(t) + sum_q W_q(z) x(t + s_q h),   W_q = z int_0^1 e^-z(1 - s) l_q(s) ds,
     z = h/T
@@ -171,9 +173,10 @@ def lagged(
 
 
 def _weights(z: Float[Array, "m"]) -> Float[Array, "m q"]:
-    """W_q(z), exact for powers s^k, whose moments are m_k = z int_0^1 e^-z(1 - s) s^k ds. For small
-    z these come from their series m_k = z e^-z sum z^n/(n! (n + k + 1)), for larger z from the
-    recursion m_k = 1 - k m_(k-1)/z, because each would lose digits where the other is used."""
+    """Return W_q(z), which are exact for powers s^k with the moments m_k = z int_0^1 e^-z(1 - s)
+    s^k ds. For small z the moments come from their series m_k = z e^-z sum z^n/(n! (n + k + 1)),
+    for larger z from the recursion m_k = 1 - k m_(k-1)/z, because each loses digits where the other
+    is used."""
     near, far = jnp.minimum(z, SERIES), jnp.maximum(z, SERIES)
     series, recursion = [], [-jnp.expm1(-far)]
     for k in range(len(NODES)):
@@ -208,7 +211,7 @@ class Sensor(Described, Channel):
 
     Args:
         gain: one number, or one for each component
-        bias: likewise, in the unit of the residual
+        bias: one number, or one for each component of the residual, in its unit
         delay: a delay, positive or negative [s]
         lag: time constant [s]
         start: initial value of the lag; None: x(t_0 - delay), as for an instrument that has settled
@@ -302,18 +305,18 @@ class Sensor(Described, Channel):
             )
 
     def needs_accelerations(self, model: Model) -> bool:
-        """Whether its reading on this model needs the accelerations of the frames."""
+        """Return whether the reading on this model needs the accelerations of the frames."""
         return self.accelerations
 
     @abstractmethod
     def reading(self, model: Model, frames: Instant) -> Reading:
-        """The measured quantity at one time, before the chain."""
+        """Return the measured quantity at one time, before the chain."""
 
     def change(
         self, model: Model, frames: Instant, rest: Instant, at_rest: Model
     ) -> Float[Array, "*s"]:
-        """The residual from a reading at rest, whose derivatives are the rows of an output of
-        responses; the model, and that at rest, hold the states of their elements."""
+        """Return the residual from a reading at rest, whose derivatives are the rows of an output
+        of responses. `model` and `at_rest` contain the states of their elements."""
         readings = self.reading(model, frames), self.reading(at_rest, rest)
         return self.residual(
             *(x if self.bias is None else self.disturbed(x, self.bias) for x in readings)
@@ -322,7 +325,7 @@ class Sensor(Described, Channel):
     def transduced(
         self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]
     ) -> Float[Array, "nt *r"]:
-        """The record of a measured quantity x after the chain."""
+        """Return the record of a measured quantity x after the chain."""
         if self.delay is not None:
             x = self.delayed(times, x)
         if self.lag is not None:
@@ -332,11 +335,11 @@ class Sensor(Described, Channel):
         return x if self.bias is None else self.disturbed(x, to_rank(self.bias, x.ndim))
 
     def delayed(self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
-        """x(t - delay)."""
+        """Return x(t - delay)."""
         return delayed(times, x, self.delay)  # pyright: ignore[reportArgumentType]  called where there is one
 
     def weight(self, times: Float[Array, "nt"]) -> Float[Array, "nt"]:
-        """The weight of each sample: 0 where a delayed one is unknown."""
+        """Return the weight of each sample: 0 where a delayed one is unknown."""
         return jnp.ones_like(times) if self.delay is None else known(times, self.delay)
 
     def misfit(
@@ -345,7 +348,7 @@ class Sensor(Described, Channel):
         reading: Float[Array, "nt *r"],
         measured: Float[Array, "nt *r"],
     ) -> Float[Array, "nt *s"]:
-        """Weighted residuals of a record."""
+        """Return the weighted residuals of a record."""
         r = self.residual(reading, measured)
         if self.delay is None:
             return r
@@ -355,12 +358,12 @@ class Sensor(Described, Channel):
     def disturbed(
         self, reading: Float[Array, "*#r"], noise: Float[Array, "*#r"]
     ) -> Float[Array, "*#r"]:
-        """A reading with noise added."""
+        """Return a reading with noise added."""
         return reading + noise
 
     def absent(self) -> dict[str, str]:
-        """{stage: arguments that add it} for the stages that its chain does not have; `start` needs
-        a `lag`."""
+        """Return {stage: arguments that add it} for the stages that the chain does not have;
+        `start` needs a `lag`."""
         arguments = {
             stage: f"{stage}={start}"
             for stage, start in self.stages.items()
@@ -381,17 +384,18 @@ class Sensor(Described, Channel):
         return (self.on,)
 
     def problem(self, model: Model, where: str) -> Problem | None:
-        """The problem of this sensor on this model; None if there is none."""
+        """Return the problem of this sensor on a model; None if there is none."""
         known = model.layout.frames
         return next((unknown(name, where, known) for name in self.names if name not in known), None)
 
     def misread(self, measured: np.ndarray, where: str) -> Problem | None:
-        """The problem of samples of the right shape; None if there is none."""
+        """Return the problem of measured samples of the right shape; None if there is none."""
         return None
 
 
 def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:
-    """Check that all sensors are Sensors, on parts of the model."""
+    """Check that all sensors are Sensors, on parts of the model. Errors: WRONG_KIND, those of
+    `Sensor.problem`."""
     with Problems() as problems:
         for name, sensor in checked_dict(
             sensors, where, "name: jb.Position(...)", problems
@@ -408,8 +412,8 @@ def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:
 def noise_levels(
     sensors: dict[str, Sensor], noise: Any, where: str, problems: Problems, *, zero: bool
 ) -> dict[str, Any]:
-    """{sensor: standard deviation} from one number for all sensors or a dict; adds to `problems`.
-    `zero`: whether 0 is allowed."""
+    """Return {sensor: standard deviation} from one number for all sensors or a dict; problems are
+    added to `problems`. `zero`: whether 0 is allowed."""
     levels = {}
     for name, value in (
         noise if isinstance(noise, dict) else dict.fromkeys(sensors, noise)
