@@ -101,8 +101,8 @@ class SuspensionCurves(Labeled, Result):
         return self.curves[name]
 
     def report(self) -> str:
-        """The number of rows of each status, and the last driven readings that were reached before
-        the first that were not."""
+        """Return the number of rows of each status, and the driven readings of the last row before
+        the first one that is beyond reach."""
         text = super().report()
         if not is_concrete(self.status) or np.asarray(self.ok).all():
             return text
@@ -117,7 +117,7 @@ class SuspensionCurves(Labeled, Result):
         return f"{text}; the last values within reach: {values}"
 
     def unit(self, name: str) -> str:
-        """The unit of a curve or of a driven reading."""
+        """Return the unit of a curve or of a driven reading."""
         return {drive.name: drive.unit for drive in self.drives}.get(name, curve_unit(name))
 
     def _tables(self) -> list[tables.PrintedTable]:
@@ -158,7 +158,7 @@ class SuspensionCurves(Labeled, Result):
 
 
 def curve_unit(name: str) -> str:
-    """The unit of a curve."""
+    """Return the unit of a curve."""
     return UNITS.get(name, "" if name.startswith("motion ratio") else "m")
 
 
@@ -172,8 +172,8 @@ def suspension_curves(
     equilibrium: bool = False,
     loads: dict[str, Load] | None = None,
 ) -> SuspensionCurves:
-    """Curves of a wheel over its travel and steering, in the configurations in which driven
-    readings have these values.
+    """Compute curves of a wheel over its travel and steering, in the configurations in which driven
+    readings have given values.
 
         c(q) = 0,   r_i(q) - r_i(q_0) = x_i
 
@@ -185,8 +185,8 @@ def suspension_curves(
         wheel force    dV/dx, upward at the wheel
         wheel rate     d2V/dx2
         roll center height above the ground    C_y v_y/v_z
-        side view angle of the contact         atan2(-v_x, v_z), that of locked brakes; of the
-                                               center likewise
+        side view angle of the contact         atan2(-v_x, v_z), with locked brakes
+        side view angle of the center          the same with the velocity of the wheel center
 
     Args:
         model: a model with closures, x forward, y to the left, z up; its supports are at rest
@@ -202,9 +202,9 @@ def suspension_curves(
             of bushings (`jb.compliant`)
         loads: {name: load} of this equilibrium, such as a side force at the wheel; by default none
 
-    The curves have exact derivatives by every number of the model, so that they can be part of an
-    objective of `tune` or of a loss of your own: to the fourth order in all, those by the travel in
-    ratios, rates and slopes included.
+    The curves can be part of an objective of `tune` or of your own loss function: they have exact
+    derivatives with respect to all numbers of the model, up to the fourth order including those by
+    the travel in ratios, rates and slopes.
 
     Errors: UNDRIVEN where the wheel can move while all readings are held, unless in equilibrium, or
     a drive moves nothing; UNKNOWN_NAME, UNKNOWN_BODY for a load, BAD_OPTION for loads without
@@ -241,7 +241,9 @@ def suspension_curves(
     >>> jnp.round(curves["wheel y"], 9).tolist(), jnp.round(jnp.abs(curves["camber"]), 9).tolist()
     ([0.75, 0.67], [0.0, 0.0])
     """
-    found = arguments_of(model, drive, over, wheel, steer, "suspension_curves", resting=equilibrium)
+    arguments = arguments_of(
+        model, drive, over, wheel, steer, "suspension_curves", resting=equilibrium
+    )
     with Problems() as problems:
         acting = loads_of(loads, model.layout.bodies, "suspension_curves.loads")
         if acting and not equilibrium:
@@ -260,16 +262,16 @@ def suspension_curves(
                 limit="a model with springs or bushings",
                 hint="Leave the option out, or give the model elements (`jb.compliant`).",
             )
-    return warn_if_failed(_curves(*found, acting if equilibrium else None))
+    return warn_if_failed(_curves(*arguments, acting if equilibrium else None))
 
 
 def curve_names(
     model: Model, drive: Mapping[str, Any], over: Mapping[str, Any], wheel: Wheel, where: str
 ) -> tuple[str, ...]:
-    """The names of the curves of a model, without computing them. Errors: those
-    of `suspension_curves`."""
-    found = arguments_of(model, drive, over, wheel, None, where)
-    return tuple(jax.eval_shape(lambda: _curves(*found).curves))
+    """Return the names of the curves of a model, without computing the curves. Errors: those of
+    `suspension_curves`."""
+    arguments = arguments_of(model, drive, over, wheel, None, where)
+    return tuple(jax.eval_shape(lambda: _curves(*arguments).curves))
 
 
 def arguments_of(
@@ -281,8 +283,8 @@ def arguments_of(
     where: str,
     resting: bool = False,
 ):
-    """The arguments of `suspension_curves`, checked: model, drives, targets, wheel, name of the
-    drive that steers."""
+    """Return the arguments of `suspension_curves` after checks: model, drives, targets, wheel, name
+    of the drive that steers. `resting`: whether the rest is in equilibrium."""
     check_precision(where, model)
     drives = drives_of(model, dict(drive), f"{where}.drive")
     frames = model.layout.frames
@@ -298,7 +300,8 @@ def arguments_of(
 
 
 def _targets(drives: tuple[Drive, ...], over: Mapping[str, Any], where: str) -> Any:
-    """(n, nd) values of the driven readings."""
+    """Return the values (n, nd) of the driven readings. Errors: UNKNOWN_NAME, BAD_SHAPE,
+    NON_FINITE."""
     names, values = tuple(drive.name for drive in drives), {}
     with Problems() as problems:
         problems.collected += [
@@ -333,7 +336,8 @@ def _targets(drives: tuple[Drive, ...], over: Mapping[str, Any], where: str) -> 
 def _check_determined(
     model: Model, drives: tuple[Drive, ...], wheel: Wheel, where: str, resting: bool
 ) -> None:
-    """Errors: UNDRIVEN."""
+    """Check that each drive moves something and, unless `resting`, that the wheel cannot move while
+    all readings are held. Error: UNDRIVEN."""
     slopes, closures, moved = map(np.asarray, _slopes_at_reference(model, drives, wheel))
     if np.isnan(slopes).any():  # there is no assembled reference: all rows are NOT_CLOSED
         return
@@ -372,8 +376,8 @@ def _check_determined(
 
 @program
 def _slopes_at_reference(model: Model, drives: tuple[Drive, ...], wheel: Wheel):
-    """At the assembled reference, by increments in meters: slopes of all conditions, of the
-    closures alone, and of the wheel's center and axis."""
+    """Return the slopes of all conditions, of the closures alone, and of the wheel's center and
+    axis at the assembled reference, by increments in meters."""
     q = model.reference.q
     chart, scale, size = Chart(model), scale_of(model, size_of(model))[None], size_of(model)
     row = model.layout.frame(wheel.on)
@@ -400,7 +404,7 @@ def _curves(
     steer: str | None,
     loads: tuple[Load, ...] | None = None,
 ) -> SuspensionCurves:
-    """`loads`: of an equilibrium; None: the readings hold all that matters."""
+    """Compute the curves; `loads` are those of an equilibrium, None if there is none."""
     names, start = [drive.name for drive in drives], model.reference.q
     targets = targets.astype(start.dtype)
     zero, row = readings(model, drives, start), model.layout.frame(wheel.on)
@@ -433,17 +437,17 @@ def _curves(
     values, slopes, q = jax.vmap(at)(targets, known)
     if model.elements:
         values["wheel rate"] = slopes["wheel force"][:, 0]
-    found = status == Status.OK
-    values: dict[str, Any] = {name: rows_or_nan(found, x) for name, x in values.items()}
+    ok = status == Status.OK
+    values: dict[str, Any] = {name: rows_or_nan(ok, x) for name, x in values.items()}
     by_drive: dict[str, Any] = {
-        drive: {name: rows_or_nan(found, x[:, i]) for name, x in slopes.items()}
+        drive: {name: rows_or_nan(ok, x[:, i]) for name, x in slopes.items()}
         for i, drive in enumerate(names)
     }
     return SuspensionCurves(
         over=dict(zip(names, targets.T, strict=True)),
         curves=values,
         slopes=by_drive,
-        q=rows_or_nan(found[:, None], q),
+        q=rows_or_nan(ok[:, None], q),
         status=status,
         model=model,
         drives=drives,
@@ -452,8 +456,8 @@ def _curves(
 
 
 def _placed(model: Model, q: Float[Array, "nq"], row: int):
-    """(pose of the wheel's body, deformations of the elements that have one, V of the elements) in
-    a configuration."""
+    """Return the pose of the wheel's body, the deformations of the elements that have one number,
+    and the energy V of all elements in a configuration."""
     frames = Coordinates(model).at_rest(q)
     e = each_element(model, frames, lambda s, *F: jnp.atleast_1d(s.deformation(*F)))
     V = sum(
@@ -470,20 +474,20 @@ def _placed(model: Model, q: Float[Array, "nq"], row: int):
 def _read(
     wheel: Wheel, side: Array, steer: int | None, placed: Any, slopes: Any, model: Model
 ) -> dict[str, Array]:
-    """All curves at one set of driven readings, from what `_placed` returns and its derivatives by
-    the readings."""
+    """Return all curves at one set of driven readings, from what `_placed` returns and its
+    derivatives by the readings."""
     (pose, e, _), (turning, e_slopes, V_slopes), single = placed, slopes, springs_of(model)
     center, C = pose.point(wheel.center), wheel.contact(pose)
-    found = wheel.alignment(pose, side)
+    curves = wheel.alignment(pose, side)
     if wheel.kingpin is not None:
         lower, upper = pose.point(wheel.kingpin[0]), pose.point(wheel.kingpin[1])
-        found |= wheel.steering(pose, side, lower, upper - lower)
+        curves |= wheel.steering(pose, side, lower, upper - lower)
     elif steer is not None:
         w, v = _twist(pose, turning, steer)
-        found |= wheel.steering(pose, side, pose.p + cross(w, v) / dot(w, w), w)
+        curves |= wheel.steering(pose, side, pose.p + cross(w, v) / dot(w, w), w)
     w, v = _twist(pose, turning, 0)
     at_contact, at_center = v + cross(w, C - pose.p), v + cross(w, center - pose.p)
-    found |= {
+    curves |= {
         "roll center height": C[1] * at_contact[1] / at_contact[2],
         "side view angle of the contact": jnp.arctan2(-at_contact[0], at_contact[2]),
         "side view angle of the center": jnp.arctan2(-at_center[0], at_center[2]),
@@ -491,13 +495,13 @@ def _read(
     }
     for table in model.elements:
         if isinstance(table.rows, LineElement):
-            found |= {
+            curves |= {
                 f"length of {name}": e[single.index(name)] + table.rows.free_length[i]
                 for i, name in enumerate(table.names)
             }
-    return found | ({"wheel force": V_slopes[0]} if single else {})
+    return curves | ({"wheel force": V_slopes[0]} if single else {})
 
 
 def _twist(pose: Pose, slopes: Pose, i: int):
-    """Angular velocity and velocity of the origin per unit of a driven reading."""
+    """Return angular velocity and velocity of the origin per unit of driven reading i."""
     return axial(product(slopes.R[..., i], pose.R.T)), slopes.p[..., i]

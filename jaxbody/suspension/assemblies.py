@@ -62,7 +62,7 @@ from jaxbody.suspension.wheels import Wheel
 class Assembly(Result):
     """An assembled configuration: `state` at rest, `gaps` of the conditions [m] before and after,
     `slopes` of the conditions by increments in meters, `freedoms` that remain, `redundant`
-    conditions, which others imply. `status`: NOT_CLOSED. See `assemble`."""
+    conditions, which follow from others. `status`: NOT_CLOSED. See `assemble`."""
 
     model: Model
     state: State
@@ -82,7 +82,7 @@ class Assembly(Result):
         return redundant_rows(self.model, self.slopes)
 
     def explain(self) -> str:
-        """The condition that is furthest from being fulfilled."""
+        """Return which condition is furthest from being fulfilled, and its distance."""
         after = np.abs(np.asarray(self.gaps[1]))
         i = int(np.argmax(after))
         return (
@@ -111,8 +111,8 @@ class Assembly(Result):
 
 
 def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = ()) -> Assembly:
-    """The state at rest, near a start, in which all closures of a model are fulfilled, by the least
-    movement of its coordinates.
+    """Find the state at rest, near a start, in which all closures of a model are fulfilled, by the
+    least movement of its coordinates.
 
         c(q) = 0,   q <- q (+) -J^+ c(q),   J = dc/dDelta
 
@@ -124,8 +124,8 @@ def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = 
         start: the state from which it is assembled; None: the drawn one
         hold: names of bodies whose coordinates do not move
 
-    Errors: UNKNOWN_NAME, NO_CLOSURE, BAD_SHAPE; warns NOT_CLOSED where no such configuration is
-    found: which closure, by how much.
+    Errors: UNKNOWN_NAME, NO_CLOSURE, BAD_SHAPE; warns NOT_CLOSED, with the closure and its gap, if
+    there is no such configuration.
 
     A point of a pendulum of 1 m, hung between two rods of 1 m in a plane, drawn 1 cm too low:
 
@@ -203,7 +203,7 @@ class Drive(eqx.Module):
 
 
 def drives_of(model: Model, given: dict[str, Any], where: str) -> tuple[Drive, ...]:
-    """The drives of {name: sensor, "body.q", or a wheel for the rise of its center}. Errors:
+    """Return the drives of {name: sensor, "body.q", or a wheel for the rise of its center}. Errors:
     UNKNOWN_NAME, BAD_SHAPE, WRONG_KIND."""
     given = {
         name: Position(by.on, by.center, axis="z") if isinstance(by, Wheel) else by
@@ -212,12 +212,12 @@ def drives_of(model: Model, given: dict[str, Any], where: str) -> tuple[Drive, .
     check_sensors(
         {name: drive for name, drive in given.items() if not isinstance(drive, str)}, model, where
     )
-    found = []
+    drives = []
     with Problems() as problems:
         for name, drive in given.items():
             place = f"{where}['{name}']"
             if isinstance(drive, str):
-                found.append(
+                drives.append(
                     problems.gather(
                         lambda drive=drive, name=name, place=place: _coordinate(
                             model, name, drive, place
@@ -234,8 +234,8 @@ def drives_of(model: Model, given: dict[str, Any], where: str) -> tuple[Drive, .
                     hint='Give it an axis: jb.Position("upright", [0, 0, 0], axis="z").',
                 )
             else:
-                found.append(Drive(name, None, drive.unit, drive))
-    return tuple(found)
+                drives.append(Drive(name, None, drive.unit, drive))
+    return tuple(drives)
 
 
 def _coordinate(model: Model, name: str, path: str, where: str) -> Drive:
@@ -250,7 +250,8 @@ def _coordinate(model: Model, name: str, path: str, where: str) -> Drive:
 def conditions(
     model: Model, driven: tuple[tuple[Drive, ...], Array], q: Float[Array, "nq"]
 ) -> Float[Array, "n"]:
-    """c(q), then r_i(q) - r_i(q_0) - x_i in meters, angles times the size of the model."""
+    """Return c(q), then r_i(q) - r_i(q_0) - x_i in meters; angles are multiplied by the size of the
+    model."""
     drives, targets = driven
     coordinates = Coordinates(model)
     frames = coordinates.at_rest(q).at_time(jnp.zeros((), q.dtype))
@@ -260,7 +261,7 @@ def conditions(
 
 
 def readings(model: Model, drives: tuple[Drive, ...], q: Float[Array, "nq"]) -> Float[Array, "nd"]:
-    """r_i(q)."""
+    """Return the driven readings r_i(q)."""
     frames = Coordinates(model).at_rest(q).at_time(jnp.zeros((), q.dtype))
     return jnp.stack([drive.reading(model, q, frames) for drive in drives])
 
@@ -271,9 +272,9 @@ def positions(
     targets: Float[Array, "n nd"],
     start: Float[Array, "nq"],
 ):
-    """(q, status) for each row of targets, one after the other, each from the last one
-    reached; beyond reach NOT_CLOSED, and the q of the last one reached. They have no
-    derivatives: see `position`."""
+    """Return (q, status) for each row of targets, one after the other, each from the last one
+    reached. A row beyond reach is NOT_CLOSED, with the q of the last one reached. The results have
+    no derivatives: see `position`."""
 
     def following(last: Array, target: Array) -> tuple[Array, tuple[Array, Int[Array, ""]]]:
         q, far = solve(conditions, model, (drives, target), last)
@@ -287,8 +288,8 @@ def positions(
 def position(
     model: Model, drives: tuple[Drive, ...], target: Float[Array, "nd"], q: Float[Array, "nq"]
 ) -> Float[Array, "nq"]:
-    """The configuration of these readings as a function of the model and of them, next to one that
-    has them."""
+    """Return the configuration with the target readings, as a differentiable function of the model
+    and the target; `q` is a configuration that has them."""
     return near(conditions, model, (drives, target), q)
 
 
@@ -305,8 +306,8 @@ class Resting(NamedTuple):
 
 
 class RestingSystem(NamedTuple):
-    """What is at rest: a model with driven readings and loads; k, the stiffness by which forces
-    are divided."""
+    """A system in equilibrium: a model with driven readings and loads, and the stiffness k by which
+    forces are divided."""
 
     model: Model
     loads: tuple[Load, ...]
@@ -318,14 +319,14 @@ class RestingSystem(NamedTuple):
         return scale_of(self.model, size_of(self.model))
 
     def moved(self, at: Resting, step: Float[Array, "m"]) -> Resting:
-        """(q, mu) after a step, the increments in meters."""
+        """Return (q, mu) after a step, whose increments are in meters."""
         n = self.model.layout.nv
         return at._replace(
             q=Coordinates(self.model).retract(at.q, self.scale * step[:n]), mu=at.mu + step[n:]
         )
 
     def equations(self, target: Float[Array, "nd"], at: Resting) -> Float[Array, "m"]:
-        """((dV/dDelta - Q)/k + C_q' mu, C), increments in meters."""
+        """Return the residuals ((dV/dDelta - Q)/k + C_q' mu, C), by increments in meters."""
         model = relaxed(self.model)
         coordinates, zero = Coordinates(model), jnp.zeros(model.layout.nv, at.q.dtype)
         frames, axes = coordinates.frames_and_axes(at.q, zero, coordinates.supports.at_rest())
@@ -344,7 +345,7 @@ class RestingSystem(NamedTuple):
     def with_slopes(
         self, target: Float[Array, "nd"], at: Resting
     ) -> tuple[Float[Array, "m"], Float[Array, "m m"]]:
-        """The equations and their slopes [H C_q'; C_q 0]."""
+        """Return the residuals and their slopes [H C_q'; C_q 0]."""
 
         slopes, values = jax.jacfwd(
             with_value(lambda step: self.equations(target, self.moved(at, step))), has_aux=True
@@ -353,7 +354,8 @@ class RestingSystem(NamedTuple):
 
 
 def with_value(function):
-    """(y, y) for y = function(x), so that a derivative with auxiliary data traces it once."""
+    """Return the function x -> (y, y) for y = function(x), so that a derivative with auxiliary data
+    traces `function` once."""
     return lambda x: ((y := function(x)), y)
 
 
@@ -364,9 +366,9 @@ def resting_positions(
     targets: Float[Array, "n nd"],
     start: Float[Array, "nq"],
 ) -> tuple[Resting, Int[Array, "n"], Float[Array, ""]]:
-    """(positions, statuses, k) for each row of targets, each from the last one reached: NOT_CLOSED
-    where none is found, UNSTABLE where it is no minimum of the energy. They have no derivatives:
-    see `resting_position`."""
+    """Return (positions, statuses, k) for each row of targets, each from the last one reached:
+    NOT_CLOSED where no equilibrium is found, UNSTABLE where the energy has no minimum. The results
+    have no derivatives: see `resting_position`."""
     rest = RestingSystem(model, loads, drives, _stiffness(model))
     size, nv = size_of(model), model.layout.nv
     n = len(conditions(model, (drives, targets[0]), start))
@@ -407,15 +409,15 @@ def resting_positions(
 def resting_position(
     rest: RestingSystem, target: Float[Array, "nd"], at: Resting
 ) -> Float[Array, "nq"]:
-    """q as a function of the model, the loads and the readings, next to a position that
-    has them."""
+    """Return q as a differentiable function of the model, the loads and the target; `at` is a
+    position that has these readings."""
     at = jax.lax.stop_gradient(at)
     step: Any = lambda at, _: (rest.moved(at, -at.inverse @ rest.equations(target, at)), None)  # noqa: E731
     return jax.lax.scan(step, at, length=ORDERS)[0].q
 
 
 def _stiffness(model: Model) -> Float[Array, ""]:
-    """The largest second derivative of V(e) of the elements in the reference pose."""
+    """Return the largest second derivative of V(e) of the elements in the reference pose."""
     coordinates = Coordinates(relaxed(model))
 
     def stiffest(element, *frames):

@@ -37,10 +37,10 @@ class Compliance:
     """The stiffness and damping of a joint, for `compliant`.
 
     Args:
-        stiffness: of a rod its stiffness [N/m]; of others that along x, y and z, one number
-            or three [N/m], or also about these [N m/rad], six numbers or a 6 x 6 matrix, as
-            of a Bushing
-        damping: likewise [N s/m, N m s/rad]; None: no damping
+        stiffness: for a rod, its stiffness [N/m]; for others, the stiffness along x, y and z, one
+            number or three [N/m], or along and about these axes, six numbers or a 6 x 6 matrix
+            [N/m, N m/rad], as for a Bushing
+        damping: in the same form [N s/m, N m s/rad]; None: no damping
 
     >>> radial, axial, tilting = 8e6, 4e5, 900.0
     >>> Compliance(
@@ -54,21 +54,22 @@ class Compliance:
 
 
 def compliant(model: Model, compliances: Mapping[str, Compliance]) -> Model:
-    """The model in which these joints and closures are bushings, and rods are springs, at the same
-    place; it has the derivatives of its parameters by those of the given one. With stiffer and
-    stiffer bushings it becomes the model with ideal joints.
+    """Return the model in which these joints and closures are bushings, and rods are springs, at
+    the same place. Its parameters have derivatives with respect to those of the given model. With
+    increasing stiffness it approaches the model with ideal joints.
 
     A closure keeps its name, as an element. The joint of a body becomes the element "<body> joint",
-    and the body is free; those that it carries stay on it. Directions in which the ideal joint
-    moves are free only if the stiffness there is 0, as about z of a hinge or along z of a guide. A
-    search for equilibrium far from the drawing starts best from that of the ideal joints.
+    and the body is free; bodies carried by it stay on it. Directions in which the ideal joint moves
+    are free only if the stiffness there is 0, as about z of a hinge or along z of a guide. A search
+    for equilibrium far from the drawing starts best from that of the ideal joints.
 
     Args:
         model: the model with ideal joints
-        compliances: {name of a body whose joint it is, or of a closure: compliance}
+        compliances: {name of a body, for its joint, or of a closure: compliance}
 
-    Errors: UNKNOWN_NAME, WRONG_KIND for joints and closures that are no bushing (Ball, Hinge,
-    Guide, Cylindrical, Fixed and Weld are, and Rod is a spring), and those of a Bushing.
+    Errors: UNKNOWN_NAME, WRONG_KIND for joints and closures that cannot be a bushing (Ball, Hinge,
+    Guide, Cylindrical, Fixed and Weld can be one, and Rod becomes a spring), and those of a
+    Bushing.
 
     >>> corner = jb.double_wishbone()
     >>> rubber = Compliance(stiffness=[8e6, 8e6, 4e5, 900.0, 900.0, 0.0])
@@ -143,8 +144,8 @@ def _check_kind(part: Any, kinds: tuple[type, ...], where: str) -> None:
 
 
 def _bushing(a: Any, b: Any, A: Pose, B: Pose, axis: Any, compliance: Compliance) -> Bushing:
-    """The bushing between points of two frames, whose axes at both ends coincide in the
-    reference pose."""
+    """Return the bushing between points a and b of two frames, with the same axes at both ends in
+    the reference pose."""
     on_A = jnp.eye(3, dtype=A.R.dtype) if axis is None else _along(jnp.asarray(axis))
     turns = rotations.from_matrix(on_A), rotations.from_matrix(B.R.T @ A.R @ on_A)
     k = _coefficients(compliance.stiffness)
@@ -161,7 +162,7 @@ def _bushing(a: Any, b: Any, A: Pose, B: Pose, axis: Any, compliance: Compliance
 
 
 def _along(n: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """Axes with z along n and x across it, nearest to the axis that is farthest from n."""
+    """Return axes with z along n and x across it, nearest to the axis that is farthest from n."""
     farthest = jnp.eye(3, dtype=n.dtype)[jnp.argmin(jnp.abs(n))]
     x = farthest - n * dot(n, farthest)
     x = x / jnp.sqrt(dot(x, x))
@@ -169,8 +170,8 @@ def _along(n: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 def _coefficients(value: Any, shape: tuple[int, ...] = ()) -> Any:
-    """Three numbers or a 6 x 6 matrix from one, three, six or 36, as for a stiffness of
-    this shape."""
+    """Return three numbers or a 6 x 6 matrix from one, three, six or 36 numbers, in the form of a
+    stiffness of this shape."""
     xp: Any = np if is_concrete(value) else jnp
     value = xp.asarray(value)
     value = xp.ones(3) * value if value.shape == () else value

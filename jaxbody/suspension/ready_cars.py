@@ -42,7 +42,7 @@ ENDS, SIDES = ("f", "r"), {"l": 1.0, "r": -1.0}
 class Car(Suspension):
     """A car on double wishbones: `model`, in the design position; `fl`, `fr`, `rl` and `rr`, its
     wheels; hard points as of a `Suspension`, "front lower outer" and "rear lower outer" for those
-    of left wheels, which move the right ones likewise.
+    of left wheels; the right wheels are their mirror images.
 
     >>> car = jb.car_on_double_wishbones()
     >>> car.moved({"rear tie rod inner": [0.05, 0.2, 0.26]}).model["rr tie rod"].a[1:].tolist()
@@ -59,9 +59,10 @@ class Car(Suspension):
         return self.fl, self.fr, self.rl, self.rr
 
     def curves(self, wheel: str, travel: Any, steering: Any = 0.0) -> SuspensionCurves:
-        """Curves of a wheel, "fl", over its travel [m] and the place of the rack [m], numbers or as
-        many as the other has, on a car that is held. The wheel force is that of all elements, the
-        tyre among them; see `suspension_curves`. Errors: UNKNOWN_NAME.
+        """Compute curves of a wheel, such as "fl", over its travel [m] and the displacement of the
+        rack [m], each one number or as many as the other has, while the car is held. The wheel
+        force is that of all elements, including the tyre; see `suspension_curves`. Errors:
+        UNKNOWN_NAME.
 
         >>> toe = jb.car_on_double_wishbones().curves("fr", [-0.04, 0.0, 0.04])[
         ...     "toe"
@@ -99,12 +100,12 @@ def car_on_double_wishbones(
     steering=2e6,
     gravity=G,
 ) -> Car:
-    """A car whose wheels are on double wishbones: `car` heaves, pitches and rolls about its center
-    of mass; on it are, for each wheel `fl`, `fr`, `rl` and `rr`, "fl lower arm", "fl upper arm" and
-    "fl upright", which carries the wheel, and the `rack` of the front wheels.
+    """Return a car whose wheels are on double wishbones: `car` heaves, pitches and rolls about its
+    center of mass; on it are, for each wheel `fl`, `fr`, `rl` and `rr`, "fl lower arm", "fl upper
+    arm" and "fl upright", which carries the wheel, and the `rack` of the front wheels.
 
-    Tie rods have no mass: the front ones go to the rack, which a stiffness holds, the rear ones to
-    the car. Springs are on the lower arms, anti-roll bars on the uprights; right wheels are
+    Tie rods have no mass: the front ones end at the rack, which is held by a stiffness, the rear
+    ones at the car. Springs are on the lower arms, anti-roll bars on the uprights; right wheels are
     mirrored. The free lengths are such that the reference pose is the equilibrium. In each pair the
     first number is for the front axle, the second for the rear axle.
 
@@ -223,7 +224,7 @@ def car_on_double_wishbones(
 
 
 def _weightless(points: Points) -> Car:
-    """The car with these hard points and relaxed springs."""
+    """Return the car with these hard points and relaxed springs."""
     front, rear = (
         {name.removeprefix(f"{end} "): at for name, at in points.items() if name.startswith(end)}
         for end in ("front", "rear")
@@ -232,9 +233,9 @@ def _weightless(points: Points) -> Car:
 
 
 class _Drawn(NamedTuple):
-    """A wheel with its suspension: hard points about the middle of its axle on the road, which is
-    at `offset`; `center` is O of the car; masses of its bodies [kg]; the functions of NumPy or JAX
-    that compute with them."""
+    """A wheel with its suspension: `points`, the hard points about the middle of its axle on the
+    road, which is at `offset`; `center`, the reference point O of the car; `masses` of its bodies
+    [kg]; `xp`, NumPy or jax.numpy for the arithmetic."""
 
     name: str
     axle: int
@@ -245,7 +246,7 @@ class _Drawn(NamedTuple):
     xp: Any
 
     def on_car(self, point: Any) -> Any:
-        """A point in the axes of the car, whose O is its center of mass."""
+        """Return a point in the axes of the car, whose O is its center of mass."""
         return point + self.offset - self.center
 
     @property
@@ -307,9 +308,9 @@ class _Drawn(NamedTuple):
         }
 
     def velocities(self) -> dict[str, tuple[Any, Any, Any]]:
-        """(angular velocity, a point, its velocity) of each body for the lower arm turning about
-        its hinge at 1 rad/s on a car at rest: the upper ball has one velocity on both bodies, and
-        the tie rod keeps its length."""
+        """Return (angular velocity, a point, its velocity) of each body while the lower arm turns
+        about its hinge at 1 rad/s on a car at rest: the upper ball has the same velocity on both
+        bodies, and the tie rod keeps its length."""
         at, n, xp = self.points, {}, self.xp
         for level in ("lower", "upper"):
             axis = at[f"{level} inner front"] - at[f"{level} inner rear"]
@@ -331,8 +332,8 @@ class _Drawn(NamedTuple):
         }
 
     def spring_tension(self, load: Any, gravity: Any) -> Any:
-        """The tension of the spring that carries the load of the wheel: no power of all forces as
-        the suspension moves on the car,
+        """Return the tension [N] of the spring that carries the wheel load N, for which the power
+        of all forces is zero while the suspension moves on the car at rest:
 
         N v_hub - sum m g v_com - T l' = 0"""
         if is_concrete(gravity) and gravity == 0:
@@ -357,8 +358,8 @@ class _Drawn(NamedTuple):
 def _wheel_loads(
     wheels: Mapping[str, _Drawn], mass: Any, rack: tuple[Any, Any], gravity: Any
 ) -> tuple[Any, Any]:
-    """The load of a front and of a rear wheel [N], by the moments of all weights about the axles;
-    `rack`: its mass and center."""
+    """Return the load of a front and of a rear wheel [N], by the moments of all weights about the
+    axles; `rack`: its mass and center."""
     weights, moments = (mass + rack[0]) * gravity, rack[0] * gravity * rack[1][0]
     for wheel in wheels.values():
         for name, com in wheel.centers.items():

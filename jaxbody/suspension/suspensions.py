@@ -34,7 +34,7 @@ S = TypeVar("S", bound="Suspension")
 
 
 def _located(points: Mapping[str, Any]) -> dict[str, Any]:
-    """The hard points as arrays."""
+    """Return the hard points as arrays."""
     return {name: device_array(point) for name, point in points.items()}
 
 
@@ -45,8 +45,8 @@ class Suspension(eqx.Module):
         model: in the design position
         hard_points: {name: place [m]} of the points that are one parameter wherever they are used;
             by default none
-        build: {name: place} -> the suspension with these hard points and any other numbers, from
-            which it follows what each of them moves
+        build: function {name: place} -> the suspension with these hard points, whose other numbers
+            do not matter; it determines what each hard point moves
 
     `fit` and `tune` take a suspension in place of a model; its hard points are then free by their
     names, free=["lower outer"], with bounds in meters.
@@ -78,10 +78,10 @@ class Suspension(eqx.Module):
         return ()
 
     def moved(self: S, places: Mapping[str, Any]) -> S:
-        """The suspension with these hard points at other places {name: place [m]}, in the model
-        and the wheels: points, axes, lengths of rods. All other numbers stay as they are; a
-        spring keeps its compression in the design position. Errors: UNKNOWN_NAME, BAD_SHAPE,
-        NON_FINITE, WRONG_SIDE.
+        """Return the suspension with these hard points at other places {name: place [m]}, in the
+        model and the wheels: points, axes, lengths of rods. All other numbers remain; a spring
+        keeps its compression in the design position. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE,
+        WRONG_SIDE.
 
         >>> corner = jb.double_wishbone().moved({"tie rod inner": [0.05, 0.2, 0.255]})
         >>> corner.model["tie rod"].a.tolist()
@@ -132,9 +132,9 @@ class Corner(Suspension):
         return (self.wheel,)
 
     def curves(self, travel: Any, steering: Any = 0.0) -> SuspensionCurves:
-        """Curves over travel, the rise of the center of the wheel [m], and steering [m,
-        or rad of a coordinate that turns], either a number or as many as the other has;
-        see `suspension_curves`.
+        """Compute curves over travel, the rise of the center of the wheel [m], and steering [m, or
+        rad of a coordinate that turns], each one number or as many as the other has; see
+        `suspension_curves`.
 
         >>> toe = jb.double_wishbone().curves([-0.04, 0.0, 0.04])["toe"]  # doctest: +SKIP
         """
@@ -153,7 +153,7 @@ class Corner(Suspension):
 
 
 Points = Mapping[str, Any]
-ARM, UPRIGHT, RACK = 4.0, 20.0, 3.0  # kg, for what is not known; curves do not depend on masses
+ARM, UPRIGHT, RACK = 4.0, 20.0, 3.0  # kg, assumed; curves do not depend on masses
 INERTIA = np.full(3, 0.2)  # kg m2
 
 DOUBLE_WISHBONE = {
@@ -204,7 +204,8 @@ ACROSS = ("tie rod inner",)  # points that may be on the other side of the car
 def double_wishbone(
     hard_points: Points | None = None, *, stiffness=30e3, force=4000.0, radius=0.3
 ) -> Corner:
-    """A wheel on two triangular arms, with a tie rod to a rack and a spring on the lower arm.
+    """Return a wheel on two triangular arms, with a tie rod to a rack and a spring on the lower
+    arm.
 
     Args:
         hard_points: {name: place [m]} of those that differ from the source; the names are those of
@@ -245,8 +246,9 @@ def double_wishbone(
 def macpherson(
     hard_points: Points | None = None, *, stiffness=30e3, force=4000.0, radius=0.3
 ) -> Corner:
-    """A wheel on a lower arm and a strut, which slides in the upright and ends at a ball joint on
-    the body, with a tie rod to a rack; the spring acts along the strut, from the lower ball joint.
+    """Return a wheel on a lower arm and a strut, which slides in the upright and ends at a ball
+    joint on the body, with a tie rod to a rack; the spring acts along the strut, from the lower
+    ball joint.
 
     Args:
         hard_points: {name: place [m]} of those that differ from the source; the names are those of
@@ -277,8 +279,8 @@ def macpherson(
 def five_link(
     hard_points: Points | None = None, *, stiffness=30e3, force=4000.0, radius=0.3
 ) -> Corner:
-    """A wheel on four links and a tie rod to a rack, with a spring on the upright. The links have
-    no mass; the upright turns about no fixed line, so that the steering axis of the curves is the
+    """Return a wheel on four links and a tie rod to a rack, with a spring on the upright. The links
+    have no mass. The upright turns about no fixed line: the steering axis of the curves is the
     screw axis of steering.
 
     Args:
@@ -314,8 +316,8 @@ def five_link(
 
 
 def _points(source: Points, given: Points | None, where: str) -> dict[str, Any]:
-    """All hard points: those of the source, and in their place those that are given, on one side of
-    the car."""
+    """Return the hard points of the source, replaced by those that are given, and check that they
+    are on one side of the car."""
     with Problems() as problems:
         points = points_of(source, given, f"{where}.hard_points", problems)
         if not problems.collected and is_concrete(points):
@@ -326,7 +328,7 @@ def _points(source: Points, given: Points | None, where: str) -> dict[str, Any]:
 def points_of(
     source: Points, given: Points | None, where: str, problems: Problems
 ) -> dict[str, Any]:
-    """The hard points of the source, and in their place those that are given. Errors: UNKNOWN_NAME,
+    """Return the hard points of the source, replaced by those that are given. Errors: UNKNOWN_NAME,
     BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT."""
     points: dict[str, Any] = {name: np.asarray(point) for name, point in source.items()}
     for name, point in (given or {}).items():
@@ -341,7 +343,7 @@ def points_of(
 
 
 def _check_axes(points: dict[str, Any], where: str, problems: Problems) -> None:
-    """Whether x is forward and z up by what the points are named, and lengths are in meters.
+    """Check by the names of the points that x is forward and z up, and that lengths are in meters.
     Problems: WRONG_SIDE, UNIT."""
     for axis, i, (ahead, behind) in (
         ("x forward", 0, ("front", "rear")),
@@ -378,7 +380,7 @@ def _check_axes(points: dict[str, Any], where: str, problems: Problems) -> None:
 
 
 def _check_side(points: dict[str, Any], given: Points, where: str, problems: Problems) -> None:
-    """Whether all points are on the side of the wheel. Problem: WRONG_SIDE."""
+    """Check that all points are on the side of the wheel. Problem: WRONG_SIDE."""
     side = "y > 0 on the left" if points["wheel center"][1] > 0 else "y < 0 on the right"
     wrong = [
         name
@@ -427,8 +429,8 @@ def _hinge(points: dict[str, Any], front: str, rear: str) -> Hinge:
 
 
 def wheel_of(points: Points, radius: Any, upper: Any = None, on: str = "upright") -> Wheel:
-    """The wheel on a body; `upper`: the upper point of its steering axis, whose lower one is the
-    lower outer point."""
+    """Return the wheel on a body of these hard points. `upper`: upper point of its steering axis,
+    whose lower point is the lower outer one; None: there is no such axis."""
     center = points["wheel center"]
     return Wheel(
         on,
@@ -444,7 +446,8 @@ def _tie_rod(points: dict[str, Any]) -> Rod:
 
 
 def spring_between(on: str, lower: Any, upper: Any, stiffness: Any, force: Any) -> Spring:
-    """The spring from a body up to the car, compressed by `force` in the design position."""
+    """Return the spring from a body up to the car, compressed by `force` [N] in the design
+    position."""
     xp: Any = np if is_concrete((upper, lower)) else jnp
     return Spring(
         (on, lower),
@@ -454,7 +457,7 @@ def spring_between(on: str, lower: Any, upper: Any, stiffness: Any, force: Any) 
     )
 
 
-# kg, kg m2, for what is not known; curves do not depend on them
+# kg, kg m2, assumed; curves do not depend on them
 AXLE, AXLE_INERTIA = 80.0, (18.0, 2.0, 18.0)
 
 SOLID_AXLE = {
@@ -496,9 +499,9 @@ class Axle(Suspension):
         return self.left, self.right
 
     def curves(self, left: Any, right: Any) -> SuspensionCurves:
-        """Curves of the left wheel over the rise of the centers of both [m], numbers or as many as
-        the other has; see `suspension_curves`. Derivatives "left" are those by this wheel alone,
-        with the other held; both together are the bounce of the axle.
+        """Compute curves of the left wheel over the rise of the centers of both [m], each one
+        number or as many as the other has; see `suspension_curves`. Derivatives "left" are those by
+        this wheel alone while the other is held; the sum of both is that by the bounce of the axle.
 
         >>> axle = jb.solid_axle()
         >>> camber = axle.curves([-0.03, 0.0, 0.03], [0.03, 0.0, -0.03])["camber"]  # doctest: +SKIP
@@ -520,8 +523,8 @@ def solid_axle(
     force=4000.0,
     radius=0.31,
 ) -> Axle:
-    """A solid axle on two lower links and an upper one, with a Panhard rod that holds it sideways,
-    and two springs. The links have no mass.
+    """Return a solid axle on two lower links and an upper one, with a Panhard rod that holds it
+    sideways, and two springs. The links have no mass.
 
     Args:
         hard_points: {name: place [m]} of those that differ; the names are those of `SOLID_AXLE`

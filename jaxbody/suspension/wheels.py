@@ -38,11 +38,12 @@ class Wheel(eqx.Module):
 
     Args:
         on: name of the body that carries it, the upright
-        center: the center of the wheel in its frame [m]
-        axis: the direction of its axis, outward, likewise: y on the left, [0, -1, 0] on the right
+        center: the center of the wheel in the frame of this body [m]
+        axis: the outward direction of its axis in this frame: y on the left, [0, -1, 0] on the
+            right
         radius: loaded radius, from the center to the contact [m]
-        kingpin: the lower and the upper point of the steering axis, likewise [m]; None: the screw
-            axis of steering, which the drive that steers moves
+        kingpin: the lower and the upper point of the steering axis in this frame [m]; None: the
+            screw axis of steering, which the drive that steers moves
 
     Errors: NOT_POSITIVE, ZERO_AXIS, BAD_DIRECTION, BAD_SHAPE, NON_FINITE.
 
@@ -72,17 +73,17 @@ class Wheel(eqx.Module):
             )
 
     def side(self, reference: Pose) -> Float[Array, ""]:
-        """s: 1 for a wheel on the left, -1 on the right, in the reference pose."""
+        """Return s: 1 for a wheel on the left, -1 on the right, in the reference pose."""
         return jnp.where(rotate(reference.R, self.axis)[1] < 0, -1.0, 1.0)
 
     def contact(self, pose: Pose) -> Float[Array, "3"]:
-        """C, the lowest point of the wheel."""
+        """Return C, the lowest point of the wheel."""
         a = rotate(pose.R, self.axis)
         down = a * a[2] - np.array([0.0, 0, 1])
         return pose.point(self.center) + self.radius * down / jnp.sqrt(dot(down, down))
 
     def alignment(self, pose: Pose, s: Float[Array, ""]) -> dict[str, Array]:
-        """Angles [rad] and places [m] that need no steering axis."""
+        """Return angles [rad] and places [m] that need no steering axis."""
         a, center, C = rotate(pose.R, self.axis), pose.point(self.center), self.contact(pose)
         return (
             {"camber": -jnp.arctan2(a[2], s * a[1]), "toe": jnp.arctan2(a[0], s * a[1])}
@@ -93,8 +94,8 @@ class Wheel(eqx.Module):
     def steering(
         self, pose: Pose, s: Float[Array, ""], point: Float[Array, "3"], u: Float[Array, "3"]
     ) -> dict[str, Array]:
-        """Angles [rad] and lengths [m] of the steering axis through a point along u, in
-        the world."""
+        """Return angles [rad] and lengths [m] of the steering axis through a point along u, in the
+        world."""
         u = u * jnp.where(u[2] < 0, -1.0, 1.0) / jnp.sqrt(dot(u, u))
         a, C = rotate(pose.R, self.axis), self.contact(pose)
         K = point + u * (C[2] - point[2]) / u[2]

@@ -4,7 +4,7 @@ from jaxbody.core.compilation.late_imports import late_names
 
 __getattr__, __dir__, __all__ = late_names(
     "jaxbody.suspension.presets",
-    {  # `__init__.pyi` says the same to editors and type checkers
+    {  # for editors and type checkers also in `__init__.pyi`
         "linkages": ("four_bar",),
         "presets": (
             "coupled_gliders",

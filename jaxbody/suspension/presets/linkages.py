@@ -26,9 +26,9 @@ def four_bar(
     stiffness=2.0,
     gravity=0.0,
 ) -> Model:
-    """A four-bar linkage in the plane of x and y: `crank` and `rocker` turn about hinges on the
-    world at x = 0 and x = `ground`, `coupler` about one at the end of the crank; the closure `pin`
-    joins its end to that of the rocker.
+    """Return a four-bar linkage in the plane of x and y: `crank` and `rocker` turn about hinges on
+    the world at x = 0 and x = `ground`, `coupler` about one at the end of the crank; the closure
+    `pin` joins its end to that of the rocker.
 
     Each bar has its O in its first hinge and its x along it. Three of the five conditions of the
     pin follow from the plane and are named as redundant. Without gravity the reference pose is
@@ -74,7 +74,7 @@ def four_bar(
     of_rocker = np.arctan2(pin[1], pin[0] - ground)
 
     def bar(length: float, start: tuple[float, float], turned: float) -> Body:
-        """A uniform one, at this angle from x."""
+        """Return a uniform bar from `start`, turned from x by this angle [rad]."""
         mass, half = density * length, turned / 2
         across, about = mass * length**2 / 12, mass * (SLENDER * length) ** 2 / 2
         return Body(

@@ -35,7 +35,7 @@ def quarter_car(
     tyre_damping=0.0,
     gravity=G,
 ) -> Model:
-    """A quarter of a car: `body` on `wheel` on the support `road`; body and wheel move along
+    """Return a quarter of a car: `body` on `wheel` on the support `road`; body and wheel move along
     vertical guides.
 
     Args:
@@ -92,8 +92,8 @@ def half_car(
     height=None,
     gravity=G,
 ) -> Model:
-    """Half a car, that is a car seen from the side: `body` heaves and pitches on two springs from
-    the supports `front` and `rear`.
+    """Return half a car, that is a car seen from the side: `body` heaves and pitches on two springs
+    from the supports `front` and `rear`.
 
     Args:
         mass: mass of the body [kg].
@@ -140,8 +140,8 @@ def half_car(
 
 
 def _pivot(attached: float, height: float | None):
-    """The position of O, the center of mass in body axes, and the height of the springs' upper ends
-    above O.
+    """Return the position of O, the center of mass in body axes, and the height of the springs'
+    upper ends above O.
 
     `attached` is the height of these ends above the road. With a `height` O lies on the road, and
     so do the lower ends of the springs: only the vertical parts of the spring forces then have a
@@ -168,7 +168,7 @@ def full_car(
     height=None,
     gravity=G,
 ) -> Model:
-    """A car with seven degrees of freedom: `car` heaves, pitches and rolls; its four wheels
+    """Return a car with seven degrees of freedom: `car` heaves, pitches and rolls; its four wheels
     move vertically.
 
     The wheels are `fl`, `fr`, `rl` and `rr`; under them are the supports `road fl` and so on. In
@@ -182,14 +182,11 @@ def full_car(
         stiffness, damping: stiffness and damping of the suspension at one wheel [N/m, N s/m].
         tyre: stiffnesses of one tyre [N/m].
         anti_roll: stiffnesses of the anti-roll bars [N/m at the wheels].
-        height: height of the car's center of mass above the
-            road [m]. The pitch and roll axes then lie on the
-            road, so that braking and cornering transfer load
-            between the wheels: braking at the deceleration a
-            adds m a height/2(front + rear) to each front
-            wheel. None puts the axes through the center of
-            mass, as in the source; braking and cornering
-            then have no effect.
+        height: height of the car's center of mass above the road [m]. The pitch and roll axes then
+            lie on the road, so that braking and cornering transfer load between the wheels: braking
+            at the deceleration a adds m a height/2(front + rear) to each front wheel. None puts the
+            axes through the center of mass, as in the source; braking and cornering then have no
+            effect.
         gravity: [m/s2], downward.
 
     Source: the seven-degree-of-freedom model of R. N. Jazar, Vehicle Dynamics, chapter 14. The
@@ -253,7 +250,7 @@ MOUNT_DAMPING = np.array([[910.0, 2000, 198], [1470, 610, 1400], [800, 1560, 150
 
 
 def full_car_on_double_wishbones(**numbers: Any) -> Model:
-    """The model of `jb.car_on_double_wishbones`, which takes the same numbers.
+    """Return the model of `jb.car_on_double_wishbones`, which takes the same numbers.
 
     >>> len(full_car_on_double_wishbones().layout.bodies)
     14
@@ -273,7 +270,7 @@ def engine_on_mounts(
     damping=MOUNT_DAMPING,
     gravity=0.0,
 ) -> Model:
-    """An engine on n mounts, bushings between the body `engine` and the support `frame`.
+    """Return an engine on n mounts, bushings between the body `engine` and the support `frame`.
 
     Args:
         mass, inertia: mass and inertia of the engine [kg, kg m2], the inertia about its center
@@ -312,8 +309,9 @@ HYDRAULIC = {
 def hydraulic_engine_mounts(
     *, mass=139.5, inertia=ENGINE, points=MOUNTS, hydraulic=None, gravity=0.0
 ) -> Model:
-    """An engine on a hydraulic mount and two rubber ones, between the body `engine` and the support
-    `frame`: `engine_on_mounts`, with the fluid of mount 1, along z, as a coordinate of its own.
+    """Return an engine on a hydraulic mount and two rubber ones, between the body `engine` and the
+    support `frame`: `engine_on_mounts` with the fluid of mount 1, along z, as an additional
+    coordinate.
 
     Args:
         mass, inertia: mass and inertia of the engine [kg, kg m2], the inertia about its center
@@ -348,7 +346,7 @@ def hydraulic_engine_mounts(
 
 
 def _corners(at: Any) -> list[tuple[Any, Any, Any]]:
-    """The points at (+-ax, +-ay, -az)."""
+    """Return the points at (+-ax, +-ay, -az)."""
     return [(x, y, -at[2]) for x in (at[0], -at[0]) for y in (at[1], -at[1])]
 
 
@@ -361,8 +359,8 @@ def isolated_table(
     at=(0.45, 0.3, 0.25),
     gravity=0.0,
 ) -> Model:
-    """A table with two planes of symmetry on four equal upright isolators at (+-ax, +-ay, -az) from
-    its center, on the support `floor`.
+    """Return a table with two planes of symmetry on four equal upright isolators at (+-ax, +-ay,
+    -az) from its center, on the support `floor`.
 
     Args:
         mass: mass of the table [kg].
@@ -401,8 +399,8 @@ def stewart_table(
     spread=15.0,
     gravity=G,
 ) -> Model:
-    """A Stewart platform whose six legs are springs: `table` on three V-shaped pairs of legs from
-    the support `base`.
+    """Return a Stewart platform whose six legs are springs: `table` on three V-shaped pairs of legs
+    from the support `base`.
 
     The free length of the legs is such that the reference pose is the equilibrium under the weight.
 
@@ -445,8 +443,8 @@ def stewart_table(
 def elastic_pendulum(
     *, mass=1.0, stiffness=4 * np.pi**2, free_length=0.75, damping=0.0, gravity=np.pi**2
 ) -> Model:
-    """A bob that hangs on a spring from the world, free to move but not to rotate; in equilibrium
-    the bob is at z = 0, below the pivot.
+    """Return a bob that hangs on a spring from the world, free to move but not to rotate; in
+    equilibrium the bob is at z = 0, below the pivot.
 
     Args:
         mass: mass of the bob [kg].
@@ -477,7 +475,7 @@ def elastic_pendulum(
 
 
 def double_pendulum(*, masses=(1.0, 1.0), lengths=(1.0, 1.0), gravity=G) -> Model:
-    """Two uniform rods, `upper` and `lower`, that swing in the x-z plane on hinges about y.
+    """Return two uniform rods, `upper` and `lower`, that swing in the x-z plane on hinges about y.
 
     Source: for example L. D. Landau, E. M. Lifshitz, Mechanics, section 5, with rods instead of
     point masses.
@@ -508,8 +506,8 @@ def double_pendulum(*, masses=(1.0, 1.0), lengths=(1.0, 1.0), gravity=G) -> Mode
 def coupled_gliders(
     *, masses=(0.3, 0.3), stiffness=(3.0, 3.0, 3.0), damping=(0.0, 0.0, 0.0), span=1.5, length=0.3
 ) -> Model:
-    """Two gliders, `one` and `two`, on an air track along x, coupled to each other and to the ends
-    of the track by springs.
+    """Return two gliders, `one` and `two`, on an air track along x, coupled to each other and to
+    the ends of the track by springs.
 
     The springs are `left`, `middle` and `right`.
 
@@ -555,8 +553,8 @@ def rubber_isolators(
     at=(0.3, 0.25, 0.1),
     gravity=0.0,
 ) -> Model:
-    """An `instrument` on four equal rubber isolators at (+-ax, +-ay, -az) from its center, on the
-    support `floor`. Each is in every direction a Prony series,
+    """Return an `instrument` on four equal rubber isolators at (+-ax, +-ay, -az) from its center,
+    on the support `floor`. In every direction, each is a Prony series,
 
         K(i w) = k (1 + sum g_j i w tau_j/(1 + i w tau_j)),
         F(t) = k e (1 + sum g_j exp(-t/tau_j)) after a step e
