@@ -33,7 +33,7 @@ NamedLimits = dict[str, tuple[float, float]]
 
 
 class OfQuantities(Result):
-    """The base class of results with a row for each of the `quantities`, which are named."""
+    """The base class of results that have one row for each of the named `quantities`."""
 
     quantities: tuple[str, ...] = eqx.field(static=True, kw_only=True)
 
@@ -70,7 +70,7 @@ class Program:
     shapes: Shapes = ()
 
     def __call__(self, u: DesignVector) -> tuple[np.ndarray, np.ndarray]:
-        """Values (m,) and their Jacobian (m, n)."""
+        """Return the values (m,) of all quantities at u and their Jacobian (m, n)."""
         self.count += 1
         values, slopes, self.shapes = values_and_slopes(
             self.space, self.evaluate, self.reverse, device_array(u), self.key
@@ -98,7 +98,7 @@ class Program:
         return Rows(int(np.argmax(owners == self.minimize)), rows.astype(int), lower, upper)
 
     def labels(self) -> list[str]:
-        """The name of every value."""
+        """Return the name of each value."""
         return labels_of(self.shapes)
 
     def quantities(self, values: np.ndarray) -> Quantities:
@@ -108,7 +108,8 @@ class Program:
 def search_by_workers(
     program: Program, searches: list[Search], workers: Any, **options: Any
 ) -> list[Search]:
-    """The searches after workers have run them; a lost one ends without finite values.
+    """Return the searches after workers have run them; a search that is lost ends without finite
+    values.
 
     options: method, iterations and tolerance, as in `run`."""
     evaluate, reverse, where = program.evaluate, program.reverse, "tune.workers"
@@ -150,8 +151,8 @@ def search_by_workers(
 
 
 class Flat:
-    """All quantities as one vector, a function of u, and their names and shapes, once it has
-    been evaluated."""
+    """All quantities as one vector, a function of u; their names and shapes are known after the
+    first evaluation."""
 
     def __init__(self, space: Space, evaluate: Evaluate, *more: Any):
         self.space, self.evaluate, self.more = space, evaluate, more
@@ -164,7 +165,8 @@ class Flat:
 
 
 def split(values: Float[Array, "*b m"], shapes: Shapes) -> Quantities:
-    """The quantities in one vector or in a batch of them."""
+    """Return the quantities {name: array} that are concatenated in a vector, or in a batch of
+    vectors."""
     ends = np.cumsum([math.prod(shape) for _, shape in shapes])[:-1]
     parts = module_of(values).split(values, ends, axis=-1)
     return {
@@ -174,7 +176,7 @@ def split(values: Float[Array, "*b m"], shapes: Shapes) -> Quantities:
 
 
 def variables_over(axes: tuple[str, ...], named: dict[str, Any]) -> dict[str, Any]:
-    """Variables of a dataset, the first axes of each with these names."""
+    """Return `named` arrays as variables of a dataset whose first dimensions are `axes`."""
     return {
         name: ((*axes, *(f"{name}_{i}" for i in range(np.ndim(x) - len(axes)))), x, "")
         for name, x in named.items()
@@ -182,7 +184,7 @@ def variables_over(axes: tuple[str, ...], named: dict[str, Any]) -> dict[str, An
 
 
 def labels_of(shapes: Shapes) -> list[str]:
-    """The name of each number of quantities: "frequency[0]"."""
+    """Return a label for each number of the quantities, such as "frequency[0]"."""
     return [name + index for name, shape in shapes for index in indices(shape)]
 
 
@@ -190,8 +192,8 @@ def labels_of(shapes: Shapes) -> list[str]:
 def values_and_slopes(
     space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "n"], key: Any
 ):
-    """Values, derivatives and shapes of all quantities; the choice of the objective and the limits
-    needs no new compilation.
+    """Return values, derivatives and shapes of all quantities. Another objective or other limits
+    need no new compilation.
 
     Args:
         space, evaluate, reverse, key: as in `Program`.
@@ -209,8 +211,8 @@ def values_and_slopes(
 def value_and_forward_slopes(
     function: Callable[[Array], Array], u: Float[Array, "n"]
 ) -> tuple[Float[Array, "m"], Float[Array, "m n"]]:
-    """The value and the Jacobian by one linearization, or direction by direction if the function
-    has loops of unknown length, such as simulations."""
+    """Return the value of a function at u and its Jacobian, by one linearization, or direction by
+    direction if the function has loops of unknown length, such as simulations."""
     function = needed(function, u)
     if u.size == 1:
         values, slopes = jax.jvp(function, (u,), (jnp.ones_like(u),))
@@ -230,7 +232,7 @@ def value_and_forward_slopes(
 
 
 def needed(function: Callable[[Array], Array], u: Float[Array, "n"]) -> Callable[[Array], Array]:
-    """The function without computations that its result does not need, because differentiating
+    """Return the function without operations that its result does not need, because differentiating
     these would take as long as compiling the rest."""
     if not REST_HAS_DERIVATIVES:
         return function
@@ -239,8 +241,8 @@ def needed(function: Callable[[Array], Array], u: Float[Array, "n"]) -> Callable
 
 
 def evaluated(evaluate: Evaluate, *given: Any) -> Quantities:
-    """The quantities {name: array} that `evaluate` returns while JAX traces it.
-    Error: BAD_OBJECTIVE."""
+    """Return the quantities {name: array} that `evaluate` returns while JAX traces it. Error:
+    BAD_OBJECTIVE."""
     hint = (
         "Return {name: number or array} or one number, computed with JAX: no float(), NumPy "
         "functions or `if` on numbers of the model."
@@ -307,7 +309,8 @@ def check_names(program: Program) -> None:
 
 
 def limits_of(limits: dict[str, Any]) -> NamedLimits:
-    """{name: (lower, upper)}."""
+    """Return the limits {name: (lower, upper)} with infinite ends in place of None. Error:
+    BAD_LIMITS."""
     if not isinstance(limits, dict):
         raise JaxbodyError(
             Problem(
@@ -347,8 +350,8 @@ def limits_of(limits: dict[str, Any]) -> NamedLimits:
 
 
 def not_finite(program: Program, searches: Sequence[Search]) -> JaxbodyError:
-    """Why no search could begin: values that are not finite at the first start, or derivatives
-    where there are finite values. Code: NONFINITE_START."""
+    """Return the error for searches none of which could begin: values that are not finite at the
+    first start, or derivatives that are not finite where values are. Code: NONFINITE_START."""
     labels, rows, first = program.labels(), program.rows, searches[0]
     if any(rows.finite(search.values) for search in searches):
         given = first.slopes

@@ -34,9 +34,10 @@ SAME, NOTABLE = 1e-6, 1e-3  # differences relative to the range of an objective
 
 
 class Front(Labeled, Result):
-    """`objectives` {name: (n,)} along the front, `values` {path: (n, ...)} and all `quantities`
-    {name: (n, ...)} of its designs, `slopes` (n, k - 1), the derivatives of the first objective
-    with respect to the others, `status` of each point, and `designs`, the results of `tune`.
+    """A Pareto front: `objectives` {name: (n,)} along the front, `values` {path: (n, ...)} and all
+    `quantities` {name: (n, ...)} of its designs, `slopes` (n, k - 1), the derivatives of the first
+    objective with respect to the others, `status` of each point, and `designs`, the results of
+    `tune`.
 
     >>> import inspect
     >>> inspect.signature(pareto).return_annotation  # pareto returns one
@@ -52,7 +53,7 @@ class Front(Labeled, Result):
     designs: tuple[Tuning, ...]
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset over `point`: every quantity, parameter and slope."""
+        """Return an xarray.Dataset over `point` with all quantities, parameters and slopes."""
         variables = {
             **self.values,
             **self.quantities,
@@ -90,14 +91,14 @@ def pareto(
     workers: Any = None,
     **options: Any,
 ) -> Front:
-    """The Pareto front of two or three objectives.
+    """Compute the Pareto front of two or three objectives.
 
     Args:
         model, evaluate, free, limits: as in `tune`.
         minimize: names of two or three objectives.
         points: number of designs on the front.
-        workers: as in `tune`, for the ends of the front if they have several `starts`. Points
-            between them start one from another, and are computed in this process.
+        workers: as in `tune`, for the ends of the front if they have several `starts`. Designs
+            between the ends start from their neighbors and are computed in this process.
         options: the other options of `tune`.
 
     For two objectives, the front runs from the design with the least second objective to that with
@@ -162,14 +163,14 @@ def _value(design: Tuning, name: str) -> float:
 
 
 def _slack(x: float) -> float:
-    """A bound slightly above a value, so that the design with this value is feasible in spite
-    of tolerances."""
+    """Return a bound slightly above a value, so that the design with this value is feasible in
+    spite of tolerances."""
     return x + MET * abs(x)
 
 
 def _along(names: list[str], ends: list[Tuning], least: Any, points: int) -> list[Tuning]:
-    """The front of two objectives from the end with the least second one, by tangent steps of
-    equal length."""
+    """Return designs along the front of two objectives, from the end with the least second
+    objective, by tangent steps of equal length."""
     one, other = names
     low, high = _value(ends[1], other), _value(ends[0], other)
     # the best of the designs with the least second objective
@@ -194,8 +195,8 @@ def _along(names: list[str], ends: list[Tuning], least: Any, points: int) -> lis
 
 
 def _over(names: list[str], ends: list[Tuning], least: Any, points: int) -> list[Tuning]:
-    """Fronts of the first and third objective for several bounds on the second, without
-    dominated designs."""
+    """Return the designs of fronts of the first and third objective for several bounds on the
+    second, without dominated or repeated designs."""
     one, second, third = names
     count = max(3, round(points**0.5))
     at = [_value(end, second) for end in ends]

@@ -22,18 +22,17 @@ def minimize_by_ipopt(
     tolerance: float,
 ) -> int:
     """Minimize f(u) within bounds on u and limits on c(u), with second derivatives by
-    limited-memory updates.
+    limited-memory updates, and return the number of iterations.
 
     Args:
         at: u -> f, its gradient, c and its Jacobian; it also keeps the best point.
-        u: the start.
-        bounds: least and largest u.
-        limits: least and largest c.
-        iterations: at most.
+        u: the initial guess.
+        bounds: lower and upper bounds on u.
+        limits: lower and upper limits of c.
+        iterations: largest number of iterations.
         tolerance: IPOPT's convergence tolerance.
 
-    Returns the number of iterations. Source: A. Waechter, L. Biegler, Mathematical Programming
-    106 (2006) 25."""
+    Source: A. Waechter, L. Biegler, Mathematical Programming 106 (2006) 25."""
     import casadi  # pyright: ignore
 
     n, m = len(u), len(limits[0])

@@ -47,7 +47,7 @@ LEAST_SHARE = 1e-6  # shares of energy below this are rounded off to avoid a kin
 
 
 def smooth_max(x: Any, width: Any) -> Float[Array, ""]:
-    """A smooth maximum, for example over load cases.
+    """Return a smooth maximum, for example over load cases.
 
         width log(sum of exp(x/width)),   above the largest by at most width log(n)
 
@@ -60,8 +60,8 @@ def smooth_max(x: Any, width: Any) -> Float[Array, ""]:
 
 
 def smooth_min(x: Any, width: Any) -> Float[Array, ""]:
-    """A smooth minimum, -smooth_max(-x): below the smallest number by at most width log(n). Errors:
-    BAD_WIDTH, NOT_A_NUMBER, NO_DATA.
+    """Return a smooth minimum, -smooth_max(-x), which is below the smallest number by at most width
+    log(n). Errors: BAD_WIDTH, NOT_A_NUMBER, NO_DATA.
 
     >>> round(float(smooth_min([1.0, 2.0, 3.0], 0.1)), 4)
     1.0
@@ -75,7 +75,7 @@ def _smooth_extreme(x: Float[Array, "*n"], width: Float[Array, ""], sign: int) -
 
 
 def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
-    """A smooth maximum of absolute values, for example of a force in an earthquake.
+    """Return a smooth maximum of absolute values, for example of a force in an earthquake.
 
         (sum of |x|^power)^(1/power),
         above the largest by at most the factor n^(1/power), n the number of values near it
@@ -102,11 +102,11 @@ def _peak(x: Inexact[Array, "*n"], power: float) -> Float[Array, ""]:
 
 
 def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
-    """The largest share of kinetic energy in one body and direction for each mode [%]; 100 for an
-    uncoupled mode.
+    """Return for each mode the largest share of kinetic energy in one body and direction [%]; it is
+    100 for an uncoupled mode.
 
-    Its derivatives jump where another share becomes the largest: minimize
-    `coupling_of_modes` instead.
+    The derivatives jump where another share becomes the largest: minimize `coupling_of_modes`
+    instead.
 
     >>> model = jb.presets.engine_on_mounts()
     >>> [round(float(x), 2) for x in dominant_shares(linearize(model, model.reference))]
@@ -121,8 +121,8 @@ def _dominant_shares(lin: Linearization) -> Float[Array, "n"]:
 
 
 def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
-    """Coupling of modes: zero if each mode moves one body in one direction only. Minimize it to
-    decouple modes.
+    """Return a measure of the coupling of modes: zero if each mode moves one body in one direction
+    only. Minimize it to decouple modes.
 
         sum over modes j of sum over i != k of |e_ij| |e_kj|,
         e_ij = v_i (M v)_i/(v' M v), shares of kinetic energy as in `mode_energies`
@@ -147,8 +147,8 @@ def _coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
 
 
 def torque_roll_coupling(lin: Linearization, body: str, torque: Any) -> Float[Array, ""]:
-    """How far a rotation about the torque roll axis is from being a mode; zero if it is one. The
-    square is smooth at zero.
+    """Return how far rotation about the torque roll axis is from being a mode; zero if it is one.
+    The value is a square, which is smooth at zero.
 
         |K r - w^2 M r|^2/(w^2 |M r|)^2 in the norm of M^-1,
         r the rotation about the torque roll axis, w^2 = r' K r/(r' M r)
@@ -165,8 +165,8 @@ def torque_roll_coupling(lin: Linearization, body: str, torque: Any) -> Float[Ar
 
 
 def band_intrusion(frequencies: Any, band: tuple[float, float]) -> Float[Array, ""]:
-    """A penalty on frequencies [Hz] in a band to be avoided, such as the firing frequency of an
-    idling engine.
+    """Return a penalty on frequencies [Hz] in a band to be avoided, such as the firing frequency of
+    an idling engine.
 
         sum of max(0, 1 - ((f - m)/h)^2)^2,   m the middle of the band, h half its width
 
@@ -200,8 +200,8 @@ def _band_intrusion(f: Float[Array, "*n"], band: Float[Array, "2"]) -> Float[Arr
 
 
 def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Array, ""]:
-    """The root mean square of a frequency response over the logarithm of frequency, in units of
-    output per input.
+    """Return the root mean square of a frequency response over the logarithm of frequency, in units
+    of output per input.
 
         sqrt(int |H|^2 d ln f/int d ln f)
 
@@ -238,8 +238,8 @@ def _transmitted(response: FrequencyResponse, output: str, name: str) -> Float[A
 
 
 def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
-    """The vibration total value [m/s2] of accelerations in a random response; a small value means
-    good comfort.
+    """Return the vibration total value [m/s2] of the accelerations in a random response; a small
+    value means good comfort.
 
         sqrt(sum of a_w^2),   a_w^2 = int |W|^2 S_a df
 
@@ -268,8 +268,8 @@ def _comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
 
 
 def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, ""]:
-    """The rms variation of tyre forces relative to their static loads; a small value means good
-    road holding.
+    """Return the rms variation of tyre forces relative to their static loads; a small value means
+    good road holding.
 
         sqrt(mean of (rms of F/load)^2);   a tyre may lift off if three times this value reaches 1
 
@@ -309,7 +309,8 @@ def _road_holding(ride: RandomResponse, forces: dict[str, Array]) -> Float[Array
 
 
 def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Array, ""]:
-    """The stroke [m] of an element, |static| + 3 rms, which is exceeded only 0.3 % of the time.
+    """Return the stroke [m] of an element, |static| + 3 rms, which is exceeded only 0.3 % of the
+    time.
 
     output: the deformation of the element in a random response; static: its static deformation [m].
     Error: UNKNOWN_NAME.

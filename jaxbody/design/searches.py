@@ -46,25 +46,25 @@ class Rows:
         return np.array(list(dict.fromkeys([self.objective, *self.limited])), int)
 
     def finite(self, *arrays: np.ndarray) -> bool:
-        """Whether all numbers of these rows are finite."""
+        """Return whether all numbers of the requested rows are finite."""
         return all(np.isfinite(x[self.requested]).all() for x in arrays)
 
     def scale(self, values: np.ndarray) -> np.ndarray:
-        """The size of each limit; for a limit of zero, the size of the limited quantity."""
+        """Return the size of each limit; for a limit of zero, the size of the limited quantity."""
         size = np.maximum(
             *(np.where(np.isfinite(end), np.abs(end), 0.0) for end in (self.lower, self.upper))
         )
         return np.where(size > 0, size, np.maximum(np.abs(values[self.limited]), 1e-12))
 
     def violation(self, values: np.ndarray, scale: np.ndarray) -> Any:
-        """The largest scaled violation."""
+        """Return the largest scaled violation of the limits."""
         c = values[..., self.limited]
         return np.max(np.maximum(self.lower - c, c - self.upper) / scale, axis=-1, initial=0.0)
 
 
 def one_thread() -> threadpool_limits:
-    """A context in which BLAS has one thread, because several would only wait for each other with
-    these small matrices."""
+    """Return a context in which BLAS has one thread, because several threads would only wait for
+    each other with these small matrices."""
     import scipy.optimize  # noqa: F401  # libraries loaded later would not be limited
 
     return threadpool_limits(1, "blas")
@@ -107,7 +107,8 @@ class Search:
 
     @property
     def own_violation(self) -> float:
-        """The same, scaled by the sizes of the limited quantities there."""
+        """The largest violation at the best u, scaled by the sizes of the limited quantities
+        there."""
         return float(self.rows.violation(self.values, self.rows.scale(self.values)))
 
     @property
@@ -116,8 +117,8 @@ class Search:
         return self.rows.lower / self.scale, self.rows.upper / self.scale
 
     def note(self, u: DesignVector, values: np.ndarray, slopes: np.ndarray) -> None:
-        """Add to the history, and keep u if it is better than the best so far: smaller violation
-        or, if both are feasible, lower objective."""
+        """Add an evaluation to the history, and keep u if it is better than the best so far:
+        smaller violation or, if both are feasible, lower objective."""
         f = float(values[self.rows.objective])
         violation, before = float(self.rows.violation(values, self.scale)), self.violation
         self.history.append((f, violation))
@@ -138,7 +139,8 @@ class ScaledProblem:
         search.scale = search.rows.scale(values)
 
     def _evaluated(self, u: DesignVector) -> tuple[np.ndarray, np.ndarray]:
-        """Values and derivatives; where derivatives do not exist, those of a point nearby."""
+        """Return values and derivatives at u; where derivatives do not exist, those of a nearby
+        point."""
         search = self.search
         search.evaluations += 1
         values, slopes = self.evaluate(u)
@@ -150,8 +152,8 @@ class ScaledProblem:
         return values, slopes
 
     def at(self, u: DesignVector) -> tuple[float, DesignVector, np.ndarray, np.ndarray]:
-        """f, its gradient, the limited c and their Jacobian, scaled. A trial that is not finite
-        gets the last finite values plus a penalty."""
+        """Return f, its gradient, the limited quantities c and their Jacobian, all scaled. A trial
+        that is not finite gets the last finite values plus a penalty."""
         if self.last[0] == u.tobytes():
             return self.last[1]
         search, rows, penalty = self.search, self.search.rows, 0.0
@@ -176,8 +178,8 @@ class ScaledProblem:
 def run(
     search: Search, evaluate: ValuesAndSlopes, method: str, iterations: int, tolerance: float
 ) -> None:
-    """The method, restarted while it improves; if limits are violated, the violation is
-    minimized first."""
+    """Run the optimizer, restarted while it improves; if limits are violated, minimize the
+    violation first."""
     at = ScaledProblem(search, evaluate).at
     free = (search.low < search.high).any()  # otherwise all parameters come from catalogues
     for attempt in range(MOST_RESTARTS if search.finite and free else 0):
@@ -246,7 +248,7 @@ def _minimize(search: Search, at: At, method: str, iterations: int, tolerance: f
 
 
 def _restored(search: Search, at: At, iterations: int) -> bool:
-    """Minimize the sum of squared violations; returns whether the limits can be met."""
+    """Minimize the sum of squared violations and return whether the limits can be met."""
     import scipy.optimize
 
     lower, upper = search.limits
@@ -273,7 +275,8 @@ def _restored(search: Search, at: At, iterations: int) -> bool:
 def run_in_worker(
     program: ChunkProgram, shared: Sequence[Any], searches: Sequence[Any], **options: Any
 ) -> dict[str, Any]:
-    """Run the search of a chunk, by values and slopes from a program; as a result it goes back."""
+    """Run the only search of a chunk in a worker, with values and slopes from a compiled program,
+    and return {"search": the search}."""
     (search,) = searches
 
     def evaluate(u):
@@ -296,8 +299,8 @@ class Multipliers:
 
 
 def multipliers(search: Search) -> Multipliers:
-    """grad f = sum of lambda grad c over the active limits and bounds, lambda with the sign of
-    their side, by least squares."""
+    """Return the multipliers lambda by least squares: grad f = sum of lambda grad c over the active
+    limits and bounds, each lambda with the sign of its side."""
     import scipy.optimize
 
     rows, values, slopes, u = search.rows, search.values, search.slopes, search.u

@@ -81,7 +81,8 @@ def sensitivities(
     change: float = 0.1,
     progress: bool | None = None,
 ) -> Sensitivities:
-    """How quantities depend on parameters, changed one at a time from their values in the model.
+    """Compute how quantities depend on parameters, which are changed one at a time from their
+    values in the model.
 
         d q/d x exactly;   q(x (1 - change)),   q(x (1 + change))
 

@@ -57,7 +57,7 @@ def sweep(
     chunks: Iterable[int] | None = None,
     progress: bool | None = None,
 ) -> Any:
-    """Quantities of a model for many values of its parameters, as an xarray.Dataset.
+    """Compute quantities of a model for many values of its parameters, as an xarray.Dataset.
 
     Args:
         model: the model.
@@ -69,10 +69,10 @@ def sweep(
         sampler: how scipy.stats.qmc spreads the samples: "sobol" (best with a power of two) or
             "latin" (hypercube).
         key: scrambles the samples; None takes jax.random.key(0).
-        chunk: number of models evaluated at a time, and with `workers` or `out` sent and stored
-            at a time; None takes up to 1024 that fit in 1 GiB, and sends as many as take about
-            two seconds.
-        workers: None computes in this process, on all of its devices; a number starts so many
+        chunk: number of models evaluated at a time, and with `workers` or `out` sent and stored at
+            a time; None takes up to 1024 that fit in 1 GiB, and sends as many as take about two
+            seconds.
+        workers: None computes in this process, on all of its devices; a number starts that many
             processes of one thread each (needs jaxbody[cluster]); or an executor of processes, such
             as Dask's `client.get_executor(pure=False)`. The numbers are the same.
         out: path of a Zarr store (needs jaxbody[cluster]), to which each chunk is written when it
@@ -83,9 +83,9 @@ def sweep(
         progress: None shows progress after five seconds on a terminal or in a notebook, False is
             silent, True prints to stderr at once.
 
-    What a worker that ends was computing is computed again. A chunk that fails three times has NaN
-    and status LOST: with `workers` or `out` there is a variable `status`, INTERRUPTED where nothing
-    is computed yet. Ctrl-C returns what is done.
+    Chunks of a worker that ends are computed again. A chunk that fails three times has NaN and
+    status LOST: with `workers` or `out` there is a variable `status`, INTERRUPTED where nothing is
+    computed yet. Ctrl-C returns what is done.
 
     Errors: those of `replace`, NON_FINITE, WRONG_KIND for a key, EMPTY_SWEEP, BAD_RANGE,
     BAD_SAMPLER, BAD_CHUNK, MISSING_EXTRA, BAD_WORKERS, NOT_SENT, OTHER_WORKER, OTHER_STORE,
@@ -214,14 +214,14 @@ def sweep(
 
 
 def _check(model: Model, columns: dict[str, np.ndarray]) -> None:
-    """Errors of `replace`: if the smallest and the largest values are valid, so are
-    those between."""
+    """Check the smallest and the largest values of all paths, between which all others are valid
+    too. Errors: those of `replace`."""
     for which in (np.argmin, np.argmax):
         replace(model, {path: _end(values, which) for path, values in columns.items()})
 
 
 def _end(values: np.ndarray, which: Any) -> np.ndarray | float:
-    """The value that contains the smallest or the largest number."""
+    """Return the entry of `values` that contains the smallest or the largest number."""
     return values[np.unravel_index(which(values), values.shape)[0]]
 
 
@@ -229,7 +229,8 @@ PointsOf = Callable[[int, int], list[np.ndarray]]
 
 
 def _grid(columns: dict[str, np.ndarray]) -> tuple[PointsOf, int]:
-    """The points of a grid, the last axis varying fastest, and their number."""
+    """Return a function of (first, last) for the points of a grid, whose last axis varies fastest,
+    and the number of points."""
     shape = tuple(len(values) for values in columns.values())
 
     def rows(first: int, last: int) -> list[np.ndarray]:
@@ -243,7 +244,8 @@ def _grid(columns: dict[str, np.ndarray]) -> tuple[PointsOf, int]:
 
 
 def _samples(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> PointsOf:
-    """Samples between the ends of ranges."""
+    """Return a function of (first, last) for samples between the ends of ranges. Error:
+    BAD_RANGE."""
     import scipy.stats.qmc as qmc  # slow to import
 
     with Problems() as problems:
@@ -276,7 +278,7 @@ def _samples(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> Po
 
 
 def _sequence(draw: Any, first: int, last: int) -> np.ndarray:
-    """Part of a Sobol sequence."""
+    """Return points `first` to `last` of a Sobol sequence."""
     if draw.num_generated > first:
         draw.reset()
     if draw.num_generated < first:
@@ -287,7 +289,8 @@ def _sequence(draw: Any, first: int, last: int) -> np.ndarray:
 
 
 def _extremes(columns: dict[str, Any], rows: PointsOf, count: int) -> dict[str, np.ndarray]:
-    """Values of each path among which are the smallest and the largest."""
+    """Return some values of each path, with the smallest and the largest number of all samples
+    among them."""
     extremes = []
     for first in range(0, count, MANY):
         values = rows(first, min(first + MANY, count))
@@ -296,7 +299,7 @@ def _extremes(columns: dict[str, Any], rows: PointsOf, count: int) -> dict[str, 
 
 
 def _quantities_of(evaluate: Evaluate, paths: list[str]) -> Callable[..., Any]:
-    """(model, values of the paths for several models) -> their quantities."""
+    """Return the function (model, values of the paths for several models) -> their quantities."""
 
     def of_one(model, *values):
         return evaluated(evaluate, replace(model, dict(zip(paths, values, strict=True))))
@@ -305,7 +308,7 @@ def _quantities_of(evaluate: Evaluate, paths: list[str]) -> Callable[..., Any]:
 
 
 def sweep_dataset(columns: dict[str, Any], quantities: dict[str, Any], *, on_grid: bool) -> Any:
-    """The dataset of a sweep: each quantity over the axes of the grid, or over `sample`."""
+    """Return the dataset of a sweep: each quantity over the axes of the grid, or over `sample`."""
     axes = tuple(columns) if on_grid else ("sample",)
     lengths = tuple(map(len, columns.values()))[: len(axes)]
     variables = variables_over(

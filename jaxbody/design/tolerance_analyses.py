@@ -131,7 +131,7 @@ def tolerances(
     chunks: Iterable[int] | None = None,
     progress: bool | None = None,
 ) -> Tolerances:
-    """The scatter of quantities due to independent, normal scatter of parameters.
+    """Compute the scatter of quantities due to independent, normal scatter of parameters.
 
     Args:
         model, evaluate: as in `tune`.
@@ -235,8 +235,8 @@ def tolerances(
 
 
 def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Evaluate:
-    """Quantities for a design that allows for tolerances: tune(model, robust(evaluate,
-    scatter), ...).
+    """Return a function of quantities for a design that allows for tolerances: tune(model,
+    robust(evaluate, scatter), ...).
 
         "name high", "name low" = mean + k sigma, mean - k sigma,
         both to second order, k = `sigmas`;
@@ -270,8 +270,8 @@ def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Eval
 
 
 def scattering(model: Model, scatter: Scatter, where: str) -> Space:
-    """The space of the parameters that scatter, as functions x + s xi of standardized
-    deviations xi."""
+    """Return the space of the parameters that scatter, as functions x + s xi of standardized
+    deviations xi. Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER."""
     parameters, arrays = [], jax.tree.leaves(model)
     with Problems() as problems:
         scatter = checked_dict(scatter, where, "path: standard deviation", problems)
@@ -311,7 +311,7 @@ def scattering(model: Model, scatter: Scatter, where: str) -> Space:
 
 
 def _expanded(flat: Flat) -> tuple[Array, Array, Array]:
-    """f, its Jacobian and its second derivatives at zero."""
+    """Return f, its Jacobian and its second derivatives at zero."""
     size = flat.space.size
 
     def first(xi):
@@ -324,7 +324,7 @@ def _expanded(flat: Flat) -> tuple[Array, Array, Array]:
 
 
 def _moments(f, J, H) -> tuple[Array, Array]:
-    """Mean and standard deviation to second order."""
+    """Return mean and standard deviation to second order."""
     variance = jnp.sum(J**2, 1) + jnp.sum(H**2, (1, 2)) / 2
     some = variance > 0
     return f + jnp.trace(H, axis1=1, axis2=2) / 2, jnp.where(
@@ -334,7 +334,7 @@ def _moments(f, J, H) -> tuple[Array, Array]:
 
 @program_with(OPTIMIZED)
 def _to_second_order(space: Space, evaluate: Evaluate):
-    """The moments and shares, and the names of the quantities."""
+    """Return the moments and shares, and the names of the quantities."""
     flat = Flat(space, evaluate)
     f, J, H = _expanded(flat)
     variance = jnp.sum(J**2, 1)

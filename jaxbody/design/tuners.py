@@ -65,7 +65,7 @@ def tune(
     workers: Any = None,
     progress: bool | None = None,
 ) -> Tuning:
-    """The design with the smallest objective within limits, by exact gradients.
+    """Find the design with the smallest objective within limits, by exact gradients.
 
     Args:
         model: the initial design; a `Suspension` has its hard points as parameters by their names,
@@ -189,7 +189,8 @@ def tune(
 def _catalogs(
     space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np.ndarray
 ) -> dict[int, np.ndarray]:
-    """The available values {group: u}; the bounds `low` and `high` are narrowed to them."""
+    """Return the available values {index of the parameter: its u}, and narrow the bounds `low` and
+    `high` to them. Error: BAD_CATALOGUE."""
     catalogs = {}
     with Problems() as problems:
         owner = {
@@ -237,7 +238,7 @@ def _catalogs(
 
 
 def _values(given: Any, where: str) -> np.ndarray:
-    """Available values, sorted."""
+    """Return available values, sorted."""
     values = float_array(list(given) if isinstance(given, Iterable) else given, where)
     return np.sort(values) if values.ndim == 1 else values  # pyright: ignore
 
@@ -266,8 +267,8 @@ def _check_options(method: Any, limits: dict[str, Any], catalogs: dict[int, Any]
 
 
 def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> list[Search]:
-    """Starts at all combinations of neighbors in the catalogues; of more than MOST_NEIGHBORS
-    parameters, only those between two values that are about equally near try both."""
+    """Return searches from all combinations of neighboring values in the catalogues. Of more than
+    MOST_NEIGHBORS parameters, only those with two values at about the same distance try both."""
     places = [space.parts[i][1].start for i in catalogs]
     pairs = [
         _neighbors_of(catalog, best.u[at])
@@ -289,7 +290,7 @@ def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> l
 
 
 def _neighbors_of(catalog: np.ndarray, u) -> np.ndarray:
-    """The catalogue values next to u, one below and one above, with the nearer one first."""
+    """Return the catalogue values next to u, one below and one above, the nearer one first."""
     above = int(np.searchsorted(catalog, u))
     pair = catalog[max(above - 1, 0) : above + 1]
     return pair[np.argsort(np.abs(pair - u), kind="stable")]
@@ -298,7 +299,7 @@ def _neighbors_of(catalog: np.ndarray, u) -> np.ndarray:
 def _run_all(
     program: Program, searches: list[Search], workers: Any, **options: Any
 ) -> list[Search]:
-    """The searches after they have been run, one after the other or by workers."""
+    """Run searches, one after the other or by workers, and return them."""
     if workers is not None and len(searches) > 1:
         return search_by_workers(program, searches, workers, **options)
     for number, search in enumerate(searches, 1):
@@ -314,8 +315,8 @@ def _run_optax(
     steps: int,
     key: Any,
 ) -> None:
-    """Run an optax optimizer from all starts in one program; u is clipped to the bounds after
-    each step."""
+    """Run an optax optimizer from all starts in one program; u is clipped to the bounds after each
+    step."""
     ends, history = _descend(
         program.space,
         program.evaluate,
@@ -375,8 +376,8 @@ def _descend(
 
 
 def _best(searches: list[Search]) -> Search:
-    """The feasible search with the lowest objective, otherwise the one with the
-    smallest violation."""
+    """Return the feasible search with the lowest objective, otherwise the one with the smallest
+    violation."""
 
     def rank(search: Search):
         if not search.finite:

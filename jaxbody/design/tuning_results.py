@@ -38,7 +38,7 @@ SUDDEN = 0.1  # smallest ratio of a jump to the derivative
 
 
 def discontinuous(g: np.ndarray) -> np.ndarray:
-    """Whether a derivative jumps between the four points along the first axis."""
+    """Return whether a derivative jumps between the four points, which are along the first axis."""
     return np.isfinite(g).all(0) & (
         np.abs((g[2] - g[1]) - (g[3] - g[2]) - (g[1] - g[0])) > SUDDEN * np.abs(g).max(0)
     )
@@ -47,7 +47,7 @@ def discontinuous(g: np.ndarray) -> np.ndarray:
 def jumping(
     slopes_at: Callable[[np.ndarray], np.ndarray], u: np.ndarray, along: np.ndarray
 ) -> np.ndarray:
-    """Which rows of slopes_at (n,) -> (m, n) jump near u along a direction."""
+    """Return which rows of the derivatives slopes_at(u) (m, n) jump near u along a direction."""
     size = np.linalg.norm(along)
     if not size:
         return np.zeros(0, bool)
@@ -58,8 +58,8 @@ def jumping(
 
 
 def at_kinks(model: Model) -> list[str]:
-    """The elements whose stiffness V''(e), or its derivative, jumps at the equilibrium, such as a
-    stop that just touches."""
+    """Return the names of the elements whose stiffness V''(e), or its derivative, jumps at the
+    equilibrium, such as a stop that just touches."""
     status, slopes = _near_rest(model)
     if int(status) not in (Status.OK, Status.UNSTABLE, Status.SINGULAR_K):
         return []
@@ -72,7 +72,8 @@ def at_kinks(model: Model) -> list[str]:
 
 @program
 def _near_rest(model: Model):
-    """Status of the equilibrium, and V'' and V''' near it for elements with one deformation."""
+    """Return the status of the equilibrium, and V'' and V''' near it for elements with one
+    deformation."""
     eq = equilibrium_of(model, None, 200, None)
     steps = CLOSE * size_of(model) * OFFSETS
 
@@ -103,13 +104,13 @@ class Runs(eqx.Module):
 
 
 class Tuning(Labeled, Result):
-    """A tuned design: `model`, the `suspension` that it is of if one was tuned, `values` {path:
-    value}, quantities `before` and `after` {name: value}, `active` constraints as text,
-    `multipliers` {limited quantity or parameter at its bound: shadow price, d objective/d limit},
-    `words`, the effect of one percent more of each limit, `history` (evaluations, 2) of the
-    objective and the violation of limits, `evaluations`, all starts in `runs`, `places` {parameter:
-    "at its bound", "from its catalogue" or "unbounded"}. `status` INFEASIBLE if limits are
-    violated, listed in `unmet`, or NOT_CONVERGED, with a `remedy`.
+    """A tuned design. `model`, and `suspension` if one was tuned; `values` {path: value};
+    quantities `before` and `after` {name: value}; `active` constraints as text; `multipliers`
+    {limited quantity or parameter at its bound: shadow price, d objective/d limit}; `words`, the
+    effect of one percent more of each limit; `history` (evaluations, 2) of the objective and the
+    violation of limits; `evaluations`; all starts in `runs`; `places` {parameter: "at its bound",
+    "from its catalogue" or "unbounded"}. `status` is INFEASIBLE if limits are violated, listed in
+    `unmet`, or NOT_CONVERGED, with a `remedy`.
 
     >>> import inspect
     >>> inspect.signature(tune).return_annotation  # tune returns one
@@ -150,8 +151,8 @@ class Tuning(Labeled, Result):
         return ""
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset over `start`: objective, violation, status, and every quantity
-        and parameter."""
+        """Return an xarray.Dataset over `start` with objective, violation, status, and all
+        quantities and parameters."""
         runs = self.runs
         variables = {
             **runs.values,
@@ -203,7 +204,7 @@ class Tuning(Labeled, Result):
 
 
 def _each(path: str, label: str, before: Any, after: Any) -> list[tuple[str, str, float, float]]:
-    """A row for each number of a scalar or an array."""
+    """Return (path, label, before, after) for each number of a scalar or an array."""
     before, after = np.asarray(before), np.asarray(after)
     after = np.where(np.abs(after) < DUST * np.abs(before), 0.0, after)
     return [
@@ -228,8 +229,8 @@ def _limit(limit: tuple[float, float] | None) -> str:
 
 
 def _places(space: Space, search: Search) -> dict[str, str]:
-    """Parameters at a bound, from a catalogue, or unbounded; a number of a row in order, "[2]", at
-    the number before."""
+    """Return {parameter: "at its bound", "from its catalogue" or "unbounded"} for the parameters to
+    which one of these applies. The step "x[2] - [1]" of an increasing row is named "x[2]"."""
     at = np.minimum(np.abs(search.u - search.low), np.abs(search.u - search.high)) <= ACTIVE
     positive = np.concatenate(
         [
@@ -255,8 +256,8 @@ def _places(space: Space, search: Search) -> dict[str, str]:
 
 
 def _status_and_multipliers(search: Search, space: Space) -> tuple[int, Multipliers | None]:
-    """The status of a search and its multipliers, by the conditions of optimality rather than the
-    optimizer's own report."""
+    """Return the status of a search and its multipliers, by the conditions of optimality rather
+    than the optimizer's own report."""
     if not search.finite:
         return Status.NONFINITE.value, None
     lambdas = multipliers(search)
@@ -267,8 +268,8 @@ def _status_and_multipliers(search: Search, space: Space) -> tuple[int, Multipli
 
 
 def _remedy(program: Program, best: Search, iterations: int, model: Model) -> str:
-    """Advice for a search that has not converged: more iterations if it has used them all; or
-    bounds, if a derivative jumps at its end."""
+    """Return advice for a search that has not converged: bounds if a derivative jumps at its end,
+    more iterations if it has used all, otherwise more starts or another method."""
     rows, labels = program.rows, program.labels()
     along = np.where(best.low < best.high, best.slopes[rows.objective], 0.0)
     jumps = jumping(
@@ -302,7 +303,7 @@ def _remedy(program: Program, best: Search, iterations: int, model: Model) -> st
 def tuning_of(
     program: Program, searches: list[Search], best: Search, before: np.ndarray, iterations: int
 ) -> Tuning:
-    """The result of searches from all starts.
+    """Return the result of the searches from all starts.
 
     Args:
         program: the quantities and their derivatives.
@@ -356,7 +357,7 @@ def tuning_of(
 
 @program
 def placed(space: Space, u: Float[Array, "n"], U: Float[Array, "b n"]):
-    """The design at u and its parameters, and those at each of U."""
+    """Return the design at u and its parameter values, and the parameter values at each of U."""
     return space.designed(u)[0], space.values(u), jax.vmap(space.values)(U)
 
 
@@ -373,7 +374,7 @@ class ActiveConstraint:
         return f"{self.name} {self.sign} {self.at:.6g}"
 
     def effect(self, objective: str, f: float) -> str:
-        """The effect of one percent more of the limit, as text."""
+        """Return the effect of one percent more of the limit, as text."""
         if not self.at or not f:
             return f"{self}: one unit more changes {objective} by {self.price:.3g}"
         return (
@@ -411,7 +412,7 @@ def _active_constraints(
 
 
 def _unmet(program: Program, values: np.ndarray) -> tuple[str, ...]:
-    """Violated limits, and by how much."""
+    """Return which limits are violated and by how much, as text."""
     rows, labels, messages = program.rows, program.labels(), []
     for row, lower, upper, scale in zip(
         rows.limited, rows.lower, rows.upper, rows.scale(values), strict=True
