@@ -1,5 +1,5 @@
-"""How laws, elements, bodies and others that consist of numbers print: the class, and each field
-with its numbers and unit."""
+"""Printed form of laws, elements, bodies and other objects that consist of numbers: the class, and
+each field with its numbers and unit."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """MATLAB files of versions 5 to 7: the tags of all elements are checked before SciPy reads the
-file, because SciPy's C code trusts them.
+file, because SciPy's C code does not.
 
 An element is a tag (type, bytes) and its data, padded to 8 bytes; data of up to 4 bytes are in the
 tag itself. A matrix holds elements: flags, dimensions, name, then its numbers, or for a struct the

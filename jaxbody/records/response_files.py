@@ -1,5 +1,5 @@
-"""Measured frequency responses from universal files (sets 58), in SI units, as MeasuredResponse
-takes them."""
+"""Measured frequency responses from universal files (sets 58), in SI units, in the form
+for MeasuredResponse."""
 
 from __future__ import annotations
 
