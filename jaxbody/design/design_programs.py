@@ -65,8 +65,8 @@ class Program:
     key: Any = None
     progress: bool | None = False
     line: Callable[[str], None] = lambda words: None
-    count: int = 0  # of evaluations
-    place: str = ""  # which start, in progress lines
+    count: int = 0  # number of evaluations
+    place: str = ""  # prefix of progress lines, with the number of the start
     shapes: Shapes = ()
 
     def __call__(self, u: DesignVector) -> tuple[np.ndarray, np.ndarray]:

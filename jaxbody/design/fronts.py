@@ -144,7 +144,7 @@ def pareto(
             lower, upper = both.get(other, (None, None))
             both[other] = (lower, bound if upper is None else min(bound, upper))
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the front has the status of each
+            warnings.simplefilter("ignore")  # the front reports the status of each
             given: Any = options | (dict(workers=workers) if start is model else dict(starts=1))
             return tune(start, evaluate, minimize=name, free=free, limits=both, **given)
 
@@ -211,7 +211,7 @@ def _over(names: list[str], ends: list[Tuning], least: Any, points: int) -> list
     designs = [design for design in designs if design.ok]
     values = np.array([[_value(design, name) for name in names] for design in designs])
     size = np.ptp(values, axis=0)
-    # of the second design of each pair over the first
+    # gain[i, j]: improvement of design j over design i
     gain = (values[:, None] - values[None]) / np.where(size > 0, size, 1.0)
     dominated = np.all(gain >= -SAME, -1) & np.any(gain > NOTABLE, -1)
     repeated = np.any(np.triu(np.all(np.abs(gain) < NOTABLE, -1), 1), 0)

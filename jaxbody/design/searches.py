@@ -83,7 +83,7 @@ class Search:
     high: DesignVector
     rows: Rows
     finite: bool = False
-    size: float = 1.0  # of the objective
+    size: float = 1.0  # of the objective at the start
     history: list[tuple[float, float]] = field(default_factory=list)
     iterations: int = 0
     evaluations: int = 0

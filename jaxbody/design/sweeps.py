@@ -39,7 +39,7 @@ from jaxbody.model.preconditions import check_precision
 
 LARGEST_CHUNK = 1024
 MEMORY = 2**30  # bytes of temporary memory that a chunk may take
-MANY = 2**16  # samples that are looked at together
+MANY = 2**16  # samples checked at a time
 SAMPLERS = {"sobol": "Sobol", "latin": "LatinHypercube"}  # in scipy.stats.qmc
 
 
@@ -153,7 +153,7 @@ def sweep(
     except JaxbodyError:
         if samples is None:
             raise
-        # of a range that begins at zero, samples may be valid although its end is not
+        # a range that begins at zero may have valid samples although its end is invalid
         _check(model, _extremes(columns, rows, count))
     points: Any = dict(
         function=_quantities_of(evaluate, list(columns)),
@@ -262,7 +262,7 @@ def _samples(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> Po
     sizes = [int(np.prod(values.shape[1:])) for values in ranges.values()]
     seed = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
     draw = getattr(qmc, SAMPLERS[sampler])(d=sum(sizes), seed=seed)
-    whole = draw.random(samples) if sampler == "latin" else None  # which has no sequence
+    whole = draw.random(samples) if sampler == "latin" else None  # it cannot be drawn in parts
 
     def rows(first: int, last: int) -> list[np.ndarray]:
         unit = _sequence(draw, first, last) if whole is None else whole[first:last]
@@ -284,7 +284,9 @@ def _sequence(draw: Any, first: int, last: int) -> np.ndarray:
     if draw.num_generated < first:
         draw.fast_forward(first - draw.num_generated)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # that a number is no power of two
+        warnings.simplefilter(
+            "ignore", UserWarning
+        )  # SciPy warns unless the number is a power of two
         return draw.random(last - first)
 
 

@@ -13,9 +13,9 @@ from jaxbody.core import tables
 from jaxbody.core.jax_internals import Tracer
 from jaxbody.geometry.fields import kind_of, units_of, words_for
 
-MOST_NUMBERS = 7  # of a row that are printed; of a longer one, its range
-# text of another object, such as a network, that is printed; of a longer one, how many numbers
-# it has
+MOST_NUMBERS = 7  # printed in a row; a longer one prints its range
+# printed text of another object, such as a network; a longer one is replaced by its number
+# of numbers
 LONGEST = 80
 MATRICES = ("definite", "symmetric", "inertia")
 

@@ -30,7 +30,7 @@ DOMAINS = (
     "configuration",
     "speeds",
 )
-# in words, and the default code of the error; "symmetric" is "definite" without a condition
+# as text, with the default code of the error; "symmetric" is "definite" without a condition
 # on signs
 LIMITS = {
     "nonnegative": (">= 0", "NEGATIVE"),

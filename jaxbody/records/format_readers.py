@@ -49,7 +49,7 @@ from jaxbody.records.text_tables import Column, Contents, read_text, split_unit
 from jaxbody.records.universal_files import read_uff
 
 MOST_INFLATED = 1032  # zlib's largest ratio of decompressed to compressed size
-# of MDF groups that are not over time: numbers of samples; angle, distance
+# masters of MDF groups that are not times: sample numbers; angle, distance
 INDEX, OF_MASTERS = 4, {2: "rad", 3: "m"}
 DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3  # HDF5's numbers of its filters
 
@@ -210,7 +210,7 @@ def _check_chunks(where: str, data: Any, largest: float) -> None:
     plan = data.id.get_create_plist()
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
     most = MOST_INFLATED ** filters.count(DEFLATE)
-    # with Fletcher checksums
+    # including Fletcher checksums
     stated = np.prod(data.chunks or (0,), dtype=float) * data.dtype.itemsize + 4 * len(filters)
     suspects: list[Any] = []
     if data.chunks and most > 1:
@@ -301,7 +301,7 @@ def _mdf(path: Path, pick: Pick, largest: float) -> Contents:
             times, kind, holder = None, signal.master_metadata[1], group
             if group not in file.masters_db:
                 holder = getattr(file.groups[group].channel_group, "cg_master_index", None)
-            # else the times that asammdf states are numbers of samples
+            # otherwise the timestamps of asammdf are sample numbers
             if holder in file.masters_db and kind != INDEX:
                 axis = OF_MASTERS.get(kind) or file.get_channel_unit(
                     group=holder, index=file.masters_db[holder]

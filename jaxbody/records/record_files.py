@@ -122,7 +122,7 @@ def read_record(
     contents = problems.gather(lambda: read(asked))
     absent = {problem.value for problem in problems.collected if problem.code == "UNKNOWN_CHANNEL"}
     others = [column for column in asked if column not in absent]
-    if absent and others:  # which may have problems too
+    if absent and others:  # these may have problems too
         contents = problems.gather(lambda: read(others))
         wanted = {
             key: (columns, unit)

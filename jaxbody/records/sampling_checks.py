@@ -19,7 +19,7 @@ COARSEST = 1 / 3
 IRREGULAR = 0.05  # largest ratio of jitter to step, and of missing to all samples
 MANY_MISSING = 0.2
 AT_THE_RAILS = 0.01  # ratio of samples at the largest or smallest number to all
-RUN = 4  # equal samples in a row that count as at a rail
+RUN = 4  # consecutive equal samples that count as saturated
 USUAL_RATES = (2.0, 1e7)  # Hz
 
 

@@ -256,7 +256,7 @@ def numbers_of(
 
     Errors: BAD_LINE, RAGGED_LINE, DECIMAL_COMMA, TRUNCATED, NON_FINITE."""
     if decimal == "." and '"' not in rows[0][1]:
-        with suppress(ValueError, OverflowError):  # fast, and enough for nearly all files
+        with suppress(ValueError, OverflowError):  # fast, sufficient for nearly all files
             values = np.loadtxt(
                 [line for _, line in rows],
                 delimiter=None if separator == " " else separator,

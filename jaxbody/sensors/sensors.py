@@ -94,8 +94,8 @@ class Channel(eqx.Module):
         return self.unit.count(",") + 1
 
 
-POINTS = 12  # of the polynomial
-# in a cell: where the integral of the lag samples x
+POINTS = 12  # samples of the polynomial
+# fractions of a cell at which the integral of the lag samples x
 NODES = (1 - np.cos(np.pi * np.arange(6) / 5)) / 2
 # h/T below which moments come from their series, and its terms: 3^28/28! < 1e-16
 SERIES, TERMS = 3.0, 28
@@ -247,7 +247,7 @@ class Sensor(Described, Channel):
     on: eqx.AbstractVar[str]
     accelerations: ClassVar[bool] = False
     reactions: ClassVar[bool] = False
-    # The stages that its chain may have, each with a number to start a fit from
+    # the allowed stages of the chain, each with an initial value for a fit
     stages: ClassVar[dict[str, str]] = {
         "gain": "1.0",
         "bias": "0.0",

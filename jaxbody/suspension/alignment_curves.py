@@ -73,7 +73,7 @@ UNITS = {
     "wheel rate": "N/m",
 }
 MOST_COLUMNS = 6  # of curves in a printed table
-# of the size of the model: how far the wheel may move while all driven readings are held
+# largest movement of the wheel while all driven readings are held, relative to the model's size
 FREE = 1e-6
 
 

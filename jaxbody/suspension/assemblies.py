@@ -187,7 +187,7 @@ def _assembled(model: Model, start: State, hold: tuple[str, ...]) -> Assembly:
     )
 
 
-REACHED = 1e-9  # of the size of the model
+REACHED = 1e-9  # largest residual of a reached position, relative to the size of the model
 
 
 class Drive(eqx.Module):
@@ -293,7 +293,7 @@ def position(
     return near(conditions, model, (drives, target), q)
 
 
-NEGATIVE = 1e-9  # an eigenvalue below minus this part of the largest counts
+NEGATIVE = 1e-9  # eigenvalues below minus this fraction of the largest are negative
 
 
 class Resting(NamedTuple):
@@ -395,7 +395,7 @@ def resting_positions(
         at = jax.tree.map(lambda new, old: jnp.where(reached, new, old), at, last)
         values = jnp.linalg.eigvalsh((A + A.T) / 2)
         rank = jnp.sum(jnp.linalg.svdvals(A[nv:]) > RANK)
-        # as many as there are independent conditions, at a minimum
+        # at a minimum, as many as there are independent conditions
         negative = jnp.sum(values < -NEGATIVE * jnp.max(jnp.abs(values)))
         stable = jnp.where(negative > rank, Status.UNSTABLE, Status.OK)
         return at, (at, jnp.where(reached, stable, Status.NOT_CLOSED))

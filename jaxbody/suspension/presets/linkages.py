@@ -12,7 +12,7 @@ from jaxbody.model.elements.torsions import Torsion
 from jaxbody.model.joints.joints import Hinge
 from jaxbody.model.models import Model
 
-SLENDER = 0.05  # radius of a bar over its length, which counts for turns about its axis alone
+SLENDER = 0.05  # ratio of radius to length of a bar; affects the inertia about its axis only
 
 
 def four_bar(

@@ -255,7 +255,7 @@ def full_car_on_double_wishbones(**numbers: Any) -> Model:
     >>> len(full_car_on_double_wishbones().layout.bodies)
     14
     """
-    # more modules than all other presets need together
+    # this imports more modules than all other presets together
     from jaxbody.suspension.ready_cars import car_on_double_wishbones
 
     return car_on_double_wishbones(**numbers).model
