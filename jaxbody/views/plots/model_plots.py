@@ -3,29 +3,24 @@ zigzags, supports hatched."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.tables import without_dust
-from jaxbody.geometry.closures import Coupling, Equation, Inline
 from jaxbody.geometry.closures import Guide as GuideClosure
-from jaxbody.geometry.frames import Pose
-from jaxbody.mechanics.free_motions import moved as moved_by
+from jaxbody.geometry.closures import Inline
 from jaxbody.model.elements.contacts import Tyre
 from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.elements.springs import Inerter
 from jaxbody.model.joints.joints import Guide
-from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.joints.kinematics import displacements
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_state
 from jaxbody.model.states import State
-from jaxbody.model.storage import KindTable
 from jaxbody.vibration.damped_modes import ComplexModes
 from jaxbody.vibration.linearizations import Linearization
 from jaxbody.vibration.natural_modes import Modes
@@ -38,12 +33,18 @@ from jaxbody.views.plots.canvases import (
     Label,
     annotate,
     axes_or_new,
-    check_known,
 )
 from jaxbody.views.plots.symbols import AXES, frame_axes, ground_at, zigzag_path
+from jaxbody.views.scenes.closure_parts import placed_closures
+from jaxbody.views.scenes.pose_sequences import (
+    SWING,
+    PoseSequence,
+    check_number,
+    displaced_poses,
+    poses_of,
+)
 
 RIM = 8.0  # points, width of the rounded rim of an outline
-SWING = 1 / 8  # largest displacement of a drawn mode, relative to the size of the model
 
 
 def draw_model(
@@ -79,13 +80,9 @@ def draw_model(
     """
     state = model.reference if state is None else state
     check_state(model, state, "draw_model.state")
-    xi = np.zeros((len(model.layout.supports), 6))
-    check_known(tuple(displaced or ()), model.layout.supports, "draw_model.displaced")
-    for name, value in (displaced or {}).items():
-        xi[model.layout.supports.index(name)] = value
-    # an open drawing stays open; all others share a program with modes
-    still = None if model.closures else np.zeros(model.layout.nv)
-    scene = Scene(model, _poses_at(model, state.q, still, xi))
+    with Problems() as problems:
+        xi = displacements(model, displaced or {}, "draw_model.displaced", problems)
+    scene = Scene(PoseSequence(model, np.zeros(1), *poses_of(model, state.q[None], xi)))
     look = projection(view, model, [scene])
     ax = _axes(ax, [scene], look)
     _draw(ax, scene, look, scene.size(look))
@@ -120,26 +117,13 @@ def draw_mode(
     >>> draw_mode(lin, modes(lin), 2).get_title().splitlines()
     ['mode 2: 8.796 Hz', 'wheel bounce 100 %']
     """
-    model, count = lin.model, modes.frequency.shape[0]
-    if not 1 <= number <= count:
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_MODE",
-                "draw_mode.number",
-                f"is {number}; there are modes 1 to {count}",
-                number,
-                f"1 to {count}",
-            )
-        )
+    model = lin.model
+    check_number(modes, number, "draw_mode.number")
     shape = np.real(np.asarray(modes.shapes)[: model.layout.nv, number - 1])
 
     def moved(factor: float) -> Scene:
-        return Scene(
-            model,
-            _poses_at(
-                model, lin.state.q, factor * shape, np.zeros((len(model.layout.supports), 6))
-            ),
-        )
+        poses = displaced_poses(model, lin.state.q, factor * shape[None])
+        return Scene(PoseSequence(model, np.zeros(1), *poses))
 
     rest = moved(0.0)
     size = rest.size(np.eye(3))
@@ -170,75 +154,42 @@ def draw_mode(
     return ax
 
 
-@dataclass
 class Scene:
-    """A model in one pose: the world positions of the points attached to each frame."""
+    """A model in one pose, the first of a sequence: the world positions of the points attached to
+    each frame."""
 
-    model: Model
-    frames: tuple[np.ndarray, np.ndarray]  # origins and orientations
-    points: dict[str, np.ndarray] = field(init=False)
-    # position and parent of each body's joint
-    pivots: dict[str, tuple[np.ndarray, str]] = field(init=False)
-    ends: dict[str, tuple[np.ndarray, np.ndarray]] = field(init=False)
-    joined: dict[str, tuple[np.ndarray, np.ndarray]] = field(init=False)  # the points of closures
-    centers: dict[str, np.ndarray] = field(init=False)  # of mass
-
-    def __post_init__(self):
-        layout = self.model.layout
-        pose = {name: (p, R) for name, p, R in zip(layout.frames, *self.frames, strict=True)}
-
-        def in_world(frame: str, point: Any) -> np.ndarray:
-            p, R = pose[frame]
-            return p + R @ np.asarray(point)
-
-        def ends_in(tables: tuple[KindTable, ...]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-            """The first two ends of each row, by name."""
-            found = {}
-            for table in tables:
-                points = (np.asarray(x) for x in table.rows.points[:2])
-                for name, link, a, b in zip(table.names, table.links, *points, strict=True):
-                    found[name] = in_world(link[0], a), in_world(link[1], b)
-            return found
-
-        closures = tuple(
-            table
-            for table in self.model.closures
-            if not isinstance(table.rows, Coupling | Equation)  # which have no place
-        )
-        self.ends, self.joined = ends_in(self.model.attached), ends_in(closures)
-        links = {
-            name: link
-            for table in (*self.model.attached, *closures)
-            for name, link in zip(table.names, table.links, strict=True)
-        }
-        self.centers = {name: in_world(name, self.model[name].com) for name in layout.bodies}
-        parents = {
-            name: parent
-            for name, parent in zip(layout.bodies, layout.parents, strict=True)
-            if layout.block(name).nv < 6
-        }
-        joints = {name: self.model.joint(name).at for name in parents}
-        self.pivots = {
-            name: (pose[name][0] if at is None else in_world(parents[name], at), parents[name])
-            for name, at in joints.items()
-        }
-        attached = [
-            place
-            for name, ends in (self.ends | self.joined).items()
-            for place in zip(links[name][:2], ends, strict=True)
-        ]
-        attached += [
-            *self.centers.items(),
-            *(
-                (frame, at)
-                for name, (at, parent) in self.pivots.items()
-                for frame in (name, parent)
-            ),
-        ]
+    def __init__(self, poses: PoseSequence):
+        self.poses, self.model = poses, poses.model
+        model, layout = self.model, self.model.layout
+        self.ends = self._ends(name for table in model.attached for name in table.names)
+        self.joined = self._ends(name for name, _ in placed_closures(model))
+        self.centers = {name: poses.points(name, model[name].com)[0] for name in layout.bodies}
+        # position and parent of each body's joint
+        self.pivots: dict[str, tuple[np.ndarray, str]] = {}
+        for name, parent in zip(layout.bodies, layout.parents, strict=True):
+            if layout.block(name).nv < 6:
+                at = model.joint(name).at
+                place = (name, np.zeros(3)) if at is None else (parent, at)
+                self.pivots[name] = poses.points(*place)[0], parent
+        attached = list(self.centers.items())
+        for name, ends in (self.ends | self.joined).items():
+            attached += zip(model[name].between, ends, strict=False)
+        for name, (at, parent) in self.pivots.items():
+            attached += [(name, at), (parent, at)]
         self.points = {
-            name: np.array([at for frame, at in attached if frame == name] or [pose[name][0]])
+            name: np.array(
+                [at for frame, at in attached if frame == name] or poses.points(name, np.zeros(3))
+            )
             for name in layout.frames
         }
+
+    def _ends(self, names: Iterable[str]) -> dict[str, list[np.ndarray]]:
+        """World positions of the first two ends of elements or closures."""
+        return {name: [end[0] for end in self.poses.ends(self.model[name])[:2]] for name in names}
+
+    def direction(self, frame: str, axis: Any) -> np.ndarray:
+        """An axis of a frame, in world axes."""
+        return self.poses.pose(frame)[1][0] @ np.asarray(axis)
 
     def all_points(self) -> np.ndarray:
         return np.concatenate(
@@ -359,8 +310,7 @@ def _draw(
     for name, (at, parent) in scene.pivots.items():
         pivot, joint = at @ look.T, scene.model.joint(name)
         if isinstance(joint, Guide):
-            axis = scene.frames[1][layout.frame(parent)] @ np.asarray(joint.axis)
-            along = axis @ look.T * 0.12 * size
+            along = scene.direction(parent, joint.axis) @ look.T * 0.12 * size
             ax.plot(*np.array([pivot - along, pivot + along]).T, "-.", color=GRAY, lw=0.9, zorder=1)
         elif not joint.in_series:
             ax.plot(*pivot, "o", ms=6, mfc="white", mec=edge, mew=1.2, alpha=alpha, zorder=6)
@@ -377,11 +327,7 @@ def _closures(ax, scene: Scene, look, size, edge, alpha, ground) -> None:
     for name, ends in scene.joined.items():
         closure, (A, B) = scene.model[name], (end @ look.T for end in ends)
         if isinstance(closure, GuideClosure | Inline):
-            axis = (
-                scene.frames[1][layout.frame(closure.between[0])]
-                @ np.asarray(closure.axis)
-                @ look.T
-            )
+            axis = scene.direction(closure.between[0], closure.axis) @ look.T
             reach = 0.12 * size + np.linalg.norm(B - A)
             ax.plot(
                 *np.array([A - reach * axis, A + reach * axis]).T,
@@ -417,19 +363,12 @@ def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
     road's normal."""
     from matplotlib.patches import Circle
 
-    rows = zip(
-        table.names,
-        table.links,
-        np.asarray(table.rows.radius),
-        np.asarray(table.rows.axis),
-        strict=True,
-    )
-    for name, link, radius, axis in rows:
-        hub, road = (end @ look.T for end in scene.ends[name])
-        up = scene.frames[1][scene.model.layout.frame(link[1])] @ axis @ look.T
+    for name in table.names:
+        tyre, (hub, road) = scene.model[name], (end @ look.T for end in scene.ends[name])
+        up = scene.direction(tyre.between[1], tyre.axis) @ look.T
         if up.any():
             ax.add_patch(
-                Circle(hub, radius, fill=False, edgecolor=edge, lw=1.6, alpha=alpha, zorder=1)
+                Circle(hub, tyre.radius, fill=False, edgecolor=edge, lw=1.6, alpha=alpha, zorder=1)
             )
             if ground:
                 ground_at(ax, road, -up, 0.035 * size)
@@ -515,19 +454,3 @@ def _hull(points: np.ndarray, tolerance: float) -> np.ndarray:
     if np.linalg.svd(points - points.mean(0), compute_uv=False)[1] <= tolerance:
         return points[[0, -1]]
     return points[ConvexHull(points).vertices]
-
-
-@program
-def _poses(model: Model, q, delta, xi) -> Pose:
-    coordinates = Coordinates(model)
-    q, v = (
-        q if delta is None else moved_by(coordinates, q, delta),
-        jnp.zeros(model.layout.nv, q.dtype),
-    )
-    return coordinates.frames(q, v, coordinates.supports_at(xi, jnp.zeros_like(xi))).pose()
-
-
-def _poses_at(model: Model, q, delta, xi) -> tuple[np.ndarray, np.ndarray]:
-    delta, xi = (x if x is None else jnp.asarray(x, model.gravity.dtype) for x in (delta, xi))
-    frames = _poses(model, jnp.asarray(q), delta, xi)
-    return np.asarray(frames.p), np.asarray(frames.R)

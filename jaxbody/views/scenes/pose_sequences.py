@@ -72,7 +72,7 @@ def still(model: Model, state: State | None = None) -> PoseSequence:
     """One state of a model; None takes the reference pose."""
     state = model.reference if state is None else state
     check_state(model, state, "state")
-    return PoseSequence(model, np.zeros(1), *_configurations(model, state.q[None]))
+    return PoseSequence(model, np.zeros(1), *poses_of(model, state.q[None]))
 
 
 def along(trajectory: Trajectory, most: int, forces: bool = False) -> PoseSequence:
@@ -149,17 +149,8 @@ def vibrating(
         phase: phase of the first frame [rad].
 
     Error: UNKNOWN_MODE."""
-    model, count = modes.model, modes.frequency.shape[0]
-    if not 1 <= number <= count:
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_MODE",
-                "view.number",
-                f"is {number}; there are modes 1 to {count}",
-                number,
-                f"1 to {count}",
-            )
-        )
+    model = modes.model
+    check_number(modes, number, "view.number")
     q = (model.reference if state is None else state).q
     shape: Any = np.asarray(modes.shapes)[: model.layout.nv, number - 1]
     if not np.isfinite(shape).all():
@@ -179,7 +170,7 @@ def vibrating(
     size = size_of_sequence(rest)
     extremes = np.stack([shape.real, shape.imag])
     trial = 1e-6 * size / max(np.abs(shape).max(), np.finfo(float).tiny)
-    trials = PoseSequence(model, np.zeros(2), *_poses(model, q, trial * extremes))
+    trials = PoseSequence(model, np.zeros(2), *displaced_poses(model, q, trial * extremes))
     largest = (
         np.linalg.norm(np.linalg.norm(marks(trials) - marks(rest), axis=-1), axis=0).max() / trial
     )
@@ -188,7 +179,7 @@ def vibrating(
     factor = (SWING * size if amplitude is None else float(amplitude)) / largest
     steps = np.arange(CYCLE) / CYCLE
     turn = np.exp(1j * (2 * np.pi * steps + phase))
-    p, R = _poses(model, q, factor * np.real(shape * turn[:, None]))
+    p, R = displaced_poses(model, q, factor * np.real(shape * turn[:, None]))
     frequency = float(np.asarray(modes.frequency)[number - 1])
     ratio = float(without_dust(modes.damping_ratio, 1.0)[number - 1])
     title = (
@@ -198,6 +189,21 @@ def vibrating(
     )
     clock = tuple(f"phase {round(360 * step + np.rad2deg(phase)) % 360} degrees" for step in steps)
     return PoseSequence(model, SECONDS * steps, p, R, title, clock)
+
+
+def check_number(modes: Any, number: int, where: str) -> None:
+    """Check the number of a mode. Error: UNKNOWN_MODE."""
+    count = modes.frequency.shape[0]
+    if not 1 <= number <= count:
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_MODE",
+                where,
+                f"is {number}; there are modes 1 to {count}",
+                number,
+                f"1 to {count}",
+            )
+        )
 
 
 def over_travel(curves: SuspensionCurves) -> PoseSequence:
@@ -215,7 +221,7 @@ def over_travel(curves: SuspensionCurves) -> PoseSequence:
                 hint="Give values within reach.",
             )
         )
-    p, R = _configurations(curves.model, curves.q[rows])
+    p, R = poses_of(curves.model, curves.q[rows])
     shown = [
         [
             f"{drive.name} {_shown(float(curves.over[drive.name][i]), drive.unit)}"
@@ -281,12 +287,10 @@ def marks(sequence: PoseSequence) -> np.ndarray:
     return np.stack([sequence.points(name, point) for name, point in places], 1)
 
 
-def _poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def displaced_poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses at q (+) Delta for rows of Delta, where closures are fulfilled, with supports in their
     reference poses."""
-    return _configurations(
-        model, _moved(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype))
-    )
+    return poses_of(model, _moved(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype)))
 
 
 @program
@@ -294,16 +298,18 @@ def _moved(model: Model, q, deltas) -> Array:
     return jax.vmap(lambda delta: moved(Coordinates(model), q, delta))(deltas)
 
 
-def _configurations(model: Model, q: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Poses for rows of q."""
-    frames = _at_rest(model, q)
+def poses_of(model: Model, q: Any, xi: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    """Poses for rows of q. `xi` (ns, 6): displacements of the supports; None for none."""
+    xi = np.zeros((len(model.layout.supports), 6)) if xi is None else xi
+    frames = _at_rest(model, jnp.asarray(q), jnp.asarray(xi, model.gravity.dtype))
     return np.asarray(frames.p), np.asarray(frames.R)
 
 
 @program
-def _at_rest(model: Model, q) -> Pose:
-    coordinates = Coordinates(model)
-    return jax.vmap(lambda q: coordinates.at_rest(q).pose())(q)
+def _at_rest(model: Model, q, xi) -> Pose:
+    coordinates, v = Coordinates(model), jnp.zeros(model.layout.nv, q.dtype)
+    supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
+    return jax.vmap(lambda q: coordinates.frames(q, v, supports).pose())(q)
 
 
 def _frames(model, motions, t, state) -> Pose:

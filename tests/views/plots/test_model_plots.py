@@ -14,6 +14,7 @@ from test_plots import drawn, nothing_else_is_touched  # noqa: F401
 import jaxbody as jb
 from jaxbody import plots
 from jaxbody.views.plots import model_plots
+from jaxbody.views.scenes.pose_sequences import still
 
 CORNERS = {"fl": (1.2, 0.75), "fr": (1.2, -0.75), "rl": (-1.4, 0.75), "rr": (-1.4, -0.75)}
 
@@ -105,9 +106,7 @@ def test_an_oblique_view_has_its_axes_and_a_length_in_place_of_ticks(figure):
         for text in ax.texts
         if text.get_text().endswith(" m")
     ]
-    scene = model_plots.Scene(
-        model, model_plots._poses_at(model, model.reference.q, None, np.zeros((4, 6)))
-    )
+    scene = model_plots.Scene(still(model))
     look = model_plots.projection(None, model, [scene])
     for i, name in enumerate("xyz"):
         start, end = axes[f"axis {name}"]
