@@ -7,9 +7,11 @@ import io
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxbody.core.errors import import_extra
 from jaxbody.views.cameras import ANGLE, Camera
+from jaxbody.views.plots.canvases import rgb
 from jaxbody.views.scenes.animations import Animation, DrawnPart
 from jaxbody.views.scenes.meshes import Mesh
 
@@ -85,7 +87,7 @@ class Stage:
             scene.add_line_segments(
                 _name(trail.path),
                 segments,
-                _rgb(trail.color),
+                rgb(trail.color),
                 thickness=TRAIL,
                 thickness_units="screen",
             )
@@ -109,7 +111,17 @@ class Stage:
                 self.meshes[part.path].vertices, part.mesh.vertices
             )
             if not same:
-                self.handles[part.path] = _add(self.scene, part, self.places[part.path])
+                self.handles[part.path] = self.scene.add_mesh_simple(
+                    _name(part.path),
+                    part.mesh.vertices,
+                    part.mesh.faces,
+                    color=rgb(part.color),
+                    flat_shading=part.edged,
+                    opacity=None if part.opacity == 1 else part.opacity,
+                    cast_shadow=not part.below,
+                    receive_shadow=not part.below,
+                    **{name: tuple(values[0]) for name, values in self.places[part.path].items()},
+                )
                 self.meshes[part.path] = part.mesh
                 self.shown[part.path] = {
                     name: values[0] for name, values in self.places[part.path].items()
@@ -145,8 +157,6 @@ class Stage:
 def _places(part: DrawnPart, step: float) -> dict[str, np.ndarray]:
     """{property of a handle: its values in all frames}, rounded, with quaternions that do not
     change their sign from frame to frame."""
-    from scipy.spatial.transform import Rotation
-
     q = Rotation.from_matrix(part.R).as_quat()[:, [3, 0, 1, 2]]
     sign = np.where(np.sum(q[1:] * q[:-1], -1) < 0, -1.0, 1.0)
     q[1:] *= np.cumprod(sign)[:, None]
@@ -161,20 +171,6 @@ def _rounded(x: np.ndarray, step: float) -> np.ndarray:
     return np.round(x / step) * step + 0.0
 
 
-def _add(scene: Any, part: DrawnPart, place: dict[str, np.ndarray]) -> Any:
-    return scene.add_mesh_simple(
-        _name(part.path),
-        part.mesh.vertices,
-        part.mesh.faces,
-        color=_rgb(part.color),
-        flat_shading=part.edged,
-        opacity=None if part.opacity == 1 else part.opacity,
-        cast_shadow=not part.below,
-        receive_shadow=not part.below,
-        **{name: tuple(values[0]) for name, values in place.items()},
-    )
-
-
 def _corner(animation: Animation, camera: Camera) -> np.ndarray:
     """A point at the lower left of what is seen, for the time."""
     inside = (animation.outline() - camera.target) @ camera.axes
@@ -184,9 +180,3 @@ def _corner(animation: Animation, camera: Camera) -> np.ndarray:
 def _name(path: tuple[str, ...]) -> str:
     """The name in the tree of the scene; a slash in a name of the model would be a level of it."""
     return "/" + "/".join(step.replace("/", "\u2044") for step in path)
-
-
-def _rgb(color: str) -> tuple[int, ...]:
-    from matplotlib.colors import to_rgb
-
-    return tuple(round(255 * x) for x in to_rgb(color))

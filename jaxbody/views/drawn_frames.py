@@ -6,9 +6,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from jaxbody.views.cameras import Camera
-from jaxbody.views.plots.canvases import GRAY, INK, Label, annotate
+from jaxbody.views.plots.canvases import GRAY, INK, Label, annotate, rgb
 from jaxbody.views.scenes.animations import Animation, DrawnPart, NameLabel
 from jaxbody.views.scenes.meshes import Mesh
 
@@ -197,8 +198,6 @@ class Painter:
 
     def picture(self, i: int) -> np.ndarray:
         """Frame i. It is drawn finer, and reduced."""
-        from PIL import Image
-
         self.background.set_data(self._drawn(i))
         trails = self.animation.trails
         drawn = slice(0, i + 1) if self.animation.moves else slice(None)
@@ -338,9 +337,7 @@ class Painter:
 
 
 def _colors(part: DrawnPart, brightness: np.ndarray) -> np.ndarray:
-    from matplotlib.colors import to_rgb
-
-    return np.clip(np.array(to_rgb(part.color)) * brightness[:, None], 0, 1)
+    return np.clip(np.array(rgb(part.color)) / 255 * brightness[:, None], 0, 1)
 
 
 def _divided(mesh: Mesh, longest: float, scale: np.ndarray) -> Mesh:

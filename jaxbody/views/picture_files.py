@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from jaxbody.core.errors import import_extra
 from jaxbody.core.progress_lines import working
 from jaxbody.core.source_files import writing
 from jaxbody.views.drawn_frames import BRIGHTEST, DARKEST, Painter
+from jaxbody.views.plots.canvases import rgb
 from jaxbody.views.scenes.animations import Animation
 
 RATES = {".gif": 20, ".mp4": 30}  # frames per second of playing
@@ -24,8 +26,6 @@ SWATCH = 16  # height of the strip of shades of each part in the sheet whose col
 
 def save_png(path: Path, painter: Painter, frame: int) -> None:
     """One frame. Error: NOT_SAVED."""
-    from PIL import Image
-
     image = Image.fromarray(painter.picture(frame))
     with writing(path):
         image.save(path, format="PNG", optimize=True)
@@ -34,8 +34,6 @@ def save_png(path: Path, painter: Painter, frame: int) -> None:
 def save_gif(path: Path, painter: Painter) -> None:
     """All frames in a loop, with one palette, so that only what changes is stored.
     Error: NOT_SAVED."""
-    from PIL import Image
-
     animation = painter.animation
     frames, pauses = _frames(animation, RATES[".gif"])
     images = [Image.fromarray(array) for array in _drawn(painter, frames, path.name)]
@@ -55,17 +53,14 @@ def save_gif(path: Path, painter: Painter) -> None:
 
 def _palette(images: list[Any], animation: Animation) -> Any:
     """A picture with 256 colors: those of these pictures, of small parts too, and white."""
-    from matplotlib.colors import to_rgb
-    from PIL import Image
-
     width, height = images[0].size
     colors = sorted({part.color for part in animation.parts})
     sheet = Image.new("RGB", (width, height * len(images) + SWATCH * len(colors)))
     for k, image in enumerate(images):
         sheet.paste(image, (0, k * height))
     for k, color in enumerate(colors):
-        shades = np.clip(np.linspace(DARKEST, BRIGHTEST, width)[:, None] * to_rgb(color), 0, 1)
-        strip = np.round(255 * np.repeat(shades[None], SWATCH, 0)).astype(np.uint8)
+        shades = np.clip(np.linspace(DARKEST, BRIGHTEST, width)[:, None] * rgb(color), 0, 255)
+        strip = np.round(np.repeat(shades[None], SWATCH, 0)).astype(np.uint8)
         sheet.paste(Image.fromarray(strip), (0, len(images) * height + k * SWATCH))
     reduced = sheet.quantize(256, method=Image.Quantize.MEDIANCUT)
     entries = np.array(reduced.getpalette()).reshape(-1, 3)

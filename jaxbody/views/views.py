@@ -160,12 +160,11 @@ class View(Printed):
         return int(np.argmin(np.abs(self.animation.seconds - at)))
 
     def _tables(self) -> list[PrintedTable]:
-        groups: dict[str, list[str]] = {}
+        groups: dict[str, dict[str, None]] = {}
         for part in self.animation.parts:
-            group = groups.setdefault(part.path[0], [])
-            group += [part.path[1]] if len(part.path) > 1 and part.path[1] not in group else []
+            groups.setdefault(part.path[0], {}).update(dict.fromkeys(part.path[1:2]))
         rows = [
-            (name, ", ".join(group[:8]) + (", ..." if len(group) > 8 else ""))
+            (name, ", ".join([*group][:8]) + (", ..." if len(group) > 8 else ""))
             for name, group in groups.items()
             if group
         ]

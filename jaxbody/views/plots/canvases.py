@@ -126,16 +126,23 @@ def panels_of_marks(
 
 def heat_map(
     ax: Any,
+    size: tuple[float, float],
     values: np.ndarray,
     rows: list[str],
     columns: list[str],
     limits: tuple[float, float],
+    title: str,
     *,
     digits: int = 1,
     least: float = 0.0,
-) -> None:
+    slant: bool = False,
+) -> Any:
     """Numbers in colored cells between the limits, blue to red about zero, or white to blue from
-    zero; below `least` without number."""
+    zero, in the given axes or a new figure of this size [in].
+
+    digits: after the decimal point; numbers below `least` are not written; slant: whether the names
+    of columns are."""
+    ax = axes_or_new(ax, *size)
     from matplotlib.colors import Normalize
 
     signed, scale = limits[0] < 0, Normalize(*limits, clip=True)
@@ -155,6 +162,10 @@ def heat_map(
     ax.grid(which="minor", color="white", lw=1.5)
     ax.tick_params(which="both", length=0)
     ax.spines[:].set_visible(False)
+    ax.set_title(title, fontsize=9)
+    if slant:
+        slanted(ax)
+    return ax
 
 
 def slanted(ax: Any) -> None:
@@ -163,10 +174,15 @@ def slanted(ax: Any) -> None:
         text.set(rotation=40, ha="right", rotation_mode="anchor")
 
 
+def rgb(color: str) -> tuple[int, ...]:
+    """Red, green and blue of "#rrggbb", from 0 to 255."""
+    return tuple(bytes.fromhex(color[1:]))
+
+
 def pale(color: str) -> str:
     """The color, halfway to white and opaque, for points under a line: overlapping points do not
     get darker."""
-    return "#" + "".join(f"{(int(color[i : i + 2], 16) + 255) // 2:02x}" for i in (1, 3, 5))
+    return "#" + "".join(f"{(part + 255) // 2:02x}" for part in rgb(color))
 
 
 def style(i: int) -> dict[str, Any]:

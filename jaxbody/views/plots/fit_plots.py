@@ -27,7 +27,6 @@ from jaxbody.views.plots.canvases import (
     axes_or_new,
     heat_map,
     legend,
-    slanted,
     with_unit,
 )
 
@@ -122,19 +121,18 @@ def plot_correlations(fit: Fit, *, ax: Any = None) -> Any:
     )
     deviation = np.sqrt(np.diag(C))[known]
     rho = C[np.ix_(known, known)] / np.outer(deviation, deviation)
-    ax = axes_or_new(ax, 2.2 + 0.55 * len(known), 1.6 + 0.45 * len(known))
     labels = [names[i] for i in known]
-    heat_map(
+    return heat_map(
         ax,
+        (2.2 + 0.55 * len(known), 1.6 + 0.45 * len(known)),
         np.where(np.eye(len(rho), dtype=bool), np.nan, rho),
         labels,
         labels,
         (-1.0, 1.0),
+        "correlations of the estimates [-]",
         digits=2,
+        slant=True,
     )
-    slanted(ax)
-    ax.set_title("correlations of the estimates [-]", fontsize=9)
-    return ax
 
 
 def plot_autocorrelation(
@@ -170,9 +168,10 @@ def plot_autocorrelation(
     run, sensor, part = chosen(fit, run, sensor, "plot_autocorrelation")
     r, _ = linearized(fit)
     records = [
-        x for x in records_about(fit, run, sensor) if part is None or x.group.endswith(f" {part}")
+        x
+        for x in records_about(fit, run, sensor, part)
+        if x.series and r[x.rows].any() and most_lags(len(x.rows))
     ]
-    records = [x for x in records if x.series and r[x.rows].any() and most_lags(len(x.rows))]
     if not records:
         raise JaxbodyError(
             Problem(
@@ -341,12 +340,16 @@ def chosen(
     return run, *names[sensor]
 
 
-def records_about(fit: Fit | Validation, run: str, sensor: str) -> list[ResidualSeries]:
-    """The residual series of each component of a sensor."""
+def records_about(
+    fit: Fit | Validation, run: str, sensor: str, part: int | None = None
+) -> list[ResidualSeries]:
+    """The residual series of each component of a sensor, or of one part of it."""
     return [
         x
         for x in records_of(fit.experiments)
-        if x.run == run and x.name.split("[")[0] == f"{run}.{sensor}"
+        if x.run == run
+        and x.name.split("[")[0] == f"{run}.{sensor}"
+        and (part is None or x.group.endswith(f" {part}"))
     ]
 
 

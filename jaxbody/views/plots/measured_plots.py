@@ -114,14 +114,9 @@ def plot_validation(
     ):
         _, name, part = chosen(validation, run, title, "plot_validation")
         _draw(axes, experiment, name, part or 0, validation.predicted[run][name], "predicted")
-        records = [
-            record
-            for record in records_about(validation, run, name)
-            if part is None or record.group.endswith(f" {part}")
-        ]
         fits = ", ".join(
             f"{round(100 * (1 - validation.nrmse[record.name]), 1) + 0.0:.1f} %"
-            for record in records
+            for record in records_about(validation, run, name, part)
         )
         axes.set_title(f"{run}, {title}: fit {fits}", fontsize=9)
     return ax

@@ -27,10 +27,9 @@ from jaxbody.views.plots.canvases import (
     check_single,
     heat_map,
     legend,
-    slanted,
     style,
 )
-from jaxbody.views.plots.model_plots import AXES, look_along
+from jaxbody.views.plots.model_plots import look_along
 
 KINDS = {"kinetic": "kinetic energy", "strain": "strain energy", "dissipation": "dissipation"}
 RATIOS = (0.05, 0.1, 0.2, 0.5)  # damping ratios whose lines are drawn
@@ -72,15 +71,21 @@ def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any
     } or every
     count = energies.frequency.shape[-1]
     shares = np.array(list(rows.values())).reshape(-1, count)
-    ax = axes_or_new(ax, 1.6 + 0.75 * count, 1.0 + 0.32 * max(len(shares), 2))
-    heat_map(ax, shares, list(rows), _mode_heads(energies.frequency), (0.0, 100.0), least=0.05)
     less = (
         f"; {counted(len(every) - len(rows), 'row')} below {LEAST_SHOWN:g} % left out"
         if len(rows) < len(every)
         else ""
     )
-    ax.set_title(f"{KINDS[kind]} [%]{less}", fontsize=9)
-    return ax
+    return heat_map(
+        ax,
+        (1.6 + 0.75 * count, 1.0 + 0.32 * max(len(shares), 2)),
+        shares,
+        list(rows),
+        _mode_heads(energies.frequency),
+        (0.0, 100.0),
+        f"{KINDS[kind]} [%]{less}",
+        least=LEAST_SHOWN,
+    )
 
 
 def _rows(energies: ModeEnergies, kind: str) -> dict[str, np.ndarray]:
@@ -153,15 +158,19 @@ def plot_matrix(lin: LinearSystem, *, matrix: str = "K", ax: Any = None) -> Any:
     size = np.sqrt(np.abs(np.diag(A)))
     scale = np.outer(size, size)
     coupling = without_dust(np.divide(A, scale, out=np.zeros_like(A), where=scale > 0), 1.0)
-    ax = axes_or_new(ax, 2.4 + 0.48 * len(names), 2.0 + 0.32 * len(names))
-    heat_map(ax, coupling, names, names, (-1.0, 1.0), digits=2, least=0.005)
-    slanted(ax)
-    ax.set_title(
+    return heat_map(
+        ax,
+        (2.4 + 0.48 * len(names), 2.0 + 0.32 * len(names)),
+        coupling,
+        names,
+        names,
+        (-1.0, 1.0),
         rf"coupling by {matrix}: ${matrix[0]}_{{ij}}/\sqrt{{|{matrix[0]}_{{ii}} "
         rf"{matrix[0]}_{{jj}}|}}$ [-]",
-        fontsize=9,
+        digits=2,
+        least=0.005,
+        slant=True,
     )
-    return ax
 
 
 def plot_modes(modes: Modes, *, ax: Any = None) -> Any:
@@ -178,18 +187,17 @@ def plot_modes(modes: Modes, *, ax: Any = None) -> Any:
     check_single("plot_modes.modes", modes.frequency, 1)
     shapes = np.sqrt(np.diag(np.asarray(modes.M)))[:, None] * np.asarray(modes.shapes)
     names = list(modes.layout.with_mass)
-    ax = axes_or_new(ax, 2.2 + 0.6 * shapes.shape[1], 1.2 + 0.3 * len(names))
-    heat_map(
+    return heat_map(
         ax,
+        (2.2 + 0.6 * shapes.shape[1], 1.2 + 0.3 * len(names)),
         without_dust(shapes, 1.0),
         names,
         _mode_heads(modes.frequency),
         (-1.0, 1.0),
+        r"shapes of the modes: $\sqrt{M_{ii}}\,\phi_i$ [-]",
         digits=2,
         least=0.005,
     )
-    ax.set_title(r"shapes of the modes: $\sqrt{M_{ii}}\,\phi_i$ [-]", fontsize=9)
-    return ax
 
 
 def _mode_heads(frequency: Any) -> list[str]:
@@ -369,8 +377,7 @@ def _draw_axes(
     half = 0.25 * max(np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim()))
     if alone:
         half = max(0.5, 1.5 * np.linalg.norm(points - center[1], axis=1).max())
-        right, up = (int(np.argmax(np.abs(row))) for row in look)
-        ax.set(xlabel=f"{AXES[right]} [m]", ylabel=f"{AXES[up]} [m]", aspect="equal")
+        ax.set(xlabel=f"{view[0]} [m]", ylabel=f"{view[1]} [m]", aspect="equal")
         ax.set_title(title, fontsize=9)
     for i, (name, point, direction) in enumerate(lines):
         ends = np.array([point - half * direction, point + half * direction]) @ look.T

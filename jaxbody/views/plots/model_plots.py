@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.tables import without_dust
 from jaxbody.geometry.closures import Guide as GuideClosure
 from jaxbody.geometry.closures import Inline
@@ -16,7 +16,6 @@ from jaxbody.model.elements.contacts import Tyre
 from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.elements.springs import Inerter
 from jaxbody.model.joints.joints import Guide
-from jaxbody.model.joints.kinematics import displacements
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_state
@@ -33,6 +32,7 @@ from jaxbody.views.plots.canvases import (
     Label,
     annotate,
     axes_or_new,
+    check_known,
 )
 from jaxbody.views.plots.symbols import AXES, frame_axes, ground_at, zigzag_path
 from jaxbody.views.scenes.closure_parts import placed_closures
@@ -80,8 +80,9 @@ def draw_model(
     """
     state = model.reference if state is None else state
     check_state(model, state, "draw_model.state")
-    with Problems() as problems:
-        xi = displacements(model, displaced or {}, "draw_model.displaced", problems)
+    given, supports = displaced or {}, model.layout.supports
+    check_known(tuple(given), supports, "draw_model.displaced")
+    xi = np.reshape([given.get(name, np.zeros(6)) for name in supports], (-1, 6))
     scene = Scene(PoseSequence(model, np.zeros(1), *poses_of(model, state.q[None], xi)))
     look = projection(view, model, [scene])
     ax = _axes(ax, [scene], look)

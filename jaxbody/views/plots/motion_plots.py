@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxbody.core.arrays import time_text
 from jaxbody.core.errors import JaxbodyError, Problem
@@ -56,19 +57,10 @@ def plot_trajectory(
     for name in names:
         p, R = np.asarray(poses[name].p), np.asarray(poses[name].R)
         start = trajectory.model[name]
-        moves |= {
-            f"{name} {axis}": p[:, i] - np.asarray(start.position)[i] for i, axis in enumerate(AXES)
-        }
-        turns |= {
-            f"{name} about {axis}": angle
-            for axis, angle in zip(AXES, _turns(R, np.asarray(start.orientation)).T, strict=True)
-        }
-    moves, turns = _moving(moves), _moving(turns)
-    panels = {
-        label: lines
-        for label, lines in (("displacement [m]", moves), ("turn [rad]", turns))
-        if lines
-    } or {"displacement [m]": moves}
+        moves |= components({name: p - np.asarray(start.position)})
+        turns |= components({name: _turns(R, np.asarray(start.orientation))}, " about")
+    panels = {"displacement [m]": _moving(moves), "turn [rad]": _moving(turns)}
+    panels = {label: lines for label, lines in panels.items() if lines} or {"displacement [m]": {}}
     dashed = tuple(f"{name} " for name in layout.supports)
     return panels_of_lines(
         axes_or_new(ax, 7.0, 4.2), trajectory.times, panels, "time [s]", share=0.6, dashed=dashed
@@ -388,8 +380,6 @@ def _moving(lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _matrices(quaternions: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
     out, good = np.full((len(quaternions), 3, 3), np.nan), np.isfinite(quaternions).all(1)
     out[good] = Rotation.from_quat(quaternions[good][:, [1, 2, 3, 0]]).as_matrix()
     return out
@@ -398,8 +388,6 @@ def _matrices(quaternions: np.ndarray) -> np.ndarray:
 def _turns(R: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Rotation vectors relative to an orientation (quaternion w, x, y, z), in world axes, unwrapped
     through full turns."""
-    from scipy.spatial.transform import Rotation
-
     good = np.isfinite(R).all((1, 2))
     out = np.full((len(R), 3), np.nan)
     if good.any():

@@ -59,12 +59,11 @@ CAPTIONS: dict[Callable[..., Any], str] = {
 }
 
 
-def _drawn_by(draw: Callable[..., Any]) -> type:
-    """The class of what a function draws, its first argument."""
-    return next(iter(get_type_hints(draw).values()))
-
-
-PICTURES = {_drawn_by(draw): Picture(draw, caption) for draw, caption in CAPTIONS.items()}
+# by the class of what a function draws, its first argument
+PICTURES = {
+    next(iter(get_type_hints(draw).values())): Picture(draw, caption)
+    for draw, caption in CAPTIONS.items()
+}
 
 
 def picture_of(kind: type) -> Picture:

@@ -67,15 +67,10 @@ def plot_element_stiffness(stiffness: DynamicStiffness, *, ax: Any = None) -> An
     'magnitude [N/m]'
     """
     check_single("plot_element_stiffness.stiffness", stiffness.frequencies, 1)
-    f, K = np.asarray(stiffness.frequencies), np.asarray(stiffness.stiffness)
-    ax = axes_or_new(ax, 7.0, 4.4)
-    (below,) = axes_below(ax, 0.55)
-    ax.loglog(f, np.abs(K), lw=1.5, color=COLORS[0])
-    below.semilogx(f, np.rad2deg(np.angle(K)), lw=1.5, color=COLORS[0])
-    ax.set_ylabel(with_unit("magnitude", stiffness.unit))
-    hertz(below, f)
-    degrees(below, "loss angle")
-    return ax
+    K = np.asarray(stiffness.stiffness)
+    panels = {stiffness.unit: {"": (np.abs(K), np.angle(K), None)}}
+    f, ax = np.asarray(stiffness.frequencies), axes_or_new(ax, 7.0, 4.4)
+    return _over_frequency(ax, f, panels, "magnitude", "loss angle")
 
 
 def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any:
@@ -182,7 +177,10 @@ def plot_dynamic_stiffness(
     return _over_frequency(ax, f[f > 0], panels, "dynamic stiffness", "loss angle", plain=True)
 
 
-# and the size of the unit in SI
+# with the size of the unit in SI
+STIFFNESS_UNITS = {("N", "m"): ("N/mm", 1e3), ("N m", "rad"): ("N m/rad", 1.0)}
+
+
 def _over_frequency(
     ax: Any,
     f: np.ndarray,
@@ -193,7 +191,8 @@ def _over_frequency(
     plain: bool = False,
 ) -> Any:
     """Magnitudes in a panel for each unit, {unit: {name: (magnitudes, angles [rad], look)}}, and
-    all angles below; a look that is None is that of the next line. plain: as in `plain_numbers`."""
+    all angles below; a look that is None is that of the next line, and the name "" is not written.
+    plain: as in `plain_numbers`."""
     *others, below = axes_below(ax, *[1.0] * (len(panels) - 1), 0.55)
     for axes, (unit, lines) in zip((ax, *others), panels.items(), strict=True):
         for name, (size, angles, look) in lines.items():
@@ -203,13 +202,10 @@ def _over_frequency(
         axes.set_ylabel(with_unit(what, unit))
         if plain:
             plain_numbers(axes, np.concatenate([size for size, *_ in lines.values()]))
-        legend(axes, len(lines))
+        legend(axes, len(lines) if all(lines) else 0)
     hertz(below, f)
     degrees(below, angle)
     return ax
-
-
-STIFFNESS_UNITS = {("N", "m"): ("N/mm", 1e3), ("N m", "rad"): ("N m/rad", 1.0)}
 
 
 def plot_weighted_signal(signal: WeightedSignal, *, ax: Any = None) -> Any:

@@ -4,6 +4,7 @@ know no renderer."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
@@ -100,14 +101,7 @@ class Animation:
         for part in self.parts:
             if part.framed:
                 low, high = part.mesh.vertices.min(0), part.mesh.vertices.max(0)
-                box = np.array(
-                    [
-                        [x, y, z]
-                        for x in (low[0], high[0])
-                        for y in (low[1], high[1])
-                        for z in (low[2], high[2])
-                    ]
-                )
+                box = np.array(list(product(*zip(low, high, strict=True))))
                 corners += [part.placed(box, i) for i in (frames if len(part.p) > 1 else [0])]
         above = [
             label.p[:1] + 0.3 * self.size * self.up
@@ -123,30 +117,34 @@ class Animation:
         def picked(x: np.ndarray) -> np.ndarray:
             return x[rows] if len(x) > 1 else x
 
-        parts = tuple(
-            replace(part, p=picked(part.p), R=picked(part.R), scale=picked(part.scale))
-            for part in self.parts
-        )
-        labels = tuple(replace(label, p=picked(label.p)) for label in self.labels)
-        trails = tuple(replace(trail, points=picked(trail.points)) for trail in self.trails)
-        clock = tuple(self.clock[row] for row in rows)
         return replace(
-            self, seconds=seconds, clock=clock, parts=parts, labels=labels, trails=trails
+            self,
+            seconds=seconds,
+            clock=tuple(self.clock[row] for row in rows),
+            parts=tuple(
+                replace(part, p=picked(part.p), R=picked(part.R), scale=picked(part.scale))
+                for part in self.parts
+            ),
+            labels=tuple(replace(label, p=picked(label.p)) for label in self.labels),
+            trails=tuple(replace(trail, points=picked(trail.points)) for trail in self.trails),
         )
 
     def moved(self, shift: np.ndarray, group: str) -> Animation:
         """The same at another place, its names within a group."""
-        parts = tuple(
-            replace(part, path=(group, *part.path), p=part.p + shift) for part in self.parts
+        return replace(
+            self,
+            parts=tuple(
+                replace(part, path=(group, *part.path), p=part.p + shift) for part in self.parts
+            ),
+            labels=tuple(
+                replace(label, path=(group, *label.path), p=label.p + shift)
+                for label in self.labels
+            ),
+            trails=tuple(
+                replace(trail, path=(group, *trail.path), points=trail.points + shift)
+                for trail in self.trails
+            ),
         )
-        labels = tuple(
-            replace(label, path=(group, *label.path), p=label.p + shift) for label in self.labels
-        )
-        trails = tuple(
-            replace(trail, path=(group, *trail.path), points=trail.points + shift)
-            for trail in self.trails
-        )
-        return replace(self, parts=parts, labels=labels, trails=trails)
 
 
 def axes_along_lines(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

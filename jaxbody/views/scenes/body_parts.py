@@ -49,7 +49,12 @@ def parts_of_bodies(
                         ("bodies", name, "solid"), solid, color, p, R, opacity=opacity, edged=True
                     )
                 )
-        pins = [sphere(PIN * size, 10).placed(point) for point in _attached(sequence, name)]
+        pins = [
+            sphere(PIN * size, 10).placed(point)
+            for table in _along_lines(sequence)
+            for frame, point in places_of(table)
+            if frame == name
+        ]
         if pins:
             parts.append(
                 DrawnPart(
@@ -70,18 +75,17 @@ def _center_of_mass(
 ) -> list[DrawnPart]:
     """The usual sign: a ball of eight parts, black and white by turns; `reach` is the largest
     distance of a point of the body from it."""
-    black, white = [], []
-    for octant in np.ndindex(2, 2, 2):
-        ball = sphere(CENTER * size, 16)
-        sign = 1 - 2 * np.array(octant)
-        part = Mesh(
-            ball.vertices, ball.faces[(ball.vertices[ball.faces].mean(1) * sign > 0).all(1)]
-        ).placed(com)
-        (white if sum(octant) % 2 else black).append(part)
-    both = (("black", black, INK), ("white", white, "#ffffff"))
+    ball = sphere(CENTER * size, 16).placed(com)
+    middles = ball.vertices[ball.faces].mean(1) - com
+    black = np.prod(middles, axis=1) > 0  # the octants with an even number of negative coordinates
     return [
-        DrawnPart(("centers of mass", name, word), joined(of), color, p, R, over=reach)
-        for word, of, color in both
+        DrawnPart(
+            ("centers of mass", name, word), Mesh(ball.vertices, faces), color, p, R, over=reach
+        )
+        for word, faces, color in (
+            ("black", ball.faces[black], INK),
+            ("white", ball.faces[~black], "#ffffff"),
+        )
     ]
 
 
@@ -144,13 +148,12 @@ def parts_of_joints(sequence: PoseSequence, size: float) -> list[DrawnPart]:
             lines = [(pin, joint.axis, at)]
         elif isinstance(joint, Guide):
             lines = [(rail, joint.axis, origin)]
-        elif isinstance(joint, Combined):
-            lines = [
-                (pin if turn else rail, n, at)
-                for turn, n in zip(joint.turns, joint.directions, strict=True)
-            ]
-        elif isinstance(joint, Composite):
-            places = np.where(np.array(joint.turns)[:, None], np.asarray(joint.points), origin)
+        elif isinstance(joint, Combined | Composite):
+            places = (
+                np.where(np.array(joint.turns)[:, None], np.asarray(joint.points), origin)
+                if isinstance(joint, Composite)
+                else [at] * len(joint.turns)
+            )
             lines = [
                 (pin if turn else rail, n, x)
                 for turn, n, x in zip(joint.turns, joint.directions, places, strict=True)
@@ -178,16 +181,13 @@ def ground(
         (np.ceil(inside.max(0) / cell) + 1) * cell,
     )
     lines = []
-    for axis in range(2):
+    for axis, turn in enumerate((np.eye(3), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))):
         other = 1 - axis
         line = ribbon(np.array([first[axis], last[axis]]), np.zeros(2), wide)
-        turned = (
-            line
-            if axis == 0
-            else line.placed(np.zeros(3), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
-        )
-        for k in np.arange(first[other], last[other] + 0.5 * cell, cell):
-            lines.append(turned.placed(np.eye(3)[other] * k + np.array([0, 0, level])))
+        lines += [
+            line.placed(np.eye(3)[other] * k + np.array([0, 0, level]), turn)
+            for k in np.arange(first[other], last[other] + 0.5 * cell, cell)
+        ]
     return DrawnPart(
         ("ground",),
         joined(lines),
@@ -241,28 +241,20 @@ def _along_lines(sequence: PoseSequence) -> list[KindTable]:
     return [table for table in sequence.model.elements if hasattr(table.rows, "free_length")]
 
 
-def _attached(sequence: PoseSequence, name: str) -> list[np.ndarray]:
-    """The ends of line elements on a frame."""
-    places = [place for table in _along_lines(sequence) for place in places_of(table)]
-    return [point for frame, point in places if frame == name]
-
-
 def _feet(sequence: PoseSequence, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
     """(point, outward direction), in the axes of a support or of the world, where elements along a
     line end on it."""
     feet, (_, R) = [], sequence.pose(name)
     for table in _along_lines(sequence):
-        a, b = (np.asarray(x, float) for x in table.rows.points)
-        for link, *points in zip(table.links, a, b, strict=True):
-            for end in range(2):
-                if link[end] == name:
-                    d = (
-                        sequence.points(name, points[end])
-                        - sequence.points(link[1 - end], points[1 - end])
-                    )[0]
+        for element in map(table.row, table.names):
+            A, B = (end[0] for end in sequence.ends(element))
+            for frame, point, d in zip(
+                element.between, element.points, (A - B, B - A), strict=True
+            ):
+                if frame == name:
                     length = np.linalg.norm(d)
-                    d = d / length if length > 0 else np.array([0.0, 0, -1])
-                    feet.append((points[end], R[0].T @ d))
+                    outward = d / length if length > 0 else np.array([0.0, 0, -1])
+                    feet.append((np.asarray(point, float), R[0].T @ outward))
     return feet
 
 

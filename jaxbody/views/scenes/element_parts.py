@@ -3,6 +3,7 @@ bushings, torsion springs, anti-roll bars, contacts."""
 
 from __future__ import annotations
 
+from functools import singledispatch
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,6 @@ from jaxbody.model.elements.torsions import AntiRollBar, Torsion
 from jaxbody.views.plots.canvases import COLORS, GRAY
 from jaxbody.views.scenes.animations import DrawnPart, axes_along_lines, rod
 from jaxbody.views.scenes.meshes import (
-    Mesh,
     across,
     box,
     coil,
@@ -45,35 +45,30 @@ def parts_of_elements(sequence: PoseSequence, size: float, up: np.ndarray) -> li
         part
         for name, element in elements
         if not isinstance(element, Tyre)
-        for part in _parts(name, element, sequence.ends(element), sequence, size, up)
+        for part in _parts(element, name, sequence.ends(element), sequence, size, up)
     ]
 
 
+@singledispatch
 def _parts(
-    name: str,
     element: Any,
+    name: str,
     ends: list[np.ndarray],
     sequence: PoseSequence,
     size: float,
     up: np.ndarray,
 ) -> list[DrawnPart]:
-    if isinstance(element, Contact):
-        ball = sphere(float(element.free_length) / 2)
-        return [
-            DrawnPart(("elements", name, side), ball, COLORS[5], at, opacity=0.6)
-            for side, at in zip("ab", ends, strict=True)
-        ]
-    if isinstance(element, LineElement):
-        return _line_element(name, element, ends[0], ends[1], size)
-    if isinstance(element, Inerter):
-        return _inerter(name, ends[0], ends[1], size)
-    if isinstance(element, FramePair):
-        return _bushing(name, element, ends, sequence, size, up)
-    if isinstance(element, Torsion):
-        return _torsion(name, element, ends, sequence, size)
-    if isinstance(element, AntiRollBar):
-        return _anti_roll_bar(name, element, ends, sequence, size)
+    """The parts of an element by its class: a rod unless its class has its own function below."""
     return [rod(("elements", name), cylinder(0.004 * size, sides=8), GRAY, ends[0], ends[1])]
+
+
+@_parts.register
+def _contact(element: Contact, name, ends, sequence, size, up) -> list[DrawnPart]:
+    ball = sphere(float(element.free_length) / 2)
+    return [
+        DrawnPart(("elements", name, side), ball, COLORS[5], at, opacity=0.6)
+        for side, at in zip("ab", ends, strict=True)
+    ]
 
 
 def springs_and_dampers(element: LineElement) -> tuple[bool, bool]:
@@ -85,10 +80,9 @@ def springs_and_dampers(element: LineElement) -> tuple[bool, bool]:
     return True, False
 
 
-def _line_element(
-    name: str, element: LineElement, A: np.ndarray, B: np.ndarray, size: float
-) -> list[DrawnPart]:
-    sprung, damped = springs_and_dampers(element)
+@_parts.register
+def _line_element(element: LineElement, name, ends, sequence, size, up) -> list[DrawnPart]:
+    (A, B), (sprung, damped) = ends, springs_and_dampers(element)
     length = max(float(np.linalg.norm(B[0] - A[0])), 0.02 * size)
     radius = float(np.clip(SLENDER * length, THIN * size, WIDE * size))
     turns = int(np.clip(round(0.84 * length / (PITCH * radius)), 4, 16))
@@ -125,8 +119,10 @@ def _line_element(
     return parts
 
 
-def _inerter(name: str, A: np.ndarray, B: np.ndarray, size: float) -> list[DrawnPart]:
+@_parts.register
+def _inerter(element: Inerter, name, ends, sequence, size, up) -> list[DrawnPart]:
     """A flywheel in the middle of a rod."""
+    A, B = ends
     R, lengths = axes_along_lines(B - A)
     radius = float(np.clip(0.12 * lengths[0], 0.008 * size, 0.03 * size))
     wheel = cylinder(radius, -0.3 * radius, 0.3 * radius)
@@ -136,9 +132,8 @@ def _inerter(name: str, A: np.ndarray, B: np.ndarray, size: float) -> list[Drawn
     ]
 
 
-def _bushing(
-    name: str, element: Any, ends, sequence: PoseSequence, size: float, up: np.ndarray
-) -> list[DrawnPart]:
+@_parts.register
+def _bushing(element: FramePair, name, ends, sequence, size, up) -> list[DrawnPart]:
     """A rubber ring on the frame of the second end about a pin on that of the first; its axis is
     the one nearest to up at rest."""
     R_a, R_b = (
@@ -168,9 +163,8 @@ def _bushing(
     return parts
 
 
-def _torsion(
-    name: str, element: Torsion, ends, sequence: PoseSequence, size: float
-) -> list[DrawnPart]:
+@_parts.register
+def _torsion(element: Torsion, name, ends, sequence, size, up) -> list[DrawnPart]:
     """A flat spiral about the axis on the first frame, whose outer end is an arm on the second."""
     R_a, R_b = (sequence.pose(frame)[1] for frame in element.between)
     axes = np.asarray(matrix(element.orientation)) @ axes_along(np.asarray(element.axis, float))
@@ -185,9 +179,8 @@ def _torsion(
     ]
 
 
-def _anti_roll_bar(
-    name: str, element: AntiRollBar, ends, sequence: PoseSequence, size: float
-) -> list[DrawnPart]:
+@_parts.register
+def _anti_roll_bar(element: AntiRollBar, name, ends, sequence, size, up) -> list[DrawnPart]:
     """A bar on the body beside the line between the two wheels at rest, with a lever to
     each wheel."""
     left, right, _ = ends
@@ -204,9 +197,9 @@ def _anti_roll_bar(
 
     corners = [on_body(left[0] - inward + aside), on_body(right[0] + inward + aside)]
     mesh = cylinder(0.0055 * size, sides=10)
-    knots: Mesh = sphere(0.0085 * size, 10)
+    knot = sphere(0.0085 * size, 10)
     parts = [rod(("elements", name, "bar"), mesh, BAR, corners[0], corners[1])]
     for side, at, corner in zip(("left", "right"), (left, right), corners, strict=True):
         parts.append(rod(("elements", name, f"{side} lever"), mesh, BAR, corner, at))
-        parts.append(DrawnPart(("elements", name, f"{side} corner"), knots, BAR, corner))
+        parts.append(DrawnPart(("elements", name, f"{side} corner"), knot, BAR, corner))
     return parts

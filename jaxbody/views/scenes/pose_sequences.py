@@ -91,8 +91,8 @@ def along(trajectory: Trajectory, most: int, forces: bool = False) -> PoseSequen
                 "View one sample of the batch: jax.tree.map(lambda x: x[0], trajectory).",
             )
         )
-    finite = np.isfinite(np.asarray(trajectory.state.q)).all(-1)
-    if not finite.any():
+    known = np.flatnonzero(np.isfinite(np.asarray(trajectory.state.q)).all(-1))
+    if not len(known):
         raise JaxbodyError(
             Problem(
                 "NONFINITE",
@@ -101,7 +101,6 @@ def along(trajectory: Trajectory, most: int, forces: bool = False) -> PoseSequen
                 hint="Simulate it again.",
             )
         )
-    known = np.flatnonzero(finite)
     times = np.asarray(trajectory.times, float)
     rows = known[nearest(times[known], most)]
     part = eqx.tree_at(
@@ -221,23 +220,16 @@ def over_travel(curves: SuspensionCurves) -> PoseSequence:
                 hint="Give values within reach.",
             )
         )
-    p, R = poses_of(curves.model, curves.q[rows])
-    shown = [
-        [
+    clock = tuple(
+        ", ".join(
             f"{drive.name} {_shown(float(curves.over[drive.name][i]), drive.unit)}"
             for drive in curves.drives
-        ]
+        )
         for i in rows
-    ]
-    times = np.linspace(0.0, TRAVEL, len(rows)) if len(rows) > 1 else np.zeros(1)
-    return PoseSequence(
-        curves.model,
-        times,
-        p,
-        R,
-        clock=tuple(", ".join(parts) for parts in shown),
-        wheel=curves.wheel,
     )
+    times = np.linspace(0.0, TRAVEL, len(rows)) if len(rows) > 1 else np.zeros(1)
+    poses = poses_of(curves.model, curves.q[rows])
+    return PoseSequence(curves.model, times, *poses, clock=clock, wheel=curves.wheel)
 
 
 def _shown(value: float, unit: str) -> str:

@@ -26,28 +26,31 @@ MOST_POINTS = 4000  # of a profile
 def parts_of_roads(sequence: PoseSequence, size: float) -> list[DrawnPart]:
     """Wheels for all tyres, a strip of road under each, and the profile under each other support
     that a Road moves. Wheels that follow one another share a strip."""
-    parts: list[DrawnPart] = []
-    strips: dict[tuple[float, ...], list[DrawnPart]] = {}
-    drawn: set[str] = set()
-
-    def add(name: str, support: str, point: np.ndarray, normal: np.ndarray, width: float) -> None:
-        strip = _strip(name, support, point, normal, width, sequence, size)
-        surface = strip[0]
-        key = (
-            *np.round((surface.p[0] @ _axes_of_road(normal))[1:], 6),
-            *np.round(surface.mesh.vertices.ravel(), 6),
+    tyres = _tyres(sequence)
+    places = [
+        (
+            name,
+            element.between[1],
+            np.asarray(element.b, float),
+            np.asarray(element.axis, float),
+            1.5 * WIDTH * float(element.radius),
         )
+        for name, element in tyres
+    ]
+    under_tyres = {support for _, support, *_ in places}
+    places += [
+        (support, support, np.zeros(3), np.array([0.0, 0, 1]), 0.1 * size)
+        for support in sequence.roads
+        if support not in under_tyres
+    ]
+    strips: dict[tuple[float, ...], list[DrawnPart]] = {}
+    for name, support, point, normal, width in places:
+        strip = _strip(name, support, point, normal, width, sequence, size)
+        place = (strip[0].p[0] @ _axes_of_road(normal))[1:]
+        key = (*np.round(place, 6), *np.round(strip[0].mesh.vertices.ravel(), 6))
         strips.setdefault(key, strip)
-        drawn.add(support)
-
-    for name, element in _tyres(sequence):
-        parts += _wheel(name, element, sequence)
-        normal, width = np.asarray(element.axis, float), 1.5 * WIDTH * float(element.radius)
-        add(name, element.between[1], np.asarray(element.b, float), normal, width)
-    for support in sequence.roads:
-        if support not in drawn:
-            add(support, support, np.zeros(3), np.array([0.0, 0, 1]), 0.1 * size)
-    return parts + [part for strip in strips.values() for part in strip]
+    wheels = [part for name, element in tyres for part in _wheel(name, element, sequence)]
+    return wheels + [part for strip in strips.values() for part in strip]
 
 
 def _tyres(sequence: PoseSequence) -> list[tuple[str, Tyre]]:

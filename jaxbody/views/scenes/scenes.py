@@ -48,8 +48,7 @@ def animation_of(
         speed: seconds of the sequence per second of playing.
         shapes: {body or support: its shapes} in place of the default ones.
         trails: (name, frame, point in its axes) of points whose paths are drawn.
-        longest_force: the force [N] of the longest arrow; None takes the largest of
-            the sequence."""
+        longest_force: the force [N] of the longest arrow; None takes 1 N."""
     size, up, shapes = size_of_sequence(sequence), up_of(sequence.model), shapes or {}
     bodies, names = parts_of_bodies(sequence, size, shapes, SOLID)
     supports, more_names = parts_of_supports(sequence, size, up, shapes)
@@ -59,14 +58,12 @@ def animation_of(
         *bodies,
         *parts_of_joints(sequence, size),
         *parts_of_elements(sequence, size, up),
+        *parts_of_closures(sequence, size),
+        *parts_of_wheel(sequence),
     ]
-    parts += [*parts_of_closures(sequence, size), *parts_of_wheel(sequence)]
     notes = []
     if sequence.forces:
-        largest = max(
-            (float(np.linalg.norm(f, axis=-1).max()) for f in sequence.forces.values()), default=0.0
-        )
-        scale = LONGEST * size / (longest_force or largest or 1.0)
+        scale = LONGEST * size / (longest_force or 1.0)
         parts += _arrows(sequence, size, scale)
         notes.append(f"arrows: {LONGEST * size / scale:.3g} N are {LONGEST * size:.3g} m long")
     names += more_names + _names_at_middles(sequence)
