@@ -119,16 +119,10 @@ def plot_energies(trajectory: Trajectory, *, ax: Any = None) -> Any:
     """
     check_single("plot_energies.trajectory", trajectory.times, 1)
     lines = energy_balance(trajectory)
-    ax = axes_or_new(ax, 7.5, 3.4)
-    for i, (name, values) in enumerate(lines.items()):
-        last = i == len(lines) - 1
-        ax.plot(
-            trajectory.times,
-            values,
-            label=name,
-            **({"color": INK, "lw": 2.2} if last else style(i) | {"lw": 1.5}),
-        )
-    ax.set(xlabel="time [s]", ylabel="energy [J]")
+    ax = panels_of_lines(
+        axes_or_new(ax, 7.5, 3.4), trajectory.times, {"energy [J]": lines}, "time [s]"
+    )
+    ax.lines[-1].set(color=INK, ls="-", lw=2.2)  # the sum
     legend(ax, len(lines))
     return ax
 

@@ -396,6 +396,21 @@ def look(response: FrequencyResponse, i: int, j: int) -> dict[str, Any]:
     return style(i * len(response.inputs) + j)
 
 
+def lines_over_frequency(
+    ax: Any, f: np.ndarray, lines: list[tuple[str, np.ndarray]], label: str
+) -> Any:
+    """Named lines over frequency [Hz] on logarithmic scales, with plain numbers; returns the
+    axes."""
+    ax = axes_or_new(ax, 7.0, 3.6)
+    for i, (name, values) in enumerate(lines):
+        ax.loglog(f, values, lw=1.5, label=name, **style(i))
+    ax.set_ylabel(label)
+    plain_numbers(ax, np.concatenate([values for _, values in lines]))
+    hertz(ax, f)
+    legend(ax, len(lines))
+    return ax
+
+
 def hertz(ax: Any, f: np.ndarray) -> None:
     """A logarithmic frequency axis with plain numbers: 1, 2, 5 of each decade, or 1 only where
     there are many decades."""

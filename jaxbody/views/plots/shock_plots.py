@@ -20,10 +20,9 @@ from jaxbody.views.plots.canvases import (
     axes_or_new,
     check_single,
     legend,
-    style,
     with_unit,
 )
-from jaxbody.views.plots.response_plots import hertz, plain_numbers
+from jaxbody.views.plots.response_plots import hertz, lines_over_frequency, plain_numbers
 
 LEAST_SHARE = 1e-3  # of a mode that is drawn
 
@@ -31,21 +30,20 @@ LEAST_SHARE = 1e-3  # of a mode that is drawn
 def plot_shock_spectrum(spectrum: ShockSpectrum, *, ax: Any = None) -> Any:
     """The spectrum over natural frequency on logarithmic scales, a line for each damping ratio."""
     check_single("plot_shock_spectrum.spectrum", spectrum.frequencies, 1)
-    ax, f = axes_or_new(ax, 7.0, 3.6), np.asarray(spectrum.frequencies)
-    order, values = np.argsort(f), np.asarray(spectrum.values)
-    for i, (zeta, row) in enumerate(zip(np.asarray(spectrum.damping), values, strict=True)):
-        ax.loglog(f[order], row[order], lw=1.5, label=f"damping ratio {zeta:g}", **style(i))
+    f, values = np.asarray(spectrum.frequencies), np.asarray(spectrum.values)
+    order = np.argsort(f)
+    lines = [
+        (f"damping ratio {zeta:g}", row[order])
+        for zeta, row in zip(np.asarray(spectrum.damping), values, strict=True)
+    ]
     what = {
         "absolute": "acceleration",
         "relative": "displacement",
         "pseudo": "pseudo-acceleration",
     }[spectrum.kind]
     side = "" if spectrum.side == "maximax" else f"{spectrum.side} "
-    ax.set_ylabel(with_unit(f"largest {side}{what}", spectrum.unit))
-    plain_numbers(ax, values)
-    hertz(ax, f)
-    legend(ax, len(values))
-    return ax
+    label = with_unit(f"largest {side}{what}", spectrum.unit)
+    return lines_over_frequency(ax, f[order], lines, label)
 
 
 def plot_response_spectrum(
@@ -54,19 +52,12 @@ def plot_response_spectrum(
     """The pseudo-acceleration of a design spectrum over natural frequency on logarithmic scales.
 
     damping: damping ratios; None takes 0.05, or the one for which it is stated."""
-    ends = tuple(float(x) for x in spectrum.covers())
     check_single("plot_response_spectrum.spectrum", spectrum.rigid(), 0)
-    least, most = (float(x) for x in spectrum.dampings())
-    ax, f = axes_or_new(ax, 7.0, 3.6), np.geomspace(ends[0], min(ends[1], 100.0), 400)
-    for i, zeta in enumerate(damping or (float(np.clip(0.05, least, most)),)):
-        ax.loglog(
-            f, np.asarray(spectrum(f, zeta)), lw=1.5, label=f"damping ratio {zeta:g}", **style(i)
-        )
-    ax.set_ylabel("pseudo-acceleration [m/s2]")
-    plain_numbers(ax, np.concatenate([line.get_ydata() for line in ax.lines]))
-    hertz(ax, f)
-    legend(ax, len(ax.lines))
-    return ax
+    first, last = (float(x) for x in spectrum.covers())
+    f = np.geomspace(first, min(last, 100.0), 400)
+    ratios = damping or (float(np.clip(0.05, *spectrum.dampings())),)
+    lines = [(f"damping ratio {zeta:g}", np.asarray(spectrum(f, zeta))) for zeta in ratios]
+    return lines_over_frequency(ax, f, lines, "pseudo-acceleration [m/s2]")
 
 
 def plot_matched_record(quake: MatchedRecord, *, ax: Any = None) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,13 @@ from jaxbody.model.storage import KindTable
 from jaxbody.views.plots.canvases import COLORS, GRAY, INK, LIGHT
 from jaxbody.views.scenes.animations import DrawnPart, NameLabel
 from jaxbody.views.scenes.meshes import Mesh, box, cylinder, hull, joined, ribbon, sphere
-from jaxbody.views.scenes.pose_sequences import PoseSequence, attaching, marks, places_of
+from jaxbody.views.scenes.pose_sequences import (
+    PoseSequence,
+    attaching,
+    marks,
+    named_rows,
+    places_of,
+)
 from jaxbody.views.scenes.road_parts import hub_of
 from jaxbody.views.scenes.shapes import THICK, Shape, axes_along, solid_of_body
 
@@ -133,10 +139,9 @@ def parts_of_supports(
     return parts, labels
 
 
-def parts_of_joints(sequence: PoseSequence, size: float) -> list[DrawnPart]:
+def parts_of_joints(sequence: PoseSequence, size: float) -> Iterator[DrawnPart]:
     """Pins of hinges with their axes, balls, and rails of guides, on the frame of the parent."""
-    model, parts = sequence.model, []
-    r = 0.012 * size
+    model, r = sequence.model, 0.012 * size
     pin = joined([cylinder(r, -2.2 * r, 2.2 * r), cylinder(0.25 * r, -6 * r, 6 * r, sides=8)])
     rail = cylinder(0.004 * size, -0.1 * size, 0.1 * size, sides=8)
     for name, parent in zip(model.layout.bodies, model.layout.parents, strict=True):
@@ -159,12 +164,11 @@ def parts_of_joints(sequence: PoseSequence, size: float) -> list[DrawnPart]:
                 for turn, n, x in zip(joint.turns, joint.directions, places, strict=True)
             ]
         elif isinstance(joint, Ball):
-            parts.append(DrawnPart(("joints", name), sphere(1.5 * r), GRAY, p + R @ at, R))
+            yield DrawnPart(("joints", name), sphere(1.5 * r), GRAY, p + R @ at, R)
         for i, (mesh, axis, point) in enumerate(lines):
             number = (str(i + 1),) if len(lines) > 1 else ()
             axes = axes_along(np.asarray(axis, float))
-            parts.append(DrawnPart(("joints", name, *number), mesh, GRAY, p + R @ point, R @ axes))
-    return parts
+            yield DrawnPart(("joints", name, *number), mesh, GRAY, p + R @ point, R @ axes)
 
 
 def ground(
@@ -245,16 +249,13 @@ def _feet(sequence: PoseSequence, name: str) -> list[tuple[np.ndarray, np.ndarra
     """(point, outward direction), in the axes of a support or of the world, where elements along a
     line end on it."""
     feet, (_, R) = [], sequence.pose(name)
-    for table in _along_lines(sequence):
-        for element in map(table.row, table.names):
-            A, B = (end[0] for end in sequence.ends(element))
-            for frame, point, d in zip(
-                element.between, element.points, (A - B, B - A), strict=True
-            ):
-                if frame == name:
-                    length = np.linalg.norm(d)
-                    outward = d / length if length > 0 else np.array([0.0, 0, -1])
-                    feet.append((np.asarray(point, float), R[0].T @ outward))
+    for _, element in named_rows(_along_lines(sequence)):
+        A, B = (end[0] for end in sequence.ends(element))
+        for frame, point, d in zip(element.between, element.points, (A - B, B - A), strict=True):
+            if frame == name:
+                length = np.linalg.norm(d)
+                outward = d / length if length > 0 else np.array([0.0, 0, -1])
+                feet.append((np.asarray(point, float), R[0].T @ outward))
     return feet
 
 

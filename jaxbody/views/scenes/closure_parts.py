@@ -12,7 +12,7 @@ from jaxbody.model.models import Model
 from jaxbody.views.plots.canvases import COLORS, GRAY, INK
 from jaxbody.views.scenes.animations import DrawnPart, rod
 from jaxbody.views.scenes.meshes import box, cylinder, joined, sphere
-from jaxbody.views.scenes.pose_sequences import PoseSequence, attaching
+from jaxbody.views.scenes.pose_sequences import PoseSequence, attaching, named_rows
 from jaxbody.views.scenes.shapes import axes_along
 
 ROD = COLORS[3]
@@ -21,11 +21,7 @@ ROUND = 0.006  # radius of a rod, relative to the size of the model
 
 def placed_closures(model: Model) -> list[tuple[str, Closure]]:
     """The closures with points in space, by name."""
-    return [
-        (name, table.row(name))
-        for table in attaching(model)[len(model.elements) :]
-        for name in table.names
-    ]
+    return named_rows(attaching(model)[len(model.elements) :])
 
 
 def parts_of_closures(sequence: PoseSequence, size: float) -> list[DrawnPart]:

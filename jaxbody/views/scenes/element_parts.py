@@ -3,6 +3,7 @@ bushings, torsion springs, anti-roll bars, contacts."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from functools import singledispatch
 from typing import Any
 
@@ -26,7 +27,7 @@ from jaxbody.views.scenes.meshes import (
     sphere,
     spiral,
 )
-from jaxbody.views.scenes.pose_sequences import PoseSequence
+from jaxbody.views.scenes.pose_sequences import PoseSequence, named_rows
 from jaxbody.views.scenes.shapes import axes_along
 
 STEEL, RUBBER, DAMPER, BAR = "#4a525e", "#3a3f47", "#d9a441", COLORS[3]
@@ -38,12 +39,9 @@ TUBE = 0.55  # length of a damper's tube over that of the damper in the first fr
 
 def parts_of_elements(sequence: PoseSequence, size: float, up: np.ndarray) -> list[DrawnPart]:
     """The parts of all elements but tyres."""
-    elements = [
-        (name, table.row(name)) for table in sequence.model.attached for name in table.names
-    ]
     return [
         part
-        for name, element in elements
+        for name, element in named_rows(sequence.model.attached)
         if not isinstance(element, Tyre)
         for part in _parts(element, name, sequence.ends(element), sequence, size, up)
     ]
@@ -57,7 +55,7 @@ def _parts(
     sequence: PoseSequence,
     size: float,
     up: np.ndarray,
-) -> list[DrawnPart]:
+) -> Iterable[DrawnPart]:
     """The parts of an element by its class: a rod unless its class has its own function below."""
     return [rod(("elements", name), cylinder(0.004 * size, sides=8), GRAY, ends[0], ends[1])]
 
@@ -81,17 +79,14 @@ def springs_and_dampers(element: LineElement) -> tuple[bool, bool]:
 
 
 @_parts.register
-def _line_element(element: LineElement, name, ends, sequence, size, up) -> list[DrawnPart]:
+def _line_element(element: LineElement, name, ends, sequence, size, up) -> Iterator[DrawnPart]:
     (A, B), (sprung, damped) = ends, springs_and_dampers(element)
     length = max(float(np.linalg.norm(B[0] - A[0])), 0.02 * size)
     radius = float(np.clip(SLENDER * length, THIN * size, WIDE * size))
     turns = int(np.clip(round(0.84 * length / (PITCH * radius)), 4, 16))
     thickness = radius * (0.15 if damped else 0.18)
-    parts = []
     if sprung:
-        parts.append(
-            rod(("elements", name, "coil"), coil(radius, thickness, length, turns), STEEL, A, B)
-        )
+        yield rod(("elements", name, "coil"), coil(radius, thickness, length, turns), STEEL, A, B)
     if damped:
         inner = 0.62 * radius if sprung else 0.8 * radius
         R, lengths = axes_along_lines(B - A)
@@ -101,22 +96,18 @@ def _line_element(element: LineElement, name, ends, sequence, size, up) -> list[
             min(max(most - 0.7 * TUBE * length, 0.4 * length), least),
         )
         if tube + stem > most:  # both rigid, as in a damper; else its rod is stretched
-            piston = DrawnPart(
+            yield DrawnPart(
                 ("elements", name, "piston"), cylinder(0.4 * inner, 0.0, stem, sides=12), GRAY, A, R
             )
         else:
-            piston = rod(("elements", name, "piston"), cylinder(0.4 * inner, sides=12), GRAY, A, B)
-        parts += [
-            piston,
-            DrawnPart(
-                ("elements", name, "damper"),
-                cylinder(inner, -max(tube, 0.02 * length), 0.0, sides=18),
-                DAMPER,
-                B,
-                R,
-            ),
-        ]
-    return parts
+            yield rod(("elements", name, "piston"), cylinder(0.4 * inner, sides=12), GRAY, A, B)
+        yield DrawnPart(
+            ("elements", name, "damper"),
+            cylinder(inner, -max(tube, 0.02 * length), 0.0, sides=18),
+            DAMPER,
+            B,
+            R,
+        )
 
 
 @_parts.register
@@ -133,7 +124,7 @@ def _inerter(element: Inerter, name, ends, sequence, size, up) -> list[DrawnPart
 
 
 @_parts.register
-def _bushing(element: FramePair, name, ends, sequence, size, up) -> list[DrawnPart]:
+def _bushing(element: FramePair, name, ends, sequence, size, up) -> Iterator[DrawnPart]:
     """A rubber ring on the frame of the second end about a pin on that of the first; its axis is
     the one nearest to up at rest."""
     R_a, R_b = (
@@ -152,15 +143,10 @@ def _bushing(element: FramePair, name, ends, sequence, size, up) -> list[DrawnPa
             *(cylinder(0.7 * r, *z) for z in ((-1.25 * r, -1.0 * r), (1.0 * r, 1.25 * r))),
         ]
     )
-    parts = [
-        DrawnPart(("elements", name, "rubber"), rubber, RUBBER, ends[1], R_b @ turn),
-        DrawnPart(("elements", name, "pin"), pin, GRAY, ends[0], R_a @ turn),
-    ]
+    yield DrawnPart(("elements", name, "rubber"), rubber, RUBBER, ends[1], R_b @ turn)
+    yield DrawnPart(("elements", name, "pin"), pin, GRAY, ends[0], R_a @ turn)
     if np.linalg.norm(ends[1][0] - ends[0][0]) > 2 * r:
-        parts.append(
-            rod(("elements", name, "link"), cylinder(0.2 * r, sides=8), GRAY, ends[0], ends[1])
-        )
-    return parts
+        yield rod(("elements", name, "link"), cylinder(0.2 * r, sides=8), GRAY, ends[0], ends[1])
 
 
 @_parts.register
@@ -180,7 +166,7 @@ def _torsion(element: Torsion, name, ends, sequence, size, up) -> list[DrawnPart
 
 
 @_parts.register
-def _anti_roll_bar(element: AntiRollBar, name, ends, sequence, size, up) -> list[DrawnPart]:
+def _anti_roll_bar(element: AntiRollBar, name, ends, sequence, size, up) -> Iterator[DrawnPart]:
     """A bar on the body beside the line between the two wheels at rest, with a lever to
     each wheel."""
     left, right, _ = ends
@@ -198,8 +184,7 @@ def _anti_roll_bar(element: AntiRollBar, name, ends, sequence, size, up) -> list
     corners = [on_body(left[0] - inward + aside), on_body(right[0] + inward + aside)]
     mesh = cylinder(0.0055 * size, sides=10)
     knot = sphere(0.0085 * size, 10)
-    parts = [rod(("elements", name, "bar"), mesh, BAR, corners[0], corners[1])]
+    yield rod(("elements", name, "bar"), mesh, BAR, corners[0], corners[1])
     for side, at, corner in zip(("left", "right"), (left, right), corners, strict=True):
-        parts.append(rod(("elements", name, f"{side} lever"), mesh, BAR, corner, at))
-        parts.append(DrawnPart(("elements", name, f"{side} corner"), knot, BAR, corner))
-    return parts
+        yield rod(("elements", name, f"{side} lever"), mesh, BAR, corner, at)
+        yield DrawnPart(("elements", name, f"{side} corner"), knot, BAR, corner)

@@ -3,6 +3,7 @@ vibrating modes, of a suspension over its travel, or of one state."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -64,8 +65,7 @@ class PoseSequence:
 
     def ends(self, thing: Any) -> list[np.ndarray]:
         """World positions (n, 3) of the points that an element or a closure is between."""
-        places = zip(thing.between, thing.points, strict=True)
-        return [self.points(frame, point) for frame, point in places]
+        return [self.points(*place) for place in zip(thing.between, thing.points, strict=True)]
 
 
 def still(model: Model, state: State | None = None) -> PoseSequence:
@@ -260,6 +260,11 @@ def attaching(model: Model) -> list[KindTable]:
         *model.elements,
         *(table for table in model.closures if not isinstance(table.rows, Coupling | Equation)),
     ]
+
+
+def named_rows(tables: Iterable[KindTable]) -> list[tuple[str, Any]]:
+    """Elements or closures by name."""
+    return [(name, table.row(name)) for table in tables for name in table.names]
 
 
 def size_of_sequence(sequence: PoseSequence) -> float:

@@ -10,7 +10,7 @@ from jaxbody.model.inputs.roads import Road
 from jaxbody.views.plots.canvases import INK, LIGHT
 from jaxbody.views.scenes.animations import DrawnPart
 from jaxbody.views.scenes.meshes import Mesh, cylinder, joined, ribbon, slab, tyre
-from jaxbody.views.scenes.pose_sequences import PoseSequence
+from jaxbody.views.scenes.pose_sequences import PoseSequence, named_rows
 from jaxbody.views.scenes.shapes import axes_along
 
 WIDTH, RIM = 0.62, 0.66  # width of a tyre, and radius of its rim, over the radius of the tyre
@@ -55,9 +55,11 @@ def parts_of_roads(sequence: PoseSequence, size: float) -> list[DrawnPart]:
 
 def _tyres(sequence: PoseSequence) -> list[tuple[str, Tyre]]:
     """The tyres that have a radius, by name."""
-    tables = [table for table in sequence.model.elements if isinstance(table.rows, Tyre)]
-    tyres = [(name, table.row(name)) for table in tables for name in table.names]
-    return [(name, element) for name, element in tyres if float(element.radius) > 0]
+    return [
+        (name, element)
+        for name, element in named_rows(sequence.model.elements)
+        if isinstance(element, Tyre) and float(element.radius) > 0
+    ]
 
 
 def hub_of(sequence: PoseSequence, body: str, points: np.ndarray) -> Mesh | None:

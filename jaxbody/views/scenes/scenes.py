@@ -3,7 +3,7 @@ several side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -132,16 +132,15 @@ def side_by_side(animations: Mapping[str, Animation]) -> Animation:
     )
 
 
-def _arrows(sequence: PoseSequence, size: float, scale: float) -> list[DrawnPart]:
+def _arrows(sequence: PoseSequence, size: float, scale: float) -> Iterator[DrawnPart]:
     """The forces of elements on the bodies at their ends."""
-    mesh, parts = arrow(0.012 * size, 0.3), []
+    mesh = arrow(0.012 * size, 0.3)
     for name, force in sequence.forces.items():
         element = sequence.model[name]
         for i, (frame, at) in enumerate(zip(element.between, sequence.ends(element), strict=True)):
             if frame in sequence.model.layout.bodies:
                 path, tip = ("forces", name, f"on {frame}"), at + scale * force[:, i]
-                parts.append(replace(rod(path, mesh, FORCE, at, tip), over=0.05 * size))
-    return parts
+                yield replace(rod(path, mesh, FORCE, at, tip), over=0.05 * size)
 
 
 def _names_at_middles(sequence: PoseSequence) -> list[NameLabel]:
