@@ -72,16 +72,18 @@ class Stage:
         self.meshes: dict[tuple[str, ...], Mesh] = {}
         self.shown: dict[tuple[str, ...], dict[str, np.ndarray]] = {}
         self.take(animation)
-        labels = animation.labels if names else ()
-        self.texts = {
-            label.path: scene.add_label(
-                _name(label.path), label.text, position=tuple(label.p[0]), font_screen_scale=0.9,
+        for label in animation.labels if names else ():
+            at = self.places[label.path]["position"][0]
+            self.shown[label.path] = {"position": at}
+            self.handles[label.path] = scene.add_label(
+                _name(label.path),
+                label.text,
+                position=tuple(at),
+                font_screen_scale=0.9,
                 anchor="bottom-center" if label.kind == "title" else "bottom-left",
                 # those are many; they are switched on in the tree of the scene
                 visible=label.kind != "element",
             )
-            for label in labels
-        }  # fmt: skip
         for trail in animation.trails:
             segments = np.stack([trail.points[:-1], trail.points[1:]], 1)
             scene.add_line_segments(
@@ -97,13 +99,15 @@ class Stage:
             if animation.moves
             else None
         )
-        self.shown |= {label.path: {"position": label.p[0]} for label in labels}
 
     def take(self, animation: Animation) -> None:
         """Take the parts of an animation of the same model; those whose mesh is the same stay, and
         are moved by the next `show`."""
         self.animation = animation
-        self.places = {part.path: _places(part, self.step) for part in animation.parts}
+        self.places = {part.path: _places(part, self.step) for part in animation.parts} | {
+            label.path: {"position": _rounded(label.p, 64 * self.step)}
+            for label in animation.labels
+        }
         for path in [path for path in self.handles if path not in self.places]:
             self.handles.pop(path).remove()
         for part in animation.parts:
@@ -129,29 +133,13 @@ class Stage:
 
     def show(self, i: int) -> None:
         for path, handle in self.handles.items():
-            self._move(
-                path,
-                handle,
-                {
-                    name: values[min(i, len(values) - 1)]
-                    for name, values in self.places[path].items()
-                },
-            )
-        for label in self.animation.labels:
-            if label.path in self.texts and len(label.p) > 1:
-                self._move(
-                    label.path,
-                    self.texts[label.path],
-                    {"position": _rounded(label.p[i], 64 * self.step)},
-                )
+            for name, values in self.places[path].items():
+                now = values[min(i, len(values) - 1)]
+                if not np.array_equal(now, self.shown[path][name]):
+                    self.shown[path][name] = now
+                    setattr(handle, name, tuple(now.tolist()))
         if self.clock is not None:
             self.clock.text = self.animation.clock[i]
-
-    def _move(self, path: tuple[str, ...], handle: Any, place: dict[str, np.ndarray]) -> None:
-        for name, values in place.items():
-            if not np.array_equal(values, self.shown[path][name]):
-                self.shown[path][name] = values
-                setattr(handle, name, tuple(values.tolist()))
 
 
 def _places(part: DrawnPart, step: float) -> dict[str, np.ndarray]:

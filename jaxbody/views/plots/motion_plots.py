@@ -25,8 +25,6 @@ from jaxbody.views.plots.canvases import (
     style,
 )
 
-AXES = "xyz"
-
 
 def plot_trajectory(
     trajectory: Trajectory, *, bodies: tuple[str, ...] | None = None, ax: Any = None
@@ -356,7 +354,7 @@ def components(values: dict[str, Any], about: str = "") -> dict[str, np.ndarray]
     return {
         f"{name}{about} {axis}": np.asarray(x)[:, i]
         for name, x in values.items()
-        for i, axis in enumerate(AXES)
+        for i, axis in enumerate("xyz")
     }
 
 

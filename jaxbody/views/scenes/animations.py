@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from jaxbody.views.plots.canvases import GRAY
-from jaxbody.views.scenes.meshes import Mesh, across
+from jaxbody.views.scenes.meshes import Mesh, axes_along_lines
 
 
 @dataclass(frozen=True)
@@ -145,25 +145,6 @@ class Animation:
                 for trail in self.trails
             ),
         )
-
-
-def axes_along_lines(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes (n, 3, 3) whose third column is along d (n, 3), turned from frame to frame as little as
-    possible, and the lengths (n,).
-
-    Where a line has no length the axes of the frame before are kept."""
-    length = np.linalg.norm(d, axis=-1)
-    R = np.empty((len(d), 3, 3))
-    known = length > 0
-    u = d[np.argmax(known)] / length[np.argmax(known)] if known.any() else np.array([0.0, 0.0, 1.0])
-    x = across(u)
-    for i, (row, l) in enumerate(zip(d, length, strict=True)):
-        u = row / l if l > 0 else u
-        rest = x - (x @ u) * u
-        norm = np.linalg.norm(rest)
-        x = rest / norm if norm > 1e-6 else across(u)
-        R[i] = np.stack([x, np.cross(u, x), u], -1)
-    return R, length
 
 
 def rod(

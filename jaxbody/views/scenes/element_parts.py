@@ -16,9 +16,10 @@ from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.elements.springs import Inerter, Spring, SpringDamper
 from jaxbody.model.elements.torsions import AntiRollBar, Torsion
 from jaxbody.views.plots.canvases import COLORS, GRAY
-from jaxbody.views.scenes.animations import DrawnPart, axes_along_lines, rod
+from jaxbody.views.scenes.animations import DrawnPart, rod
 from jaxbody.views.scenes.meshes import (
     across,
+    axes_along_lines,
     box,
     coil,
     cylinder,

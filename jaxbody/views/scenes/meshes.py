@@ -4,7 +4,6 @@ where a drawing stretches them."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -97,17 +96,17 @@ def revolved(profile: np.ndarray, sides: int = ROUND) -> Mesh:
         start + (np.arange(sides) if len(ring) > 1 else np.zeros(sides, int))
         for start, ring in zip(starts, rings, strict=False)
     ]
-    faces = []
-    for lower, upper in (
-        zip(around, [*around[1:], around[0]], strict=True) if closed else pairwise(around)
-    ):
-        a, b, c, d = lower, np.roll(lower, -1), np.roll(upper, -1), upper
-        faces += [
-            np.stack(corners, -1)
-            for corners in ((a, b, c), (a, c, d))
-            if len({*map(int, (x[0] for x in corners))}) == 3
-        ]
-    return Mesh(np.concatenate(rings), np.concatenate(faces))
+    around = np.array([*around, around[0]] if closed else around)
+    return Mesh(np.concatenate(rings), _between(around))
+
+
+def _between(rings: np.ndarray) -> np.ndarray:
+    """Triangles between successive rings of vertices, given by their numbers (n, sides); a ring of
+    one vertex repeats its number."""
+    a, d = rings[:-1], rings[1:]
+    b, c = np.roll(a, -1, axis=1), np.roll(d, -1, axis=1)
+    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+    return faces[(faces != np.roll(faces, 1, axis=1)).all(1)]  # a ring of one vertex has no sides
 
 
 def cylinder(radius: float, low: float = 0.0, high: float = 1.0, sides: int = ROUND) -> Mesh:
@@ -155,28 +154,14 @@ def tyre(radius: float, width: float) -> Mesh:
 
 def wire(path: np.ndarray, radius: float, sides: int = 6) -> Mesh:
     """A round wire along a path (n, 3), closed at its ends, with axes transported along it."""
-    tangent = np.gradient(path, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    side = np.empty_like(path)
-    side[0] = across(tangent[0])
-    for i in range(1, len(path)):
-        rest = side[i - 1] - (side[i - 1] @ tangent[i]) * tangent[i]
-        side[i] = rest / np.linalg.norm(rest)
-    angle = 2 * np.pi * np.arange(sides) / sides
-    rim = np.cos(angle)[:, None, None] * side + np.sin(angle)[:, None, None] * np.cross(
-        tangent, side
-    )
+    R, _ = axes_along_lines(np.gradient(path, axis=0))
+    angle = 2 * np.pi * np.arange(sides)[:, None, None] / sides
+    rim = np.cos(angle) * R[..., 0] + np.sin(angle) * R[..., 1]
     rings = np.moveaxis(path + radius * rim, 0, 1).reshape(-1, 3)
-    here, there = np.arange(sides), np.roll(np.arange(sides), -1)
-    starts = sides * np.arange(len(path) - 1)[:, None]
-    a, b, c, d = starts + here, starts + there, starts + sides + there, starts + sides + here
-    sleeve = np.concatenate(
-        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
-    )
-    first, last = np.full(sides, len(rings)), np.full(sides, len(rings) + 1)
-    end = sides * (len(path) - 1)
-    caps = [np.stack([first, there, here], -1), np.stack([last, end + here, end + there], -1)]
-    return Mesh(np.concatenate([rings, path[[0, -1]]]), np.concatenate([sleeve, *caps]))
+    around = np.arange(len(rings)).reshape(-1, sides)
+    ends = np.repeat([[len(rings)], [len(rings) + 1]], sides, axis=1)  # the middles of both ends
+    vertices = np.concatenate([rings, path[[0, -1]]])
+    return Mesh(vertices, _between(np.stack([ends[0], *around, ends[1]])))
 
 
 def coil(radius: float, thickness: float, length: float, turns: int, points: int = 14) -> Mesh:
@@ -235,3 +220,22 @@ def across(direction: np.ndarray) -> np.ndarray:
     least = np.eye(3)[int(np.argmin(np.abs(direction)))]
     rest = least - (least @ direction) * direction
     return rest / np.linalg.norm(rest)
+
+
+def axes_along_lines(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (n, 3, 3) whose third column is along d (n, 3), turned from frame to frame as little as
+    possible, and the lengths (n,).
+
+    Where a line has no length the axes of the frame before are kept."""
+    length = np.linalg.norm(d, axis=-1)
+    axis, side = np.empty((2, len(d), 3))
+    known = length > 0
+    u = d[np.argmax(known)] / length[np.argmax(known)] if known.any() else np.array([0.0, 0.0, 1.0])
+    x = across(u)
+    for i, (row, l) in enumerate(zip(d, length, strict=True)):
+        u = row / l if l > 0 else u
+        rest = x - (x @ u) * u
+        norm = np.linalg.norm(rest)
+        x = rest / norm if norm > 1e-6 else across(u)
+        axis[i], side[i] = u, x
+    return np.stack([side, np.cross(axis, side), axis], -1), length
