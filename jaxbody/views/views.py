@@ -41,7 +41,7 @@ HEIGHT = 480  # pixels in a notebook
 RATE, MOST = 25, 1500  # frames per second of playing, and in all
 # seconds of playing at which the speed is that of the motion; of a shorter motion
 SHORTEST, LONGEST, USUAL = 2.0, 60.0, 5.0
-VIEWED = (Model, Equilibrium, Trajectory, SuspensionCurves, ModalResult, Tuning)
+VIEWED = (Model, Equilibrium, Trajectory, SuspensionCurves, ModalResult)
 
 
 class View(Printed):
@@ -341,7 +341,7 @@ def _named(what: Any, problems: Problems) -> dict[str, Any]:
             hint='Give {"before": ..., "after": ...}.',
         )
     for name, thing in given.items():
-        if not isinstance(thing, VIEWED) or isinstance(thing, Tuning):
+        if not isinstance(thing, VIEWED):
             problems.add(
                 "WRONG_KIND",
                 f"view['{name}']" if name else "view",

@@ -14,7 +14,6 @@ from jaxbody.design.tuning_results import Tuning
 from jaxbody.views.plots.canvases import COLORS, GRAY, INK, LIGHT, axes_or_new, legend
 
 MOST_BARS = 15
-BINS = 40
 
 
 def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
@@ -157,7 +156,7 @@ def plot_tolerances(tolerances: Tolerances, quantity: str | None = None, *, ax: 
     samples = samples[np.isfinite(samples)]
     ax.hist(
         samples,
-        BINS,
+        40,
         density=True,
         color=LIGHT,
         edgecolor=GRAY,

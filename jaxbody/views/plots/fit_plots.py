@@ -241,10 +241,9 @@ def plot_multistart(result: Multistart, *, ax: Any = None) -> Any:
     )
     below.bar(count, np.asarray(result.hits), color=COLORS[0], width=0.6)
     ax.set_ylabel("cost above the least [-]")
-    below.set(xlabel="optimum", ylabel="starts")
+    below.set(xlabel="optimum", ylabel="starts", xlim=(0.4, len(count) + 0.6))
     for axis in (below.xaxis, below.yaxis):
         axis.get_major_locator().set_params(integer=True, min_n_ticks=1)
-    below.set_xlim(0.4, len(count) + 0.6)
     legend(ax, 1)
     return ax
 

@@ -129,24 +129,13 @@ def _draw(
     part: int,
     predicted: Any,
     word: str,
-    bands: Any = None,
+    bands_of: Any = None,
 ) -> Any:
     """Measured and predicted values of a sensor. `word`: of the predicted ones in the legend;
-    `bands`: of the residuals, a function of their shape."""
+    `bands_of`: bands of the residuals, a function of their shape."""
+    reading = np.asarray(predicted)
     if np.iscomplexobj(experiment.measured[sensor]):
-        return _draw_response(experiment, sensor, np.asarray(predicted), ax, word)
-    return _draw_record(experiment, sensor, part, np.asarray(predicted), ax, word, bands)
-
-
-def _draw_record(
-    experiment: Measurement,
-    sensor: str,
-    part: int,
-    reading: np.ndarray,
-    ax: Any,
-    word: str,
-    bands_of: Any,
-) -> Any:
+        return _draw_response(experiment, sensor, reading, ax, word)
     channel, (over, x, its_unit) = experiment.channels[sensor], experiment.axis(sensor)
     x = np.asarray(x)
     measured, predicted, residual = _compared(
@@ -238,8 +227,10 @@ def _draw_response(
             f, one, "o", color=pale(COLORS[0]), ms=5.0 if len(f) <= FEW else 3.5, mew=0, zorder=2
         )
         axes.plot(f, other, color=COLORS[0], lw=1.2, zorder=3)
-    ax.set_yscale("log")
-    ax.set_ylabel(with_unit(f"magnitude of {sensor}", experiment.channels[sensor].unit))
+    ax.set(
+        yscale="log",
+        ylabel=with_unit(f"magnitude of {sensor}", experiment.channels[sensor].unit),
+    )
     _phases_over(f, below)
     _explain(ax, points[:1], word)
     return ax
@@ -434,8 +425,7 @@ def _measured_responses(ax: Any, f: np.ndarray, pairs: dict[str, tuple[str, np.n
             axes.plot(f, np.abs(y), label=name, **look)
             known = np.isfinite(y)
             below.plot(f[known], np.rad2deg(np.unwrap(np.angle(y[known]))), **look)
-        axes.set_yscale("log")
-        axes.set_ylabel(with_unit("magnitude", unit))
+        axes.set(yscale="log", ylabel=with_unit("magnitude", unit))
         legend(axes, len(members))
     _phases_over(f, below)
     return ax

@@ -354,11 +354,9 @@ def plot_psd(
         for i, (name, value) in enumerate(values.items()):
             axes.loglog(f, rows[name], lw=1.5, label=f"{name}, rms {value:.3g} {unit}", **style(i))
         shown = unit if unit.isalpha() else f"({unit})"
-        axes.set_ylabel(
-            f"{'power spectral density' if len(panels) == 1 else 'PSD'} [{shown}$^2$/Hz]"
-        )
-        axes.set_ylim(
-            bottom=max(axes.get_ylim()[0], max(np.nanmax(row) for row in rows.values()) * 1e-8)
+        axes.set(
+            ylabel=f"{'power spectral density' if len(panels) == 1 else 'PSD'} [{shown}$^2$/Hz]",
+            ylim=(max(axes.get_ylim()[0], 1e-8 * max(map(np.nanmax, rows.values()))), None),
         )
         legend(axes, len(values))
     hertz(every[-1], f)

@@ -72,8 +72,7 @@ def plot_matched_record(quake: MatchedRecord, *, ax: Any = None) -> Any:
     *others, below = axes_below(ax, 1.0, 1.0, 1.9, share=False)
     for i, (axes, (label, values)) in enumerate(zip((ax, *others), panels.items(), strict=True)):
         axes.plot(quake.times, np.asarray(values), lw=0.9, color=COLORS[0])
-        axes.set_ylabel(label.replace(" [", "\n["))
-        axes.set_xlabel("time [s]" if i == 2 else "")
+        axes.set(ylabel=label.replace(" [", "\n["), xlabel="time [s]" if i == 2 else "")
         axes.tick_params(labelbottom=i == 2)
     f = np.asarray(quake.frequencies)
     below.loglog(f, np.asarray(quake.target), lw=5.0, color=GRAY, alpha=0.5, label="target")
@@ -148,7 +147,6 @@ def plot_fatigue_damage(damage: FatigueDamage, *, ax: Any = None) -> Any:
     ax, values = axes_or_new(ax, 7.0, 1.3 + 0.4 * len(damage.outputs)), np.asarray(damage.damage)
     y, positive = np.arange(len(values)), values[values > 0]
     ax.barh(y, values, height=0.6, color=COLORS[0], lw=0)
-    ax.set_xscale("log")
     ax.axvline(1.0, color=COLORS[2], lw=1.2)
     ax.set_yticks(
         y,
@@ -158,6 +156,10 @@ def plot_fatigue_damage(damage: FatigueDamage, *, ax: Any = None) -> Any:
         ],
         fontsize=8,
     )
-    ax.set(xlim=(min([0.1, *positive]) / 3, max([1.0, *positive]) * 3), ylim=(len(y) - 0.5, -0.5))
-    ax.set_xlabel(f"damage in {float(damage.duration):g} s, {damage.method} [-]")
+    ax.set(
+        xscale="log",
+        xlim=(min([0.1, *positive]) / 3, max([1.0, *positive]) * 3),
+        ylim=(len(y) - 0.5, -0.5),
+        xlabel=f"damage in {float(damage.duration):g} s, {damage.method} [-]",
+    )
     return ax

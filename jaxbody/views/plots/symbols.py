@@ -58,9 +58,12 @@ def frame_axes(ax, look, size: float) -> None:
     (x0, y0), (x1, y1) = ax.dataLim.get_points()
     width, height = np.array([x1 - x0, y1 - y0]) + 2 * MARGIN * max(x1 - x0, y1 - y0)
     width, height = max(width, SLIM * height), max(height, SLIM * width)
-    ax.set_xlim((x0 + x1 - width) / 2, (x0 + x1 + width) / 2)
-    ax.set_ylim((y0 + y1 - height) / 2, (y0 + y1 + height) / 2)
-    ax.set_aspect("equal", adjustable="box")
+    ax.set(
+        xlim=((x0 + x1 - width) / 2, (x0 + x1 + width) / 2),
+        ylim=((y0 + y1 - height) / 2, (y0 + y1 + height) / 2),
+        adjustable="box",
+        aspect="equal",
+    )
     ax.apply_aspect()
 
 

@@ -28,7 +28,6 @@ from jaxbody.views.scenes.shapes import THICK, Shape, axes_along, solid_of_body
 FLAT = 1e-6  # largest extent of a flat model, relative to its size
 # radius of the ends of elements and of a center of mass, relative to the size of the model
 PIN, CENTER = 0.008, 0.016
-BOARD = "#eef1f5"
 
 
 def parts_of_bodies(
@@ -119,7 +118,7 @@ def parts_of_supports(
             own_board = board.placed(-p[0]).placed(np.zeros(3), R[0].T)
             parts.append(
                 DrawnPart(
-                    ("supports", name, "board"), own_board, BOARD, p, R, below=True, edged=True
+                    ("supports", name, "board"), own_board, "#eef1f5", p, R, below=True, edged=True
                 )
             )
         elif (

@@ -56,22 +56,12 @@ def _parts(name: str, closure: Any, sequence: PoseSequence, size: float) -> list
     if isinstance(closure, Hinge):
         pin = joined([cylinder(r, -2.2 * r, 2.2 * r), cylinder(0.25 * r, -6 * r, 6 * r, sides=8)])
         return [DrawnPart(("closures", name), pin, INK, A, along)]
-    rail = DrawnPart(("closures", name, "rail"), _rail(closure, A, B, R, size), GRAY, A, along)
-    on_rail = sphere(1.3 * r) if isinstance(closure, Inline) else box([2.0 * r] * 3)
+    # over all that the second point passes
+    passed = np.sum((B - A) * along[..., 2], axis=1)
+    first, last = min(passed.min(), 0.0) - 0.06 * size, max(passed.max(), 0.0) + 0.06 * size
+    rail, slides = cylinder(0.004 * size, first, last, sides=8), isinstance(closure, Inline)
+    on_rail = sphere(1.3 * r) if slides else box([2.0 * r] * 3)
     return [
-        rail,
-        DrawnPart(
-            ("closures", name, "b"), on_rail, INK, B, along, edged=not isinstance(closure, Inline)
-        ),
+        DrawnPart(("closures", name, "rail"), rail, GRAY, A, along),
+        DrawnPart(("closures", name, "b"), on_rail, INK, B, along, edged=not slides),
     ]
-
-
-def _rail(closure: AlongAxis, A: np.ndarray, B: np.ndarray, R: np.ndarray, size: float) -> Any:
-    """A rail along z from the first point, over all that the second one passes."""
-    places = np.sum((B - A) * (R @ np.asarray(closure.axis, float)), axis=1)
-    return cylinder(
-        0.004 * size,
-        min(places.min(), 0.0) - 0.06 * size,
-        max(places.max(), 0.0) + 0.06 * size,
-        sides=8,
-    )

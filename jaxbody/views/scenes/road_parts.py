@@ -105,13 +105,12 @@ def _wheel(name: str, element: Tyre, sequence: PoseSequence) -> list[DrawnPart]:
     R = sequence.pose(element.between[1])[1] @ axes @ spin
     w = WIDTH * r
     rim = cylinder(RIM * r, -0.38 * w, 0.38 * w)
-    holes = []
-    for angle in 2 * np.pi * np.arange(HOLES) / HOLES:
-        at = 0.40 * r * np.array([np.cos(angle), np.sin(angle), 0])
-        holes += [
-            cylinder(0.12 * r, *z, sides=12).placed(at)
-            for z in ((-0.39 * w, -0.38 * w), (0.38 * w, 0.39 * w))
-        ]
+    turn = 2 * np.pi * np.arange(HOLES) / HOLES
+    holes = [
+        cylinder(0.12 * r, *z, sides=12).placed(at)
+        for at in 0.40 * r * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
+        for z in ((-0.39 * w, -0.38 * w), (0.38 * w, 0.39 * w))
+    ]
     return [
         DrawnPart(("tyres", name, "tyre"), tyre(r, w), INK, hub, R),
         DrawnPart(("tyres", name, "rim"), rim, LIGHT, hub, R),
