@@ -1,7 +1,5 @@
 """An animation as one HTML file that plays in any browser without network, by viser's player."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 from typing import Any

@@ -1,8 +1,6 @@
 """The camera: a direction that suits the model, a distance from which all that moves is in view,
 and its perspective."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Frames of an animation as pictures: meshes in perspective, triangles to pixels in NumPy, with
 names and paths by matplotlib. No display is needed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

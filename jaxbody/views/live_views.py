@@ -1,8 +1,6 @@
 """A view that is served live: sliders in the browser change mode, amplitude and phase while the
 model vibrates, or the time of a motion."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -11,8 +9,8 @@ import numpy as np
 
 from jaxbody.views.browser_pages import Stage, server_at, silent
 from jaxbody.views.cameras import Camera
+from jaxbody.views.plots.poses import SWING
 from jaxbody.views.scenes.animations import Animation
-from jaxbody.views.scenes.pose_sequences import SWING
 
 STILL = 0.1  # s between looks at the controls while nothing plays
 SPEEDS = (0.1, 3.0)

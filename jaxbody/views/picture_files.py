@@ -1,7 +1,5 @@
 """Pictures of an animation in files: PNG of one frame, GIF and MP4 of all. No display is needed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path

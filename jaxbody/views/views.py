@@ -1,8 +1,6 @@
 """jb.view: a model, a motion, modes or a tuned design in three dimensions, in a notebook, a
 browser, one HTML file, or pictures."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import webbrowser
@@ -31,8 +29,9 @@ from jaxbody.views.cameras import Camera, camera_for
 from jaxbody.views.drawn_frames import Painter
 from jaxbody.views.live_views import LiveView, Vibration
 from jaxbody.views.picture_files import save_gif, save_mp4, save_png
+from jaxbody.views.plots.poses import PoseSequence
 from jaxbody.views.scenes.animations import Animation
-from jaxbody.views.scenes.pose_sequences import PoseSequence, along, over_travel, still, vibrating
+from jaxbody.views.scenes.pose_sequences import along, over_travel, still, vibrating
 from jaxbody.views.scenes.scenes import animation_of, side_by_side, with_ground
 from jaxbody.views.scenes.shapes import Shape
 

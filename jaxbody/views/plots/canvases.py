@@ -1,8 +1,6 @@
 """Axes, panels, colors and legends that all plots share. matplotlib is imported when something
 is drawn."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

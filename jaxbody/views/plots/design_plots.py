@@ -1,8 +1,6 @@
 """Plots of designs: the history of a search, a Pareto front, sensitivities as a tornado chart,
 tolerances as a histogram."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Plots of fits: the history of the cost, correlations of the estimates, autocorrelations of the
 residuals, likelihood profiles, optima."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Plots of measured data: records and measurements, also with the fitted model and its residuals;
 diagnoses, validations, bands."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

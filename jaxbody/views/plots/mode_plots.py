@@ -1,8 +1,6 @@
 """Plots of small motions: matrices, shapes, energies, poles and backbones of modes, their
 frequencies along a parameter, elastic axes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

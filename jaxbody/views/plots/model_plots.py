@@ -1,8 +1,6 @@
 """Plots of models and their modes: bodies as outlines around their attachment points, springs as
 zigzags, supports hatched."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 
@@ -34,15 +32,15 @@ from jaxbody.views.plots.canvases import (
     axes_or_new,
     check_known,
 )
-from jaxbody.views.plots.symbols import AXES, frame_axes, ground_at, zigzag_path
-from jaxbody.views.scenes.closure_parts import placed_closures
-from jaxbody.views.scenes.pose_sequences import (
+from jaxbody.views.plots.poses import (
     SWING,
     PoseSequence,
     check_number,
     displaced_poses,
+    placed_closures,
     poses_of,
 )
+from jaxbody.views.plots.symbols import AXES, frame_axes, ground_at, zigzag_path
 
 RIM = 8.0  # points, width of the rounded rim of an outline
 

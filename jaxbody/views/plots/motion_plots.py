@@ -1,8 +1,6 @@
 """Plots of motions: displacements, forces and energies over time, phase portraits, forces
 over strokes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Plots of responses: over frequency, spectral densities, weighted accelerations."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

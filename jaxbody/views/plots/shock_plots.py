@@ -1,8 +1,6 @@
 """Plots of shocks: spectra of shocks and earthquakes, responses to them, matched records, peaks
 and fatigue."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Plots of statics: models at rest, equilibria by energy, load paths, load cases, and what a
 preload changes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from textwrap import fill
 from typing import Any

@@ -1,8 +1,6 @@
 """Symbols in drawings of models: the zigzag of a spring, the hatched bar of what does not move,
 axes and the frame around."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from jaxbody.views.plots.canvases import GRAY, INK

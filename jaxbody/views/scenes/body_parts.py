@@ -1,7 +1,5 @@
 """Bodies, supports, joints, centers of mass and the ground as drawn parts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -13,15 +11,10 @@ from jaxbody.model.joints.joints import Ball, Guide, Hinge
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.storage import KindTable
 from jaxbody.views.plots.canvases import COLORS, GRAY, INK, LIGHT
+from jaxbody.views.plots.poses import PoseSequence, attaching, named_rows
 from jaxbody.views.scenes.animations import DrawnPart, NameLabel
 from jaxbody.views.scenes.meshes import Mesh, box, cylinder, hull, joined, ribbon, sphere
-from jaxbody.views.scenes.pose_sequences import (
-    PoseSequence,
-    attaching,
-    marks,
-    named_rows,
-    places_of,
-)
+from jaxbody.views.scenes.pose_sequences import marks, places_of
 from jaxbody.views.scenes.road_parts import hub_of
 from jaxbody.views.scenes.shapes import THICK, Shape, axes_along, solid_of_body
 

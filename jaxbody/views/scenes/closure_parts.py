@@ -1,27 +1,19 @@
 """Closures as drawn parts: rods between their balls, balls, pins of hinges with their axes, rails,
 welds; couplings have no place."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 
 from jaxbody.geometry.closures import AlongAxis, Ball, Closure, Hinge, Inline, Weld
-from jaxbody.model.models import Model
 from jaxbody.views.plots.canvases import COLORS, GRAY, INK
+from jaxbody.views.plots.poses import PoseSequence, placed_closures
 from jaxbody.views.scenes.animations import DrawnPart, rod
 from jaxbody.views.scenes.meshes import box, cylinder, joined, sphere
-from jaxbody.views.scenes.pose_sequences import PoseSequence, attaching, named_rows
 from jaxbody.views.scenes.shapes import axes_along
 
 ROD = COLORS[3]
 ROUND = 0.006  # radius of a rod, relative to the size of the model
-
-
-def placed_closures(model: Model) -> list[tuple[str, Closure]]:
-    """The closures with points in space, by name."""
-    return named_rows(attaching(model)[len(model.elements) :])
 
 
 def parts_of_closures(sequence: PoseSequence, size: float) -> list[DrawnPart]:

@@ -1,8 +1,6 @@
 """Elements as drawn parts: springs as coils that stretch, dampers as cylinders with rods, inerters,
 bushings, torsion springs, anti-roll bars, contacts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from functools import singledispatch
 from typing import Any
@@ -16,6 +14,7 @@ from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.elements.springs import Inerter, Spring, SpringDamper
 from jaxbody.model.elements.torsions import AntiRollBar, Torsion
 from jaxbody.views.plots.canvases import COLORS, GRAY
+from jaxbody.views.plots.poses import PoseSequence, named_rows
 from jaxbody.views.scenes.animations import DrawnPart, rod
 from jaxbody.views.scenes.meshes import (
     across,
@@ -28,7 +27,6 @@ from jaxbody.views.scenes.meshes import (
     sphere,
     spiral,
 )
-from jaxbody.views.scenes.pose_sequences import PoseSequence, named_rows
 from jaxbody.views.scenes.shapes import axes_along
 
 STEEL, RUBBER, DAMPER, BAR = "#4a525e", "#3a3f47", "#d9a441", COLORS[3]
@@ -124,8 +122,8 @@ def _inerter(element: Inerter, name, ends, sequence, size, up) -> list[DrawnPart
     ]
 
 
-@_parts.register
-def _bushing(element: FramePair, name, ends, sequence, size, up) -> Iterator[DrawnPart]:
+@_parts.register(FramePair)
+def _bushing(element: Any, name, ends, sequence, size, up) -> Iterator[DrawnPart]:
     """A rubber ring on the frame of the second end about a pin on that of the first; its axis is
     the one nearest to up at rest."""
     R_a, R_b = (

@@ -1,10 +1,6 @@
 """What is viewed, as poses of all frames of a model at successive times: of a trajectory, of
 vibrating modes, of a suspension over its travel, or of one state."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import Any
 
 import equinox as eqx
@@ -12,16 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, is_concrete
-from jaxbody.core.compilation.compile_options import program
+from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.tables import without_dust
-from jaxbody.geometry.closures import Coupling, Equation
 from jaxbody.geometry.frames import Pose
-from jaxbody.mechanics.free_motions import moved
 from jaxbody.model.inputs.roads import Road
 from jaxbody.model.joints.element_tables import each_element
-from jaxbody.model.joints.kinematics import Coordinates, frames_at_time
+from jaxbody.model.joints.kinematics import frames_at_time
 from jaxbody.model.leaf_paths import of_elements
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_state
@@ -29,43 +22,19 @@ from jaxbody.model.states import State
 from jaxbody.model.storage import KindTable
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.suspension.alignment_curves import SuspensionCurves
-from jaxbody.suspension.wheels import Wheel
 from jaxbody.vibration.natural_modes import ModalResult
+from jaxbody.views.plots.poses import (
+    SWING,
+    PoseSequence,
+    attaching,
+    check_number,
+    displaced_poses,
+    poses_of,
+)
 
 CYCLE = 40  # frames of a period of a mode
 SECONDS = 2.0  # of a period of a mode as it is played
 TRAVEL = 4.0  # seconds in which the curves of a suspension are played
-SWING = 1 / 8  # largest displacement of a drawn mode, relative to the size of the model
-
-
-@dataclass(frozen=True)
-class PoseSequence:
-    """Poses of all frames of a model, in the order of its layout: world, supports, bodies."""
-
-    model: Model
-    times: np.ndarray  # (n,) [s]
-    p: np.ndarray  # (n, frames, 3), origins
-    R: np.ndarray  # (n, frames, 3, 3), orientations
-    title: str = ""
-    clock: tuple[str, ...] = ("",)  # what is written at each time
-    # {element: (n, ends, 3)} that it exerts on each end, world axes [N]
-    forces: dict[str, np.ndarray] = field(default_factory=dict)
-    roads: dict[str, Road] = field(default_factory=dict)  # {support: road under it}
-    wheel: Wheel | None = None  # that is drawn, beside those of tyres
-
-    def pose(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (n, 3) and orientations (n, 3, 3) of a frame."""
-        row = self.model.layout.frame(name)
-        return self.p[:, row], self.R[:, row]
-
-    def points(self, name: str, point: Any) -> np.ndarray:
-        """World positions (n, 3) of a point of a frame."""
-        p, R = self.pose(name)
-        return p + R @ np.asarray(point, float)
-
-    def ends(self, thing: Any) -> list[np.ndarray]:
-        """World positions (n, 3) of the points that an element or a closure is between."""
-        return [self.points(*place) for place in zip(thing.between, thing.points, strict=True)]
 
 
 def still(model: Model, state: State | None = None) -> PoseSequence:
@@ -190,21 +159,6 @@ def vibrating(
     return PoseSequence(model, SECONDS * steps, p, R, title, clock)
 
 
-def check_number(modes: Any, number: int, where: str) -> None:
-    """Check the number of a mode. Error: UNKNOWN_MODE."""
-    count = modes.frequency.shape[0]
-    if not 1 <= number <= count:
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_MODE",
-                where,
-                f"is {number}; there are modes 1 to {count}",
-                number,
-                f"1 to {count}",
-            )
-        )
-
-
 def over_travel(curves: SuspensionCurves) -> PoseSequence:
     """The configurations of a suspension in the order of its curves, in equal steps of time; those
     beyond reach are left out.
@@ -254,19 +208,6 @@ def places_of(table: KindTable) -> list[tuple[str, np.ndarray]]:
     ]
 
 
-def attaching(model: Model) -> list[KindTable]:
-    """The tables of elements, and of closures that have points in space."""
-    return [
-        *model.elements,
-        *(table for table in model.closures if not isinstance(table.rows, Coupling | Equation)),
-    ]
-
-
-def named_rows(tables: Iterable[KindTable]) -> list[tuple[str, Any]]:
-    """Elements or closures by name."""
-    return [(name, table.row(name)) for table in tables for name in table.names]
-
-
 def size_of_sequence(sequence: PoseSequence) -> float:
     """The longest side of the box around the attached points and centers of mass in the first
     frame; 1 m for a point."""
@@ -282,31 +223,6 @@ def marks(sequence: PoseSequence) -> np.ndarray:
     ]
     places += [place for table in attaching(model) for place in places_of(table)]
     return np.stack([sequence.points(name, point) for name, point in places], 1)
-
-
-def displaced_poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses at q (+) Delta for rows of Delta, where closures are fulfilled, with supports in their
-    reference poses."""
-    return poses_of(model, _moved(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype)))
-
-
-@program
-def _moved(model: Model, q, deltas) -> Array:
-    return jax.vmap(lambda delta: moved(Coordinates(model), q, delta))(deltas)
-
-
-def poses_of(model: Model, q: Any, xi: Any = None) -> tuple[np.ndarray, np.ndarray]:
-    """Poses for rows of q. `xi` (ns, 6): displacements of the supports; None for none."""
-    xi = np.zeros((len(model.layout.supports), 6)) if xi is None else xi
-    frames = _at_rest(model, jnp.asarray(q), jnp.asarray(xi, model.gravity.dtype))
-    return np.asarray(frames.p), np.asarray(frames.R)
-
-
-@program
-def _at_rest(model: Model, q, xi) -> Pose:
-    coordinates, v = Coordinates(model), jnp.zeros(model.layout.nv, q.dtype)
-    supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
-    return jax.vmap(lambda q: coordinates.frames(q, v, supports).pose())(q)
 
 
 def _frames(model, motions, t, state) -> Pose:

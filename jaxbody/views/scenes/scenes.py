@@ -1,14 +1,13 @@
 """From poses to an animation: all parts of a model, names, force arrows, trails and the ground;
 several side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from jaxbody.views.plots.canvases import COLORS, GRAY
+from jaxbody.views.plots.poses import PoseSequence, placed_closures
 from jaxbody.views.scenes.animations import Animation, DrawnPart, NameLabel, Trail, rod
 from jaxbody.views.scenes.body_parts import (
     ground,
@@ -18,10 +17,10 @@ from jaxbody.views.scenes.body_parts import (
     parts_of_supports,
     up_of,
 )
-from jaxbody.views.scenes.closure_parts import is_link, parts_of_closures, placed_closures
+from jaxbody.views.scenes.closure_parts import is_link, parts_of_closures
 from jaxbody.views.scenes.element_parts import parts_of_elements
 from jaxbody.views.scenes.meshes import arrow
-from jaxbody.views.scenes.pose_sequences import PoseSequence, size_of_sequence
+from jaxbody.views.scenes.pose_sequences import size_of_sequence
 from jaxbody.views.scenes.road_parts import parts_of_roads, parts_of_wheel
 from jaxbody.views.scenes.shapes import Shape
 
