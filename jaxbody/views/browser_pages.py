@@ -21,8 +21,8 @@ TRAIL = 2.5  # pixels
 
 
 def page_of(animation: Animation, camera: Camera, *, names: bool = True) -> str:
-    """The HTML text of an animation that starts by itself, with slider, speed and the tree of its
-    parts. Error: MISSING_EXTRA."""
+    """Return the HTML text of an animation that plays by itself, with a time slider, speed and the
+    tree of its parts. Error: MISSING_EXTRA."""
     server = server_at(0)
     try:
         stage = Stage(server, animation, camera, names)
@@ -38,20 +38,21 @@ def page_of(animation: Animation, camera: Camera, *, names: bool = True) -> str:
 
 
 def server_at(port: int) -> Any:
-    """A server of viser on this machine alone; port 0 takes a free one. Error: MISSING_EXTRA."""
+    """Start a server of viser that is reachable from this machine only; port 0 takes a free one.
+    Error: MISSING_EXTRA."""
     viser = import_extra("viser", "view")
     with silent():
         return viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
 
 
 def silent() -> Any:
-    """Without the announcements of the server."""
+    """Return a context manager that suppresses the announcements of the server."""
     return contextlib.redirect_stdout(io.StringIO())
 
 
 class Stage:
-    """The parts of an animation in the scene of a server. `show(i)` moves them to a frame and sends
-    only what changes by it."""
+    """The parts of an animation in the scene of a server. `show(i)` moves them to frame i and sends
+    only what changes."""
 
     def __init__(self, server: Any, animation: Animation, camera: Camera, names: bool):
         scene = self.scene = server.scene
@@ -99,8 +100,8 @@ class Stage:
         )
 
     def take(self, animation: Animation) -> None:
-        """Take the parts of an animation of the same model; those whose mesh is the same stay, and
-        are moved by the next `show`."""
+        """Replace the parts by those of another animation of the same model; parts with the same
+        mesh stay, and the next `show` moves them."""
         self.animation = animation
         self.places = {part.path: _places(part, self.step) for part in animation.parts} | {
             label.path: {"position": _rounded(label.p, 64 * self.step)}
@@ -141,8 +142,8 @@ class Stage:
 
 
 def _places(part: DrawnPart, step: float) -> dict[str, np.ndarray]:
-    """{property of a handle: its values in all frames}, rounded, with quaternions that do not
-    change their sign from frame to frame."""
+    """Return {property of a handle: its values in all frames}, rounded, with quaternions whose sign
+    does not change from frame to frame."""
     q = Rotation.from_matrix(part.R).as_quat()[:, [3, 0, 1, 2]]
     sign = np.where(np.sum(q[1:] * q[:-1], -1) < 0, -1.0, 1.0)
     q[1:] *= np.cumprod(sign)[:, None]
@@ -158,11 +159,13 @@ def _rounded(x: np.ndarray, step: float) -> np.ndarray:
 
 
 def _corner(animation: Animation, camera: Camera) -> np.ndarray:
-    """A point at the lower left of what is seen, for the time."""
+    """Return the point at the lower left of the visible scene, in world axes, where the time is
+    written."""
     inside = (animation.outline() - camera.target) @ camera.axes
     return camera.target + camera.axes @ np.array([inside[:, 0].min(), inside[:, 1].min(), 0.0])
 
 
 def _name(path: tuple[str, ...]) -> str:
-    """The name in the tree of the scene; a slash in a name of the model would be a level of it."""
+    """Return the name in the tree of the scene, with slashes in names of the model replaced, as a
+    slash separates levels of the tree."""
     return "/" + "/".join(step.replace("/", "\u2044") for step in path)

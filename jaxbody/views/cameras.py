@@ -1,4 +1,4 @@
-"""The camera: a direction that suits the model, a distance from which all that moves is in view,
+"""The camera: a direction that suits the model, a distance from which all moving parts are in view,
 and its perspective."""
 
 from dataclasses import dataclass
@@ -22,15 +22,15 @@ class Camera:
     axes: np.ndarray
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Picture coordinates (n, 2), in units of the distance of the picture's plane, and depths
-        (n,) [m]."""
+        """Return picture coordinates (n, 2), relative to the distance of the picture's plane, and
+        depths (n,) [m]."""
         x = (points - self.position) @ self.axes
         depth = -x[:, 2]
         return x[:, :2] / np.where(depth > 0, depth, np.nan)[:, None], depth
 
 
 def camera_for(animation: Animation, direction: np.ndarray | None = None) -> Camera:
-    """The camera for an animation. `direction`: from what is seen to the camera, in world axes;
+    """Return the camera for an animation. `direction`: from the scene to the camera, in world axes;
     None chooses it."""
     up, right = animation.up, animation.right
     front = np.cross(right, up)

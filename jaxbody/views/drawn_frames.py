@@ -30,7 +30,8 @@ class Raster:
         Args:
             corners: (f, 3, 2), in pixels from the lower left, counterclockwise.
             depths: (f, 3), distances from the camera.
-            colors: (f, 3), from 0 to 1."""
+            colors: (f, 3), from 0 to 1.
+        """
         pixel, nearness, owner = self._fragments(corners, depths)
         np.maximum.at(self.nearest, pixel, nearness)
         seen = nearness >= self.nearest[pixel]
@@ -39,7 +40,7 @@ class Raster:
     def blend(
         self, corners: np.ndarray, depths: np.ndarray, colors: np.ndarray, opacity: np.ndarray
     ) -> None:
-        """Draw translucent triangles (opacity (f,)) over what has been drawn; of several in a pixel
+        """Draw translucent triangles of opacity (f,) over the picture; of several in a pixel only
         the nearest counts."""
         pixel, nearness, owner = self._fragments(corners, depths)
         top = self.nearest.copy()
@@ -52,11 +53,11 @@ class Raster:
         ).astype(np.uint8)
 
     def picture(self) -> np.ndarray:
-        """The pixels (height, width, 3), from the top."""
+        """Return the pixels (height, width, 3), from the top."""
         return self.colors.reshape(self.height, self.width, 3)[::-1]
 
     def _fragments(self, corners: np.ndarray, depths: np.ndarray) -> Fragments:
-        """The pixels whose middles are inside of triangles."""
+        """Return the pixels whose centers are inside of triangles."""
         found: list[Fragments] = []
         size = np.array([self.width, self.height])
         low = np.clip(np.floor(corners.min(1)), 0, size).astype(int)
@@ -79,8 +80,8 @@ class Raster:
     def _inside(
         self, rows: np.ndarray, corners: np.ndarray, depths: np.ndarray, low: np.ndarray, step: int
     ) -> Fragments:
-        """Those of triangles whose boxes begin at `low` (f, 2) and are at most `step` wide
-        and high."""
+        """Return the fragments of triangles whose boxes begin at `low` (f, 2) and are at most
+        `step` wide and high."""
         dy, dx = (x.ravel() for x in np.mgrid[:step, :step])
         x, y = np.stack([dx, dy]).astype(np.float32) + 0.5
         corner = (corners - low[:, None]).astype(np.float32)  # small numbers: no digits are lost
@@ -125,10 +126,11 @@ class Painter:
     """Draws single frames as arrays of pixels (height, width, 3).
 
     Args:
-        animation, camera: what is seen, and from where.
-        width: of the pictures, in pixels; the height follows from what is seen. None takes 720, or
-            less for what is tall.
-        names: whether names are written beside bodies, supports and elements."""
+        animation, camera: the animation and the camera.
+        width: width of the pictures in pixels; the height follows from the scene. None takes 720,
+            or less for a tall scene.
+        names: whether names are written beside bodies, supports and elements.
+    """
 
     def __init__(
         self, animation: Animation, camera: Camera, width: int | None, *, names: bool = True
@@ -195,7 +197,7 @@ class Painter:
             self.names = self._written_names()
 
     def picture(self, i: int) -> np.ndarray:
-        """Frame i. It is drawn finer, and reduced."""
+        """Return the pixels of frame i, which is drawn finer and then reduced."""
         self.background.set_data(self._drawn(i))
         trails = self.animation.trails
         drawn = slice(0, i + 1) if self.animation.moves else slice(None)
@@ -215,7 +217,7 @@ class Painter:
         self.ax.set(xlim=(x - w, x + w), ylim=(y - h, y + h))
 
     def _outside(self) -> float:
-        """How far names reach out of the picture, relative to half of its sides."""
+        """Return how far names extend beyond the picture, relative to half of its sides."""
         from matplotlib.text import Text
 
         size = np.array(self.canvas.get_width_height())
@@ -226,7 +228,8 @@ class Painter:
         return float(max(np.max(np.abs(box / size - 0.5)) for box in boxes) * 2 - 1)
 
     def _written_names(self) -> list[tuple[NameLabel, Any]]:
-        """Names beside what they name in the first frame; they stay at that distance."""
+        """Write names beside their parts in the first frame and return them with their texts; they
+        keep that offset in all frames."""
         known, outlines = len(self.ax.texts), []
         for part in self.animation.parts:
             if part.framed and not part.below:
@@ -252,7 +255,7 @@ class Painter:
         ]
 
     def _drawn(self, i: int) -> np.ndarray:
-        """The pixels of all parts."""
+        """Return the pixels of all parts in frame i."""
         solid, clear = [], []
         for part, mesh, edges in zip(self.animation.parts, self.meshes, self.edges, strict=True):
             pieces = [self._triangles(part, Mesh(part.placed(mesh.vertices, i), mesh.faces))]
@@ -274,11 +277,11 @@ class Painter:
         return raster.picture()
 
     def _pixels(self, flat: np.ndarray) -> np.ndarray:
-        """Picture coordinates in fine pixels from the lower left."""
+        """Return picture coordinates in fine pixels from the lower left."""
         return (flat - self.middle + self.half) * (FINER * self.width / (2 * self.half[0]))
 
     def _faces_camera(self, part: DrawnPart, i: int) -> np.ndarray:
-        """Which triangles of the undivided mesh face the camera."""
+        """Return which triangles of the undivided mesh face the camera."""
         mesh = part.at(i)
         return (
             np.sum((self.camera.position - mesh.vertices[mesh.faces[:, 0]]) * mesh.normals(), -1)
@@ -286,8 +289,8 @@ class Painter:
         )
 
     def _triangles(self, part: DrawnPart, mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Corners (f, 3, 2) [pixels], depths (f, 3) and colors (f, 3) of the triangles that face
-        the camera."""
+        """Return corners (f, 3, 2) [pixels], depths (f, 3) and colors (f, 3) of the triangles that
+        face the camera."""
         flat, depth = self.camera.project(mesh.vertices)
         corners = self._pixels(flat)[mesh.faces]
         (ax, ay), (bx, by) = (
@@ -307,7 +310,8 @@ class Painter:
     def _lines(
         self, part: DrawnPart, edges: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same of lines along edges (e, 2, 3), as thin rectangles of two triangles."""
+        """Return corners, depths and colors, as `_triangles`, of lines along edges (e, 2, 3), drawn
+        as thin rectangles of two triangles."""
         flat, depth = (
             x.reshape(len(edges), 2, *x.shape[1:])
             for x in self.camera.project(edges.reshape(-1, 3))
@@ -339,8 +343,8 @@ def _colors(part: DrawnPart, brightness: np.ndarray) -> np.ndarray:
 
 
 def _divided(mesh: Mesh, longest: float, scale: np.ndarray) -> Mesh:
-    """The mesh with its longest edges halved until all are short enough, as stretched
-    by `scale`."""
+    """Return the mesh with its longest edges halved until all are shorter than `longest`, as
+    stretched by `scale`."""
     vertices, faces = mesh
     for _ in range(24):
         corners = (vertices * scale)[faces]
@@ -360,8 +364,8 @@ def _divided(mesh: Mesh, longest: float, scale: np.ndarray) -> Mesh:
 
 
 def _edges(mesh: Mesh, longest: float) -> tuple[np.ndarray, np.ndarray]:
-    """The sharp edges (e, 2, 3) in pieces that are short enough, and the two triangles of each
-    (e, 2)."""
+    """Return the sharp edges (e, 2, 3) in pieces shorter than `longest`, and the two triangles of
+    each (e, 2)."""
     pairs, owners = mesh.edges()
     ends = mesh.vertices[pairs]
     while len(ends) and (long := np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) > longest).any():

@@ -17,8 +17,9 @@ SPEEDS = (0.1, 3.0)
 
 
 class Vibration(NamedTuple):
-    """What is drawn of modes: the animation by (numbers of the modes, amplitude, phase), the
-    largest number, and these as given."""
+    """Modes that are drawn: a function of (numbers of the modes, amplitude, phase) that returns the
+    animation, the largest number of a mode, and the initial numbers, amplitude [m] and phase
+    [rad]."""
 
     drawn: Callable[[Sequence[int], float | None, float], Animation]
     numbers: tuple[int, ...]
@@ -28,9 +29,9 @@ class Vibration(NamedTuple):
 
 
 class LiveView:
-    """A view in a browser that this process draws. `url`: its address; `controls` {name: the handle
-    of viser}, such as `controls["phase"].value` in degrees; `animation`: what is drawn now;
-    `stop()` ends it, `wait()` until Ctrl+C."""
+    """A view in a browser, drawn by this process. `url`: its address; `controls` {name: the handle
+    of viser}, such as `controls["phase"].value` in degrees; `animation`: the animation that is
+    drawn now; `stop()` ends it, `wait()` waits until Ctrl+C."""
 
     def __init__(
         self,
@@ -76,8 +77,8 @@ class LiveView:
                 self.controls[name].on_update(self._vibrate)
 
     def _vibrate(self, _: Any) -> None:
-        """Draw the modes with what the sliders say; where it does not play, at the first frame,
-        which has the phase."""
+        """Draw the modes with the values of the sliders; while it does not play, draw the first
+        frame, which has the phase of the slider."""
         assert self.vibration is not None
         with self.lock:
             number = self.controls.get("mode")
@@ -130,7 +131,7 @@ class LiveView:
             self.server.stop()
 
     def wait(self) -> None:
-        """Return when the view is stopped, or at Ctrl+C."""
+        """Wait until the view is stopped, or until Ctrl+C."""
         try:
             self.ended.wait()
         except KeyboardInterrupt:
@@ -141,5 +142,5 @@ class LiveView:
 
 
 def _lines(title: str) -> str:
-    """Lines of Markdown."""
+    """Return text whose line breaks are kept in Markdown."""
     return title.replace("\n", "  \n")

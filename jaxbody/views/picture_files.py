@@ -23,14 +23,14 @@ SWATCH = 16  # height of the strip of shades of each part in the sheet whose col
 
 
 def save_png(path: Path, painter: Painter, frame: int) -> None:
-    """One frame. Error: NOT_SAVED."""
+    """Write one frame as PNG. Error: NOT_SAVED."""
     image = Image.fromarray(painter.picture(frame))
     with writing(path):
         image.save(path, format="PNG", optimize=True)
 
 
 def save_gif(path: Path, painter: Painter) -> None:
-    """All frames in a loop, with one palette, so that only what changes is stored.
+    """Write all frames as a GIF that repeats, with one palette, so that only changes are stored.
     Error: NOT_SAVED."""
     animation = painter.animation
     frames, pauses = _frames(animation, RATES[".gif"])
@@ -50,7 +50,8 @@ def save_gif(path: Path, painter: Painter) -> None:
 
 
 def _palette(images: list[Any], animation: Animation) -> Any:
-    """A picture with 256 colors: those of these pictures, of small parts too, and white."""
+    """Return a picture with the 256 colors of a GIF: white, and colors of these pictures, with
+    those of small parts."""
     width, height = images[0].size
     colors = sorted({part.color for part in animation.parts})
     sheet = Image.new("RGB", (width, height * len(images) + SWATCH * len(colors)))
@@ -68,7 +69,7 @@ def _palette(images: list[Any], animation: Animation) -> Any:
 
 
 def save_mp4(path: Path, painter: Painter) -> None:
-    """All frames, H.264. Errors: MISSING_EXTRA, NOT_SAVED."""
+    """Write all frames as a video in H.264. Errors: MISSING_EXTRA, NOT_SAVED."""
     ffmpeg = import_extra("imageio_ffmpeg", "view")
     rate = RATES[".mp4"]
     frames, pauses = _frames(painter.animation, rate)
@@ -86,7 +87,7 @@ def save_mp4(path: Path, painter: Painter) -> None:
 
 
 def _frames(animation: Animation, rate: int) -> tuple[list[int], list[int]]:
-    """The frames that are shown at a rate, and how long each [ms], in steps of 10 ms, which is the
+    """Return the frames shown at a rate [1/s] and the duration of each [ms], in steps of 10 ms, the
     unit of GIF."""
     if not animation.moves:
         return [0], [1000]
@@ -104,7 +105,7 @@ def _frames(animation: Animation, rate: int) -> tuple[list[int], list[int]]:
 
 
 def _drawn(painter: Painter, frames: list[int], name: str) -> Iterator[np.ndarray]:
-    """The pictures of these frames, one after the other."""
+    """Yield the pictures of these frames one after the other, with progress."""
     with working(f"view, {name}") as line:
         for k, i in enumerate(frames):
             line(f"frame {k + 1} of {len(frames)}")

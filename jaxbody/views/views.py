@@ -69,17 +69,17 @@ class View(Printed):
         )
 
     def to_html(self) -> str:
-        """The text of one HTML file that needs no network. Error: MISSING_EXTRA."""
+        """Return the text of one HTML file that needs no network. Error: MISSING_EXTRA."""
         return page_of(self.animation, self.camera, names=self.names)
 
     def save(self, path: Any, *, at: float = 0.0, width: int | None = None) -> Path:
-        """Write a file: .html plays in any browser without network, .gif and .mp4 move, .png is one
-        frame. Returns the path.
+        """Write a file and return its path: .html plays in any browser without network, .gif and
+        .mp4 move, .png is one frame.
 
         Args:
-            path: its path; it replaces a file of the same name.
-            at: seconds of playing at which a .png is taken.
-            width: of pictures, in pixels; None takes 720, or less for what is tall.
+            path: path of the file, which replaces a file of the same name.
+            at: time of playing at which a .png is taken [s].
+            width: width of pictures in pixels; None takes 720, or less for a tall scene.
 
         Errors: UNKNOWN_FORMAT, NOT_SAVED, BAD_NUMBER; MISSING_EXTRA for .html and .mp4 without `pip
         install 'jaxbody[view]'`."""
@@ -104,8 +104,8 @@ class View(Printed):
         return path
 
     def plot(self, *, at: float = 0.0, ax: Any = None) -> Any:
-        """The picture at a time of playing [s], in axes of matplotlib; None makes a new figure.
-        Returns the axes."""
+        """Draw the picture at a time of playing [s] into axes of matplotlib and return the axes;
+        None makes a new figure."""
         if ax is None:
             import matplotlib.pyplot as plt
 
@@ -118,7 +118,7 @@ class View(Printed):
         return ax
 
     def show(self) -> None:
-        """Show it in the notebook, or from a script in a browser, from a temporary file.
+        """Show it inline in a notebook, or from a script in a browser, from a temporary file.
         Error: MISSING_EXTRA."""
         ipython: Any = sys.modules.get("IPython")
         if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
@@ -131,12 +131,12 @@ class View(Printed):
         webbrowser.open(Path(file.name).as_uri())
 
     def serve(self, *, port: int = 0, browser: bool = True) -> LiveView:
-        """Show it live in a browser: this process draws it, and sliders beside it change mode,
-        amplitude and phase of modes while they vibrate, or the time of a motion. A file from `save`
-        holds what was recorded: it has the slider of time alone.
+        """Show it live in a browser, drawn by this process: sliders change mode, amplitude and
+        phase of modes while they vibrate, or the time of a motion. A file from `save` has only the
+        slider of time.
 
         Args:
-            port: of the server, on this machine alone; 0 takes a free one.
+            port: port of the server, which is reachable from this machine only; 0 takes a free one.
             browser: whether to open it in a browser; its `url` is printed with it.
 
         `stop()` ends it; at the end of a script, `wait()` keeps it until Ctrl+C. Errors:
@@ -197,12 +197,12 @@ def view(
     names: bool = True,
     direction: Any = None,
 ) -> View:
-    """A model, or a result, in three dimensions: bodies, springs that stretch, dampers, joints,
+    """Show a model or a result in three dimensions: bodies, springs that stretch, dampers, joints,
     supports and roads that move.
 
-    Nothing has to be said about the drawing: a body is the hull of what is attached to it and of
-    its inertia, a spring is a coil of its length, a tyre has its radius, up is against gravity.
-    Nothing is computed but poses.
+    No options are needed: a body is drawn as the hull of its attached points and of its inertia, a
+    spring as a coil of its length, a tyre with its radius; up is against gravity. Only poses are
+    computed.
 
     Args:
         what: a model, an equilibrium, a trajectory, modes (natural or complex), the curves of a
@@ -213,16 +213,16 @@ def view(
         at: the state in which a model is drawn, or about which modes vibrate: a State, an
             equilibrium or a linearization; None takes the reference pose.
         number: number of the mode, from 1, or several, side by side.
-        amplitude: largest displacement of a drawn mode [m]; None takes an eighth of the
-            model's size.
+        amplitude: largest displacement of a drawn mode [m]; None takes an eighth of the model's
+            size.
         phase: phase of a mode in the first frame [rad].
-        forces: whether arrows show the forces of elements on bodies along a trajectory, to
-            one scale.
+        forces: whether arrows show the forces of elements on bodies along a trajectory, all to one
+            scale.
         trails: names of bodies, or {name: (body, point in its axes)}, whose paths are drawn.
-        speed: seconds of a motion per second of playing; None: 1, but about 5 s of playing for a
-            motion shorter than 2 s and at most 60 s for a longer one.
+        speed: seconds of a motion per second of playing; None takes 1, but plays a motion shorter
+            than 2 s in about 5 s and a long one in at most 60 s.
         names: whether names are written.
-        direction: from the model to the camera, in world axes; None chooses it.
+        direction: direction from the model to the camera, in world axes; None chooses it.
 
     Errors: WRONG_KIND, NO_DATA, UNKNOWN_NAME, UNKNOWN_MODE, NOT_POSITIVE, BAD_SHAPE, NON_FINITE,
     ZERO_AXIS. `view(...).save("x.html")` and `.show()` need `pip install 'jaxbody[view]'`.
@@ -323,7 +323,8 @@ def view(
 
 
 def _named(what: Any, problems: Problems) -> dict[str, Any]:
-    """What is viewed by name: one thing has the name ""; a tuning is two models."""
+    """Return {name: viewed model or result}; a single one has the name "", and a tuning is two
+    models."""
     if isinstance(what, Tuning):
         return {"before": what.space.model, "after": what.model}
     given = (
@@ -393,7 +394,7 @@ def _shapes(shapes: Any, models: list[Model], problems: Problems) -> dict[str, t
 def _trails(
     trails: Any, models: list[Model], problems: Problems
 ) -> list[tuple[str, str, np.ndarray]]:
-    """(name, frame, point) of each."""
+    """Return (name, frame, point) of each trail."""
     known = tuple(
         name
         for name in models[0].layout.frames
@@ -436,7 +437,7 @@ def _state(at: Any, problems: Problems) -> State | None:
 
 
 def _speed(given: dict[str, Any], speed: float | None) -> float | None:
-    """Seconds of motion per second of playing; None where nothing moves in time."""
+    """Return the seconds of motion per second of playing; None if nothing moves in time."""
     durations = [
         float(x.times[-1] - x.times[0])
         for x in given.values()

@@ -26,7 +26,7 @@ FAR = 16.0  # points, distance beyond which a thin line leads to the label
 
 
 def axes_or_new(ax: Any, width: float, height: float) -> Any:
-    """The given axes, or those of a new figure of this size [in], in the common style."""
+    """Return the given axes, or those of a new figure of this size [in], in the common style."""
     if ax is None:
         import matplotlib.pyplot as plt
 
@@ -43,10 +43,14 @@ def tidy(ax: Any) -> None:
 
 
 def axes_below(ax: Any, *heights: float, share: bool = True) -> list[Any]:
-    """Split the area of `ax` and add axes below it, one below the other; `heights` are relative to
-    the remaining height of `ax`.
+    """Split the area of `ax`, add axes below it and return these.
 
-    share: whether all have the same abscissa, which is then labeled below the last one only."""
+    Args:
+        ax: axes that keep the top part of their area.
+        heights: of the new axes, relative to the remaining height of `ax`.
+        share: whether all have the abscissa of `ax`, which is then labeled below the last axes
+            only.
+    """
     spec, shares = ax.get_subplotspec(), (1.0, *heights)
     gap, same = (0.15, ax) if share else (0.4, None)
     if spec is None:
@@ -80,10 +84,16 @@ def panels_of_lines(
     share: float = 1.0,
     dashed: tuple[str, ...] = (),
 ) -> Any:
-    """Lines over x in panels one below the other, {label with unit: {name: values}}.
+    """Draw lines over x in panels one below the other and return the top axes.
 
-    Each panel after the first has this `share` of its height; `dashed` are the beginnings of the
-    names of dashed lines."""
+    Args:
+        ax: axes whose area the panels share.
+        x: abscissas of all lines.
+        panels: {ordinate with unit: {name of a line: values}}, from the top.
+        xlabel: label of the common abscissa, with unit.
+        share: height of each further panel, relative to the first.
+        dashed: lines whose names begin with one of these are dashed and thin.
+    """
     every = [ax, *axes_below(ax, *[share] * (len(panels) - 1))]
     for axes, (label, lines) in zip(every, panels.items(), strict=True):
         for i, (name, values) in enumerate(lines.items()):
@@ -103,8 +113,14 @@ def panels_of_lines(
 def panels_of_marks(
     ax: Any, panels: dict[str, dict[str, Any]], names: tuple[str, ...], *, marks: str = "osD^vP*X"
 ) -> Any:
-    """Numbers of named things, a place on the abscissa for each, in panels one below the other,
-    {label with unit: {series: values}}."""
+    """Draw one mark per named quantity in panels one below the other and return the top axes.
+
+    Args:
+        ax: axes whose area the panels share.
+        panels: {ordinate with unit: {name of a series: one value per name}}, from the top.
+        names: of the quantities, which are the ticks of the abscissa.
+        marks: markers of the series, in matplotlib's letters.
+    """
     every = [ax, *axes_below(ax, *[1.0] * (len(panels) - 1))]
     for axes, (label, series) in zip(every, panels.items(), strict=True):
         for i, (name, values) in enumerate(series.items()):
@@ -135,11 +151,20 @@ def heat_map(
     least: float = 0.0,
     slant: bool = False,
 ) -> Any:
-    """Numbers in colored cells between the limits, blue to red about zero, or white to blue from
-    zero, in the given axes or a new figure of this size [in].
+    """Draw a matrix as colored cells with their numbers and return the axes.
 
-    digits: after the decimal point; numbers below `least` are not written; slant: whether the names
-    of columns are."""
+    Args:
+        ax: axes to draw into; None makes a new figure.
+        size: width and height of a new figure [in].
+        values: the matrix.
+        rows, columns: names of its rows and columns.
+        limits: values of the ends of the color scale: blue to red about zero if the first is
+            negative, else white to blue.
+        title: title of the axes.
+        digits: digits after the decimal point.
+        least: numbers of a smaller magnitude are not written.
+        slant: whether the names of the columns are slanted.
+    """
     ax = axes_or_new(ax, *size)
     from matplotlib.colors import Normalize
 
@@ -167,30 +192,36 @@ def heat_map(
 
 
 def slanted(ax: Any) -> None:
-    """Turn the names below the axes, so that long ones fit."""
+    """Slant the labels of the abscissa, so that long names fit."""
     for text in ax.get_xticklabels():
         text.set(rotation=40, ha="right", rotation_mode="anchor")
 
 
 def rgb(color: str) -> tuple[int, ...]:
-    """Red, green and blue of "#rrggbb", from 0 to 255."""
+    """Return red, green and blue of "#rrggbb", from 0 to 255."""
     return tuple(bytes.fromhex(color[1:]))
 
 
 def pale(color: str) -> str:
-    """The color, halfway to white and opaque, for points under a line: overlapping points do not
-    get darker."""
+    """Return the color "#rrggbb" mixed half and half with white. It is opaque, so that overlapping
+    points do not get darker."""
     return "#" + "".join(f"{(part + 255) // 2:02x}" for part in rgb(color))
 
 
 def style(i: int) -> dict[str, Any]:
-    """Color and dash pattern of the i-th line; the first 32 all differ, and two of the same dash
-    pattern in a row of eight in gray print, too."""
+    """Return color and dash pattern of the i-th line. The first 32 lines all differ; of eight
+    successive lines, any two with the same dash pattern differ in gray print too."""
     return {"color": COLORS[i % len(COLORS)], "ls": DASHES[(i // 4 + i // 16) % len(DASHES)]}
 
 
 def legend(ax: Any, count: int, **options: Any) -> None:
-    """A legend to the right of the axes, with enough columns to stay within their height."""
+    """Add a legend to the right of the axes, with enough columns to stay within their height.
+
+    Args:
+        ax: the axes.
+        count: number of entries; with 0 there is no legend.
+        options: further options of matplotlib's `legend`.
+    """
     if count:
         rows = max(int(ax.get_position().height * ax.figure.get_figheight() / NAME), 4)
         options |= {
@@ -204,12 +235,19 @@ def legend(ax: Any, count: int, **options: Any) -> None:
 
 
 def with_unit(what: str, unit: str) -> str:
-    """The label of an axis; numbers without a unit have "[-]"."""
+    """Return the label "what [unit]" of an axis; the unit is "-" if `unit` is empty."""
     return f"{what} [{unit or '-'}]"
 
 
 def check_single(where: str, values: Any, ndim: int) -> None:
-    """Refuse a batch of results and one that is traced. Errors: BAD_SHAPE, TRACED."""
+    """Check that a plot is given one result, neither a batch nor a traced one.
+
+    Args:
+        where: function and argument, for the message.
+        values: an array of the result.
+        ndim: its number of dimensions in one result.
+
+    Errors: BAD_SHAPE, TRACED."""
     if not is_concrete(values):
         raise JaxbodyError(
             Problem(
@@ -239,8 +277,8 @@ def check_known(names: tuple[str, ...], known: tuple[str, ...], where: str) -> N
 
 
 class Label(NamedTuple):
-    """A name, the position of its object and the preferred direction from there, both in data
-    coordinates; font size [points] and color."""
+    """A name to be written: position of the named object and preferred direction from there, both
+    in data coordinates; font size [points] and color."""
 
     name: str
     at: np.ndarray
@@ -250,7 +288,7 @@ class Label(NamedTuple):
 
 
 def annotate(ax: Any, labels: list[Label]) -> None:
-    """Write the labels beside what has been drawn and written."""
+    """Write labels where they cover least of what is already drawn and written in the axes."""
     from matplotlib.patheffects import withStroke
 
     if not labels:
@@ -302,7 +340,7 @@ def annotate(ax: Any, labels: list[Label]) -> None:
 
 
 def _drawn(ax: Any) -> list[np.ndarray]:
-    """All lines and outlines of the axes."""
+    """Return the points of all lines and outlines of the axes, in data coordinates."""
     lines = [line.get_xydata() for line in ax.lines]
     return lines + [
         shape
@@ -312,15 +350,15 @@ def _drawn(ax: Any) -> list[np.ndarray]:
 
 
 def _points_along(line: np.ndarray) -> np.ndarray:
-    """Points at equal distances along a line."""
+    """Return points at equal distances along a line, `STEP` apart."""
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     at = np.arange(0.0, s[-1] + STEP, STEP)
     return np.stack([np.interp(at, s, x) for x in line.T], -1)
 
 
 def _places(toward: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Trial offsets of the center of a label of half size `half`, their distances [points], and
-    their costs.
+    """Return trial offsets of the center of a label of half size `half`, their distances from the
+    object [points] and their costs.
 
     The cost grows with the distance and with the angle from the direction `toward`."""
     reach, turn = (

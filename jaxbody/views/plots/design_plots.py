@@ -15,8 +15,8 @@ MOST_BARS = 15
 
 
 def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
-    """The objective at every finite trial of the best start: filled circles where all limits are
-    met, open circles elsewhere.
+    """Draw the objective at every finite trial of the best start: filled circles where all limits
+    are met, open circles elsewhere.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):
@@ -52,8 +52,8 @@ def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
 
 
 def plot_front(front: Front, *, ax: Any = None) -> Any:
-    """A Pareto front: two objectives as a line through the designs, three as points whose color
-    shows the third objective.
+    """Draw a Pareto front: of two objectives as a line through the designs, of three as points
+    whose color shows the third objective.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):
@@ -90,10 +90,10 @@ def plot_front(front: Front, *, ax: Any = None) -> Any:
 def plot_tornado(
     sensitivities: Sensitivities, quantity: str | None = None, *, ax: Any = None
 ) -> Any:
-    """A tornado chart: the change of a quantity when each parameter decreases or increases, the 15
-    strongest parameters from the top.
+    """Draw a tornado chart: the change of a quantity when each parameter decreases or increases,
+    for the 15 strongest parameters, the strongest on top.
 
-    quantity: its name; None takes the first one. Error: UNKNOWN_NAME.
+    quantity: name of the quantity; None takes the first one. Error: UNKNOWN_NAME.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):
@@ -132,10 +132,10 @@ def plot_tornado(
 
 
 def plot_tolerances(tolerances: Tolerances, quantity: str | None = None, *, ax: Any = None) -> Any:
-    """A histogram of the samples of a quantity, with the normal densities predicted to first and
-    second order.
+    """Draw a histogram of the samples of a quantity, with the normal densities predicted to first
+    and second order.
 
-    quantity: its name; None takes the first one. Error: UNKNOWN_NAME.
+    quantity: name of the quantity; None takes the first one. Error: UNKNOWN_NAME.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):

@@ -32,8 +32,8 @@ COMPLEX = ("real", "imaginary")
 
 
 def plot_history(fit: Fit, *, ax: Any = None) -> Any:
-    """The cost of a fit at every evaluation, on a logarithmic scale; crosses mark trials that could
-    not be simulated.
+    """Draw the cost of a fit at every evaluation, on a logarithmic scale; crosses mark trials that
+    could not be simulated.
 
     A dotted line marks each new estimate of the noise, which changes the weights in the cost:
     compare costs only between two such lines.
@@ -85,8 +85,8 @@ def plot_history(fit: Fit, *, ax: Any = None) -> Any:
 
 
 def plot_correlations(fit: Fit, *, ax: Any = None) -> Any:
-    """Correlations of the estimates as a heat map; parameters that the data do not determine are
-    left out.
+    """Draw the correlations of the estimates as a heat map, without parameters that the data do not
+    determine.
 
     Near 1 or -1 the data determine a combination of the two parameters better than each of them.
 
@@ -136,11 +136,11 @@ def plot_correlations(fit: Fit, *, ax: Any = None) -> Any:
 def plot_autocorrelation(
     fit: Fit, *, run: str | None = None, sensor: str | None = None, ax: Any = None
 ) -> Any:
-    """The autocorrelation of the residuals of one sensor, with the band that contains 95 % of the
-    values for white noise.
+    """Draw the autocorrelation of the residuals of one sensor, with the band that contains 95 % of
+    the values for white noise.
 
-    The lag is in samples, for a frequency response in spectral lines. Errors: UNKNOWN_NAME; NO_DATA
-    if the record has too few samples or, like modes, is not a sequence.
+    The lag is in samples, or in spectral lines for a frequency response. Errors: UNKNOWN_NAME;
+    NO_DATA if the record has too few samples or, like modes, is not a sequence.
 
     Args:
         fit: the fit.
@@ -208,8 +208,8 @@ def plot_autocorrelation(
 
 
 def plot_multistart(result: Multistart, *, ax: Any = None) -> Any:
-    """The cost of each optimum above that of the best one, and the number of starts that reached it
-    below; the best is the first.
+    """Draw the cost of each optimum above the least cost, and below it the number of starts that
+    reached the optimum; the best optimum is the first.
 
     >>> model = Model(
     ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
@@ -247,10 +247,10 @@ def plot_multistart(result: Multistart, *, ax: Any = None) -> Any:
 
 
 def plot_profile(profile: Profile, *, ax: Any = None) -> Any:
-    """The signed root tau of a likelihood profile over its parameter, with the confidence interval,
-    where tau is between the dashed lines.
+    """Draw the signed root tau of a likelihood profile over its parameter, with the confidence
+    interval, in which tau is between the dashed lines.
 
-    tau is a straight line where the likelihood is that of a normal distribution.
+    tau is a straight line if the likelihood is that of a normal distribution.
 
     >>> model = Model(
     ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
@@ -289,8 +289,8 @@ def plot_profile(profile: Profile, *, ax: Any = None) -> Any:
 
 
 def plot_coverage(result: Coverage, *, ax: Any = None) -> Any:
-    """The share of replicates whose intervals contain the true value, by parameter, and the level
-    with two standard errors of a share."""
+    """Draw the share of replicates whose intervals contain the true value, for each parameter, and
+    the confidence level with two standard errors of such a share."""
     count = len(result.parameters)
     ax = axes_or_new(ax, 6.0, 1.4 + 0.32 * count)
     at, level, error = (
@@ -313,14 +313,15 @@ def plot_coverage(result: Coverage, *, ax: Any = None) -> Any:
 def chosen(
     fit: Fit | Validation, run: str | None, sensor: str | None, where: str
 ) -> tuple[str, str, int | None]:
-    """The named run, sensor and part of a sensor, or the first ones; "plate moment" names the
-    second part of the ForcePlate "plate".
+    """Return the names of run and sensor, and the number of a part of the sensor or None for the
+    whole sensor; "plate moment" names the second part of the ForcePlate "plate".
 
     Args:
         fit: the fit or validation.
         run, sensor: names; None takes the first ones.
         where: name of the calling function, for messages.
-    """
+
+    Error: UNKNOWN_NAME."""
     run = run or next(iter(fit.experiments))
     if run not in fit.experiments:
         raise JaxbodyError(unknown(run, f"{where}.run", tuple(fit.experiments)))
@@ -340,7 +341,7 @@ def chosen(
 def records_about(
     fit: Fit | Validation, run: str, sensor: str, part: int | None = None
 ) -> list[ResidualSeries]:
-    """The residual series of each component of a sensor, or of one part of it."""
+    """Return the residual series of each component of a sensor, or of one part of it."""
     return [
         x
         for x in records_of(fit.experiments)
@@ -351,6 +352,7 @@ def records_about(
 
 
 def linearized(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """The residuals divided by the noise, and their Jacobian."""
+    """Return the residuals divided by the noise, and their Jacobian with respect to the
+    parameters."""
     _, J, runs = residual_and_jacobian(fit.task, fit.u)
     return fit.task.linearized(runs, np.asarray(J))

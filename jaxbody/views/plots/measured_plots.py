@@ -42,7 +42,7 @@ KEYS = 3  # colors shown in a legend entry that stands for several lines
 
 
 def plot_fit(fit: Fit, *, run: str | None = None, sensor: str | None = None, ax: Any = None) -> Any:
-    """The measured points of one sensor and the fitted model's line through them.
+    """Draw the measured points of one sensor and the fitted model's line through them.
 
     Records and modes have their residuals below, with bands for 95 % of the noise (pale) and for
     the uncertainty of the fitted line (dark). Frequency responses have their magnitudes above and
@@ -85,12 +85,12 @@ def plot_fit(fit: Fit, *, run: str | None = None, sensor: str | None = None, ax:
 def plot_validation(
     validation: Validation, *, run: str | None = None, sensor: str | None = None, ax: Any = None
 ) -> Any:
-    """The measured points of each sensor of a run that was held out, and the line that the fitted
+    """Draw the measured points of each sensor of a validation run and the line that the fitted
     model predicts, with residuals below.
 
-    The title of each is its fit, 100 % without a residual and 0 % where the mean of the
-    record is as good. Frequency responses have their magnitudes above and their phases below.
-    Error: UNKNOWN_NAME.
+    The title of each panel is the fit: 100 % without a residual, 0 % if the mean of the record is
+    as good. Frequency responses have their magnitudes above and their phases below. Error:
+    UNKNOWN_NAME.
 
     Args:
         validation: the validation.
@@ -129,8 +129,17 @@ def _draw(
     word: str,
     bands_of: Any = None,
 ) -> Any:
-    """Measured and predicted values of a sensor. `word`: of the predicted ones in the legend;
-    `bands_of`: bands of the residuals, a function of their shape."""
+    """Draw measured and predicted values of a sensor, with residuals below, and return the axes.
+
+    Args:
+        ax: axes whose area the panels share.
+        experiment: the measurement.
+        sensor: name of the sensor.
+        part: number of the part of the sensor, from 0.
+        predicted: the predicted values.
+        word: name of the predicted values in the legend.
+        bands_of: function that returns the bands of residuals of a given shape; None draws none.
+    """
     reading = np.asarray(predicted)
     if np.iscomplexobj(experiment.measured[sensor]):
         return _draw_response(experiment, sensor, reading, ax, word)
@@ -209,8 +218,8 @@ def _draw_band(
 def _draw_response(
     experiment: Measurement, sensor: str, predicted: np.ndarray, ax: Any, word: str
 ) -> Any:
-    """Magnitudes and unwrapped phases; each measured phase is within half a turn of the
-    predicted one."""
+    """Draw magnitudes and unwrapped phases over frequency; each measured phase is within half a
+    turn of the predicted one."""
     f, measured = np.asarray(experiment.axis(sensor)[1]), np.asarray(experiment.measured[sensor])
     (below,) = axes_below(ax, 0.55)
     there = np.isfinite(measured) & (np.abs(predicted) > 0)
@@ -235,7 +244,8 @@ def _draw_response(
 
 
 def _phases_over(f: np.ndarray, below: Any) -> None:
-    """The axes of phases over frequency, logarithmic over a decade or more."""
+    """Label the axes of phases over frequency; the frequency axis is logarithmic if it covers a
+    decade or more."""
     below.set_xlabel("frequency [Hz]")
     degrees(below, "phase")
     if f[0] > 0 and f[-1] >= WIDE * f[0]:
@@ -244,8 +254,8 @@ def _phases_over(f: np.ndarray, below: Any) -> None:
 
 
 def _explain(ax: Any, points: list[Any], word: str) -> None:
-    """A legend that names the lines, where there are several, and says which markers are measured
-    and which lines are predicted."""
+    """Add a legend with the names of several lines and the meaning of markers (measured) and lines
+    (`word`)."""
     from matplotlib.legend_handler import HandlerTuple
 
     lines = [line for line in ax.lines if line not in points]
@@ -264,8 +274,8 @@ def _explain(ax: Any, points: list[Any], word: str) -> None:
 def _compared(
     channel: Channel, measured: np.ndarray, predicted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measured values, predicted values and their difference, one column per number; measured
-    quaternions take the sign of the predicted ones."""
+    """Return measured values, predicted values and their difference, one column per number;
+    measured quaternions get the sign of the predicted ones."""
     n = len(measured)
     apart = np.where(
         channel.missing(measured), np.nan, -np.asarray(channel.residual(predicted, measured))
@@ -282,7 +292,8 @@ def _compared(
 def _columns(
     channel: Channel, part: int, readings: int, residuals: int
 ) -> tuple[list[int], list[int]]:
-    """The columns of a reading and of a residual that belong to one part, that is to one unit."""
+    """Return the columns of readings and of residuals that belong to one part of a sensor, which
+    has one unit."""
     each = residuals // channel.units
     last = readings if part == channel.units - 1 else (part + 1) * each
     return list(range(part * each, last)), list(range(part * each, (part + 1) * each))
@@ -297,15 +308,16 @@ def _name(channel: Channel, sensor: str, part: int, i: int, count: int) -> str:
 
 
 def _unit(channel: Channel, part: int, columns: list[int], rows: list[int]) -> str:
-    """The unit of the columns; a quaternion has four columns for three residuals, and no unit."""
+    """Return the unit of the columns, which is empty for a quaternion: it has four columns for
+    three residuals."""
     return channel.unit.split(",")[part].strip() if len(columns) == len(rows) else ""
 
 
 def _bands(
     fit: Fit, run: str, sensor: str, shape: tuple[int, ...]
 ) -> dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """For each component of the residuals: sample numbers and half widths of the bands of the noise
-    and of the fitted line."""
+    """Return {component of the residuals: (sample numbers, half width of the noise's band, half
+    width of the fitted line's band)}."""
     uncertainty, channel = fit._assessed(), fit.experiments[run].channels[sensor]
     r, J = linearized(fit)
     level = np.asarray(channel.spread(np.asarray(fit.task.noise[run][sensor])))
@@ -326,7 +338,7 @@ def _bands(
 
 
 def plot_record(record: Record, *, channels: tuple[str, ...] | None = None, ax: Any = None) -> Any:
-    """The channels of a record over time, one panel per unit; missing samples are gaps.
+    """Draw the channels of a record over time, one panel per unit; missing samples are gaps.
 
     channels: names; None takes all. Error: UNKNOWN_CHANNEL.
 
@@ -357,7 +369,7 @@ def _over_time(
 
 
 def plot_measurement(measurement: Measurement, *, ax: Any = None) -> Any:
-    """What was measured: records over time, frequency responses by magnitude and phase, modes by
+    """Draw measured data: records over time, frequency responses by magnitude and phase, modes by
     number; one panel per unit.
 
     Error: NO_DATA for a planned experiment, in which nothing is measured yet.
@@ -430,8 +442,8 @@ def _measured_responses(ax: Any, f: np.ndarray, pairs: dict[str, tuple[str, np.n
 
 
 def plot_recovered(recovered: Recovered, *, ax: Any = None) -> Any:
-    """The motion of the base from its accelerations [m, rad] over time, and what was removed from
-    these [m/s2, rad/s].
+    """Draw the motion of the base recovered from its accelerations [m, rad] over time, and what was
+    removed from the accelerations [m/s2, rad/s].
 
     >>> t = jnp.arange(400) / 100
     >>> shaken = base_motion(Record(t, {"acc": (jnp.cos(6 * t), "m/s2")}), "acc", axis=[1, 0, 0])
@@ -457,13 +469,13 @@ def plot_recovered(recovered: Recovered, *, ax: Any = None) -> Any:
 def plot_bands(
     bands: Bands, x: Any = None, *, xlabel: str = "component", ylabel: str = "value", ax: Any = None
 ) -> Any:
-    """The value of a function of a fitted model with its confidence band: a line over x, or marks
-    with bars for up to twelve numbers.
+    """Draw the value of a function of a fitted model with its confidence band: a line over x, or
+    marks with bars for up to twelve numbers.
 
     Args:
         bands: the bands.
-        x: what the values are over, such as frequencies [Hz]; None counts them from 1.
-        xlabel, ylabel: the names of both, with their units.
+        x: abscissa of the values, such as frequencies [Hz]; None numbers the values from 1.
+        xlabel, ylabel: labels of the axes, with units.
         ax: axes to draw into; None makes a new figure.
 
     Error: BAD_SHAPE if x has not one number for each value.
@@ -528,8 +540,8 @@ def plot_bands(
 
 
 def plot_diagnosis(diagnosis: Diagnosis, *, ax: Any = None) -> Any:
-    """Of each channel the gain relative to the prediction, its delay [samples] and the residual
-    relative to the signal [%].
+    """Draw for each channel the gain relative to the prediction, the delay [samples] and the
+    residual relative to the signal [%].
 
     >>> model = Model(
     ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},

@@ -38,7 +38,7 @@ LEAST_SHOWN = 0.05
 
 
 def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any = None) -> Any:
-    """Shares of each mode's energy [%] as a heat map with one column per mode.
+    """Draw the shares of each mode's energy [%] as a heat map with one column per mode.
 
     kind: "kinetic" by body and direction, "strain" by element, or "dissipation" by damper. Rows in
     which all modes have less than 0.05 % are left out; the title says how many. Error: UNKNOWN_NAME
@@ -97,11 +97,11 @@ def _rows(energies: ModeEnergies, kind: str) -> dict[str, np.ndarray]:
 
 
 def plot_branches(branches: Branches, *, parameter: str = "parameter", ax: Any = None) -> Any:
-    """The frequency of each mode [Hz] along a parameter; a gap and a cross mark where a mode could
-    not be tracked.
+    """Draw the frequency of each mode [Hz] along a parameter; a gap and a cross mark where a mode
+    could not be tracked.
 
-    The modes are tracked by shape and named as at the first value. parameter: the name of the
-    parameter, with its unit.
+    The modes are tracked by shape and named by their shapes at the first value. parameter: name of
+    the parameter, with its unit.
 
     >>> car = jb.presets.half_car()
     >>> found = track(
@@ -133,8 +133,8 @@ def plot_branches(branches: Branches, *, parameter: str = "parameter", ax: Any =
 
 
 def plot_matrix(lin: LinearSystem, *, matrix: str = "K", ax: Any = None) -> Any:
-    """The coupling of the coordinates by a matrix as a heat map: A_ij/sqrt(|A_ii A_jj|), without
-    units; 1 or -1 is full coupling.
+    """Draw the coupling of the coordinates by a matrix as a heat map: A_ij/sqrt(|A_ii A_jj|),
+    without units; 1 or -1 is full coupling.
 
     matrix: "M", "C" or "K" (or "D", "K_elastic", ... with coordinates in its rows and columns).
     Error: UNKNOWN_NAME.
@@ -172,11 +172,11 @@ def plot_matrix(lin: LinearSystem, *, matrix: str = "K", ax: Any = None) -> Any:
 
 
 def plot_modes(modes: Modes, *, ax: Any = None) -> Any:
-    """The shapes of natural modes as a heat map with one column per mode: sqrt(M_ii) phi_i, without
-    units and with their signs.
+    """Draw the shapes of natural modes as a heat map with one column per mode: sqrt(M_ii) phi_i,
+    without units and with their signs.
 
-    The squares of a column add up to 1 where M couples no coordinates. `draw_mode` draws one mode
-    as a motion of the model.
+    The squares of a column add up to 1 if M couples no coordinates. `draw_mode` draws one mode as a
+    motion of the model.
 
     >>> lin = linearize(jb.presets.quarter_car(), jb.presets.quarter_car().reference)
     >>> [text.get_text() for text in plot_modes(modes(lin)).get_yticklabels()]
@@ -203,10 +203,11 @@ def _mode_heads(frequency: Any) -> list[str]:
 
 
 def plot_poles(modes: ComplexModes, *, ax: Any = None) -> Any:
-    """The poles of complex modes: damped frequency [Hz] over real part [1/s], with lines of
+    """Draw the poles of complex modes: damped frequency [Hz] over real part [1/s], with lines of
     constant damping ratio.
 
-    An overdamped mode has two real poles; right of the vertical line, shaded, a mode grows.
+    An overdamped mode has two real poles; modes right of the vertical line, in the shaded region,
+    grow.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> ax = plot_poles(complex_modes(linearize(car, car.reference)))
@@ -262,12 +263,11 @@ def plot_poles(modes: ComplexModes, *, ax: Any = None) -> Any:
 
 
 def plot_backbones(backbones: Backbones, *, ax: Any = None) -> Any:
-    """The change of each natural frequency [%] over the amplitude of the mode's largest component,
-    up to 5 %.
+    """Draw the change of each natural frequency [%] over the amplitude of the mode's largest
+    component, up to 5 %.
 
-    Modes with a largest component in rad have a panel of their own. Modes without a backbone
-    are left out, and those whose frequency does not change go on to the largest amplitude of
-    the others.
+    Modes with a largest component in rad have a panel of their own. Modes without a backbone are
+    left out; those whose frequency does not change extend to the largest amplitude of the others.
 
     >>> bob = Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
     >>> pendulum = Model(
@@ -311,8 +311,8 @@ def plot_backbones(backbones: Backbones, *, ax: Any = None) -> Any:
 
 
 def plot_elastic_axes(axes: ElasticAxes, *, view: str = "xz", ax: Any = None) -> Any:
-    """The elastic axes of a body with their stiffnesses and the center of stiffness, in the
-    coordinates of the world.
+    """Draw the elastic axes of a body with their stiffnesses and the center of stiffness, in world
+    coordinates.
 
     view: the axes that point right and up. Give the axes of `draw_model` in the same view to draw
     them on the model. Error: BAD_VIEW.
@@ -339,8 +339,8 @@ def plot_elastic_axes(axes: ElasticAxes, *, view: str = "xz", ax: Any = None) ->
 
 
 def plot_torque_roll_axis(axis: TorqueRollAxis, *, view: str = "xz", ax: Any = None) -> Any:
-    """The torque roll axis of a body through its center of mass, with the frequency of the rotation
-    about it; as `plot_elastic_axes`.
+    """Draw the torque roll axis of a body through its center of mass, with the frequency of the
+    rotation about it; the arguments are those of `plot_elastic_axes`.
 
     >>> engine = jb.presets.engine_on_mounts()
     >>> ax = plot_torque_roll_axis(
@@ -367,8 +367,16 @@ def plot_torque_roll_axis(axis: TorqueRollAxis, *, view: str = "xz", ax: Any = N
 def _draw_axes(
     ax: Any, lines: list[tuple[str, Any, Any]], center: tuple[str, Any], view: str, title: str
 ) -> Any:
-    """Named lines, each by a point and its unit direction, and a named center; on a drawing their
-    length is half of its size."""
+    """Draw named lines and a named center and return the axes; on the drawing of a model the lines
+    are half as long as the drawing.
+
+    Args:
+        ax: axes to draw into; None makes a new figure.
+        lines: (name, point, unit direction) of each line [m], in world coordinates.
+        center: name and position of the center [m].
+        view: the axes that point right and up.
+        title: title of new axes.
+    """
     look, alone = look_along(view), ax is None or not ax.has_data()
     ax = axes_or_new(ax, 6.5, 4.0)
     points = np.array([point for _, point, _ in lines])

@@ -54,11 +54,11 @@ def draw_model(
     names: bool = True,
     ax: Any = None,
 ) -> Any:
-    """A drawing of the model; tyres are circles with their radius.
+    """Draw the model; tyres are circles with their radius.
 
     Args:
         model, state: the model and its state; None draws the reference pose.
-        displaced: {support: Xi}, displacements of supports.
+        displaced: {support: Xi}, displacements of supports [m, rad].
         view: the axes that point right and up, such as "xy", or "oblique". With None, gravity
             points down, and the view is oblique unless the model is flat.
         names: whether to write the names of bodies and elements.
@@ -99,8 +99,8 @@ def draw_mode(
     view: str | None = None,
     ax: Any = None,
 ) -> Any:
-    """One mode in both extreme positions over the state at rest, with its name; the amplitude is an
-    eighth of the model's size.
+    """Draw one mode in both extreme positions over the state at rest, with its name; the amplitude
+    is an eighth of the model's size.
 
     A complex mode is drawn at the instant at which its largest component is extreme.
 
@@ -154,8 +154,8 @@ def draw_mode(
 
 
 class Scene:
-    """A model in one pose, the first of a sequence: the world positions of the points attached to
-    each frame."""
+    """A model in one pose, the first of a sequence: world positions of the points attached to each
+    frame."""
 
     def __init__(self, poses: PoseSequence):
         self.poses, self.model = poses, poses.model
@@ -183,11 +183,11 @@ class Scene:
         }
 
     def _ends(self, names: Iterable[str]) -> dict[str, list[np.ndarray]]:
-        """World positions of the first two ends of elements or closures."""
+        """Return world positions of the first two ends of elements or closures."""
         return {name: [end[0] for end in self.poses.ends(self.model[name])[:2]] for name in names}
 
     def direction(self, frame: str, axis: Any) -> np.ndarray:
-        """An axis of a frame, in world axes."""
+        """Return an axis of a frame in world axes."""
         return self.poses.pose(frame)[1][0] @ np.asarray(axis)
 
     def all_points(self) -> np.ndarray:
@@ -200,12 +200,13 @@ class Scene:
         )
 
     def size(self, look: np.ndarray) -> float:
-        """The longer side of the box around everything, as seen."""
+        """Return the longer side of the box around all points in this view [m]."""
         return float(np.ptp(self.all_points() @ look.T, axis=0).max()) or 1.0
 
 
 def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarray:
-    """The matrix (2, 3) that maps world coordinates to the drawing's right and up."""
+    """Return the matrix (2, 3) from world coordinates to coordinates to the right and up in the
+    drawing."""
     if view is not None and view != "oblique":
         return look_along(view)
     spread = np.ptp(np.concatenate([scene.all_points() for scene in scenes]), axis=0)
@@ -221,7 +222,7 @@ def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarra
 
 
 def look_along(view: str) -> np.ndarray:
-    """The matrix (2, 3) of a view named by the axes that point right and up, such as "xz".
+    """Return the matrix (2, 3) of a view named by the axes that point right and up, such as "xz".
     Error: BAD_VIEW."""
     if not (len(view) == 2 and view[0] != view[1] and set(view) <= set(AXES)):
         raise JaxbodyError(
@@ -238,7 +239,7 @@ def look_along(view: str) -> np.ndarray:
 
 
 def _axes(ax: Any, scenes: list[Scene], look: np.ndarray) -> Any:
-    """The given axes, or those of a new figure with the proportions of the drawing."""
+    """Return the given axes, or those of a new figure with the proportions of the drawing."""
     width, height = (
         np.ptp(np.concatenate([scene.all_points() for scene in scenes]) @ look.T, axis=0) + 1e-9
     )
@@ -320,8 +321,8 @@ def _draw(
 
 
 def _closures(ax, scene: Scene, look, size, edge, alpha, ground) -> None:
-    """Rods as lines between two balls, guides and lines in which a point slides as dash-dotted
-    lines, other closures as pins."""
+    """Draw rods as lines between two balls, guides and lines in which a point slides as dash-dotted
+    lines, and other closures as pins."""
     layout = scene.model.layout
     for name, ends in scene.joined.items():
         closure, (A, B) = scene.model[name], (end @ look.T for end in ends)
@@ -358,8 +359,8 @@ def _closures(ax, scene: Scene, look, size, edge, alpha, ground) -> None:
 
 
 def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
-    """Tyres as circles about the hubs, with the ground below if the view shows the
-    road's normal."""
+    """Draw tyres as circles about the hubs, with the ground below if the view shows the road's
+    normal."""
     from matplotlib.patches import Circle
 
     for name in table.names:
@@ -374,7 +375,7 @@ def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
 
 
 def _names(scene: Scene, look) -> list[Label]:
-    """Labels of bodies at their centers of mass and of elements at their middles."""
+    """Return the labels of bodies at their centers of mass and of elements at their middles."""
     labels = [
         Label(name, at @ look.T, np.array([1.0, 1.0]), 9, INK) for name, at in scene.centers.items()
     ]
@@ -393,7 +394,7 @@ def _names(scene: Scene, look) -> list[Label]:
 
 
 def _outline(ax, seen, size, fill, edge, alpha, ghost) -> None:
-    """The convex hull of the points with a rounded rim; a disk for a single point."""
+    """Draw the convex hull of the points with a rounded rim, or a disk for a single point."""
     from matplotlib.colors import to_rgba
     from matplotlib.patches import Circle, Polygon
 
@@ -441,7 +442,8 @@ def _outline(ax, seen, size, fill, edge, alpha, ghost) -> None:
 
 
 def _hull(points: np.ndarray, tolerance: float) -> np.ndarray:
-    """Convex hull in the plane, counterclockwise; the ends of points on a line."""
+    """Return the convex hull of points in the plane, counterclockwise; for points on a line its
+    ends."""
     from scipy.spatial import ConvexHull
 
     points = points[np.lexsort(points.T[::-1])]

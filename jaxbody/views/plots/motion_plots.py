@@ -27,10 +27,10 @@ from jaxbody.views.plots.canvases import (
 def plot_trajectory(
     trajectory: Trajectory, *, bodies: tuple[str, ...] | None = None, ax: Any = None
 ) -> Any:
-    """Displacements of bodies and supports from the reference pose [m] over time, with their
+    """Draw displacements of bodies and supports from the reference pose [m] over time, with their
     rotations [rad] below; supports are dashed.
 
-    Lines without motion are left out. bodies: names of bodies and supports; None takes all.
+    Coordinates that do not move are left out. bodies: names of bodies and supports; None takes all.
 
     >>> model = Model(
     ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
@@ -66,8 +66,8 @@ def plot_trajectory(
 def plot_forces(
     trajectory: Trajectory, *, elements: tuple[str, ...] | None = None, ax: Any = None
 ) -> Any:
-    """Forces of the elements [N] over time, dampers included: the tension of each spring; of each
-    bushing the three forces that oppose its deformation along its axes.
+    """Draw forces of the elements [N] over time, dampers included: the tension of each spring; of
+    each bushing the three forces that oppose its deformation along its axes.
 
     The moments [N m] of torsion springs and bushings are below. elements: names; None takes all.
     Error: UNKNOWN_NAME.
@@ -99,13 +99,13 @@ def plot_forces(
 
 
 def plot_energies(trajectory: Trajectory, *, ax: Any = None) -> Any:
-    """Energies over time [J] with their balance:
+    """Draw energies over time [J] with their balance:
 
         kinetic + potential + dissipated - work of the supports - work of the loads = constant
 
     The potential energy counts from the first sample. Dissipated energy and work are integrals of
-    `powers`, by a cubic spline through the samples: a sum that is not constant comes from samples
-    that do not resolve the motion, or from an integration that is not accurate.
+    `powers`, by a cubic spline through the samples: the sum is not constant if the samples do not
+    resolve the motion or the integration is not accurate.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> motion = {"road": Harmonic(frequency=1.0, translation=[0, 0, 0.01])}
@@ -124,7 +124,7 @@ def plot_energies(trajectory: Trajectory, *, ax: Any = None) -> Any:
 
 
 def energy_balance(trajectory: Trajectory) -> dict[str, np.ndarray]:
-    """The lines of `plot_energies` [J]; works are left out where there are none."""
+    """Return the lines of `plot_energies` [J] by name, without works that are zero."""
     energies, powers = (
         {name: np.asarray(x) for name, x in values.items()}
         for values in (trajectory.energies, trajectory.powers)
@@ -150,7 +150,7 @@ def energy_balance(trajectory: Trajectory) -> dict[str, np.ndarray]:
 
 
 def _integral(times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The integral from the first sample, NaN where the values are."""
+    """Return the integral from the first sample at each time, NaN where the values are NaN."""
     from scipy.interpolate import CubicSpline
 
     known = np.isfinite(values)
@@ -163,7 +163,7 @@ def _integral(times: np.ndarray, values: np.ndarray) -> np.ndarray:
 def plot_phases(
     trajectory: Trajectory, *, coordinates: tuple[str, ...] | None = None, ax: Any = None
 ) -> Any:
-    """Phase portraits: the rate of each coordinate over its value, from the reference pose; a
+    """Draw phase portraits: the rate of each coordinate over its value, from the reference pose; a
     circle marks the start.
 
     Coordinates in m and in rad have a panel each. Rotations of free bodies and of ball joints are
@@ -218,8 +218,8 @@ def plot_phases(
 
 
 def _values(trajectory: Trajectory) -> np.ndarray:
-    """(nt, nv): each coordinate from its value at the reference pose; the rotation vector in place
-    of a quaternion."""
+    """Return coordinates (nt, nv) relative to the reference pose, with rotation vectors for
+    quaternions."""
     layout, q, rest = (
         trajectory.model.layout,
         np.asarray(trajectory.state.q),
@@ -242,8 +242,8 @@ def plot_force_strokes(
     start: float | None = None,
     ax: Any = None,
 ) -> Any:
-    """The force of each element over its elongation; a loop encloses the energy that is dissipated
-    in a cycle.
+    """Draw the force of each element over its elongation; a loop encloses the energy that is
+    dissipated in a cycle.
 
     Moments over angles [N m over rad] have a panel of their own. Bushings have a curve for each
     component that moves.
@@ -251,7 +251,8 @@ def plot_force_strokes(
     Args:
         trajectory: the motion.
         elements: names; None takes all.
-        start: time from which on [s], such as the end of the transient; None takes all samples.
+        start: first time that is drawn [s], such as the end of the transient; None takes all
+            samples.
         ax: axes to draw into; None makes a new figure.
 
     Errors: UNKNOWN_NAME; NO_DATA if less than two samples are after `start`.
@@ -299,8 +300,13 @@ def _curves(
     *,
     start: bool = False,
 ) -> Any:
-    """Curves of y over x in panels with their own abscissas, {(x label, y label): {name: (x, y)}};
-    start: whether to mark its points."""
+    """Draw curves of y over x in panels with separate abscissas and return the top axes.
+
+    Args:
+        ax: axes to draw into; None makes a new figure.
+        panels: {(x label, y label): {name: (x, y)}}, from the top.
+        start: whether a circle marks the first point of each curve.
+    """
     ax = axes_or_new(ax, 6.4, 0.8 + 3.0 * max(len(panels), 1))
     for axes, ((xlabel, ylabel), curves) in zip(
         [ax, *axes_below(ax, *[1.0] * (len(panels) - 1), share=False)], panels.items(), strict=False
@@ -324,8 +330,8 @@ def _curves(
 
 
 def stroke_and_force(model: Model, names: Iterable[str]) -> tuple[str, str]:
-    """The labels of deformations and forces: elongation and tension, unless some of the elements,
-    such as bushings, deform along axes."""
+    """Return the labels of deformations and forces: elongation and tension, or neutral words if
+    some of the elements, such as bushings, deform along several axes."""
     if all(model[name].size == 1 for name in names):
         return "elongation [m]", "force, tension positive [N]"
     return "deformation [m]", "force opposing\nthe deformation [N]"
@@ -334,8 +340,14 @@ def stroke_and_force(model: Model, names: Iterable[str]) -> tuple[str, str]:
 def forces_and_moments(
     model: Model, values: dict[str, Any], about: str = " about"
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Numbers of elements along their samples, such as forces, one by one: those in N or m, and
-    those in N m or rad."""
+    """Return component histories of elements by name, first those in N or m, then those in N m or
+    rad.
+
+    Args:
+        model: the model of the elements.
+        values: {element: histories of its forces or deformations}.
+        about: word between element and axis in the names of moments and rotations.
+    """
     straight: dict[str, np.ndarray] = {}
     turning: dict[str, np.ndarray] = {}
     for name, x in ((name, np.asarray(x)) for name, x in values.items()):
@@ -348,7 +360,7 @@ def forces_and_moments(
 
 
 def components(values: dict[str, Any], about: str = "") -> dict[str, np.ndarray]:
-    """The columns of vectors, one by one: "plate x", or "plate about x"."""
+    """Return the columns of vectors by name: "plate x", or "plate about x"."""
     return {
         f"{name}{about} {axis}": np.asarray(x)[:, i]
         for name, x in values.items()
@@ -357,7 +369,7 @@ def components(values: dict[str, Any], about: str = "") -> dict[str, np.ndarray]
 
 
 def _moving(lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The lines whose variation exceeds a millionth of the largest variation."""
+    """Return the lines whose variation exceeds a millionth of the largest variation."""
     widths = {
         name: np.ptp(values[np.isfinite(values)]) if np.isfinite(values).any() else 0.0
         for name, values in lines.items()
@@ -376,8 +388,8 @@ def _matrices(quaternions: np.ndarray) -> np.ndarray:
 
 
 def _turns(R: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Rotation vectors relative to an orientation (quaternion w, x, y, z), in world axes, unwrapped
-    through full turns."""
+    """Return rotation vectors of R (n, 3, 3) relative to an orientation (quaternion w, x, y, z), in
+    world axes, unwrapped through full turns."""
     good = np.isfinite(R).all((1, 2))
     out = np.full((len(R), 3), np.nan)
     if good.any():

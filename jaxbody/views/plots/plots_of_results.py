@@ -1,5 +1,5 @@
-"""What `plot` of each result draws: the function of the plots whose first argument is of its class,
-with its caption in reports."""
+"""The plots of results: `result.plot()` calls the function of `jaxbody.views.plots` whose first
+argument is of the result's class. Each function has a caption for reports."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, get_type_hints
@@ -8,7 +8,7 @@ from jaxbody.views import plots
 
 
 class Picture(NamedTuple):
-    """The function that draws the results of a class, and a caption."""
+    """The function that draws the results of a class, and its caption."""
 
     draw: Callable[..., Any]
     caption: str
@@ -67,7 +67,7 @@ PICTURES = {
 
 
 def picture_of(kind: type) -> Picture:
-    """The picture of a class, or of the first of its base classes that has one."""
+    """Return the picture of a class, or of its first base class with a picture."""
     for base in kind.__mro__:
         if base in PICTURES:
             return PICTURES[base]

@@ -1,4 +1,4 @@
-"""Poses of all frames of a model in successive configurations, for drawings and views; elements and
+"""Poses of all frames of a model in successive configurations, for plots and views; elements and
 closures by name."""
 
 from collections.abc import Iterable
@@ -40,22 +40,22 @@ class PoseSequence:
     wheel: Wheel | None = None  # that is drawn, beside those of tyres
 
     def pose(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (n, 3) and orientations (n, 3, 3) of a frame."""
+        """Return positions (n, 3) and orientations (n, 3, 3) of a frame."""
         row = self.model.layout.frame(name)
         return self.p[:, row], self.R[:, row]
 
     def points(self, name: str, point: Any) -> np.ndarray:
-        """World positions (n, 3) of a point of a frame."""
+        """Return world positions (n, 3) of a point given in the axes of a frame."""
         p, R = self.pose(name)
         return p + R @ np.asarray(point, float)
 
     def ends(self, thing: Any) -> list[np.ndarray]:
-        """World positions (n, 3) of the points that an element or a closure is between."""
+        """Return world positions (n, 3) of each end of an element or a closure."""
         return [self.points(*place) for place in zip(thing.between, thing.points, strict=True)]
 
 
 def check_number(modes: Any, number: int, where: str) -> None:
-    """Check the number of a mode. Error: UNKNOWN_MODE."""
+    """Check that the number of a mode is between 1 and the number of modes. Error: UNKNOWN_MODE."""
     count = modes.frequency.shape[0]
     if not 1 <= number <= count:
         raise JaxbodyError(
@@ -70,7 +70,7 @@ def check_number(modes: Any, number: int, where: str) -> None:
 
 
 def attaching(model: Model) -> list[KindTable]:
-    """The tables of elements, and of closures that have points in space."""
+    """Return the tables of elements and of closures that have points in space."""
     return [
         *model.elements,
         *(table for table in model.closures if not isinstance(table.rows, Coupling | Equation)),
@@ -78,18 +78,18 @@ def attaching(model: Model) -> list[KindTable]:
 
 
 def named_rows(tables: Iterable[KindTable]) -> list[tuple[str, Any]]:
-    """Elements or closures by name."""
+    """Return elements or closures with their names."""
     return [(name, table.row(name)) for table in tables for name in table.names]
 
 
 def placed_closures(model: Model) -> list[tuple[str, Closure]]:
-    """The closures with points in space, by name."""
+    """Return the closures that have points in space, with their names."""
     return named_rows(attaching(model)[len(model.elements) :])
 
 
 def displaced_poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses at q (+) Delta for rows of Delta, where closures are fulfilled, with supports in their
-    reference poses."""
+    """Return origins and orientations at q (+) Delta for each row of Delta, with closures fulfilled
+    and supports in their reference poses."""
     return poses_of(model, _moved(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype)))
 
 
@@ -99,7 +99,8 @@ def _moved(model: Model, q, deltas) -> Array:
 
 
 def poses_of(model: Model, q: Any, xi: Any = None) -> tuple[np.ndarray, np.ndarray]:
-    """Poses for rows of q. `xi` (ns, 6): displacements of the supports; None for none."""
+    """Return origins (n, frames, 3) and orientations (n, frames, 3, 3) for rows of q. `xi` (ns, 6):
+    displacements of the supports [m, rad]; None for none."""
     xi = np.zeros((len(model.layout.supports), 6)) if xi is None else xi
     frames = _at_rest(model, jnp.asarray(q), jnp.asarray(xi, model.gravity.dtype))
     return np.asarray(frames.p), np.asarray(frames.R)

@@ -31,8 +31,8 @@ MANY = 16  # lines up to which the legend fits beside a plot of normal width
 
 
 def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> Any:
-    """Magnitudes over frequency, both on logarithmic scales, one panel per unit, with the phases
-    below; returns the top axes.
+    """Draw magnitudes over frequency, both on logarithmic scales, one panel per unit, with the
+    phases below; return the top axes.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
@@ -56,8 +56,8 @@ def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> A
 
 
 def plot_element_stiffness(stiffness: DynamicStiffness, *, ax: Any = None) -> Any:
-    """Magnitude of the dynamic stiffness of an element over frequency, with its loss angle below;
-    returns the top axes.
+    """Draw the magnitude of the dynamic stiffness of an element over frequency, with its loss angle
+    below; return the top axes.
 
     >>> rubber = jb.laws.Linear(2e4) + jb.laws.Maxwell(stiffness=6e4, relaxation_time=0.01)
     >>> ax = plot_element_stiffness(dynamic_stiffness(rubber, jnp.geomspace(0.5, 200, 100)))
@@ -72,7 +72,7 @@ def plot_element_stiffness(stiffness: DynamicStiffness, *, ax: Any = None) -> An
 
 
 def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any:
-    """Dimensionless magnitudes over frequency, of motion over motion or force over force; the
+    """Draw dimensionless magnitudes over frequency, of motion over motion or force over force; the
     region above 1 is shaded.
 
     Error: BAD_UNIT if no output has the unit of an input.
@@ -123,22 +123,23 @@ def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any
 def plot_dynamic_stiffness(
     response: FrequencyResponse, *, pairs: dict[str, tuple[str, str]] | None = None, ax: Any = None
 ) -> Any:
-    """The magnitude [N/mm] and the loss angle [degrees] of dynamic stiffnesses F/x over frequency.
+    """Draw the magnitude [N/mm] and the loss angle [degrees] of dynamic stiffnesses F/x over
+    frequency.
 
-    The dynamic stiffness of a spring and damper is k + i w c, with the loss angle atan(w c/k); that
-    of a body at the point of a force, the inverse of its receptance, contains its inertia. Those of
-    angles are in N m/rad, in a panel of their own.
+    The dynamic stiffness of a spring and damper is k + i w c, with the loss angle atan(w c/k). That
+    of a body at the point of a force is the inverse of its receptance and contains its inertia.
+    Stiffnesses against rotation are in N m/rad, in a panel of their own.
 
     Args:
         response: a frequency response with forces and displacements.
-        pairs: {label: (force, displacement)}, each an input or output; of two outputs the ratio
+        pairs: {label: (force, displacement)}, each an input or output; for two outputs their ratio
             under the first input to which the displacement responds. None takes each output in m of
-            an input in N, and each output in N of an input in m, whose sign is changed where the
-            force is opposed to the displacement.
+            an input in N, and each output in N of an input in m, whose sign is changed if the force
+            is opposed to the displacement.
         ax: axes to draw into; None makes a new figure.
 
-    Errors: UNKNOWN_NAME; BAD_UNIT if nothing is a force over a displacement, or a moment over
-    an angle.
+    Errors: UNKNOWN_NAME; BAD_UNIT if nothing is a force over a displacement, or a moment over an
+    angle.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> inputs, outputs = (
@@ -188,9 +189,17 @@ def _over_frequency(
     *,
     plain: bool = False,
 ) -> Any:
-    """Magnitudes in a panel for each unit, {unit: {name: (magnitudes, angles [rad], look)}}, and
-    all angles below; a look that is None is that of the next line, and the name "" is not written.
-    plain: as in `plain_numbers`."""
+    """Draw magnitudes in a panel for each unit and all angles below; return the top axes.
+
+    Args:
+        ax: axes whose area the panels share.
+        f: frequencies [Hz].
+        panels: {unit: {name: (magnitudes, angles [rad], look)}}. A look of None is that of the next
+            line; a panel with the name "" has no legend.
+        what: name of the magnitudes.
+        angle: name of the angles.
+        plain: whether ticks of the magnitudes are plain numbers, as in `plain_numbers`.
+    """
     *others, below = axes_below(ax, *[1.0] * (len(panels) - 1), 0.55)
     for axes, (unit, lines) in zip((ax, *others), panels.items(), strict=True):
         for name, (size, angles, look) in lines.items():
@@ -207,8 +216,8 @@ def _over_frequency(
 
 
 def plot_weighted_signal(signal: WeightedSignal, *, ax: Any = None) -> Any:
-    """The weighted acceleration over time with its rms, and the vibration dose value from the
-    beginning below.
+    """Draw the weighted acceleration over time with its rms, and below it the vibration dose value
+    accumulated since the start.
 
     >>> plot_weighted_signal(
     ...     weighted_signal(jnp.arange(400) / 400, jnp.sin(jnp.arange(400)), "Wk")
@@ -232,7 +241,8 @@ def plot_weighted_signal(signal: WeightedSignal, *, ax: Any = None) -> Any:
 
 
 def _stiffnesses(response: FrequencyResponse) -> dict[str, tuple[tuple[str, str], np.ndarray]]:
-    """{label: (units, values)} of all outputs over inputs that are a stiffness or a compliance."""
+    """Return {label: (units, dynamic stiffness)} of each output over an input that is a stiffness
+    or a compliance."""
     found = {}
     for i, j, name in _pairs(response):
         units, values = (
@@ -294,9 +304,9 @@ def _ratios(
 
 
 def plot_state_space(system: StateSpace, *, frequencies: Any = None, ax: Any = None) -> Any:
-    """The frequency response C (i w - A)^-1 B + D, as in `plot_frequency_response`.
+    """Draw the frequency response C (i w - A)^-1 B + D, as in `plot_frequency_response`.
 
-    frequencies: [Hz]; by default 400 from a tenth of the smallest pole to ten times the largest.
+    frequencies: [Hz]; None takes 400 from a tenth of the smallest pole to ten times the largest.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> road, body = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
@@ -326,8 +336,8 @@ def plot_state_space(system: StateSpace, *, frequencies: Any = None, ax: Any = N
 def plot_psd(
     response: RandomResponse, *, outputs: tuple[str, ...] | None = None, ax: Any = None
 ) -> Any:
-    """Power spectral densities of outputs on logarithmic scales, one panel per unit, with their
-    rms values.
+    """Draw power spectral densities of outputs on logarithmic scales, one panel per unit, with
+    their rms values.
 
     outputs: names of outputs; None takes all. Error: UNKNOWN_NAME.
 
@@ -362,16 +372,15 @@ def plot_psd(
 
 
 def _above_0_hz(response: FrequencyResponse) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The frequencies above 0 Hz, for the logarithmic scale, with magnitudes and
-    unwrapped phases."""
+    """Return the frequencies above 0 Hz [Hz], for logarithmic scales, with magnitudes and unwrapped
+    phases [rad]."""
     f = np.asarray(response.frequencies)
     values = np.asarray(response.values)[..., f > 0]
     return f[f > 0], np.abs(values), np.unwrap(np.angle(values))
 
 
 def _pairs(response: FrequencyResponse) -> list[tuple[int, int, str]]:
-    """Indices of each output and input with a nonzero response between them, and the label of
-    the pair."""
+    """Return (output index, input index, label) of each pair with a nonzero response."""
     size = np.asarray(response.magnitude).max(-1)
     several = len(response.inputs) > 1
     pairs = [
@@ -385,8 +394,8 @@ def _pairs(response: FrequencyResponse) -> list[tuple[int, int, str]]:
 
 
 def look(response: FrequencyResponse, i: int, j: int) -> dict[str, Any]:
-    """One color per output and one dash pattern per input, if there are enough of both; else
-    `style` by number."""
+    """Return color and dash pattern of a line: one color per output and one dash pattern per input
+    if there are enough of both, else `style` by number."""
     if len(response.outputs) <= len(COLORS) and len(response.inputs) <= len(DASHES):
         return {"color": COLORS[i], "ls": DASHES[j]}
     return style(i * len(response.inputs) + j)
@@ -395,7 +404,7 @@ def look(response: FrequencyResponse, i: int, j: int) -> dict[str, Any]:
 def lines_over_frequency(
     ax: Any, f: np.ndarray, lines: list[tuple[str, np.ndarray]], label: str
 ) -> Any:
-    """Named lines over frequency [Hz] on logarithmic scales, with plain numbers; returns the
+    """Draw named lines over frequency [Hz] on logarithmic scales with plain numbers, and return the
     axes."""
     ax = axes_or_new(ax, 7.0, 3.6)
     for i, (name, values) in enumerate(lines):
@@ -408,14 +417,15 @@ def lines_over_frequency(
 
 
 def hertz(ax: Any, f: np.ndarray) -> None:
-    """A logarithmic frequency axis with plain numbers: 1, 2, 5 of each decade, or 1 only where
-    there are many decades."""
+    """Label a logarithmic frequency axis with plain numbers: 1, 2 and 5 of each decade, or only 1
+    for more than 3000 between the ends."""
     ax.set(xlabel="frequency [Hz]", xlim=(f[0], f[-1]))
     _plain_ticks(ax.xaxis, (1.0, 2.0, 5.0) if f[-1] / f[0] < 3000 else (1.0,))
 
 
 def degrees(ax: Any, what: str) -> None:
-    """An axis of angles in degrees, with ticks at parts of a turn; call it when all is drawn."""
+    """Label an axis of angles in degrees, with ticks at parts of a turn; call it when all is
+    drawn."""
     from matplotlib.ticker import MultipleLocator
 
     ax.set_ylabel(f"{what} [degrees]")
@@ -426,14 +436,14 @@ def degrees(ax: Any, what: str) -> None:
 
 
 def plain_numbers(ax: Any, values: np.ndarray) -> None:
-    """Plain numbers on a logarithmic ordinate of less than two decades, which has few powers
+    """Write plain numbers on a logarithmic ordinate of less than two decades, which has few powers
     of ten."""
     if np.nanmax(values) < 100 * np.nanmin(values):
         _plain_ticks(ax.yaxis, (1.0, 2.0, 5.0))
 
 
 def _plain_ticks(axis: Any, parts: tuple[float, ...]) -> None:
-    """Ticks of a logarithmic axis at these parts of each decade, written as plain numbers."""
+    """Set ticks of a logarithmic axis at these parts of each decade, written as plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=parts))

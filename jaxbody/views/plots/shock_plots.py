@@ -26,7 +26,8 @@ LEAST_SHARE = 1e-3  # of a mode that is drawn
 
 
 def plot_shock_spectrum(spectrum: ShockSpectrum, *, ax: Any = None) -> Any:
-    """The spectrum over natural frequency on logarithmic scales, a line for each damping ratio."""
+    """Draw the spectrum over natural frequency on logarithmic scales, with a line for each damping
+    ratio."""
     check_single("plot_shock_spectrum.spectrum", spectrum.frequencies, 1)
     f, values = np.asarray(spectrum.frequencies), np.asarray(spectrum.values)
     order = np.argsort(f)
@@ -47,9 +48,10 @@ def plot_shock_spectrum(spectrum: ShockSpectrum, *, ax: Any = None) -> Any:
 def plot_response_spectrum(
     spectrum: ResponseSpectrum, *, damping: tuple[float, ...] | None = None, ax: Any = None
 ) -> Any:
-    """The pseudo-acceleration of a design spectrum over natural frequency on logarithmic scales.
+    """Draw the pseudo-acceleration of a design spectrum over natural frequency on logarithmic
+    scales.
 
-    damping: damping ratios; None takes 0.05, or the one for which it is stated."""
+    damping: damping ratios; None takes 0.05, or the nearest one for which the spectrum is known."""
     check_single("plot_response_spectrum.spectrum", spectrum.rigid(), 0)
     first, last = (float(x) for x in spectrum.covers())
     f = np.geomspace(first, min(last, 100.0), 400)
@@ -59,8 +61,8 @@ def plot_response_spectrum(
 
 
 def plot_matched_record(quake: MatchedRecord, *, ax: Any = None) -> Any:
-    """Acceleration, velocity and displacement over time, and the spectrum that is reached with its
-    target below."""
+    """Draw acceleration, velocity and displacement over time, and below them the reached spectrum
+    with its target."""
     panels = {
         "acceleration [m/s2]": quake.acceleration,
         "velocity [m/s]": quake.velocity,
@@ -83,8 +85,8 @@ def plot_matched_record(quake: MatchedRecord, *, ax: Any = None) -> Any:
 
 
 def plot_spectrum_response(response: SpectrumResponse, *, ax: Any = None) -> Any:
-    """The peak of each output, with the shares of the modes in it: of their squares, or of
-    combine="absolute" of their magnitudes."""
+    """Draw the shares of the modes in the peak of each output: shares of the squares, or of the
+    magnitudes for combine="absolute"."""
     check_single("plot_spectrum_response.response", response.values, 1)
     shares = np.asarray(response.shares)
     shown = [j for j in range(shares.shape[1]) if np.abs(shares[:, j]).max() > LEAST_SHARE]
@@ -119,7 +121,8 @@ def plot_spectrum_response(response: SpectrumResponse, *, ax: Any = None) -> Any
 
 
 def plot_peak_factors(peaks: PeakFactors, *, ax: Any = None) -> Any:
-    """The peak factors of outputs with their standard deviations, and the maxima as labels."""
+    """Draw the peak factors of outputs with their standard deviations; the labels of the outputs
+    have their maxima."""
     check_single("plot_peak_factors.peaks", peaks.factor, 1)
     ax, y = axes_or_new(ax, 7.0, 1.3 + 0.4 * len(peaks.outputs)), np.arange(len(peaks.outputs))
     spread = np.nan_to_num(np.asarray(peaks.deviation))
@@ -140,7 +143,7 @@ def plot_peak_factors(peaks: PeakFactors, *, ax: Any = None) -> Any:
 
 
 def plot_fatigue_damage(damage: FatigueDamage, *, ax: Any = None) -> Any:
-    """Damage of outputs on a logarithmic scale; they fail at 1."""
+    """Draw the damage of outputs on a logarithmic scale; they fail at 1."""
     check_single("plot_fatigue_damage.damage", damage.damage, 1)
     ax, values = axes_or_new(ax, 7.0, 1.3 + 0.4 * len(damage.outputs)), np.asarray(damage.damage)
     y, positive = np.arange(len(values)), values[values > 0]

@@ -36,7 +36,7 @@ NEGLIGIBLE = 1e-9
 def draw_equilibrium(
     eq: Equilibrium, *, view: str | None = None, names: bool = True, ax: Any = None
 ) -> Any:
-    """The model at its equilibrium; the title says what is wrong with it, if anything.
+    """Draw the model at its equilibrium; the title states what is wrong with it, if anything.
 
     Args:
         eq: the equilibrium.
@@ -58,7 +58,7 @@ def draw_equilibrium(
 def draw_assembly(
     assembly: Assembly, *, view: str | None = None, names: bool = True, ax: Any = None
 ) -> Any:
-    """The model as it is assembled; the title names a closure that stays open.
+    """Draw the assembled model; the title names a closure that stays open.
 
     Args:
         assembly: the result of `assemble`.
@@ -74,8 +74,8 @@ def draw_assembly(
 
 
 def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
-    """The smallest eigenvalue of K, relative to the largest without loads, over the load factor; it
-    is zero at a limit point.
+    """Draw the smallest eigenvalue of K, relative to the largest without loads, over the load
+    factor; it is zero at a limit point.
 
     eq: an equilibrium under loads. Error: NO_PATH if it has no load path.
 
@@ -107,8 +107,8 @@ def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
 
 
 def plot_equilibria(equilibria: Equilibria, *, ax: Any = None) -> Any:
-    """The energies of equilibria [J] over their distances from the reference pose [m], numbered as
-    in the table: filled circles are stable, open ones unstable.
+    """Draw the energies of equilibria [J] over their distances from the reference pose [m],
+    numbered as in the printed table: filled circles are stable, open ones unstable.
 
     >>> bob = Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
     >>> pendulum = Model(
@@ -156,8 +156,8 @@ def plot_equilibria(equilibria: Equilibria, *, ax: Any = None) -> Any:
 
 
 def plot_load_cases(cases: LoadCases, *, of: str = "elements", ax: Any = None) -> Any:
-    """Strokes and forces of the elements in every load case, with turns and moments of those that
-    have them below; one mark per case.
+    """Draw strokes and forces of the elements in every load case, and below them turns and moments
+    of elements that have these; one mark per case.
 
     Args:
         cases: the load cases.
@@ -240,11 +240,11 @@ def plot_suspension_curves(
     of: Sequence[str] = ("camber", "toe", "roll center height", "wheel rate"),
     ax: Any = None,
 ) -> Any:
-    """Curves of a suspension over its travel, a panel for each unit.
+    """Draw curves of a suspension over its travel, with a panel for each unit.
 
     Args:
         curves: the curves.
-        of: their names.
+        of: names of the curves that are drawn.
         ax: axes to draw into; None makes a new figure.
 
     Error: UNKNOWN_NAME.
@@ -277,8 +277,8 @@ def _shown_in(unit: str, values: Any) -> np.ndarray:
 
 
 def plot_preload(preload: Preload, *, ax: Any = None) -> Any:
-    """The changes of the free lengths [m] that make a pose an equilibrium, and of the coordinates
-    that may move; angles [rad] below.
+    """Draw the changes of the free lengths [m] that make a pose an equilibrium, and of the
+    coordinates that may move; angles [rad] are below.
 
     >>> quarter = jb.presets.quarter_car()
     >>> softer = replace(quarter, {"suspension.stiffness": 3e4})

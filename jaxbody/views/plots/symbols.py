@@ -1,5 +1,5 @@
-"""Symbols in drawings of models: the zigzag of a spring, the hatched bar of what does not move,
-axes and the frame around."""
+"""Symbols in drawings of models: the zigzag of a spring, the hatched bar of fixed ground, axes and
+the frame around."""
 
 import numpy as np
 
@@ -11,8 +11,8 @@ SLIM = 0.35  # smallest ratio of the sides of the frame
 
 
 def zigzag_path(A, B, width: float, coils: int = 7) -> np.ndarray:
-    """The path of a spring from A to B: straight ends, an eighth of the length each, and a zigzag
-    between them."""
+    """Return the path of a spring from A to B: straight ends of an eighth of the length each, and a
+    zigzag between them."""
     along = B - A
     length = np.linalg.norm(along)
     if length == 0:
@@ -26,7 +26,7 @@ def zigzag_path(A, B, width: float, coils: int = 7) -> np.ndarray:
 
 
 def ground_at(ax, at, outward, half: float) -> None:
-    """A bar across the direction `outward`, hatched on its far side."""
+    """Draw a bar across the direction `outward`, hatched on its far side."""
     length = np.linalg.norm(outward)
     n = outward / length if length else np.array([0.0, -1.0])
     t = np.array([-n[1], n[0]])
@@ -66,7 +66,7 @@ def frame_axes(ax, look, size: float) -> None:
 
 
 def _triad(ax, look, size: float) -> None:
-    """The projected world axes at the lower left, with their length written below."""
+    """Draw the projected world axes at the lower left, with their length written below."""
     length = 10.0 ** np.floor(np.log10(size / 7))
     length *= max(k for k in (1, 2, 5) if k * length <= size / 7)
     low = ax.dataLim.get_points()[0]

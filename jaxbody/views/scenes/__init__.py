@@ -1,2 +1,2 @@
-"""What is drawn of a model and its motions in three dimensions, as plain arrays that know
-no renderer."""
+"""The drawn parts of a model and its motions in three dimensions, as plain arrays that do not
+depend on a renderer."""

@@ -1,5 +1,5 @@
-"""Drawn parts with their pose, scale and color at each frame of an animation: plain arrays that
-know no renderer."""
+"""Drawn parts with their pose, scale and color in each frame of an animation, as plain arrays that
+do not depend on a renderer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jaxbody.views.scenes.meshes import Mesh, axes_along_lines
 @dataclass(frozen=True)
 class DrawnPart:
     """A mesh of one color. `p` (n, 3), `R` (n, 3, 3) and `scale` (n, 3) place it in each frame, or
-    in all frames where n is 1: x = p + R (scale * vertex)."""
+    in all frames if n is 1: x = p + R (scale * vertex)."""
 
     path: tuple[str, ...]  # group, name, and what of it: ("elements", "AB", "coil")
     mesh: Mesh
@@ -31,19 +31,19 @@ class DrawnPart:
     framed: bool = True  # whether it has to be in view
 
     def placed(self, points: np.ndarray, frame: int) -> np.ndarray:
-        """Points of the mesh (..., 3) in world axes."""
+        """Return points (..., 3) of the mesh in world axes."""
         p, R, scale = (x[min(frame, len(x) - 1)] for x in (self.p, self.R, self.scale))
         return (points * scale) @ R.T + p
 
     def at(self, frame: int) -> Mesh:
-        """The mesh in world axes."""
+        """Return the mesh in world axes in one frame."""
         return Mesh(self.placed(self.mesh.vertices, frame), self.mesh.faces)
 
 
 @dataclass(frozen=True)
 class NameLabel:
-    """A name at a point (n, 3) or (1, 3); `kind` is what it names: "body", "support", "element", or
-    "title" of several side by side."""
+    """A name at a point (n, 3) or (1, 3); `kind` is the kind of the named thing: "body", "support"
+    or "element", or "title" of one of several animations side by side."""
 
     path: tuple[str, ...]
     text: str
@@ -63,9 +63,9 @@ class Trail:
 
 @dataclass(frozen=True)
 class Animation:
-    """What is drawn, and when: `seconds` of playing at which each frame is shown, and what the
-    `clock` then says; the directions `up` and `right` of what is seen, in world axes, and a length
-    of the model."""
+    """Drawn parts and the times at which they are shown: `seconds` of playing of each frame with
+    the text of its `clock`; the directions that point `up` and `right` in the view, in world axes,
+    and a length of the model [m]."""
 
     seconds: np.ndarray
     clock: tuple[str, ...]
@@ -91,11 +91,11 @@ class Animation:
         return np.append(steps, steps[-1:]) if self.moves else np.zeros(1)
 
     def part(self, *path: str) -> DrawnPart:
-        """The part of this path."""
+        """Return the part with this path."""
         return next(part for part in self.parts if part.path == path)
 
     def outline(self) -> np.ndarray:
-        """The corners (n, 3) of the boxes around the framed parts, in at most 25 frames."""
+        """Return the corners (n, 3) of the boxes around the framed parts, in at most 25 frames."""
         frames = np.unique(np.linspace(0, len(self.seconds) - 1, 25).astype(int)).tolist()
         corners = []
         for part in self.parts:
@@ -111,7 +111,8 @@ class Animation:
         return np.concatenate([*corners, *above])
 
     def shown_at(self, seconds: np.ndarray) -> Animation:
-        """The same at other seconds of playing: its last frame until each."""
+        """Return the animation with frames at other times of playing [s]: at each time, the last
+        frame that has begun."""
         rows = np.maximum(np.searchsorted(self.seconds, seconds + 1e-9, side="right") - 1, 0)
 
         def picked(x: np.ndarray) -> np.ndarray:
@@ -130,7 +131,8 @@ class Animation:
         )
 
     def moved(self, shift: np.ndarray, group: str) -> Animation:
-        """The same at another place, its names within a group."""
+        """Return the animation moved by `shift` (3,) [m], with its parts in a group of this
+        name."""
         return replace(
             self,
             parts=tuple(
@@ -155,7 +157,8 @@ def rod(
     end: np.ndarray,
     opacity: float = 1.0,
 ) -> DrawnPart:
-    """A part of unit length along z, from one point (n, 3) to another in each frame."""
+    """Return a part of unit length along z, placed from one point (n, 3) to another in each
+    frame."""
     start, end = np.broadcast_arrays(start, end)
     R, length = axes_along_lines(end - start)
     return DrawnPart(

@@ -26,7 +26,8 @@ PIN, CENTER = 0.008, 0.016
 def parts_of_bodies(
     sequence: PoseSequence, size: float, shapes: Mapping[str, tuple[Shape, ...]], opacity: float
 ) -> tuple[list[DrawnPart], list[NameLabel]]:
-    """The solid of each body, the ends of elements on it, its center of mass and its name."""
+    """Return the solid of each body, the ends of elements on it and its center of mass, and the
+    labels with its name."""
     model, parts, labels = sequence.model, [], []
     own = points_of_frames(sequence)
     for i, name in enumerate(model.layout.bodies):
@@ -71,8 +72,8 @@ def parts_of_bodies(
 def _center_of_mass(
     name: str, com: np.ndarray, size: float, p: np.ndarray, R: np.ndarray, reach: float
 ) -> list[DrawnPart]:
-    """The usual sign: a ball of eight parts, black and white by turns; `reach` is the largest
-    distance of a point of the body from it."""
+    """Return the usual sign of a center of mass, a ball of eight octants, alternately black and
+    white. `reach`: largest distance of a point of the body from it [m]."""
     ball = sphere(CENTER * size, 16).placed(com)
     middles = ball.vertices[ball.faces].mean(1) - com
     black = np.prod(middles, axis=1) > 0  # the octants with an even number of negative coordinates
@@ -90,8 +91,8 @@ def _center_of_mass(
 def parts_of_supports(
     sequence: PoseSequence, size: float, up: np.ndarray, shapes: Mapping[str, tuple[Shape, ...]]
 ) -> tuple[list[DrawnPart], list[NameLabel]]:
-    """Supports: a slab under points in a horizontal plane, a board behind a flat model, and a foot
-    at the end of each line element."""
+    """Return the parts and labels of supports: a slab under points in a horizontal plane, a board
+    behind a flat model, and a foot at the end of each line element."""
     model, parts, labels = sequence.model, [], []
     own = points_of_frames(sequence)
     board = _board(sequence, size, up) if len(model.layout.supports) == 1 else None
@@ -132,7 +133,8 @@ def parts_of_supports(
 
 
 def parts_of_joints(sequence: PoseSequence, size: float) -> Iterator[DrawnPart]:
-    """Pins of hinges with their axes, balls, and rails of guides, on the frame of the parent."""
+    """Yield pins of hinges with their axes, balls, and rails of guides, on the frame of the
+    parent."""
     model, r = sequence.model, 0.012 * size
     pin = joined([cylinder(r, -2.2 * r, 2.2 * r), cylinder(0.25 * r, -6 * r, 6 * r, sides=8)])
     rail = cylinder(0.004 * size, -0.1 * size, 0.1 * size, sides=8)
@@ -166,7 +168,8 @@ def parts_of_joints(sequence: PoseSequence, size: float) -> Iterator[DrawnPart]:
 def ground(
     points: np.ndarray, up: np.ndarray, right: np.ndarray, size: float
 ) -> tuple[DrawnPart, str]:
-    """A grid at the height of the lowest of these points (n, 3), and a note of its cells."""
+    """Return a grid at the height of the lowest of these points (n, 3), and a note with the size of
+    its cells."""
     cell = 10.0 ** np.floor(np.log10(size / 4))
     cell *= max(k for k in (1, 2, 5) if k * cell <= size / 4)
     axes = np.stack([right, np.cross(up, right), up], -1)
@@ -196,15 +199,15 @@ def ground(
 
 
 def up_of(model: Any) -> np.ndarray:
-    """The direction against gravity; z without gravity."""
+    """Return the direction against gravity, or z without gravity."""
     g = np.asarray(model.gravity, float)
     length = np.linalg.norm(g)
     return -g / length if length > 0 else np.array([0.0, 0, 1])
 
 
 def is_flat(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray | None:
-    """The horizontal normal of the plane in which all marks of a flat model lie in the first frame;
-    None for other models."""
+    """Return the horizontal normal of the plane in which all marks of a flat model lie in the first
+    frame, or None for other models."""
     places = marks(sequence)[0]
     _, spread, rows = np.linalg.svd(places - places.mean(0), full_matrices=True)
     spread = np.concatenate([spread, np.zeros(3)])[:3]
@@ -214,8 +217,8 @@ def is_flat(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray |
 
 
 def points_of_frames(sequence: PoseSequence) -> dict[str, np.ndarray]:
-    """{frame: points of elements, closures, joints and centers of mass on it (n, 3)}, in its own
-    axes, in the first frame."""
+    """Return {frame: points (n, 3) of elements, closures and joints on it}, in the axes of the
+    frame, in the first frame of the sequence."""
     model = sequence.model
     places: dict[str, list[np.ndarray]] = {name: [] for name in model.layout.frames}
     for table in attaching(model):
@@ -233,13 +236,13 @@ def points_of_frames(sequence: PoseSequence) -> dict[str, np.ndarray]:
 
 
 def _along_lines(sequence: PoseSequence) -> list[KindTable]:
-    """The tables of elements along lines."""
+    """Return the tables of elements along lines."""
     return [table for table in sequence.model.elements if hasattr(table.rows, "free_length")]
 
 
 def _feet(sequence: PoseSequence, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(point, outward direction), in the axes of a support or of the world, where elements along a
-    line end on it."""
+    """Return (point, outward direction), in the axes of a support or of the world, of each end of a
+    line element on it."""
     feet, (_, R) = [], sequence.pose(name)
     for _, element in named_rows(_along_lines(sequence)):
         A, B = (end[0] for end in sequence.ends(element))
@@ -252,7 +255,7 @@ def _feet(sequence: PoseSequence, name: str) -> list[tuple[np.ndarray, np.ndarra
 
 
 def _foot(point: np.ndarray, direction: np.ndarray, size: float) -> Mesh:
-    """A small plate across the direction, behind the point."""
+    """Return a small plate across the direction, behind the point."""
     r = 0.03 * size
     return box([2 * r, 2 * r, 0.3 * r]).placed(point + 0.15 * r * direction, axes_along(direction))
 
@@ -266,7 +269,8 @@ def _carries_tyre(sequence: PoseSequence, name: str) -> bool:
 
 
 def _board(sequence: PoseSequence, size: float, up: np.ndarray) -> Mesh | None:
-    """A board behind a flat model, in world axes in the first frame; None for other models."""
+    """Return a board behind a flat model, in world axes in the first frame, or None for other
+    models."""
     normal = is_flat(sequence, size, up)
     if normal is None:
         return None

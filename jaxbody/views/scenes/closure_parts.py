@@ -1,5 +1,5 @@
-"""Closures as drawn parts: rods between their balls, balls, pins of hinges with their axes, rails,
-welds; couplings have no place."""
+"""Closures as drawn parts: rods between their balls, balls, pins of hinges with their axes, rails
+and welds; couplings have no place in space."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ ROUND = 0.006  # radius of a rod, relative to the size of the model
 
 
 def parts_of_closures(sequence: PoseSequence, size: float) -> list[DrawnPart]:
-    """The parts of all closures; what is one point in space is drawn on the first of the
+    """Return the parts of all closures; a closure at a single point is drawn on the first of its
     two frames."""
     return [
         part
@@ -27,7 +27,7 @@ def parts_of_closures(sequence: PoseSequence, size: float) -> list[DrawnPart]:
 
 
 def is_link(closure: Closure) -> bool:
-    """Whether a closure has two points at a distance from each other."""
+    """Return whether a closure has two points at a distance from each other."""
     return not isinstance(closure, Ball | Weld | AlongAxis)
 
 

@@ -37,7 +37,7 @@ TUBE = 0.55  # length of a damper's tube over that of the damper in the first fr
 
 
 def parts_of_elements(sequence: PoseSequence, size: float, up: np.ndarray) -> list[DrawnPart]:
-    """The parts of all elements but tyres."""
+    """Return the parts of all elements but tyres."""
     return [
         part
         for name, element in named_rows(sequence.model.attached)
@@ -55,7 +55,16 @@ def _parts(
     size: float,
     up: np.ndarray,
 ) -> Iterable[DrawnPart]:
-    """The parts of an element by its class: a rod unless its class has its own function below."""
+    """Return the parts of an element: a rod, unless a function below is registered for its class.
+
+    Args:
+        element: the element.
+        name: its name.
+        ends: world positions (n, 3) of each end.
+        sequence: the poses.
+        size: size of the model [m].
+        up: the direction against gravity.
+    """
     return [rod(("elements", name), cylinder(0.004 * size, sides=8), GRAY, ends[0], ends[1])]
 
 
@@ -69,7 +78,7 @@ def _contact(element: Contact, name, ends, sequence, size, up) -> list[DrawnPart
 
 
 def springs_and_dampers(element: LineElement) -> tuple[bool, bool]:
-    """Whether an element along a line has a spring, and whether it has a damper."""
+    """Return whether an element along a line has a spring, and whether it has a damper."""
     if isinstance(element, Spring):
         return bool(element.stiffness != 0) or not element.damping, bool(element.damping != 0)
     if isinstance(element, SpringDamper):
@@ -111,7 +120,7 @@ def _line_element(element: LineElement, name, ends, sequence, size, up) -> Itera
 
 @_parts.register
 def _inerter(element: Inerter, name, ends, sequence, size, up) -> list[DrawnPart]:
-    """A flywheel in the middle of a rod."""
+    """Return a flywheel in the middle of a rod."""
     A, B = ends
     R, lengths = axes_along_lines(B - A)
     radius = float(np.clip(0.12 * lengths[0], 0.008 * size, 0.03 * size))
@@ -124,8 +133,8 @@ def _inerter(element: Inerter, name, ends, sequence, size, up) -> list[DrawnPart
 
 @_parts.register(FramePair)
 def _bushing(element: Any, name, ends, sequence, size, up) -> Iterator[DrawnPart]:
-    """A rubber ring on the frame of the second end about a pin on that of the first; its axis is
-    the one nearest to up at rest."""
+    """Yield a rubber ring on the frame of the second end about a pin on that of the first; of its
+    axes the one nearest to up at rest is the ring's."""
     R_a, R_b = (
         sequence.pose(frame)[1] @ np.asarray(matrix(q))
         for frame, q in zip(
@@ -150,7 +159,8 @@ def _bushing(element: Any, name, ends, sequence, size, up) -> Iterator[DrawnPart
 
 @_parts.register
 def _torsion(element: Torsion, name, ends, sequence, size, up) -> list[DrawnPart]:
-    """A flat spiral about the axis on the first frame, whose outer end is an arm on the second."""
+    """Return a flat spiral about the axis on the first frame, with an arm on the second frame at
+    its outer end."""
     R_a, R_b = (sequence.pose(frame)[1] for frame in element.between)
     axes = np.asarray(matrix(element.orientation)) @ axes_along(np.asarray(element.axis, float))
     in_b = R_b[0].T @ R_a[0] @ axes
@@ -166,8 +176,8 @@ def _torsion(element: Torsion, name, ends, sequence, size, up) -> list[DrawnPart
 
 @_parts.register
 def _anti_roll_bar(element: AntiRollBar, name, ends, sequence, size, up) -> Iterator[DrawnPart]:
-    """A bar on the body beside the line between the two wheels at rest, with a lever to
-    each wheel."""
+    """Yield a bar on the body beside the line between the two wheels at rest, with a lever to each
+    wheel."""
     left, right, _ = ends
     line, (p, R) = left[0] - right[0], sequence.pose(element.between[2])
     normal = R[0] @ np.asarray(element.axis, float)
@@ -177,7 +187,7 @@ def _anti_roll_bar(element: AntiRollBar, name, ends, sequence, size, up) -> Iter
     inward = 0.12 * line
 
     def on_body(at: np.ndarray) -> np.ndarray:
-        """The world positions in all frames of a point of the body, given in the first frame."""
+        """Return world positions in all frames of a point of the body given in the first frame."""
         return p + R @ (R[0].T @ (at - p[0]))
 
     corners = [on_body(left[0] - inward + aside), on_body(right[0] + inward + aside)]

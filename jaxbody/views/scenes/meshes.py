@@ -1,5 +1,5 @@
-"""Triangle meshes of what is drawn: solids, coils, wheels, arrows, ribbons. Lengths along z are 1
-where a drawing stretches them."""
+"""Triangle meshes of drawn parts: solids, coils, wheels, arrows, ribbons. Parts that are stretched
+in a drawing have length 1 along z."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ class Mesh(NamedTuple):
     def placed(
         self, p: np.ndarray, R: np.ndarray | None = None, scale: float | np.ndarray = 1.0
     ) -> Mesh:
-        """Scaled, then rotated, then moved by p."""
+        """Return the mesh scaled, then rotated, then moved by p."""
         scaled = self.vertices * scale
         return Mesh((scaled if R is None else scaled @ R.T) + p, self.faces)
 
     def normals(self) -> np.ndarray:
-        """The unit normals of the triangles; zero for one without area."""
+        """Return the unit normals of the triangles; zero for a triangle without area."""
         a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
         n = np.cross(b - a, c - a)
         length = np.linalg.norm(n, axis=-1, keepdims=True)
         return n / np.where(length > 0, length, 1.0)
 
     def edges(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of vertices (e, 2) of sharp edges, and of those with one triangle, and their two
-        triangles (e, 2)."""
+        """Return the pairs of vertices (e, 2) of sharp edges and of edges of a single triangle, and
+        the two triangles of each (e, 2)."""
         pairs = np.sort(
             np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]),
             axis=1,
@@ -50,14 +50,14 @@ class Mesh(NamedTuple):
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh of several."""
+    """Return one mesh of several."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
 def hull(points: np.ndarray) -> Mesh:
-    """The convex hull of points that span a volume."""
+    """Return the convex hull of points that span a volume."""
     from scipy.spatial import ConvexHull
 
     solid = ConvexHull(points - points.mean(0), qhull_options="QJ")
@@ -70,7 +70,7 @@ def hull(points: np.ndarray) -> Mesh:
 
 
 def box(size: np.ndarray | Sequence[float]) -> Mesh:
-    """A box with these edge lengths about the origin."""
+    """Return a box with these edge lengths, centered at the origin."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return Mesh(
@@ -79,8 +79,8 @@ def box(size: np.ndarray | Sequence[float]) -> Mesh:
 
 
 def revolved(profile: np.ndarray, sides: int = ROUND) -> Mesh:
-    """A profile of rows (radius, z), with z rising along the outside, turned about z; it ends on
-    the axis, or where it starts."""
+    """Return the surface of a profile revolved about z. Its rows are (radius, z), with z rising
+    along the outside; it ends on the axis, or where it starts."""
     closed = np.array_equal(profile[0], profile[-1])
     angle = 2 * np.pi * np.arange(sides) / sides
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -101,8 +101,8 @@ def revolved(profile: np.ndarray, sides: int = ROUND) -> Mesh:
 
 
 def _between(rings: np.ndarray) -> np.ndarray:
-    """Triangles between successive rings of vertices, given by their numbers (n, sides); a ring of
-    one vertex repeats its number."""
+    """Return triangles between successive rings of vertices, given by their indices (n, sides); a
+    ring of one vertex repeats its index."""
     a, d = rings[:-1], rings[1:]
     b, c = np.roll(a, -1, axis=1), np.roll(d, -1, axis=1)
     faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
@@ -110,12 +110,12 @@ def _between(rings: np.ndarray) -> np.ndarray:
 
 
 def cylinder(radius: float, low: float = 0.0, high: float = 1.0, sides: int = ROUND) -> Mesh:
-    """A cylinder about z."""
+    """Return a cylinder about z."""
     return revolved(np.array([[0, low], [radius, low], [radius, high], [0, high]]), sides)
 
 
 def sphere(radius: float, sides: int = 16) -> Mesh:
-    """A ball about the origin."""
+    """Return a ball centered at the origin."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, sides // 2 + 1)
     profile = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
     profile[[0, -1], 0] = 0
@@ -123,21 +123,21 @@ def sphere(radius: float, sides: int = 16) -> Mesh:
 
 
 def arrow(radius: float, head: float) -> Mesh:
-    """An arrow from 0 to 1 along z, whose head has this share of its length."""
+    """Return an arrow from 0 to 1 along z. `head`: length of the head, relative to the arrow."""
     return revolved(
         np.array([[0, 0], [radius, 0], [radius, 1 - head], [2.6 * radius, 1 - head], [0, 1]]), 12
     )
 
 
 def ring(inner: float, outer: float, low: float, high: float) -> Mesh:
-    """A tube about z with a wall between two radii."""
+    """Return a tube about z between two radii."""
     return revolved(
         np.array([[inner, low], [outer, low], [outer, high], [inner, high], [inner, low]])
     )
 
 
 def tyre(radius: float, width: float) -> Mesh:
-    """A tyre about z with rounded shoulders and an opening for the rim."""
+    """Return a tyre about z with rounded shoulders and an opening for the rim."""
     r, w = radius, width / 2
     bead, shoulder = 0.62 * r, 0.10 * r
     half = np.array(
@@ -153,7 +153,7 @@ def tyre(radius: float, width: float) -> Mesh:
 
 
 def wire(path: np.ndarray, radius: float, sides: int = 6) -> Mesh:
-    """A round wire along a path (n, 3), closed at its ends, with axes transported along it."""
+    """Return a round wire along a path (n, 3), closed at its ends."""
     R, _ = axes_along_lines(np.gradient(path, axis=0))
     angle = 2 * np.pi * np.arange(sides)[:, None, None] / sides
     rim = np.cos(angle) * R[..., 0] + np.sin(angle) * R[..., 1]
@@ -165,7 +165,7 @@ def wire(path: np.ndarray, radius: float, sides: int = 6) -> Mesh:
 
 
 def coil(radius: float, thickness: float, length: float, turns: int, points: int = 14) -> Mesh:
-    """A coil spring about z with straight ends, from z = 0 to 1; its wire is round where it is
+    """Return a coil spring about z with straight ends, from z = 0 to 1; its wire is round if it is
     stretched to `length`."""
     straight, lead = 0.08, 0.5  # share of the length, and turns over which the radius grows
     angle = np.linspace(0, turns, turns * points + 1)
@@ -185,14 +185,14 @@ def coil(radius: float, thickness: float, length: float, turns: int, points: int
 
 
 def spiral(inner: float, outer: float, thickness: float, turns: float = 2.5) -> Mesh:
-    """A flat spiral about z, for a torsion spring."""
+    """Return a flat spiral about z, for a torsion spring."""
     s = np.linspace(0, 1, 64)
     r, angle = inner + (outer - inner) * s, 2 * np.pi * turns * s
     return wire(np.stack([r * np.cos(angle), r * np.sin(angle), 0 * s], -1), thickness)
 
 
 def ribbon(x: np.ndarray, z: np.ndarray, width: float) -> Mesh:
-    """A strip along x at the heights z, facing up."""
+    """Return a strip along x at the heights z, facing up."""
     y = np.full_like(x, width / 2)
     vertices = np.concatenate([np.stack([x, -y, z], -1), np.stack([x, y, z], -1)])
     a = np.arange(len(x) - 1)
@@ -204,7 +204,8 @@ def ribbon(x: np.ndarray, z: np.ndarray, width: float) -> Mesh:
 
 
 def slab(x: np.ndarray, z: np.ndarray, width: float, thickness: float) -> Mesh:
-    """A strip along x at the heights z, with sides down to below the lowest."""
+    """Return a strip along x at the heights z, with sides down to `thickness` below the lowest
+    height."""
     top, n = ribbon(x, z, width), len(x)
     foot = np.full(n, z.min() - thickness)
     sides = []
@@ -216,17 +217,18 @@ def slab(x: np.ndarray, z: np.ndarray, width: float, thickness: float) -> Mesh:
 
 
 def across(direction: np.ndarray) -> np.ndarray:
-    """A unit vector across a unit vector: horizontal, or along y for a vertical one."""
+    """Return a unit vector perpendicular to a unit vector, near the world axis least aligned with
+    it."""
     least = np.eye(3)[int(np.argmin(np.abs(direction)))]
     rest = least - (least @ direction) * direction
     return rest / np.linalg.norm(rest)
 
 
 def axes_along_lines(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes (n, 3, 3) whose third column is along d (n, 3), turned from frame to frame as little as
-    possible, and the lengths (n,).
+    """Return axes (n, 3, 3) whose third columns are along d (n, 3), turned from frame to frame as
+    little as possible, and the lengths (n,).
 
-    Where a line has no length the axes of the frame before are kept."""
+    A line without length keeps the axes of the frame before."""
     length = np.linalg.norm(d, axis=-1)
     axis, side = np.empty((2, len(d), 3))
     known = length > 0

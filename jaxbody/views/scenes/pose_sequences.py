@@ -1,5 +1,5 @@
-"""What is viewed, as poses of all frames of a model at successive times: of a trajectory, of
-vibrating modes, of a suspension over its travel, or of one state."""
+"""Poses of all frames of a model at successive times: of a trajectory, of vibrating modes, of a
+suspension over its travel, or of one state."""
 
 from typing import Any
 
@@ -38,17 +38,21 @@ TRAVEL = 4.0  # seconds in which the curves of a suspension are played
 
 
 def still(model: Model, state: State | None = None) -> PoseSequence:
-    """One state of a model; None takes the reference pose."""
+    """Return the poses of one state of a model; None takes the reference pose."""
     state = model.reference if state is None else state
     check_state(model, state, "state")
     return PoseSequence(model, np.zeros(1), *poses_of(model, state.q[None]))
 
 
 def along(trajectory: Trajectory, most: int, forces: bool = False) -> PoseSequence:
-    """The samples of a motion nearest to `most` equal steps of time; those after a failure are
-    left out.
+    """Return the samples of a motion nearest to equal steps of time, without those after a failure.
 
-    Errors: BAD_SHAPE for a batch, NONFINITE where nothing is finite."""
+    Args:
+        trajectory: the motion.
+        most: largest number of samples.
+        forces: whether the forces of elements on bodies are computed too.
+
+    Errors: BAD_SHAPE for a batch, NONFINITE if nothing is finite."""
     if trajectory.times.ndim > 1 or not is_concrete(trajectory.state.q):
         raise JaxbodyError(
             Problem(
@@ -105,8 +109,8 @@ def along(trajectory: Trajectory, most: int, forces: bool = False) -> PoseSequen
 def vibrating(
     modes: ModalResult, number: int, state: State | None, amplitude: float | None, phase: float
 ) -> PoseSequence:
-    """One period of a mode about a state, Delta = s Re(phi exp(i (2 pi f t + phase))), in two
-    seconds whatever its frequency.
+    """Return one period of a mode about a state, Delta = s Re(phi exp(i (2 pi f t + phase))),
+    played in two seconds whatever its frequency.
 
     Args:
         modes: natural or complex modes.
@@ -116,7 +120,7 @@ def vibrating(
             an eighth of the model's size.
         phase: phase of the first frame [rad].
 
-    Error: UNKNOWN_MODE."""
+    Errors: UNKNOWN_MODE, NONFINITE."""
     model = modes.model
     check_number(modes, number, "view.number")
     q = (model.reference if state is None else state).q
@@ -160,10 +164,10 @@ def vibrating(
 
 
 def over_travel(curves: SuspensionCurves) -> PoseSequence:
-    """The configurations of a suspension in the order of its curves, in equal steps of time; those
-    beyond reach are left out.
+    """Return the configurations of a suspension in the order of its curves, in equal steps of time,
+    without those beyond reach.
 
-    Error: NONFINITE where none is within reach."""
+    Error: NONFINITE if none is within reach."""
     rows = np.flatnonzero(np.asarray(curves.ok))
     if not len(rows):
         raise JaxbodyError(
@@ -191,7 +195,7 @@ def _shown(value: float, unit: str) -> str:
 
 
 def nearest(times: np.ndarray, most: int) -> np.ndarray:
-    """The indices of samples nearest to equal steps of time, at most so many."""
+    """Return the indices of the samples nearest to equal steps of time, at most `most`."""
     wanted = np.linspace(times[0], times[-1], min(most, len(times)))
     after = np.clip(np.searchsorted(times, wanted), 1, max(len(times) - 1, 1))
     before = after - 1
@@ -200,7 +204,7 @@ def nearest(times: np.ndarray, most: int) -> np.ndarray:
 
 
 def places_of(table: KindTable) -> list[tuple[str, np.ndarray]]:
-    """(frame, point) of each end of elements or closures."""
+    """Return (frame, point) of each end of elements or closures."""
     return [
         (link[end], point)
         for end, points in enumerate(table.rows.points)
@@ -209,14 +213,14 @@ def places_of(table: KindTable) -> list[tuple[str, np.ndarray]]:
 
 
 def size_of_sequence(sequence: PoseSequence) -> float:
-    """The longest side of the box around the attached points and centers of mass in the first
-    frame; 1 m for a point."""
+    """Return the longest side of the box around the attached points and centers of mass in the
+    first frame [m]; 1 m for a single point."""
     return float(np.ptp(marks(sequence)[0], axis=0).max()) or 1.0
 
 
 def marks(sequence: PoseSequence) -> np.ndarray:
-    """World positions (n, marks, 3) of centers of mass, origins of bodies, and the ends of elements
-    and closures."""
+    """Return world positions (n, marks, 3) of centers of mass, origins of bodies, and the ends of
+    elements and closures."""
     model = sequence.model
     places = [
         (name, point) for name in model.layout.bodies for point in (model[name].com, np.zeros(3))

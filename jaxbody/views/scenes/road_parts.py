@@ -22,8 +22,8 @@ MOST_POINTS = 4000  # of a profile
 
 
 def parts_of_roads(sequence: PoseSequence, size: float) -> list[DrawnPart]:
-    """Wheels for all tyres, a strip of road under each, and the profile under each other support
-    that a Road moves. Wheels that follow one another share a strip."""
+    """Return wheels for all tyres, a strip of road under each, and the profile under each other
+    support that a Road moves. Wheels one behind the other share a strip."""
     tyres = _tyres(sequence)
     places = [
         (
@@ -52,7 +52,7 @@ def parts_of_roads(sequence: PoseSequence, size: float) -> list[DrawnPart]:
 
 
 def _tyres(sequence: PoseSequence) -> list[tuple[str, Tyre]]:
-    """The tyres that have a radius, by name."""
+    """Return the tyres that have a radius, with their names."""
     return [
         (name, element)
         for name, element in named_rows(sequence.model.elements)
@@ -61,8 +61,8 @@ def _tyres(sequence: PoseSequence) -> list[tuple[str, Tyre]]:
 
 
 def hub_of(sequence: PoseSequence, body: str, points: np.ndarray) -> Mesh | None:
-    """The hub of the wheel that a body is, in its axes; None for a body without a tyre, or with
-    points outside of it."""
+    """Return the hub of the wheel that a body represents, in its axes, or None for a body without a
+    tyre or with points outside of the tyre."""
     for _, element in _tyres(sequence):
         on, road = element.between
         if on == body:
@@ -78,7 +78,8 @@ def hub_of(sequence: PoseSequence, body: str, points: np.ndarray) -> Mesh | None
 
 
 def _axes_of_road(normal: np.ndarray) -> np.ndarray:
-    """Columns forward, to the left and up, in the frame of a road; forward is x, as of cars."""
+    """Return the directions forward (x, as of cars), to the left and up as columns, in the frame of
+    a road."""
     forward = np.array([1.0, 0, 0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1, 0])
     forward = forward - (forward @ normal) * normal
     forward /= np.linalg.norm(forward)
@@ -86,13 +87,13 @@ def _axes_of_road(normal: np.ndarray) -> np.ndarray:
 
 
 def _axes_of_wheel(element: Tyre) -> np.ndarray:
-    """Axes in the frame of the road, the third along the axle."""
+    """Return axes in the frame of the road, the third along the axle."""
     forward, left, up = _axes_of_road(np.asarray(element.axis, float)).T
     return np.stack([forward, -up, left], -1)
 
 
 def _wheel(name: str, element: Tyre, sequence: PoseSequence) -> list[DrawnPart]:
-    """A tyre and its rim, which turn with the speed of the road."""
+    """Return a tyre and its rim, which turn with the speed of the road."""
     r, road = float(element.radius), sequence.roads.get(element.between[1])
     hub = sequence.points(element.between[0], element.a)
     axes = _axes_of_wheel(element)
@@ -117,7 +118,7 @@ def _wheel(name: str, element: Tyre, sequence: PoseSequence) -> list[DrawnPart]:
 
 
 def parts_of_wheel(sequence: PoseSequence) -> list[DrawnPart]:
-    """The wheel of a suspension."""
+    """Return the wheel of a suspension, or nothing without one."""
     wheel = sequence.wheel
     if wheel is None:
         return []
@@ -146,8 +147,8 @@ def _strip(
     sequence: PoseSequence,
     size: float,
 ) -> list[DrawnPart]:
-    """A strip of road through a point of a support at rest; one that passes under it
-    moves backwards."""
+    """Return a strip of road through a point of a support at rest; a road with a speed moves
+    backwards."""
     road, reach = sequence.roads.get(support), AHEAD * size
     axes, thick = _axes_of_road(normal), 0.01 * size
     if road is None:
@@ -186,8 +187,8 @@ def _strip(
 
 
 def _profile(road: Road, first: float, last: float) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and heights of a road between two distances, level beyond its ends; long ones in
-    equal steps."""
+    """Return distances and heights [m] of a road between two distances, level beyond its ends; a
+    profile of many points is resampled in equal steps."""
     s, z = np.asarray(road.distances, float), np.asarray(road.heights, float)
     inside = s[(s > first) & (s < last)]
     x = np.concatenate([[first], inside, [last]])

@@ -1,5 +1,5 @@
-"""From poses to an animation: all parts of a model, names, force arrows, trails and the ground;
-several side by side."""
+"""Animations from poses: all parts of a model, names, force arrows, trails and the ground; several
+side by side."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -40,14 +40,15 @@ def animation_of(
     trails: Sequence[tuple[str, str, np.ndarray]] = (),
     longest_force: float | None = None,
 ) -> Animation:
-    """All that is drawn of a sequence of poses.
+    """Return the animation of a sequence of poses.
 
     Args:
-        sequence: the poses; where it has forces, they are drawn as arrows.
+        sequence: the poses; forces that it contains are drawn as arrows.
         speed: seconds of the sequence per second of playing.
         shapes: {body or support: its shapes} in place of the default ones.
         trails: (name, frame, point in its axes) of points whose paths are drawn.
-        longest_force: the force [N] of the longest arrow; None takes 1 N."""
+        longest_force: the force [N] of the longest arrow; None takes 1 N.
+    """
     size, up, shapes = size_of_sequence(sequence), up_of(sequence.model), shapes or {}
     bodies, names = parts_of_bodies(sequence, size, shapes, SOLID)
     supports, more_names = parts_of_supports(sequence, size, up, shapes)
@@ -87,14 +88,14 @@ def animation_of(
 
 
 def with_ground(animation: Animation) -> Animation:
-    """The animation on a grid at the height of its lowest point."""
+    """Return the animation with a grid at the height of its lowest point."""
     part, note = ground(animation.outline(), animation.up, animation.right, animation.size)
     return replace(animation, parts=(part, *animation.parts), notes=(*animation.notes, note))
 
 
 def side_by_side(animations: Mapping[str, Animation]) -> Animation:
-    """Several animations in a row to the right, each with its name, at the same times; those that
-    end earlier stay as they are then."""
+    """Return several animations in a row to the right, each with its name, at the same times;
+    shorter ones stop at their last frame."""
     first, placed, offset = next(iter(animations.values())), [], 0.0
     longest = max(
         animations.values(), key=lambda animation: (animation.seconds[-1], len(animation.seconds))
@@ -132,7 +133,7 @@ def side_by_side(animations: Mapping[str, Animation]) -> Animation:
 
 
 def _arrows(sequence: PoseSequence, size: float, scale: float) -> Iterator[DrawnPart]:
-    """The forces of elements on the bodies at their ends."""
+    """Yield arrows of the forces that elements exert on the bodies at their ends."""
     mesh = arrow(0.012 * size, 0.3)
     for name, force in sequence.forces.items():
         element = sequence.model[name]
@@ -143,7 +144,8 @@ def _arrows(sequence: PoseSequence, size: float, scale: float) -> Iterator[Drawn
 
 
 def _names_at_middles(sequence: PoseSequence) -> list[NameLabel]:
-    """The names of elements and of rods; other closures are where bodies have their own."""
+    """Return the labels of elements and of rods; other closures are where bodies have their
+    names."""
     model = sequence.model
     named = [("names of elements", name, model[name]) for name in model.element_names]
     named += [
@@ -158,8 +160,8 @@ def _names_at_middles(sequence: PoseSequence) -> list[NameLabel]:
 
 
 def _right(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray:
-    """The horizontal direction that points right: in the plane of a flat model, else x, or y for a
-    model that is longer along it."""
+    """Return the horizontal direction that points right: in the plane of a flat model, else x, or y
+    for a model that is longer along it."""
     normal = is_flat(sequence, size, up)
     if normal is not None:
         return np.cross(up, normal)

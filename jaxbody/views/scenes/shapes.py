@@ -50,7 +50,7 @@ class Shape:
         color: str | None = None,
         opacity: float = 1.0,
     ) -> Shape:
-        """A box.
+        """Make a box.
 
         Args:
             size: its edge lengths along x, y, z [m].
@@ -79,10 +79,10 @@ class Shape:
         color: str | None = None,
         opacity: float = 1.0,
     ) -> Shape:
-        """A cylinder.
+        """Make a cylinder.
 
         Args:
-            radius, length: [m].
+            radius, length: its radius and length [m].
             axis: its direction, in body axes.
             center: its center, in body axes [m].
             color, opacity: as of every shape.
@@ -108,8 +108,14 @@ class Shape:
     def sphere(
         cls, radius, *, center=(0, 0, 0), color: str | None = None, opacity: float = 1.0
     ) -> Shape:
-        """A ball of a radius [m] about a center [m]. Errors: NOT_POSITIVE, BAD_SHAPE,
-        NON_FINITE, WRONG_KIND."""
+        """Make a ball.
+
+        Args:
+            radius: its radius [m].
+            center: its center, in body axes [m].
+            color, opacity: as of every shape.
+
+        Errors: NOT_POSITIVE, BAD_SHAPE, NON_FINITE, WRONG_KIND."""
         with Problems() as problems:
             r, at = (
                 _positive(radius, (), "Shape.sphere radius", problems),
@@ -120,7 +126,7 @@ class Shape:
 
     @classmethod
     def hull(cls, points, *, color: str | None = None, opacity: float = 1.0) -> Shape:
-        """The convex hull of points (n, 3) that span a volume [m]. Errors: BAD_SHAPE,
+        """Make the convex hull of points (n, 3) that span a volume [m]. Errors: BAD_SHAPE,
         NON_FINITE, WRONG_KIND."""
         with Problems() as problems:
             rows: Any = checked(
@@ -159,13 +165,13 @@ class Shape:
         color: str | None = None,
         opacity: float = 1.0,
     ) -> Shape:
-        """A mesh from a file: STL, OBJ, PLY, GLB and others that trimesh reads (`pip
-        install 'jaxbody[view]'`).
+        """Read a mesh from a file: STL, OBJ, PLY, GLB and others that trimesh reads (`pip install
+        'jaxbody[view]'`).
 
         Args:
             path: path of the file.
             scale: meters per unit of the file, 1e-3 for millimeters.
-            center: where the origin of the file is, in body axes [m].
+            center: position of the file's origin, in body axes [m].
             orientation: orientation of the axes of the file in the body.
             color, opacity: as of every shape.
 
@@ -202,7 +208,7 @@ class Shape:
 
 
 def axes_along(n: np.ndarray) -> np.ndarray:
-    """A rotation matrix whose third column is a unit vector."""
+    """Return a rotation matrix whose third column is a unit vector."""
     x = across(n)
     return np.stack([x, np.cross(n, x), n], -1)
 
@@ -210,13 +216,14 @@ def axes_along(n: np.ndarray) -> np.ndarray:
 def solid_of_body(
     points: np.ndarray, com: np.ndarray, mass: float, inertia: np.ndarray, size: float
 ) -> Mesh:
-    """The shape of a body that has none: the hull of its points, of its center of mass and of the
+    """Return the default shape of a body: the hull of its points, of its center of mass and of the
     inner part of the box of equal mass and inertia, all thickened, so that the points lie inside.
 
     Args:
         points: attachments and joints, in body axes (n, 3) [m].
         com, mass, inertia: of the body, in SI.
-        size: of the model [m], by which thickness and blocks are measured."""
+        size: of the model [m], for the thickness and for the block of a body with a single point.
+    """
     every = np.concatenate([points, com[None]])
     spread = np.linalg.norm(every - com, axis=1).max()
     moments, axes = np.linalg.eigh(inertia)
@@ -240,7 +247,7 @@ def _known(x: Any) -> np.ndarray:
 
 
 def _positive(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -> Any:
-    """Numbers above zero; ones where they are not, with a problem added."""
+    """Return the numbers, checked to be above zero; otherwise ones, with a problem added."""
     numbers = checked(value, (shape,), where, problems)
     known = None if numbers is None else concrete(numbers)
     if known is not None and not (known > 0).all():
@@ -257,7 +264,7 @@ def _positive(value: Any, shape: tuple[int, ...], where: str, problems: Problems
 
 
 def _look(color: str | None, opacity: float, problems: Problems) -> tuple[str | None, float]:
-    """Check color and opacity. Errors: WRONG_KIND, NOT_A_FRACTION."""
+    """Check color and opacity and return them. Errors: WRONG_KIND, NOT_A_FRACTION."""
     from matplotlib.colors import is_color_like, to_hex
 
     if color is not None and not is_color_like(color):
