@@ -58,7 +58,7 @@ class Raster:
 
     def _fragments(self, corners: np.ndarray, depths: np.ndarray) -> Fragments:
         """Return the pixels whose centers are inside of triangles."""
-        found: list[Fragments] = []
+        fragments: list[Fragments] = []
         size = np.array([self.width, self.height])
         low = np.clip(np.floor(corners.min(1)), 0, size).astype(int)
         high = np.clip(np.ceil(corners.max(1)), 0, size).astype(int)
@@ -67,14 +67,14 @@ class Raster:
             rows = np.flatnonzero(
                 (extent > step // 2) & (extent <= step) & ((high - low) > 0).all(1)
             )
-            found += [
+            fragments += [
                 self._inside(part, corners[part], depths[part], low[part], int(step))
                 for part in np.array_split(rows, max(1, -(-len(rows) * step**2 // MOST)))
                 if len(part)
             ]
-        if not found:
+        if not fragments:
             return np.zeros(0, int), np.zeros(0, np.float32), np.zeros(0, int)
-        pixel, nearness, owner = (np.concatenate(column) for column in zip(*found, strict=True))
+        pixel, nearness, owner = (np.concatenate(column) for column in zip(*fragments, strict=True))
         return pixel, nearness, owner
 
     def _inside(

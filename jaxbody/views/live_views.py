@@ -72,9 +72,8 @@ class LiveView:
             "amplitude [m]", 0.0, most, most / 200, amplitude
         )
         self.controls["phase"] = gui.add_slider("phase [degrees]", 0.0, 360.0, 1.0, phase)
-        for name in ("mode", "amplitude", "phase"):
-            if name in self.controls:
-                self.controls[name].on_update(self._vibrate)
+        for name in self.controls.keys() & {"mode", "amplitude", "phase"}:
+            self.controls[name].on_update(self._vibrate)
 
     def _vibrate(self, _: Any) -> None:
         """Draw the modes with the values of the sliders; while it does not play, draw the first

@@ -75,7 +75,7 @@ def save_mp4(path: Path, painter: Painter) -> None:
     frames, pauses = _frames(painter.animation, rate)
     counts = np.diff(np.round(np.cumsum([0, *pauses]) * rate / 1000)).astype(int)
     with writing(path):
-        path.open("wb").close()  # ffmpeg would say this in its own way
+        path.open("wb").close()  # else ffmpeg fails with a message of its own
     size = painter.width, painter.height
     with closing(
         ffmpeg.write_frames(str(path), size, fps=rate, macro_block_size=2, quality=7)

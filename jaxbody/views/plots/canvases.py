@@ -13,6 +13,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, unknown
 COLORS = ("#1871bc", "#e0803a", "#8e0523", "#dbb72d", "#09663e", "#8470f1", "#292a6d", "#3db5ad")
 GRAY, LIGHT, INK = "#8a8f98", "#dfe4ea", "#2b2f36"
 DASHES = ("-", (0, (6, 1.5)), (0, (3, 1, 1, 1)), (0, (1, 1)))  # one for each four lines
+MARKERS = "osD^vP*X"  # of series of marks
 NAME = 0.165  # in, height of a line of a legend
 DARK = 0.5  # brightness of a cell below which its number is white
 ROOM = 50  # letters of names side by side below axes of usual width
@@ -110,24 +111,21 @@ def panels_of_lines(
     return ax
 
 
-def panels_of_marks(
-    ax: Any, panels: dict[str, dict[str, Any]], names: tuple[str, ...], *, marks: str = "osD^vP*X"
-) -> Any:
+def panels_of_marks(ax: Any, panels: dict[str, dict[str, Any]], names: tuple[str, ...]) -> Any:
     """Draw one mark per named quantity in panels one below the other and return the top axes.
 
     Args:
         ax: axes whose area the panels share.
         panels: {ordinate with unit: {name of a series: one value per name}}, from the top.
         names: of the quantities, which are the ticks of the abscissa.
-        marks: markers of the series, in matplotlib's letters.
     """
     every = [ax, *axes_below(ax, *[1.0] * (len(panels) - 1))]
     for axes, (label, series) in zip(every, panels.items(), strict=True):
         for i, (name, values) in enumerate(series.items()):
-            # so that equal numbers are seen side by side
-            aside = 0.5 * ((i + 0.5) / len(series) - 0.5)
-            mark = {"marker": marks[i % len(marks)], "color": COLORS[i % len(COLORS)]}
-            axes.plot(np.arange(len(names)) + aside, values, ls="none", ms=5, label=name, **mark)
+            # equal numbers stand side by side
+            offset = 0.5 * ((i + 0.5) / len(series) - 0.5)
+            mark = {"marker": MARKERS[i % len(MARKERS)], "color": COLORS[i % len(COLORS)]}
+            axes.plot(np.arange(len(names)) + offset, values, ls="none", ms=5, label=name, **mark)
         axes.axhline(0.0, color=GRAY, lw=0.8, zorder=1)
         axes.set_ylabel(label)
         legend(axes, len(series) if len(series) > 1 and axes is ax else 0)
@@ -315,7 +313,7 @@ def annotate(ax: Any, labels: list[Label]) -> None:
         )
         x, y = covered[
             :, (abs(covered - at[:, None]) < RINGS[-1] + CLEAR + 2 * half[:, None]).all(0)
-        ]  # what a label so far away may cover
+        ]  # points near enough to be covered by a label
         costs = costs + np.sum((x > left) & (x < right) & (y > bottom) & (y < top), -1)
         best = int(np.argmin(costs))
         taken = np.concatenate([taken, [[*low[best], *high[best]]]])

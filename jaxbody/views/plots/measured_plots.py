@@ -154,7 +154,7 @@ def _draw(
         i for i in columns if np.isfinite(measured[:, i]).any() and np.ptp(predicted[:, i]) > 0
     ] or columns[:1]
     shown = shown if len(rows) == len(columns) else columns
-    left = rows if len(rows) != len(columns) else [rows[columns.index(i)] for i in shown]
+    kept = rows if len(rows) != len(columns) else [rows[columns.index(i)] for i in shown]
     names = [_name(channel, sensor, part, columns.index(i), len(columns)) for i in shown]
     dots = dict(ls="none", marker="o", mew=0, ms=5.0 if len(x) <= FEW else 3.5)
     points, line = (
@@ -166,7 +166,7 @@ def _draw(
         points += ax.plot(x, measured[:, i] - center, color=pale(color), zorder=2, **dots)
         ax.plot(x, predicted[:, i] - center, color=color, label=name, zorder=3, **line)
     bands = bands_of(residual.shape) if bands_of else {}
-    for color, i in zip(COLORS[len(shown) - len(left) :], left, strict=False):
+    for color, i in zip(COLORS[len(shown) - len(kept) :], kept, strict=False):
         below.plot(
             x,
             residual[:, i],
@@ -175,7 +175,7 @@ def _draw(
             **(dots | {"ms": 3.0 if channel.series else 5.0}),
         )
         if i in bands:
-            _draw_band(below, x, bands[i], color, len(left), series=channel.series)
+            _draw_band(below, x, bands[i], color, len(kept), series=channel.series)
     below.axhline(0.0, color=INK, lw=0.8)
     what = names[0] if len(shown) == 1 else " ".join([sensor, *channel.parts[part : part + 1]])
     ax.set_ylabel(
@@ -222,13 +222,13 @@ def _draw_response(
     turn of the predicted one."""
     f, measured = np.asarray(experiment.axis(sensor)[1]), np.asarray(experiment.measured[sensor])
     (below,) = axes_below(ax, 0.55)
-    there = np.isfinite(measured) & (np.abs(predicted) > 0)
+    known = np.isfinite(measured) & (np.abs(predicted) > 0)
     phase = np.unwrap(np.angle(predicted))
-    apart = np.angle(np.where(there, measured, 1.0) / np.where(there, predicted, 1.0))
+    difference = np.angle(np.where(known, measured, 1.0) / np.where(known, predicted, 1.0))
     points = []
     for axes, one, other in (
         (ax, np.abs(measured), np.abs(predicted)),
-        (below, *np.rad2deg([np.where(there, phase + apart, np.nan), phase])),
+        (below, *np.rad2deg([np.where(known, phase + difference, np.nan), phase])),
     ):
         points += axes.plot(
             f, one, "o", color=pale(COLORS[0]), ms=5.0 if len(f) <= FEW else 3.5, mew=0, zorder=2
@@ -277,7 +277,7 @@ def _compared(
     """Return measured values, predicted values and their difference, one column per number;
     measured quaternions get the sign of the predicted ones."""
     n = len(measured)
-    apart = np.where(
+    difference = np.where(
         channel.missing(measured), np.nan, -np.asarray(channel.residual(predicted, measured))
     )
     if channel.shape != channel.noise_shape:
@@ -286,7 +286,7 @@ def _compared(
             np.sum(measured[..., q] * predicted[..., q], -1, keepdims=True) < 0, -1.0, 1.0
         )
         measured = np.concatenate([measured[..., : q.start], sign * measured[..., q]], -1)
-    return measured.reshape(n, -1), predicted.reshape(n, -1), apart.reshape(n, -1)
+    return measured.reshape(n, -1), predicted.reshape(n, -1), difference.reshape(n, -1)
 
 
 def _columns(

@@ -387,7 +387,7 @@ def _draw_axes(
         ax.set_title(title, fontsize=9)
     for i, (name, point, direction) in enumerate(lines):
         ends = np.array([point - half * direction, point + half * direction]) @ look.T
-        seen = np.linalg.norm(ends[1] - ends[0]) > 0.1 * half  # else it points at the viewer
+        seen = np.linalg.norm(ends[1] - ends[0]) > 0.1 * half  # else it points to the viewer
         mark = (
             {"ls": DASHES[i]}
             if seen

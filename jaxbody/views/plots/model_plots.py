@@ -131,7 +131,7 @@ def draw_mode(
     largest = (
         max(np.abs(points[name] - rest.points[name]).max() for name in model.layout.bodies) / trial
     )
-    # where nothing is attached off O
+    # if nothing is attached away from O, the rotation limits the amplitude
     largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
     extremes = [moved(sign * size * SWING / largest) for sign in (-1, 1)]
     look = projection(view, model, [rest, *extremes])
@@ -302,7 +302,7 @@ def _draw(
                     ms=9,
                     alpha=alpha,
                     zorder=5,
-                )  # its flywheel
+                )  # the flywheel
             for end, here, there in zip(link[:2], (A, B), (B, A), strict=True):
                 if ground and end not in layout.bodies:
                     ground_at(ax, here, here - there, 0.035 * size)

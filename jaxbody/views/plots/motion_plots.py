@@ -267,13 +267,13 @@ def plot_force_strokes(
     check_single("plot_force_strokes.trajectory", trajectory.times, 1)
     model, times = trajectory.model, np.asarray(trajectory.times)
     check_known(elements or (), model.element_names, "plot_force_strokes.elements")
-    late = times >= (times[0] if start is None else start)
-    if late.sum() < 2:
+    shown = times >= (times[0] if start is None else start)
+    if shown.sum() < 2:
         raise JaxbodyError(
             Problem(
                 "NO_DATA",
                 "plot_force_strokes.start",
-                f"leaves {late.sum()} samples",
+                f"leaves {shown.sum()} samples",
                 start,
                 f"{time_text(times[0], times)} to {time_text(times[-1], times)} s",
                 "Give an earlier time.",
@@ -282,7 +282,7 @@ def plot_force_strokes(
     names = elements or model.element_names
     rows = [
         forces_and_moments(
-            model, {name: np.asarray(x)[late] for name, x in all_of.items() if name in names}
+            model, {name: np.asarray(x)[shown] for name, x in all_of.items() if name in names}
         )
         for all_of in (trajectory.elongations, trajectory.forces)
     ]

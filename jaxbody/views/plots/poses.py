@@ -33,11 +33,11 @@ class PoseSequence:
     p: np.ndarray  # (n, frames, 3), origins
     R: np.ndarray  # (n, frames, 3, 3), orientations
     title: str = ""
-    clock: tuple[str, ...] = ("",)  # what is written at each time
-    # {element: (n, ends, 3)} that it exerts on each end, world axes [N]
+    clock: tuple[str, ...] = ("",)  # text at each time
+    # {element: forces (n, ends, 3) on each of its ends, world axes [N]}
     forces: dict[str, np.ndarray] = field(default_factory=dict)
     roads: dict[str, Road] = field(default_factory=dict)  # {support: road under it}
-    wheel: Wheel | None = None  # that is drawn, beside those of tyres
+    wheel: Wheel | None = None  # drawn in addition to those of tyres
 
     def pose(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (n, 3) and orientations (n, 3, 3) of a frame."""

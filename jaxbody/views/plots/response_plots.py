@@ -243,21 +243,21 @@ def plot_weighted_signal(signal: WeightedSignal, *, ax: Any = None) -> Any:
 def _stiffnesses(response: FrequencyResponse) -> dict[str, tuple[tuple[str, str], np.ndarray]]:
     """Return {label: (units, dynamic stiffness)} of each output over an input that is a stiffness
     or a compliance."""
-    found = {}
+    stiffnesses = {}
     for i, j, name in _pairs(response):
         units, values = (
             (response.output_units[i], response.input_units[j]),
             np.asarray(response.values)[i, j],
         )
         if units in STIFFNESS_UNITS:
-            found[name] = (
+            stiffnesses[name] = (
                 units,
                 values
                 * np.sign(values[np.argmax(np.asarray(response.frequencies) > 0)].real or 1.0),
             )
         elif units[::-1] in STIFFNESS_UNITS:
-            found[name] = units[::-1], 1 / values
-    return found
+            stiffnesses[name] = units[::-1], 1 / values
+    return stiffnesses
 
 
 def _ratios(
@@ -268,7 +268,7 @@ def _ratios(
         response.outputs + response.inputs,
         "plot_dynamic_stiffness.pairs",
     )
-    values, found = np.asarray(response.values), {}
+    values, ratios = np.asarray(response.values), {}
     for label, pair in pairs.items():
         inputs = [response.inputs.index(name) for name in pair if name in response.inputs]
         j = (
@@ -299,8 +299,8 @@ def _ratios(
                     "Give (force, displacement), one of them an output.",
                 )
             )
-        found[label] = (units[0], units[1]), force / moved
-    return found
+        ratios[label] = (units[0], units[1]), force / moved
+    return ratios
 
 
 def plot_state_space(system: StateSpace, *, frequencies: Any = None, ax: Any = None) -> Any:

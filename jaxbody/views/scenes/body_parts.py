@@ -40,7 +40,7 @@ def parts_of_bodies(
             if hub is not None:
                 parts.append(DrawnPart(("bodies", name, "hub"), hub, color, p, R))
             else:
-                # of which curves do not depend
+                # curves of a suspension do not depend on inertia
                 inertia = np.zeros((3, 3)) if sequence.wheel else np.asarray(body.inertia, float)
                 solid = solid_of_body(own[name], com, float(body.mass), inertia, size)
                 parts.append(

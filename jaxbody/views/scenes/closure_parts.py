@@ -48,7 +48,7 @@ def _parts(name: str, closure: Any, sequence: PoseSequence, size: float) -> list
     if isinstance(closure, Hinge):
         pin = joined([cylinder(r, -2.2 * r, 2.2 * r), cylinder(0.25 * r, -6 * r, 6 * r, sides=8)])
         return [DrawnPart(("closures", name), pin, INK, A, along)]
-    # over all that the second point passes
+    # the rail spans all positions of the second point
     passed = np.sum((B - A) * along[..., 2], axis=1)
     first, last = min(passed.min(), 0.0) - 0.06 * size, max(passed.max(), 0.0) + 0.06 * size
     rail, slides = cylinder(0.004 * size, first, last, sides=8), isinstance(closure, Inline)

@@ -103,7 +103,7 @@ def _line_element(element: LineElement, name, ends, sequence, size, up) -> Itera
             min(TUBE * length, least),
             min(max(most - 0.7 * TUBE * length, 0.4 * length), least),
         )
-        if tube + stem > most:  # both rigid, as in a damper; else its rod is stretched
+        if tube + stem > most:  # rigid parts overlap; else the rod is stretched
             yield DrawnPart(
                 ("elements", name, "piston"), cylinder(0.4 * inner, 0.0, stem, sides=12), GRAY, A, R
             )
@@ -141,7 +141,7 @@ def _bushing(element: Any, name, ends, sequence, size, up) -> Iterator[DrawnPart
             element.between, (element.orientation, element.orientation_b), strict=True
         )
     )
-    # z of the mesh to that axis
+    # rotation of z of the mesh to that axis
     turn = np.roll(np.eye(3), int(np.argmax(np.abs(R_b[0].T @ up))) - 2, axis=0)
     r = 0.032 * size
     rubber = ring(0.4 * r, r, -0.62 * r, 0.62 * r)

@@ -146,7 +146,7 @@ def vibrating(
     largest = (
         np.linalg.norm(np.linalg.norm(marks(trials) - marks(rest), axis=-1), axis=0).max() / trial
     )
-    # where nothing is attached off O
+    # if nothing is attached away from O, the rotation limits the amplitude
     largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
     factor = (SWING * size if amplitude is None else float(amplitude)) / largest
     steps = np.arange(CYCLE) / CYCLE

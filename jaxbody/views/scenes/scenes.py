@@ -106,7 +106,7 @@ def side_by_side(animations: Mapping[str, Animation]) -> Animation:
         shift = (offset - along.min()) * first.right
         offset += np.ptp(along) * (1 + GAP)
         moved = animation.shown_at(longest.seconds).moved(shift, name)
-        # the last away from the camera
+        # columns: right, up, away from the camera
         axes = np.stack([first.right, first.up, -np.cross(first.right, first.up)], -1)
         low, high = (points @ axes).min(0), (points @ axes).max(0)
         at = shift + axes @ np.array([(low[0] + high[0]) / 2, high[1] + 0.06 * first.size, high[2]])
