@@ -44,9 +44,10 @@ VIEWED = (Model, Equilibrium, Trajectory, SuspensionCurves, ModalResult)
 
 
 class View(Printed):
-    """What `jb.view` returns: `show()` opens it in a browser, `serve()` does so with sliders for
-    mode, amplitude and phase, `save(path)` writes .html, .png, .gif or .mp4, `plot()` draws it into
-    axes; in a notebook it is shown inline. `animation` has all drawn parts with their poses.
+    """A view in three dimensions, as returned by `jb.view`: `show()` opens it in a browser,
+    `serve()` does so with sliders for mode, amplitude and phase, `save(path)` writes .html, .png,
+    .gif or .mp4, `plot()` draws it into axes; in a notebook it is shown inline. `animation` has all
+    drawn parts with their poses.
 
     >>> view(jb.presets.quarter_car()).animation.part("bodies", "wheel", "solid").color
     '#e0803a'

@@ -1,5 +1,5 @@
-"""Shapes of bodies and supports in pictures: as a user gives them, or from points, center of mass
-and inertia. They never enter the physics."""
+"""Shapes of bodies and supports in pictures, given by the user or derived from points, center of
+mass and inertia. They never enter the physics."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Shape:
     """The shape of a body or a support in a view, in the axes of its body: made by `Shape.box`,
     `cylinder`, `sphere`, `hull` or `file`.
 
-    `color` is a color of matplotlib, None the one that the body has by default; `opacity` is
-    between 0 and 1.
+    `color` is a color of matplotlib; None takes the default color of the body. `opacity` is between
+    0 and 1.
 
     >>> shape = Shape.box([1.2, 0.4, 0.1], center=[0, 0, 0.05], color="tab:blue")
     >>> shape.mesh.vertices.max(0).tolist()
@@ -190,7 +190,7 @@ class Shape:
         try:
             loaded = trimesh.load(path, force="mesh", process=True)
             mesh = Mesh(np.asarray(loaded.vertices, float), np.asarray(loaded.faces))
-        except Exception as error:  # of whichever reader of trimesh
+        except Exception as error:  # any reader of trimesh may fail
             raise JaxbodyError(
                 Problem("UNREADABLE", path.name, f"holds no mesh that can be read: {error}", path)
             ) from None
