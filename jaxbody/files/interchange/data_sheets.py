@@ -4,9 +4,8 @@ with units in the headings or in the cells."""
 from __future__ import annotations
 
 import csv
-import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,10 +39,10 @@ def lines_of(
 
     Errors: those of text files and of headings; problems of lines are added."""
     check_file(path, largest)
-    lines = decoded(path.read_bytes(), path.name, "utf-8").splitlines()
+    text = decoded(path.read_bytes(), path.name, "utf-8")
     rows = [
-        (i + 1, line)
-        for i, line in enumerate(lines)
+        (i, line)
+        for i, line in enumerate(text.splitlines(), 1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
     if len(rows) < 2:
@@ -67,8 +66,8 @@ def lines_of(
             )
         )
     cells = [
-        (line, [cell.strip() for cell in next(csv.reader(io.StringIO(text), delimiter=separator))])
-        for line, text in rows
+        (line, [cell.strip() for cell in next(csv.reader([row], delimiter=separator))])
+        for line, row in rows
     ]
     with Problems() as of_headings:
         columns = _columns(path.name, *cells[0], allowed, of_headings)
@@ -93,21 +92,19 @@ def _columns(
 ) -> list[tuple[str, str | None]]:
     """The name and the unit of each column."""
     columns = [split_unit(heading) for heading in headings]
-    found = [column for column, _ in columns]
-    where = f"{name}:{line}"
-    for column in found:
-        if column not in allowed.units and column not in allowed.words:
-            problems.collected.append(unknown(column, where, (*allowed.words, *allowed.units)))
+    names = [column for column, _ in columns]
+    where, known = f"{name}:{line}", (*allowed.words, *allowed.units)
+    problems.collected += [unknown(column, where, known) for column in names if column not in known]
     for column in allowed.needed:
-        if column not in found:
+        if column not in names:
             problems.add(
                 "MISSING_ENTRY",
                 where,
                 f"has no column '{column}'",
-                value=found,
+                value=names,
                 limit=", ".join(allowed.needed),
             )
-    for column in {column for column in found if found.count(column) > 1}:
+    for column in {column for column in names if names.count(column) > 1}:
         problems.add("DUPLICATE_NAME", where, f"has the column '{column}' twice", value=column)
     return columns
 
@@ -123,14 +120,13 @@ def _values(
     values: dict[str, Any] = {}
     for cell, (name, unit) in zip(row, columns, strict=True):
         if not cell:
-            hint = "Write 0 if it is zero." if name in allowed.units else ""
             if name in allowed.needed:
                 problems.add(
                     "MISSING_ENTRY",
                     f"{where} {name}",
                     "is empty",
-                    limit="a number" if hint else "a name",
-                    hint=hint,
+                    limit="a number" if name in allowed.units else "a name",
+                    hint="Write 0 if it is zero." if name in allowed.units else "",
                 )
         elif name in allowed.words:
             values[name] = cell
@@ -146,14 +142,8 @@ def _number(
 ) -> float:
     """A cell in SI; its unit is in the heading or beside the number."""
     own = Problems()
-    value = in_SI(
-        f"{cell} {unit}" if unit and re.fullmatch(NUMBER, cell) else cell,
-        wanted,
-        {},
-        None,
-        where,
-        own,
-    )
+    text = f"{cell} {unit}" if unit and re.fullmatch(NUMBER, cell) else cell
+    value = in_SI(text, wanted, {}, None, where, own)
     if isinstance(value, list):
         own.add("NOT_A_NUMBER", where, f"is '{cell}'", value=cell, limit="one number")
         value = 0.0
@@ -163,6 +153,27 @@ def _number(
         for problem in own.collected
     ]
     return value
+
+
+def _by_name(
+    path: Any,
+    allowed: Columns,
+    thing: str,
+    largest: float,
+    make: Callable[[dict[str, Any], str, Problems], Any],
+) -> dict[str, Any]:
+    """What `make` makes of the values of each line, its place and the problems, by name."""
+    things: dict[str, Any] = {}
+    with Problems() as problems:
+        for where, values in lines_of(Path(path), allowed, f"{thing}s", largest, problems):
+            name = values.get("name", "")
+            if name in things:
+                message = f"'{name}' is the name of a {thing.removeprefix('hard ')} above"
+                problems.add("DUPLICATE_NAME", where, message, value=name)
+            made = problems.gather(lambda values=values, where=where: make(values, where, problems))
+            if made is not None:
+                things[name] = made
+    return things
 
 
 AXES = ("x", "y", "z")
@@ -219,34 +230,25 @@ def read_mounts(
     ... )
     (('engine', 'frame'), [0.0, 0.25, -0.1], [200000.0, 200000.0, 400000.0])
     """
-    mounts: dict[str, Bushing] = {}
-    with Problems() as problems:
-        for where, values in lines_of(Path(path), MOUNT_COLUMNS, "mounts", largest, problems):
-            name = values.get("name", "")
-            if name in mounts:
-                problems.add(
-                    "DUPLICATE_NAME", where, f"'{name}' is the name of a mount above", value=name
-                )
-            mount = problems.gather(
-                lambda values=values, where=where: _mount(values, bodies, where, problems)
-            )
-            if mount is not None:
-                mounts[name] = mount
-    return mounts
+    return _by_name(
+        path,
+        MOUNT_COLUMNS,
+        "mount",
+        largest,
+        lambda values, where, problems: _mount(values, bodies, where, problems),
+    )
 
 
 def mounted_frames(path: Any, *, largest: float = LARGEST) -> tuple[list[str], list[str]]:
     """The names in column a of a data sheet, which are those of bodies, and the other names in
     column b, those of supports. Numbers are not checked. Errors: those of text files and of
     the headings."""
-    lines = [
-        values for _, values in lines_of(Path(path), MOUNT_COLUMNS, "mounts", largest, Problems())
-    ]
+    lines = lines_of(Path(path), MOUNT_COLUMNS, "mounts", largest, Problems())
     first, second = (
-        [values[end] for values in lines if end in values and values[end] != "world"]
+        {values[end]: None for _, values in lines if values.get(end, "world") != "world"}
         for end in "ab"
     )
-    return list(dict.fromkeys(first)), [name for name in dict.fromkeys(second) if name not in first]
+    return list(first), [name for name in second if name not in first]
 
 
 def _mount(
@@ -254,27 +256,21 @@ def _mount(
 ) -> Bushing | None:
     """The bushing of one line, whose two frames coincide in the reference pose."""
     own = [*bodies, "world", "world"]
-    ends, point = (
-        (values.get("a", own[0]), values.get("b", own[1])),
-        [values.get(axis, 0.0) for axis in AXES],
-    )
     R = matrix(np.asarray(Euler("ZYX", [values.get(f"r{axis}", 0.0) for axis in "zyx"])))
     places, turns = [], []
-    for end in ends:
+    for end in (values.get("a", own[0]), values.get("b", own[1])):
         if end not in own:
             raise JaxbodyError(unknown(end, where, tuple(own[:-1])))
         body = bodies.get(end, Support())
         R_body = matrix(np.asarray(body.orientation))
-        places.append((end, R_body.T @ (np.asarray(point) - np.asarray(body.position))))
+        places.append((end, R_body.T @ (_point(values) - np.asarray(body.position))))
         turns.append(R_body.T @ R)
     stiffness, damping = (
         np.array([values.get(f"{c}{axis}", 0.0) for axis in ("x", "y", "z", "rx", "ry", "rz")])
         for c in "kc"
     )
-    if not (stiffness[3:].any() or damping[3:].any()):
-        stiffness, damping = stiffness[:3], damping[:3]
-    else:
-        stiffness, damping = np.diag(stiffness), np.diag(damping)
+    turns_matter = stiffness[3:].any() or damping[3:].any()
+    stiffness, damping = (np.diag(x) if turns_matter else x[:3] for x in (stiffness, damping))
     return problems.gather(
         lambda: Bushing(
             *places,
@@ -287,7 +283,8 @@ def _mount(
     )
 
 
-HARD_POINT_COLUMNS = Columns(("name",), dict.fromkeys(AXES, "m"), ("name", *AXES))
+def _point(values: dict[str, Any]) -> np.ndarray:
+    return np.array([values.get(axis, 0.0) for axis in AXES])
 
 
 def read_hard_points(path: Any, *, largest: float = LARGEST) -> dict[str, np.ndarray]:
@@ -317,15 +314,10 @@ def read_hard_points(path: Any, *, largest: float = LARGEST) -> dict[str, np.nda
     [0.05, 0.2, 0.255]
     >>> toe = double_wishbone(points).curves([-0.04, 0.04])["toe"]  # doctest: +SKIP
     """
-    points: dict[str, np.ndarray] = {}
-    with Problems() as problems:
-        for where, values in lines_of(
-            Path(path), HARD_POINT_COLUMNS, "hard points", largest, problems
-        ):
-            name = values.get("name", "")
-            if name in points:
-                problems.add(
-                    "DUPLICATE_NAME", where, f"'{name}' is the name of a point above", value=name
-                )
-            points[name] = np.array([values.get(axis, 0.0) for axis in AXES])
-    return points
+    return _by_name(
+        path,
+        Columns(("name",), dict.fromkeys(AXES, "m"), ("name", *AXES)),
+        "hard point",
+        largest,
+        lambda values, where, problems: _point(values),
+    )

@@ -24,8 +24,7 @@ from jaxbody.model.laws.spring_laws import TensionOnly
 from jaxbody.model.layouts import WORLD
 
 READ = ("compiler", "option", "default", "worldbody", "tendon")  # sections
-MEDIUM = ("density", "viscosity", "wind", "magnetic")
-PASSIVE = ("passive", "spring", "damper")
+
 STEPS = {"slide": "move", "hinge": "turn"}
 SEVERAL = "springs and dampers of several joints of one body that turns"
 LARGE_TURNS = "damping of ball joints at large turns, where it is that of the rotation vector"
@@ -56,45 +55,44 @@ class JointOfBody:
 
 def joint_of(joints: list[JointOfBody], parent: str, on_parent: Place) -> Joint:
     """The joint that carries a body, in the parent's frame. Error: WRONG_KIND."""
-    if not joints:
-        return Fixed(parent)
-    first = joints[0]
-    if len(joints) == 1 and first.kind == "free":
-        if parent != WORLD:
+    at = [on_parent.point(joint.at) for joint in joints]
+    axes = [on_parent.R @ joint.axis for joint in joints]
+    own_point = at[0] if joints and joints[0].at.any() else None  # None: the body's origin
+    match joints:
+        case []:
+            return Fixed(parent)
+        case [JointOfBody(kind="free")] if parent == WORLD:
+            return Free()
+        case [JointOfBody(kind="free") as joint]:
             raise JaxbodyError(
                 Problem(
                     "WRONG_KIND",
-                    first.where,
+                    joint.where,
                     f"is free on '{parent}'",
                     parent,
                     WORLD,
                     "A free body has no parent.",
                 )
             )
-        return Free()
-    at = [on_parent.point(joint.at) for joint in joints]
-    if len(joints) == 1 and first.kind == "ball":
-        return Ball(parent, at=at[0] if first.at.any() else None)
-    axes = [on_parent.R @ joint.axis for joint in joints]
-    if len(joints) > 1:
-        for joint in joints:
-            if joint.kind not in STEPS:
-                raise JaxbodyError(
-                    Problem(
-                        "WRONG_KIND",
-                        joint.where,
-                        f"is a {joint.kind} joint, one of several of its body",
-                        joint.kind,
-                        ", ".join(STEPS),
-                        "Put a body with a small mass between them.",
-                    )
+        case [JointOfBody(kind="ball")]:
+            return Ball(parent, at=own_point)
+        case [JointOfBody(kind="slide")]:
+            return Guide(parent, axis=axes[0])
+        case [JointOfBody(kind="hinge")]:
+            return Hinge(parent, axis=axes[0], at=own_point)
+    for joint in joints:
+        if joint.kind not in STEPS:
+            raise JaxbodyError(
+                Problem(
+                    "WRONG_KIND",
+                    joint.where,
+                    f"is a {joint.kind} joint, one of several of its body",
+                    joint.kind,
+                    ", ".join(STEPS),
+                    "Put a body with a small mass between them.",
                 )
-        return Composite(
-            parent, [STEPS[joint.kind] for joint in joints], directions=axes, points=at
-        )
-    if first.kind == "slide":
-        return Guide(parent, axis=axes[0])
-    return Hinge(parent, axis=axes[0], at=at[0] if first.at.any() else None)
+            )
+    return Composite(parent, [STEPS[joint.kind] for joint in joints], directions=axes, points=at)
 
 
 def spring_of(
@@ -106,21 +104,23 @@ def spring_of(
     from the displacement d on the parent, q_i = n*_i . d, where n*_i . n_j is 1 for i = j, else 0.
     """
     at = (parent, on_parent.point(joint.at)), (body, joint.at)
-    turns = [other for other in joints if other.kind != "slide"]
+    others_turn = any(other.kind != "slide" and other is not joint for other in joints)
     if joint.kind == "free":
         return "springs and dampers of free joints"
     if joint.kind == "ball":
         k, c = (np.diag([0, 0, 0, x, x, x]) for x in (joint.stiffness, joint.damping))
         return Bushing(*at, stiffness=k, damping=c, orientation=on_parent.q)
-    if joint.kind == "hinge":
-        laws = {"spring": joint.stiffness or None, "damper": joint.damping or None}
-        return (
-            Torsion(*at, axis=joint.axis, free_angle=joint.relaxed, orientation=on_parent.q, **laws)
-            if len(turns) == 1
-            else SEVERAL
-        )
-    if turns:
+    if others_turn:
         return SEVERAL
+    if joint.kind == "hinge":
+        return Torsion(
+            *at,
+            axis=joint.axis,
+            spring=joint.stiffness or None,
+            damper=joint.damping or None,
+            free_angle=joint.relaxed,
+            orientation=on_parent.q,
+        )
     along = np.linalg.pinv(np.stack([other.axis for other in joints]))[:, joints.index(joint)]
     q = from_z_to(along)
     k, c = (np.array([0, 0, x * (along @ along)]) for x in (joint.stiffness, joint.damping))
@@ -163,18 +163,17 @@ class FramesOfFile(ABC):
 
     def leave_out_sections(self) -> None:
         """What the file says besides bodies, joints and tendons."""
-        for node in self.document.sections if self.document.root == "mujoco" else []:
-            if node.tag not in READ:
-                for child in node.children:
-                    self.leave_out(f"{node.tag} {child.tag}", child.where)
-            elif node.tag == "option":
-                for name in MEDIUM:
-                    if set(node.attributes.get(name, "0").split()) != {"0"}:
-                        self.leave_out(f"{name} of the medium", node.where)
-                for flag in node.all("flag"):
-                    for name in PASSIVE:
-                        if flag.attributes.get(name) == "disable":
-                            self.leave_out(f"flag that disables {name}", flag.where)
+        for node in self.document.root.children if self.document.root.tag == "mujoco" else []:
+            for child in node.children if node.tag not in READ else []:
+                self.leave_out(f"{node.tag} {child.tag}", child.where)
+        for option in self.document.root.all("option"):
+            for name in ("density", "viscosity", "wind", "magnetic"):
+                if set(option.attributes.get(name, "0").split()) != {"0"}:
+                    self.leave_out(f"{name} of the medium", option.where)
+            for flag in option.all("flag"):
+                for name in ("passive", "spring", "damper"):
+                    if flag.attributes.get(name) == "disable":
+                        self.leave_out(f"flag that disables {name}", flag.where)
 
     def carry(
         self,
@@ -189,10 +188,10 @@ class FramesOfFile(ABC):
         becomes or is a part of, and its place there."""
         carrier = self.carried.get(owner)
         if joints or carrier is None or not carrier.moves or (own and carrier.parts):
-            whole = carrier.place @ place if carrier else place
+            in_world = carrier.place @ place if carrier else place
             name = self.name_of(name, f"body {len(self.carried) + 1}", self.carried, where)
             moves = bool(joints) or (carrier is not None and carrier.moves)
-            self.carried[name] = carrier = Carried(where, owner, place, whole, moves, joints)
+            self.carried[name] = carrier = Carried(where, owner, place, in_world, moves, joints)
             owner, place = name, ORIGIN
         if own:
             moved = self.gather(
@@ -214,31 +213,26 @@ class FramesOfFile(ABC):
     def parts(self, scale: float, gravity: np.ndarray) -> dict[str, Any]:
         """The arguments of the model, with all masses times `scale`."""
         moving = {name: each for name, each in self.carried.items() if each.moves}
-        bodies = {
+        parts: dict[str, Any] = {"gravity": gravity, "elements": self.elements}
+        parts["bodies"] = {
             name: self.gather(each.where, lambda each=each: _body(each, scale))
             for name, each in moving.items()
         }
-        joints = {
+        parts["joints"] = {
             name: self.gather(
                 each.where,
                 lambda each=each: joint_of(each.joints, each.parent, each.on_parent),
             )
             for name, each in moving.items()
         }
-        supports = {
+        parts["supports"] = {
             name: Support(each.place.p, each.place.q)
             for name, each in self.carried.items()
             if not each.moves
         }
         self.springs(moving)
         self.tendons()
-        return {
-            "bodies": bodies,
-            "supports": supports,
-            "joints": joints,
-            "elements": self.elements,
-            "gravity": gravity,
-        }
+        return parts
 
     @abstractmethod
     def tendons(self) -> None:
@@ -253,22 +247,16 @@ class FramesOfFile(ABC):
                         joint.where,
                         lambda: spring_of(joint, each.joints, body, each.parent, each.on_parent),  # noqa: B023
                     )
-                    taken = joint.name in self.carried
-                    self.add(
-                        spring,
-                        f"{joint.name} spring" if taken else joint.name,
-                        f"{body} spring",
-                        joint.where,
-                    )
+                    name = f"{joint.name} spring" if joint.name in self.carried else joint.name
+                    self.add(spring, name, f"{body} spring", joint.where)
                 if joint.kind == "ball" and joint.damping:
                     self.leave_out(LARGE_TURNS, joint.where)
 
     def add(self, spring: Element | str | None, name: str, default: str, where: str) -> None:
         """An element of the model, or why there is none."""
         if isinstance(spring, Element):
-            self.elements[self.name_of(name, default, {**self.carried, **self.elements}, where)] = (
-                spring
-            )
+            name = self.name_of(name, default, {**self.carried, **self.elements}, where)
+            self.elements[name] = spring
         elif spring:
             self.leave_out(spring, where)
 

@@ -14,8 +14,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from jaxbody.files.interchange.mjcf_assemblies import FramesOfFile, JointOfBody, tendon
-from jaxbody.files.interchange.mjcf_documents import MjcfDocument, Node
+from jaxbody.files.interchange.mjcf_assemblies import STEPS, FramesOfFile, JointOfBody, tendon
+from jaxbody.files.interchange.mjcf_documents import MjcfDocument
 from jaxbody.files.interchange.mjcf_geometry import ORIGIN, Place
 from jaxbody.model.bodies import Body
 from jaxbody.model.layouts import WORLD
@@ -25,7 +25,6 @@ KINDS = ("free", "ball", "slide", "hinge")  # by MuJoCo's numbers
 # of what the tag of an element states
 KIND = {"freejoint": "joint", "spatial": "tendon", "fixed": "tendon", "link": "body"}
 SITE = 3  # MuJoCo's number of a site of a tendon
-LOOKS = ("visual", "collision")  # of links of URDF, whose masses are stated
 
 
 def compiled(path: Path, document: MjcfDocument) -> tuple[dict[str, np.ndarray] | None, str | None]:
@@ -43,7 +42,7 @@ def compiled(path: Path, document: MjcfDocument) -> tuple[dict[str, np.ndarray] 
         return None, f"it names '{outside[0]}', which is not in its folder"
     with tempfile.TemporaryDirectory() as folder:
         source, target = path.resolve(), Path(folder, "arrays.npz")
-        if document.root == "robot":
+        if document.root.tag == "robot":
             source = _without_looks(path, Path(folder, "robot.urdf"))
         command = [
             sys.executable,
@@ -64,12 +63,9 @@ def compiled(path: Path, document: MjcfDocument) -> tuple[dict[str, np.ndarray] 
         except subprocess.TimeoutExpired:
             return None, f"its compilation takes more than {LONGEST:g} s"
         if run.returncode or not target.exists():
-            said = (
-                " ".join(run.stderr.split()[-40:])
-                if run.returncode == 1
-                else f"its compilation ended with the exit code {run.returncode}"
-            )
-            return None, said or "its compilation failed"
+            if run.returncode == 1:
+                return None, " ".join(run.stderr.split()[-40:]) or "its compilation failed"
+            return None, f"its compilation ended with the exit code {run.returncode}"
         with np.load(target) as arrays:
             return dict(arrays), None
 
@@ -77,24 +73,17 @@ def compiled(path: Path, document: MjcfDocument) -> tuple[dict[str, np.ndarray] 
 def named_files(document: MjcfDocument) -> Iterator[str]:
     """The files and folders that the elements of an MJCF document name; a model in another file,
     which may name any, counts as outside."""
-    for node in nodes_of(document.sections if document.root == "mujoco" else []):
+    for node in document.root.within() if document.root.tag == "mujoco" else ():
         for name, value in node.attributes.items():
             if name.startswith("file") or name.endswith("dir"):
                 yield value if node.tag != "model" else f"../{value}"
-
-
-def nodes_of(nodes: list[Node]) -> Iterator[Node]:
-    """The nodes, and all that are in them."""
-    for node in nodes:
-        yield node
-        yield from nodes_of(node.children)
 
 
 def _without_looks(path: Path, target: Path) -> Path:
     """A copy of a URDF without shapes and the files that they name."""
     tree = ElementTree.parse(path)
     for link in tree.iter("link"):
-        for child in [child for child in link if child.tag in LOOKS]:
+        for child in (*link.findall("visual"), *link.findall("collision")):
             link.remove(child)
     tree.write(target)
     return target
@@ -108,7 +97,7 @@ class CompiledReader(FramesOfFile):
         self.file, self.arrays = path.name, arrays
         self.lines = {
             (KIND.get(each.tag, each.tag), each.attributes.get("name")): each.where
-            for each in nodes_of(document.sections)
+            for each in document.root.within()
         }
         # of each body on a frame of the model
         self.places: list[tuple[str, Place]] = [(WORLD, ORIGIN)]
@@ -127,26 +116,22 @@ class CompiledReader(FramesOfFile):
         """Collect all frames, with their joints and parts."""
         self.leave_out_sections()
         self.leave_out_effects()
-        for node in nodes_of(self.document.sections if self.document.root == "robot" else []):
-            if node.tag == "collision":
+        for node in self.document.root.within():
+            if node.tag == "collision":  # of URDF
                 self.leave_out("contact of geoms", node.where)
         for i in range(1, len(self.body_parentid)):
+            where, first = self.where("body", i), self.body_jntadr[i]
             owner, at = self.places[self.body_parentid[i]]
-            first = self.body_jntadr[i]
-            joints = [self.joint(j) for j in range(first, first + self.body_jntnum[i])]
-            own = (
-                self.gather(self.where("body", i), lambda i=i: self.solid(i))
-                if self.body_mass[i]
-                else None
-            )
             place = at @ Place(self.body_pos[i], self.body_quat[i])
+            joints = [self.joint(j) for j in range(first, first + self.body_jntnum[i])]
+            own = self.gather(where, lambda i=i: self.solid(i))
             self.places.append(
-                self.carry(
-                    self.where("body", i), str(self.body_names[i]), owner, place, joints, own
-                )
+                self.carry(where, str(self.body_names[i]), owner, place, joints, own)
             )
 
-    def solid(self, i: int) -> Body:
+    def solid(self, i: int) -> Body | None:
+        if not self.body_mass[i]:
+            return None
         return Body(
             self.body_mass[i],
             self.body_inertia[i],
@@ -156,56 +141,45 @@ class CompiledReader(FramesOfFile):
 
     def joint(self, j: int) -> JointOfBody:
         kind, q = KINDS[self.jnt_type[j]], self.jnt_qposadr[j]
-        relaxed = float(self.qpos_spring[q] - self.qpos0[q]) if kind in ("slide", "hinge") else 0.0
-        numbers = (
-            float(x) for x in (self.jnt_stiffness[j], self.dof_damping[self.jnt_dofadr[j]], relaxed)
-        )
         return JointOfBody(
             str(self.joint_names[j]),
             self.where("joint", j),
             kind,
             self.jnt_pos[j],
             self.jnt_axis[j],
-            *numbers,
+            stiffness=float(self.jnt_stiffness[j]),
+            damping=float(self.dof_damping[self.jnt_dofadr[j]]),
+            relaxed=float(self.qpos_spring[q] - self.qpos0[q]) if kind in STEPS else 0.0,
         )
 
     def leave_out_effects(self) -> None:
         """What has an effect in MuJoCo and none here."""
-        joints, tendons = "joints", "tendons"
-        touching = (self.geom_contype != 0) | (self.geom_conaffinity != 0)
-        effects = [
-            ("contact of geoms", touching),
-            ("fluidshape of geoms", self.geom_fluid.any(-1)),
-            ("gravcomp of bodies", self.body_gravcomp),
-        ]
-        effects += [
-            ("camera", np.ones(self.ncam)),
-            ("light", np.ones(self.nlight)),
-            ("flex", np.ones(self.nflex)),
-        ]
-        for owner, of in ((joints, "dof"), (tendons, "tendon")):
-            effects += [
-                (f"{what} of {owner}", self.arrays.get(f"{of}_{what}", ()))
-                for what in ("armature", "frictionloss")
-            ]
-            effects += [
-                (f"limits of {owner}", self.jnt_limited if owner == joints else self.tendon_limited)
-            ]
-        for what, of, owner in (
-            ("stiffness", "jnt", joints),
-            ("damping", "dof", joints),
-            ("stiffness", "tendon", tendons),
-            ("damping", "tendon", tendons),
-        ):
-            effects.append(
-                (
-                    f"higher powers of {what} of {owner}",
-                    np.asarray(self.arrays.get(f"{of}_{what}poly", np.zeros((1, 1)))).any(-1),
-                )
-            )
-        for what, numbers in effects:
+        effects = {
+            "contact of geoms": (self.geom_contype != 0) | (self.geom_conaffinity != 0),
+            "fluidshape of geoms": self.geom_fluid.any(-1),
+            "gravcomp of bodies": self.body_gravcomp,
+            "camera": np.ones(self.ncam),
+            "light": np.ones(self.nlight),
+            "flex": np.ones(self.nflex),
+            "armature of joints": self.dof_armature,
+            "frictionloss of joints": self.dof_frictionloss,
+            "limits of joints": self.jnt_limited,
+            "armature of tendons": self.arrays.get("tendon_armature", ()),
+            "frictionloss of tendons": self.tendon_frictionloss,
+            "limits of tendons": self.tendon_limited,
+            "higher powers of stiffness of joints": self.of_rows("jnt_stiffnesspoly"),
+            "higher powers of damping of joints": self.of_rows("dof_dampingpoly"),
+            "higher powers of stiffness of tendons": self.of_rows("tendon_stiffnesspoly"),
+            "higher powers of damping of tendons": self.of_rows("tendon_dampingpoly"),
+        }
+        for what, numbers in effects.items():
             if times := int(np.count_nonzero(numbers)):
                 self.leave_out(what, self.file, times)
+
+    def of_rows(self, name: str) -> np.ndarray:
+        """Whether each row of an array has a number other than zero; older MuJoCos have no array of
+        this name."""
+        return self.arrays.get(name, np.zeros((1, 1))).any(-1)
 
     def made(self) -> dict[str, Any]:
         """The arguments of the model."""
@@ -221,17 +195,7 @@ class CompiledReader(FramesOfFile):
             for site in self.wrap_objid[wraps]:
                 owner, place = self.places[self.site_bodyid[site]]
                 ends.append((owner, place.point(self.site_pos[site])))
-            numbers = (
-                float(x)
-                for x in (
-                    self.tendon_stiffness[i],
-                    self.tendon_damping[i],
-                    *self.tendon_lengthspring[i],
-                )
-            )
-            self.add(
-                self.gather(where, lambda: tendon(ends, *numbers)),  # noqa: B023
-                str(self.tendon_names[i]),
-                "tendon",
-                where,
-            )
+            k, c = float(self.tendon_stiffness[i]), float(self.tendon_damping[i])
+            low, high = map(float, self.tendon_lengthspring[i])
+            spring = self.gather(where, lambda: tendon(ends, k, c, low, high))  # noqa: B023
+            self.add(spring, str(self.tendon_names[i]), "tendon", where)

@@ -16,10 +16,9 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.source_files import check_file
 
 DEEPEST = 200
-ROOTS = ("mujoco", "robot")  # of MJCF and URDF
+
 MAIN = "main"  # the class of all elements
 ALIASES = {"spatial": "tendon", "fixed": "tendon"}  # whose defaults are stated by another name
-NO_DTD = "Entities can make a small file endless: write their text in their places."
 
 
 @dataclass
@@ -31,30 +30,34 @@ class Node:
     where: str  # "engine.xml:12"
     children: list[Node] = field(default_factory=list)
 
-    def all(self, *tags: str) -> Iterator[Node]:
-        """The children of these tags."""
-        return (child for child in self.children if child.tag in tags)
+    def all(self, tag: str) -> Iterator[Node]:
+        """The children of this tag."""
+        return (child for child in self.children if child.tag == tag)
+
+    def within(self) -> Iterator[Node]:
+        """All elements in this one."""
+        for child in self.children:
+            yield child
+            yield from child.within()
 
 
 @dataclass
 class MjcfDocument:
-    """A file with those it includes: the tag of its root, its sections, and the attributes that
-    each class gives to elements of a tag."""
+    """A file with those it includes: its root, and the attributes that each class gives to elements
+    of a tag."""
 
-    root: str
-    sections: list[Node]
+    root: Node
     classes: dict[str, dict[str, dict[str, str]]]
     problems: Problems
 
-    def all(self, section: str) -> Iterator[Node]:
-        """The sections of this tag."""
-        return (node for node in self.sections if node.tag == section)
-
-    def settings(self, section: str) -> dict[str, str]:
+    def settings(self, section: str) -> Attributes:
         """The attributes of all sections of this tag; a later one counts."""
-        return {
-            name: value for node in self.all(section) for name, value in node.attributes.items()
+        values = {
+            name: value
+            for node in self.root.all(section)
+            for name, value in node.attributes.items()
         }
+        return Attributes(values, f"{self.root.where.rpartition(':')[0]} {section}", self.problems)
 
     def attributes(self, node: Node, kind: str) -> Attributes:
         """The attributes of an element, with those of its class, or of the class `kind` of all
@@ -68,8 +71,8 @@ class MjcfDocument:
                 value=name,
                 limit=", ".join(self.classes),
             )
-        own = self.classes.get(name, {}).get(ALIASES.get(node.tag, node.tag), {})
-        return Attributes(own | node.attributes, f"{node.where} {node.tag}", self.problems)
+        of_class = self.classes.get(name, {}).get(ALIASES.get(node.tag, node.tag), {})
+        return Attributes(of_class | node.attributes, f"{node.where} {node.tag}", self.problems)
 
 
 @dataclass
@@ -92,35 +95,10 @@ class Attributes:
     def row(self, name: str, default: Any = (), sizes: tuple[int, ...] = ()) -> np.ndarray:
         """Numbers separated by blanks. Errors: NOT_A_NUMBER, NON_FINITE, BAD_SHAPE if their count
         is none of `sizes`."""
-        if name not in self.values:
-            return np.array(default, float)
-        text = self.values[name]
-        try:
-            numbers = np.array([float(word) for word in text.split()])
-        except ValueError:
-            self.problems.add(
-                "NOT_A_NUMBER",
-                f"{self.where} {name}",
-                f"is '{text:.60}'",
-                value=text,
-                limit="numbers with blanks between",
-            )
-            return np.array(default, float)
-        if sizes and len(numbers) not in sizes:
-            self.problems.add(
-                "BAD_SHAPE",
-                f"{self.where} {name}",
-                f"has {len(numbers)} numbers",
-                value=text,
-                limit=" or ".join(map(str, sizes)),
-            )
-            return np.array(default, float)
-        if not np.isfinite(numbers).all():
-            self.problems.add(
-                "NON_FINITE", f"{self.where} {name}", f"is '{text:.60}'", value=text, limit="finite"
-            )
-            return np.array(default, float)
-        return numbers
+        numbers = self.problems.gather(
+            lambda: _numbers(self.values.get(name), f"{self.where} {name}", sizes)
+        )
+        return np.array(default, float) if numbers is None else numbers
 
     def number(self, name: str, default: float = 0.0) -> float:
         return float(self.row(name, [default], (1,))[0])
@@ -129,33 +107,54 @@ class Attributes:
         return self.row(name, default, (3,))
 
 
+def _numbers(text: str | None, where: str, sizes: tuple[int, ...]) -> np.ndarray | None:
+    if text is None:
+        return None
+    try:
+        numbers = np.array([float(word) for word in text.split()])
+    except ValueError:
+        raise JaxbodyError(
+            Problem("NOT_A_NUMBER", where, f"is '{text:.60}'", text, "numbers with blanks between")
+        ) from None
+    if sizes and len(numbers) not in sizes:
+        raise JaxbodyError(
+            Problem(
+                "BAD_SHAPE",
+                where,
+                f"has {len(numbers)} numbers",
+                text,
+                " or ".join(map(str, sizes)),
+            )
+        )
+    if not np.isfinite(numbers).all():
+        raise JaxbodyError(Problem("NON_FINITE", where, f"is '{text:.60}'", text, "finite"))
+    return numbers
+
+
 def read_document(path: Path, largest: float) -> MjcfDocument:
     """The document in a file.
 
     Errors: those of files, SYNTAX, ENCODING, WRONG_KIND for a document type, WRONG_FORMAT,
     TOO_LARGE, OUTSIDE_FOLDER, LOOP."""
-    with Problems() as problems:
-        root = _content(path, path.parent, largest, set())
-        sections = root.children
+    root = _content(path, path.parent, largest, set())
     classes: dict[str, dict[str, dict[str, str]]] = {MAIN: {}}
-    for node in sections:
-        if node.tag == "default":
-            _collect(node, MAIN, {}, classes)
-            classes[node.attributes.get("class", MAIN)] = classes[MAIN]
-    return MjcfDocument(root.tag, sections, classes, problems)
+    for node in root.all("default"):
+        _collect(node, MAIN, {}, classes)
+        classes[node.attributes.get("class", MAIN)] = classes[MAIN]
+    return MjcfDocument(root, classes, Problems())
 
 
 def _content(path: Path, folder: Path, largest: float, read: set[Path]) -> Node:
     """The root of a file, with the elements of the files that it includes in their places."""
     root = _parsed(path, largest)
-    if root.tag not in ROOTS and not read:
+    if root.tag not in ("mujoco", "robot") and not read:
         raise JaxbodyError(
             Problem(
                 "WRONG_FORMAT",
                 root.where,
                 f"has the root element '{root.tag:.60}'",
                 root.tag,
-                ", ".join(ROOTS),
+                "mujoco, robot",
                 "Is it another XML file?",
             )
         )
@@ -214,14 +213,13 @@ def _parsed(path: Path, largest: float) -> Node:
         around.append(node)
 
     def refuse(*_: Any) -> None:
-        where = f"{path.name}:{parser.CurrentLineNumber}"
         raise JaxbodyError(
             Problem(
                 "WRONG_KIND",
-                where,
+                f"{path.name}:{parser.CurrentLineNumber}",
                 "declares a document type",
                 limit="elements and attributes",
-                hint=NO_DTD,
+                hint="Entities can make a small file endless: write their text in their places.",
             )
         )
 
@@ -253,10 +251,9 @@ def _collect(
     classes: dict[str, dict[str, dict[str, str]]],
 ) -> None:
     """The attributes that a class states, on top of those of the class around it."""
-    mine = {tag: dict(values) for tag, values in (classes.get(name) or inherited).items()}
+    classes[name] = dict(classes.get(name) or inherited)
     for child in node.children:
         if child.tag != "default":
-            mine[child.tag] = mine.get(child.tag, {}) | child.attributes
-    classes[name] = mine
+            classes[name][child.tag] = classes[name].get(child.tag, {}) | child.attributes
     for child in node.all("default"):
-        _collect(child, child.attributes.get("class", MAIN), mine, classes)
+        _collect(child, child.attributes.get("class", MAIN), classes[name], classes)

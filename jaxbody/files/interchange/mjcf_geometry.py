@@ -20,8 +20,8 @@ DEFAULTS = {
     "zaxis": (0, 0, 1),
 }
 ORIENTATIONS = (*DEFAULTS, "euler")
+
 DENSITY = 1000.0  # kg/m3, of water
-WITHOUT_MASS = ("plane", "hfield")
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
 
 
@@ -99,8 +99,7 @@ def _orientation(a: Attributes, name: str, degrees: bool, sequence: str) -> np.n
     if name == "euler":
         return _turned(a.vector("euler") * unit, sequence)
     row = a.row(name, DEFAULTS[name], (len(DEFAULTS[name]),))
-    axes = [row[3:]] if name == "xyaxes" else []
-    if any(not direction.any() for direction in (row if name == "quat" else row[:3], *axes)):
+    if not (row if name == "quat" else row[:3]).any() or (name == "xyaxes" and not row[3:].any()):
         a.problems.add(
             "ZERO_AXIS",
             f"{a.where} {name}",
@@ -110,12 +109,13 @@ def _orientation(a: Attributes, name: str, degrees: bool, sequence: str) -> np.n
             hint="Give a direction.",
         )
         return ORIGIN.q
-    if name == "quat":
-        return of_unit_length(row)
-    if name == "axisangle":
-        return about(row[:3], row[3] * unit)
-    if name == "zaxis":
-        return from_z_to(row)
+    match name:
+        case "quat":
+            return of_unit_length(row)
+        case "axisangle":
+            return about(row[:3], row[3] * unit)
+        case "zaxis":
+            return from_z_to(row)
     x = row[:3] / np.linalg.norm(row[:3])
     z = np.cross(x, row[3:])
     if not z.any():
@@ -148,17 +148,17 @@ def solid(a: Attributes, place: Place) -> Body | None:
     kind = "mesh" if "mesh" in a else a.text("type", "sphere")
     stated = a.number("mass") if "mass" in a else None
     if (
-        kind in WITHOUT_MASS
+        kind in ("plane", "hfield")
         or stated == 0
         or (stated is None and a.number("density", DENSITY) == 0)
     ):
         return None
     if kind not in SIZES or a.flag("shellinertia"):
-        what = "is a shell" if kind in SIZES else f"has the type {kind}"
         a.problems.add(
             "MISSING_ENTRY",
             a.where,
-            f"{what}, whose inertia is not computed",
+            ("is a shell" if kind in SIZES else f"has the type {kind}")
+            + ", whose inertia is not computed",
             value=kind,
             limit=", ".join(SIZES),
             hint='Give its body an element "inertial", or this geom the mass 0.',

@@ -28,7 +28,6 @@ from jaxbody.model.elements.elements import Element
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model
 
-EARTH = (0, 0, -9.81)
 OF_JOINTS = (
     "name",
     "class",
@@ -65,7 +64,7 @@ OF_LIMITS = (
     "actuatorfrclimited",
 )
 WITHOUT_EFFECT = ("0", "0 0", "false", "none", "auto")
-IN_BODIES = ("body", "frame", "inertial", "joint", "freejoint", "geom", "site", "camera", "light")
+
 BY_MUJOCO = "MuJoCo's own compiler reads it: pip install 'jaxbody[mujoco]'."
 
 
@@ -131,15 +130,16 @@ def read_mjcf(path: Any, *, largest: float = LARGEST) -> MjcfModel:
     path = Path(path)
     document = read_document(path, largest)
     arrays, refusal = compiled(path, document)
-    reader: Any = (
-        MjcfReader(path, document) if arrays is None else CompiledReader(path, document, arrays)
-    )
-    if document.root == "robot" and arrays is None:
-        hint = BY_MUJOCO if refusal is None else "It is read by MuJoCo's compiler alone."
-        code, message = (
-            ("MISSING_EXTRA", "is a URDF")
+    reader: Any = MjcfReader(document) if arrays is None else CompiledReader(path, document, arrays)
+    if document.root.tag == "robot" and arrays is None:
+        code, message, hint = (
+            ("MISSING_EXTRA", "is a URDF", BY_MUJOCO)
             if refusal is None
-            else ("WRONG_FORMAT", f"is a URDF that MuJoCo refuses: {refusal}")
+            else (
+                "WRONG_FORMAT",
+                f"is a URDF that MuJoCo refuses: {refusal}",
+                "It is read by MuJoCo's compiler alone.",
+            )
         )
         raise JaxbodyError(Problem(code, path.name, message, limit="a file of MuJoCo", hint=hint))
     try:
@@ -148,16 +148,10 @@ def read_mjcf(path: Any, *, largest: float = LARGEST) -> MjcfModel:
         with reader.problems:
             parts = reader.made()
     except JaxbodyError as error:
-        said = (
-            [
-                Problem(
-                    "UNREADABLE", path.name, f"is not read by MuJoCo's compiler either: {refusal}"
-                )
-            ]
-            if refusal
-            else []
-        )
-        raise JaxbodyError(*error.problems, *said) from None
+        if refusal is None:
+            raise
+        message = f"is not read by MuJoCo's compiler either: {refusal}"
+        raise JaxbodyError(*error.problems, Problem("UNREADABLE", path.name, message)) from None
     return MjcfModel(
         Model(**parts),
         tuple(LeftOut(where, what, count) for what, (where, count) in reader.left_out.items()),
@@ -167,37 +161,29 @@ def read_mjcf(path: Any, *, largest: float = LARGEST) -> MjcfModel:
 class MjcfReader(FramesOfFile):
     """Reads one document, without MuJoCo."""
 
-    def __init__(self, path: Path, document: MjcfDocument):
+    def __init__(self, document: MjcfDocument):
         super().__init__(document)
-        self.compiler = Attributes(
-            self.document.settings("compiler"), f"{path.name} compiler", self.problems
-        )
-        self.option = Attributes(
-            self.document.settings("option"), f"{path.name} option", self.problems
-        )
+        self.compiler, self.option = map(document.settings, ("compiler", "option"))
         self.degrees = self.compiler.text("angle", "degree") != "radian"
+        self.sequence = self.compiler.text("eulerseq", "xyz")
         self.sites: dict[str, tuple[str, np.ndarray]] = {}  # on a frame, in its axes
         self.total = 0.0  # mass [kg] of the file
 
     def place(self, a: Attributes) -> Place:
         return place_of(a, self.degrees, self.sequence)
 
-    @property
-    def sequence(self) -> str:
-        return self.compiler.text("eulerseq", "xyz")
-
     def world(self) -> None:
         """Collect all frames, with their joints and parts."""
         if len(self.sequence) != 3 or set(self.sequence.lower()) - set("xyz"):
-            where = f"{self.compiler.where} eulerseq"
-            self.problems.add(
-                "BAD_SEQUENCE",
-                where,
-                f"is '{self.sequence}'",
-                value=self.sequence,
-                limit="three of x y z X Y Z",
+            raise JaxbodyError(
+                Problem(
+                    "BAD_SEQUENCE",
+                    f"{self.compiler.where} eulerseq",
+                    f"is '{self.sequence}'",
+                    self.sequence,
+                    "three of x y z X Y Z",
+                )
             )
-            self.problems.raise_if_any()
         if self.compiler.text("coordinate", "local") != "local":
             self.problems.add(
                 "WRONG_KIND",
@@ -207,7 +193,7 @@ class MjcfReader(FramesOfFile):
                 hint="Let an older MuJoCo save it with local ones.",
             )
         self.leave_out_sections()
-        for node in self.document.all("worldbody"):
+        for node in self.document.root.all("worldbody"):
             for child, place, kind in self.contents(
                 node, ORIGIN, node.attributes.get("childclass", MAIN)
             ):
@@ -220,38 +206,39 @@ class MjcfReader(FramesOfFile):
         elements without one."""
         for child in node.children:
             if child.tag == "frame":
-                own = place @ self.place(
-                    Attributes(child.attributes, f"{child.where} frame", self.problems)
-                )
-                yield from self.contents(child, own, child.attributes.get("childclass", kind))
+                a = Attributes(child.attributes, f"{child.where} frame", self.problems)
+                yield from self.contents(child, place @ self.place(a), a.text("childclass", kind))
             else:
                 yield child, place, kind
 
     def thing(self, node: Node, owner: str, around: Place, kind: str) -> None:
         """An element in the world or a body: `around` is the place, on its owner, of the frame in
         which it is stated."""
-        if node.tag == "body":
-            self.body(node, owner, around, node.attributes.get("childclass", kind))
-        elif node.tag == "site":
-            a = self.document.attributes(node, kind)
-            self.sites[a.text("name")] = owner, (around @ self.place(a)).p
-        elif node.tag == "geom":
-            a = self.document.attributes(node, kind)
-            if a.text("contype", "1") != "0" or a.text("conaffinity", "1") != "0":
-                self.leave_out("contact of geoms", node.where)
-            if a.text("fluidshape", "none") != "none":
-                self.leave_out("fluidshape of geoms", node.where)
-        elif node.tag in ("camera", "light"):
-            self.leave_out(node.tag, node.where)
-        elif node.tag not in ("inertial", "joint", "freejoint"):
-            self.problems.add(
-                "UNKNOWN_NAME",
-                node.where,
-                f"is an element '{node.tag:.60}', which may have mass",
-                value=node.tag,
-                limit=", ".join(IN_BODIES),
-                hint=BY_MUJOCO,
-            )
+        match node.tag:
+            case "body":
+                self.body(node, owner, around, node.attributes.get("childclass", kind))
+            case "site":
+                a = self.document.attributes(node, kind)
+                self.sites[a.text("name")] = owner, (around @ self.place(a)).p
+            case "geom":
+                a = self.document.attributes(node, kind)
+                if a.text("contype", "1") != "0" or a.text("conaffinity", "1") != "0":
+                    self.leave_out("contact of geoms", node.where)
+                if a.text("fluidshape", "none") != "none":
+                    self.leave_out("fluidshape of geoms", node.where)
+            case "camera" | "light":
+                self.leave_out(node.tag, node.where)
+            case "inertial" | "joint" | "freejoint":
+                pass
+            case _:
+                self.problems.add(
+                    "UNKNOWN_NAME",
+                    node.where,
+                    f"is an element '{node.tag:.60}', which may have mass",
+                    value=node.tag,
+                    limit="body, frame, inertial, joint, freejoint, geom, site, camera, light",
+                    hint=BY_MUJOCO,
+                )
 
     def body(self, node: Node, owner: str, around: Place, kind: str) -> None:
         a = Attributes(node.attributes, f"{node.where} body", self.problems)
@@ -262,59 +249,51 @@ class MjcfReader(FramesOfFile):
             for child, frame, of in inside
             if child.tag in ("joint", "freejoint")
         ]
-        own = self.solid(node, inside)
         if a.text("gravcomp", "0") not in WITHOUT_EFFECT:
             self.leave_out("gravcomp of bodies", node.where)
-        owner, place = self.carry(node.where, a.text("name"), owner, place, joints, own)
+        mass = self.solid(node, inside)
+        owner, place = self.carry(node.where, a.text("name"), owner, place, joints, mass)
         for child, frame, of in inside:
             self.thing(child, owner, place @ frame, of)
 
     def solid(self, node: Node, inside: list[tuple[Node, Place, str]]) -> Body | None:
         """The mass and inertia of a body of the file, in its frame; None without mass."""
-        source, inertial = (
-            self.compiler.text("inertiafromgeom", "auto"),
-            next(node.all("inertial"), None),
-        )
+        source = self.compiler.text("inertiafromgeom", "auto")
+        inertial = next(node.all("inertial"), None)
+        parts = []
         if inertial and source != "true":
             parts = [self.gather(inertial.where, lambda: self.stated(inertial))]
-        elif source == "false":
-            parts = []
-        else:
+        elif source != "false":
             low, high = self.compiler.row("inertiagrouprange", [0, 5], (2,))
             geoms = [
                 (self.document.attributes(child, kind), frame)
                 for child, frame, kind in inside
                 if child.tag == "geom"
             ]
-            chosen = [(a, frame) for a, frame in geoms if low <= a.number("group") <= high]
             parts = [
                 self.gather(a.where, lambda a=a, frame=frame: solid(a, frame @ self.place(a)))
-                for a, frame in chosen
+                for a, frame in geoms
+                if low <= a.number("group") <= high
             ]
         parts = [part for part in parts if part is not None]
-        whole = (
-            self.gather(node.where, lambda: self.bounded(Body.of_parts(parts))) if parts else None
-        )
+        if not parts:
+            return None
+        whole = self.gather(node.where, lambda: self.bounded(Body.of_parts(parts)))
         self.total += float(whole.mass) if whole else 0.0
         return whole
 
     def stated(self, node: Node) -> Body | None:
         a = Attributes(node.attributes, f"{node.where} inertial", self.problems)
         place, mass = self.place(a), a.number("mass")
-        inertia = (
-            a.row("fullinertia", np.zeros(6), (6,))
-            if "fullinertia" in a
-            else a.vector("diaginertia")
-        )
+        full = "fullinertia" in a
+        inertia = a.row("fullinertia", np.zeros(6), (6,)) if full else a.vector("diaginertia")
         return Body(mass, inertia, position=place.p, orientation=place.q) if mass else None
 
     def bounded(self, body: Body) -> Body:
         """A body with at least the mass and the principal moments that the compiler's settings
         ask for."""
-        mass, least = (
-            max(float(body.mass), self.compiler.number("boundmass")),
-            self.compiler.number("boundinertia"),
-        )
+        mass = max(float(body.mass), self.compiler.number("boundmass"))
+        least = self.compiler.number("boundinertia")
         if mass == float(body.mass) and not least:
             return body
         moments, axes = np.linalg.eigh(body.inertia)
@@ -344,11 +323,15 @@ class MjcfReader(FramesOfFile):
             )
             axis = np.array([0, 0, 1.0])
         unit = np.pi / 180 if self.degrees and sort == "hinge" else 1.0
-        relaxed = unit * (a.number("springref") - a.number("ref"))
-        k, c = (self.coefficient(a, name, "joints") for name in ("stiffness", "damping"))
-        axis = frame.R @ (axis / np.linalg.norm(axis))
         return JointOfBody(
-            a.text("name"), node.where, sort, frame.point(a.vector("pos")), axis, k, c, relaxed
+            a.text("name"),
+            node.where,
+            sort,
+            at=frame.point(a.vector("pos")),
+            axis=frame.R @ (axis / np.linalg.norm(axis)),
+            stiffness=self.coefficient(a, "stiffness", "joints"),
+            damping=self.coefficient(a, "damping", "joints"),
+            relaxed=unit * (a.number("springref") - a.number("ref")),
         )
 
     def coefficient(self, a: Attributes, name: str, owners: str) -> float:
@@ -375,14 +358,17 @@ class MjcfReader(FramesOfFile):
     def made(self) -> dict[str, Any]:
         """The arguments of the model."""
         stated = self.compiler.number("settotalmass")
-        flags = [flag for option in self.document.all("option") for flag in option.all("flag")]
-        weightless = any(flag.attributes.get("gravity") == "disable" for flag in flags)
-        gravity = np.zeros(3) if weightless else self.option.vector("gravity", EARTH)
+        weightless = any(
+            flag.attributes.get("gravity") == "disable"
+            for option in self.document.root.all("option")
+            for flag in option.all("flag")
+        )
+        gravity = np.zeros(3) if weightless else self.option.vector("gravity", (0, 0, -9.81))
         return self.parts(stated / self.total if stated > 0 and self.total > 0 else 1.0, gravity)
 
     def tendons(self) -> None:
         """The springs and dampers of tendons."""
-        for node in (node for section in self.document.all("tendon") for node in section.children):
+        for node in (x for section in self.document.root.all("tendon") for x in section.children):
             a = self.document.attributes(node, MAIN)
             spring = self.gather(node.where, lambda: self.tendon(node, a))  # noqa: B023
             if isinstance(spring, Element):

@@ -59,35 +59,39 @@ def write_mjcf(model: Model, path: Any) -> None:
     """
     path = Path(path)
     extension_of(path, ".xml")
-    if model.closures:
-        raise JaxbodyError(
+    for refused, problem in (
+        (
+            bool(model.closures),
             Problem(
                 "CLOSED_LOOPS",
                 "write_mjcf.model",
                 f"has closures ({', '.join(model.closure_names)})",
                 limit="no closures",
                 hint="It takes trees of joints; stiff bushings may close loops.",
-            )
-        )
-    if not is_concrete(model):
-        raise JaxbodyError(
+            ),
+        ),
+        (
+            not is_concrete(model),
             Problem(
                 "TRACED",
                 "write_mjcf",
                 "cannot be called inside jit, vmap or grad",
                 hint="Write the result of the program.",
-            )
-        )
-    if model.gravity.ndim > 1:
-        raise JaxbodyError(
+            ),
+        ),
+        (
+            model.gravity.ndim > 1,
             Problem(
                 "BAD_SHAPE",
                 "write_mjcf",
                 f"is a batch of {len(model.gravity)} models",
                 limit="one model",
                 hint="Write one of them: jax.tree.map(lambda x: x[0], models).",
-            )
-        )
+            ),
+        ),
+    ):
+        if refused:
+            raise JaxbodyError(problem)
     root = MjcfWriter(model).root()
     ElementTree.indent(root)
     with writing(path):
@@ -100,10 +104,9 @@ class MjcfWriter:
     def __init__(self, model: Model):
         self.model, self.problems = model, Problems()
         layout = model.layout
-        frames = {name: model[name] for name in (*layout.supports, *layout.bodies)}
         self.places = {WORLD: ORIGIN} | {
-            name: Place(np.asarray(x.position), np.asarray(x.orientation))
-            for name, x in frames.items()
+            name: Place(np.asarray(model[name].position), np.asarray(model[name].orientation))
+            for name in (*layout.supports, *layout.bodies)
         }
         self.joints = {name: model.joint(name) for name in layout.bodies}
         self.parents = dict.fromkeys(layout.supports, WORLD) | {
@@ -133,8 +136,8 @@ class MjcfWriter:
                 self.refuse(name, f"has the type {type(element).__name__}", TENDONS)
         if len(tendons):
             root.append(tendons)
-        self.problems.raise_if_any()
-        return root
+        with self.problems:
+            return root
 
     def refuse(self, element: str, message: str, hint: str) -> None:
         self.problems.add(
@@ -157,9 +160,8 @@ class MjcfWriter:
             return
         for i, (kind, axis, at) in enumerate(self.lines(name, joint, place)):
             given = {"name": f"{name} {i + 1}" if i else name, "type": kind}
-            given |= ({} if axis is None else {"axis": _row(axis)}) | (
-                {} if kind == "free" else {"pos": _row(at)}
-            )
+            given |= {} if axis is None else {"axis": _row(axis)}
+            given |= {} if kind == "free" else {"pos": _row(at)}
             self.steps[name].append(ElementTree.SubElement(node, "joint", given))
         body = self.model[name]
         moments = np.linalg.eigvalsh(body.inertia)
@@ -175,93 +177,76 @@ class MjcfWriter:
                 limit=f">= {LEAST}",
                 hint="Give it a small inertia, also where it does not turn.",
             )
-        six = np.asarray(body.inertia)[
-            *np.array(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))).T
-        ]
+        I = np.asarray(body.inertia)
         ElementTree.SubElement(
-            node, "inertial", pos=_row(body.com), mass=_row(body.mass), fullinertia=_row(six)
+            node,
+            "inertial",
+            pos=_row(body.com),
+            mass=_row(body.mass),
+            fullinertia=_row([*np.diag(I), I[0, 1], I[0, 2], I[1, 2]]),
         )
 
     def lines(self, name: str, joint: Joint, place: Place) -> list[tuple[str, Any, np.ndarray]]:
         """The kind, axis and point of each joint, in the axes of the body."""
         back = place.inverse()
-        if isinstance(joint, Free) and joint.parent == WORLD:
-            return [("free", None, np.zeros(3))]
-        if isinstance(joint, Fixed):
-            return []
         at = np.zeros(3) if joint.at is None else back.point(np.asarray(joint.at))
-        if isinstance(joint, Ball):
-            return [("ball", None, at)]
-        if isinstance(joint, Guide | Hinge):
-            return [
-                (
-                    "slide" if isinstance(joint, Guide) else "hinge",
-                    back.R @ np.asarray(joint.axis),
-                    at,
+        points: Any = [at] * joint.nv
+        match joint:
+            case Free(parent="world"):
+                return [("free", None, at)]
+            case Ball():
+                return [("ball", None, at)]
+            case Fixed():
+                return []
+            case Guide() | Hinge():
+                axes: Any = [joint.axis]
+            case Series():
+                axes = np.eye(3)[list(joint.steps)]
+            case Combined():
+                axes = joint.directions
+            case Composite():
+                axes, points = joint.directions, map(back.point, np.asarray(joint.points))
+            case _:
+                self.problems.add(
+                    "WRONG_KIND",
+                    f"joints['{name}']",
+                    f"is Free on '{joint.parent}'"
+                    if isinstance(joint, Free)
+                    else f"is of the type {type(joint).__name__}",
+                    value=joint,
+                    limit="what MJCF has",
+                    hint=(
+                        "Free bodies are in the world there; hinges, guides and balls "
+                        "may be on other bodies."
+                    ),
                 )
-            ]
-        if isinstance(joint, Series):
-            steps = [
-                (KINDS[turn], np.eye(3)[axis], place.p)
-                for axis, turn in zip(joint.steps, joint.turns, strict=True)
-            ]
-        elif isinstance(joint, Combined):
-            through = place.p if joint.at is None else np.asarray(joint.at)
-            steps = [
-                (KINDS[turn], n, through)
-                for turn, n in zip(joint.turns, np.asarray(joint.directions), strict=True)
-            ]
-        elif isinstance(joint, Composite):
-            steps = list(
-                zip(
-                    [KINDS[turn] for turn in joint.turns],
-                    np.asarray(joint.directions),
-                    np.asarray(joint.points),
-                    strict=True,
-                )
-            )
-        else:
-            what = (
-                f"Free on '{joint.parent}'"
-                if isinstance(joint, Free)
-                else f"of the type {type(joint).__name__}"
-            )
-            self.problems.add(
-                "WRONG_KIND",
-                f"joints['{name}']",
-                f"is {what}",
-                value=joint,
-                limit="what MJCF has",
-                hint=(
-                    "Free bodies are in the world there; hinges, guides and balls "
-                    "may be on other bodies."
-                ),
-            )
-            return []
-        return [(kind, back.R @ axis, back.point(at)) for kind, axis, at in steps]
+                return []
+        return [
+            (KINDS[turn], back.R @ axis, point)
+            for turn, axis, point in zip(joint.turns, np.asarray(axes), points, strict=True)
+        ]
 
     def tendon(self, tendons: Any, name: str, element: Spring | SpringDamper) -> None:
         """A spring as a tendon between two sites."""
+        lengths = [float(element.free_length)]
         if isinstance(element, Spring):
-            k, c, rope = element.stiffness, element.damping, False
+            k, c = element.stiffness, element.damping
+        elif isinstance(element.spring, TensionOnly):
+            k, c = element.spring.stiffness, _coefficient(element.damper)
+            lengths = [0.0, *lengths] if lengths[0] else lengths
         else:
-            rope = isinstance(element.spring, TensionOnly)
-            k, c = (
-                element.spring.stiffness
-                if isinstance(element.spring, TensionOnly)
-                else _coefficient(element.spring),
-                _coefficient(element.damper),
-            )
+            k, c = _coefficient(element.spring), _coefficient(element.damper)
         if k is None or c is None:
             self.refuse(name, "has a law that is not linear", TENDONS)
             return
-        length = float(element.free_length)
-        given = {
-            "stiffness": _row(k),
-            "damping": _row(c),
-            "springlength": _row([0.0, length] if rope and length else length),
-        }
-        node = ElementTree.SubElement(tendons, "spatial", {"name": name} | given)
+        node = ElementTree.SubElement(
+            tendons,
+            "spatial",
+            name=name,
+            stiffness=_row(k),
+            damping=_row(c),
+            springlength=_row(lengths),
+        )
         for letter, end, point in zip("ab", element.between, element.points, strict=True):
             ElementTree.SubElement(
                 self.nodes[end], "site", name=f"{name} {letter}", pos=_row(point)
@@ -273,17 +258,14 @@ class MjcfWriter:
         body = next(
             (end for end in element.between if self.parents.get(end) in element.between), ""
         )
-        found = self.springs(element, body) if self.steps.get(body) else None
-        if found is None:
+        numbers = self.springs(element, body) if self.steps.get(body) else None
+        if numbers is None:
             self.refuse(
                 name, f"is a {type(element).__name__} that is no spring of a joint", ON_JOINTS
             )
             return
-        acting = [
-            (node, *numbers)
-            for node, numbers in zip(self.steps[body], found, strict=True)
-            if numbers[0] or numbers[1]
-        ]
+        springs = zip(self.steps[body], numbers, strict=True)
+        acting = [(node, *spring) for node, spring in springs if spring[0] or spring[1]]
         for i, (node, k, c, relaxed) in enumerate(acting):
             if "stiffness" in node.attrib:
                 self.refuse(name, "is a second spring of a joint", "Put both into one.")
@@ -320,8 +302,8 @@ class MjcfWriter:
             return None
         if set(kinds) == {"slide"}:
             return _slides(element, N, R_A.T @ (b - a))
-        apart = np.abs(np.stack([a, b]) - place.point(points[0])).max()
-        return _ball(element) if kinds == ("ball",) and apart < CLOSE else None
+        at_center = np.abs(np.stack([a, b]) - place.point(points[0])).max() < CLOSE
+        return _ball(element) if kinds == ("ball",) and at_center else None
 
 
 def _twists(
@@ -367,10 +349,9 @@ def _slides(
         or np.abs(also).max() > CLOSE * np.abs(c).max()
     ):
         return None
-    force = N.T @ K @ p
     return [
         (float(x), float(y), float(-f / x) if x else 0.0)
-        for x, y, f in zip(k, c, force, strict=True)
+        for x, y, f in zip(k, c, N.T @ K @ p, strict=True)
     ]
 
 
