@@ -9,7 +9,7 @@ import inspect
 import json
 import re
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +47,49 @@ from jaxbody.records.record_files import read_record
 from jaxbody.records.records import Record
 from jaxbody.sensors.sensors import Sensor
 
-IN_PLACE = ("file", "part")  # entries of a record that are no arguments of read_record
 MORE_THAN_A_TURN = r".* rad, more than a turn; if it is in degrees"
 PLACE = re.compile(
     r"(bodies|supports|joints|elements|closures|energies|dissipations)\['(.*?)'\]|(gravity)"
 )
+
+
+@dataclasses.dataclass
+class EntryBuilder:
+    """Base class of builders of one entry of a study, from its values and its path in the document;
+    problems are collected by the builder of the document."""
+
+    builder: Builder
+    model: Model
+    sensors: dict[str, Sensor]
+    values: dict[str, Any]
+    path: EntryPath
+
+    def __post_init__(self) -> None:
+        self.before = len(self.builder.problems.collected)
+
+    @property
+    def failed(self) -> bool:
+        """Whether this entry has problems already, so that its constructor need not be called."""
+        return len(self.builder.problems.collected) > self.before
+
+    def add(
+        self,
+        code: str,
+        message: str,
+        *parts: str,
+        value: Any = None,
+        limit: str = "",
+        hint: str = "",
+    ) -> None:
+        """Add a problem of the entry below these parts of its path."""
+        where = self.builder.document.where((*self.path, *parts))
+        self.builder.problems.add(code, where, message, value=value, limit=limit, hint=hint)
+
+    def check_known(self, names: Iterable[str], known: Collection[str], *parts: str) -> None:
+        """Check that names below these parts of the path are known."""
+        for name in names:
+            if name not in known:
+                self.builder.unknown(name, known, (*self.path, *parts, name))
 
 
 class Builder:
@@ -71,32 +109,28 @@ class Builder:
     def model(self) -> Model:
         parts: dict[str, Any] = {}
         for name in SECTIONS:
-            tables = self.values.get(name, {})
             parts[name] = {
                 key: self.thing(value, class_of(name, value.get("type")), (name, key), {})
-                for key, value in tables.items()
+                for key, value in self.values.get(name, {}).items()
             }
             if name == "joints":
                 self.know_coordinates(parts[name])
         self.problems.raise_if_any()
         if "gravity" in self.values:
             parts["gravity"] = self.values["gravity"]
-        model = self.problems.gather(lambda: Model(**parts), self.placed_in_model)
-        self.problems.raise_if_any()
-        return model
+        with self.problems:
+            return self.problems.gather(lambda: Model(**parts), self.placed_in_model)
 
     def know_coordinates(self, joints: dict[str, Joint | None]) -> None:
         """Complete the coordinates that are known by those of joints of the user's own."""
-        own, self.check.own_joints = self.check.own_joints, set()
-        for body in own:
+        self.with_own_joints, self.check.own_joints = self.check.own_joints, set()
+        for body in self.with_own_joints:
             joint = joints[body]
             self.check.coordinates |= by_name(body, joint.block(body).q_units) if joint else {}
-        self.with_own_joints = own
 
     def thing(self, values: Any, kind: type | None, path: EntryPath, words: dict[str, str]) -> Any:
         """An object of a class, which the values name where it is not given."""
-        if kind is None:
-            kind = TYPES.get(values["type"])
+        kind = kind or TYPES.get(values["type"])
         if kind is None:
             kind = self.own(values["type"], path)
             if kind is None:
@@ -127,19 +161,23 @@ class Builder:
         )
 
     def value(self, value: Any, argument: Argument, path: EntryPath, words: dict[str, str]) -> Any:
-        if argument.role == "law":
-            law = self.law(value, path, words)
-            # a number would be its ratio
-            return Linear(law) if argument.name == "function" and isinstance(law, float) else law
-        if argument.role == "signal":
-            return self.signal(value, path, words)
-        if argument.role == "pulse":
-            return self.thing(value, None, path, words)
-        if argument.role == "end":
-            return value if isinstance(value, str) else tuple(value)
-        if isinstance(value, dict):
-            return self.problems.gather(lambda: Euler(value["sequence"], value["angles"]))
-        return tuple(value) if argument.role == "words" else value
+        match argument.role:
+            case "law":
+                law = self.law(value, path, words)
+                if argument.name == "function" and isinstance(law, float):
+                    return Linear(law)  # a number would be the ratio of a coupling
+                return law
+            case "signal":
+                return self.signal(value, path, words)
+            case "pulse":
+                return self.thing(value, None, path, words)
+            case "end":
+                return value if isinstance(value, str) else tuple(value)
+            case "words":
+                return tuple(value)
+            case _ if isinstance(value, dict):
+                return self.problems.gather(lambda: Euler(value["sequence"], value["angles"]))
+        return value
 
     def checked(
         self, values: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]
@@ -181,11 +219,7 @@ class Builder:
     def of_record(self, value: dict[str, Any], path: EntryPath, make: Any) -> Any:
         """What `make` makes of a record and these values."""
         record = self.record(value["record"])
-        return (
-            None
-            if record is None
-            else self.gather(path, value["type"], lambda: make(record, value))
-        )
+        return record and self.gather(path, value["type"], lambda: make(record, value))
 
     def record(self, name: str) -> Record | None:
         if name not in self.records:
@@ -197,15 +231,14 @@ class Builder:
 
     def _read(self, values: dict[str, Any], path: EntryPath) -> Record | None:
         file = self.beside(values["file"], (*path, "file"))
-        columns = {name: _column(spec) for name, spec in values["channels"].items()}
         options = {
-            name: value
+            name: _column(value) if name == "time" else value
             for name, value in values.items()
-            if name not in (*IN_PLACE, "channels", "time")
+            if name not in ("file", "part")
         }
-        time = {"time": _column(values["time"])} if "time" in values else {}
+        options["channels"] = {name: _column(spec) for name, spec in values["channels"].items()}
         record = file and self.problems.gather(
-            lambda: read_record(file, channels=columns, **time, **options),
+            lambda: read_record(file, **options),
             lambda problem: self._of_column(problem, values, path),
         )
         return record if record is None or "part" not in values else record.part(*values["part"])
@@ -213,48 +246,33 @@ class Builder:
     def _of_column(self, problem: Problem, values: dict[str, Any], path: EntryPath) -> Problem:
         """A problem of reading a record, at its line; where a unit is missing, at that of the
         column, with what to write there."""
-        names: dict[str, EntryPath] = {".times": ("time",)}
-        names |= {f"['{name}']": ("channels", name) for name in values["channels"]}
-        entry = next(
-            (
-                entry
-                for end, entry in names.items()
-                if problem.code == "NO_UNIT" and problem.where.endswith(end)
-            ),
-            None,
-        )
-        if entry is None:
+        names = [name for name in values["channels"] if problem.where.endswith(f"['{name}']")]
+        of_time = problem.where.endswith(".times")
+        if problem.code != "NO_UNIT" or not (names or of_time):
             return self.placed(problem, path, "")
-        spec = values["time"] if entry == ("time",) else values["channels"][entry[-1]]
-        column, example = (
-            (spec["columns"] if isinstance(spec, dict) else spec),
-            "ms" if entry == ("time",) else "m/s2",
-        )
-        written = (
-            f"{shown(entry)} = {{columns = {json.dumps(column, ensure_ascii=False)}, "
-            f'unit = "{example}"}}'
-        )
-        without = "" if entry == ("time",) else ', or unit = "1" for numbers without one'
-        hint = f"Write {written} with its unit{without}."
+        entry = ("time",) if of_time else ("channels", names[0])
+        spec = values["time"] if of_time else values["channels"][names[0]]
+        column = json.dumps(spec["columns"] if isinstance(spec, dict) else spec, ensure_ascii=False)
+        unit = "ms" if of_time else "m/s2"
+        hint = f'Write {shown(entry)} = {{columns = {column}, unit = "{unit}"}} with its unit'
+        hint += "." if of_time else ', or unit = "1" for numbers without one.'
         return dataclasses.replace(problem, where=self.document.where((*path, *entry)), hint=hint)
 
     def sampled(self, record: Record, value: dict[str, Any]) -> Motion:
-        dimensions = {"translation": units.LENGTH, "rotation": units.ANGLE}
         rows = {
-            name: self.rows(record, value, name, of)
-            for name, of in dimensions.items()
+            name: self.rows(record, value, name, dimension)
+            for name, dimension in (("translation", units.LENGTH), ("rotation", units.ANGLE))
             if name in value
         }
         return Sampled(record.times, **rows)
 
     def base_motion(self, record: Record, value: dict[str, Any]) -> Motion:
         options = {
-            name: x
+            name: _direction(value) if name == "axis" else x
             for name, x in value.items()
-            if name not in ("type", "record", "acceleration", "axis")
+            if name not in ("type", "record")
         }
-        axis = {"axis": _direction(value)} if "axis" in value else {}
-        return base_motion(record, value["acceleration"], **axis, **options).motion
+        return base_motion(record, **options).motion
 
     def rows(
         self, record: Record, value: dict[str, Any], name: str, dimension: units.Dimension
@@ -302,21 +320,20 @@ class Builder:
             )
             return None
         file = self.beside(name, (*path, "file"))
-        return None if file is None else self.gather((*path, "file"), "", lambda: Table.read(file))
+        return file and self.gather((*path, "file"), "", lambda: Table.read(file))
 
     def beside(self, name: str, path: EntryPath) -> Path | None:
         """A file in the folder of the document."""
         if not (Path(name).is_absolute() or ".." in Path(name).parts):
             self.files.append(self.folder / name)
             return self.files[-1]
-        where, hint = self.document.where(path), "Put it beside the model file."
         self.problems.add(
             "OUTSIDE_FOLDER",
-            where,
+            self.document.where(path),
             f"names '{name}'",
             value=name,
             limit="a file in the folder of this one",
-            hint=hint,
+            hint="Put it beside the model file.",
         )
         return None
 
@@ -344,16 +361,10 @@ class Builder:
     def own(self, name: str, path: EntryPath) -> type | None:
         """A class of the user's from a module that is allowed."""
         kind = self.own_object(name, path)
-        if kind is None or (
-            inspect.isclass(kind)
-            and issubclass(kind, Element | Joint | Closure | Law | Load | Sensor | Signal)
-        ):
-            return kind
-        if (
-            path[0] in ("energies", "dissipations")
-            and inspect.isclass(kind)
-            and issubclass(kind, eqx.Module)
-        ):
+        bases = Element | Joint | Closure | Law | Load | Sensor | Signal
+        if path[0] in ("energies", "dissipations"):
+            bases |= eqx.Module
+        if kind is None or (inspect.isclass(kind) and issubclass(kind, bases)):
             return kind
         self.problems.add(
             "UNKNOWN_NAME",
@@ -380,40 +391,35 @@ class Builder:
                 hint=f"If you trust it, give allow=['{module}'].",
             )
             return None
+        message = f"names '{name}', and the module has no '{attribute}'"
         try:
-            found = getattr(importlib.import_module(module), attribute, None)
+            named = getattr(importlib.import_module(module), attribute, None)
         except ImportError as error:
-            self.problems.add(
-                "UNKNOWN_NAME",
-                where,
-                f"names the module '{module}', which cannot be imported: {error}",
-                value=name,
-            )
-            return None
-        if found is None:
-            self.problems.add(
-                "UNKNOWN_NAME",
-                where,
-                f"names '{name}', and the module has no '{attribute}'",
-                value=name,
-            )
-        return found
+            named = None
+            message = f"names the module '{module}', which cannot be imported: {error}"
+        if named is None:
+            self.problems.add("UNKNOWN_NAME", where, message, value=name)
+        return named
 
     def placed(self, problem: Problem, path: EntryPath, kind: str) -> Problem:
         """The problem of a constructor, at its line."""
         rest = problem.where.removeprefix(kind)
-        found = re.match(r"\.(\w+)", rest)
-        if found and (*path, found[1]) in self.document.lines:
-            path, rest = (*path, found[1]), rest[found.end() :]
+        entry = re.match(r"\.(\w+)", rest)
+        if entry and (*path, entry[1]) in self.document.lines:
+            path, rest = (*path, entry[1]), rest[entry.end() :]
         rest = f": {rest}" if rest and rest[0] not in ",.[ " else rest
-        words = {"limit": in_words_of_files(problem.limit), "hint": in_words_of_files(problem.hint)}
-        return dataclasses.replace(problem, where=self.document.where(path) + rest, **words)
+        return dataclasses.replace(
+            problem,
+            where=self.document.where(path) + rest,
+            limit=in_words_of_files(problem.limit),
+            hint=in_words_of_files(problem.hint),
+        )
 
     def placed_in_model(self, problem: Problem) -> Problem:
         """A problem that the model as a whole has, at its line."""
-        found = PLACE.match(problem.where)
-        path = tuple(part for part in found.groups() if part) if found else ()
-        rest = problem.where[found.end() :] if found else f" {problem.where}"
+        place = PLACE.match(problem.where)
+        path = tuple(filter(None, place.groups())) if place else ()
+        rest = problem.where[place.end() :] if place else f" {problem.where}"
         return dataclasses.replace(problem, where=self.document.where(path) + rest)
 
 

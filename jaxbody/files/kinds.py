@@ -8,7 +8,7 @@ import inspect
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, cast
+from typing import Any
 
 from jaxbody.geometry import closures
 from jaxbody.geometry.fields import Kind
@@ -123,28 +123,32 @@ FIELDS: dict[tuple[type, str], str] = {  # of arguments that are not named as th
     (Contact, "distance"): "free_length",
     (PointForce, "direction"): "axis",
 }
-# roles of the arguments of a coupling
-COUPLED = {"of": "coordinate", "by": "coordinate", "function": "law"}
-FORMULAS = {"powers": "force/argument^n"}
+
+
 LIMITS = {
     "nonnegative": {"minimum": 0},
     "positive": {"exclusiveMinimum": 0},
     "fraction": {"minimum": 0, "maximum": 1},
 }
-PLAIN_TYPES = {
-    "word": "string",
-    "words": "array",
-    "whole": "integer",
-    "flag": "boolean",
-    "own": ["number", "array", "string"],
-}
+
+OWN = {"type": ["number", "array", "string"]}  # a number in the unit of its owner
 DIRECTION = {
     "oneOf": [
         {"type": ["array", "string"], "unit": "", "pattern": "[0-9]"},
         {"type": "string", "enum": ["x", "y", "z"]},
     ]
 }
-OF_INPUT = {"oneOf": [{"type": "string", "enum": list(DIRECTIONS)}, {"type": "array", "unit": ""}]}
+PLAIN_SCHEMAS: dict[str, dict[str, Any]] = {  # by the roles of arguments
+    "word": {"type": "string"},
+    "words": {"type": "array"},
+    "whole": {"type": "integer"},
+    "flag": {"type": "boolean"},
+    "own": OWN,
+    "direction": DIRECTION,
+    "of_input": {
+        "oneOf": [{"type": "string", "enum": list(DIRECTIONS)}, {"type": "array", "unit": ""}]
+    },
+}
 PAIR = {"minItems": 2, "maxItems": 2}
 PLAIN = {"bodies": Body, "supports": Support}  # sections whose objects are all of one class
 SECTIONS = {
@@ -172,10 +176,10 @@ class Argument:
     role: str
     field: str
     default: Any
-    kind: Kind
-    words: tuple[tuple[str, str], ...]  # of the units below it
-    types: tuple[str, ...]  # of JSON: a number, a row, or either
-    text: str  # of the docstring
+    kind: Kind = Kind()  # noqa: RUF009
+    words: tuple[tuple[str, str], ...] = ()  # of the units below it
+    types: tuple[str, ...] = ()  # of JSON: a number, a row, or either
+    text: str = ""  # of the docstring
 
     @property
     def required(self) -> bool:
@@ -197,45 +201,34 @@ def definition_of(section: str, type_name: Any = None) -> str:
 @functools.cache
 def arguments_of(kind: type) -> tuple[Argument, ...]:
     """The arguments of a class."""
+    defaults = {
+        each.name: each.default
+        for each in inspect.signature(kind).parameters.values()
+        if each.kind not in (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    }
+    if issubclass(kind, Sensor):
+        defaults |= dict.fromkeys(kind.stages)
     known, texts = {each.name: each for each in fields(kind)}, texts_of(kind)
-    found = []
-    for name, parameter in _parameters(kind).items():
-        own = FIELDS.get((kind, name), name)
-        if parameter.kind is inspect.Parameter.VAR_POSITIONAL:
+    arguments = []
+    for name, default in defaults.items():
+        own = known.get(FIELDS.get((kind, name), name))
+        text = texts.get(name, "")
+        if own is None:
+            arguments.append(Argument(name, "end", name, default, text=text))
             continue
-        stated = known[own].metadata if own in known else {}
-        role = _role(kind, own, str(known[own].type), stated) if own in known else "end"
-        words = tuple(stated.get("words", {}).items())
-        types = _types(str(known[own].type)) if own in known else ()
-        found.append(
+        arguments.append(
             Argument(
                 name,
-                role,
-                own,
-                parameter.default,
-                stated.get("kind", Kind()),
-                words,
-                types,
-                texts.get(name, ""),
+                _role(kind, own.name, str(own.type), own.metadata),
+                own.name,
+                default,
+                own.metadata.get("kind", Kind()),
+                tuple(own.metadata.get("words", {}).items()),
+                _types(str(own.type)),
+                text,
             )
         )
-    return tuple(found)
-
-
-def _parameters(kind: type) -> dict[str, inspect.Parameter]:
-    """The parameters of a constructor; those of a sensor's chain one by one."""
-    found = {}
-    for name, parameter in inspect.signature(kind).parameters.items():
-        if parameter.kind is not inspect.Parameter.VAR_KEYWORD:
-            found[name] = parameter
-        elif issubclass(kind, Sensor):
-            found |= {
-                stage: parameter.replace(
-                    name=stage, kind=inspect.Parameter.KEYWORD_ONLY, default=None
-                )
-                for stage in kind.stages
-            }
-    return found
+    return tuple(arguments)
 
 
 def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
@@ -244,22 +237,16 @@ def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
         return "end"
     if name in ("on", "parent", "relative_to"):
         return "element" if issubclass(kind, instruments.OfElement) else "frame"
-    if kind is closures.Coupling and name in COUPLED:
-        return COUPLED[name]
+    if kind is closures.Coupling and name in ("of", "by", "function"):
+        return "law" if name == "function" else "coordinate"
     if kind in INPUTS and name in ("axis", "direction"):
         return "of_input"
-    for word, role in (("Law", "law"), ("Signal", "signal"), ("Pulse", "pulse")):
+    words = {"Law": "law", "Signal": "signal", "Pulse": "pulse"}
+    if metadata.get("static"):
+        words |= {"bool": "flag", "tuple": "words", "int": "whole", "": "word"}
+    for word, role in words.items():
         if word in annotation:
             return role
-    if metadata.get("static"):
-        return next(
-            (
-                role
-                for word, role in (("bool", "flag"), ("tuple", "words"), ("int", "whole"))
-                if word in annotation
-            ),
-            "word",
-        )
     stated = metadata.get("kind", Kind())
     if stated.domain == "direction" and "Array, '3'" in annotation:
         return "direction"
@@ -275,11 +262,8 @@ def _types(annotation: str) -> tuple[str, ...]:
 
 def texts_of(kind: Any) -> dict[str, str]:
     """What the docstring says of each argument."""
-    texts: dict[str, str] = (
-        {}
-        if kind is Sensor or not (isinstance(kind, type) and issubclass(kind, Sensor))
-        else texts_of(Sensor)
-    )
+    of_sensor = isinstance(kind, type) and issubclass(kind, Sensor) and kind is not Sensor
+    texts = texts_of(Sensor) if of_sensor else {}
     for names, text in re.findall(
         r"^ {4}([\w, ]+): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.M
     ):
@@ -301,10 +285,13 @@ def object_schema(kind: type, type_name: str = "") -> dict[str, Any]:
             ),
         }
         required = []
-    about = (inspect.getdoc(kind) or "").partition("\n\n")[0]
-    return table_schema(
-        about, [*(["type"] if type_name else []), *required], properties
-    ) | _coordinates(kind)
+    required = [*(["type"] if type_name else []), *required]
+    return table_schema(about(kind), required, properties) | _coordinates(kind)
+
+
+def about(kind: Any) -> str:
+    """The first paragraph of a docstring."""
+    return (inspect.getdoc(kind) or "").partition("\n\n")[0]
 
 
 def _coordinates(kind: type) -> dict[str, Any]:
@@ -313,41 +300,28 @@ def _coordinates(kind: type) -> dict[str, Any]:
     on these."""
     if kind is closures.Coupling:
         return {"couples": True}
-    if kind not in JOINTS:
-        return {}
-    return {
-        "coordinates": "steps"
-        if kind is Composite
-        else list(kind.block(cast(Any, kind), "").q_units)
-    }
+    if kind is Composite:
+        return {"coordinates": "steps"}
+    of_joint: Any = kind
+    return {"coordinates": list(of_joint.block(kind, "").q_units)} if kind in JOINTS else {}
 
 
 def argument_schema(argument: Argument) -> dict[str, Any]:
     """The schema of an argument."""
     about = {"description": argument.text} if argument.text else {}
-    if argument.role == "end":
-        return {"$ref": "#/$defs/end", **about}
-    if argument.role in ("law", "signal", "pulse"):
-        return {
-            "$ref": f"#/$defs/{argument.role}",
-            **about,
-            **({"words": dict(argument.words)} if argument.words else {}),
-        }
-    if argument.role in ("frame", "element", "coordinate"):
-        return named(argument.role) | about
-    if argument.role in ("direction", "of_input"):
-        return (DIRECTION if argument.role == "direction" else OF_INPUT) | about
-    if argument.role in PLAIN_TYPES:
-        return {"type": PLAIN_TYPES[argument.role], **about}
+    match argument.role:
+        case "end" | "law" | "signal" | "pulse" as role:
+            words = {"words": dict(argument.words)} if argument.words else {}
+            return {"$ref": f"#/$defs/{role}", **about, **words}
+        case "frame" | "element" | "coordinate" as role:
+            return named(role) | about
+    if argument.role in PLAIN_SCHEMAS:
+        return PLAIN_SCHEMAS[argument.role] | about
     if argument.kind.domain == "rotation":
         return {"$ref": "#/$defs/orientation", **about}
+    unit = "force/argument^n" if argument.kind.unit == "powers" else argument.kind.unit
     limits = LIMITS.get(argument.kind.domain, {}) if "array" not in argument.types else {}
-    return {
-        "type": [*argument.types, "string"],
-        "unit": FORMULAS.get(argument.kind.unit, argument.kind.unit),
-        **about,
-        **limits,
-    }
+    return {"type": [*argument.types, "string"], "unit": unit, **about, **limits}
 
 
 def named(what: str) -> dict[str, Any]:
@@ -358,8 +332,9 @@ def named(what: str) -> dict[str, Any]:
 
 def table_schema(about: str, required: Sequence[str], properties: dict[str, Any]) -> dict[str, Any]:
     """The schema of a table."""
-    head = {"type": "object", "description": re.sub(r"\s+", " ", about)}
-    return head | {
+    return {
+        "type": "object",
+        "description": re.sub(r"\s+", " ", about),
         "required": list(required),
         "additionalProperties": False,
         "properties": properties,

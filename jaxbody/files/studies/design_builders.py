@@ -4,97 +4,68 @@ what they limit, as `tune` takes them."""
 from __future__ import annotations
 
 import inspect
-from dataclasses import dataclass
 from typing import Any
 
 import jax
 
 from jaxbody.core import units
-from jaxbody.files.builders import Builder
-from jaxbody.files.documents import EntryPath
+from jaxbody.files.builders import EntryBuilder
 from jaxbody.files.studies.design_quantities import (
     QUANTITIES,
     Evaluation,
     Quantity,
-    own_quantity,
     sensors_of,
 )
 from jaxbody.model.leaf_paths import Leaf, leaves_of, matching
-from jaxbody.model.models import Model
-from jaxbody.sensors.sensors import Sensor
 
 OF_TABLE = ("type", "unit")  # entries of an own quantity that are not for its function
-LARGEST_KEY = 2**32 - 1
 
 
-@dataclass
-class DesignBuilder:
-    """Makes a design of the values at a path of a document. Problems are collected by the builder
-    of the document."""
-
-    builder: Builder
-    model: Model
-    sensors: dict[str, Sensor]
-    values: dict[str, Any]
-    path: EntryPath
-
-    def add(self, code: str, message: str, value: Any, limit: str, hint: str, *parts: str) -> None:
-        where = self.builder.document.where((*self.path, *parts))
-        self.builder.problems.add(code, where, message, value=value, limit=limit, hint=hint)
-
-    def unknown(self, name: str, known: Any, *parts: str) -> None:
-        self.builder.unknown(name, known, (*self.path, *parts))
+class DesignBuilder(EntryBuilder):
+    """Makes a design of the values at a path of a document."""
 
     def design(self) -> dict[str, Any]:
         """The arguments of `tune` beside the model, but for bounds and catalogues."""
-        stated, limits, roads = (
-            self.values["quantities"],
-            self.values.get("limits", {}),
-            self.values.get("roads", {}),
-        )
+        stated, limits = self.values["quantities"], self.values.get("limits", {})
+        roads = self.values.get("roads", {})
         leaves = leaves_of(self.model)
         kinds = {name: self.kind(values, name) for name, values in stated.items()}
-        for name in {self.values["minimize"], *limits} - set(stated):
-            self.unknown(name, stated, *(("limits", name) if name in limits else ("minimize",)))
-        for name in set(roads) - set(self.model.layout.supports):
-            self.unknown(name, self.model.layout.supports, "roads", name)
+        self.check_known(limits, stated, "limits")
+        if self.values["minimize"] not in stated:
+            self.builder.unknown(self.values["minimize"], stated, (*self.path, "minimize"))
+        self.check_known(roads, self.model.layout.supports, "roads")
         known = {name: kind for name, kind in kinds.items() if kind is not None}
         for name, kind in known.items():
             self.check(stated[name], kind, leaves, "quantities", name)
-        pairs = {
-            name: self.limit(limits[name], stated[name], kind, leaves, name)
-            for name, kind in known.items()
-            if name in limits
-        }
-        quantities = {
-            name: (kind, {key: x for key, x in stated[name].items() if key not in OF_TABLE})
-            for name, kind in known.items()
-        }
-        read = sensors_of(
-            [values for values in stated.values() if values["type"] in QUANTITIES]
-        ) & set(self.sensors)
-        on = {name: (road["class"], road["speed"]) for name, road in roads.items()}
+        read = sensors_of(values for values in stated.values() if values["type"] in QUANTITIES)
         given = {
             name: self.values[name]
             for name in ("free", "minimize", "starts")
             if name in self.values
         }
-        given |= {"key": self.key(self.values["key"])} if "key" in self.values else {}
-        return given | {
-            "evaluate": Evaluation(
-                quantities,
-                {name: self.sensors[name] for name in self.sensors if name in read},
-                on,
-                tuple(self.values.get("band", (0.1, 100.0))),
-            ),
-            "limits": pairs,
+        if "key" in self.values:
+            given["key"] = self.key(self.values["key"])
+        given["limits"] = {
+            name: self.limit(limits[name], stated[name], kind, leaves, name)
+            for name, kind in known.items()
+            if name in limits
         }
+        given["evaluate"] = Evaluation(
+            {
+                name: (kind, {key: x for key, x in stated[name].items() if key not in OF_TABLE})
+                for name, kind in known.items()
+            },
+            {name: sensor for name, sensor in self.sensors.items() if name in read},
+            {name: (road["class"], road["speed"]) for name, road in roads.items()},
+            tuple(self.values.get("band", (0.1, 100.0))),
+        )
+        return given
 
     def key(self, seed: int) -> Any:
         """The random key of a seed."""
-        if 0 <= seed <= LARGEST_KEY:
+        if 0 <= seed < 2**32:
             return jax.random.key(seed)
-        self.add("BAD_NUMBER", f"is {seed!r:.30}", seed, f"0 to {LARGEST_KEY}", "", "key")
+        self.add("BAD_NUMBER", f"is {seed!r:.30}", "key", value=seed, limit=f"0 to {2**32 - 1}")
         return None
 
     def kind(self, values: dict[str, Any], name: str) -> Quantity | None:
@@ -115,17 +86,17 @@ class DesignBuilder:
             self.add(
                 "UNKNOWN_NAME",
                 f"names '{kind}', which is no function of that module",
-                kind,
-                "a function of the model",
-                "Name the module that defines it.",
                 *path,
                 "type",
+                value=kind,
+                limit="a function of the model",
+                hint="Name the module that defines it.",
             )
             return None
         unit = str(values.get("unit", "1"))
         self.builder.gather((*self.path, *path, "unit"), "", lambda: units.parse(unit, ""))
         self.check_call(of, values, *path)
-        return own_quantity(of, unit)
+        return Quantity(lambda at, **stated: of(at.model, **stated), unit)
 
     def check_call(self, of: Any, values: dict[str, Any], *path: str) -> None:
         """Check that a function takes the model and what is stated beside it."""
@@ -134,17 +105,15 @@ class DesignBuilder:
             parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()
         ):
             return
-        for name in set(values) - set(parameters) - set(OF_TABLE):
-            self.unknown(name, parameters, *path, name)
+        self.check_known(set(values) - set(OF_TABLE), parameters, *path)
         for name, parameter in parameters.items():
             if parameter.default is inspect.Parameter.empty and name not in values:
                 self.add(
                     "MISSING_ENTRY",
                     f"has no '{name}'",
-                    name,
-                    "",
-                    f"Give {name} = ..., which the function takes.",
                     *path,
+                    value=name,
+                    hint=f"Give {name} = ..., which the function takes.",
                 )
 
     def check(self, stated: dict[str, Any], kind: Quantity, leaves: list[Leaf], *path: str) -> None:
@@ -153,25 +122,16 @@ class DesignBuilder:
             self.add(
                 "MISSING_ENTRY",
                 "is a quantity of a ride, and there are no roads",
-                None,
-                "roads",
-                'Write roads.NAME = {class = "C", speed = "20 m/s"}.',
                 *path,
+                limit="roads",
+                hint='Write roads.NAME = {class = "C", speed = "20 m/s"}.',
             )
         if stated["type"] not in QUANTITIES:
             return
-        for name in set(stated.get("weights", {})) - set(self.sensors):
-            self.unknown(name, self.sensors, *path, "weights", name)
-        if stated.get("mode", 1) not in range(1, (count := len(self.model.layout.with_mass)) + 1):
-            self.add(
-                "BAD_NUMBER",
-                f"is {stated['mode']}",
-                stated["mode"],
-                f"1 to {count}",
-                "",
-                *path,
-                "mode",
-            )
+        self.check_known(stated.get("weights", {}), self.sensors, *path, "weights")
+        mode, modes = stated.get("mode", 1), len(self.model.layout.with_mass)
+        if not 1 <= mode <= modes:
+            self.add("BAD_NUMBER", f"is {mode}", *path, "mode", value=mode, limit=f"1 to {modes}")
         if "path" in stated and stated["path"] not in {leaf.path for leaf in leaves}:
             self.builder.gather(
                 (*self.path, *path, "path"), "", lambda: matching(leaves, [stated["path"]], "")

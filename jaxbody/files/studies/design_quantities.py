@@ -57,17 +57,17 @@ class Design:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A kind of quantity: the function of a design, what else it is a function of, its unit where
-    that is known, whether it needs roads."""
+    """A kind of quantity: the function of a design and of what a file states beside it, its unit
+    where that is known, whether it needs roads."""
 
     of: Callable[..., Any]
-    stated: tuple[str, ...]
     unit: str
-    on_roads: bool
+    on_roads: bool = False
 
     @property
-    def about(self) -> str:
-        return self.of.__doc__ or ""
+    def stated(self) -> tuple[str, ...]:
+        """The entries of a file that it is a function of."""
+        return tuple(inspect.signature(self.of).parameters)[1:]
 
 
 QUANTITIES: dict[str, Quantity] = {}
@@ -77,9 +77,7 @@ def quantity(unit: str = "", on_roads: bool = False) -> Callable[[Any], Any]:
     """A decorator of functions that are quantities of designs by their name."""
 
     def added(of: Any) -> Any:
-        QUANTITIES[of.__name__] = Quantity(
-            of, tuple(inspect.signature(of).parameters)[1:], unit, on_roads
-        )
+        QUANTITIES[of.__name__] = Quantity(of, unit, on_roads)
         return of
 
     return added
@@ -139,17 +137,6 @@ def comfort(at: Design, weights: dict[str, str]) -> Array:
     return objectives.comfort(at.ride, weights)
 
 
-def own_quantity(of: Callable[..., Any], unit: str) -> Quantity:
-    """A function of the user's as a quantity: of the model, and by keyword of what the file states
-    beside it."""
-    return Quantity(
-        lambda at, **options: of(at.model, **options),
-        tuple(inspect.signature(of).parameters)[1:],
-        unit,
-        on_roads=False,
-    )
-
-
 class Evaluation:
     """The quantities of a design as a function of the model, as `tune` takes it. `quantities`: each
     kind, and what it is a function of."""
@@ -165,9 +152,7 @@ class Evaluation:
 
     def __call__(self, model: Model) -> dict[str, Array]:
         design = Design(model, self.sensors, self.roads, self.band)
-        return {
-            name: kind.of(design, **options) for name, (kind, options) in self.quantities.items()
-        }
+        return {name: kind.of(design, **stated) for name, (kind, stated) in self.quantities.items()}
 
 
 def sensors_of(stated: Iterable[dict[str, Any]]) -> set[str]:

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from jaxbody.files.kinds import PAIR, PLAIN_TYPES, by_name, named, one_of, table_schema, texts_of
+from jaxbody.files.kinds import OWN, PAIR, by_name, named, one_of, table_schema, texts_of
 from jaxbody.fitting.experiments.experiments import Experiment
 from jaxbody.fitting.experiments.measured_responses import UNITS, MeasuredModes, MeasuredResponse
 from jaxbody.records.record_files import read_record
 from jaxbody.records.records import Record
 
-OWN = {"type": PLAIN_TYPES["own"]}
 VALIDATE = {
     "type": "boolean",
     "description": (
@@ -35,13 +34,29 @@ OF_RECORDS = {
     "drop_duplicates": "boolean",
     "drop": "string",
 }
+ONE_COLUMN = {"type": ["string", "integer"]}
+NAMES = {"oneOf": [ONE_COLUMN, {"type": "array", "items": ONE_COLUMN}]}
+COLUMNS = table_schema(
+    "Columns of the file.",
+    ["columns"],
+    {
+        "columns": NAMES | {"description": "Name or number (from 0), or a list of them."},
+        "unit": {"type": "string"},
+    },
+)
 
 
 def measured_sections() -> dict[str, Any]:
     """The definitions of what was measured."""
     return {
-        "column": _column(),
-        "columns of the file": _columns(),
+        "column": {
+            "description": (
+                "The name or number (from 0) of a column, a list of them, or "
+                "{columns = ..., unit = ...}."
+            ),
+            "oneOf": [*NAMES["oneOf"], COLUMNS],
+        },
+        "columns of the file": COLUMNS,
         "record": _record(),
         "Experiment": _experiment(),
         "MeasuredModes": _modes(),
@@ -55,91 +70,73 @@ def _options(types: dict[str, str]) -> dict[str, Any]:
     return {name: {"type": kind, "description": texts[name]} for name, kind in types.items()}
 
 
-def _column() -> dict[str, Any]:
-    columns = _columns()
-    return {
-        "description": (
-            "The name or number (from 0) of a column, a list of them, or "
-            "{columns = ..., unit = ...}."
-        ),
-        "oneOf": [*columns["properties"]["columns"]["oneOf"], columns],
-    }
-
-
-def _columns() -> dict[str, Any]:
-    number = {"type": ["string", "integer"]}
-    columns = {
-        "oneOf": [number, {"type": "array", "items": number}],
-        "description": "Name or number (from 0), or a list of them.",
-    }
-    return table_schema(
-        "Columns of the file.", ["columns"], {"columns": columns, "unit": {"type": "string"}}
-    )
-
-
 def _record() -> dict[str, Any]:
     """The schema of a record: the arguments of `read_record`."""
     texts = texts_of(Record) | texts_of(read_record)
-    properties = {
-        "file": FILE,
-        "time": {"$ref": "#/$defs/column", "description": texts["time"]},
-        "channels": by_name("column", texts["channels"]),
-        "rate": {"type": ["number", "string"], "unit": "Hz", "description": texts["rate"]},
-        "part": {
-            "type": ["array", "string"],
-            "unit": "s",
-            **PAIR,
-            "description": "Start and end of the part that is used.",
-        },
-    }
-    properties |= _options(OF_FILES | OF_RECORDS)
     return table_schema(
-        "A measured record, as `read_record` reads it.", ["file", "channels"], properties
+        "A measured record, as `read_record` reads it.",
+        ["file", "channels"],
+        {
+            "file": FILE,
+            "time": {"$ref": "#/$defs/column", "description": texts["time"]},
+            "channels": by_name("column", texts["channels"]),
+            "rate": {"type": ["number", "string"], "unit": "Hz", "description": texts["rate"]},
+            "part": {
+                "type": ["array", "string"],
+                "unit": "s",
+                **PAIR,
+                "description": "Start and end of the part that is used.",
+            },
+            **_options(OF_FILES | OF_RECORDS),
+        },
     )
 
 
 def _experiment() -> dict[str, Any]:
-    start = {"type": ["array", "string"]}
-    about = (
+    state = table_schema(
         "Coordinates and speeds of the joints, in the order of the bodies, and states of elements "
-        "with memory, by default at rest."
+        "with memory, by default at rest.",
+        ["q", "v"],
+        {key: {"type": ["array", "string"]} for key in ("q", "v", "z")},
     )
-    state = table_schema(about, ["q", "v"], {"q": start, "v": start, "z": start})
-    properties = {
-        "type": {"const": "Experiment"},
-        "record": named("record"),
-        "sensors": {
-            "type": "array",
-            "items": named("sensor"),
-            "description": "Default: all whose names are channels of the record.",
+    return table_schema(
+        "One measured run.",
+        ["record"],
+        {
+            "type": {"const": "Experiment"},
+            "record": named("record"),
+            "sensors": {
+                "type": "array",
+                "items": named("sensor"),
+                "description": "Default: all whose names are channels of the record.",
+            },
+            "motion": {
+                "type": "object",
+                "additionalProperties": {"$ref": "#/$defs/motion"},
+                "description": "Default: the motions of the file.",
+            },
+            "loads": {
+                "type": "object",
+                "additionalProperties": {"$ref": "#/$defs/load"},
+                "description": "Default: the loads of the file.",
+            },
+            "initial": {
+                "oneOf": [{"type": "string", "enum": ["rest"]}, state],
+                "description": texts_of(Experiment)["initial"],
+            },
+            "noise": {
+                "type": "object",
+                "additionalProperties": OWN,
+                "description": "Standard deviations by sensor. Default: estimated.",
+            },
+            "leave_out": {
+                "type": ["number", "string"],
+                "unit": "s",
+                "description": texts_of(Experiment)["leave_out"],
+            },
+            "validate": VALIDATE,
         },
-        "motion": {
-            "type": "object",
-            "additionalProperties": {"$ref": "#/$defs/motion"},
-            "description": "Default: the motions of the file.",
-        },
-        "loads": {
-            "type": "object",
-            "additionalProperties": {"$ref": "#/$defs/load"},
-            "description": "Default: the loads of the file.",
-        },
-        "initial": {
-            "oneOf": [{"type": "string", "enum": ["rest"]}, state],
-            "description": texts_of(Experiment)["initial"],
-        },
-        "noise": {
-            "type": "object",
-            "additionalProperties": OWN,
-            "description": "Standard deviations by sensor. Default: estimated.",
-        },
-        "leave_out": {
-            "type": ["number", "string"],
-            "unit": "s",
-            "description": texts_of(Experiment)["leave_out"],
-        },
-        "validate": VALIDATE,
-    }
-    return table_schema("One measured run.", ["record"], properties)
+    )
 
 
 def _numbers(unit: str | None, text: str, *types: str) -> dict[str, Any]:
@@ -151,23 +148,32 @@ def _numbers(unit: str | None, text: str, *types: str) -> dict[str, Any]:
 
 def _modes() -> dict[str, Any]:
     texts = texts_of(MeasuredModes)
-    noise = {
-        name: {"type": ["number", "array", "string"], "unit": unit} for name, unit in UNITS.items()
-    }
-    properties = {
-        "type": {"const": "MeasuredModes"},
-        "file": FILE,
-        "frequency": _numbers(UNITS["frequency"], texts["frequency"], "array"),
-        "damping_ratio": _numbers(UNITS["damping_ratio"], texts["damping_ratio"], "array"),
-        "shapes": _numbers(UNITS["shapes"], texts["shapes"], "array"),
-        "sensors": {"type": "array", "items": named("sensor"), "description": texts["sensors"]},
-        "number": {"type": "array", "items": {"type": "integer"}, "description": texts["number"]},
-        "pairing": {"type": "string", "enum": ["order", "mac"], "description": texts["pairing"]},
-        "noise": table_schema(texts["noise"], [], noise),
-        "validate": VALIDATE,
-        **_options(OF_FILES),
-    }
-    return table_schema("Result of a modal test, for a fit.", ["type", "frequency"], properties)
+    noise = {name: OWN | {"unit": unit} for name, unit in UNITS.items()}
+    return table_schema(
+        "Result of a modal test, for a fit.",
+        ["type", "frequency"],
+        {
+            "type": {"const": "MeasuredModes"},
+            "file": FILE,
+            "frequency": _numbers(UNITS["frequency"], texts["frequency"], "array"),
+            "damping_ratio": _numbers(UNITS["damping_ratio"], texts["damping_ratio"], "array"),
+            "shapes": _numbers(UNITS["shapes"], texts["shapes"], "array"),
+            "sensors": {"type": "array", "items": named("sensor"), "description": texts["sensors"]},
+            "number": {
+                "type": "array",
+                "items": {"type": "integer"},
+                "description": texts["number"],
+            },
+            "pairing": {
+                "type": "string",
+                "enum": ["order", "mac"],
+                "description": texts["pairing"],
+            },
+            "noise": table_schema(texts["noise"], [], noise),
+            "validate": VALIDATE,
+            **_options(OF_FILES),
+        },
+    )
 
 
 def _response() -> dict[str, Any]:
@@ -193,41 +199,33 @@ def _response() -> dict[str, Any]:
         },
     }
     pair = table_schema("real and imaginary, magnitude and phase, or response.", [], one)
-    by_input = {
-        "type": "object",
-        "additionalProperties": pair,
-        "description": "By the names of inputs.",
-    }
-    noise = {
-        "type": "object",
-        "additionalProperties": OWN,
-        "description": "By the names of inputs.",
-    }
-    factors = {"type": "object", "additionalProperties": {"type": ["number", "string"], "unit": ""}}
-    properties = {
-        "type": {"const": "MeasuredResponse"},
-        "file": FILE,
-        "frequencies": _numbers(
-            "Hz", texts["frequencies"] + " Default: those of a universal file.", "array"
-        ),
-        "inputs": by_name("input", "Motions of supports and forces by name."),
-        "measured": {
-            "type": "object",
-            "additionalProperties": by_input,
-            "description": "By the names of sensors; acc.x is one component.",
-        },
-        "noise": {
-            "type": "object",
-            "additionalProperties": noise,
-            "description": f"By the names of sensors: {texts['noise']}",
-        },
-        "loss_factor": {
-            "oneOf": [{"type": ["number", "string"], "unit": ""}, factors],
-            "description": texts["loss_factor"],
-        },
-        "validate": VALIDATE,
-        **_options(OF_FILES),
-    }
+    by_input = {"type": "object", "description": "By the names of inputs."}
+    factor = {"type": ["number", "string"], "unit": ""}
     return table_schema(
-        "Measured frequency responses, for a fit.", ["type", "inputs", "measured"], properties
+        "Measured frequency responses, for a fit.",
+        ["type", "inputs", "measured"],
+        {
+            "type": {"const": "MeasuredResponse"},
+            "file": FILE,
+            "frequencies": _numbers(
+                "Hz", texts["frequencies"] + " Default: those of a universal file.", "array"
+            ),
+            "inputs": by_name("input", "Motions of supports and forces by name."),
+            "measured": {
+                "type": "object",
+                "additionalProperties": by_input | {"additionalProperties": pair},
+                "description": "By the names of sensors; acc.x is one component.",
+            },
+            "noise": {
+                "type": "object",
+                "additionalProperties": by_input | {"additionalProperties": OWN},
+                "description": f"By the names of sensors: {texts['noise']}",
+            },
+            "loss_factor": {
+                "oneOf": [factor, {"type": "object", "additionalProperties": factor}],
+                "description": texts["loss_factor"],
+            },
+            "validate": VALIDATE,
+            **_options(OF_FILES),
+        },
     )

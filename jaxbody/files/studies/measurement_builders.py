@@ -4,7 +4,7 @@ beside it."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -13,8 +13,7 @@ import numpy as np
 from jaxbody.core import units
 from jaxbody.core.arrays import float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.files.builders import Builder
-from jaxbody.files.documents import EntryPath
+from jaxbody.files.builders import EntryBuilder
 from jaxbody.files.studies.measured_sections import OF_FILES
 from jaxbody.fitting.experiments.measured_responses import (
     UNITS,
@@ -22,50 +21,22 @@ from jaxbody.fitting.experiments.measured_responses import (
     MeasuredResponse,
     response_unit,
 )
-from jaxbody.model.models import Model
 from jaxbody.records.format_readers import read_columns
 from jaxbody.records.record_files import agreed_unit
 from jaxbody.records.response_files import read_responses
-from jaxbody.sensors.sensors import Sensor
 from jaxbody.vibration.ports import component_units
 
-PAIRS = (("real", "imaginary"), ("magnitude", "phase"))
 
-
-@dataclass
-class MeasurementBuilder:
-    """Makes measured modes and responses of the values at a path of a document. Problems are
-    collected by the builder of the document."""
-
-    builder: Builder
-    model: Model
-    sensors: dict[str, Sensor]
-    values: dict[str, Any]
-    path: EntryPath
-
-    def __post_init__(self) -> None:
-        self.before = len(self.builder.problems.collected)
-
-    @property
-    def failed(self) -> bool:
-        """Whether this entry has problems already, so that the constructor need not be called."""
-        return len(self.builder.problems.collected) > self.before
-
-    def add(self, code: str, message: str, limit: str, *parts: str) -> None:
-        self.builder.problems.add(
-            code, self.builder.document.where((*self.path, *parts)), message, limit=limit
-        )
+class MeasurementBuilder(EntryBuilder):
+    """Makes measured modes and responses of the values at a path of a document."""
 
     def modes(self) -> MeasuredModes | None:
         """The result of a modal test."""
         given = {
-            name: self.numbers(self.values[name], unit, name)
-            for name, unit in UNITS.items()
-            if name in self.values
-        }
-        given |= {
-            name: self.values[name]
-            for name in ("number", "pairing", "noise")
+            name: self.numbers(self.values[name], UNITS[name], name)
+            if name in UNITS
+            else self.values[name]
+            for name in (*UNITS, "number", "pairing", "noise")
             if name in self.values
         }
         given["sensors"] = {
@@ -81,9 +52,8 @@ class MeasurementBuilder:
         of_outputs = component_units(self.sensors, self.model)
         for section in ("measured", "noise"):
             for output, by_input in self.values.get(section, {}).items():
-                self.known(output, of_outputs, section, output)
-                for name in by_input:
-                    self.known(name, inputs, section, output, name)
+                self.check_known([output], of_outputs, section)
+                self.check_known(by_input, inputs, section, output)
         if self.failed or None in inputs.values():
             return None
         pairs = {
@@ -99,11 +69,10 @@ class MeasurementBuilder:
         )
         # an output may be a component of what a sensor reads
         read = {y if y in self.sensors else y.rpartition(".")[0] for y, _ in pairs}
-        outputs = {name: sensor for name, sensor in self.sensors.items() if name in read}
         given: dict[str, Any] = {
             "frequencies": frequencies,
             "inputs": inputs,
-            "outputs": outputs,
+            "outputs": {name: sensor for name, sensor in self.sensors.items() if name in read},
             "measured": measured,
         }
         if "noise" in self.values:
@@ -122,44 +91,35 @@ class MeasurementBuilder:
         """The measurement, if it fits the model."""
         return None if self.failed else self.builder.measurement(kind, given, self.model, self.path)
 
-    def known(self, name: str, names: Any, *parts: str) -> None:
-        if name not in names:
-            self.builder.unknown(name, names, (*self.path, *parts))
-
     def input(self, value: dict[str, Any], name: str) -> Any:
         """A force on a body, or the motion of a support, of the model."""
         path = (*self.path, "inputs", name)
         made = self.builder.thing(value, None, path, {})
-        problem = (
-            None
-            if made is None
-            else made.problem(self.model, self.builder.document.where((*path, "on")))
-        )
-        if problem is not None:
+        problem = made and made.problem(self.model, self.builder.document.where((*path, "on")))
+        if problem:
             self.builder.problems.collected.append(problem)
         return made
 
     def of_universal_file(self, pairs: dict[tuple[str, str], dict[str, Any]]) -> tuple[Any, Any]:
         """Frequencies and responses of a universal file."""
-        for (y, u), value in pairs.items():
+        for pair, value in pairs.items():
             if "response" not in value:
                 self.add(
                     "MISSING_ENTRY",
                     "has no 'response'",
-                    "as the other pairs have",
                     "measured",
-                    y,
-                    u,
+                    *pair,
+                    limit="as the other pairs have",
                 )
         if "frequencies" in self.values:
             self.add(
                 "UNKNOWN_NAME",
                 "is stated, and the file has its own",
-                "none with 'response'",
                 "frequencies",
+                limit="none with 'response'",
             )
         if "file" not in self.values:
-            self.add("MISSING_ENTRY", "has no 'file'", 'file = "plate.uff"')
+            self.add("MISSING_ENTRY", "has no 'file'", limit='file = "plate.uff"')
         file = (
             None if self.failed else self.builder.beside(self.values["file"], (*self.path, "file"))
         )
@@ -169,9 +129,9 @@ class MeasurementBuilder:
         }
 
         def placed(problem: Problem) -> Problem:
-            hint = 'Write units = ["m/s2", "N"] beside the response.'
-            stated = replace(problem, hint=hint) if problem.code == "NO_UNIT" else problem
-            return self.builder.placed(stated, (*self.path, "file"), "")
+            if problem.code == "NO_UNIT":
+                problem = replace(problem, hint='Write units = ["m/s2", "N"] beside the response.')
+            return self.builder.placed(problem, (*self.path, "file"), "")
 
         read = file and self.builder.problems.gather(lambda: read_responses(file, asked), placed)
         return read or (None, None)
@@ -181,23 +141,22 @@ class MeasurementBuilder:
     ) -> tuple[Any, Any]:
         """Frequencies and responses of numbers or columns."""
         if "frequencies" not in self.values:
-            self.add("MISSING_ENTRY", "has no 'frequencies'", "one for each measured number")
-        frequencies = self.numbers(self.values.get("frequencies", []), "Hz", "frequencies")
-        measured = {
+            self.add("MISSING_ENTRY", "has no 'frequencies'", limit="one for each measured number")
+        return self.numbers(self.values.get("frequencies", []), "Hz", "frequencies"), {
             (y, u): self.complex(value, unit[y, u], "measured", y, u)
             for (y, u), value in pairs.items()
         }
-        return frequencies, measured
 
     def complex(self, value: dict[str, Any], unit: str, *parts: str) -> Any:
         """Complex numbers by two real ones."""
-        chosen = next((names for names in PAIRS if set(names) == set(value)), None)
+        pairs = (("real", "imaginary"), ("magnitude", "phase"))
+        chosen = next((names for names in pairs if set(names) == set(value)), None)
         if chosen is None:
             self.add(
                 "MISSING_ENTRY",
                 f"has {', '.join(value) or 'no entries'}",
-                "real and imaginary, or magnitude and phase",
                 *parts,
+                limit="real and imaginary, or magnitude and phase",
             )
             return None
         first, second = (
@@ -212,8 +171,8 @@ class MeasurementBuilder:
             self.add(
                 "BAD_SHAPE",
                 f"has {first.size} and {second.size} numbers",
-                "as many of both",
                 *parts,
+                limit="as many of both",
             )
             return None
         return first + 1j * second if chosen[0] == "real" else first * np.exp(1j * second)
@@ -234,11 +193,15 @@ class MeasurementBuilder:
     def of_columns(self, value: dict[str, Any], unit: str) -> np.ndarray:
         """One column, or several side by side. Errors: NO_UNIT, UNIT_CONFLICT, WRONG_DIMENSION."""
         names = value["columns"] if isinstance(value["columns"], list) else [value["columns"]]
-        found = [self.columns[name] for name in names]
-        hint = 'State it: {columns = "f", unit = "Hz"}, or "1" for numbers without a unit.'
+        columns = [self.columns[name] for name in names]
         with Problems() as problems:
             stated = agreed_unit(
-                value.get("unit"), {column.unit for column in found}, "", problems, [], hint
+                value.get("unit"),
+                {column.unit for column in columns},
+                "",
+                problems,
+                [],
+                'State it: {columns = "f", unit = "Hz"}, or "1" for numbers without a unit.',
             )
         factor, expected = units.parse(stated, ""), units.parse(unit or "1", "").dimension
         if factor.dimension != expected:
@@ -252,22 +215,21 @@ class MeasurementBuilder:
                     "Name another column.",
                 )
             )
-        table = np.stack([column.values * factor.factor for column in found], -1)
+        table = np.stack([column.values * factor.factor for column in columns], -1)
         return table if isinstance(value["columns"], list) else table[:, 0]
 
     @cached_property
     def columns(self) -> Any:
         """All columns of the file that are named; None where they cannot be read."""
         if "file" not in self.values:
-            self.add("MISSING_ENTRY", "names columns, but no 'file'", 'file = "measured.csv"')
+            self.add("MISSING_ENTRY", "names columns, but no 'file'", limit='file = "measured.csv"')
             return None
         file = self.builder.beside(self.values["file"], (*self.path, "file"))
         names = list(dict.fromkeys(_columns_in(self.values)))
         options = {name: self.values[name] for name in OF_FILES if name in self.values}
-        contents = file and self.builder.gather(
-            (*self.path, "file"), "", lambda: read_columns(file, names, **options)
+        return file and self.builder.gather(
+            (*self.path, "file"), "", lambda: read_columns(file, names, **options).columns
         )
-        return contents.columns if contents else None
 
 
 def _columns_in(values: dict[str, Any]) -> Iterator[Any]:

@@ -8,7 +8,6 @@ writes it again after a field has changed.
 
 from __future__ import annotations
 
-import inspect
 import json
 from typing import Any
 
@@ -16,8 +15,8 @@ from jaxbody.design.tuners import tune
 from jaxbody.files import kinds
 from jaxbody.files.kinds import (
     DIRECTION,
+    OWN,
     PAIR,
-    PLAIN_TYPES,
     SECTIONS,
     by_name,
     named,
@@ -55,12 +54,7 @@ def schema() -> dict[str, Any]:
         kinds.definition_of("closures", name): object_schema(kind, name)
         for name, kind in kinds.CLOSURE_TYPES.items()
     }
-    point = {"type": ["array", "string"], "unit": "m"}
-    quaternion = {
-        "type": ["array"],
-        "unit": "",
-        "description": "Unit quaternion w, x, y, z, or a rotation matrix.",
-    }
+
     euler = {
         "type": "object",
         "required": ["sequence", "angles"],
@@ -87,10 +81,22 @@ def schema() -> dict[str, Any]:
             ),
             "oneOf": [
                 named("frame"),
-                {"type": "array", "prefixItems": [named("frame"), point]},
+                {
+                    "type": "array",
+                    "prefixItems": [named("frame"), {"type": ["array", "string"], "unit": "m"}],
+                },
             ],
         },
-        "orientation": {"oneOf": [quaternion, euler]},
+        "orientation": {
+            "oneOf": [
+                {
+                    "type": ["array"],
+                    "unit": "",
+                    "description": "Unit quaternion w, x, y, z, or a rotation matrix.",
+                },
+                euler,
+            ]
+        },
         "law": {
             "description": (
                 "The coefficient of a linear law, a law, or a list of laws, which are added."
@@ -136,9 +142,6 @@ def schema() -> dict[str, Any]:
         **{f"quantity {name}": _quantity(name) for name in QUANTITIES},
         "design": _design(),
     }
-    sections = {
-        name: by_name(SINGULAR[name], text) for name, text in (SECTIONS | OF_STUDIES).items()
-    }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A model of jaxbody",
@@ -174,7 +177,10 @@ def schema() -> dict[str, Any]:
                 "unit": "m/s2",
                 "description": "In world axes.",
             },
-            **sections,
+            **{
+                name: by_name(SINGULAR[name], text)
+                for name, text in (SECTIONS | OF_STUDIES).items()
+            },
             "fit": _fit(),
         },
         "$defs": definitions,
@@ -202,36 +208,21 @@ def _of_record(name: str, kind: Any) -> dict[str, Any]:
         }
     properties["axis"] = DIRECTION | {"description": "Direction of a channel of one column."}
     if name == "base_motion":
-        properties |= {"at": {"type": ["array", "string"], "unit": "m", "description": texts["at"]}}
+        row, number = {"type": ["array", "string"]}, {"type": ["number", "string"]}
         properties |= {
-            "gravity": {
-                "type": ["array", "string"],
-                "unit": "m/s2",
-                "description": texts["gravity"],
-            }
-        }
-        properties |= {"degree": {"type": "integer", "description": texts["degree"]}}
-        properties |= {
-            "cutoff": {"type": ["number", "string"], "unit": "Hz", "description": texts["cutoff"]}
+            "at": row | {"unit": "m", "description": texts["at"]},
+            "gravity": row | {"unit": "m/s2", "description": texts["gravity"]},
+            "degree": {"type": "integer", "description": texts["degree"]},
+            "cutoff": number | {"unit": "Hz", "description": texts["cutoff"]},
         }
     if name == "Samples":
-        properties |= {
-            "kind": {
-                "type": "string",
-                "enum": list(KINDS),
-                "description": "The interpolation between samples.",
-            }
+        properties["kind"] = {
+            "type": "string",
+            "enum": list(KINDS),
+            "description": "The interpolation between samples.",
         }
-    about = (inspect.getdoc(kind) or "").partition("\n\n")[0]
-    return table_schema(
-        about,
-        [
-            "type",
-            "record",
-            *({"base_motion": ["acceleration"], "Samples": ["channel"]}.get(name, [])),
-        ],
-        properties,
-    )
+    needed = channels[:1] if name != "Sampled" else ()
+    return table_schema(kinds.about(kind), ["type", "record", *needed], properties)
 
 
 def _quantity(name: str) -> dict[str, Any]:
@@ -258,76 +249,94 @@ def _quantity(name: str) -> dict[str, Any]:
     }
     quantity = QUANTITIES[name]
     stated = {option: known[option] for option in quantity.stated}
-    return table_schema(quantity.about, ["type", *stated], {"type": {"const": name}, **stated})
+    return table_schema(
+        kinds.about(quantity.of), ["type", *stated], {"type": {"const": name}, **stated}
+    )
 
 
 def _design() -> dict[str, Any]:
     """The schema of what `tune` is asked for."""
-    texts, own = texts_of(tune), {"type": PLAIN_TYPES["own"]}
+    texts = texts_of(tune)
     road = {
         "class": {"type": "string", "enum": list("ABCDEFGH"), "description": "Of ISO 8608."},
         "speed": {"type": ["number", "string"], "unit": "m/s"},
     }
-    properties = {
-        "free": _fit()["properties"]["free"],
-        "minimize": {"type": "string", "description": texts["minimize"]},
-        "quantities": by_name(
-            "quantity",
-            "What is minimized or limited, by name: of a type below, or module:function.",
-        ),
-        "limits": {"type": "object", "additionalProperties": own, "description": texts["limits"]},
-        "bounds": _fit()["properties"]["bounds"],
-        "catalogues": {
-            "type": "object",
-            "additionalProperties": {"type": ["array", "string"]},
-            "description": texts["catalogues"],
-        },
-        "starts": {"type": "integer", "description": texts["starts"]},
-        "key": {
-            "type": "integer",
-            "description": "Seed of the random key for the drawn designs. Default: 0.",
-        },
-        "roads": {
-            "type": "object",
-            "description": "Uneven roads under supports, by name, independent of each other.",
-            "additionalProperties": table_schema("An uneven road.", ["class", "speed"], road),
-        },
-        "band": {
-            "type": ["array", "string"],
-            "unit": "Hz",
-            **PAIR,
-            "description": "Of the roads. Default: 0.1 to 100 Hz.",
-        },
-    }
     return table_schema(
-        "What `jaxbody tune` chooses.", ["free", "minimize", "quantities"], properties
+        "What `jaxbody tune` chooses.",
+        ["free", "minimize", "quantities"],
+        {
+            "free": _fit()["properties"]["free"],
+            "minimize": {"type": "string", "description": texts["minimize"]},
+            "quantities": by_name(
+                "quantity",
+                "What is minimized or limited, by name: of a type below, or module:function.",
+            ),
+            "limits": {
+                "type": "object",
+                "additionalProperties": OWN,
+                "description": texts["limits"],
+            },
+            "bounds": _fit()["properties"]["bounds"],
+            "catalogues": {
+                "type": "object",
+                "additionalProperties": {"type": ["array", "string"]},
+                "description": texts["catalogues"],
+            },
+            "starts": {"type": "integer", "description": texts["starts"]},
+            "key": {
+                "type": "integer",
+                "description": "Seed of the random key for the drawn designs. Default: 0.",
+            },
+            "roads": {
+                "type": "object",
+                "description": "Uneven roads under supports, by name, independent of each other.",
+                "additionalProperties": table_schema("An uneven road.", ["class", "speed"], road),
+            },
+            "band": {
+                "type": ["array", "string"],
+                "unit": "Hz",
+                **PAIR,
+                "description": "Of the roads. Default: 0.1 to 100 Hz.",
+            },
+        },
     )
 
 
 def _fit() -> dict[str, Any]:
     """The schema of what `fit` is asked for."""
     texts, of_starts, pair = texts_of(fit), texts_of(multistart), {"type": "array", **PAIR}
-    properties = {
-        "free": {
-            "oneOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}],
-            "description": texts["free"],
+    return table_schema(
+        "What `jaxbody fit` estimates from the experiments.",
+        ["free"],
+        {
+            "free": {
+                "oneOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}],
+                "description": texts["free"],
+            },
+            "bounds": {
+                "type": "object",
+                "additionalProperties": pair,
+                "description": texts["bounds"],
+            },
+            "priors": {
+                "type": "object",
+                "additionalProperties": pair,
+                "description": texts["priors"],
+            },
+            "loss": {"type": "string", "description": texts["loss"]},
+            "max_evaluations": {"type": "integer", "description": texts["max_evaluations"]},
+            "rtol": {
+                "type": "number",
+                "description": "Tolerance of the integration, as in `simulate`.",
+            },
+            "max_steps": {"type": "integer", "description": texts["max_steps"]},
+            "starts": {
+                "type": "integer",
+                "description": (
+                    f"{of_starts['starts']} Default: none; `jaxbody fit` then runs `multistart`."
+                ),
+            },
+            "spread": {"type": "number", "description": of_starts["spread"]},
+            "seed": {"type": "integer", "description": of_starts["seed"]},
         },
-        "bounds": {"type": "object", "additionalProperties": pair, "description": texts["bounds"]},
-        "priors": {"type": "object", "additionalProperties": pair, "description": texts["priors"]},
-        "loss": {"type": "string", "description": texts["loss"]},
-        "max_evaluations": {"type": "integer", "description": texts["max_evaluations"]},
-        "rtol": {
-            "type": "number",
-            "description": "Tolerance of the integration, as in `simulate`.",
-        },
-        "max_steps": {"type": "integer", "description": texts["max_steps"]},
-        "starts": {
-            "type": "integer",
-            "description": (
-                f"{of_starts['starts']} Default: none; `jaxbody fit` then runs `multistart`."
-            ),
-        },
-        "spread": {"type": "number", "description": of_starts["spread"]},
-        "seed": {"type": "integer", "description": of_starts["seed"]},
-    }
-    return table_schema("What `jaxbody fit` estimates from the experiments.", ["free"], properties)
+    )

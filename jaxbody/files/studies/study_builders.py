@@ -3,6 +3,7 @@ free in a fit."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -50,19 +51,15 @@ class StudyBuilder:
         return {name: motion for name, motion in motions.items() if name in known}
 
     def loads(self, values: dict[str, Any] | None = None, path: EntryPath = ()) -> dict[str, Load]:
-        make = lambda value, at: self.builder.thing(value, None, at, {})  # noqa: E731
-        placed, bodies = {}, self.model.layout.bodies
-        for name, load in self.named("loads", make, values, path).items():
-            at, check = (
-                (*path, "loads", name),
-                lambda name=name, load=load: loads_of({name: load}, bodies),
-            )
-            placed |= (
-                {name: load}
-                if self.builder.gather(at, f"loads[{name!r}]", check) is not None
-                else {}
-            )
-        return placed
+        return self.named("loads", self.load, values, path)
+
+    def load(self, values: dict[str, Any], path: EntryPath) -> Load | None:
+        """A load on a body of the model."""
+        load, name = self.builder.thing(values, None, path, {}), path[-1]
+        checked = load and self.builder.gather(
+            path, f"loads[{name!r}]", lambda: loads_of({str(name): load}, self.model.layout.bodies)
+        )
+        return load if checked else None
 
     def sensors(self) -> dict[str, Sensor]:
         return self.named("sensors", self.sensor)
@@ -73,27 +70,23 @@ class StudyBuilder:
         sensor = self.builder.thing(
             {name: value for name, value in values.items() if name not in own}, None, path, {}
         )
-        if sensor is not None and not isinstance(sensor, Sensor):
+        if sensor is None:
+            return None
+        where = self.builder.document.where(path)
+        if not isinstance(sensor, Sensor):
             self.builder.problems.add(
-                "WRONG_KIND",
-                self.builder.document.where(path),
-                f"is a {type(sensor).__name__}",
-                value=sensor,
-                limit="a sensor",
+                "WRONG_KIND", where, f"is a {type(sensor).__name__}", value=sensor, limit="a sensor"
             )
             return None
-        problem = None if sensor is None else sensor.problem(self.model, "")
+        problem = sensor.problem(self.model, "")
         if problem is not None:
-            self.builder.problems.collected.append(
-                replace(problem, where=self.builder.document.where(path))
-            )
-        if sensor is None or problem is not None or not own:
+            self.builder.problems.collected.append(replace(problem, where=where))
             return sensor
         stated = {
             name: self.builder.quantity(value, sensor.unit_on(self.model), (*path, name))
             for name, value in own.items()
         }
-        return self.builder.thing(values | stated, None, path, {})
+        return self.builder.thing(values | stated, None, path, {}) if own else sensor
 
     def experiments(
         self, motion: dict[str, Motion], loads: dict[str, Load], sensors: dict[str, Sensor]
@@ -140,16 +133,20 @@ class StudyBuilder:
             "sensors", [name for name in self.builder.values.get("sensors", {}) if name in channels]
         )
         given: dict[str, Any] = {
-            "sensors": {name: sensors[name] for name in chosen if name in sensors},
             "measured": record,
+            "sensors": {name: sensors[name] for name in chosen if name in sensors},
+            "motion": self.motions(values["motion"], path) if "motion" in values else motion,
+            "loads": self.loads(values["loads"], path) if "loads" in values else loads,
         }
-        given["motion"] = self.motions(values["motion"], path) if "motion" in values else motion
-        given["loads"] = self.loads(values["loads"], path) if "loads" in values else loads
         if "initial" in values:
             given["initial"] = self.initial(values["initial"], (*path, "initial"))
         if "noise" in values:
-            given["noise"] = {
-                name: self.level(name, x, given["sensors"], (*path, "noise", name))
+            given["noise"] = {  # an unknown name is left to `Experiment`
+                name: self.builder.quantity(
+                    x, sensors[name].unit_on(self.model), (*path, "noise", name)
+                )
+                if name in given["sensors"]
+                else x
                 for name, x in values["noise"].items()
             }
         if "leave_out" in values:
@@ -163,21 +160,12 @@ class StudyBuilder:
             return None
         return self.builder.measurement(Experiment, given, self.model, path)
 
-    def level(self, name: str, value: Any, sensors: dict[str, Sensor], path: EntryPath) -> Any:
-        """The noise of a sensor; an unknown name is left to `Experiment`."""
-        return (
-            self.builder.quantity(value, sensors[name].unit_on(self.model), path)
-            if name in sensors
-            else value
-        )
-
     def initial(self, value: Any, path: EntryPath) -> State | str | None:
         if isinstance(value, str):
             return value
-        layout = self.model.layout
-        rows = {"q": layout.q_units, "v": layout.v_units} | (
-            {"z": layout.z_units} if "z" in value else {}
-        )
+        rows = {
+            name: getattr(self.model.layout, f"{name}_units") for name in "qvz" if name in value
+        }
         numbers = {
             name: self.builder.quantity(value[name], ", ".join(row), (*path, name))
             for name, row in rows.items()
@@ -200,53 +188,33 @@ class StudyBuilder:
             *leaves_of(self.model),
             *(leaf for name, run in experiments.items() for leaf in leaves_of(run, f"{name}.")),
         ]
-        self.check_free(given, leaves, ("fit",), self.failed(experiments))
-        numbers = {}
-        for name in [name for name in ("bounds", "priors") if name in given]:
-            known = {
-                path: x
-                for path, x in given[name].items()
-                if not self.about(path, self.failed(experiments))
-            }
-            numbers[name] = self.of_parameters(known, leaves, ("fit", name))
-        return given | numbers
-
-    def failed(self, experiments: dict[str, Any]) -> list[str]:
-        """The experiments to fit that could not be made."""
-        return [
-            name
-            for name in self.builder.values.get("experiments", {})
-            if name not in experiments and name not in self.held_out()
-        ]
-
-    @staticmethod
-    def about(path: str, failed: list[str]) -> bool:
-        """Whether a path, pattern or tie may be about an experiment that could not be made."""
-        return bool(failed) and (
-            "*" in path or "?" in path or any(f"{name}." in path for name in failed)
-        )
+        stated = self.builder.values.get("experiments", {})
+        failed = stated.keys() - experiments.keys() - set(self.held_out())
+        self.check_free(given, leaves, ("fit",), failed)
+        for name in ("bounds", "priors"):
+            if name in given:
+                known = {path: x for path, x in given[name].items() if not _about(path, failed)}
+                given[name] = self.of_parameters(known, leaves, ("fit", name))
+        return given
 
     def check_free(
         self,
         given: dict[str, Any],
         leaves: list[Leaf],
         path: EntryPath,
-        failed: list[str] | None = None,
+        failed: Collection[str] = (),
     ) -> None:
         """Check that what is free are parameters; without what may be of experiments
         that failed."""
         free = given.get("free", [])
-        free = [
-            each
-            for each in ([free] if isinstance(free, str) else free)
-            if not self.about(each, failed or [])
-        ]
+        paths = [free] if isinstance(free, str) else free
+        checked = [each for each in paths if not _about(each, failed)]
 
         def check() -> None:
             with Problems() as problems:
-                ties(leaves, free, "", problems)
+                ties(leaves, checked, "", problems)
 
-        if free:
+        if checked:
             self.builder.gather((*path, "free"), "", check)
 
     def of_parameters(
@@ -257,12 +225,12 @@ class StudyBuilder:
         numbers = {}
         for pattern, value in given.items():
             at = (*path, pattern)
-            found = self.builder.gather(
+            chosen = self.builder.gather(
                 at, "", lambda pattern=pattern: matching(leaves, [pattern], "")[pattern]
             )
-            if found:
-                kind = found[0].kind
-                unit = ", ".join(rows[kind.domain]) if kind.domain in rows else kind.unit
+            if chosen:
+                kind = chosen[0].kind
+                unit = ", ".join(rows.get(kind.domain, [kind.unit]))
                 numbers[pattern] = (
                     tuple(self.builder.quantity(x, unit, at) for x in value)
                     if isinstance(value, list)
@@ -288,6 +256,13 @@ class StudyBuilder:
             if name in values
         }
         return DesignBuilder(self.builder, self.model, sensors, values, path).design() | numbers
+
+
+def _about(path: str, failed: Collection[str]) -> bool:
+    """Whether a path, pattern or tie may be about an experiment that could not be made."""
+    return bool(failed) and (
+        "*" in path or "?" in path or any(f"{name}." in path for name in failed)
+    )
 
 
 def _row(numbers: Any) -> Any:

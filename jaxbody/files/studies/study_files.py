@@ -52,16 +52,14 @@ class Study(Printed):
             "supports": self.model.layout.supports,
             "elements": self.model.element_names,
             "motion of": self.motion,
+            "loads": self.loads,
+            "sensors": self.sensors,
         }
-        parts |= {"loads": self.loads, "sensors": self.sensors}
         bodies, *_ = in_numpy(self.model)._tables()
-        bodies.title, bodies.note = (
-            "Study",
-            "\n".join(f"{what}: {', '.join(names)}" for what, names in parts.items() if names),
-        )
-        runs = [(name, run, "fit") for name, run in self.experiments.items()]
-        runs += [(name, run, "validation") for name, run in self.held_out.items()]
-        free = self.fit.get("free", ())
+        bodies.title = "Study"
+        bodies.note = "\n".join(f"{what}: {', '.join(x)}" for what, x in parts.items() if x)
+        runs = [_row_of(name, run, "fit") for name, run in self.experiments.items()]
+        runs += [_row_of(name, run, "validation") for name, run in self.held_out.items()]
         designs = [
             (
                 name,
@@ -72,12 +70,10 @@ class Study(Printed):
             for name, design in self.designs.items()
         ]
         shown = [
+            PrintedTable("", ("experiment", "kind", "channels", "over", "for"), runs),
             PrintedTable(
-                "",
-                ("experiment", "kind", "channels", "over", "for"),
-                [_row_of(*run) for run in runs],
+                "", ("free in the fit",), [(path,) for path in _listed(self.fit.get("free", ()))]
             ),
-            PrintedTable("", ("free in the fit",), [(path,) for path in _listed(free)]),
             PrintedTable("", ("design", "minimizes", "free", "limits"), designs),
         ]
         return [bodies, *(table for table in shown if table.rows)]
@@ -90,9 +86,9 @@ def _listed(free: Any) -> list[str]:
 def _row_of(name: str, run: Measurement, use: str) -> tuple[str, ...]:
     """An experiment: what was measured, over how many times, frequencies or modes."""
     over, x, unit = run.axis(next(iter(run.channels)))
-    span = f"{len(x)} of {over}" + (
-        f", {time_text(x[0], x)} to {time_text(x[-1], x)} {unit}" if unit else ""
-    )
+    span = f"{len(x)} of {over}"
+    if unit:
+        span += f", {time_text(x[0], x)} to {time_text(x[-1], x)} {unit}"
     return name, type(run).__name__, ", ".join(run.channels), span, use
 
 
@@ -174,9 +170,16 @@ def study_of(
     motion, loads, sensors = parts.motions(), parts.loads(), parts.sensors()
     experiments = parts.experiments(motion, loads, sensors) if measured else {}
     held_out = {name: experiments.pop(name) for name in parts.held_out() if name in experiments}
-    fit = parts.fit(experiments) if measured else {}
-    designs = parts.designs(sensors) if len(sensors) == len(values.get("sensors", {})) else {}
-    builder.problems.raise_if_any()
-    return Study(
-        parts.model, motion, loads, sensors, experiments, fit, designs, builder.files, held_out
-    )
+    stated = len(values.get("sensors", {}))
+    with builder.problems:
+        return Study(
+            parts.model,
+            motion,
+            loads,
+            sensors,
+            experiments,
+            fit=parts.fit(experiments) if measured else {},
+            designs=parts.designs(sensors) if len(sensors) == stated else {},
+            files=builder.files,
+            held_out=held_out,
+        )
