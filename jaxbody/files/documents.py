@@ -8,6 +8,7 @@ file is executed.
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import tomllib
@@ -52,26 +53,25 @@ class Document:
     def where(self, path: EntryPath) -> str:
         """ "engine.toml:41 elements.AB.stiffness"; the line is that of the nearest entry around it
         that has one."""
-        for n in range(len(path), 0, -1):
-            if path[:n] in self.replaced:
-                return f"{self.name} with {self.replaced[path[:n]]}"
-        known = next((path[:n] for n in range(len(path), 0, -1) if path[:n] in self.lines), None)
-        line = f":{self.lines[known]}" if known else ""
+        around = [path[:n] for n in range(len(path), 0, -1)]
+        for entry in around:
+            if entry in self.replaced:
+                return f"{self.name} with {self.replaced[entry]}"
+        line = next((f":{self.lines[entry]}" for entry in around if entry in self.lines), "")
         return f"{self.name}{line} {shown(path)}".rstrip()
 
 
 def shown(path: EntryPath) -> str:
     """A path as text: elements.AB.a[1]."""
-    text = ""
-    for part in path:
-        text += (
-            f"[{part}]"
-            if isinstance(part, int)
-            else f".{part}"
-            if re.fullmatch(r"[\w-]+", part)
-            else f".{part!r}"
-        )
-    return text.removeprefix(".")
+    parts = (
+        f"[{part}]"
+        if isinstance(part, int)
+        else f".{part}"
+        if re.fullmatch(r"[\w-]+", part)
+        else f".{part!r}"
+        for part in path
+    )
+    return "".join(parts).removeprefix(".")
 
 
 def read_document(path: Path, largest: float = LARGEST) -> Document:
@@ -112,18 +112,16 @@ def _syntax(error: Exception, text: str, document: Document) -> Problem:
     """The problem of a text that its parser refuses."""
     message = str(error).partition(" (at ")[0].partition(": line ")[0]
     found = re.search(r"\(?(?:at )?line (\d+),? column (\d+)", str(error))
-    line = int(found[1]) if found else text.rstrip().count("\n") + 1
-    at = f", column {found[2]}" if found else ""
-    hint = (
-        'Words and units need quotation marks: stiffness = "21 N/mm".'
-        if message.startswith("Invalid value")
-        else ""
+    line, column = (
+        (found[1], f", column {found[2]}") if found else (text.rstrip().count("\n") + 1, "")
     )
     return Problem(
         "SYNTAX",
         f"{document.name}:{line}",
-        f"{message[:1].lower()}{message[1:].partition(';')[0]}{at}",
-        hint=hint,
+        f"{message[:1].lower()}{message[1:].partition(';')[0]}{column}",
+        hint='Words and units need quotation marks: stiffness = "21 N/mm".'
+        if message.startswith("Invalid value")
+        else "",
     )
 
 
@@ -169,9 +167,8 @@ class Scan:
         """The path of a table, [a.b], or of the next one of an array of tables, [[a.b]]."""
         line, names = self.token.line, self.names(("]",))
         path: EntryPath = ()
-        for name in names[:-1]:
-            path = self.last((*path, name))
-        path = (*path, *names[-1:])
+        for name in names:
+            path = (*self.last(path), name)
         if several:
             self.counts[path] = self.counts.get(path, 0) + 1
             path = self.last(path)
@@ -194,13 +191,12 @@ class Scan:
 
     def note(self, path: EntryPath, line: int, twice: bool) -> None:
         if twice and path:
-            first, hint = self.document.lines[path], "Rename one, or delete it."
             self.problems.add(
                 "DUPLICATE_NAME",
                 f"{self.document.name}:{line} {shown(path)}",
-                f"is stated twice, first in line {first}",
+                f"is stated twice, first in line {self.document.lines[path]}",
                 value=path[-1],
-                hint=hint,
+                hint="Rename one, or delete it.",
             )
         self.document.lines[path] = line
 
@@ -221,40 +217,39 @@ class Scan:
         if depth > DEEPEST:
             self.too_deep(self.token.line)
         if self.takes("{"):
-            self.skip_lines()
-            while self.token.kind != "end" and not self.takes("}"):
+            for _ in self.items("}"):
                 self.entry(path, depth)
-                self.skip_lines()
-                self.takes(",")
-                self.skip_lines()
         elif self.takes("["):
-            i = 0
-            self.skip_lines()
-            while self.token.kind != "end" and not self.takes("]"):
+            for i in self.items("]"):
                 token, self.document.lines[(*path, i)] = self.token, self.token.line
                 self.value((*path, i), depth + 1)
                 if self.token is token:  # a sign that belongs to no value
                     self.next()
-                self.skip_lines()
-                self.takes(",")
-                self.skip_lines()
-                i += 1
         else:
             while self.token.kind not in ("newline", "end") and not (
                 self.token.kind == "sign" and self.token.text in ",]}"
             ):
                 self.next()
 
+    def items(self, end: str) -> Iterator[int]:
+        """The numbers of the items between brackets, up to the sign that ends them; each stands at
+        its first token."""
+        for i in itertools.count():
+            self.skip_lines()
+            if self.token.kind == "end" or self.takes(end):
+                return
+            yield i
+            self.skip_lines()
+            self.takes(",")
+
     def too_deep(self, line: int) -> None:
-        hint = "A model file needs a few levels only."
-        where = f"{self.document.name}:{line}"
         raise JaxbodyError(
             Problem(
                 "TOO_LARGE",
-                where,
+                f"{self.document.name}:{line}",
                 f"is nested more than {DEEPEST} levels deep",
                 limit=f"{DEEPEST} levels",
-                hint=hint,
+                hint="A model file needs a few levels only.",
             )
         )
 

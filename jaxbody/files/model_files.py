@@ -3,7 +3,6 @@ every number to the bit."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from jaxbody.core.source_files import extension_of, writing
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import LARGEST, read_document
 from jaxbody.files.schemas import checked_values
-from jaxbody.files.writers import toml_of, values_of
+from jaxbody.files.writers import json_of, toml_of, values_of
 from jaxbody.model.models import Model
 
 
@@ -75,10 +74,6 @@ def write_model(model: Model, path: Any, *, allow: Sequence[str] = ()) -> None:
     """
     path = Path(path)
     values = values_of(model, allow)
-    text = (
-        toml_of(values)
-        if extension_of(path, ".toml", ".json") == ".toml"
-        else json.dumps(values, indent=1, ensure_ascii=False) + "\n"
-    )
+    text_of = toml_of if extension_of(path, ".toml", ".json") == ".toml" else json_of
     with writing(path):
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text_of(values), encoding="utf-8")

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -58,14 +59,9 @@ class UnitSystem:
         """Whether it states what a number without a unit is in, where this is the SI unit of
         the quantity."""
         dimension = units.parse(unit, "unit").dimension
-        of = (
-            "mass"
-            if "kg" in unit or dimension == units.ACCELERATION
-            else "force"
-            if dimension[1]
-            else ""
-        )
-        return not of or of != self.derived
+        if "kg" in unit or dimension == units.ACCELERATION:
+            return self.derived != "mass"
+        return not dimension[1] or self.derived != "force"
 
 
 def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | None:
@@ -79,21 +75,17 @@ def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | Non
         return None
     stated = SI if stated == "SI" else stated
     given = set(stated) if isinstance(stated, dict) else set()
-    missing = (
-        {"length", "time", "angle"} - given
-        if given & {"mass", "force"}
-        else {"length", "time", "angle", "mass or force"} - given
-    )
-    if missing or given - set(BASE):
-        others = sorted(given - set(BASE))
-        said = [f"has no {' and no '.join(sorted(missing))}"] * bool(missing) + [
-            f"has {', '.join(others)}"
-        ] * bool(others)
-        said = said if isinstance(stated, dict) else [f"is {stated!r:.60}"]
+    missing = {"length", "time", "angle"} - given
+    if not given & {"mass", "force"}:
+        missing.add("mass or force")
+    others = sorted(given - set(BASE))
+    if missing or others:
+        messages = [f"has no {' and no '.join(sorted(missing))}"] * bool(missing)
+        messages += [f"has {', '.join(others)}"] * bool(others)
         problems.add(
             "BAD_UNIT",
             where,
-            " and ".join(said),
+            " and ".join(messages) if isinstance(stated, dict) else f"is {stated!r:.60}",
             value=stated,
             limit="length, time, angle, and mass, force or both",
             hint=hint,
@@ -115,14 +107,9 @@ def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | Non
     length, time = factors["length"], factors["time"]
     mass = factors["mass"] if "mass" in factors else factors["force"] * time**2 / length
     force = factors["force"] if "force" in factors else mass * length / time**2
-    derived = next(
-        (
-            name
-            for name, of in (("mass", mass), ("force", force))
-            if name not in factors and abs(of - 1) > 1e-9
-        ),
-        "",
-    )
+    derived = "mass" if "mass" not in factors else "force" if "force" not in factors else ""
+    if abs((mass if derived == "mass" else force) - 1) <= 1e-9:
+        derived = ""
     return UnitSystem(length, mass, force, time, factors["angle"], derived)
 
 
@@ -158,8 +145,8 @@ def in_SI(
     Errors: NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER. Warns UNIT for more than a turn
     in rad."""
     blocks = [[part.strip() for part in row.split(",")] for row in unit.split(";")]
-    rows = value if isinstance(value, list) else []
-    if len(blocks) > 1 and not any(isinstance(row, list) for row in rows):
+    is_matrix = isinstance(value, list) and any(isinstance(row, list) for row in value)
+    if not is_matrix and len(blocks) > 1:
         blocks = [blocks[0][:1]]
     return _converted(value, _Expected(blocks, words, system, where, problems), ())
 
@@ -204,7 +191,9 @@ def _of_number(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
                 "a number, or a text with its unit",
             )
         )
-    unit, dimension, value = expected.unit(index), expected.dimension(index), _float(value)
+    unit, dimension = expected.unit(index), expected.dimension(index)
+    too_large = isinstance(value, int) and abs(value) > sys.float_info.max
+    value = math.inf if too_large else float(value)
     if dimension == units.NONE or value == 0 or not math.isfinite(value):
         return value
     si = units.si_words(dimension)
@@ -222,11 +211,7 @@ def _of_number(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
     meant = times(value, expected.system.factor(unit))
     if not expected.system.states(unit):
         of = expected.system.derived
-        also = (
-            ""
-            if dimension == units.ACCELERATION
-            else f', or add {of} = "{"kg" if of == "mass" else "N"}" to the units of the file'
-        )
+        also = f', or add {of} = "{"kg" if of == "mass" else "N"}" to the units of the file'
         raise JaxbodyError(
             Problem(
                 "NO_UNIT",
@@ -235,7 +220,7 @@ def _of_number(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
                 "the file",
                 value,
                 f"a unit such as {si}",
-                f'Write "{value:g} {si}"{also}.',
+                f'Write "{value:g} {si}"{also if dimension != units.ACCELERATION else ""}.',
             )
         )
     _warn_of_degrees([value], dimension, expected.system.angle, expected.where)
@@ -253,14 +238,6 @@ def _warn_of_degrees(
             f"{where}: is {largest:g} rad, more than a turn; if it is in degrees, "
             f'write "{largest:g} deg"',
         )
-
-
-def _float(value: float) -> float:
-    """A number as a float, infinite where it is too large for one."""
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
 
 
 def times(value: float, factor: float) -> float:
@@ -288,12 +265,8 @@ def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...])
     if not written:
         return _converted(numbers if len(numbers) > 1 else numbers[0], expected, index)
     unit = units.parse(written, expected.where)
-    wanted = (
-        [expected.dimension((*index, (i, len(numbers)))) for i in range(len(numbers))]
-        if len(numbers) > 1
-        else [expected.dimension(index)]
-    )
-    for dimension in wanted:
+    several = [(*index, (i, len(numbers))) for i in range(len(numbers))]
+    for dimension in map(expected.dimension, several if len(numbers) > 1 else [index]):
         if dimension != unit.dimension:
             raise JaxbodyError(_mismatch(text, unit, dimension, expected.where))
     _warn_of_degrees(numbers, unit.dimension, unit.factor, expected.where)
@@ -312,20 +285,17 @@ def _mismatch(text: str, unit: units.Unit, dimension: units.Dimension, where: st
     )
 
 
-OF_FREE = {"type": "Free"}  # the joint of a body without one
 OF_STEPS = {"move": "m", "turn": "rad"}
 
 
 def coordinate_units(values: dict[str, Any], definitions: dict[str, Any]) -> dict[str, str]:
     """The coordinates of the bodies of a document, whose joints the schema defines."""
-    joints, units = _table(values, "joints"), {}
-    for body in _table(values, "bodies"):
-        joint = joints.get(body, OF_FREE)
-        row = (
-            definitions.get(str(joint.get("type")), {}).get("coordinates", [])
-            if isinstance(joint, dict)
-            else []
-        )
+    joints, units = table_of(values, "joints"), {}
+    for body in table_of(values, "bodies"):
+        joint = joints.get(body, {"type": "Free"})
+        if not isinstance(joint, dict):
+            continue
+        row = definitions.get(str(joint.get("type")), {}).get("coordinates", [])
         if isinstance(row, str):  # the entry that states them
             steps = joint.get(row)
             row = [OF_STEPS.get(str(step), "") for step in steps] if isinstance(steps, list) else []
@@ -352,7 +322,7 @@ def with_own_joints(values: dict[str, Any]) -> set[str]:
     known when these are imported."""
     return {
         body
-        for body, joint in _table(values, "joints").items()
+        for body, joint in table_of(values, "joints").items()
         if isinstance(joint, dict) and ":" in str(joint.get("type"))
     }
 
@@ -362,6 +332,7 @@ def owner(path: Any) -> str:
     return str(path).partition(".q")[0]
 
 
-def _table(values: dict[str, Any], section: str) -> dict[str, Any]:
+def table_of(values: dict[str, Any], section: str) -> dict[str, Any]:
+    """A section of a document; empty where it is missing or no table."""
     table = values.get(section)
     return table if isinstance(table, dict) else {}

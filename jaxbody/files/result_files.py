@@ -70,17 +70,18 @@ def write_results(results: Any, path: Any, *, allow: Sequence[str] = ()) -> None
                 "write a class with fields.",
             )
         ) from None
-    about = {
+    contents = {
         "format": FORMAT,
         "jaxbody": version("jaxbody"),
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "results": json.loads(text),
     }
     with (
         writing(path),
         replacing(path) as new,
         zipfile.ZipFile(new, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
-        _add(archive, CONTENTS, json.dumps(about | {"results": json.loads(text)}).encode())
+        _add(archive, CONTENTS, json.dumps(contents).encode())
         for i, array in enumerate(arrays):
             data = io.BytesIO()
             np.lib.format.write_array(data, np.asarray(array), allow_pickle=False)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from jaxbody.files.quantities import (
     coordinate_units,
     in_SI,
     owner,
+    table_of,
     unit_system,
     with_own_joints,
     words_of_coupling,
@@ -69,14 +71,18 @@ def checked_values(document: Document) -> dict[str, Any]:
 def _check_version(document: Document) -> None:
     version = document.values.get("jaxbody")
     if version != VERSION or isinstance(version, bool):
-        hint = (
-            f"This jaxbody reads version {VERSION}: install a newer one."
-            if isinstance(version, int) and version > VERSION
-            else f"Write jaxbody = {VERSION} in its first line."
-        )
-        said = "does not state its version" if version is None else f"is version {version!r:.20}"
+        newer = isinstance(version, int) and version > VERSION
         raise JaxbodyError(
-            Problem("FILE_VERSION", document.where(("jaxbody",)), said, version, str(VERSION), hint)
+            Problem(
+                "FILE_VERSION",
+                document.where(("jaxbody",)),
+                "does not state its version" if version is None else f"is version {version!r:.20}",
+                version,
+                str(VERSION),
+                f"This jaxbody reads version {VERSION}: install a newer one."
+                if newer
+                else f"Write jaxbody = {VERSION} in its first line.",
+            )
         )
 
 
@@ -88,16 +94,18 @@ class Check:
         self.system = unit_system(
             document.values.get("units"), document.where(("units",)), problems
         )
-        frames = (*self.names("bodies"), *self.names("supports"), "world")
         self.coordinates = coordinate_units(document.values, schema()["$defs"])
         self.own_joints = with_own_joints(document.values)
-        self.known = {"frame": frames} | {
-            name.removesuffix("s"): self.names(name) for name in ("elements", "records", "sensors")
+        names = {
+            section: tuple(table_of(document.values, section))
+            for section in ("bodies", "supports", "elements", "records", "sensors")
         }
-
-    def names(self, section: str) -> tuple[str, ...]:
-        table = self.document.values.get(section)
-        return tuple(table) if isinstance(table, dict) else ()
+        self.known = {
+            "frame": (*names["bodies"], *names["supports"], "world"),
+            "element": names["elements"],
+            "record": names["records"],
+            "sensor": names["sensors"],
+        }
 
     def value(
         self, value: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]
@@ -125,26 +133,26 @@ class Check:
                 self.value(x, of, (*path, i), words)
                 for i, (x, of) in enumerate(zip(value, _items(node, len(value)), strict=True))
             ]
-        kind = node.get("name_of")
-        if kind == "coordinate" and owner(value) in self.own_joints:
-            return value
-        known = (
-            tuple(self.coordinates) if kind == "coordinate" else self.known[kind] if kind else ()
-        )
-        if kind and value not in known:
-            problem, what = (
-                unknown(value, self.document.where(path), known),
-                "body or support" if kind == "frame" else kind,
-            )
-            code = "UNKNOWN_BODY" if kind == "frame" else problem.code
-            self.problems.add(
-                code, problem.where, f"{what} {problem.message}", value=value, hint=problem.hint
-            )
+        if "name_of" in node:
+            self.name(value, node["name_of"], path)
         if value not in node.get("enum", [value]):
             self.problems.collected.append(
                 unknown(value, self.document.where(path), tuple(node["enum"]))
             )
         return value
+
+    def name(self, value: str, kind: str, path: EntryPath) -> None:
+        """Check the name of a frame, an element, a coordinate, a record or a sensor."""
+        known = tuple(self.coordinates) if kind == "coordinate" else self.known[kind]
+        of_own_joint = kind == "coordinate" and owner(value) in self.own_joints
+        if value not in known and not of_own_joint:
+            code, what = (
+                ("UNKNOWN_BODY", "body or support") if kind == "frame" else ("UNKNOWN_NAME", kind)
+            )
+            problem = unknown(value, self.document.where(path), known)
+            self.problems.collected.append(
+                replace(problem, code=code, message=f"{what} {problem.message}")
+            )
 
     def quantity(
         self, value: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]
@@ -160,12 +168,13 @@ class Check:
 
     def count(self, value: Any, node: dict[str, Any], path: EntryPath) -> None:
         """Check the number of items, where the schema states it."""
-        expected, found = node.get("minItems"), len(value) if isinstance(value, list) else 1
-        if expected is not None and found != expected:
+        count = len(value) if isinstance(value, list) else 1
+        expected = node.get("minItems", count)
+        if count != expected:
             self.problems.add(
                 "BAD_SHAPE",
                 self.document.where(path),
-                f"has {found} of {expected} items",
+                f"has {count} of {expected} items",
                 value=value,
                 limit=str(expected),
             )
@@ -186,14 +195,10 @@ class Check:
                 )
         values = {}
         for name, entry in value.items():
-            if name in known:
-                values[name] = (
-                    self.value(entry, known[name], (*path, name), words)
-                    if name != "type"
-                    else entry
-                )
-            elif others:
-                values[name] = self.value(entry, others, (*path, name), words)
+            if name == "type" and name in known:
+                values[name] = entry
+            elif name in known or others:
+                values[name] = self.value(entry, known.get(name, others), (*path, name), words)
             else:
                 self.problems.collected.append(
                     unknown(name, self.document.where((*path, name)), tuple(known))
@@ -228,13 +233,8 @@ class Check:
             if "type" in option.get("properties", {})
         }
         if isinstance(value, dict) and types:
-            name = value.get(
-                "type",
-                next(
-                    (name for name, option in types.items() if "type" not in option["required"]),
-                    None,
-                ),
-            )
+            by_default = (name for name, of in types.items() if "type" not in of["required"])
+            name = value.get("type", next(by_default, None))
             if isinstance(name, str) and ":" in name:
                 return None
             if name is None:
@@ -278,10 +278,10 @@ def resolved(node: dict[str, Any]) -> dict[str, Any]:
 
 def accepts(node: dict[str, Any], value: Any) -> bool:
     """Whether a value is of the type of a schema, and a text of its pattern."""
-    fits = {kind for kind in _types(node) if isinstance(value, TYPES[kind])}
     if isinstance(value, str) and not re.search(node.get("pattern", ""), value):
         return False
-    return bool(fits) and not (isinstance(value, bool) and "boolean" not in fits)
+    kinds = ["boolean"] if isinstance(value, bool) else TYPES
+    return any(kind in kinds and isinstance(value, TYPES[kind]) for kind in _types(node))
 
 
 def _types(node: dict[str, Any]) -> list[str]:
@@ -292,5 +292,4 @@ def _types(node: dict[str, Any]) -> list[str]:
 def _items(node: dict[str, Any], n: int) -> list[dict[str, Any]]:
     """The schemas of n items; those beyond the ones that are stated may be anything, and are
     refused where the object is made."""
-    first = node.get("prefixItems", [])
-    return [*first, *[node.get("items", ANYTHING)] * n][:n]
+    return [*node.get("prefixItems", []), *[node.get("items", ANYTHING)] * n][:n]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -54,23 +55,19 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
         )
     refuse_batch(model, "write_model")
     parts, writer = model.parts(), Writer(allow)
-    joints = {
+    parts["elements"] = {name: _as_given(model, name) for name in model.element_names}
+    parts["joints"] = {
         name: joint
         for name, joint in parts["joints"].items()
         if not (type(joint) is Free and joint.parent == "world")
     }
-    parts |= {
-        "joints": joints,
-        "elements": {name: _as_given(model, name) for name in model.element_names},
-    }
-    sections = {name: parts[name] for name in SECTIONS}
-    values = {
-        name: {key: writer.table(thing, f"{name}.{key}") for key, thing in things.items()}
-        for name, things in sections.items()
-    }
-    writer.problems.raise_if_any()
-    first = {"jaxbody": VERSION, "units": "SI", "gravity": numbers_of(model.gravity)}
-    return first | {name: tables for name, tables in values.items() if tables}
+    values = {"jaxbody": VERSION, "units": "SI", "gravity": numbers_of(model.gravity)}
+    with writer.problems:
+        return values | {
+            name: {key: writer.table(x, f"{name}.{key}") for key, x in parts[name].items()}
+            for name in SECTIONS
+            if parts[name]
+        }
 
 
 def _as_given(model: Model, name: str) -> Any:
@@ -88,12 +85,9 @@ def _as_given(model: Model, name: str) -> Any:
         np.asarray(numbers_of(model[end].orientation) if end != WORLD else IDENTITY)
         for end in element.between
     )
-    followed = plain.as_drawn(*turns).orientation_b
-    return (
-        eqx.tree_at(lambda m: m.orientation_b, element, None)
-        if _same(element.orientation_b, followed)
-        else element
-    )
+    if _same(element.orientation_b, plain.as_drawn(*turns).orientation_b):
+        return eqx.tree_at(lambda m: m.orientation_b, element, None)
+    return element
 
 
 class Writer:
@@ -136,15 +130,12 @@ class Writer:
         values: dict[str, Any] = (
             {} if type(thing) in PLAIN.values() else {"type": self.type_of(thing, where)}
         )
-        ends = iter(
-            zip(thing.between, thing.points, strict=True)
-            if type(thing) in (*ELEMENTS, *CLOSURES)
-            else ()
-        )
+        spans = type(thing) in (*ELEMENTS, *CLOSURES)
+        points = map(numbers_of, thing.points if spans else ())
+        ends = map(list, zip(thing.between if spans else (), points, strict=True))
         for argument in arguments_of(type(thing)) if dataclasses.is_dataclass(thing) else ():
             if argument.role == "end":
-                name, point = next(ends)
-                values[argument.name] = [name, numbers_of(point)]
+                values[argument.name] = next(ends)
             else:
                 value = getattr(thing, argument.field, None)
                 if value is not None and not _same(value, argument.default):
@@ -192,6 +183,11 @@ def _same(value: Any, default: Any) -> bool:
     return other.shape == value.shape and other.tobytes() == np.asarray(value).tobytes()
 
 
+def json_of(values: Any) -> str:
+    """The text of a JSON document, an entry a line."""
+    return json.dumps(values, indent=1, ensure_ascii=False) + "\n"
+
+
 def toml_of(values: dict[str, Any], units: bool = False) -> str:
     """The text of a document: a table for each body and element, a line for each support and joint.
     `units`: with the unit of the numbers in each line."""
@@ -205,10 +201,9 @@ def toml_of(values: dict[str, Any], units: bool = False) -> str:
             if name in SHORT:
                 section.add(tomlkit.key(key), _item(entries))
                 continue
-            definition = schema()["$defs"].get(
-                definition_of(name, entries.get("type")), {"properties": {}}
-            )
-            nodes, words = definition["properties"], words_of_coupling(entries, coordinates) or {}
+            definition = schema()["$defs"].get(definition_of(name, entries.get("type")), {})
+            nodes = definition.get("properties", {})
+            words = words_of_coupling(entries, coordinates) or {}
             table = tomlkit.table()
             for entry, content in entries.items():
                 table.add(
@@ -229,12 +224,10 @@ def _with_unit(value: Any, node: dict[str, Any], words: dict[str, str] | None = 
         unit = "force/argument"
     elif ";" in unit and isinstance(value[0], list):
         return item.comment(f"in blocks {unit}")
-    unit = unit.partition(",")[0]
-    return (
-        item.comment(si_words(dimension(unit, (words or {}) | node.get("words", {}))))
-        if unit
-        else item
-    )
+    if not unit:
+        return item
+    words = (words or {}) | node.get("words", {})
+    return item.comment(si_words(dimension(unit.partition(",")[0], words)))
 
 
 def _item(value: Any) -> Any:
@@ -247,5 +240,5 @@ def _item(value: Any) -> Any:
         return tomlkit.item(value)
     array = tomlkit.array()
     array.extend(map(_item, value))
-    rows = [x for x in value if isinstance(x, dict) or (isinstance(x, list) and len(value) > SMALL)]
-    return array.multiline(len(value) > IN_LINE or bool(rows))
+    rows = list | dict if len(value) > SMALL else dict
+    return array.multiline(len(value) > IN_LINE or any(isinstance(x, rows) for x in value))
