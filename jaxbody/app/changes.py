@@ -8,6 +8,7 @@ from typing import Any
 
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.files.documents import Document, EntryPath
+from jaxbody.files.quantities import table_of
 
 # whose names are unique in a model
 SECTIONS = ("bodies", "supports", "elements", "closures", "energies", "dissipations")
@@ -24,16 +25,12 @@ def set_value(document: Document, text: str) -> None:
         raise JaxbodyError(
             Problem("SYNTAX", text, "is not a path and a value", text, 'left.stiffness="30 N/mm"')
         )
-    things: dict[EntryPath, Any] = {}
-    for section in SECTIONS:
-        tables = document.values.get(section)
-        things |= (
-            {(section, known): table for known, table in tables.items()}
-            if isinstance(tables, dict)
-            else {}
-        )
-    exact = [path for path in things if path[1] == name]
-    chosen = exact or [
+    things: dict[EntryPath, Any] = {
+        (section, known): table
+        for section in SECTIONS
+        for known, table in table_of(document.values, section).items()
+    }
+    chosen = [path for path in things if path[1] == name] or [
         path
         for path in things
         if fnmatch.fnmatchcase(str(path[1]), name) and below[:1] and below[0] in things[path]

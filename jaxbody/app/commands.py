@@ -17,7 +17,7 @@ from typing import Any
 
 import jaxbody as jb
 from jaxbody.app.changes import set_value
-from jaxbody.app.file_commands import COMMANDS, Outcome
+from jaxbody.app.file_commands import COMMANDS
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.files.documents import LARGEST, read_document
 from jaxbody.files.schemas import checked_values
@@ -40,6 +40,38 @@ in Python:
 """
 
 
+ON_FILES: tuple[Any, ...] = (  # options of all commands on model files
+    (("file",), {"type": Path, "help": "model file, .toml or .json"}),
+    (
+        ("--set",),
+        {
+            "action": "append",
+            "default": [],
+            "metavar": "PATH=VALUE",
+            "help": 'another value, such as left.stiffness="30 N/mm"',
+        },
+    ),
+    (
+        ("--allow",),
+        {
+            "action": "append",
+            "default": [],
+            "metavar": "MODULE",
+            "help": "module of yours whose classes the file may use",
+        },
+    ),
+    (
+        ("--largest",),
+        {
+            "type": float,
+            "default": LARGEST,
+            "metavar": "N",
+            "help": "largest size of the file [bytes] (default: 2e7)",
+        },
+    ),
+)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; without a command, print the help."""
     parser = _parser()
@@ -47,14 +79,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.command is None:
         parser.print_help()
         return 0
-    own_process = arguments is None
-    if own_process:
+    options.own_process = arguments is None
+    if options.own_process:
         warnings.showwarning = lambda message, *_, **__: print(
             f"warning: {message}", file=sys.stderr
         )  # without lines of code
     options.typed = shlex.join(["jaxbody", *(sys.argv[1:] if arguments is None else arguments)])
     try:
-        return options.run(options, own_process)
+        return options.run(options)
     except JaxbodyError as error:
         print(f"jaxbody {options.command}: {error}", file=sys.stderr)
         return 2
@@ -69,13 +101,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"jaxbody {jb.__version__}")
     commands = parser.add_subparsers(dest="command", title="commands", metavar="command")
-    epilog = (
-        "examples:\n  jaxbody new quarter_car > car.toml\n"
-        "  jaxbody new --mounts mounts.csv > engine.toml"
-    )
     about = "print the file of a ready model, or of a body on the mounts of a data sheet"
     new = commands.add_parser(
-        "new", help=about, description=about.capitalize() + ".", epilog=epilog, formatter_class=form
+        "new",
+        help=about,
+        description=about.capitalize() + ".",
+        epilog="examples:\n  jaxbody new quarter_car > car.toml\n"
+        "  jaxbody new --mounts mounts.csv > engine.toml",
+        formatter_class=form,
     )
     chosen = new.add_mutually_exclusive_group()
     chosen.add_argument(
@@ -89,40 +122,16 @@ def _parser() -> argparse.ArgumentParser:
     )
     new.set_defaults(run=_new)
     for name, command in COMMANDS.items():
-        epilog = f"example:\n  {command.example}"
         sub = commands.add_parser(
             name,
             help=command.about,
             description=command.about.capitalize() + ".",
-            epilog=epilog,
+            epilog=f"example:\n  {command.example}",
             formatter_class=form,
         )
-        sub.add_argument("file", type=Path, help="model file, .toml or .json")
-        sub.add_argument(
-            "--set",
-            action="append",
-            default=[],
-            metavar="PATH=VALUE",
-            help='another value, such as left.stiffness="30 N/mm"',
-        )
-        sub.add_argument(
-            "--allow",
-            action="append",
-            default=[],
-            metavar="MODULE",
-            help="module of yours whose classes the file may use",
-        )
-        sub.add_argument(
-            "--largest",
-            type=float,
-            default=LARGEST,
-            metavar="N",
-            help="largest size of the file [bytes] (default: 2e7)",
-        )
-        sub.add_argument(
-            "--out", type=Path, metavar="FILE", help=f"save the result: {' '.join(command.formats)}"
-        )
-        for flags, more in command.options:
+        text = f"save the result: {' '.join(command.formats)}"
+        out = ("--out",), {"type": Path, "metavar": "FILE", "help": text}
+        for flags, more in (*ON_FILES, out, *command.options):
             sub.add_argument(*flags, **more)
         sub.set_defaults(run=_on_file)
     demo = commands.add_parser(
@@ -142,53 +151,55 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _demo(options: argparse.Namespace, own_process: bool) -> int:
-    if own_process:
-        _prepare()
+def _demo(options: argparse.Namespace) -> int:
+    _prepare(options)
     from jaxbody.app import demos
 
     return demos.run(options.out, options.seed)
 
 
-def _prepare() -> None:
-    """Programs are kept for the next run."""
-    try:
-        jb.keep_programs()
-    except JaxbodyError as error:
-        print(f"Programs are not kept for the next run: {error}", file=sys.stderr)
+def _use_x64() -> None:
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
 
 
-def _new(options: argparse.Namespace, own_process: bool) -> int:
-    ready = [name for name in dir(jb.presets) if name[0] != "_"]
-    if options.mounts is not None:
-        _use_x64()
-        from jaxbody.app.new_files import text_of_mounts
-
-        print(text_of_mounts(options.mounts), end="")
-        print(
-            f"Mass, center of mass and inertia are not in {options.mounts.name}: replace the "
-            "placeholders in the file.",
-            file=sys.stderr,
-        )
-        return 0
-    if options.model is None:
-        print("Ready models: " + ", ".join(ready))
-        return 0
-    chosen = (
-        [options.model]
-        if options.model in ready
-        else [name for name in ready if name.startswith(options.model)]
-    )
-    if len(chosen) != 1:
-        raise JaxbodyError(unknown(options.model, "new", tuple(ready)))
+def _prepare(options: argparse.Namespace) -> None:
+    """Switch to double precision; keep the programs of a process of the command for the next."""
     _use_x64()
-    from jaxbody.app.new_files import text_of
+    if options.own_process:
+        try:
+            jb.keep_programs()
+        except JaxbodyError as error:
+            print(f"Programs are not kept for the next run: {error}", file=sys.stderr)
 
-    print(text_of(chosen[0]), end="")
+
+def _new(options: argparse.Namespace) -> int:
+    ready, chosen = [name for name in dir(jb.presets) if name[0] != "_"], []
+    if options.mounts is None:
+        if options.model is None:
+            print("Ready models: " + ", ".join(ready))
+            return 0
+        named = [name for name in ready if name.startswith(options.model)]
+        chosen = [options.model] if options.model in ready else named
+        if len(chosen) != 1:
+            raise JaxbodyError(unknown(options.model, "new", tuple(ready)))
+    _use_x64()
+    from jaxbody.app import new_files
+
+    if chosen:
+        print(new_files.text_of(chosen[0]), end="")
+        return 0
+    print(new_files.text_of_mounts(options.mounts), end="")
+    print(
+        f"Mass, center of mass and inertia are not in {options.mounts.name}: replace the "
+        "placeholders in the file.",
+        file=sys.stderr,
+    )
     return 0
 
 
-def _on_file(options: argparse.Namespace, own_process: bool) -> int:
+def _on_file(options: argparse.Namespace) -> int:
     """Read the file, run the command, print its tables, save them or a picture."""
     command = COMMANDS[options.command]
     if options.out is not None and options.out.suffix not in command.formats:
@@ -205,9 +216,7 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
     for text in options.set:
         set_value(document, text)
     values = checked_values(document)
-    _use_x64()
-    if own_process:
-        _prepare()
+    _prepare(options)
     import numpy as np
 
     from jaxbody.files.studies.study_files import study_of
@@ -224,23 +233,11 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
         save(outcome, options.out)
         print(f"saved {options.out}")
     ok = all(np.all(getattr(result, "ok", True)) for result in outcome.results)
-    if outcome.space is not None and options.write:
-        _write(options.file, document, outcome, ok)
+    if outcome.space is not None and options.write and not ok:
+        print(f"{options.file} stays as it was, as the status is not ok")
+    elif outcome.space is not None and options.write:
+        from jaxbody.app.file_updates import update
+
+        left = update(options.file, document, outcome.space, outcome.trees)
+        print(f"wrote {options.file}" + (f"; not in it: {', '.join(left)}" if left else ""))
     return 0 if ok else 1
-
-
-def _write(path: Path, document: Any, outcome: Outcome, ok: bool) -> None:
-    """Write the values of free parameters into the file, unless the result is not ok."""
-    from jaxbody.app.file_updates import update
-
-    if not ok:
-        print(f"{path} stays as it was, as the status is not ok")
-        return
-    left = update(path, document, outcome.space, outcome.trees)
-    print(f"wrote {path}" + (f"; not in it: {', '.join(left)}" if left else ""))
-
-
-def _use_x64() -> None:
-    import jax
-
-    jax.config.update("jax_enable_x64", True)

@@ -72,7 +72,6 @@ def run(out: Path, seed: int) -> int:
         "base": jb.Harmonic(frequency=0.8, translation=[0.01, 0.02, 0], rotation=[0, 0, 0.02])
     }
     sensors: dict[str, Any] = {"corner": jb.Position("plate", [3 * l, l, 0])}
-    guess = jb.replace(plate, {"*.stiffness": 1.3 * np.array([k, k, kt])})
 
     eq = jb.equilibrium(plate)
     print(eq)
@@ -107,10 +106,14 @@ def run(out: Path, seed: int) -> int:
     with figure(out / "motion.png", 8.0, 7.0, 2, 1, height_ratios=(1.6, 1.0)) as (above, below):
         jb.plots.plot_trajectory(trajectory, ax=above)
         jb.plots.plot_forces(trajectory, ax=below)
-    measured = jb.measure(trajectory, sensors, noise=NOISE, key=jax.random.key(seed))
     experiment = jb.Experiment(
-        times, motion=motion, initial=eq.state, sensors=sensors, measured=measured
+        times,
+        motion=motion,
+        initial=eq.state,
+        sensors=sensors,
+        measured=jb.measure(trajectory, sensors, noise=NOISE, key=jax.random.key(seed)),
     )
+    guess = jb.replace(plate, {"*.stiffness": 1.3 * np.array([k, k, kt])})
     fit = jb.fit(guess, {"run1": experiment}, free=["*.stiffness"], method=optax.lbfgs())
     with figure(out / "fit.png", 14.0, 4.4, 1, 3, width_ratios=(1.0, 1.25, 0.65)) as (
         left,
@@ -125,8 +128,8 @@ def run(out: Path, seed: int) -> int:
         )
         jb.plots.plot_history(fit, ax=right).set_title("cost of the fit", fontsize=9)
     agree = compare_stiffnesses(fit, {"AB": k, "CD": k, "EF": kt})
-    figures = (out / f"{name}.png" for name in ("plate", "modes", "motion", "fit"))
-    report("Figures: " + ", ".join(map(str, figures)))
+    names = ("plate", "modes", "motion", "fit")
+    report("Figures: " + ", ".join(str(out / f"{name}.png") for name in names))
     report("Done." if agree else "The estimates are too far from the true values.")
     return 0 if agree else 1
 
@@ -225,23 +228,8 @@ def compare_stiffnesses(fit: Any, truth: dict[str, float]) -> bool:
         agree &= bool(ratio <= LIKELY)
         rows.append((name, 1.3 * true, true, estimate, error, f"{ratio:.1f}"))
     report(f"Fitted stiffnesses [N/m], {int(fit.evaluations)} evaluations, {fit.report()}:")
-    print(
-        text(
-            PrintedTable(
-                "",
-                (
-                    "spring",
-                    "start",
-                    "truth",
-                    "estimate",
-                    "standard error",
-                    "error / standard error",
-                ),
-                rows,
-            )
-        ),
-        flush=True,
-    )
+    columns = "spring", "start", "truth", "estimate", "standard error", "error / standard error"
+    print(text(PrintedTable("", columns, rows)), flush=True)
     return agree
 
 

@@ -15,8 +15,11 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 if TYPE_CHECKING:
     from jaxbody.files.studies.study_files import Study
 
-QUANTITIES = {"displacement": ("Position", "Rotation")}
-QUANTITIES |= {name.lower(): (name, f"Angular{name}") for name in ("Velocity", "Acceleration")}
+QUANTITIES = {  # sensors of motions along and about axes
+    "displacement": ("Position", "Rotation"),
+    "velocity": ("Velocity", "AngularVelocity"),
+    "acceleration": ("Acceleration", "AngularAcceleration"),
+}
 FLAT = (".csv", ".parquet", ".nc", ".png", ".svg", ".pdf")
 IN_SPACE = (*FLAT, ".html")  # a page in three dimensions
 
@@ -55,22 +58,23 @@ def _check(study: Study, options: argparse.Namespace) -> Outcome:
     from jaxbody.core.tables import counted
 
     model = study.model
-    counts = {
+    parts = {
         "support": model.layout.supports,
         "element": model.element_names,
         "load": study.loads,
         "sensor": study.sensors,
+        "experiment": study.experiments,
+        "held-out experiment": study.held_out,
     }
-    counts |= {"experiment": study.experiments, "held-out experiment": study.held_out}
-    said = [counted(len(names), what) for what, names in counts.items() if names]
     bodies = "1 body" if len(model.layout.bodies) == 1 else f"{len(model.layout.bodies)} bodies"
-    freedoms = counted(model.layout.nv, "degree")
+    counts = [bodies, *(counted(len(names), what) for what, names in parts.items() if names)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what it warns of is printed
         remarks = jb.plausibility(model, study.experiments).words if model.layout.nv else ()
     return Outcome(
         [
-            f"{options.file.name}: {', '.join([bodies, *said])}, {freedoms} of freedom; no errors",
+            f"{options.file.name}: {', '.join(counts)}, {counted(model.layout.nv, 'degree')} of "
+            "freedom; no errors",
             *remarks,
         ]
     )
@@ -95,9 +99,10 @@ def _modes(study: Study, options: argparse.Namespace) -> Outcome:
     lin, remarks = _linear(study)
     modes: Any = jb.complex_modes(lin) if options.damped else jb.modes(lin)
     energies = [jb.mode_energies(lin)] if options.energies and not options.damped else []
-    draw = lambda: jb.plots.draw_mode(lin, modes, options.draw)  # noqa: E731
     return Outcome(
-        [modes, *energies, *remarks], draw, view=lambda: jb.view(modes, number=options.draw, at=lin)
+        [modes, *energies, *remarks],
+        lambda: jb.plots.draw_mode(lin, modes, options.draw),
+        view=lambda: jb.view(modes, number=options.draw, at=lin),
     )
 
 
@@ -107,9 +112,9 @@ def _response(study: Study, options: argparse.Namespace) -> Outcome:
     from jaxbody.app import saved_results
 
     lin, remarks = _linear(study)
-    low, high = options.frequencies
+    frequencies = np.geomspace(*options.frequencies, options.points)
     inputs, outputs = _ports(study, options, options.kind)
-    response = jb.frequency_response(lin, np.geomspace(low, high, options.points), inputs, outputs)
+    response = jb.frequency_response(lin, frequencies, inputs, outputs)
     return Outcome(
         [response, *remarks],
         lambda: jb.plots.plot_frequency_response(response),
@@ -163,19 +168,22 @@ def _simulate(study: Study, options: argparse.Namespace) -> Outcome:
         initial="rest",
         **_steps(options),
     )
-    over_time, view = (
+    return Outcome(
+        [trajectory],
+        lambda: jb.plots.plot_trajectory(trajectory),
         lambda: saved_results.over_time(trajectory, study.sensors),
-        lambda: jb.view(trajectory),
+        view=lambda: jb.view(trajectory),
     )
-    return Outcome([trajectory], lambda: jb.plots.plot_trajectory(trajectory), over_time, view=view)
 
 
 def _fit(study: Study, options: argparse.Namespace) -> Outcome:
     results = _fitted(study, options)
     fit = results["Fit"]
-    trees = {"": fit.model, **fit.experiments}
     return Outcome(
-        list(results.values()), lambda: jb.plots.plot_fit(fit), space=fit.task.space, trees=trees
+        list(results.values()),
+        lambda: jb.plots.plot_fit(fit),
+        space=fit.task.space,
+        trees={"": fit.model, **fit.experiments},
     )
 
 
@@ -186,41 +194,35 @@ def _fitted(study: Study, options: argparse.Namespace) -> dict[str, Any]:
     with Problems() as problems:
         if not study.experiments:
             message, hint = (
-                "has no experiments",
-                "State [records], [sensors] and [experiments]: help(jaxbody.read_study).",
-            )
-            if study.held_out:
-                message, hint = (
+                (
                     "has validate = true in all experiments",
                     "Leave it out of those that the fit is made of.",
                 )
+                if study.held_out
+                else (
+                    "has no experiments",
+                    "State [records], [sensors] and [experiments]: help(jaxbody.read_study).",
+                )
+            )
             problems.add(
                 "NO_DATA", options.file.name, message, limit="at least one to fit", hint=hint
             )
         if "free" not in asked:
-            hint = 'Give --free "spring.stiffness", or free = [...] below [fit] in the file.'
             problems.add(
                 "NOTHING_FREE",
                 options.file.name,
                 "does not say what is free",
                 limit="at least one path",
-                hint=hint,
+                hint='Give --free "spring.stiffness", or free = [...] below [fit] in the file.',
             )
-    several = (
-        {"Optima from several starts": jb.multistart(study.model, study.experiments, **asked)}
-        if "starts" in asked
-        else {}
-    )
-    fit = (
-        next(iter(several.values())).best
-        if several
-        else jb.fit(study.model, study.experiments, **asked)
-    )
-    return {
-        "Fit": fit,
-        **several,
-        **({"Validation": jb.validate(fit, study.held_out)} if study.held_out else {}),
-    }
+    if "starts" in asked:
+        optima = jb.multistart(study.model, study.experiments, **asked)
+        results = {"Fit": optima.best, "Optima from several starts": optima}
+    else:
+        results = {"Fit": jb.fit(study.model, study.experiments, **asked)}
+    if study.held_out:
+        results["Validation"] = jb.validate(results["Fit"], study.held_out)
+    return results
 
 
 def _steps(options: argparse.Namespace) -> dict[str, Any]:
@@ -234,13 +236,14 @@ def _steps(options: argparse.Namespace) -> dict[str, Any]:
 
 def _tune(study: Study, options: argparse.Namespace) -> Outcome:
     if not study.designs:
-        hint = (
-            "State free, minimize, quantities and limits below [designs.NAME]: "
-            "help(jaxbody.read_study)."
-        )
         raise JaxbodyError(
             Problem(
-                "NOTHING_FREE", options.file.name, "has no designs", limit="at least one", hint=hint
+                "NOTHING_FREE",
+                options.file.name,
+                "has no designs",
+                limit="at least one",
+                hint="State free, minimize, quantities and limits below [designs.NAME]: "
+                "help(jaxbody.read_study).",
             )
         )
     name = options.design or next(iter(study.designs))
@@ -291,8 +294,7 @@ def _ports(
     study: Study, options: argparse.Namespace, kind: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The inputs, motions of supports of this kind, and the outputs."""
-    inputs = {text: jb.BaseMotion(*_place(text, "--input"), kind=kind) for text in options.input}
-    return inputs, {
+    return {text: jb.BaseMotion(*_place(text, "--input"), kind=kind) for text in options.input}, {
         text: study.sensors.get(text) or _sensor(text, options.quantity, study.model.element_names)
         for text in options.output
     }
@@ -316,16 +318,11 @@ def _place(text: str, where: str) -> tuple[str, str]:
 
 def _sensor(text: str, quantity: str, elements: tuple[str, ...]) -> Any:
     """What "car.z" or the name of an element measures."""
-    name, direction = (text, "") if text in elements else _place(text, "--output")
-    line, turn = QUANTITIES[quantity]
-    sensor: Any = getattr(
-        jb, "Elongation" if not direction else turn if direction[0] == "r" else line
-    )
-    return (
-        sensor(name, axis=[float(direction[-1] == axis) for axis in "xyz"])
-        if direction
-        else sensor(name)
-    )
+    if text in elements:
+        return jb.Elongation(text)
+    name, direction = _place(text, "--output")
+    sensor = QUANTITIES[quantity][direction[0] == "r"]
+    return getattr(jb, sensor)(name, axis=[float(direction[-1] == axis) for axis in "xyz"])
 
 
 def _case(text: str) -> tuple[str, list[float]]:
@@ -355,14 +352,12 @@ _band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of
 
 
 def _ports_options(required: bool) -> tuple[Any, ...]:
-    where, directions = (
-        "body and direction, element, or sensor of the file",
-        "support and x, y, z, rx, ry or rz",
-    )
     several: dict[str, Any] = {"action": "append", "required": required, "default": []}
+    directions = "support and x, y, z, rx, ry or rz"
+    places = "body and direction, element, or sensor of the file"
     return (
         (("--input",), several | {"metavar": "SUPPORT.z", "help": directions}),
-        (("--output",), several | {"metavar": "BODY.z", "help": where}),
+        (("--output",), several | {"metavar": "BODY.z", "help": places}),
         (
             ("--quantity",),
             {
@@ -375,8 +370,17 @@ def _ports_options(required: bool) -> tuple[Any, ...]:
 
 
 def _case_option(required: bool) -> tuple[Any, ...]:
-    named: dict[str, Any] = {"type": _case, "action": "append", "required": required, "default": []}
-    return ("--case",), named | {"metavar": "NAME=X,Y,Z", "help": "acceleration of a load case [g]"}
+    return (
+        ("--case",),
+        {
+            "type": _case,
+            "action": "append",
+            "required": required,
+            "default": [],
+            "metavar": "NAME=X,Y,Z",
+            "help": "acceleration of a load case [g]",
+        },
+    )
 
 
 BAND = (

@@ -19,7 +19,7 @@ from jaxbody.core.source_files import replacing, writing
 from jaxbody.files.documents import Document, EntryPath
 from jaxbody.files.kinds import arguments_of, class_of
 from jaxbody.files.quantities import NUMBERS, UnitSystem, times, unit_system
-from jaxbody.files.writers import numbers_of
+from jaxbody.files.writers import json_of, numbers_of
 from jaxbody.fitting.parameters.spaces import Space, units_of
 from jaxbody.model.bodies import Body
 
@@ -30,25 +30,18 @@ def update(path: Path, document: Document, space: Space, trees: dict[str, Any]) 
     """Write the values of free parameters into a file. `trees`: the model "" and the experiments by
     name, with these values. Returns the paths that have no entry in the file, such as the gain of a
     sensor in one of several experiments. Error: NOT_SAVED."""
-    text, left = path.read_text(encoding="utf-8"), []
-    content: Any = tomlkit.parse(text) if path.suffix == ".toml" else json.loads(text)
+    text, is_toml, left = path.read_text(encoding="utf-8"), path.suffix == ".toml", []
+    content: Any = tomlkit.parse(text) if is_toml else json.loads(text)
     system = unit_system(document.values.get("units"), "units", Problems())
     for run, leaf in (place for parameter in space.parameters for place in parameter.places):
-        place = (
-            _run_place(document.values, leaf.path) if run else _place(document.values, leaf.path)
-        )
+        place = (_run_place if run else _place)(document.values, leaf.path)
         if place is None:
             left.append(leaf.path)
             continue
         value = np.asarray(leaf.read(jax.tree.leaves(trees[run])))
         _set(content, place, value, units_of(leaf, space.model, value), system)
-    text = (
-        tomlkit.dumps(content)
-        if path.suffix == ".toml"
-        else json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    )
     with writing(path), replacing(path) as new:
-        new.write_text(text, encoding="utf-8")
+        new.write_text(tomlkit.dumps(content) if is_toml else json_of(content), encoding="utf-8")
     return left
 
 
@@ -56,14 +49,12 @@ def _run_place(values: dict[str, Any], path: str) -> EntryPath | None:
     """The entry of an initial state, "run1.initial.v", or of a loss factor,
     "hammer.loss_factor.all"."""
     run, part, *rest = path.split(".")
-    stated = values["experiments"][run].get(part)
-    if part == "loss_factor":
-        return ("experiments", run, part, *(rest if isinstance(stated, dict) else ()))
-    return (
-        ("experiments", run, part, *rest)
-        if part == "initial" and isinstance(stated, dict)
-        else None
-    )
+    if isinstance(values["experiments"][run].get(part), dict) and part in (
+        "initial",
+        "loss_factor",
+    ):
+        return ("experiments", run, part, *rest)
+    return ("experiments", run, part) if part == "loss_factor" else None
 
 
 def _place(values: dict[str, Any], path: str) -> EntryPath | None:
@@ -72,9 +63,9 @@ def _place(values: dict[str, Any], path: str) -> EntryPath | None:
     name, *parts = path.split(".")
     if not parts:
         return (name,)
-    of_body = {argument.field for argument in arguments_of(Body)}
-    bodies = ("bodies", "supports") if parts[0] in of_body else ("joints",)
-    sections = (*bodies, "elements", "closures", "energies", "dissipations")
+    of_body = parts[0] in {argument.field for argument in arguments_of(Body)}
+    carriers = ("bodies", "supports") if of_body else ("joints",)
+    sections = (*carriers, "elements", "closures", "energies", "dissipations")
     section = next(section for section in sections if name in values.get(section, {}))
     table = values[section][name]
     kind = class_of(section, table.get("type"))
@@ -103,18 +94,15 @@ def _set(
     content: Any, place: EntryPath, value: np.ndarray, si: list[str], system: UnitSystem | None
 ) -> None:
     """Set the entry at a place, in the units that it has."""
-    *before, last = place
-    for key in before[:-1]:
+    *keys, last = place if place[-1] != POINT else place[:-1]
+    for key in keys:
         content = content[key]
-    if last == POINT:  # the end may be stated by its name alone
-        end = content[before[-1]]
-        name, point = (end, None) if isinstance(end, str) else end
-        content[before[-1]] = [name, _written(value, point, si, system)]
-        return
-    content = content[before[-1]] if before else content
-    content[last] = _written(
-        value, content[last] if isinstance(last, int) else content.get(last), si, system
-    )
+    old = content[last] if isinstance(last, int) else content.get(last)
+    if place[-1] == POINT:  # the end may be stated by its name alone
+        name, point = (old, None) if isinstance(old, str) else old
+        content[last] = [name, _written(value, point, si, system)]
+    else:
+        content[last] = _written(value, old, si, system)
 
 
 def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | None) -> Any:
@@ -129,14 +117,13 @@ def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | No
     )
     if value.ndim == 2 and count == len(value) and np.array_equal(value, np.diag(np.diag(value))):
         value, si = np.diag(value), [*np.reshape(si, value.shape).diagonal()]
-    if value.ndim and isinstance(old, list) and len(old) == len(value):
+    same_length = isinstance(old, list) and value.ndim and len(old) == len(value)
+    if same_length or value.ndim > 1:
         rows = np.reshape(si, (len(value), -1)).tolist()
+        olds = old if same_length else [None] * len(value)
         return [
-            _written(x, each, row, system) for x, each, row in zip(value, old, rows, strict=True)
+            _written(x, each, row, system) for x, each, row in zip(value, olds, rows, strict=True)
         ]
-    if value.ndim > 1:
-        rows = np.reshape(si, (len(value), -1)).tolist()
-        return [_written(x, None, row, system) for x, row in zip(value, rows, strict=True)]
     stated = match and str(old).strip()[match.end() :].strip()
     if stated:
         return _text(value, stated, units.parse(stated, "unit").factor)
@@ -147,9 +134,9 @@ def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | No
         and isinstance(old, int | float | list | str)
         and all(system.states(unit or "1") for unit in si)
     ):
-        factors = [system.factor(unit or "1") for unit in si]
         numbers = [
-            _number(x, factor) for x, factor in zip(value.ravel().tolist(), factors, strict=True)
+            _number(x, system.factor(unit or "1"))
+            for x, unit in zip(value.ravel().tolist(), si, strict=True)
         ]
         return numbers if value.ndim else numbers[0]
     return (
@@ -167,5 +154,5 @@ def _number(value: float, factor: float) -> float:
     """The number that is read as this value in a unit of this factor, to the bit where there
     is one."""
     near = value / factor
-    neighbors = (near, math.nextafter(near, math.inf), math.nextafter(near, -math.inf))
-    return next((x for x in neighbors if times(x, factor) == value), near)
+    around = (near, math.nextafter(near, math.inf), math.nextafter(near, -math.inf))
+    return next((x for x in around if times(x, factor) == value), near)

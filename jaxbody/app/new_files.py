@@ -3,9 +3,9 @@ comments, measured data; the mounts of a data sheet with a body on them."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -60,7 +60,7 @@ ON_BASE = (
 )
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Start:
     """What a newcomer would read, tune and fit of a ready model. `initial`: of an experiment that
     no support moves."""
@@ -215,7 +215,9 @@ second = {type = "frequency", mode = 2}""",
         initial='{q = "20, 0 mm", v = "0, 0 m/s"}',
     ),
 }
-STARTS["hydraulic_engine_mounts"] = replace(STARTS["engine_on_mounts"], frequencies="7.5, 8.6")
+STARTS["hydraulic_engine_mounts"] = dataclasses.replace(
+    STARTS["engine_on_mounts"], frequencies="7.5, 8.6"
+)
 
 
 def text_of(name: str) -> str:
@@ -227,13 +229,6 @@ def text_of(name: str) -> str:
         "channel": ', base = "base"',
         "motion": ON_BASE.format(support=support),
     }
-    measured = MEASURED.format(
-        unit=start.unit,
-        fitted=start.fitted,
-        initial=start.initial,
-        frequencies=start.frequencies,
-        **(on_base if support else dict.fromkeys(on_base, "")),
-    )
     return "".join(
         [
             HEADING,
@@ -241,7 +236,9 @@ def text_of(name: str) -> str:
             MOTION.format(support=support) if support else "",
             SENSORS.format(sensors=start.sensors),
             DESIGN.format(design=start.design) if start.design else "",
-            measured,
+            MEASURED.format(
+                **dataclasses.asdict(start), **(on_base if support else dict.fromkeys(on_base, ""))
+            ),
         ]
     )
 
@@ -252,7 +249,7 @@ def text_of_mounts(path: Path) -> str:
     the sheet."""
     bodies, supports = mounted_frames(path)
     bodies, supports = bodies or ["engine"], supports or ["frame"]
-    origin = {bodies[0]: jb.Support(), **dict.fromkeys([*supports, *bodies[1:]], jb.Support())}
+    origin = dict.fromkeys([bodies[0], *supports, *bodies[1:]], jb.Support())
     mounts = jb.read_mounts(path, origin)
     ends = [
         end for mount in mounts.values() for end in zip(mount.between, mount.points, strict=True)
@@ -269,9 +266,7 @@ def text_of_mounts(path: Path) -> str:
         elements=mounts,
         gravity=[0, 0, -9.81],
     )
-    text = re.sub(
-        "^((?:mass|inertia|com) = .*)$", rf"\1{PLACEHOLDER}", _text_of_model(model), flags=re.M
-    )
+    placeholders = re.compile("^(?:mass|inertia|com) = .*$", re.M)
     support = toml_key(model.layout.supports[0]) if model.layout.supports else ""
     sensors = "\n".join(
         f'{toml_key(f"{name}_z")} = {{type = "Position", on = "{name}", axis = "z"}}'
@@ -281,7 +276,7 @@ def text_of_mounts(path: Path) -> str:
         [
             HEADING,
             OF_SHEET.format(file=path.name, bodies=" and ".join(model.layout.bodies)),
-            text,
+            placeholders.sub(rf"\g<0>{PLACEHOLDER}", _text_of_model(model)),
             MOTION.format(support=support) if support else "",
             SENSORS.format(sensors=sensors),
         ]

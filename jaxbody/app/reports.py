@@ -4,6 +4,7 @@ prints on paper."""
 from __future__ import annotations
 
 import base64
+import functools
 import hashlib
 import io
 import platform
@@ -31,10 +32,8 @@ Pictures = Iterable[tuple[str, Any]]  # captions and axes; a text without axes i
 MOST_MODES = 6  # that are drawn
 MOST_RECORDS = 6  # of a fit that are drawn
 LARGEST_DRAWING = 300_000  # bytes of a vector drawing, above which it is a picture of points
-DPI = 170  # of these
 LIBRARIES = ("jaxbody", "jax", "jaxlib", "diffrax", "numpy", "scipy")
-# a browser then asks for nothing, and complains if the file does
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
 STYLE = """
 :root { color: #2b2f36; font: 15px/1.5 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
 body { max-width: 60rem; margin: 0 auto; padding: 1rem; }
@@ -70,6 +69,17 @@ footer { margin-top: 2.5rem; border-top: 1px solid #c5ccd6; font-size: .8rem; ov
 }
 @page { margin: 18mm; }
 """  # noqa: E501
+
+
+# by its policy a browser loads nothing, and complains if the file asks for anything
+PAGE = (
+    "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'>"
+    '<meta http-equiv="Content-Security-Policy" '
+    "content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">"
+    "<meta name='viewport' content='width=device-width, initial-scale=1'>"
+    "<title>{heading}</title><style>{style}</style></head>"
+    "<body><main><h1>{heading}</h1>{contents}{sections}</main>{footer}</body></html>\n"
+)
 
 
 def report(
@@ -123,29 +133,22 @@ def report(
                 hint='Give {"Modes": modes}.',
             )
     hashes = [(Path(file).name, _hash(Path(file))) for file in files]
-    sections = [
+    sections = "".join(
         f"<section id='s{i}'>{_section(name, result)}</section>"
         for i, (name, result) in enumerate(results.items())
-    ]
+    )
     links = "".join(
         f"<li><a href='#s{i}'>{escape(name)}</a></li>" for i, name in enumerate(results)
     )
-    contents = f"<nav aria-label='Contents'><ul>{links}</ul></nav>" if len(results) > 3 else ""
-    heading = escape(title or path.stem)
-    head = (
-        f"""<meta charset='utf-8'><meta http-equiv="Content-Security-Policy" content="{POLICY}">"""
+    page = PAGE.format(
+        style=STYLE,
+        heading=escape(title or path.stem),
+        contents=f"<nav aria-label='Contents'><ul>{links}</ul></nav>" if len(results) > 3 else "",
+        sections=sections,
+        footer=_footer(hashes, command),
     )
-    head += (
-        "<meta name='viewport' content='width=device-width, "
-        f"initial-scale=1'><title>{heading}</title>"
-    )
-    body = f"<main><h1>{heading}</h1>{contents}{''.join(sections)}</main>{_footer(hashes, command)}"
     with writing(path):
-        text = (
-            "<!DOCTYPE html>\n<html "
-            f"lang='en'><head>{head}<style>{STYLE}</style></head><body>{body}</body></html>\n"
-        )
-        path.write_text(text, encoding="utf-8")
+        path.write_text(page, encoding="utf-8")
     return path
 
 
@@ -153,9 +156,9 @@ def _section(name: str, result: Any) -> str:
     parts = [f"<h2>{escape(name)}</h2>"]
     if not np.all(getattr(result, "ok", True)):
         parts.append(f"<p class='failed'>{escape(result.report())}</p>")
-    drawn = [_figure(caption, ax) for caption, ax in _pictures(result)]
-    pictures = f"<div class='pictures'>{''.join(drawn)}</div>" if drawn else ""
-    return "".join([*parts, *map(_table, in_numpy(result)._tables()), pictures])
+    parts += map(_table, in_numpy(result)._tables())
+    pictures = "".join(_figure(caption, ax) for caption, ax in _pictures(result))
+    return "".join(parts) + (f"<div class='pictures'>{pictures}</div>" if pictures else "")
 
 
 def _pictures(result: Any) -> Pictures:
@@ -205,7 +208,7 @@ def _image(ax: Any) -> str:
     if len(data.getvalue()) > LARGEST_DRAWING:
         kind, data = "png", io.BytesIO()
         figure.savefig(
-            data, format="png", dpi=DPI, metadata={"Software": None}, bbox_inches="tight"
+            data, format="png", dpi=170, metadata={"Software": None}, bbox_inches="tight"
         )
     plt.close(figure)
     return f"data:image/{kind};base64,{base64.b64encode(data.getvalue()).decode()}"
@@ -246,14 +249,6 @@ def _of_fit(fit: Fit) -> Pictures:
         yield "Correlations of the estimates", plots.plot_correlations(fit)
 
 
-def _of_validation(validation: Validation) -> Pictures:
-    return _records(
-        validation,
-        "plot_validation(validation",
-        "measured, and predicted without a fit to it",
-    )
-
-
 def _records(result: Fit | Validation, drawn_by: str, what: str) -> Pictures:
     """The records, those with the largest misfits if there are many, after a note."""
     records = [(run, sensor) for run, sensors in result.predicted.items() for sensor in sensors]
@@ -278,13 +273,13 @@ def misfit(fit: Fit | Validation, run: str, sensor: str) -> float:
     )
     present = ~np.isnan(measured)
 
-    def rms(x: np.ndarray) -> np.ndarray | np.floating:
-        return np.sqrt(
-            np.sum(np.abs(np.where(present, x, 0)) ** 2, 0) / np.maximum(present.sum(0), 1)
-        )
+    def mean(x: np.ndarray) -> np.ndarray | np.floating:
+        return np.sum(np.where(present, x, 0), 0) / np.maximum(present.sum(0), 1)
 
-    mean = np.sum(np.where(present, measured, 0), 0) / np.maximum(present.sum(0), 1)
-    variation, size = rms(measured - mean), rms(measured)
+    def rms(x: np.ndarray) -> np.ndarray | np.floating:
+        return np.sqrt(mean(np.abs(x) ** 2))
+
+    variation, size = rms(measured - mean(measured)), rms(measured)
     scale = np.where(variation > 0, variation, np.where(size > 0, size, 1.0))
     return float(np.max(rms(predicted - measured) / scale))
 
@@ -294,5 +289,9 @@ SEVERAL: dict[type, Callable[[Any], Pictures]] = {
     Linearization: _of_modes,
     Trajectory: _of_motion,
     Fit: _of_fit,
-    Validation: _of_validation,
+    Validation: functools.partial(
+        _records,
+        drawn_by="plot_validation(validation",
+        what="measured, and predicted without a fit to it",
+    ),
 }

@@ -34,9 +34,9 @@ def over_frequency(response: Any) -> PrintedTable:
 
 def densities(response: Any) -> PrintedTable:
     """The density of each output over the frequencies."""
-    names = zip(response.outputs, response.units, strict=True)
-    columns = {f"{name} [({unit})2/Hz]": response.psd[i] for i, (name, unit) in enumerate(names)}
-    return series({"frequency [Hz]": response.frequencies, **columns})
+    outputs = zip(response.outputs, response.units, response.psd, strict=True)
+    columns = {f"{name} [({unit})2/Hz]": psd for name, unit, psd in outputs}
+    return series({"frequency [Hz]": response.frequencies} | columns)
 
 
 def by_case(cases: Any) -> PrintedTable:
@@ -46,20 +46,16 @@ def by_case(cases: Any) -> PrintedTable:
     (strokes, turns), (forces, moments) = (
         forces_and_moments(cases.unloaded.model, x, "") for x in (cases.strokes, cases.forces)
     )
-    moves, rotations = components(cases.displacements), components(cases.rotations)
-    of_bodies = {"displacement of {} [m]": moves, "rotation of {} [rad]": rotations}
-    of_elements = {
+    parts = {
+        "displacement of {} [m]": components(cases.displacements),
+        "rotation of {} [rad]": components(cases.rotations),
         "stroke of {} [m]": strokes,
         "turn of {} [rad]": turns,
         "force of {} [N]": forces,
         "moment of {} [N m]": moments,
     }
-    columns = {
-        label.format(name): x
-        for label, values in {**of_bodies, **of_elements}.items()
-        for name, x in values.items()
-    }
-    rows = list(zip(cases.names, *(map(float, column) for column in columns.values()), strict=True))
+    columns = {label.format(name): x for label, of in parts.items() for name, x in of.items()}
+    rows = [(name, *x) for name, x in zip(cases.names, series(columns).rows, strict=True)]
     return PrintedTable("", ("case", *columns), rows)
 
 
@@ -72,12 +68,10 @@ def over_time(trajectory: Any, sensors: dict[str, Any]) -> PrintedTable:
     for name, force in trajectory.forces.items():
         columns |= {f"force of {name} [N]": force} if np.ndim(force) == 1 else {}
     for name, reading in (jb.measure(trajectory, sensors) if sensors else {}).items():
-        parts = np.asarray(reading).reshape(len(trajectory.times), -1)
         unit = sensors[name].unit_on(trajectory.model)
-        columns |= {
-            f"{name}{index} [{unit}]": parts[:, i]
-            for i, index in enumerate(indices(reading.shape[1:]))
-        }
+        parts = np.asarray(reading).reshape(len(trajectory.times), -1).T
+        labels = [f"{name}{index} [{unit}]" for index in indices(reading.shape[1:])]
+        columns |= dict(zip(labels, parts, strict=True))
     return series(columns)
 
 
@@ -94,32 +88,32 @@ def save(outcome: Any, path: Path) -> None:
     """Save an outcome in the format of the path's extension. Errors: UNKNOWN_FORMAT,
     MISSING_EXTRA, NOT_SAVED."""
     with writing(path):
-        if path.suffix == ".csv":
-            path.write_text("\n".join(_text(table) for table in _tables(outcome)), encoding="utf-8")
-        elif path.suffix == ".parquet":
-            import_extra("pyarrow.parquet", "--out").write_table(_arrow(_frame(outcome)), path)
-        elif path.suffix == ".nc":
-            _dataset(outcome).to_netcdf(path, engine="scipy")
-        elif path.suffix == ".html":
-            outcome.view().save(path)
-        elif outcome.draw is None:
-            raise JaxbodyError(
-                Problem(
-                    "UNKNOWN_FORMAT",
-                    "--out",
-                    "is a picture, which this command does not draw",
-                    path,
-                    ".csv",
+        match path.suffix:
+            case ".csv":
+                path.write_text("\n".join(map(_text, _tables(outcome))), encoding="utf-8")
+            case ".parquet":
+                import_extra("pyarrow.parquet", "--out").write_table(_arrow(_frame(outcome)), path)
+            case ".nc":
+                _dataset(outcome).to_netcdf(path, engine="scipy")
+            case ".html":
+                outcome.view().save(path)
+            case _ if outcome.draw is not None:
+                outcome.draw().figure.savefig(path, dpi=130)
+            case _:
+                raise JaxbodyError(
+                    Problem(
+                        "UNKNOWN_FORMAT",
+                        "--out",
+                        "is a picture, which this command does not draw",
+                        path,
+                        ".csv",
+                    )
                 )
-            )
-        else:
-            outcome.draw().figure.savefig(path, dpi=130)
 
 
 def _tables(outcome: Any) -> list[PrintedTable]:
-    made = outcome.text or outcome.series
-    if made is not None:
-        return [made()]
+    if outcome.text or outcome.series:
+        return [(outcome.text or outcome.series)()]
     return [
         table
         for result in outcome.results
@@ -184,13 +178,12 @@ def _dataset(outcome: Any) -> Any:
 def _real(data: Any) -> Any:
     """A Dataset whose complex variables are two real ones, which files know: "pole" as "pole_real"
     and "pole_imaginary"."""
-    for name in [name for name, x in data.data_vars.items() if np.iscomplexobj(x)]:
-        x = data[name]
-        halves = {
-            f"{name}_real": x.real.assign_attrs(x.attrs),
-            f"{name}_imaginary": x.imag.assign_attrs(x.attrs),
-        }
-        data = data.assign(halves).drop_vars(name)
+    for name, x in list(data.data_vars.items()):
+        if np.iscomplexobj(x):
+            real, imaginary = (part.assign_attrs(x.attrs) for part in (x.real, x.imag))
+            data = data.drop_vars(name).assign(
+                {f"{name}_real": real, f"{name}_imaginary": imaginary}
+            )
     return data
 
 
