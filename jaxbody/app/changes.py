@@ -1,7 +1,5 @@
 """Changes of a document: other values for some entries, as a person types them."""
 
-from __future__ import annotations
-
 import fnmatch
 import tomllib
 from typing import Any

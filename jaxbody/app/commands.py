@@ -5,8 +5,6 @@ Exit codes: 0, done; 1, done, but the result has another status than ok; 2, the 
 file are not valid.
 """
 
-from __future__ import annotations
-
 import argparse
 import shlex
 import sys

@@ -1,8 +1,6 @@
 """The command `jaxbody demo`: the plate of Stanescu and Mihalcea (2011), from its drawing to
 stiffnesses fitted to a noisy record."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,8 +1,6 @@
 """New numbers in a model file: each at its place and in the unit that stands there. Comments and
 the order of entries stay."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

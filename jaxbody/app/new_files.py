@@ -1,8 +1,6 @@
 """New files for a newcomer to edit: a ready model with a motion, sensors, a design and, as
 comments, measured data; the mounts of a data sheet with a body on them."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

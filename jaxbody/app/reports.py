@@ -1,8 +1,6 @@
 """Reports: results with their tables and pictures in one HTML file, which needs no network and
 prints on paper."""
 
-from __future__ import annotations
-
 import base64
 import functools
 import hashlib

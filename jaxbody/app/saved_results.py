@@ -1,8 +1,6 @@
 """What a command found, saved with --out: tables as text, Parquet or netCDF, a picture, or a page
 in three dimensions."""
 
-from __future__ import annotations
-
 import csv
 import io
 from pathlib import Path

@@ -6,8 +6,6 @@ names that are stated twice, and nesting that is too deep, before the text is pa
 file is executed.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

@@ -1,8 +1,6 @@
 """Kinds of objects in model files: the arguments of each class and their schema, from its
 constructor, its fields and its docstring."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 import re

@@ -1,8 +1,6 @@
 """Models in TOML and JSON files: `read_model` builds one by the constructors, `write_model` writes
 every number to the bit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

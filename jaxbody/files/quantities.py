@@ -10,8 +10,6 @@ other follows; if that is not kg or N (mm, N, s: tonnes), numbers in it are an e
 rarely meant so. Where it is the mass, so are accelerations, such as gravity.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import sys

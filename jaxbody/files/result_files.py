@@ -1,8 +1,6 @@
 """Results in files: fits, motions, linear systems, designs and models in one archive of arrays and
 text, every number to the bit."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

@@ -7,8 +7,6 @@ entry), `words` (what the words of units stand for below it), `name_of` (what a 
 coordinates that it names).
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import re

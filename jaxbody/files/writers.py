@@ -1,7 +1,5 @@
 """Writers: a model as the values of a document, in SI, and as text."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import json

@@ -1,8 +1,6 @@
 """Mounts and hard points from text tables with a line for each: a name, other words, and numbers
 with units in the headings or in the cells."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Callable, Mapping, Sequence

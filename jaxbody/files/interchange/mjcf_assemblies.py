@@ -1,8 +1,6 @@
 """What is made of an MJCF file, by either reader: frames with their joints and masses, springs of
 joints and tendons, as a model."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -1,8 +1,6 @@
 """MJCF and URDF by MuJoCo's own compiler: the arrays of the model that it makes of a file say what
 the file means."""
 
-from __future__ import annotations
-
 import importlib.util
 import subprocess
 import sys

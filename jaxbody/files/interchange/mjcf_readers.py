@@ -1,8 +1,6 @@
 """Models from MJCF, the files of MuJoCo: bodies, inertias, joints, springs of joints and tendons,
 and a list of what was left out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Models as MJCF, for MuJoCo: the same bodies, joints, springs and dampers, to compare motions from
 rest or from an initial state."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree

@@ -1,8 +1,6 @@
 """State spaces for other programs: a MATLAB file of the matrices with the names and units of
 inputs, outputs and states."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

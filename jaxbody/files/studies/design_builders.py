@@ -1,8 +1,6 @@
 """Builders of designs: quantities of a document, in which units of limits and bounds are those of
 what they limit, as `tune` takes them."""
 
-from __future__ import annotations
-
 import inspect
 from typing import Any
 

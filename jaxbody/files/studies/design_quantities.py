@@ -1,8 +1,6 @@
 """Quantities of a design in a file: what `tune` minimizes and limits, each a function of the model
 at its equilibrium, with its unit."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 """The schema of what was measured: records, experiments, measured modes and responses, by the
 arguments of their constructors."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from jaxbody.files.kinds import OWN, PAIR, by_name, named, one_of, table_schema, texts_of

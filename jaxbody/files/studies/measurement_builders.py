@@ -1,8 +1,6 @@
 """Builders of measured modes and responses: numbers of the document, or columns of a file
 beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property

@@ -6,8 +6,6 @@ that a study is for.
 writes it again after a field has changed.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

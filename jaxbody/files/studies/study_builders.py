@@ -1,8 +1,6 @@
 """Builders of studies: records, sensors, loads, motions and experiments of a document, and what is
 free in a fit."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any

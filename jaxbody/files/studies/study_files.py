@@ -1,8 +1,6 @@
 """Studies in files: a model, the motions of its supports, loads, sensors, experiments, and what is
 free in a fit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field as attribute
