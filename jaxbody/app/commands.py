@@ -173,27 +173,27 @@ def _prepare(options: argparse.Namespace) -> None:
 
 
 def _new(options: argparse.Namespace) -> int:
-    ready, chosen = [name for name in dir(jb.presets) if name[0] != "_"], []
-    if options.mounts is None:
-        if options.model is None:
-            print("Ready models: " + ", ".join(ready))
-            return 0
-        named = [name for name in ready if name.startswith(options.model)]
-        chosen = [options.model] if options.model in ready else named
-        if len(chosen) != 1:
-            raise JaxbodyError(unknown(options.model, "new", tuple(ready)))
+    ready = [name for name in dir(jb.presets) if name[0] != "_"]
+    if options.mounts is None and options.model is None:
+        print("Ready models: " + ", ".join(ready))
+        return 0
+    chosen = [name for name in ready if name.startswith(options.model or "")]
+    if options.model in ready:
+        chosen = [options.model]
+    if options.mounts is None and len(chosen) != 1:
+        raise JaxbodyError(unknown(options.model, "new", tuple(ready)))
     _use_x64()
     from jaxbody.app import new_files
 
-    if chosen:
+    if options.mounts is None:
         print(new_files.text_of(chosen[0]), end="")
-        return 0
-    print(new_files.text_of_mounts(options.mounts), end="")
-    print(
-        f"Mass, center of mass and inertia are not in {options.mounts.name}: replace the "
-        "placeholders in the file.",
-        file=sys.stderr,
-    )
+    else:
+        print(new_files.text_of_mounts(options.mounts), end="")
+        print(
+            f"Mass, center of mass and inertia are not in {options.mounts.name}: replace the "
+            "placeholders in the file.",
+            file=sys.stderr,
+        )
     return 0
 
 

@@ -112,9 +112,9 @@ def _response(study: Study, options: argparse.Namespace) -> Outcome:
     from jaxbody.app import saved_results
 
     lin, remarks = _linear(study)
-    frequencies = np.geomspace(*options.frequencies, options.points)
+    low, high = options.frequencies
     inputs, outputs = _ports(study, options, options.kind)
-    response = jb.frequency_response(lin, frequencies, inputs, outputs)
+    response = jb.frequency_response(lin, np.geomspace(low, high, options.points), inputs, outputs)
     return Outcome(
         [response, *remarks],
         lambda: jb.plots.plot_frequency_response(response),
@@ -217,7 +217,7 @@ def _fitted(study: Study, options: argparse.Namespace) -> dict[str, Any]:
             )
     if "starts" in asked:
         optima = jb.multistart(study.model, study.experiments, **asked)
-        results = {"Fit": optima.best, "Optima from several starts": optima}
+        results: dict[str, Any] = {"Fit": optima.best, "Optima from several starts": optima}
     else:
         results = {"Fit": jb.fit(study.model, study.experiments, **asked)}
     if study.held_out:
@@ -318,11 +318,10 @@ def _place(text: str, where: str) -> tuple[str, str]:
 
 def _sensor(text: str, quantity: str, elements: tuple[str, ...]) -> Any:
     """What "car.z" or the name of an element measures."""
-    if text in elements:
-        return jb.Elongation(text)
-    name, direction = _place(text, "--output")
-    sensor = QUANTITIES[quantity][direction[0] == "r"]
-    return getattr(jb, sensor)(name, axis=[float(direction[-1] == axis) for axis in "xyz"])
+    name, direction = (text, "") if text in elements else _place(text, "--output")
+    sensor = QUANTITIES[quantity][direction[0] == "r"] if direction else "Elongation"
+    axis = {"axis": [float(direction[-1] == axis) for axis in "xyz"]} if direction else {}
+    return getattr(jb, sensor)(name, **axis)
 
 
 def _case(text: str) -> tuple[str, list[float]]:

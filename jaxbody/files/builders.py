@@ -253,9 +253,10 @@ class Builder:
         entry = ("time",) if of_time else ("channels", names[0])
         spec = values["time"] if of_time else values["channels"][names[0]]
         column = json.dumps(spec["columns"] if isinstance(spec, dict) else spec, ensure_ascii=False)
-        unit = "ms" if of_time else "m/s2"
-        hint = f'Write {shown(entry)} = {{columns = {column}, unit = "{unit}"}} with its unit'
-        hint += "." if of_time else ', or unit = "1" for numbers without one.'
+        unit, else_ = ("ms", "") if of_time else ("m/s2", ', or unit = "1" for numbers without one')
+        hint = (
+            f'Write {shown(entry)} = {{columns = {column}, unit = "{unit}"}} with its unit{else_}.'
+        )
         return dataclasses.replace(problem, where=self.document.where((*path, *entry)), hint=hint)
 
     def sampled(self, record: Record, value: dict[str, Any]) -> Motion:
@@ -267,7 +268,7 @@ class Builder:
         return Sampled(record.times, **rows)
 
     def base_motion(self, record: Record, value: dict[str, Any]) -> Motion:
-        options = {
+        options: dict[str, Any] = {
             name: _direction(value) if name == "axis" else x
             for name, x in value.items()
             if name not in ("type", "record")
@@ -309,8 +310,7 @@ class Builder:
 
     def table(self, values: dict[str, Any], path: EntryPath) -> Any:
         """The measured curve in a file beside the document."""
-        name = values.get("file")
-        if name is None or {"x", "forces"} & set(values):
+        if "file" not in values or {"x", "forces"} & set(values):
             self.problems.add(
                 "MISSING_ENTRY",
                 self.document.where(path),
@@ -319,7 +319,7 @@ class Builder:
                 hint='Give x = [...] and forces = [...], or file = "curve.csv".',
             )
             return None
-        file = self.beside(name, (*path, "file"))
+        file = self.beside(values["file"], (*path, "file"))
         return file and self.gather((*path, "file"), "", lambda: Table.read(file))
 
     def beside(self, name: str, path: EntryPath) -> Path | None:

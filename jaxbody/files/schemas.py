@@ -270,8 +270,8 @@ def resolved(node: dict[str, Any]) -> dict[str, Any]:
     """The definition that a schema refers to, with what is said beside the reference."""
     if "$ref" not in node:
         return node
-    definition = schema()["$defs"][node["$ref"].rpartition("/")[2]]
-    return definition | {name: text for name, text in node.items() if name == "description"}
+    about = {name: text for name, text in node.items() if name == "description"}
+    return schema()["$defs"][node["$ref"].rpartition("/")[2]] | about
 
 
 def accepts(node: dict[str, Any], value: Any) -> bool:

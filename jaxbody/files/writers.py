@@ -129,11 +129,10 @@ class Writer:
             {} if type(thing) in PLAIN.values() else {"type": self.type_of(thing, where)}
         )
         spans = type(thing) in (*ELEMENTS, *CLOSURES)
-        points = map(numbers_of, thing.points if spans else ())
-        ends = map(list, zip(thing.between if spans else (), points, strict=True))
+        ends = zip(thing.between, map(numbers_of, thing.points), strict=True) if spans else iter(())
         for argument in arguments_of(type(thing)) if dataclasses.is_dataclass(thing) else ():
             if argument.role == "end":
-                values[argument.name] = next(ends)
+                values[argument.name] = list(next(ends))
             else:
                 value = getattr(thing, argument.field, None)
                 if value is not None and not _same(value, argument.default):
@@ -224,8 +223,8 @@ def _with_unit(value: Any, node: dict[str, Any], words: dict[str, str] | None = 
         return item.comment(f"in blocks {unit}")
     if not unit:
         return item
-    words = (words or {}) | node.get("words", {})
-    return item.comment(si_words(dimension(unit.partition(",")[0], words)))
+    all_words = (words or {}) | node.get("words", {})
+    return item.comment(si_words(dimension(unit.partition(",")[0], all_words)))
 
 
 def _item(value: Any) -> Any:

@@ -42,16 +42,10 @@ def compiled(path: Path, document: MjcfDocument) -> tuple[dict[str, np.ndarray] 
         source, target = path.resolve(), Path(folder, "arrays.npz")
         if document.root.tag == "robot":
             source = _without_looks(path, Path(folder, "robot.urdf"))
-        command = [
-            sys.executable,
-            "-P",
-            str(Path(__file__).with_name("mujoco_process.py")),
-            str(source),
-            str(target),
-        ]
+        program = Path(__file__).with_name("mujoco_process.py")
         try:
             run = subprocess.run(
-                command,
+                [sys.executable, "-P", program, source, target],
                 cwd=folder,
                 capture_output=True,
                 text=True,

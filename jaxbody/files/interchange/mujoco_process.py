@@ -47,9 +47,12 @@ ARRAYS = (
     "tendon_lengthspring",
     "wrap_type",
     "wrap_objid",
+    "ncam",
+    "nlight",
+    "nflex",
 )
 NAMED = {"body": "nbody", "joint": "njnt", "tendon": "ntendon"}
-COUNTED = ("ncam", "nlight", "nflex")
+
 MEMORY = 8 << 30  # bytes: a short file may state a model of any size
 
 
@@ -78,8 +81,7 @@ def main(source: str, target: str) -> None:
             [mujoco.mj_id2name(m, of, i) or "" for i in range(getattr(m, count))], dtype=str
         )
     weightless = m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-    arrays |= {"gravity": np.zeros(3) if weightless else np.asarray(m.opt.gravity)}
-    arrays |= {name: np.array(getattr(m, name)) for name in COUNTED}
+    arrays["gravity"] = np.zeros(3) if weightless else np.asarray(m.opt.gravity)
     np.savez(target, **arrays)
 
 

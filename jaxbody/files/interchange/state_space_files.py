@@ -53,7 +53,9 @@ def write_state_space(system: StateSpace, path: Any) -> None:
     values: dict[str, Any] = {
         name: np.asarray(getattr(system, name)) for name in ("A", "B", "C", "D")
     }
-    for name in ("inputs", "outputs", "states", "input_units", "output_units"):
-        values[name] = np.array(getattr(system, name), dtype=object)
+    values |= {
+        name: np.array(getattr(system, name), dtype=object)
+        for name in ("inputs", "outputs", "states", "input_units", "output_units")
+    }
     with writing(path), path.open("wb") as file:
         savemat(file, values)

@@ -72,10 +72,10 @@ class DesignBuilder(EntryBuilder):
         path, kind = ("quantities", name), str(values["type"])
         if kind in QUANTITIES:
             return QUANTITIES[kind]
-        of = self.builder.own_object(kind, (*self.path, *path))
+        of: Any = self.builder.own_object(kind, (*self.path, *path))
         if of is None:
             return None
-        is_function = (
+        is_function = bool(
             callable(of)
             and not inspect.isclass(of)
             and getattr(of, "__module__", None) == kind.partition(":")[0]

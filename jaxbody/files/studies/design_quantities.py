@@ -59,7 +59,7 @@ class Quantity:
     where that is known, whether it needs roads."""
 
     of: Callable[..., Any]
-    unit: str
+    unit: str = ""
     on_roads: bool = False
 
     @property
@@ -68,71 +68,66 @@ class Quantity:
         return tuple(inspect.signature(self.of).parameters)[1:]
 
 
-QUANTITIES: dict[str, Quantity] = {}
-
-
-def quantity(unit: str = "", on_roads: bool = False) -> Callable[[Any], Any]:
-    """A decorator of functions that are quantities of designs by their name."""
-
-    def added(of: Any) -> Any:
-        QUANTITIES[of.__name__] = Quantity(of, unit, on_roads)
-        return of
-
-    return added
-
-
-@quantity()
 def value(at: Design, path: str) -> Array:
     """A number of the model."""
     return paths(at.model, path)[path]
 
 
-@quantity("Hz")
 def frequency(at: Design, mode: int) -> Array:
     """A natural frequency."""
     return at.modes.frequency[mode - 1]
 
 
-@quantity()
 def damping_ratio(at: Design, mode: int) -> Array:
     """The damping ratio of a complex mode."""
     return complex_modes(at.linearization).damping_ratio[mode - 1]
 
 
-@quantity("m")
 def deflection(at: Design, element: str) -> Array:
     """The elongation of a spring at rest."""
     return at.equilibrium.elongations[element]
 
 
-@quantity()
 def coupling_of_modes(at: Design) -> Array:
     """How far modes move several bodies or directions: 0 for not at all."""
     return objectives.coupling_of_modes(at.linearization)
 
 
-@quantity()
 def band_intrusion(at: Design, band: list[float]) -> Array:
     """A penalty on natural frequencies in a band."""
     return objectives.band_intrusion(at.modes.frequency, (band[0], band[1]))
 
 
-@quantity(on_roads=True)
 def rms(at: Design, sensor: str) -> Array:
     """The rms of what a sensor reads on the roads."""
     return at.ride[sensor]
 
 
-@quantity("m", on_roads=True)
 def stroke(at: Design, sensor: str) -> Array:
     """Three times the rms of an elongation on the roads."""
     return objectives.stroke(at.ride, sensor)
 
 
-@quantity("m/s2", on_roads=True)
 def comfort(at: Design, weights: dict[str, str]) -> Array:
     """The vibration total value of accelerations on the roads, by ISO 2631-1."""
     return objectives.comfort(at.ride, weights)
+
+
+# by the names of their functions
+QUANTITIES = {
+    each.of.__name__: each
+    for each in (
+        Quantity(value),
+        Quantity(frequency, "Hz"),
+        Quantity(damping_ratio),
+        Quantity(deflection, "m"),
+        Quantity(coupling_of_modes),
+        Quantity(band_intrusion),
+        Quantity(rms, on_roads=True),
+        Quantity(stroke, "m", on_roads=True),
+        Quantity(comfort, "m/s2", on_roads=True),
+    )
+}
 
 
 class Evaluation:
