@@ -369,17 +369,8 @@ def _ports_options(required: bool) -> tuple[Any, ...]:
 
 
 def _case_option(required: bool) -> tuple[Any, ...]:
-    return (
-        ("--case",),
-        {
-            "type": _case,
-            "action": "append",
-            "required": required,
-            "default": [],
-            "metavar": "NAME=X,Y,Z",
-            "help": "acceleration of a load case [g]",
-        },
-    )
+    named: dict[str, Any] = {"type": _case, "action": "append", "required": required, "default": []}
+    return ("--case",), named | {"metavar": "NAME=X,Y,Z", "help": "acceleration of a load case [g]"}
 
 
 BAND = (

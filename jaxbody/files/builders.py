@@ -9,6 +9,7 @@ import inspect
 import json
 import re
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -54,7 +55,7 @@ PLACE = re.compile(
 
 
 @dataclasses.dataclass
-class EntryBuilder:
+class EntryBuilder(ABC):
     """Base class of builders of one entry of a study, from its values and its path in the document;
     problems are collected by the builder of the document."""
 
@@ -84,6 +85,10 @@ class EntryBuilder:
         """Add a problem of the entry below these parts of its path."""
         where = self.builder.document.where((*self.path, *parts))
         self.builder.problems.add(code, where, message, value=value, limit=limit, hint=hint)
+
+    @abstractmethod
+    def build(self) -> Any:
+        """Return what the entry states, built by constructors; problems are collected."""
 
     def check_known(self, names: Iterable[str], known: Collection[str], *parts: str) -> None:
         """Check that names below these parts of the path are known."""

@@ -289,7 +289,8 @@ def object_schema(kind: type, type_name: str = "") -> dict[str, Any]:
 
 def about(kind: Any) -> str:
     """The first paragraph of a docstring."""
-    return (inspect.getdoc(kind) or "").partition("\n\n")[0]
+    text = (inspect.getdoc(kind) or "").partition("\n\n")[0]
+    return re.sub("^Return (.)", lambda start: start[1].upper(), text)
 
 
 def _coordinates(kind: type) -> dict[str, Any]:

@@ -22,7 +22,7 @@ OF_TABLE = ("type", "unit")  # entries of an own quantity that are not for its f
 class DesignBuilder(EntryBuilder):
     """Makes a design of the values at a path of a document."""
 
-    def design(self) -> dict[str, Any]:
+    def build(self) -> dict[str, Any]:
         """The arguments of `tune` beside the model, but for bounds and catalogues."""
         stated, limits = self.values["quantities"], self.values.get("limits", {})
         roads = self.values.get("roads", {})

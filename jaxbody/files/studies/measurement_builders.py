@@ -28,6 +28,15 @@ from jaxbody.vibration.ports import component_units
 class MeasurementBuilder(EntryBuilder):
     """Makes measured modes and responses of the values at a path of a document."""
 
+    def build(self) -> MeasuredModes | MeasuredResponse | None:
+        """Return the measured modes or responses, by the type of the entry; None with problems."""
+        known = {"MeasuredModes": self.modes, "MeasuredResponse": self.response}
+        kind = self.values["type"]
+        if kind in known:
+            return known[kind]()
+        self.builder.unknown(kind, ("Experiment", *known), (*self.path, "type"))
+        return None
+
     def modes(self) -> MeasuredModes | None:
         """The result of a modal test."""
         given = {

@@ -112,17 +112,11 @@ class StudyBuilder:
         loads: Any,
         sensors: dict[str, Sensor],
     ) -> Any:
-        kind = values.get("type", "Experiment")
-        if kind != "Experiment":
+        if values.get("type", "Experiment") != "Experiment":
             # slow to import, and many files have none
             from jaxbody.files.studies.measurement_builders import MeasurementBuilder
 
-            measured = MeasurementBuilder(self.builder, self.model, sensors, values, path)
-            known = {"MeasuredModes": measured.modes, "MeasuredResponse": measured.response}
-            if kind in known:
-                return known[kind]()
-            self.builder.unknown(kind, ("Experiment", *known), (*path, "type"))
-            return None
+            return MeasurementBuilder(self.builder, self.model, sensors, values, path).build()
         from jaxbody.fitting.experiments.experiments import Experiment  # likewise
 
         record, before = self.builder.record(values["record"]), len(self.builder.problems.collected)
@@ -253,7 +247,7 @@ class StudyBuilder:
             for name in ("bounds", "catalogues")
             if name in values
         }
-        return DesignBuilder(self.builder, self.model, sensors, values, path).design() | numbers
+        return DesignBuilder(self.builder, self.model, sensors, values, path).build() | numbers
 
 
 def _about(path: str, failed: Collection[str]) -> bool:
