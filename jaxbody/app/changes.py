@@ -1,4 +1,4 @@
-"""Changes of a document: other values for some entries, as a person types them."""
+"""Changes of a document: new values for entries, from texts such as "left.stiffness=30 N/mm"."""
 
 import fnmatch
 import tomllib
@@ -8,15 +8,15 @@ from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.files.documents import Document, EntryPath
 from jaxbody.files.quantities import table_of
 
-# whose names are unique in a model
+# sections with names that are unique in a model
 SECTIONS = ("bodies", "supports", "elements", "closures", "energies", "dissipations")
 
 
 def set_value(document: Document, text: str) -> None:
     """Set an entry by a text, "left.stiffness=30 N/mm": the name of a body, support, element or
-    closure and the entries below it, or those of another section, "motion.road.frequency",
-    "records.run1.file". With * and ? in the name of the first kind, which match as in file names,
-    it is set for all that have it. Errors: SYNTAX, UNKNOWN_NAME."""
+    closure and its entry, or an entry of another section, such as "motion.road.frequency" or
+    "records.run1.file". A name of the first kind may hold * and ?, as in file names: the entry is
+    set in all objects that match and have it. Errors: SYNTAX, UNKNOWN_NAME."""
     path, sign, value = text.partition("=")
     name, *below = path.strip().split(".")
     if not sign or not (below or name == "gravity"):
@@ -49,6 +49,7 @@ def set_value(document: Document, text: str) -> None:
 
 
 def _put(table: Any, below: list[str], value: Any, text: str) -> None:
+    """Set an entry at a path below a table. Error: UNKNOWN_NAME."""
     for part in below[:-1]:
         table = table.get(part) if isinstance(table, dict) else None
     if not isinstance(table, dict):
@@ -65,7 +66,7 @@ def _put(table: Any, below: list[str], value: Any, text: str) -> None:
 
 
 def _value(text: str) -> Any:
-    """A value as TOML writes it, or the text itself."""
+    """Return a text as a TOML value, or unchanged if it is none."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except ValueError:

@@ -1,8 +1,8 @@
-"""The command `jaxbody`: a model file on one line. Arguments and the file are checked before JAX
-is imported.
+"""The command `jaxbody`: computations on a model file from the command line. Arguments and the file
+are checked before JAX is imported.
 
-Exit codes: 0, done; 1, done, but the result has another status than ok; 2, the arguments or the
-file are not valid.
+Exit codes: 0, done; 1, done, but the status of a result is not ok; 2, the arguments or the file are
+not valid.
 """
 
 import argparse
@@ -71,7 +71,7 @@ ON_FILES: tuple[Any, ...] = (  # options of all commands on model files
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; without a command, print the help."""
+    """Run the command and return its exit code; without a command, print the help."""
     parser = _parser()
     options = parser.parse_args(arguments)
     if options.command is None:
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.own_process:
         warnings.showwarning = lambda message, *_, **__: print(
             f"warning: {message}", file=sys.stderr
-        )  # without lines of code
+        )  # without the line of code that warns
     options.typed = shlex.join(["jaxbody", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         return options.run(options)
@@ -93,6 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    """Return the parser of the arguments of all commands."""
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(
         prog="jaxbody", description=DESCRIPTION, epilog=EPILOG, formatter_class=form
@@ -163,7 +164,8 @@ def _use_x64() -> None:
 
 
 def _prepare(options: argparse.Namespace) -> None:
-    """Switch to double precision; keep the programs of a process of the command for the next."""
+    """Switch JAX to double precision; in the command's own process, keep compiled programs for the
+    next run."""
     _use_x64()
     if options.own_process:
         try:
@@ -173,6 +175,7 @@ def _prepare(options: argparse.Namespace) -> None:
 
 
 def _new(options: argparse.Namespace) -> int:
+    """Print the file of a ready model or of a mount table, or list the ready models."""
     ready = [name for name in dir(jb.presets) if name[0] != "_"]
     if options.mounts is None and options.model is None:
         print("Ready models: " + ", ".join(ready))
@@ -198,7 +201,7 @@ def _new(options: argparse.Namespace) -> int:
 
 
 def _on_file(options: argparse.Namespace) -> int:
-    """Read the file, run the command, print its tables, save them or a picture."""
+    """Read the file, run the command, print its tables, and save them or a picture."""
     command = COMMANDS[options.command]
     if options.out is not None and options.out.suffix not in command.formats:
         raise JaxbodyError(

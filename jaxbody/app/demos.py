@@ -14,11 +14,10 @@ import jaxbody as jb
 from jaxbody.core.source_files import writing
 from jaxbody.core.tables import PrintedTable, text
 
-NOISE = 2e-3  # m, of the simulated camera
+NOISE = 2e-3  # standard deviation of the simulated camera [m]
 LIKELY = 4.0  # largest accepted error of an estimate, in standard errors
 START = time.perf_counter()
-# The nonzero entries of the paper's (77) in units of k/4: row, column, as printed, as a function of
-# kt/k and l
+# nonzero entries of the paper's (77) in units of k/4: row, column, as printed, function of kt/k, l
 PRINTED = (
     (0, 0, "5", lambda r, l: 5.0),
     (0, 5, "-20 l", lambda r, l: -20 * l),
@@ -34,12 +33,14 @@ PRINTED = (
 
 
 def run(out: Path, seed: int) -> int:
-    """The demo: model, modes, motion, fit. Error: NOT_SAVED, before anything is computed."""
+    """Run the demo (model, modes, motion, fit), with figures in the folder `out`; `seed`: of the
+    measurement noise. Return 0 if the fit agrees with the true stiffnesses, else 1. Error:
+    NOT_SAVED, before anything is computed."""
     import jax
 
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=out):  # it can be written
+        with TemporaryFile(dir=out):  # test that the folder can be written to
             pass
 
     jax.config.update("jax_enable_x64", True)
@@ -138,7 +139,8 @@ def report(step: str) -> None:
 
 
 def model(l: float, m: float, g: float, k: float, kt: float) -> Any:
-    """The plate on its lightly damped springs; O at the origin of the world, gravity along -y."""
+    """Return the plate on its lightly damped springs; O at the origin of the world, gravity along
+    -y; l [m], m [kg], g [m/s2], k and kt [N/m]."""
     free = 1.5 * 2**0.5 * l  # L - s of AB and CD (67)
     return jb.Model(
         bodies={"plate": jb.Body(mass=m, inertia=[0.3, 0.9, 1.2])},
@@ -171,7 +173,7 @@ def model(l: float, m: float, g: float, k: float, kt: float) -> Any:
 
 
 def printed_K_tilde(k: float, kt: float, l: float) -> np.ndarray:
-    """K~ as given by (77)."""
+    """Return K~ as given by (77) in the paper."""
     K = np.zeros((6, 6))
     for i, j, _, entry in PRINTED:
         K[i, j] = k / 4 * entry(kt / k, l)
@@ -179,13 +181,13 @@ def printed_K_tilde(k: float, kt: float, l: float) -> np.ndarray:
 
 
 def printed_force(k: float, l: float, xi0: float, phi0: float) -> np.ndarray:
-    """The amplitude of the excitation force by (79), for a base that moves by xi0 along x and turns
-    by phi0 about z."""
+    """Return the amplitude of the excitation force by (79) in the paper, for a base that moves by
+    xi0 [m] along x and turns by phi0 [rad] about z."""
     return k / 4 * np.array([5 * xi0 - 20 * l * phi0, 0, 0, 0, 0, 4 * l * xi0 + 32 * l**2 * phi0])
 
 
 def compare_K_tilde(K_tilde: np.ndarray, k: float, kt: float, l: float) -> None:
-    """Print K~ and the paper's (77)."""
+    """Print K~ and the paper's (77) side by side."""
     printed, axes = printed_K_tilde(k, kt, l), ("x", "y", "z", "about x", "about y", "about z")
     rows = [
         (f"plate {axes[i]}", f"base {axes[j]}", K_tilde[i, j], printed[i, j], formula)
@@ -200,8 +202,7 @@ def compare_K_tilde(K_tilde: np.ndarray, k: float, kt: float, l: float) -> None:
 
 
 def compare_forces(linear: np.ndarray, exact: np.ndarray, k: float, l: float) -> None:
-    """Print the force due to a displaced base: the linear one, the one by the paper's (79), and the
-    exact one."""
+    """Print the force due to a displaced base: linear, by the paper's (79), and exact."""
     report(
         "The force due to a base displaced by 10 mm along x and turned by 20 mrad about "
         "z, by jax.grad of V:"
@@ -215,8 +216,8 @@ def compare_forces(linear: np.ndarray, exact: np.ndarray, k: float, l: float) ->
 
 
 def compare_stiffnesses(fit: Any, truth: dict[str, float]) -> bool:
-    """Print true values, estimates and standard errors; True when the fit succeeded and all errors
-    are within LIKELY standard errors."""
+    """Print true values, estimates and standard errors. Return True if the fit succeeded and all
+    errors are within LIKELY standard errors."""
     rows, agree = [], bool(fit.ok)
     for name, true in truth.items():
         estimate, error = (
@@ -235,7 +236,8 @@ def compare_stiffnesses(fit: Any, truth: dict[str, float]) -> bool:
 def figure(
     path: Path, width: float, height: float, rows: int = 1, columns: int = 1, **ratios: Any
 ) -> Iterator[Any]:
-    """The axes of a figure, created without a window or global state and saved at the end."""
+    """Create a figure without a window or global state; yield its axes and save it at the end of
+    the block. Sizes in inches."""
     from matplotlib.figure import Figure
 
     new = Figure(figsize=(width, height), layout="constrained")

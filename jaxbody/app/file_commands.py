@@ -26,32 +26,29 @@ IN_SPACE = (*FLAT, ".html")  # a page in three dimensions
 
 @dataclass(frozen=True)
 class Command:
-    """A command on a model file: what it does, an example, and the function that does it and
-    returns what is printed and drawn. `measured`: it needs the experiments of the file."""
+    """A command on a model file: a description, an example, the function that runs it, its options;
+    `measured`: whether it needs the experiments of the file."""
 
     about: str
     example: str
     run: Callable[[Any, argparse.Namespace], Outcome]
     options: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = ()
     measured: bool = False
-    formats: tuple[str, ...] = FLAT  # of --out
+    formats: tuple[str, ...] = FLAT  # extensions for --out
 
 
 @dataclass
 class Outcome:
-    """Results, which print as tables; functions that draw them into a picture, that show them in
-    three dimensions, and that give what --out saves in place of the tables, as numbers over the
-    first column in all formats, or as text in .csv alone; for --write the space of the free
-    parameters, and the model and experiments with their values."""
+    """Results of a command, which print as tables, and functions for --out and --write."""
 
     results: list[Any]
-    draw: Callable[[], Any] | None = None
-    series: Callable[[], Any] | None = None
-    text: Callable[[], Any] | None = None
-    space: Any = None
-    trees: dict[str, Any] = attribute(default_factory=dict)
-    saved: bool = False  # by the command itself
-    view: Callable[[], Any] | None = None
+    draw: Callable[[], Any] | None = None  # draws the picture that --out saves
+    series: Callable[[], Any] | None = None  # table of numbers that --out saves in all formats
+    text: Callable[[], Any] | None = None  # table that --out saves as .csv only
+    space: Any = None  # of the free parameters, for --write
+    trees: dict[str, Any] = attribute(default_factory=dict)  # model and experiments to write
+    saved: bool = False  # whether the command itself has saved the results
+    view: Callable[[], Any] | None = None  # shows the results in three dimensions
 
 
 def _check(study: Study, options: argparse.Namespace) -> Outcome:
@@ -69,7 +66,7 @@ def _check(study: Study, options: argparse.Namespace) -> Outcome:
     bodies = "1 body" if len(model.layout.bodies) == 1 else f"{len(model.layout.bodies)} bodies"
     counts = [bodies, *(counted(len(names), what) for what, names in parts.items() if names)]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what it warns of is printed
+        warnings.simplefilter("ignore")  # the remarks are printed
         remarks = jb.plausibility(model, study.experiments).words if model.layout.nv else ()
     return Outcome(
         [
@@ -139,7 +136,7 @@ def _random(study: Study, options: argparse.Namespace) -> Outcome:
 def _load_cases(study: Study, options: argparse.Namespace) -> Outcome:
     from jaxbody.app import saved_results
 
-    if not options.case:  # of a report
+    if not options.case:  # possible in a report
         raise JaxbodyError(
             Problem(
                 "NO_DATA",
@@ -188,9 +185,9 @@ def _fit(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _fitted(study: Study, options: argparse.Namespace) -> dict[str, Any]:
-    """The fit, its optima where it has several starts, and its validation by the experiments that
-    were held out."""
-    asked = study.fit | ({"free": options.free} if options.free else {}) | _steps(options)
+    """Return the results of a fit by heading: the fit, its optima if it has several starts, and its
+    validation by the held-out experiments if there are some."""
+    arguments = study.fit | ({"free": options.free} if options.free else {}) | _steps(options)
     with Problems() as problems:
         if not study.experiments:
             message, hint = (
@@ -207,7 +204,7 @@ def _fitted(study: Study, options: argparse.Namespace) -> dict[str, Any]:
             problems.add(
                 "NO_DATA", options.file.name, message, limit="at least one to fit", hint=hint
             )
-        if "free" not in asked:
+        if "free" not in arguments:
             problems.add(
                 "NOTHING_FREE",
                 options.file.name,
@@ -215,18 +212,18 @@ def _fitted(study: Study, options: argparse.Namespace) -> dict[str, Any]:
                 limit="at least one path",
                 hint='Give --free "spring.stiffness", or free = [...] below [fit] in the file.',
             )
-    if "starts" in asked:
-        optima = jb.multistart(study.model, study.experiments, **asked)
+    if "starts" in arguments:
+        optima = jb.multistart(study.model, study.experiments, **arguments)
         results: dict[str, Any] = {"Fit": optima.best, "Optima from several starts": optima}
     else:
-        results = {"Fit": jb.fit(study.model, study.experiments, **asked)}
+        results = {"Fit": jb.fit(study.model, study.experiments, **arguments)}
     if study.held_out:
         results["Validation"] = jb.validate(results["Fit"], study.held_out)
     return results
 
 
 def _steps(options: argparse.Namespace) -> dict[str, Any]:
-    """The options of the integration that are given."""
+    """Return the given options of the integration, as arguments of `simulate`."""
     return {
         name: given
         for name in ("rtol", "max_steps")
@@ -256,7 +253,8 @@ def _tune(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _report(study: Study, options: argparse.Namespace) -> Outcome:
-    """A section for each part that is asked for; a response where inputs and outputs are."""
+    """Write a report with a section for each part on the command line, and a response if inputs or
+    outputs are given."""
     import numpy as np
 
     path, results = options.out or options.file.with_suffix(".html"), {}
@@ -285,7 +283,7 @@ def _parts_of_modes(study: Study, options: argparse.Namespace) -> dict[str, Any]
 
 
 def _linear(study: Study) -> tuple[Any, list[str]]:
-    """The small motions about the equilibrium, and the remarks on it."""
+    """Return the linearization at the equilibrium, and the remarks on the equilibrium."""
     equilibrium = jb.equilibrium(study.model)
     return jb.linearize(study.model, equilibrium), equilibrium.remarks
 
@@ -293,7 +291,7 @@ def _linear(study: Study) -> tuple[Any, list[str]]:
 def _ports(
     study: Study, options: argparse.Namespace, kind: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The inputs, motions of supports of this kind, and the outputs."""
+    """Return the inputs, motions of supports of this kind, and the outputs, by name."""
     return {text: jb.BaseMotion(*_place(text, "--input"), kind=kind) for text in options.input}, {
         text: study.sensors.get(text) or _sensor(text, options.quantity, study.model.element_names)
         for text in options.output
@@ -301,7 +299,7 @@ def _ports(
 
 
 def _place(text: str, where: str) -> tuple[str, str]:
-    """A name and a direction of "road.z"."""
+    """Split "road.z" into a name and a direction. Error: BAD_DIRECTION."""
     name, _, direction = text.rpartition(".")
     if not name:
         raise JaxbodyError(
@@ -317,7 +315,7 @@ def _place(text: str, where: str) -> tuple[str, str]:
 
 
 def _sensor(text: str, quantity: str, elements: tuple[str, ...]) -> Any:
-    """What "car.z" or the name of an element measures."""
+    """Return the sensor of an output, "car.z" or the name of an element."""
     name, direction = (text, "") if text in elements else _place(text, "--output")
     sensor = QUANTITIES[quantity][direction[0] == "r"] if direction else "Elongation"
     axis = {"axis": [float(direction[-1] == axis) for axis in "xyz"]} if direction else {}
@@ -325,6 +323,7 @@ def _sensor(text: str, quantity: str, elements: tuple[str, ...]) -> Any:
 
 
 def _case(text: str) -> tuple[str, list[float]]:
+    """Parse a load case, "bump=0,0,3", into its name and acceleration [g]."""
     name, sign, numbers = text.partition("=")
     acceleration = [float(number) for number in numbers.split(",")]
     if not (name and sign and len(acceleration) == 3):

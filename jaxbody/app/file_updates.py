@@ -1,5 +1,5 @@
-"""New numbers in a model file: each at its place and in the unit that stands there. Comments and
-the order of entries stay."""
+"""Update of numbers in a model file: each in its place and in the unit used there. Comments and the
+order of entries are kept."""
 
 import json
 import math
@@ -21,13 +21,13 @@ from jaxbody.files.writers import json_of, numbers_of
 from jaxbody.fitting.parameters.spaces import Space, units_of
 from jaxbody.model.bodies import Body
 
-POINT = "point"  # of an end, the last step to its place
+POINT = "point"  # last key of the path of the point of an end
 
 
 def update(path: Path, document: Document, space: Space, trees: dict[str, Any]) -> list[str]:
-    """Write the values of free parameters into a file. `trees`: the model "" and the experiments by
-    name, with these values. Returns the paths that have no entry in the file, such as the gain of a
-    sensor in one of several experiments. Error: NOT_SAVED."""
+    """Write the values of free parameters into a file; `trees`: the model as "" and the experiments
+    by name, with these values. Return the paths of parameters that have no entry in the file, such
+    as the gain of a sensor in one of several experiments. Error: NOT_SAVED."""
     text, is_toml, left = path.read_text(encoding="utf-8"), path.suffix == ".toml", []
     content: Any = tomlkit.parse(text) if is_toml else json.loads(text)
     system = unit_system(document.values.get("units"), "units", Problems())
@@ -44,8 +44,8 @@ def update(path: Path, document: Document, space: Space, trees: dict[str, Any]) 
 
 
 def _run_place(values: dict[str, Any], path: str) -> EntryPath | None:
-    """The entry of an initial state, "run1.initial.v", or of a loss factor,
-    "hammer.loss_factor.all"."""
+    """Return the path of the entry of an initial state, "run1.initial.v", or of a loss factor,
+    "hammer.loss_factor.all"; None for other parameters of an experiment."""
     run, part, *rest = path.split(".")
     if isinstance(values["experiments"][run].get(part), dict) and part in (
         "initial",
@@ -56,8 +56,8 @@ def _run_place(values: dict[str, Any], path: str) -> EntryPath | None:
 
 
 def _place(values: dict[str, Any], path: str) -> EntryPath | None:
-    """The entry of a number of the model, "left.spring.terms.0.coefficient"; None for one that a
-    file beside it holds."""
+    """Return the path of the entry of a number of the model, "left.spring.terms.0.coefficient";
+    None for a number in another file."""
     name, *parts = path.split(".")
     if not parts:
         return (name,)
@@ -91,12 +91,13 @@ def _place(values: dict[str, Any], path: str) -> EntryPath | None:
 def _set(
     content: Any, place: EntryPath, value: np.ndarray, si: list[str], system: UnitSystem | None
 ) -> None:
-    """Set the entry at a place, in the units that it has."""
+    """Set the entry at a path to a value in SI, in the units of its old value; `si`: SI units of
+    its numbers."""
     *keys, last = place if place[-1] != POINT else place[:-1]
     for key in keys:
         content = content[key]
     old = content[last] if isinstance(last, int) else content.get(last)
-    if place[-1] == POINT:  # the end may be stated by its name alone
+    if place[-1] == POINT:  # an end is a name, or a name and a point
         name, point = (old, None) if isinstance(old, str) else old
         content[last] = [name, _written(value, point, si, system)]
     else:
@@ -104,7 +105,7 @@ def _set(
 
 
 def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | None) -> Any:
-    """Numbers in SI in the form and the units of the old ones."""
+    """Return numbers given in SI in the form and the units of the old ones."""
     match = NUMBERS.match(old.strip()) if isinstance(old, str) else None
     count = (
         len(re.findall(r"[^\s,;()\[\]]+", match.group()))
@@ -145,12 +146,13 @@ def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | No
 
 
 def _text(value: np.ndarray, unit: str, factor: float) -> str:
+    """Return numbers given in SI as text with a unit; `factor`: that of the unit to SI."""
     return f"{', '.join(repr(_number(x, factor)) for x in value.ravel().tolist())} {unit}"
 
 
 def _number(value: float, factor: float) -> float:
-    """The number that is read as this value in a unit of this factor, to the bit where there
-    is one."""
+    """Return the number that is read as exactly this value with a unit of this factor, if there is
+    one, else the nearest."""
     near = value / factor
     around = (near, math.nextafter(near, math.inf), math.nextafter(near, -math.inf))
     return next((x for x in around if times(x, factor) == value), near)

@@ -1,5 +1,5 @@
-"""New files for a newcomer to edit: a ready model with a motion, sensors, a design and, as
-comments, measured data; the mounts of a data sheet with a body on them."""
+"""New model files to edit: a ready model with a motion, sensors, a design and, as comments,
+measured data; or the mounts of a mount table with a body on them."""
 
 import dataclasses
 import json
@@ -60,8 +60,8 @@ ON_BASE = (
 
 @dataclasses.dataclass(frozen=True)
 class Start:
-    """What a newcomer would read, tune and fit of a ready model. `initial`: of an experiment that
-    no support moves."""
+    """What the file of a ready model measures, tunes and fits, as TOML text; `initial`: initial
+    state of an experiment without a moving support."""
 
     frequencies: str  # [Hz]
     sensors: str
@@ -219,7 +219,7 @@ STARTS["hydraulic_engine_mounts"] = dataclasses.replace(
 
 
 def text_of(name: str) -> str:
-    """The text of the file of a ready model."""
+    """Return the text of the file of a ready model."""
     model, start = getattr(jb.presets, name)(), STARTS[name]
     support = next((toml_key(name) for name in model.layout.supports), "")
     on_base = {
@@ -242,9 +242,9 @@ def text_of(name: str) -> str:
 
 
 def text_of_mounts(path: Path) -> str:
-    """The text of a file with the mounts of a data sheet. The names in column a are bodies,
-    without masses in the sheet; they are at the origin, so that points in their axes are those of
-    the sheet."""
+    """Return the text of a file with the mounts of a mount table. The names in column a become
+    bodies with placeholder masses, at the origin, so that points in their axes are those of the
+    table."""
     bodies, supports = mounted_frames(path)
     bodies, supports = bodies or ["engine"], supports or ["frame"]
     origin = dict.fromkeys([bodies[0], *supports, *bodies[1:]], jb.Support())
@@ -282,7 +282,7 @@ def text_of_mounts(path: Path) -> str:
 
 
 def _text_of_model(model: jb.Model) -> str:
-    """The model with its units, without negative zeros."""
+    """Return the text of a model with its units, without negative zeros."""
     text = toml_of(values_of(jax.tree.map(lambda x: x + 0.0, model)), units=True)
     return text.replace(
         "gravity = [0.0, 0.0, 0.0] # m/s2",
@@ -291,5 +291,5 @@ def _text_of_model(model: jb.Model) -> str:
 
 
 def toml_key(name: str) -> str:
-    """A name as TOML writes it before "="."""
+    """Return a name as TOML writes it before "="."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)

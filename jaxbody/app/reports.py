@@ -1,5 +1,5 @@
-"""Reports: results with their tables and pictures in one HTML file, which needs no network and
-prints on paper."""
+"""Reports: results with their tables and pictures in one HTML file, which needs no network and can
+be printed."""
 
 import base64
 import functools
@@ -26,10 +26,10 @@ from jaxbody.vibration.natural_modes import modes
 from jaxbody.views import plots
 from jaxbody.views.plots.plots_of_results import picture_of
 
-Pictures = Iterable[tuple[str, Any]]  # captions and axes; a text without axes is a note
-MOST_MODES = 6  # that are drawn
-MOST_RECORDS = 6  # of a fit that are drawn
-LARGEST_DRAWING = 300_000  # bytes of a vector drawing, above which it is a picture of points
+Pictures = Iterable[tuple[str, Any]]  # captions and axes; a caption without axes is a note
+MOST_MODES = 6  # largest number of modes that are drawn
+MOST_RECORDS = 6  # largest number of records of a fit that are drawn
+LARGEST_DRAWING = 300_000  # largest size of a vector drawing [bytes]; others are drawn in pixels
 LIBRARIES = ("jaxbody", "jax", "jaxlib", "diffrax", "numpy", "scipy")
 
 STYLE = """
@@ -69,7 +69,7 @@ footer { margin-top: 2.5rem; border-top: 1px solid #c5ccd6; font-size: .8rem; ov
 """  # noqa: E501
 
 
-# by its policy a browser loads nothing, and complains if the file asks for anything
+# with this policy, a browser loads nothing from elsewhere and reports an attempt as an error
 PAGE = (
     "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'>"
     '<meta http-equiv="Content-Security-Policy" '
@@ -89,15 +89,15 @@ def report(
     command: str = "",
 ) -> Path:
     """Write a report: a section for each result, with its status, its tables and its pictures.
-    Returns the path.
+    Return its path.
 
     Args:
-        results: {heading: result of jaxbody}, with its tables and the picture of its `plot`; of a
-            linearization the modes are drawn, a fit beside its data
+        results: {heading: result of jaxbody}; a section has its tables and the picture of its
+            `plot`, for a linearization its modes, for a fit its records
         path: path of the file, .html; it replaces one of the same name
-        title: title; default: the name of the file
-        files: paths of the files that the results are from, whose hashes are listed
-        command: what makes the report again
+        title: title of the report; default: the name of the file
+        files: paths of the files that the results are from; their hashes are listed
+        command: command that writes the report again; it is printed at the end
 
     Errors: UNKNOWN_FORMAT, WRONG_KIND, NO_DATA, NO_FILE, NOT_SAVED.
 
@@ -151,6 +151,7 @@ def report(
 
 
 def _section(name: str, result: Any) -> str:
+    """Return the HTML of the section of a result."""
     parts = [f"<h2>{escape(name)}</h2>"]
     if not np.all(getattr(result, "ok", True)):
         parts.append(f"<p class='failed'>{escape(result.report())}</p>")
@@ -160,7 +161,8 @@ def _section(name: str, result: Any) -> str:
 
 
 def _pictures(result: Any) -> Pictures:
-    """The pictures of a result; a note where it cannot be drawn, such as a batch."""
+    """Yield the captions and axes of the pictures of a result; a note for a result that cannot be
+    drawn, such as a batch."""
     try:
         if type(result) in SEVERAL:
             yield from SEVERAL[type(result)](result)
@@ -196,7 +198,7 @@ def _table(table: PrintedTable) -> str:
 
 
 def _image(ax: Any) -> str:
-    """The figure of axes as data: a vector drawing, or points where that is large."""
+    """Return a figure as a data URI: a vector drawing, or pixels if that is large."""
     import matplotlib.pyplot as plt
 
     figure, data = ax.figure, io.BytesIO()
@@ -228,6 +230,7 @@ def _footer(hashes: list[tuple[str, str]], command: str) -> str:
 
 
 def _of_modes(lin: Linearization) -> Iterator[tuple[str, Any]]:
+    """Yield pictures of the first natural modes."""
     natural = modes(lin)
     for i, (f, name) in enumerate(
         zip(np.asarray(natural.frequency)[:MOST_MODES], natural.names, strict=False), 1
@@ -241,14 +244,15 @@ def _of_motion(run: Trajectory) -> Iterator[tuple[str, Any]]:
 
 
 def _of_fit(fit: Fit) -> Pictures:
-    """The records with the largest misfits, if there are many, and correlations."""
+    """Yield pictures of records, those with the largest misfits if there are many, and of
+    correlations."""
     yield from _records(fit, "plot_fit(fit", "measured and fitted, with the residual")
     if fit.uncertainty is not None and fit.u.size > 1:
         yield "Correlations of the estimates", plots.plot_correlations(fit)
 
 
 def _records(result: Fit | Validation, drawn_by: str, what: str) -> Pictures:
-    """The records, those with the largest misfits if there are many, after a note."""
+    """Yield pictures of records; if there are many, a note and those with the largest misfits."""
     records = [(run, sensor) for run, sensors in result.predicted.items() for sensor in sensors]
     if len(records) > MOST_RECORDS:
         yield (
@@ -263,8 +267,9 @@ def _records(result: Fit | Validation, drawn_by: str, what: str) -> Pictures:
 
 
 def misfit(fit: Fit | Validation, run: str, sensor: str) -> float:
-    """The rms residual of a record relative to the variation of the measured values, or to their
-    size where they do not vary; of several components the largest. Missing samples do not count."""
+    """Return the rms residual of a record relative to the variation of the measured values, or to
+    their rms where they do not vary; the largest over several components. Missing samples are left
+    out."""
     measured, predicted = (
         np.asarray(fit.experiments[run].measured[sensor]),
         np.asarray(fit.predicted[run][sensor]),
@@ -282,7 +287,7 @@ def misfit(fit: Fit | Validation, run: str, sensor: str) -> float:
     return float(np.max(rms(predicted - measured) / scale))
 
 
-# pictures; of other results it is the one of `plot`
+# functions that yield pictures; other results have one picture, from `plot`
 SEVERAL: dict[type, Callable[[Any], Pictures]] = {
     Linearization: _of_modes,
     Trajectory: _of_motion,

@@ -1,4 +1,4 @@
-"""What a command found, saved with --out: tables as text, Parquet or netCDF, a picture, or a page
+"""Results of a command, saved with --out: tables as text, Parquet or netCDF, a picture, or a page
 in three dimensions."""
 
 import csv
@@ -18,7 +18,7 @@ from jaxbody.records.text_tables import split_unit
 
 
 def over_frequency(response: Any) -> PrintedTable:
-    """Magnitude and phase of each output, over the frequencies."""
+    """Return a table of magnitude and phase of each output over frequency."""
     columns = {"frequency [Hz]": response.frequencies}
     for output in response.outputs:
         for name in response.inputs:
@@ -31,14 +31,14 @@ def over_frequency(response: Any) -> PrintedTable:
 
 
 def densities(response: Any) -> PrintedTable:
-    """The density of each output over the frequencies."""
+    """Return a table of the power spectral density of each output over frequency."""
     outputs = zip(response.outputs, response.units, response.psd, strict=True)
     columns = {f"{name} [({unit})2/Hz]": psd for name, unit, psd in outputs}
     return series({"frequency [Hz]": response.frequencies} | columns)
 
 
 def by_case(cases: Any) -> PrintedTable:
-    """A row for each case, a column for each number."""
+    """Return a table with a row for each load case and a column for each number."""
     from jaxbody.views.plots.motion_plots import components, forces_and_moments  # slow to import
 
     (strokes, turns), (forces, moments) = (
@@ -58,8 +58,8 @@ def by_case(cases: Any) -> PrintedTable:
 
 
 def over_time(trajectory: Any, sensors: dict[str, Any]) -> PrintedTable:
-    """Places of the origins of bodies and supports, forces of elements and readings of sensors,
-    over time."""
+    """Return a table over time: positions of bodies and supports, forces of elements, readings of
+    sensors."""
     columns = {"time [s]": trajectory.times}
     for name, pose in trajectory.poses.items():
         columns |= {f"{name} {axis} [m]": np.asarray(pose.p)[:, i] for i, axis in enumerate("xyz")}
@@ -74,7 +74,7 @@ def over_time(trajectory: Any, sensors: dict[str, Any]) -> PrintedTable:
 
 
 def series(columns: dict[str, Any]) -> PrintedTable:
-    """Columns of numbers as one table."""
+    """Return a table of columns of numbers."""
     return PrintedTable(
         "",
         tuple(columns),
@@ -110,6 +110,7 @@ def save(outcome: Any, path: Path) -> None:
 
 
 def _tables(outcome: Any) -> list[PrintedTable]:
+    """Return the tables of an outcome."""
     if outcome.text or outcome.series:
         return [(outcome.text or outcome.series)()]
     return [
@@ -121,7 +122,7 @@ def _tables(outcome: Any) -> list[PrintedTable]:
 
 
 def _labeled(outcome: Any) -> Labeled:
-    """The first result that has labeled arrays."""
+    """Return the first result with labeled arrays. Error: UNKNOWN_FORMAT."""
     labeled = next((result for result in outcome.results if isinstance(result, Labeled)), None)
     if labeled is None:
         raise JaxbodyError(
@@ -136,7 +137,7 @@ def _labeled(outcome: Any) -> Labeled:
 
 
 def _frame(outcome: Any) -> Any:
-    """A table of pandas, of the series or of a result, with units in its attributes."""
+    """Return a pandas table of the series or of a result, with units in its attributes."""
     if outcome.series is None:
         labeled = _labeled(outcome)
         return frame_of(_real(labeled.to_xarray()), labeled.index, "--out")
@@ -149,8 +150,8 @@ def _frame(outcome: Any) -> Any:
 
 
 def _arrow(frame: Any) -> Any:
-    """A table of Arrow with the unit of each column of numbers in its metadata, where `read_record`
-    finds it."""
+    """Return an Arrow table with the unit of each column of numbers in its metadata, which
+    `read_record` reads."""
     pyarrow = import_extra("pyarrow", "--out")
     table, units = pyarrow.Table.from_pandas(frame), frame.attrs["units"]
     fields = [
@@ -163,7 +164,7 @@ def _arrow(frame: Any) -> Any:
 
 
 def _dataset(outcome: Any) -> Any:
-    """A dataset of xarray, of the series over its first column or of a result."""
+    """Return an xarray dataset of the series over its first column, or of a result."""
     if outcome.series is None:
         return _real(_labeled(outcome).to_xarray())
     table = outcome.series()
@@ -174,8 +175,8 @@ def _dataset(outcome: Any) -> Any:
 
 
 def _real(data: Any) -> Any:
-    """A Dataset whose complex variables are two real ones, which files know: "pole" as "pole_real"
-    and "pole_imaginary"."""
+    """Replace complex variables of a dataset by two real ones, which files can store: "pole" by
+    "pole_real" and "pole_imaginary"."""
     for name, x in list(data.data_vars.items()):
         if np.iscomplexobj(x):
             real, imaginary = (part.assign_attrs(x.attrs) for part in (x.real, x.imag))
@@ -186,12 +187,12 @@ def _real(data: Any) -> Any:
 
 
 def _plain(name: str) -> str:
-    """A name without the slash that netCDF keeps for groups."""
+    """Replace slashes in a name, which netCDF reserves for groups."""
     return name.replace("/", " per ")
 
 
 def _text(table: PrintedTable) -> str:
-    """A table as lines of comma-separated values, with its title and note as comments."""
+    """Return a table as lines of comma-separated values, with its title and note as comments."""
     lines = io.StringIO()
     rows = csv.writer(lines, lineterminator="\n")
     for comment in (table.title, table.note):

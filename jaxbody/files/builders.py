@@ -1,5 +1,5 @@
-"""Builders: the checked values of a document become objects by the constructors, whose problems get
-the lines of the document."""
+"""Builders: make objects of the checked values of a document with their constructors; problems of
+the constructors get the line numbers of the document."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ PLACE = re.compile(
 
 @dataclasses.dataclass
 class EntryBuilder(ABC):
-    """Base class of builders of one entry of a study, from its values and its path in the document;
-    problems are collected by the builder of the document."""
+    """Base class of builders of one entry of a study, from its `values` and its `path` in the
+    document; problems are collected by `builder`, the builder of the document."""
 
     builder: Builder
     model: Model
@@ -82,7 +82,7 @@ class EntryBuilder(ABC):
         limit: str = "",
         hint: str = "",
     ) -> None:
-        """Add a problem of the entry below these parts of its path."""
+        """Add a problem of the entry; `parts` are the keys below the path of the entry."""
         where = self.builder.document.where((*self.path, *parts))
         self.builder.problems.add(code, where, message, value=value, limit=limit, hint=hint)
 
@@ -91,25 +91,25 @@ class EntryBuilder(ABC):
         """Return what the entry states, built by constructors; problems are collected."""
 
     def check_known(self, names: Iterable[str], known: Collection[str], *parts: str) -> None:
-        """Check that names below these parts of the path are known."""
+        """Check that all `names`, keys below `parts` of the path, are among the `known` ones."""
         for name in names:
             if name not in known:
                 self.builder.unknown(name, known, (*self.path, *parts, name))
 
 
 class Builder:
-    """Makes the objects of a document by their constructors."""
+    """Builder of the objects of a document by their constructors."""
 
     def __init__(
         self, document: Document, values: dict[str, Any], folder: Path, allow: Sequence[str]
     ):
         self.document, self.values, self.folder, self.allow = document, values, folder, allow
         self.problems = Problems()
-        # of what is known only when a class of the user's is imported
+        # for entries that can be checked only once a class of the user's own is imported
         self.check = Check(document, self.problems)
-        self.with_own_joints: set[str] = set()  # bodies
-        self.records: dict[str, Record | None] = {}  # each is read once, when something needs it
-        self.files: list[Path] = []  # that are read
+        self.with_own_joints: set[str] = set()  # bodies with joints of the user's own classes
+        self.records: dict[str, Record | None] = {}  # each is read when first needed
+        self.files: list[Path] = []  # paths of curves and records
 
     def model(self) -> Model:
         parts: dict[str, Any] = {}
@@ -127,14 +127,16 @@ class Builder:
             return self.problems.gather(lambda: Model(**parts), self.placed_in_model)
 
     def know_coordinates(self, joints: dict[str, Joint | None]) -> None:
-        """Complete the coordinates that are known by those of joints of the user's own."""
+        """Add the units of the coordinates of joints of the user's own classes, once these joints
+        are built."""
         self.with_own_joints, self.check.own_joints = self.check.own_joints, set()
         for body in self.with_own_joints:
             joint = joints[body]
             self.check.coordinates |= by_name(body, joint.block(body).q_units) if joint else {}
 
     def thing(self, values: Any, kind: type | None, path: EntryPath, words: dict[str, str]) -> Any:
-        """An object of a class, which the values name where it is not given."""
+        """Build an object of the class `kind`, or, where this is None, of the class that the entry
+        `type` names. Return None with problems."""
         kind = kind or TYPES.get(values["type"])
         if kind is None:
             kind = self.own(values["type"], path)
@@ -170,7 +172,7 @@ class Builder:
             case "law":
                 law = self.law(value, path, words)
                 if argument.name == "function" and isinstance(law, float):
-                    return Linear(law)  # a number would be the ratio of a coupling
+                    return Linear(law)  # Coupling takes a bare number as its ratio
                 return law
             case "signal":
                 return self.signal(value, path, words)
@@ -187,7 +189,8 @@ class Builder:
     def checked(
         self, values: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]
     ) -> Any:
-        """Values that the check of the document left as they are, in SI; None with a problem."""
+        """Return values that the check of the document left unchanged, in SI; None with
+        problems."""
         before = len(self.problems.collected)
         values = self.check.value(values, node, path, words)
         return values if len(self.problems.collected) == before else None
@@ -203,7 +206,8 @@ class Builder:
         return self.thing(value, None, path, words) if isinstance(value, dict) else value
 
     def signal(self, value: Any, path: EntryPath, words: dict[str, str]) -> Any:
-        """Three numbers, or a signal; samples are a channel of a record."""
+        """Return three numbers, or a signal; a signal of samples is made of a channel of a
+        record."""
         if not isinstance(value, dict) or value["type"] != "Samples":
             return self.thing(value, None, path, words) if isinstance(value, dict) else value
         unit = units.parse(words["value"], "signal").dimension
@@ -215,14 +219,15 @@ class Builder:
         )
 
     def motion(self, value: Any, path: EntryPath) -> Any:
-        """A motion by its constructor, or of channels of a record."""
+        """Build a motion by its constructor, or from channels of a record."""
         made = {"Sampled": self.sampled, "base_motion": self.base_motion}.get(value["type"])
         return (
             self.thing(value, None, path, {}) if made is None else self.of_record(value, path, made)
         )
 
     def of_record(self, value: dict[str, Any], path: EntryPath, make: Any) -> Any:
-        """What `make` makes of a record and these values."""
+        """Return `make(record, value)`, where the entry `record` of `value` names the record; None
+        with problems."""
         record = self.record(value["record"])
         return record and self.gather(path, value["type"], lambda: make(record, value))
 
@@ -249,8 +254,8 @@ class Builder:
         return record if record is None or "part" not in values else record.part(*values["part"])
 
     def _of_column(self, problem: Problem, values: dict[str, Any], path: EntryPath) -> Problem:
-        """A problem of reading a record, at its line; where a unit is missing, at that of the
-        column, with what to write there."""
+        """Place a problem of reading a record at its line of the document. A missing unit is placed
+        at its column, with a hint of what to write there."""
         names = [name for name in values["channels"] if problem.where.endswith(f"['{name}']")]
         of_time = problem.where.endswith(".times")
         if problem.code != "NO_UNIT" or not (names or of_time):
@@ -283,8 +288,8 @@ class Builder:
     def rows(
         self, record: Record, value: dict[str, Any], name: str, dimension: units.Dimension
     ) -> np.ndarray:
-        """A channel of three columns, or of one along the `axis`. Errors: UNKNOWN_CHANNEL,
-        WRONG_DIMENSION, BAD_SHAPE."""
+        """Return the samples of a channel of three columns, or of one column along the `axis`.
+        Errors: UNKNOWN_CHANNEL, WRONG_DIMENSION, BAD_SHAPE."""
         x, unit = record[value[name]], record.units[value[name]]
         si, quaternion = units.si_words(dimension), dimension == units.ANGLE and x.shape[1:] == (4,)
         if unit not in (("", "1") if quaternion else (si,)):
@@ -314,7 +319,7 @@ class Builder:
         return x
 
     def table(self, values: dict[str, Any], path: EntryPath) -> Any:
-        """The measured curve in a file beside the document."""
+        """Read the measured force curve in a file next to the document; None with problems."""
         if "file" not in values or {"x", "forces"} & set(values):
             self.problems.add(
                 "MISSING_ENTRY",
@@ -328,7 +333,8 @@ class Builder:
         return file and self.gather((*path, "file"), "", lambda: Table.read(file))
 
     def beside(self, name: str, path: EntryPath) -> Path | None:
-        """A file in the folder of the document."""
+        """Return the path of a file in the folder of the document; None with a problem for a file
+        elsewhere."""
         if not (Path(name).is_absolute() or ".." in Path(name).parts):
             self.files.append(self.folder / name)
             return self.files[-1]
@@ -343,28 +349,28 @@ class Builder:
         return None
 
     def quantity(self, value: Any, unit: str, path: EntryPath) -> Any:
-        """Numbers in SI, whose unit the schema does not know."""
+        """Convert numbers to SI whose unit the schema cannot state."""
         return in_SI(value, unit, {}, self.check.system, self.document.where(path), self.problems)
 
     def unknown(self, name: str, known: Iterable[str], path: EntryPath) -> None:
         self.problems.collected.append(unknown(name, self.document.where(path), tuple(known)))
 
     def measurement(self, kind: Any, given: dict[str, Any], model: Model, path: EntryPath) -> Any:
-        """A measurement by its constructor, if it fits the model."""
+        """Build a measurement by its constructor and check that it fits the model."""
         made = self.gather(path, kind.__name__, lambda: kind(**given))
         if made is not None:
             self.gather(path, "", lambda: made.check(model, ""))
         return made
 
     def gather(self, path: EntryPath, kind: str, make: Callable[[], Any]) -> Any:
-        """What `make` returns; None with its problems, at their lines, where it fails. It does not
-        warn of large angles, whose unit the document states."""
+        """Return the result of `make`; if it fails, add its problems at their lines and return
+        None. Warnings of large angles are suppressed, as the document states their unit."""
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=MORE_THAN_A_TURN)
             return self.problems.gather(make, lambda problem: self.placed(problem, path, kind))
 
     def own(self, name: str, path: EntryPath) -> type | None:
-        """A class of the user's from a module that is allowed."""
+        """Import a class of the user's own from an allowed module; None with a problem."""
         kind = self.own_object(name, path)
         bases = Element | Joint | Closure | Law | Load | Sensor | Signal
         if path[0] in ("energies", "dissipations"):
@@ -383,7 +389,7 @@ class Builder:
         return None
 
     def own_object(self, name: str, path: EntryPath) -> Any:
-        """What "module:name" is in a module that is allowed; None with a problem."""
+        """Import the object "module:name" from an allowed module; None with a problem."""
         module, _, attribute = name.partition(":")
         where = self.document.where((*path, "type"))
         if module not in self.allow:
@@ -407,7 +413,7 @@ class Builder:
         return named
 
     def placed(self, problem: Problem, path: EntryPath, kind: str) -> Problem:
-        """The problem of a constructor, at its line."""
+        """Place a problem of the constructor of a class `kind` at its line of the document."""
         rest = problem.where.removeprefix(kind)
         entry = re.match(r"\.(\w+)", rest)
         if entry and (*path, entry[1]) in self.document.lines:
@@ -421,7 +427,7 @@ class Builder:
         )
 
     def placed_in_model(self, problem: Problem) -> Problem:
-        """A problem that the model as a whole has, at its line."""
+        """Place a problem of the constructor of Model at its line of the document."""
         place = PLACE.match(problem.where)
         path = tuple(filter(None, place.groups())) if place else ()
         rest = problem.where[place.end() :] if place else f" {problem.where}"
@@ -429,17 +435,17 @@ class Builder:
 
 
 def in_words_of_files(text: str) -> str:
-    """A text about arguments of Python, as they are written in a file: `irregular = true` for
+    """Rewrite a text about Python arguments as they are written in a file: `irregular = true` for
     `irregular=True`, `rate` for `rate=`."""
     text = re.sub(r"\b(\w+)=\((\"\w+\"), (\"[^\"]+\")\)", r"\1 = {columns = \2, unit = \3}", text)
-    text = re.sub(r"\b(\w+)=(True|False)\b", lambda found: f"{found[1]} = {found[2].lower()}", text)
+    text = re.sub(r"\b(\w+)=(True|False)\b", lambda match: f"{match[1]} = {match[2].lower()}", text)
     text = re.sub(r"\b(\w+)=(?=[\"\d\[{-])", r"\1 = ", text)
     return re.sub(r"\b(\w+)=(?=[\s,.;)]|$)", r"\1", text)
 
 
 def _made(kind: type, given: dict[str, Any]) -> Any:
-    """An object by its constructor. The constructor of a user's class may check nothing: numbers
-    become arrays, and are checked."""
+    """Call a constructor. That of a user's class may check nothing: its numbers are converted to
+    arrays and checked."""
     if kind in (*TYPES.values(), *CLOSURES, *PLAIN.values()):
         return kind(**given)
     numbers = {each.name for each in arguments_of(kind) if each.role == "number"}
@@ -456,7 +462,7 @@ def _made(kind: type, given: dict[str, Any]) -> Any:
 
 
 def _column(spec: Any) -> Any:
-    """A column as `read_record` takes it."""
+    """Return the specification of a column as `read_record` accepts it."""
     return (spec["columns"], spec.get("unit")) if isinstance(spec, dict) else spec
 
 

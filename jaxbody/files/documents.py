@@ -1,9 +1,8 @@
-"""Documents: the text of a TOML or JSON file as dicts, lists, words and numbers, with the line of
-each entry.
+"""Documents: the content of a TOML or JSON file as dicts, lists, strings and numbers, with the line
+number of each entry.
 
-The parsers of Python say what the text means. A scan of headings, keys and items finds their lines,
-names that are stated twice, and nesting that is too deep, before the text is parsed. Nothing in a
-file is executed.
+Python's own parsers read the values. Before that, a scan of headings, keys and items finds their
+line numbers, duplicate names, and nesting that is too deep. Nothing in a file is executed.
 """
 
 import itertools
@@ -18,10 +17,10 @@ from typing import Any, NamedTuple
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.source_files import check_file, decoded, extension_of
 
-EntryPath = tuple[str | int, ...]  # of an entry: ("elements", "AB", "a", 1)
+EntryPath = tuple[str | int, ...]  # path of an entry: ("elements", "AB", "a", 1)
 DEEPEST = 20
-LARGEST = 2e7  # bytes
-# bytes of memory for each byte of a document: 55 were measured for a model of 10 000 springs
+LARGEST = 2e7  # default of the largest size of a file [bytes]
+# bytes of memory per byte of a document; 55 were measured for a model of 10 000 springs
 MEMORY = 60.0
 TOKEN = re.compile(
     r'(?P<string>"""(?:[^\\]|\\.)*?"""|\'\'\'.*?\'\'\'|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\')'
@@ -32,7 +31,8 @@ TOKEN = re.compile(
 
 
 class Token(NamedTuple):
-    """A word, a number, a text, a sign or the end of a line, and its line."""
+    """A token of a document and its line number; `kind`: string, bare (a word or a number), sign,
+    newline or end."""
 
     kind: str
     text: str
@@ -41,16 +41,16 @@ class Token(NamedTuple):
 
 @dataclass
 class Document:
-    """The content of a file, and the line of each entry by its path."""
+    """The content of a file, and the line number of each entry by its path."""
 
     name: str
     values: dict[str, Any]
     lines: dict[EntryPath, int] = field(default_factory=dict)
-    replaced: dict[EntryPath, str] = field(default_factory=dict)  # with the text that replaced it
+    replaced: dict[EntryPath, str] = field(default_factory=dict)  # by `--set`
 
     def where(self, path: EntryPath) -> str:
-        """ "engine.toml:41 elements.AB.stiffness"; the line is that of the nearest entry around it
-        that has one."""
+        """Return the place of an entry as text, such as "engine.toml:41 elements.AB.stiffness". The
+        line is that of the entry, or of the nearest enclosing entry with a known line."""
         around = [path[:n] for n in range(len(path), 0, -1)]
         for entry in around:
             if entry in self.replaced:
@@ -60,7 +60,7 @@ class Document:
 
 
 def shown(path: EntryPath) -> str:
-    """A path as text: elements.AB.a[1]."""
+    """Return a path as text, such as elements.AB.a[1]."""
     parts = (
         f"[{part}]"
         if isinstance(part, int)
@@ -73,7 +73,7 @@ def shown(path: EntryPath) -> str:
 
 
 def read_document(path: Path, largest: float = LARGEST) -> Document:
-    """The document in a .toml or .json file, in UTF-8.
+    """Read a .toml or .json file in UTF-8; `largest`: largest size of the file [bytes].
 
     Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, ENCODING, WRONG_FORMAT,
     UNKNOWN_FORMAT, SYNTAX, DUPLICATE_NAME."""
@@ -83,7 +83,7 @@ def read_document(path: Path, largest: float = LARGEST) -> Document:
 
 
 def parse_document(text: str, name: str, kind: str = "toml") -> Document:
-    """The document in a text."""
+    """Parse a text of the kind "toml" or "json"; `name` is the name of its file in messages."""
     document = Document(name, {})
     text = text.replace("\r\n", "\n")
     with Problems() as problems:
@@ -107,11 +107,11 @@ def parse_document(text: str, name: str, kind: str = "toml") -> Document:
 
 
 def _syntax(error: Exception, text: str, document: Document) -> Problem:
-    """The problem of a text that its parser refuses."""
+    """Return the problem of a text that its parser rejects."""
     message = str(error).partition(" (at ")[0].partition(": line ")[0]
-    found = re.search(r"\(?(?:at )?line (\d+),? column (\d+)", str(error))
+    place = re.search(r"\(?(?:at )?line (\d+),? column (\d+)", str(error))
     line, column = (
-        (found[1], f", column {found[2]}") if found else (text.rstrip().count("\n") + 1, "")
+        (place[1], f", column {place[2]}") if place else (text.rstrip().count("\n") + 1, "")
     )
     return Problem(
         "SYNTAX",
@@ -124,8 +124,8 @@ def _syntax(error: Exception, text: str, document: Document) -> Problem:
 
 
 class Scan:
-    """One pass over the text of a document, which notes lines and names that occur twice. It
-    follows any text to its end; whether that is well formed is left to the parser."""
+    """One pass over the text of a document, which records line numbers and duplicate names. It
+    accepts malformed text, which is left to the parser to report."""
 
     def __init__(self, text: str, document: Document, problems: Problems, kind: str):
         self.document, self.problems = document, problems
@@ -134,15 +134,15 @@ class Scan:
         )
         self.token = next(self.rest)
         self.headings: set[EntryPath] = set()
-        self.counts: dict[EntryPath, int] = {}  # of the tables of each array of tables
+        self.counts: dict[EntryPath, int] = {}  # number of tables in each array of tables
 
     def next(self) -> Token:
-        """This token, and a step to the next one."""
+        """Return the current token and advance to the next one."""
         token, self.token = self.token, next(self.rest)
         return token
 
     def takes(self, sign: str) -> bool:
-        """A step past a sign, if it comes next."""
+        """Advance past a sign and return True if it is the current token, else return False."""
         return self.token.text == sign and self.token.kind == "sign" and bool(self.next())
 
     def skip_lines(self) -> None:
@@ -150,7 +150,7 @@ class Scan:
             self.next()
 
     def statements(self) -> None:
-        """The headings and keys of TOML."""
+        """Scan the headings and keys of a TOML text."""
         table: EntryPath = ()
         while self.token.kind != "end":
             self.skip_lines()
@@ -162,7 +162,8 @@ class Scan:
                 self.next()
 
     def heading(self, several: bool) -> EntryPath:
-        """The path of a table, [a.b], or of the next one of an array of tables, [[a.b]]."""
+        """Scan a heading and return the path of its table: [a.b], or, if `several`, the next table
+        of an array of tables, [[a.b]]."""
         line, names = self.token.line, self.names(("]",))
         path: EntryPath = ()
         for name in names:
@@ -175,11 +176,11 @@ class Scan:
         return path
 
     def last(self, path: EntryPath) -> EntryPath:
-        """The path of a table, or of the last one of an array of tables."""
+        """Return the path of a table; for an array of tables, that of its last table so far."""
         return (*path, self.counts[path] - 1) if path in self.counts else path
 
     def entry(self, table: EntryPath, depth: int = 1) -> None:
-        """key = value, "key": value."""
+        """Scan an entry, key = value or "key": value, of a table."""
         line, names = self.token.line, self.names(("=", ":"))
         path = (*table, *names)
         for n in range(1, len(names)):
@@ -199,7 +200,8 @@ class Scan:
         self.document.lines[path] = line
 
     def names(self, ends: tuple[str, ...]) -> list[str]:
-        """A dotted name up to one of these signs, which is passed, or the end of the line."""
+        """Return the parts of a dotted name up to one of the signs `ends`, which is skipped, or up
+        to the end of the line."""
         names: list[str] = []
         while self.token.kind not in ("newline", "end") and not any(map(self.takes, ends)):
             token = self.next()
@@ -210,8 +212,8 @@ class Scan:
         return names
 
     def value(self, path: EntryPath, depth: int = 0) -> None:
-        """An array, a table in braces, or anything else up to the next comma, bracket or end of
-        the line."""
+        """Scan an array, a table in braces, or any other value up to the next comma, bracket or end
+        of the line."""
         if depth > DEEPEST:
             self.too_deep(self.token.line)
         if self.takes("{"):
@@ -230,8 +232,8 @@ class Scan:
                 self.next()
 
     def items(self, end: str) -> Iterator[int]:
-        """The numbers of the items between brackets, up to the sign that ends them; each stands at
-        its first token."""
+        """Yield the index of each item between brackets, with its first token as the current one,
+        up to the closing sign `end`."""
         for i in itertools.count():
             self.skip_lines()
             if self.token.kind == "end" or self.takes(end):
@@ -264,7 +266,7 @@ def _tokens(text: str, skipped: tuple[str, ...]) -> Iterator[Token]:
 
 
 def _text(token: Token) -> str:
-    """The text of a name in quotation marks."""
+    """Return the text of a quoted name, without its quotation marks."""
     try:
         return tomllib.loads(f"name = {token.text}")["name"]
     except tomllib.TOMLDecodeError:

@@ -1,5 +1,5 @@
-"""Kinds of objects in model files: the arguments of each class and their schema, from its
-constructor, its fields and its docstring."""
+"""Kinds of objects in model files: the arguments of each class and their schema, derived from its
+constructor, fields and docstring."""
 
 import functools
 import inspect
@@ -87,7 +87,7 @@ LAWS = (
 MOTIONS = (AtRest, Harmonic, Road, PulseMotion)
 PULSES = (HalfSine, Sawtooth, Trapezoid, Triangle)
 LOADS = (Force, Unbalance, EngineTorque)
-INPUTS = (BaseMotion, PointForce)  # of measured responses
+INPUTS = (BaseMotion, PointForce)  # inputs of measured responses
 SENSORS = (
     kinematic_sensors.Position,
     kinematic_sensors.Velocity,
@@ -114,10 +114,10 @@ TYPES = {
     kind.__name__: kind
     for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *PULSES, *LOADS, *INPUTS, *SENSORS, Sine)
 }
-CLOSURE_TYPES = {kind.__name__: kind for kind in CLOSURES}  # some are called as joints are
-# what is made of channels of a record
+CLOSURE_TYPES = {kind.__name__: kind for kind in CLOSURES}  # some share names with joints
+# objects made of channels of a record
 FROM_RECORDS = {"Sampled": Sampled, "base_motion": base_motion, "Samples": Samples}
-FIELDS: dict[tuple[type, str], str] = {  # of arguments that are not named as the field is
+FIELDS: dict[tuple[type, str], str] = {  # fields that have another name than the argument
     (Contact, "distance"): "free_length",
     (PointForce, "direction"): "axis",
 }
@@ -129,7 +129,7 @@ LIMITS = {
     "fraction": {"minimum": 0, "maximum": 1},
 }
 
-OWN = {"type": ["number", "array", "string"]}  # a number in the unit of its owner
+OWN = {"type": ["number", "array", "string"]}  # in the unit of a quantity or sensor
 DIRECTION = {
     "oneOf": [
         {"type": ["array", "string"], "unit": "", "pattern": "[0-9]"},
@@ -148,7 +148,7 @@ PLAIN_SCHEMAS: dict[str, dict[str, Any]] = {  # by the roles of arguments
     },
 }
 PAIR = {"minItems": 2, "maxItems": 2}
-PLAIN = {"bodies": Body, "supports": Support}  # sections whose objects are all of one class
+PLAIN = {"bodies": Body, "supports": Support}  # sections with objects of one class only
 SECTIONS = {
     "bodies": "Bodies by name.",
     "supports": "Bodies by name whose motion is imposed.",
@@ -164,20 +164,20 @@ SECTIONS = {
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument of a class in a file, and the field of the object that holds it.
+    """An argument of a class in a file, and the name of the field that holds it.
 
-    `role`: number, own (a number in the unit of its owner), end (a name and a point), law, signal,
-    pulse, direction, of_input (a direction, or a turn about one), frame, element, coordinate (their
-    names), word, words, whole or flag."""
+    `role`: number, own (number in the unit of a quantity or sensor), end (name and point), law,
+    signal, pulse, direction, of_input (direction, or turn about one), frame, element or coordinate
+    (their names), word, words, whole (integer) or flag (boolean)."""
 
     name: str
     role: str
     field: str
     default: Any
     kind: Kind = Kind()  # noqa: RUF009
-    words: tuple[tuple[str, str], ...] = ()  # of the units below it
-    types: tuple[str, ...] = ()  # of JSON: a number, a row, or either
-    text: str = ""  # of the docstring
+    words: tuple[tuple[str, str], ...] = ()  # meaning of words in the units of a law or signal
+    types: tuple[str, ...] = ()  # JSON types: number, array, or both
+    text: str = ""  # description in the docstring
 
     @property
     def required(self) -> bool:
@@ -185,12 +185,12 @@ class Argument:
 
 
 def class_of(section: str, type_name: Any = None) -> type | None:
-    """The class of an object in a section; None for one of the user's."""
+    """Return the class of an object in a section; None for a class of the user's own."""
     return PLAIN.get(section) or (CLOSURE_TYPES if section == "closures" else TYPES).get(type_name)
 
 
 def definition_of(section: str, type_name: Any = None) -> str:
-    """The name of the schema of an object in a section."""
+    """Return the name of the schema definition of an object in a section."""
     return {"bodies": "body", "supports": "support", "closures": f"closure {type_name}"}.get(
         section, str(type_name)
     )
@@ -198,7 +198,7 @@ def definition_of(section: str, type_name: Any = None) -> str:
 
 @functools.cache
 def arguments_of(kind: type) -> tuple[Argument, ...]:
-    """The arguments of a class."""
+    """Return the arguments of a class."""
     defaults = {
         each.name: each.default
         for each in inspect.signature(kind).parameters.values()
@@ -230,6 +230,7 @@ def arguments_of(kind: type) -> tuple[Argument, ...]:
 
 
 def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
+    """Return the role of a constructor argument; see `Argument`."""
     spans = kind in (*ELEMENTS, *CLOSURES) or issubclass(kind, gauges.Gauge)
     if (name in ("a", "b") and spans) or (name == "on" and issubclass(kind, Load)):
         return "end"
@@ -252,14 +253,15 @@ def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
 
 
 def _types(annotation: str) -> tuple[str, ...]:
-    """One number, a row of them, or either where the annotation does not say which."""
+    """Return the JSON types of a number, a row of numbers, or both where the annotation does not
+    distinguish them."""
     if annotation == "Number" or "Array, ''" in annotation:
         return ("number",)
     return ("array",) if re.search(r"Array, '\w", annotation) else ("number", "array")
 
 
 def texts_of(kind: Any) -> dict[str, str]:
-    """What the docstring says of each argument."""
+    """Return the description of each argument in a docstring, by name."""
     of_sensor = isinstance(kind, type) and issubclass(kind, Sensor) and kind is not Sensor
     texts = texts_of(Sensor) if of_sensor else {}
     for names, text in re.findall(
@@ -270,7 +272,7 @@ def texts_of(kind: Any) -> dict[str, str]:
 
 
 def object_schema(kind: type, type_name: str = "") -> dict[str, Any]:
-    """The schema of an object of a class."""
+    """Return the schema of an object of a class."""
     arguments = arguments_of(kind)
     properties: dict[str, Any] = {"type": {"const": type_name}} if type_name else {}
     properties |= {argument.name: argument_schema(argument) for argument in arguments}
@@ -288,15 +290,15 @@ def object_schema(kind: type, type_name: str = "") -> dict[str, Any]:
 
 
 def about(kind: Any) -> str:
-    """The first paragraph of a docstring."""
+    """Return the first paragraph of a docstring, without "Return" at its beginning."""
     text = (inspect.getdoc(kind) or "").partition("\n\n")[0]
     return re.sub("^Return (.)", lambda start: start[1].upper(), text)
 
 
 def _coordinates(kind: type) -> dict[str, Any]:
-    """What the schema of a joint says of its coordinates: their units, "" for those of a
-    quaternion, or the entry that states its steps; and that of a coupling, that units in it depend
-    on these."""
+    """Return the keywords of the schema of a joint for its coordinates: their units ("" for those
+    of a quaternion), or the entry that states its steps; for a coupling, that its units depend on
+    coordinates."""
     if kind is closures.Coupling:
         return {"couples": True}
     if kind is Composite:
@@ -306,7 +308,7 @@ def _coordinates(kind: type) -> dict[str, Any]:
 
 
 def argument_schema(argument: Argument) -> dict[str, Any]:
-    """The schema of an argument."""
+    """Return the schema of an argument."""
     about = {"description": argument.text} if argument.text else {}
     match argument.role:
         case "end" | "law" | "signal" | "pulse" as role:
@@ -324,13 +326,13 @@ def argument_schema(argument: Argument) -> dict[str, Any]:
 
 
 def named(what: str) -> dict[str, Any]:
-    """The schema of a name: of a frame (a body, a support or the world), an element, a coordinate,
-    a record, a sensor."""
+    """Return the schema of the name of a frame (a body, a support or the world), an element, a
+    coordinate, a record or a sensor."""
     return {"type": "string", "name_of": what}
 
 
 def table_schema(about: str, required: Sequence[str], properties: dict[str, Any]) -> dict[str, Any]:
-    """The schema of a table."""
+    """Return the schema of a table with these properties."""
     return {
         "type": "object",
         "description": re.sub(r"\s+", " ", about),
@@ -341,7 +343,7 @@ def table_schema(about: str, required: Sequence[str], properties: dict[str, Any]
 
 
 def by_name(what: str, about: str) -> dict[str, Any]:
-    """The schema of a table of objects of one definition by name."""
+    """Return the schema of a table of objects by name, all of the definition `what`."""
     return {
         "type": "object",
         "description": about,
@@ -350,5 +352,5 @@ def by_name(what: str, about: str) -> dict[str, Any]:
 
 
 def one_of(*names: str) -> dict[str, Any]:
-    """The schema of an object of one of these types."""
+    """Return the schema of an object of one of these definitions."""
     return {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names]}

@@ -1,5 +1,5 @@
-"""Models in TOML and JSON files: `read_model` builds one by the constructors, `write_model` writes
-every number to the bit."""
+"""Models in TOML and JSON files: `read_model` builds a model with the constructors, `write_model`
+writes every number exactly."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,11 +14,11 @@ from jaxbody.model.models import Model
 
 
 def read_model(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST) -> Model:
-    """The model in a TOML or JSON file.
+    """Read a model from a TOML or JSON file.
 
-    Numbers are texts with a unit, "21 N/mm"; where the file states `units`, numbers without one are
-    in that system. The words are those of the constructors. Problems are reported all at once, each
-    with its line. Nothing in the file is executed.
+    Numbers are texts with a unit, "21 N/mm"; if the file states `units`, numbers without a unit are
+    in that system. Entries have the names of the arguments of the constructors. All problems are
+    reported at once, each with its line. Nothing in the file is executed.
 
     Args:
         path: path of the file, .toml or .json
@@ -52,8 +52,7 @@ def read_model(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST
 
 
 def write_model(model: Model, path: Any, *, allow: Sequence[str] = ()) -> None:
-    """Write a model to a TOML or JSON file, from which `read_model` reads the same numbers, to
-    the bit.
+    """Write a model to a TOML or JSON file, from which `read_model` reads exactly the same numbers.
 
     Args:
         model: the model; the file replaces one of the same name

@@ -3,11 +3,12 @@
     "21 N/mm"   "-2100, 700, 0 mm"   ["10 mm", "2 cm"]
     and, where the file states a unit system, 21e3
 
-Numbers without a unit belong to the unit system of the file; without one they are an error, unless
-they are zero or the quantity has no unit. A system may state mass and force, such as "kg" and "N"
-beside "mm": then stiffnesses are in N/mm, inertias in kg mm2. Where it states one of them, the
-other follows; if that is not kg or N (mm, N, s: tonnes), numbers in it are an error, as they are
-rarely meant so. Where it is the mass, so are accelerations, such as gravity.
+Numbers without a unit are in the unit system of the file. If it states none, they are an error,
+unless they are zero or the quantity has no unit. A system may state both mass and force, such as
+"kg" and "N" with "mm": then stiffnesses are in N/mm, inertias in kg mm2. If it states only one of
+them, the unit of the other follows. If that is not kg or N (mm, N, s: tonnes), numbers in it are an
+error, as they are rarely intended; if it is the unit of mass, so are numbers for accelerations,
+such as gravity.
 """
 
 import math
@@ -20,7 +21,7 @@ from typing import Any
 from jaxbody.core import units
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 
-LONGEST = 10_000  # characters of one quantity
+LONGEST = 10_000  # largest number of characters of one quantity
 NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)"
 NUMBERS = re.compile(
     rf"[(\[]?\s*({NUMBER})((?:\s*[,;]\s*|\s+)(?:{NUMBER})(?=[\s,;)\]]|$))*\s*[)\]]?"
@@ -37,8 +38,8 @@ SI = {"length": "m", "time": "s", "angle": "rad", "mass": "kg"}
 
 @dataclass(frozen=True)
 class UnitSystem:
-    """The factors to SI of the base units of a file; `derived`: "mass" or "force", where it follows
-    from the others and is not kg or N."""
+    """The factors to SI of the base units of a file; `derived`: "mass" or "force" if its unit
+    follows from the others and is not kg or N, else ""."""
 
     length: float
     mass: float
@@ -48,14 +49,15 @@ class UnitSystem:
     derived: str = ""
 
     def factor(self, unit: str) -> float:
-        """That of a quantity in this SI unit, whose word for mass is the kilogram or the newton."""
+        """Return the factor to SI of numbers in this system whose SI unit is `unit`, in which mass
+        is expressed by kg or by N."""
         m, kg, s, rad, _ = units.parse(unit, "unit").dimension
         mass = self.mass if "kg" in unit else self.force * self.time**2 / self.length
         return self.length**m * mass**kg * self.time**s * self.angle**rad
 
     def states(self, unit: str) -> bool:
-        """Whether it states what a number without a unit is in, where this is the SI unit of
-        the quantity."""
+        """Return whether the system defines the unit of a number without a unit whose SI unit is
+        `unit`."""
         dimension = units.parse(unit, "unit").dimension
         if "kg" in unit or dimension == units.ACCELERATION:
             return self.derived != "mass"
@@ -63,8 +65,8 @@ class UnitSystem:
 
 
 def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | None:
-    """The system that a file states: "SI", or units of length, time, angle, and of mass, force or
-    both; None without one. Errors: BAD_UNIT, UNKNOWN_UNIT."""
+    """Return the unit system of a file: "SI", or units of length, time, angle, and of mass, force
+    or both; None if it states none. Errors: BAD_UNIT, UNKNOWN_UNIT."""
     hint = (
         'Write units = "SI", or units = {length = "mm", mass = "kg", force = "N", time = '
         '"s", angle = "deg"}.'
@@ -112,13 +114,13 @@ def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | Non
 
 
 def dimension(unit: str, words: dict[str, str]) -> units.Dimension:
-    """The dimension of a unit, which may be a formula in words."""
+    """Return the dimension of a unit, in which `words` may stand for units."""
     return units.parse(_spelled(unit, words), "unit").dimension
 
 
 def _spelled(unit: str, words: dict[str, str]) -> str:
-    """A unit without words: "force/argument" with {"force": "N", "argument": "m"} is N/m; "1",
-    none, where the owner does not say what they are."""
+    """Replace words in a unit: "force/argument" with {"force": "N", "argument": "m"} becomes
+    (N)/(m). Return "1" for no unit, or if words are left whose meaning is not known."""
     for word, meaning in words.items():
         unit = re.sub(rf"\b{word}\b", f"({meaning})", unit)
     return "1" if not unit or re.search(r"\b(force|argument)\b", unit) else unit
@@ -132,13 +134,17 @@ def in_SI(
     where: str,
     problems: Problems,
 ) -> Any:
-    """A number, or nested lists of them, in SI.
+    """Convert a number, or nested lists of numbers, to SI.
 
     Args:
         value: number, text, or list of these
-        unit: of all numbers, or of parts of a row and rows of a matrix ("N/m, N; N, N m/rad"); "^n"
-            stands for the powers 1, 2, ...
-        words: what the words of the unit stand for
+        unit: SI unit of all numbers, or units of the parts of a row, separated by commas, and of
+            the rows of a matrix, separated by semicolons ("N/m, N; N, N m/rad"); "^n" means the
+            powers 1, 2, ... in a row
+        words: meaning of the words of the unit, such as {"force": "N"}
+        system: unit system of numbers without a unit; None: they are an error
+        where: place of the value, for messages
+        problems: problems are added to it
 
     Errors: NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER. Warns UNIT for more than a turn
     in rad."""
@@ -151,7 +157,7 @@ def in_SI(
 
 @dataclass(frozen=True)
 class _Expected:
-    """What units the numbers of one quantity have."""
+    """The units that the numbers of one quantity must have."""
 
     blocks: list[list[str]]
     words: dict[str, str]
@@ -160,7 +166,8 @@ class _Expected:
     problems: Problems
 
     def unit(self, index: tuple[tuple[int, int], ...]) -> str:
-        """That of the number at an index, each place of which is (i, n): i of n."""
+        """Return the unit of the number at an index, which holds a pair (i, n), item i of n, for
+        each dimension."""
         (i, n), (j, m) = ((0, 1), (0, 1), *index)[-2:]
         row = self.blocks[i * len(self.blocks) // n]
         return _spelled(row[j * len(row) // m].replace("^n", f"^{j + 1}" if j else ""), self.words)
@@ -178,7 +185,7 @@ def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
 
 
 def _of_number(value: Any, expected: _Expected, index: tuple[tuple[int, int], ...]) -> float:
-    """A number without a unit. Errors: NOT_A_NUMBER, NO_UNIT."""
+    """Convert a number without a unit to SI. Errors: NOT_A_NUMBER, NO_UNIT."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise JaxbodyError(
             Problem(
@@ -228,7 +235,8 @@ def _of_number(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
 def _warn_of_degrees(
     numbers: list[float], dimension: units.Dimension, factor: float, where: str
 ) -> None:
-    """Warn UNIT for an angle in rad of more than one turn. Degrees that are stated are meant."""
+    """Warn UNIT for an angle of more than one turn in rad; angles in degrees are taken as
+    intended."""
     largest = max(map(abs, numbers))
     if dimension == units.ANGLE and factor == 1.0 and largest > units.TURN:
         warn(
@@ -239,7 +247,8 @@ def _warn_of_degrees(
 
 
 def times(value: float, factor: float) -> float:
-    """value * factor; 700 mm are 700/1000 m, as 700 * 0.001 is rounded twice."""
+    """Return value * factor, divided by 1/factor where this is a whole number: 700 mm are 700/1000
+    m, as 700 * 0.001 is rounded twice."""
     divisor = 1 / factor
     return (
         value if factor == 1 else value / divisor if divisor == round(divisor) else value * factor
@@ -247,6 +256,8 @@ def times(value: float, factor: float) -> float:
 
 
 def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...]) -> Any:
+    """Convert a text, numbers with or without a unit, to SI. Errors: NOT_A_NUMBER, UNKNOWN_UNIT,
+    WRONG_DIMENSION."""
     match = NUMBERS.match(text.strip()) if len(text) <= LONGEST else None
     if match is None:
         raise JaxbodyError(
@@ -273,9 +284,10 @@ def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...])
 
 
 def _mismatch(text: str, unit: units.Unit, dimension: units.Dimension, where: str) -> Problem:
+    """Return the problem of a unit of the wrong dimension."""
     si = units.si_words(dimension)
     hint = f"Give it in {si}." if dimension != units.NONE else "It has no unit."
-    # an acceleration
+    # the wanted unit is the given one divided by an acceleration
     if [a - b for a, b in zip(dimension, unit.dimension, strict=True)] == [1, 0, -2, 0, 0]:
         hint += " Pounds and kilograms of force are lbf and kgf."
     return Problem(
@@ -287,14 +299,15 @@ OF_STEPS = {"move": "m", "turn": "rad"}
 
 
 def coordinate_units(values: dict[str, Any], definitions: dict[str, Any]) -> dict[str, str]:
-    """The coordinates of the bodies of a document, whose joints the schema defines."""
+    """Return the SI units of the coordinates of all bodies of a document, by name, from the
+    definitions of joints in the schema."""
     joints, units = table_of(values, "joints"), {}
     for body in table_of(values, "bodies"):
         joint = joints.get(body, {"type": "Free"})
         if not isinstance(joint, dict):
             continue
         row = definitions.get(str(joint.get("type")), {}).get("coordinates", [])
-        if isinstance(row, str):  # the entry that states them
+        if isinstance(row, str):  # the name of the entry that states the steps
             steps = joint.get(row)
             row = [OF_STEPS.get(str(step), "") for step in steps] if isinstance(steps, list) else []
         units |= by_name(body, row)
@@ -302,22 +315,22 @@ def coordinate_units(values: dict[str, Any], definitions: dict[str, Any]) -> dic
 
 
 def by_name(body: str, units: Sequence[str]) -> dict[str, str]:
-    """Units of the coordinates of a joint by their names, without those of a quaternion, which
-    have none."""
+    """Return the units of the coordinates of a body by their names, without those of a quaternion,
+    which have none."""
     names = [f"{body}.q"] if len(units) == 1 else [f"{body}.q.{i}" for i in range(len(units))]
     return {name: unit for name, unit in zip(names, units, strict=True) if unit}
 
 
 def words_of_coupling(values: dict[str, Any], units: dict[str, str]) -> dict[str, str] | None:
-    """What the words of units stand for in a coupling x = f(y): x is the force of its laws, y their
-    argument. None where a unit is not known."""
+    """Return the meaning of the words of units in a coupling x = f(y): "force" is the unit of x,
+    "argument" that of y. None if one of them is not known."""
     x, y = (units.get(str(values.get(entry))) for entry in ("of", "by"))
     return {"force": x, "argument": y} if x and y else None
 
 
 def with_own_joints(values: dict[str, Any]) -> set[str]:
-    """The bodies of a document whose joints are of the user's own, so that their coordinates are
-    known when these are imported."""
+    """Return the bodies of a document whose joints are of the user's own classes, whose coordinates
+    are not known before these are imported."""
     return {
         body
         for body, joint in table_of(values, "joints").items()
@@ -326,11 +339,11 @@ def with_own_joints(values: dict[str, Any]) -> set[str]:
 
 
 def owner(path: Any) -> str:
-    """The body that a coordinate belongs to."""
+    """Return the body of a coordinate, such as "arm" of "arm.q.0"."""
     return str(path).partition(".q")[0]
 
 
 def table_of(values: dict[str, Any], section: str) -> dict[str, Any]:
-    """A section of a document; empty where it is missing or no table."""
+    """Return a section of a document; an empty one if it is missing or no table."""
     table = values.get(section)
     return table if isinstance(table, dict) else {}

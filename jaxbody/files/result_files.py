@@ -1,5 +1,5 @@
 """Results in files: fits, motions, linear systems, designs and models in one archive of arrays and
-text, every number to the bit."""
+text, with every number exact."""
 
 import io
 import json
@@ -18,17 +18,17 @@ from jaxbody.core.compilation.plain_data import Unnamed, text_of, value_of
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.source_files import check_file, check_size, extension_of, replacing, writing
 
-FORMAT = 2  # 1: classes in the packages of before 2026-11-29
+FORMAT = 2  # format 1 has names of classes from before 2026-11-29
 CONTENTS = "results.json"
-# of the members, so that equal results are equal files but for the time in their text
+# date of all members, so that files of equal results differ only in the time in their text
 EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def write_results(results: Any, path: Any, *, allow: Sequence[str] = ()) -> None:
     """Write results to a file, from which `read_results` reads them again.
 
-    The file is a zip archive: `results.json` says what the results are, by names of classes and
-    fields, and each array is a .npy file.
+    The file is a zip archive: `results.json` holds the names of classes and fields and all values
+    except arrays, and each array is a .npy file.
 
     Args:
         results: a result of jaxbody, such as a fit, a trajectory or a design, or a dict of them by
@@ -91,7 +91,7 @@ def _add(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
 
 
 def read_results(path: Any, *, allow: Sequence[str] = (), largest: float = 1e9) -> Any:
-    """The results in a file that `write_results` wrote. Nothing in the file is executed.
+    """Read the results in a file that `write_results` wrote. Nothing in the file is executed.
 
     Args:
         path: path of the file
@@ -99,7 +99,7 @@ def read_results(path: Any, *, allow: Sequence[str] = (), largest: float = 1e9) 
         largest: largest size of the file and of what it holds [bytes]
 
     Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, WRONG_FORMAT, FILE_VERSION,
-    NOT_ALLOWED, FLOAT32 for results in double precision where JAX has it switched off.
+    NOT_ALLOWED, FLOAT32 for results in double precision while JAX is set to single precision.
 
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp(), "car.zip")
@@ -126,7 +126,7 @@ def read_results(path: Any, *, allow: Sequence[str] = (), largest: float = 1e9) 
             arrays = [_array(archive.read(name)) for name in names]
     except JaxbodyError:
         raise
-    except Exception as error:  # of zipfile, zlib, json, numpy and tokenize, which they do not name
+    except Exception as error:  # zipfile, zlib, json, numpy and tokenize raise many kinds
         raise JaxbodyError(
             Problem(
                 "WRONG_FORMAT",
@@ -183,8 +183,8 @@ def _check_version(contents: Any, name: str) -> None:
 
 
 def _array(data: bytes) -> np.ndarray:
-    """The array in the bytes of a .npy file, whose header is compared with their number before
-    memory is taken."""
+    """Return the array in the bytes of a .npy file. The size in its header is compared with the
+    number of bytes before memory is allocated."""
     file = io.BytesIO(data)
     if np.lib.format.read_magic(file) != (1, 0):
         raise ValueError("an array of another version")

@@ -1,10 +1,10 @@
-"""The check of a document against the schema of model files: known names, required entries, numbers
-in SI. It needs no JAX.
+"""Check of a document against the schema of model files: known names, required entries, numbers in
+SI. It does not import JAX.
 
-The schema is JSON schema, which editors use as well, with the words `unit` (of the numbers of an
-entry), `words` (what the words of units stand for below it), `name_of` (what a name is that of),
-`coordinates` (of a joint, their units) and `couples` (whether the words of units depend on the
-coordinates that it names).
+The schema is a JSON schema, which editors can use too, with additional keywords: `unit` (SI unit of
+the numbers of an entry), `words` (meaning of words in the units below it), `name_of` (kind of
+object that a name refers to), `coordinates` (units of the coordinates of a joint) and `couples`
+(whether words in units depend on the coordinates that the entry names).
 """
 
 import functools
@@ -49,13 +49,13 @@ CALLED = {
 
 @functools.cache
 def schema() -> dict[str, Any]:
-    """The schema of model files."""
+    """Return the schema of model files."""
     return json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
 
 
 def checked_values(document: Document) -> dict[str, Any]:
-    """The values of a document, with all numbers in SI. All problems are in one error, each with
-    its line.
+    """Return the values of a document, with all numbers in SI. One error lists all problems with
+    their line numbers.
 
     Errors: FILE_VERSION, UNKNOWN_NAME, UNKNOWN_BODY, MISSING_ENTRY, WRONG_KIND, those
     of quantities."""
@@ -108,7 +108,8 @@ class Check:
     def value(
         self, value: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]
     ) -> Any:
-        """A value with its numbers in SI; as it is where there is a problem."""
+        """Return a value with its numbers in SI, unchanged where there is a problem; `words`:
+        meaning of words in units, from the schemas around it."""
         words = words | node.get("words", {})
         node = resolved(node)
         if "oneOf" in node:
@@ -165,7 +166,7 @@ class Check:
         return numbers
 
     def count(self, value: Any, node: dict[str, Any], path: EntryPath) -> None:
-        """Check the number of items, where the schema states it."""
+        """Check the number of items if the schema states it."""
         count = len(value) if isinstance(value, list) else 1
         expected = node.get("minItems", count)
         if count != expected:
@@ -206,8 +207,8 @@ class Check:
     def coupling(
         self, value: dict[str, Any], node: dict[str, Any], path: EntryPath
     ) -> dict[str, Any]:
-        """A coupling, whose units are those of its coordinates; where these are not known, only its
-        names are checked."""
+        """Check a coupling, in the units of its coordinates; where these are not known yet, only
+        its names are checked."""
         words = words_of_coupling(value, self.coordinates)
         if words is None:
             node = node | {
@@ -221,8 +222,8 @@ class Check:
     def alternative(
         self, value: Any, node: dict[str, Any], path: EntryPath
     ) -> dict[str, Any] | None:
-        """The one of several schemas that a value is meant for; None with a problem, and for a
-        class of the user's, which is checked when it is imported."""
+        """Return the schema that applies to a value, of several alternatives; None with a problem,
+        and for a class of the user's own, which is checked once it is imported."""
         options = [resolved(option) for option in node["oneOf"]]
         fitting = [option for option in options if accepts(option, value)]
         types = {
@@ -267,7 +268,7 @@ class Check:
 
 
 def resolved(node: dict[str, Any]) -> dict[str, Any]:
-    """The definition that a schema refers to, with what is said beside the reference."""
+    """Return the definition that a schema refers to, with the description next to the reference."""
     if "$ref" not in node:
         return node
     about = {name: text for name, text in node.items() if name == "description"}
@@ -275,7 +276,7 @@ def resolved(node: dict[str, Any]) -> dict[str, Any]:
 
 
 def accepts(node: dict[str, Any], value: Any) -> bool:
-    """Whether a value is of the type of a schema, and a text of its pattern."""
+    """Return whether a value is of a type of a schema, and a text matches its pattern."""
     if isinstance(value, str) and not re.search(node.get("pattern", ""), value):
         return False
     kinds = ["boolean"] if isinstance(value, bool) else TYPES
@@ -288,6 +289,6 @@ def _types(node: dict[str, Any]) -> list[str]:
 
 
 def _items(node: dict[str, Any], n: int) -> list[dict[str, Any]]:
-    """The schemas of n items; those beyond the ones that are stated may be anything, and are
-    refused where the object is made."""
+    """Return the schemas of n items. Items beyond those that the schema states may be anything; the
+    constructor refuses them."""
     return [*node.get("prefixItems", []), *[node.get("items", ANYTHING)] * n][:n]

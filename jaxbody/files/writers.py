@@ -1,4 +1,4 @@
-"""Writers: a model as the values of a document, in SI, and as text."""
+"""Writers: a model as the values of a document, in SI, and as TOML or JSON text."""
 
 import dataclasses
 import inspect
@@ -34,14 +34,15 @@ from jaxbody.model.laws.laws import Function, Law, Linear, Sum
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model, refuse_batch
 
-IN_LINE = 8  # items
-SMALL = 3  # rows of a matrix in one line
+IN_LINE = 8  # largest number of items of an array in one line
+SMALL = 3  # largest number of rows of a matrix in one line
 SHORT = ("supports", "joints")  # sections whose objects take one line each
 NOT_IN_FILES = "A file holds numbers and names only."
 
 
 def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
-    """The values of a document that states a model, in SI."""
+    """Return the values of a document that states a model, in SI; `allow`: modules whose classes
+    may be named."""
     if not is_concrete(model):
         raise JaxbodyError(
             Problem(
@@ -69,8 +70,8 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
 
 
 def _as_given(model: Model, name: str) -> Any:
-    """An element, without the orientation of its second frame where this follows from the drawing,
-    to the bit."""
+    """Return an element, without the orientation of its second frame if that follows exactly from
+    the reference pose."""
     element = model[name]
     if not issubclass(type(element), FramePair):
         return element
@@ -89,13 +90,14 @@ def _as_given(model: Model, name: str) -> Any:
 
 
 class Writer:
-    """States objects as tables of their arguments; those that are as the constructor has them by
-    itself are left out."""
+    """Writer of objects as tables of their arguments, without those equal to the defaults of the
+    constructor."""
 
     def __init__(self, allow: Sequence[str]):
         self.allow, self.problems = allow, Problems()
 
     def type_of(self, thing: Any, where: str) -> str:
+        """Return the name of an object's class in a file."""
         kind = type(thing)
         if kind in (*TYPES.values(), *CLOSURES):
             return kind.__name__
@@ -125,6 +127,7 @@ class Writer:
         return f"{kind.__module__}:{kind.__qualname__}"
 
     def table(self, thing: Any, where: str) -> dict[str, Any]:
+        """Return the table of an object."""
         values: dict[str, Any] = (
             {} if type(thing) in PLAIN.values() else {"type": self.type_of(thing, where)}
         )
@@ -140,6 +143,7 @@ class Writer:
         return values
 
     def value(self, value: Any, argument: Argument, where: str) -> Any:
+        """Return the value of an argument in a file."""
         if isinstance(value, Law):
             return self.law(value, where)
         if argument.role in ("frame", "coordinate", "word", "flag"):
@@ -156,14 +160,16 @@ class Writer:
         return numbers
 
     def law(self, law: Law, where: str) -> Any:
-        """A list of laws for a sum, the coefficient for a linear law."""
+        """Return the value of a law in a file: a list of laws for a sum, the coefficient for a
+        linear law, else a table."""
         if isinstance(law, Sum):
             return [self.law(term, f"{where}[{i}]") for i, term in enumerate(law.terms)]
         return numbers_of(law.coefficient) if isinstance(law, Linear) else self.table(law, where)
 
 
 def numbers_of(value: Any) -> Any:
-    """An array as nested lists of Python numbers; those of float32 by their shortest decimals."""
+    """Return an array as nested lists of Python numbers; numbers in float32 have their shortest
+    decimal form."""
     array = np.asarray(value)
     if array.dtype != np.float32:
         return array.astype(float).tolist()
@@ -171,7 +177,7 @@ def numbers_of(value: Any) -> Any:
 
 
 def _same(value: Any, default: Any) -> bool:
-    """Whether a value is that of a default, to the bit."""
+    """Return whether a value is exactly equal to a default."""
     if default is inspect.Parameter.empty or default is None or isinstance(value, Law):
         return False
     if not hasattr(value, "dtype"):
@@ -181,13 +187,13 @@ def _same(value: Any, default: Any) -> bool:
 
 
 def json_of(values: Any) -> str:
-    """The text of a JSON document, an entry a line."""
+    """Return the text of a JSON document, one entry a line."""
     return json.dumps(values, indent=1, ensure_ascii=False) + "\n"
 
 
 def toml_of(values: dict[str, Any], units: bool = False) -> str:
-    """The text of a document: a table for each body and element, a line for each support and joint.
-    `units`: with the unit of the numbers in each line."""
+    """Return the text of a TOML document: a table for each body and element, a line for each
+    support and joint; `units`: with comments that give the units of the numbers."""
     document, coordinates = tomlkit.document(), coordinate_units(values, schema()["$defs"])
     for name, value in values.items():
         if name not in SECTIONS:
@@ -213,7 +219,7 @@ def toml_of(values: dict[str, Any], units: bool = False) -> str:
 
 
 def _with_unit(value: Any, node: dict[str, Any], words: dict[str, str] | None = None) -> Any:
-    """The item of a value, with the unit of its numbers as a comment."""
+    """Return the TOML item of a value, with a comment that gives the unit of its numbers."""
     item, unit = _item(value), node.get("unit", "")
     if node.get("$ref") == "#/$defs/end":
         unit = "m"

@@ -1,5 +1,5 @@
-"""Mounts and hard points from text tables with a line for each: a name, other words, and numbers
-with units in the headings or in the cells."""
+"""Mounts and hard points from text tables with one row each: a name, other words, and numbers with
+units in the headings or in the cells."""
 
 import csv
 import re
@@ -21,8 +21,8 @@ from jaxbody.records.text_tables import split_unit
 
 
 class Columns(NamedTuple):
-    """The columns that a table may have: words, numbers with their SI units, and those that must
-    be there."""
+    """The columns that a table may have: names of columns of words, SI units of columns of numbers
+    by name, and names of required columns."""
 
     words: Sequence[str]
     units: Mapping[str, str]
@@ -32,8 +32,8 @@ class Columns(NamedTuple):
 def lines_of(
     path: Path, allowed: Columns, things: str, largest: float, problems: Problems
 ) -> list[tuple[str, dict[str, Any]]]:
-    """Where each line stands, and its words and numbers in SI; `things`: what lines are, in
-    the plural.
+    """Return the place ("mounts.csv:3") of each row of a table, and its words and numbers in SI by
+    column; `things` is the plural noun for rows in messages.
 
     Errors: those of text files and of headings; problems of lines are added."""
     check_file(path, largest)
@@ -69,11 +69,11 @@ def lines_of(
     ]
     with Problems() as of_headings:
         columns = _columns(path.name, *cells[0], allowed, of_headings)
-    found = []
+    read = []
     for line, row in cells[1:]:
         where = f"{path.name}:{line}"
         if len(row) == len(columns):
-            found.append((where, _values(row, columns, allowed, where, problems)))
+            read.append((where, _values(row, columns, allowed, where, problems)))
         else:
             problems.add(
                 "RAGGED_LINE",
@@ -82,13 +82,13 @@ def lines_of(
                 value=len(row),
                 limit=f"{len(columns)}, as the headings",
             )
-    return found
+    return read
 
 
 def _columns(
     name: str, line: int, headings: list[str], allowed: Columns, problems: Problems
 ) -> list[tuple[str, str | None]]:
-    """The name and the unit of each column."""
+    """Return the name and the unit (None without one) of each column, and check the names."""
     columns = [split_unit(heading) for heading in headings]
     names = [column for column, _ in columns]
     where, known = f"{name}:{line}", (*allowed.words, *allowed.units)
@@ -114,7 +114,7 @@ def _values(
     where: str,
     problems: Problems,
 ) -> dict[str, Any]:
-    """The words of a line, and its numbers in SI."""
+    """Return the words of a row, and its numbers in SI, by the names of the columns."""
     values: dict[str, Any] = {}
     for cell, (name, unit) in zip(row, columns, strict=True):
         if not cell:
@@ -138,7 +138,7 @@ def _values(
 def _number(
     cell: str, name: str, unit: str | None, wanted: str, where: str, problems: Problems
 ) -> float:
-    """A cell in SI; its unit is in the heading or beside the number."""
+    """Convert a cell to SI; its unit is `unit`, from the heading, or written in the cell."""
     own = Problems()
     text = f"{cell} {unit}" if unit and re.fullmatch(NUMBER, cell) else cell
     value = in_SI(text, wanted, {}, None, where, own)
@@ -160,7 +160,8 @@ def _by_name(
     largest: float,
     make: Callable[[dict[str, Any], str, Problems], Any],
 ) -> dict[str, Any]:
-    """What `make` makes of the values of each line, its place and the problems, by name."""
+    """Return {name: make(values, place, problems)} of the rows of a table; `thing` is the noun for
+    a row in messages."""
     things: dict[str, Any] = {}
     with Problems() as problems:
         for where, values in lines_of(Path(path), allowed, f"{thing}s", largest, problems):
@@ -189,23 +190,23 @@ MOUNT_COLUMNS = Columns(("name", "a", "b"), UNITS, ("name", *AXES, "kx", "ky", "
 def read_mounts(
     path: Any, bodies: Mapping[str, Body | Support], *, largest: float = LARGEST
 ) -> dict[str, Bushing]:
-    """The mounts in a text table, as bushings by name: elements of a model.
+    """Read the mounts in a text table, as bushings by name: elements of a model.
 
         name,  x [mm], y [mm], z [mm], kx [N/mm], ky [N/mm], kz [N/mm], cx [N s/mm], ...
         left,  100,    250,    500,    200,       200,       400,       0.2, ...
 
-    x, y, z are the place of the mount in world axes, in the reference pose; kx, ky, kz and cx, cy,
-    cz its stiffness and damping along its axes, krx ... and crx ... about them; rx, ry, rz [deg]
-    turn its axes from those of the world, first about z, then y, then x. Columns may be in any
-    order; others than name, x, y, z, kx, ky, kz may be missing, or empty, which is zero. A unit is
-    in the heading, or in the number, "21 N/mm". The command `jaxbody new --mounts mounts.csv`
-    prints a model file with these mounts.
+    x, y, z are the position of the mount in world axes, in the reference pose; kx, ky, kz and cx,
+    cy, cz its stiffness and damping along its axes, krx ... and crx ... about them; rx, ry, rz
+    [deg] turn its axes from those of the world, first about z, then y, then x. Columns may be in
+    any order; columns other than name, x, y, z, kx, ky, kz may be missing, and their cells empty,
+    which means zero. A unit is in the heading, or next to the number, "21 N/mm". The command
+    `jaxbody new --mounts mounts.csv` prints a model file with these mounts.
 
     Args:
         path: path of the file; columns are separated by commas, semicolons or tabs, lines that
             start with # are comments
-        bodies: {name: Body or Support}. Columns a and b name the two of each mount; without them,
-            or where they are empty, it is between the first of these and the second, or the world
+        bodies: {name: Body or Support}. Columns a and b name the two bodies of each mount. Default:
+            the first and the second of `bodies`, or the world if there is only one
         largest: largest size of the file [bytes]
 
     Errors, all at once with their lines: those of text files, NO_NUMBERS, UNKNOWN_NAME,
@@ -238,9 +239,9 @@ def read_mounts(
 
 
 def mounted_frames(path: Any, *, largest: float = LARGEST) -> tuple[list[str], list[str]]:
-    """The names in column a of a data sheet, which are those of bodies, and the other names in
-    column b, those of supports. Numbers are not checked. Errors: those of text files and of
-    the headings."""
+    """Return the names in column a of a mount table, which are bodies, and the other names in
+    column b, which are supports. Numbers are not checked. Errors: those of text files and of the
+    headings."""
     lines = lines_of(Path(path), MOUNT_COLUMNS, "mounts", largest, Problems())
     first, second = (
         {values[end]: None for _, values in lines if values.get(end, "world") != "world"}
@@ -252,7 +253,7 @@ def mounted_frames(path: Any, *, largest: float = LARGEST) -> tuple[list[str], l
 def _mount(
     values: dict[str, Any], bodies: Mapping[str, Body | Support], where: str, problems: Problems
 ) -> Bushing | None:
-    """The bushing of one line, whose two frames coincide in the reference pose."""
+    """Return the bushing of one row, whose two frames coincide in the reference pose."""
     own = [*bodies, "world", "world"]
     R = matrix(np.asarray(Euler("ZYX", [values.get(f"r{axis}", 0.0) for axis in "zyx"])))
     places, turns = [], []
@@ -286,14 +287,14 @@ def _point(values: dict[str, Any]) -> np.ndarray:
 
 
 def read_hard_points(path: Any, *, largest: float = LARGEST) -> dict[str, np.ndarray]:
-    """The hard points in a text table, {name: place [m]}, for `double_wishbone`, `macpherson`
-    and `five_link`.
+    """Read the hard points in a text table, {name: position [m]}, for `double_wishbone`,
+    `macpherson` and `five_link`.
 
         name,        x [mm], y [mm], z [mm]
         lower outer,      0,    900,    200
 
-    Columns may be in any order; a unit is in the heading, or beside the number, "900 mm". Points
-    that the file does not have are those of the ready suspension.
+    Columns may be in any order; a unit is in the heading, or next to the number, "900 mm". The
+    suspension has default positions for points that are not in the file.
 
     Args:
         path: path of the file; columns are separated by commas, semicolons or tabs, lines that

@@ -1,5 +1,5 @@
-"""What is made of an MJCF file, by either reader: frames with their joints and masses, springs of
-joints and tendons, as a model."""
+"""Assembly of a model from an MJCF file, for both readers: frames with their joints and masses,
+springs of joints and tendons."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from jaxbody.model.joints.joints import Ball, Fixed, Free, Guide, Hinge, Joint
 from jaxbody.model.laws.spring_laws import TensionOnly
 from jaxbody.model.layouts import WORLD
 
-READ = ("compiler", "option", "default", "worldbody", "tendon")  # sections
+READ = ("compiler", "option", "default", "worldbody", "tendon")  # sections that are read
 
 STEPS = {"slide": "move", "hinge": "turn"}
 SEVERAL = "springs and dampers of several joints of one body that turns"
@@ -30,9 +30,9 @@ LARGE_TURNS = "damping of ball joints at large turns, where it is that of the ro
 
 @dataclass(frozen=True, eq=False)
 class JointOfBody:
-    """A joint as the file states it: its kind (slide, hinge, ball or free), and in the axes of its
-    body its point and axis; `relaxed`: the displacement or angle from the pose in the file at which
-    its spring exerts no force."""
+    """A joint as the file states it: its kind (slide, hinge, ball or free), its point [m] and axis
+    in the axes of its body, its stiffness and damping (SI); `relaxed`: displacement [m] or angle
+    [rad] from the pose in the file at which its spring exerts no force."""
 
     name: str
     where: str
@@ -44,7 +44,8 @@ class JointOfBody:
     relaxed: float
 
     def motion_to_relaxed(self) -> Place:
-        """The motion from the pose in the file to where its spring exerts no force."""
+        """Return the motion of the body from its pose in the file to the pose where the spring of
+        the joint exerts no force."""
         if self.kind == "slide":
             return Place(self.relaxed * self.axis, ORIGIN.q)
         turn = Place(np.zeros(3), about(self.axis, self.relaxed if self.kind == "hinge" else 0.0))
@@ -52,7 +53,8 @@ class JointOfBody:
 
 
 def joint_of(joints: list[JointOfBody], parent: str, on_parent: Place) -> Joint:
-    """The joint that carries a body, in the parent's frame. Error: WRONG_KIND."""
+    """Return the joint that connects a body to its parent, in the parent's axes. Error:
+    WRONG_KIND."""
     at = [on_parent.point(joint.at) for joint in joints]
     axes = [on_parent.R @ joint.axis for joint in joints]
     own_point = at[0] if joints and joints[0].at.any() else None  # None: the body's origin
@@ -96,10 +98,11 @@ def joint_of(joints: list[JointOfBody], parent: str, on_parent: Place) -> Joint:
 def spring_of(
     joint: JointOfBody, joints: list[JointOfBody], body: str, parent: str, on_parent: Place
 ) -> Element | str:
-    """The spring and damper of one of a body's joints, or why there is none.
+    """Return the spring and damper of one of a body's joints, or the reason why there is none.
 
-    A turn is read from the poses if it is the body's only one, a slide if the body does not turn:
-    from the displacement d on the parent, q_i = n*_i . d, where n*_i . n_j is 1 for i = j, else 0.
+    The angle of a turn follows from the poses only if it is the body's only turn, the coordinate of
+    a slide only if the body does not turn: from the displacement d on the parent, q_i = n*_i . d,
+    where n*_i . n_j is 1 for i = j, else 0.
     """
     at = (parent, on_parent.point(joint.at)), (body, joint.at)
     others_turn = any(other.kind != "slide" and other is not joint for other in joints)
@@ -130,8 +133,8 @@ def spring_of(
 
 @dataclass
 class Carried:
-    """A frame of the model: what carries it, where it is there and in the world, its joints, and
-    parts that make up its mass. One that does not move is a support."""
+    """A frame of the model: its parent, its place on the parent and in the world, its joints, and
+    the parts that make up its mass. A frame that does not move is a support."""
 
     where: str
     parent: str
@@ -143,7 +146,8 @@ class Carried:
 
 
 class FramesOfFile(ABC):
-    """The frames, masses, joints and springs of a file, and what of it is left out."""
+    """Base class of the two readers: collects frames, masses, joints and springs of a file, and a
+    list of what is left out."""
 
     def __init__(self, document: MjcfDocument):
         self.document, self.problems = document, document.problems
@@ -156,11 +160,12 @@ class FramesOfFile(ABC):
         self.left_out[what] = first, count + times
 
     def gather(self, where: str, make: Callable[[], Any]) -> Any:
-        """What `make` returns; None with its problems, at their line, where it fails."""
+        """Return the result of `make`; if it fails, add its problems at the line `where` and return
+        None."""
         return self.problems.gather(make, lambda x: replace(x, where=f"{where} {x.where}"))
 
     def leave_out_sections(self) -> None:
-        """What the file says besides bodies, joints and tendons."""
+        """List as left out what the file states besides bodies, joints and tendons."""
         for node in self.document.root.children if self.document.root.tag == "mujoco" else []:
             for child in node.children if node.tag not in READ else []:
                 self.leave_out(f"{node.tag} {child.tag}", child.where)
@@ -182,8 +187,8 @@ class FramesOfFile(ABC):
         joints: list[JointOfBody],
         own: Body | None,
     ) -> tuple[str, Place]:
-        """Add a body of the file at a place on its owner; returns the frame of the model that it
-        becomes or is a part of, and its place there."""
+        """Add a body of the file at a `place` on its `owner`. Return the frame of the model that it
+        becomes, or is a part of, and its place on that frame."""
         carrier = self.carried.get(owner)
         if joints or carrier is None or not carrier.moves or (own and carrier.parts):
             in_world = carrier.place @ place if carrier else place
@@ -199,8 +204,8 @@ class FramesOfFile(ABC):
         return owner, place
 
     def name_of(self, name: str, default: str, taken: Any, where: str) -> str:
-        """A name that a model accepts; one of the file's that it does not accept is in the list of
-        what was left out."""
+        """Return a name that a model accepts and that is not `taken`; if it differs from the name
+        in the file, it is listed as left out."""
         allowed = "".join("_" if letter in ".*?[]" else letter for letter in name or default)
         while allowed in taken or allowed == WORLD:
             allowed += "_" if name else " 2"
@@ -209,7 +214,7 @@ class FramesOfFile(ABC):
         return allowed
 
     def parts(self, scale: float, gravity: np.ndarray) -> dict[str, Any]:
-        """The arguments of the model, with all masses times `scale`."""
+        """Return the arguments of Model, with all masses and inertias multiplied by `scale`."""
         moving = {name: each for name, each in self.carried.items() if each.moves}
         parts: dict[str, Any] = {"gravity": gravity, "elements": self.elements}
         parts["bodies"] = {
@@ -234,10 +239,10 @@ class FramesOfFile(ABC):
 
     @abstractmethod
     def tendons(self) -> None:
-        """Add the springs of tendons."""
+        """Add the springs of tendons to the elements."""
 
     def springs(self, moving: dict[str, Carried]) -> None:
-        """The springs and dampers of joints."""
+        """Add the springs and dampers of joints to the elements."""
         for body, each in moving.items():
             for joint in each.joints:
                 if joint.stiffness or joint.damping:
@@ -251,7 +256,7 @@ class FramesOfFile(ABC):
                     self.leave_out(LARGE_TURNS, joint.where)
 
     def add(self, spring: Element | str | None, name: str, default: str, where: str) -> None:
-        """An element of the model, or why there is none."""
+        """Add an element to the model, or list the reason why there is none."""
         if isinstance(spring, Element):
             name = self.name_of(name, default, {**self.carried, **self.elements}, where)
             self.elements[name] = spring
@@ -262,8 +267,9 @@ class FramesOfFile(ABC):
 def tendon(
     ends: list[tuple[str, np.ndarray]], k: float, c: float, low: float, high: float
 ) -> Element | str:
-    """The spring of a tendon between two places on frames, without force from the one length to the
-    other; or why there is none."""
+    """Return the spring of a tendon between two points on frames, without force at lengths from
+    `low` to `high` [m], or the reason why there is none; `k`, `c`: stiffness [N/m] and damping [N
+    s/m]."""
     if not (k or c):
         return "tendons without stiffness and damping"
     if low == high:
@@ -274,7 +280,7 @@ def tendon(
 
 
 def _body(each: Carried, scale: float) -> Body:
-    """A body of the model from its parts."""
+    """Return the body of a frame, made of its parts."""
     if not each.parts:
         raise JaxbodyError(
             Problem(

@@ -1,5 +1,4 @@
-"""MJCF and URDF by MuJoCo's own compiler: the arrays of the model that it makes of a file say what
-the file means."""
+"""MJCF and URDF by MuJoCo's own compiler: a model from the arrays of MuJoCo's compiled model."""
 
 import importlib.util
 import subprocess
@@ -18,17 +17,17 @@ from jaxbody.files.interchange.mjcf_geometry import ORIGIN, Place
 from jaxbody.model.bodies import Body
 from jaxbody.model.layouts import WORLD
 
-LONGEST = 300.0  # s, of a compilation
-KINDS = ("free", "ball", "slide", "hinge")  # by MuJoCo's numbers
-# of what the tag of an element states
+LONGEST = 300.0  # time limit of a compilation [s]
+KINDS = ("free", "ball", "slide", "hinge")  # in the order of MuJoCo's numbers
+# kinds of elements whose tag has another name
 KIND = {"freejoint": "joint", "spatial": "tendon", "fixed": "tendon", "link": "body"}
-SITE = 3  # MuJoCo's number of a site of a tendon
+SITE = 3  # MuJoCo's number for a site in the path of a tendon
 
 
 def compiled(path: Path, document: MjcfDocument) -> tuple[dict[str, np.ndarray] | None, str | None]:
-    """The arrays of the model that MuJoCo compiles; None where it is not installed, or refuses the
-    file, with its message. It would read files that this one names, wherever they are: one that
-    names others than those in its folder is not given to it."""
+    """Return the arrays of MuJoCo's compiled model and None; without MuJoCo, or if it rejects the
+    file, None and its message. MuJoCo would read any file that this one names: a file that names
+    files outside its folder is not compiled."""
     if importlib.util.find_spec("mujoco") is None:
         return None, None
     outside = [
@@ -63,8 +62,8 @@ def compiled(path: Path, document: MjcfDocument) -> tuple[dict[str, np.ndarray] 
 
 
 def named_files(document: MjcfDocument) -> Iterator[str]:
-    """The files and folders that the elements of an MJCF document name; a model in another file,
-    which may name any, counts as outside."""
+    """Yield the files and folders that the elements of an MJCF document name. A nested model in
+    another file, which may name any file, is yielded as a path outside the folder."""
     for node in document.root.within() if document.root.tag == "mujoco" else ():
         for name, value in node.attributes.items():
             if name.startswith("file") or name.endswith("dir"):
@@ -72,7 +71,7 @@ def named_files(document: MjcfDocument) -> Iterator[str]:
 
 
 def _without_looks(path: Path, target: Path) -> Path:
-    """A copy of a URDF without shapes and the files that they name."""
+    """Write a copy of a URDF without its shapes and the files that these name; return its path."""
     tree = ElementTree.parse(path)
     for link in tree.iter("link"):
         for child in (*link.findall("visual"), *link.findall("collision")):
@@ -82,7 +81,7 @@ def _without_looks(path: Path, target: Path) -> Path:
 
 
 class CompiledReader(FramesOfFile):
-    """Makes the model of MuJoCo's arrays."""
+    """Reader of a model from MuJoCo's arrays."""
 
     def __init__(self, path: Path, document: MjcfDocument, arrays: dict[str, np.ndarray]):
         super().__init__(document)
@@ -91,17 +90,18 @@ class CompiledReader(FramesOfFile):
             (KIND.get(each.tag, each.tag), each.attributes.get("name")): each.where
             for each in document.root.within()
         }
-        # of each body on a frame of the model
+        # frame of the model of each body, and the place of the body on it
         self.places: list[tuple[str, Place]] = [(WORLD, ORIGIN)]
 
     def __getattr__(self, name: str) -> Any:
-        """An array by MuJoCo's name."""
+        """Return an array by its name in MuJoCo."""
         if name in self.__dict__.get("arrays", {}):
             return self.arrays[name]
         raise AttributeError(name)
 
     def where(self, kind: str, i: int) -> str:
-        """The line of a body, joint or tendon, if it has a name there."""
+        """Return the place of a body, joint or tendon in the file; without a name there, the name
+        of the file."""
         return self.lines.get((kind, str(self.arrays[f"{kind}_names"][i])), self.file)
 
     def world(self) -> None:
@@ -145,7 +145,7 @@ class CompiledReader(FramesOfFile):
         )
 
     def leave_out_effects(self) -> None:
-        """What has an effect in MuJoCo and none here."""
+        """List as left out what has an effect in MuJoCo and none in the model."""
         effects = {
             "contact of geoms": (self.geom_contype != 0) | (self.geom_conaffinity != 0),
             "fluidshape of geoms": self.geom_fluid.any(-1),
@@ -169,12 +169,12 @@ class CompiledReader(FramesOfFile):
                 self.leave_out(what, self.file, times)
 
     def of_rows(self, name: str) -> np.ndarray:
-        """Whether each row of an array has a number other than zero; older MuJoCos have no array of
-        this name."""
+        """Return whether each row of an array has a nonzero number; older versions of MuJoCo do not
+        have all arrays."""
         return self.arrays.get(name, np.zeros((1, 1))).any(-1)
 
     def made(self) -> dict[str, Any]:
-        """The arguments of the model."""
+        """Return the arguments of Model."""
         return self.parts(1.0, self.gravity)
 
     def tendons(self) -> None:

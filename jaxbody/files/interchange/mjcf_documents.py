@@ -1,5 +1,5 @@
-"""MJCF documents: the elements of an XML file with their lines, included files in place, attributes
-with the defaults of their class."""
+"""MJCF documents: the elements of an XML file with their line numbers, included files in place,
+attributes with the defaults of their class."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from jaxbody.core.source_files import check_file
 
 DEEPEST = 200
 
-MAIN = "main"  # the class of all elements
-ALIASES = {"spatial": "tendon", "fixed": "tendon"}  # whose defaults are stated by another name
+MAIN = "main"  # the class of elements that state none
+ALIASES = {"spatial": "tendon", "fixed": "tendon"}  # names of tags in default classes
 
 
 @dataclass
 class Node:
-    """An element of a file."""
+    """An element of an XML file."""
 
     tag: str
     attributes: dict[str, str]
@@ -31,11 +31,11 @@ class Node:
     children: list[Node] = field(default_factory=list)
 
     def all(self, tag: str) -> Iterator[Node]:
-        """The children of this tag."""
+        """Return the children with this tag."""
         return (child for child in self.children if child.tag == tag)
 
     def within(self) -> Iterator[Node]:
-        """All elements in this one."""
+        """Yield all elements below this one, in the order of the file."""
         for child in self.children:
             yield child
             yield from child.within()
@@ -43,15 +43,16 @@ class Node:
 
 @dataclass
 class MjcfDocument:
-    """A file with those it includes: its root, and the attributes that each class gives to elements
-    of a tag."""
+    """A file with those that it includes: its root, and the default attributes of each class by the
+    tags of elements."""
 
     root: Node
     classes: dict[str, dict[str, dict[str, str]]]
     problems: Problems
 
     def settings(self, section: str) -> Attributes:
-        """The attributes of all sections of this tag; a later one counts."""
+        """Return the attributes of all sections with this tag; a later section overrides an earlier
+        one."""
         values = {
             name: value
             for node in self.root.all(section)
@@ -60,8 +61,8 @@ class MjcfDocument:
         return Attributes(values, f"{self.root.where.rpartition(':')[0]} {section}", self.problems)
 
     def attributes(self, node: Node, kind: str) -> Attributes:
-        """The attributes of an element, with those of its class, or of the class `kind` of all
-        elements around it."""
+        """Return the attributes of an element, with the defaults of its class, or, where it states
+        none, of the class `kind` of the elements around it."""
         name = node.attributes.get("class", kind)
         if name not in self.classes:
             self.problems.add(
@@ -93,8 +94,8 @@ class Attributes:
         return self.values.get(name, str(default)).lower() == "true"
 
     def row(self, name: str, default: Any = (), sizes: tuple[int, ...] = ()) -> np.ndarray:
-        """Numbers separated by blanks. Errors: NOT_A_NUMBER, NON_FINITE, BAD_SHAPE if their count
-        is none of `sizes`."""
+        """Return the numbers of an attribute, separated by blanks; `default` where it is missing or
+        wrong. Problems: NOT_A_NUMBER, NON_FINITE, BAD_SHAPE if their count is none of `sizes`."""
         numbers = self.problems.gather(
             lambda: _numbers(self.values.get(name), f"{self.where} {name}", sizes)
         )
@@ -132,7 +133,8 @@ def _numbers(text: str | None, where: str, sizes: tuple[int, ...]) -> np.ndarray
 
 
 def read_document(path: Path, largest: float) -> MjcfDocument:
-    """The document in a file.
+    """Read an MJCF or URDF file with the files that it includes; `largest`: largest size of each
+    [bytes].
 
     Errors: those of files, SYNTAX, ENCODING, WRONG_KIND for a document type, WRONG_FORMAT,
     TOO_LARGE, OUTSIDE_FOLDER, LOOP."""
@@ -145,7 +147,8 @@ def read_document(path: Path, largest: float) -> MjcfDocument:
 
 
 def _content(path: Path, folder: Path, largest: float, read: set[Path]) -> Node:
-    """The root of a file, with the elements of the files that it includes in their places."""
+    """Return the root of a file, with the elements of included files in place; `read`: files read
+    so far."""
     root = _parsed(path, largest)
     if root.tag not in ("mujoco", "robot") and not read:
         raise JaxbodyError(
@@ -191,8 +194,8 @@ def _include(node: Node, folder: Path, largest: float, read: set[Path]) -> None:
 
 
 def _parsed(path: Path, largest: float) -> Node:
-    """The root element of a file; entities and document types are refused before anything
-    is expanded."""
+    """Return the root element of a file. Document types, and so entities, are refused before
+    anything is expanded."""
     check_file(path, largest)
     parser, root = expat.ParserCreate(), Node("", {}, path.name)
     around = [root]
@@ -237,7 +240,7 @@ def _parsed(path: Path, largest: float) -> Node:
         ) from None
     except JaxbodyError:
         raise
-    except (LookupError, ValueError) as error:  # the encoding that the file states
+    except (LookupError, ValueError) as error:  # unknown or wrong encoding
         raise JaxbodyError(
             Problem("ENCODING", path.name, str(error), hint="Save it as UTF-8.")
         ) from None
@@ -250,7 +253,7 @@ def _collect(
     inherited: dict[str, dict[str, str]],
     classes: dict[str, dict[str, dict[str, str]]],
 ) -> None:
-    """The attributes that a class states, on top of those of the class around it."""
+    """Collect the default attributes of a class, on top of those of the class around it."""
     classes[name] = dict(classes.get(name) or inherited)
     for child in node.children:
         if child.tag != "default":

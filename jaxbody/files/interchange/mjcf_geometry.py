@@ -1,5 +1,4 @@
-"""Geometry of MJCF: orientations, poses, and the mass and inertia of the shapes that it
-calls geoms."""
+"""Geometry of MJCF: orientations, poses, and the mass and inertia of shapes (geoms)."""
 
 from __future__ import annotations
 
@@ -50,20 +49,20 @@ ORIGIN = Place(np.zeros(3), np.array(IDENTITY))
 
 
 def about(n: np.ndarray, angle: float) -> np.ndarray:
-    """The quaternion of a turn about a direction of any length."""
+    """Return the quaternion of a turn by `angle` [rad] about a direction `n` of any length."""
     return np.array([np.cos(angle / 2), *(np.sin(angle / 2) * n / np.linalg.norm(n))])
 
 
 def from_z_to(direction: np.ndarray) -> np.ndarray:
-    """The quaternion of the shortest turn of the z axis to a direction."""
+    """Return the quaternion of the shortest turn from the z axis to a direction of any length."""
     z = direction / np.linalg.norm(direction)
     n = np.array([-z[1], z[0], 0.0])  # e_z x z
     return about(n if n.any() else np.array([1.0, 0, 0]), np.arctan2(np.linalg.norm(n), z[2]))
 
 
 def place_of(a: Attributes, degrees: bool, sequence: str) -> Place:
-    """The place of an element: `pos` and one of `quat`, `axisangle`, `xyaxes`, `zaxis`, `euler`, or
-    `fromto`, whose middle and direction are those of the z axis.
+    """Return the place of an element, from `pos` and one of `quat`, `axisangle`, `xyaxes`, `zaxis`,
+    `euler`, or from `fromto`: its midpoint, with the z axis along it.
 
     Errors: DUPLICATE_NAME for two orientations, ZERO_AXIS, those of numbers."""
     if "fromto" in a:
@@ -132,7 +131,8 @@ def _orientation(a: Attributes, name: str, degrees: bool, sequence: str) -> np.n
 
 
 def _turned(angles: np.ndarray, sequence: str) -> np.ndarray:
-    """Turns about axes that turn with the frame (small letters) or stay (capitals)."""
+    """Return the quaternion of successive turns [rad] about axes that turn with the frame (small
+    letters) or are fixed (capitals)."""
     q = ORIGIN.q
     for letter, angle in zip(sequence, angles, strict=True):
         turn = about(np.eye(3)["xyz".index(letter.lower())], angle)
@@ -141,7 +141,7 @@ def _turned(angles: np.ndarray, sequence: str) -> np.ndarray:
 
 
 def solid(a: Attributes, place: Place) -> Body | None:
-    """The body of a geom, by its mass or density; None if it has no mass.
+    """Return the body of a geom, from its mass or density; None if it has no mass.
 
     Errors: MISSING_ENTRY for a mesh, whose volume is not computed, WRONG_KIND,
     BAD_SHAPE, NEGATIVE."""
@@ -176,7 +176,8 @@ def solid(a: Attributes, place: Place) -> Body | None:
 
 
 def _half_sizes(a: Attributes, kind: str) -> np.ndarray | None:
-    """Radius and half lengths; with `fromto`, the half length is that of the line."""
+    """Return the radius and half lengths [m] of a shape; with `fromto`, the half length is that of
+    the line. None with a problem."""
     size = a.row("size")
     if "fromto" in a and kind != "sphere":
         half = np.linalg.norm(np.diff(a.row("fromto", np.zeros(6), (6,)).reshape(2, 3), axis=0)) / 2
@@ -201,8 +202,8 @@ def _sphere(r):
 
 
 def _capsule(r, h):
-    """A cylinder of the length 2 h between two half spheres, whose share of the mass is 4 r / (4
-    r + 6 h)."""
+    """Return volume and squared radii of gyration of a cylinder of length 2 h between two half
+    spheres, whose share of the mass is 4 r / (4 r + 6 h)."""
     ends, length = 4 * r / (4 * r + 6 * h), 2 * h
     across = (1 - ends) * (3 * r**2 + length**2) / 12 + ends * (
         2 / 5 * r**2 + length * (3 * r + 2 * length) / 8
@@ -226,7 +227,7 @@ def _box(a, b, c):
     return 8 * a * b * c, [(b**2 + c**2) / 3, (a**2 + c**2) / 3, (a**2 + b**2) / 3]
 
 
-# volume, and the squares of the radii of gyration
+# functions that return the volume [m3] and the squared radii of gyration [m2] of a shape
 SHAPES: dict[str, Callable[..., tuple[float, list[float]]]] = {
     "sphere": _sphere,
     "capsule": _capsule,

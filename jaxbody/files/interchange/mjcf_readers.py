@@ -1,5 +1,5 @@
-"""Models from MJCF, the files of MuJoCo: bodies, inertias, joints, springs of joints and tendons,
-and a list of what was left out."""
+"""Models from MJCF, the file format of MuJoCo: bodies, inertias, joints, springs of joints and
+tendons, and a list of what was left out."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -67,8 +67,8 @@ BY_MUJOCO = "MuJoCo's own compiler reads it: pip install 'jaxbody[mujoco]'."
 
 
 class LeftOut(NamedTuple):
-    """Something of an MJCF file that is not in the model: where it is first, what, and
-    how often."""
+    """Something of an MJCF file that is not in the model: `where` it occurs first, what it is, and
+    how many times it occurs."""
 
     where: str
     what: str
@@ -77,7 +77,7 @@ class LeftOut(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class MjcfModel(tables.Printed):
-    """A model from an MJCF file, and what the file says besides."""
+    """A model from an MJCF file, and the list of what the file states and the model leaves out."""
 
     model: Model
     left_out: tuple[LeftOut, ...]
@@ -93,26 +93,26 @@ class MjcfModel(tables.Printed):
 
 
 def read_mjcf(path: Any, *, largest: float = LARGEST) -> MjcfModel:
-    """The model in an MJCF or URDF file, and what was left out of it.
+    """Read the model in an MJCF or URDF file; the result lists what was left out of it.
 
-    Where the package mujoco is installed (`jaxbody[mujoco]`), MuJoCo's own compiler says what the
-    file means, in a process of its own, and masses are those of its meshes, too; it reads no file
-    out of the folder of this one. Without it, and where it refuses the file, as one whose meshes
-    are missing, jaxbody reads MJCF by itself, and refuses what it does not know in bodies.
+    If the package mujoco is installed (`jaxbody[mujoco]`), the file is compiled by MuJoCo in a
+    separate process, which also computes the masses of meshes; it reads no file outside the folder
+    of this one. Without mujoco, and for a file that MuJoCo rejects (for example, because meshes are
+    missing), jaxbody reads MJCF itself, and refuses unknown elements in bodies.
 
     A body with joints becomes a body: one joint becomes a Free, Ball, Hinge or Guide, several
-    become a Composite. A body without joints becomes a support if it stands in the world, else it
-    is Fixed to its parent, or a part of it where one of the two has no mass. Springs and dampers of
-    joints become torsions and bushings, those of tendons between two sites springs. Coordinates
-    count from the pose in the file.
+    become a Composite. A body without joints becomes a support if it is attached to the world;
+    otherwise it is Fixed to its parent, or a part of it if one of the two has no mass. Springs and
+    dampers of joints become torsions and bushings, those of tendons between two sites springs.
+    Coordinates are zero in the pose of the file.
 
     Args:
-        path: path of the file, .xml; the files that it includes are in its folder
+        path: path of the file, .xml or .urdf; files that it includes must be in its folder
         largest: largest size of each file [bytes]
 
     Errors, all at once with their lines: those of files, SYNTAX, ENCODING, WRONG_FORMAT,
     WRONG_KIND, OUTSIDE_FOLDER, LOOP, UNKNOWN_NAME, NOT_A_NUMBER, MISSING_ENTRY for an inertia that
-    only a mesh would tell, MISSING_EXTRA for a URDF without mujoco, and those of bodies, joints
+    depends on a mesh, MISSING_EXTRA for a URDF without mujoco, and those of bodies, joints
     and elements.
 
     >>> import pathlib, tempfile
@@ -157,15 +157,15 @@ def read_mjcf(path: Any, *, largest: float = LARGEST) -> MjcfModel:
 
 
 class MjcfReader(FramesOfFile):
-    """Reads one document, without MuJoCo."""
+    """Reader of an MJCF document without MuJoCo."""
 
     def __init__(self, document: MjcfDocument):
         super().__init__(document)
         self.compiler, self.option = map(document.settings, ("compiler", "option"))
         self.degrees = self.compiler.text("angle", "degree") != "radian"
         self.sequence = self.compiler.text("eulerseq", "xyz")
-        self.sites: dict[str, tuple[str, np.ndarray]] = {}  # on a frame, in its axes
-        self.total = 0.0  # mass [kg] of the file
+        self.sites: dict[str, tuple[str, np.ndarray]] = {}  # name: (frame, point in its axes)
+        self.total = 0.0  # mass of all bodies [kg]
 
     def place(self, a: Attributes) -> Place:
         return place_of(a, self.degrees, self.sequence)
@@ -200,8 +200,8 @@ class MjcfReader(FramesOfFile):
             self.leave_out("balanceinertia", self.compiler.where)
 
     def contents(self, node: Node, place: Place, kind: str) -> Iterator[tuple[Node, Place, str]]:
-        """The elements in a body, each with the place of the frame around it, and the class of
-        elements without one."""
+        """Yield the elements in a body, each with the place of the frame around it and the default
+        class for elements that state none."""
         for child in node.children:
             if child.tag == "frame":
                 a = Attributes(child.attributes, f"{child.where} frame", self.problems)
@@ -210,8 +210,8 @@ class MjcfReader(FramesOfFile):
                 yield child, place, kind
 
     def thing(self, node: Node, owner: str, around: Place, kind: str) -> None:
-        """An element in the world or a body: `around` is the place, on its owner, of the frame in
-        which it is stated."""
+        """Read an element in the world or in a body; `around`: place, on the frame `owner`, of the
+        frame in which the element is stated."""
         match node.tag:
             case "body":
                 self.body(node, owner, around, node.attributes.get("childclass", kind))
@@ -255,7 +255,7 @@ class MjcfReader(FramesOfFile):
             self.thing(child, owner, place @ frame, of)
 
     def solid(self, node: Node, inside: list[tuple[Node, Place, str]]) -> Body | None:
-        """The mass and inertia of a body of the file, in its frame; None without mass."""
+        """Return the mass and inertia of a body of the file, in its frame; None without mass."""
         source = self.compiler.text("inertiafromgeom", "auto")
         inertial = next(node.all("inertial"), None)
         parts = []
@@ -288,8 +288,8 @@ class MjcfReader(FramesOfFile):
         return Body(mass, inertia, position=place.p, orientation=place.q) if mass else None
 
     def bounded(self, body: Body) -> Body:
-        """A body with at least the mass and the principal moments that the compiler's settings
-        ask for."""
+        """Return a body with at least the mass and the principal moments that the compiler's
+        settings require."""
         mass = max(float(body.mass), self.compiler.number("boundmass"))
         least = self.compiler.number("boundinertia")
         if mass == float(body.mass) and not least:
@@ -333,7 +333,8 @@ class MjcfReader(FramesOfFile):
         )
 
     def coefficient(self, a: Attributes, name: str, owners: str) -> float:
-        """The linear coefficient; MuJoCo also has polynomials."""
+        """Return the linear coefficient of an attribute; higher powers of a polynomial are listed
+        as left out."""
         row = a.row(name, [0.0])
         if row[1:].any():
             self.leave_out(f"higher powers of {name} of {owners}", a.where.partition(" ")[0])
@@ -342,7 +343,7 @@ class MjcfReader(FramesOfFile):
     def leave_out_attributes(
         self, a: Attributes, where: str, known: tuple[str, ...], owners: str
     ) -> None:
-        """What has an effect in MuJoCo and none here."""
+        """List as left out the attributes that have an effect in MuJoCo and none in the model."""
         for name, value in a.values.items():
             if (
                 name == "range"
@@ -354,7 +355,7 @@ class MjcfReader(FramesOfFile):
                 self.leave_out(f"{name} of {owners}", where)
 
     def made(self) -> dict[str, Any]:
-        """The arguments of the model."""
+        """Return the arguments of Model."""
         stated = self.compiler.number("settotalmass")
         weightless = any(
             flag.attributes.get("gravity") == "disable"
@@ -365,7 +366,7 @@ class MjcfReader(FramesOfFile):
         return self.parts(stated / self.total if stated > 0 and self.total > 0 else 1.0, gravity)
 
     def tendons(self) -> None:
-        """The springs and dampers of tendons."""
+        """Add the springs and dampers of tendons to the elements."""
         for node in (x for section in self.document.root.all("tendon") for x in section.children):
             a = self.document.attributes(node, MAIN)
             spring = self.gather(node.where, lambda: self.tendon(node, a))  # noqa: B023
@@ -374,8 +375,8 @@ class MjcfReader(FramesOfFile):
             self.add(spring, a.text("name"), "tendon", node.where)
 
     def relaxed(self, name: str) -> Place:
-        """The place of a frame in the world where the springs of all joints exert no force: there,
-        free lengths of tendons are measured."""
+        """Return the place of a frame in the world where the springs of all joints exert no force:
+        free lengths of tendons are measured there."""
         if name == WORLD:
             return ORIGIN
         each = self.carried[name]
@@ -385,7 +386,7 @@ class MjcfReader(FramesOfFile):
         return place
 
     def tendon(self, node: Node, a: Attributes) -> Element | str:
-        """The spring of a tendon between two sites, or why there is none."""
+        """Return the spring of a tendon between two sites, or the reason why there is none."""
         sites = [child.attributes.get("site") for child in node.children]
         if node.tag != "spatial" or len(sites) != 2 or None in sites:
             return "tendons other than between two sites"

@@ -22,8 +22,8 @@ from jaxbody.model.laws.spring_laws import TensionOnly
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model
 
-CLOSE = 1e-9  # of axes and rotations that must coincide
-LEAST = 1e-15  # kg m2, of a moving body
+CLOSE = 1e-9  # tolerance for axes and rotations that must coincide
+LEAST = 1e-15  # smallest principal moment of inertia of a moving body [kg m2]
 KINDS = {True: "hinge", False: "slide"}
 ON_JOINTS = (
     "It can be written along the axes of a joint that moves its body, about that of a hinge, or "
@@ -33,13 +33,14 @@ TENDONS = "Springs between two points with linear laws, or ropes, can be written
 
 
 def write_mjcf(model: Model, path: Any) -> None:
-    """Write a model to an MJCF file, to simulate it with MuJoCo, or to look at it there.
+    """Write a model to an MJCF file, to simulate or view it in MuJoCo.
 
-    Supports become bodies that stand still. Springs become tendons between two sites; torsions, and
-    bushings on bodies that only move or are on a ball joint, become springs and dampers of joints.
-    The coordinates of joints count from the reference pose, as here; the speeds of free bodies and
-    ball joints turn about the axes of the body there, of the parent here. Base motions are not
-    written: MuJoCo moves bodies by position alone, so that dampers do not feel their velocity.
+    Supports become fixed bodies. Springs become tendons between two sites; torsions, and bushings
+    on bodies that only translate or are on a ball joint, become springs and dampers of joints. The
+    coordinates of joints are zero in the reference pose, as in jaxbody; the angular velocities of
+    free bodies and ball joints are in the axes of the body in MuJoCo, in those of the parent in
+    jaxbody. Base motions are not written: MuJoCo imposes only positions, without the velocities
+    that dampers need.
 
     Args:
         model: the model; the file replaces one of the same name
@@ -97,7 +98,7 @@ def write_mjcf(model: Model, path: Any) -> None:
 
 
 class MjcfWriter:
-    """Makes the XML of a model."""
+    """Writer of the XML of a model."""
 
     def __init__(self, model: Model):
         self.model, self.problems = model, Problems()
@@ -110,8 +111,8 @@ class MjcfWriter:
         self.parents = dict.fromkeys(layout.supports, WORLD) | {
             name: joint.parent for name, joint in self.joints.items()
         }
-        self.nodes: dict[str, Any] = {}  # of frames
-        self.steps: dict[str, list[Any]] = {}  # nodes of the joints of each body
+        self.nodes: dict[str, Any] = {}  # XML nodes of frames
+        self.steps: dict[str, list[Any]] = {}  # XML nodes of the joints of each body
 
     def root(self) -> Any:
         root = ElementTree.Element("mujoco")
@@ -147,7 +148,7 @@ class MjcfWriter:
         )
 
     def frame(self, name: str) -> None:
-        """A support or body in its parent, with its joints and inertia."""
+        """Add a support or body to the node of its parent, with its joints and inertia."""
         parent, joint = self.parents[name], self.joints.get(name)
         place = self.places[parent].inverse() @ self.places[name]
         node = ElementTree.SubElement(
@@ -185,7 +186,8 @@ class MjcfWriter:
         )
 
     def lines(self, name: str, joint: Joint, place: Place) -> list[tuple[str, Any, np.ndarray]]:
-        """The kind, axis and point of each joint, in the axes of the body."""
+        """Return the kind, axis (None for a free or ball joint) and point of each MJCF joint that
+        makes up `joint`, in the axes of the body; `place`: of the body on its parent."""
         back = place.inverse()
         at = np.zeros(3) if joint.at is None else back.point(np.asarray(joint.at))
         points: Any = [at] * joint.nv
@@ -225,7 +227,7 @@ class MjcfWriter:
         ]
 
     def tendon(self, tendons: Any, name: str, element: Spring | SpringDamper) -> None:
-        """A spring as a tendon between two sites."""
+        """Add a spring as a tendon between two sites."""
         lengths = [float(element.free_length)]
         if isinstance(element, Spring):
             k, c = element.stiffness, element.damping
@@ -252,7 +254,7 @@ class MjcfWriter:
             ElementTree.SubElement(node, "site", site=f"{name} {letter}")
 
     def on_joint(self, name: str, element: Bushing | Torsion) -> None:
-        """A torsion or bushing as springs and dampers of the joint between its ends."""
+        """Add a torsion or bushing as springs and dampers of the joint between its ends."""
         body = next(
             (end for end in element.between if self.parents.get(end) in element.between), ""
         )
@@ -277,8 +279,8 @@ class MjcfWriter:
     def springs(
         self, element: Bushing | Torsion, body: str
     ) -> list[tuple[float, float, float]] | None:
-        """Stiffness, damping and relaxed coordinate of each joint of the body for an element
-        between it and its parent; None if these do not say what the element does."""
+        """Return stiffness, damping and relaxed coordinate of each joint of a body that are
+        equivalent to an element between it and its parent; None if there are none."""
         place = self.places[self.parents[body]].inverse() @ self.places[body]
         ends = [place if end == body else ORIGIN for end in element.between]
         R_A, R_B = (
@@ -307,7 +309,8 @@ class MjcfWriter:
 def _twists(
     element: Torsion, kinds: tuple[str, ...], N: np.ndarray, C: np.ndarray
 ) -> list[tuple[float, float, float]] | None:
-    """e = +-q + c - e0 for the one turn of a joint about the axis of the torsion."""
+    """Return the springs of a torsion on a joint with one turn about its axis, where e = +-q + c -
+    e0; None if the joint has another form."""
     turns, n, (k, c) = (
         [i for i, kind in enumerate(kinds) if kind != "slide"],
         np.asarray(element.axis),
@@ -334,7 +337,8 @@ def _twists(
 def _slides(
     element: Bushing, N: np.ndarray, p: np.ndarray
 ) -> list[tuple[float, float, float]] | None:
-    """V = 1/2 (p + N q)' K (p + N q), if each q is by itself."""
+    """Return the springs of a bushing on slides only, V = 1/2 (p + N q)' K (p + N q); None if this
+    couples the coordinates q."""
     K, C = (
         np.diag(x) if x.ndim == 1 else x[:3, :3]
         for x in map(np.asarray, (element.stiffness, element.damping))
@@ -354,7 +358,8 @@ def _slides(
 
 
 def _ball(element: Bushing) -> list[tuple[float, float, float]] | None:
-    """The same stiffness about all axes; dampers differ at large turns."""
+    """Return the spring of a bushing on a ball joint, whose stiffness must be the same about all
+    axes; None for others, and with damping, which differs at large turns."""
     if element.stiffness.shape == (3,):
         return None
     K = np.asarray(element.stiffness)[3:, 3:]
@@ -366,10 +371,10 @@ def _ball(element: Bushing) -> list[tuple[float, float, float]] | None:
 
 
 def _row(numbers: Any) -> str:
-    """Numbers with all their digits."""
+    """Return numbers as text with all their digits."""
     return " ".join(repr(float(x)) for x in np.ravel(numbers))
 
 
 def _coefficient(law: Law | None) -> Any:
-    """The coefficient of a linear law, 0 without a law, None for others."""
+    """Return the coefficient of a linear law, 0 without a law, None for other laws."""
     return 0.0 if law is None else law.coefficient if isinstance(law, Linear) else None

@@ -1,5 +1,5 @@
-"""MuJoCo's compiler in a process of its own, `python mujoco_process.py model.xml arrays.npz`: what
-crashes it ends that process alone."""
+"""MuJoCo's compiler as a separate process, `python mujoco_process.py model.xml arrays.npz`: a crash
+ends only this process."""
 
 import contextlib
 import sys
@@ -53,17 +53,17 @@ ARRAYS = (
 )
 NAMED = {"body": "nbody", "joint": "njnt", "tendon": "ntendon"}
 
-MEMORY = 8 << 30  # bytes: a short file may state a model of any size
+MEMORY = 8 << 30  # largest memory [bytes], as a short file may state a model of any size
 
 
 def main(source: str, target: str) -> None:
-    """Compile a file, and save the arrays of the model that say how it moves; exit with MuJoCo's
-    message if it refuses."""
+    """Compile a model file and save the arrays of the model that determine its motion; exit with
+    MuJoCo's message if it rejects the file."""
     import mujoco as module
     import numpy as np
 
     mujoco: Any = module
-    with contextlib.suppress(ImportError, ValueError, OSError):  # where there is no such limit
+    with contextlib.suppress(ImportError, ValueError, OSError):  # systems without memory limits
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))

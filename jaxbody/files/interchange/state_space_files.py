@@ -1,4 +1,4 @@
-"""State spaces for other programs: a MATLAB file of the matrices with the names and units of
+"""State spaces for other programs: a MATLAB file of the matrices, with the names and units of
 inputs, outputs and states."""
 
 from pathlib import Path

@@ -1,5 +1,5 @@
-"""Builders of designs: quantities of a document, in which units of limits and bounds are those of
-what they limit, as `tune` takes them."""
+"""Builders of designs: the arguments of `tune` from a document. Limits and bounds are in the unit
+of the quantity or parameter that they limit."""
 
 import inspect
 from typing import Any
@@ -16,14 +16,14 @@ from jaxbody.files.studies.design_quantities import (
 )
 from jaxbody.model.leaf_paths import Leaf, leaves_of, matching
 
-OF_TABLE = ("type", "unit")  # entries of an own quantity that are not for its function
+OF_TABLE = ("type", "unit")  # entries of a quantity that are no arguments of its function
 
 
 class DesignBuilder(EntryBuilder):
-    """Makes a design of the values at a path of a document."""
+    """Builder of a design from its entry in a document."""
 
     def build(self) -> dict[str, Any]:
-        """The arguments of `tune` beside the model, but for bounds and catalogues."""
+        """Return the arguments of `tune` other than the model, bounds and catalogues."""
         stated, limits = self.values["quantities"], self.values.get("limits", {})
         roads = self.values.get("roads", {})
         leaves = leaves_of(self.model)
@@ -60,15 +60,15 @@ class DesignBuilder(EntryBuilder):
         return given
 
     def key(self, seed: int) -> Any:
-        """The random key of a seed."""
+        """Return the random key of a seed."""
         if 0 <= seed < 2**32:
             return jax.random.key(seed)
         self.add("BAD_NUMBER", f"is {seed!r:.30}", "key", value=seed, limit=f"0 to {2**32 - 1}")
         return None
 
     def kind(self, values: dict[str, Any], name: str) -> Quantity | None:
-        """The kind of a quantity: one by its name, or a function of a module of the user's that
-        is allowed."""
+        """Return the kind of a quantity: one of QUANTITIES, or a function from an allowed module of
+        the user."""
         path, kind = ("quantities", name), str(values["type"])
         if kind in QUANTITIES:
             return QUANTITIES[kind]
@@ -97,7 +97,7 @@ class DesignBuilder(EntryBuilder):
         return Quantity(lambda at, **stated: of(at.model, **stated), unit)
 
     def check_call(self, of: Any, values: dict[str, Any], *path: str) -> None:
-        """Check that a function takes the model and what is stated beside it."""
+        """Check that a function accepts the model and the entries stated with it."""
         parameters = dict(list(inspect.signature(of).parameters.items())[1:])
         if any(
             parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()
@@ -115,7 +115,7 @@ class DesignBuilder(EntryBuilder):
                 )
 
     def check(self, stated: dict[str, Any], kind: Quantity, leaves: list[Leaf], *path: str) -> None:
-        """Check what a quantity is a function of."""
+        """Check the entries of a quantity: roads, sensors, mode and path."""
         if kind.on_roads and not self.values.get("roads"):
             self.add(
                 "MISSING_ENTRY",
@@ -138,8 +138,8 @@ class DesignBuilder(EntryBuilder):
     def limit(
         self, value: Any, stated: dict[str, Any], kind: Quantity, leaves: list[Leaf], name: str
     ) -> Any:
-        """A limit, or a pair of them, in the unit of the quantity: of its kind, its sensor or
-        its number."""
+        """Return a limit, or a pair of limits, in SI; its unit is that of the kind of quantity, of
+        its sensor, or of its number of the model."""
         of_path = next((leaf.kind.unit for leaf in leaves if leaf.path == stated.get("path")), "")
         sensor = (
             self.sensors.get(stated.get("sensor", "")) if stated["type"] in QUANTITIES else None

@@ -1,5 +1,5 @@
-"""Quantities of a design in a file: what `tune` minimizes and limits, each a function of the model
-at its equilibrium, with its unit."""
+"""Quantities of a design in a file that `tune` minimizes or limits: functions of the model at its
+equilibrium, each with its unit."""
 
 import inspect
 from collections.abc import Callable, Iterable
@@ -24,8 +24,8 @@ from jaxbody.vibration.spectra import Band, Spectrum
 
 @dataclass
 class Design:
-    """A model, and on demand its equilibrium, its small motions and its ride: `roads` {support:
-    (class of ISO 8608, speed [m/s])}."""
+    """A model, and, computed when first needed, its equilibrium, linearization, modes and response
+    to roads; `roads`: {support: (class of ISO 8608, speed [m/s])}, `band` [Hz]."""
 
     model: Model
     sensors: dict[str, Sensor]
@@ -55,8 +55,8 @@ class Design:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A kind of quantity: the function of a design and of what a file states beside it, its unit
-    where that is known, whether it needs roads."""
+    """A kind of quantity: a function of a Design and of the entries that a file states with it; its
+    SI unit, "" if that depends on the entries; whether it needs roads."""
 
     of: Callable[..., Any]
     unit: str = ""
@@ -64,52 +64,52 @@ class Quantity:
 
     @property
     def stated(self) -> tuple[str, ...]:
-        """The entries of a file that it is a function of."""
+        """The names of the entries that the function takes besides the design."""
         return tuple(inspect.signature(self.of).parameters)[1:]
 
 
 def value(at: Design, path: str) -> Array:
-    """A number of the model."""
+    """Return a number of the model."""
     return paths(at.model, path)[path]
 
 
 def frequency(at: Design, mode: int) -> Array:
-    """A natural frequency."""
+    """Return a natural frequency."""
     return at.modes.frequency[mode - 1]
 
 
 def damping_ratio(at: Design, mode: int) -> Array:
-    """The damping ratio of a complex mode."""
+    """Return the damping ratio of a complex mode."""
     return complex_modes(at.linearization).damping_ratio[mode - 1]
 
 
 def deflection(at: Design, element: str) -> Array:
-    """The elongation of a spring at rest."""
+    """Return the elongation of a spring at rest."""
     return at.equilibrium.elongations[element]
 
 
 def coupling_of_modes(at: Design) -> Array:
-    """How far modes move several bodies or directions: 0 for not at all."""
+    """Return how far modes move several bodies or directions: 0 for not at all."""
     return objectives.coupling_of_modes(at.linearization)
 
 
 def band_intrusion(at: Design, band: list[float]) -> Array:
-    """A penalty on natural frequencies in a band."""
+    """Return a penalty on natural frequencies in a band."""
     return objectives.band_intrusion(at.modes.frequency, (band[0], band[1]))
 
 
 def rms(at: Design, sensor: str) -> Array:
-    """The rms of what a sensor reads on the roads."""
+    """Return the rms of what a sensor reads on the roads."""
     return at.ride[sensor]
 
 
 def stroke(at: Design, sensor: str) -> Array:
-    """Three times the rms of an elongation on the roads."""
+    """Return three times the rms of an elongation on the roads."""
     return objectives.stroke(at.ride, sensor)
 
 
 def comfort(at: Design, weights: dict[str, str]) -> Array:
-    """The vibration total value of accelerations on the roads, by ISO 2631-1."""
+    """Return the vibration total value of accelerations on the roads, by ISO 2631-1."""
     return objectives.comfort(at.ride, weights)
 
 
@@ -131,8 +131,8 @@ QUANTITIES = {
 
 
 class Evaluation:
-    """The quantities of a design as a function of the model, as `tune` takes it. `quantities`: each
-    kind, and what it is a function of."""
+    """The quantities of a design as a function of the model, in the form that `tune` takes;
+    `quantities`: {name: (kind, entries stated with it)}."""
 
     def __init__(
         self,
@@ -149,7 +149,7 @@ class Evaluation:
 
 
 def sensors_of(stated: Iterable[dict[str, Any]]) -> set[str]:
-    """The names of the sensors that quantities are about."""
+    """Return the names of the sensors that quantities refer to."""
     return {
         name
         for options in stated

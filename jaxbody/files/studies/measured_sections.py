@@ -1,5 +1,5 @@
-"""The schema of what was measured: records, experiments, measured modes and responses, by the
-arguments of their constructors."""
+"""Schema of measurements: records, experiments, measured modes and responses, from the arguments of
+their constructors."""
 
 from typing import Any
 
@@ -45,7 +45,7 @@ COLUMNS = table_schema(
 
 
 def measured_sections() -> dict[str, Any]:
-    """The definitions of what was measured."""
+    """Return the schema definitions of measurements."""
     return {
         "column": {
             "description": (
@@ -69,7 +69,7 @@ def _options(types: dict[str, str]) -> dict[str, Any]:
 
 
 def _record() -> dict[str, Any]:
-    """The schema of a record: the arguments of `read_record`."""
+    """Return the schema of a record, from the arguments of `read_record`."""
     texts = texts_of(Record) | texts_of(read_record)
     return table_schema(
         "A measured record, as `read_record` reads it.",
@@ -138,7 +138,7 @@ def _experiment() -> dict[str, Any]:
 
 
 def _numbers(unit: str | None, text: str, *types: str) -> dict[str, Any]:
-    """The schema of numbers in a unit, None where it is known only with the model, or of columns of
+    """Return the schema of numbers in a unit (None if it depends on the model), or of columns of
     the file."""
     numbers = OWN if unit is None else {"type": [*types, "string"], "unit": unit}
     return {"oneOf": [numbers, {"$ref": "#/$defs/columns of the file"}], "description": text}

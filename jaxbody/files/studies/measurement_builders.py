@@ -1,5 +1,5 @@
-"""Builders of measured modes and responses: numbers of the document, or columns of a file
-beside it."""
+"""Builders of measured modes and responses, from numbers in the document or columns of a file next
+to it."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -26,7 +26,7 @@ from jaxbody.vibration.ports import component_units
 
 
 class MeasurementBuilder(EntryBuilder):
-    """Makes measured modes and responses of the values at a path of a document."""
+    """Builder of measured modes or responses from their entry in a document."""
 
     def build(self) -> MeasuredModes | MeasuredResponse | None:
         """Return the measured modes or responses, by the type of the entry; None with problems."""
@@ -38,7 +38,7 @@ class MeasurementBuilder(EntryBuilder):
         return None
 
     def modes(self) -> MeasuredModes | None:
-        """The result of a modal test."""
+        """Build the result of a modal test."""
         given = {
             name: self.numbers(self.values[name], UNITS[name], name)
             if name in UNITS
@@ -54,7 +54,7 @@ class MeasurementBuilder(EntryBuilder):
         return self.made(MeasuredModes, given)
 
     def response(self) -> MeasuredResponse | None:
-        """Measured frequency responses."""
+        """Build measured frequency responses."""
         inputs = {name: self.input(value, name) for name, value in self.values["inputs"].items()}
         of_outputs = component_units(self.sensors, self.model)
         for section in ("measured", "noise"):
@@ -95,11 +95,13 @@ class MeasurementBuilder(EntryBuilder):
         return self.made(MeasuredResponse, given)
 
     def made(self, kind: Any, given: dict[str, Any]) -> Any:
-        """The measurement, if it fits the model."""
+        """Build a measurement if its entry has no problems so far, and check that it fits the
+        model."""
         return None if self.failed else self.builder.measurement(kind, given, self.model, self.path)
 
     def input(self, value: dict[str, Any], name: str) -> Any:
-        """A force on a body, or the motion of a support, of the model."""
+        """Build an input, a force on a body or the motion of a support, and check that it fits the
+        model."""
         path = (*self.path, "inputs", name)
         made = self.builder.thing(value, None, path, {})
         problem = made and made.problem(self.model, self.builder.document.where((*path, "on")))
@@ -108,7 +110,7 @@ class MeasurementBuilder(EntryBuilder):
         return made
 
     def of_universal_file(self, pairs: dict[tuple[str, str], dict[str, Any]]) -> tuple[Any, Any]:
-        """Frequencies and responses of a universal file."""
+        """Return frequencies and responses from a universal file."""
         for pair, value in pairs.items():
             if "response" not in value:
                 self.add(
@@ -130,7 +132,7 @@ class MeasurementBuilder(EntryBuilder):
         file = (
             None if self.failed else self.builder.beside(self.values["file"], (*self.path, "file"))
         )
-        asked = {
+        wanted = {
             pair: (value.get("response"), *value.get("units", (None, None)))
             for pair, value in pairs.items()
         }
@@ -140,13 +142,13 @@ class MeasurementBuilder(EntryBuilder):
                 problem = replace(problem, hint='Write units = ["m/s2", "N"] beside the response.')
             return self.builder.placed(problem, (*self.path, "file"), "")
 
-        read = file and self.builder.problems.gather(lambda: read_responses(file, asked), placed)
+        read = file and self.builder.problems.gather(lambda: read_responses(file, wanted), placed)
         return read or (None, None)
 
     def of_numbers(
         self, pairs: dict[tuple[str, str], dict[str, Any]], unit: dict[tuple[str, str], str]
     ) -> tuple[Any, Any]:
-        """Frequencies and responses of numbers or columns."""
+        """Return frequencies and responses from numbers or columns."""
         if "frequencies" not in self.values:
             self.add("MISSING_ENTRY", "has no 'frequencies'", limit="one for each measured number")
         return self.numbers(self.values.get("frequencies", []), "Hz", "frequencies"), {
@@ -155,7 +157,7 @@ class MeasurementBuilder(EntryBuilder):
         }
 
     def complex(self, value: dict[str, Any], unit: str, *parts: str) -> Any:
-        """Complex numbers by two real ones."""
+        """Return complex numbers from real and imaginary parts, or from magnitudes and phases."""
         pairs = (("real", "imaginary"), ("magnitude", "phase"))
         chosen = next((names for names in pairs if set(names) == set(value)), None)
         if chosen is None:
@@ -185,8 +187,8 @@ class MeasurementBuilder(EntryBuilder):
         return first + 1j * second if chosen[0] == "real" else first * np.exp(1j * second)
 
     def numbers(self, value: Any, unit: str, *parts: str, own: bool = False) -> Any:
-        """Numbers in SI that stand in the document, or in columns of the file. `own`: in a unit
-        that the schema does not know."""
+        """Return numbers of the document, or of columns of the file, in SI; `own`: their unit is
+        not in the schema."""
         path = (*self.path, *parts)
         if isinstance(value, dict):
             return (
@@ -198,7 +200,8 @@ class MeasurementBuilder(EntryBuilder):
         return self.builder.gather(path, "", lambda: np.atleast_1d(float_array(numbers, "")))
 
     def of_columns(self, value: dict[str, Any], unit: str) -> np.ndarray:
-        """One column, or several side by side. Errors: NO_UNIT, UNIT_CONFLICT, WRONG_DIMENSION."""
+        """Return one column, or several side by side, in SI. Errors: NO_UNIT, UNIT_CONFLICT,
+        WRONG_DIMENSION."""
         names = value["columns"] if isinstance(value["columns"], list) else [value["columns"]]
         columns = [self.columns[name] for name in names]
         with Problems() as problems:
@@ -227,7 +230,7 @@ class MeasurementBuilder(EntryBuilder):
 
     @cached_property
     def columns(self) -> Any:
-        """All columns of the file that are named; None where they cannot be read."""
+        """The columns of the file that the entry names; None if they cannot be read."""
         if "file" not in self.values:
             self.add("MISSING_ENTRY", "names columns, but no 'file'", limit='file = "measured.csv"')
             return None
@@ -240,7 +243,7 @@ class MeasurementBuilder(EntryBuilder):
 
 
 def _columns_in(values: dict[str, Any]) -> Iterator[Any]:
-    """The names of all columns in tables."""
+    """Yield the names of all columns in an entry."""
     for name, value in values.items():
         if name == "columns":
             yield from value if isinstance(value, list) else [value]

@@ -1,9 +1,9 @@
-"""The schema of model files, made of the arguments of all kinds of objects and of the functions
-that a study is for.
+"""Schema of model files, generated from the arguments of all classes of objects and of the
+functions that use a study.
 
     python -c "from jaxbody.files.studies.schema_sections import write_schema; write_schema()"
 
-writes it again after a field has changed.
+writes schema.json again, after arguments or their descriptions have changed.
 """
 
 import json
@@ -46,7 +46,7 @@ SINGULAR |= {"bodies": "body", "energies": "own function", "dissipations": "own 
 
 
 def schema() -> dict[str, Any]:
-    """The JSON schema of model files."""
+    """Return the JSON schema of model files."""
     of_type = {name: object_schema(kind, name) for name, kind in kinds.TYPES.items()}
     of_type |= {
         kinds.definition_of("closures", name): object_schema(kind, name)
@@ -186,12 +186,12 @@ def schema() -> dict[str, Any]:
 
 
 def write_schema() -> None:
-    """Write the schema beside this file."""
+    """Write the schema to schema.json of the package."""
     SCHEMA_FILE.write_text(json.dumps(schema(), indent=1) + "\n", encoding="utf-8")
 
 
 def _of_record(name: str, kind: Any) -> dict[str, Any]:
-    """The schema of an object that is made of channels of a record."""
+    """Return the schema of an object that is made of channels of a record."""
     texts = texts_of(base_motion)
     channels = {
         "Sampled": ("translation", "rotation"),
@@ -224,7 +224,7 @@ def _of_record(name: str, kind: Any) -> dict[str, Any]:
 
 
 def _quantity(name: str) -> dict[str, Any]:
-    """The schema of a quantity of a design."""
+    """Return the schema of a quantity of a design."""
     known = {
         "path": {
             "type": "string",
@@ -253,7 +253,7 @@ def _quantity(name: str) -> dict[str, Any]:
 
 
 def _design() -> dict[str, Any]:
-    """The schema of what `tune` is asked for."""
+    """Return the schema of a design, from the arguments of `tune`."""
     texts = texts_of(tune)
     road = {
         "class": {"type": "string", "enum": list("ABCDEFGH"), "description": "Of ISO 8608."},
@@ -301,7 +301,7 @@ def _design() -> dict[str, Any]:
 
 
 def _fit() -> dict[str, Any]:
-    """The schema of what `fit` is asked for."""
+    """Return the schema of the section fit, from the arguments of `fit` and `multistart`."""
     texts, of_starts, pair = texts_of(fit), texts_of(multistart), {"type": "array", **PAIR}
     return table_schema(
         "What `jaxbody fit` estimates from the experiments.",

@@ -1,5 +1,5 @@
-"""Builders of studies: records, sensors, loads, motions and experiments of a document, and what is
-free in a fit."""
+"""Builders of studies: records, sensors, loads, motions, experiments and designs of a document, and
+the arguments of its fit."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -21,8 +21,8 @@ from jaxbody.sensors.sensors import Sensor
 
 @dataclass
 class StudyBuilder:
-    """Makes what a study states beside its model; objects by the builder of the document, which
-    collects the problems."""
+    """Builder of what a study states besides its model; `builder`, that of the document, builds the
+    objects and collects the problems."""
 
     builder: Builder
     model: Model
@@ -30,7 +30,8 @@ class StudyBuilder:
     def named(
         self, section: str, make: Any, values: dict[str, Any] | None = None, path: EntryPath = ()
     ) -> dict[str, Any]:
-        """The objects of a section, or of a table at a path."""
+        """Return {name: make(value, path)} of a section of the document, or of `values`, a table at
+        `path`, without those that failed."""
         given = self.builder.values.get(section, {}) if values is None else values
         return {
             name: made
@@ -41,7 +42,7 @@ class StudyBuilder:
     def motions(
         self, values: dict[str, Any] | None = None, path: EntryPath = ()
     ) -> dict[str, Motion]:
-        """The motions of supports."""
+        """Return the motions of supports, by name."""
         motions = self.named("motion", self.builder.motion, values, path)
         known = self.model.layout.supports
         for name in set(motions) - set(known):
@@ -52,7 +53,7 @@ class StudyBuilder:
         return self.named("loads", self.load, values, path)
 
     def load(self, values: dict[str, Any], path: EntryPath) -> Load | None:
-        """A load on a body of the model."""
+        """Build a load and check that it acts on a body of the model."""
         load, name = self.builder.thing(values, None, path, {}), path[-1]
         checked = load and self.builder.gather(
             path, f"loads[{name!r}]", lambda: loads_of({str(name): load}, self.model.layout.bodies)
@@ -63,7 +64,7 @@ class StudyBuilder:
         return self.named("sensors", self.sensor)
 
     def sensor(self, values: dict[str, Any], path: EntryPath) -> Sensor | None:
-        """A sensor on a model, which determines the unit of its bias and start."""
+        """Build a sensor; the unit of its bias and start depends on the model."""
         own = {name: values[name] for name in ("bias", "start") if name in values}
         sensor = self.builder.thing(
             {name: value for name, value in values.items() if name not in own}, None, path, {}
@@ -89,15 +90,15 @@ class StudyBuilder:
     def experiments(
         self, motion: dict[str, Motion], loads: dict[str, Load], sensors: dict[str, Sensor]
     ) -> dict[str, Measurement]:
-        """The experiments, with the motions, loads and sensors of the study where they
-        state none."""
+        """Return the experiments by name; one that states no motions, loads or sensors has those of
+        the study."""
         return self.named(
             "experiments",
             lambda values, path: self.experiment(values, path, motion, loads, sensors),
         )
 
     def held_out(self) -> list[str]:
-        """The experiments that validate the fit, and are not part of it."""
+        """Return the names of the experiments that validate the fit and are not part of it."""
         return [
             name
             for name, values in self.builder.values.get("experiments", {}).items()
@@ -117,7 +118,7 @@ class StudyBuilder:
             from jaxbody.files.studies.measurement_builders import MeasurementBuilder
 
             return MeasurementBuilder(self.builder, self.model, sensors, values, path).build()
-        from jaxbody.fitting.experiments.experiments import Experiment  # likewise
+        from jaxbody.fitting.experiments.experiments import Experiment  # slow to import
 
         record, before = self.builder.record(values["record"]), len(self.builder.problems.collected)
         channels = self.builder.values["records"][values["record"]]["channels"]
@@ -133,7 +134,7 @@ class StudyBuilder:
         if "initial" in values:
             given["initial"] = self.initial(values["initial"], (*path, "initial"))
         if "noise" in values:
-            given["noise"] = {  # an unknown name is left to `Experiment`
+            given["noise"] = {  # unknown names are reported by `Experiment`
                 name: self.builder.quantity(
                     x, sensors[name].unit_on(self.model), (*path, "noise", name)
                 )
@@ -143,7 +144,7 @@ class StudyBuilder:
             }
         if "leave_out" in values:
             given["leave_out"] = values["leave_out"]
-        # with problems of its parts; the constructor would report what follows from these
+        # with problems in its parts, the constructor would report their consequences
         if (
             record is None
             or set(chosen) - set(sensors)
@@ -174,7 +175,7 @@ class StudyBuilder:
         return self.builder.gather(path, "", state)
 
     def fit(self, experiments: dict[str, Any]) -> dict[str, Any]:
-        """The arguments of `fit`. The unit of a bound or a prior is that of its parameter."""
+        """Return the arguments of `fit`. Bounds and priors are in the unit of their parameter."""
         given = dict(self.builder.values.get("fit", {}))
         leaves = [
             *leaves_of(self.model),
@@ -196,8 +197,8 @@ class StudyBuilder:
         path: EntryPath,
         failed: Collection[str] = (),
     ) -> None:
-        """Check that what is free are parameters; without what may be of experiments
-        that failed."""
+        """Check that the free paths are parameters, except paths that may refer to `failed`
+        experiments."""
         free = given.get("free", [])
         paths = [free] if isinstance(free, str) else free
         checked = [each for each in paths if not _about(each, failed)]
@@ -212,7 +213,8 @@ class StudyBuilder:
     def of_parameters(
         self, given: dict[str, Any], leaves: list[Leaf], path: EntryPath
     ) -> dict[str, Any]:
-        """Numbers by the path or pattern of parameters, in their units."""
+        """Return numbers in SI by the path or pattern of parameters, in whose units they are
+        stated."""
         rows = {"configuration": self.model.layout.q_units, "speeds": self.model.layout.v_units}
         numbers = {}
         for pattern, value in given.items():
@@ -236,7 +238,7 @@ class StudyBuilder:
     def design(
         self, values: dict[str, Any], path: EntryPath, sensors: dict[str, Sensor]
     ) -> dict[str, Any]:
-        """The arguments of `tune` beside the model."""
+        """Return the arguments of `tune` other than the model."""
         # slow to import, and many files have none
         from jaxbody.files.studies.design_builders import DesignBuilder
 
@@ -251,12 +253,12 @@ class StudyBuilder:
 
 
 def _about(path: str, failed: Collection[str]) -> bool:
-    """Whether a path, pattern or tie may be about an experiment that could not be made."""
+    """Return whether a path, pattern or tie may refer to an experiment that could not be built."""
     return bool(failed) and (
         "*" in path or "?" in path or any(f"{name}." in path for name in failed)
     )
 
 
 def _row(numbers: Any) -> Any:
-    """A row of numbers, also of "5 mm"."""
+    """Return a row of numbers; a single number becomes a row of one."""
     return [numbers] if isinstance(numbers, float) else numbers

@@ -1,5 +1,5 @@
-"""Studies in files: a model, the motions of its supports, loads, sensors, experiments, and what is
-free in a fit."""
+"""Studies in files: a model, the motions of its supports, loads, sensors, experiments, designs, and
+the arguments of a fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ from jaxbody.sensors.sensors import Sensor
 
 @dataclass(frozen=True, repr=False)
 class Study(Printed):
-    """A model and what a file states beside it, by name, as `simulate`, `measure` and `fit` take
-    it. `experiments` are those to fit, `held_out` those for `validate`. `fit` holds arguments of
-    `fit`, or of `multistart` where it states `starts`; `designs` those of `tune`; `files`, the
-    curves and records that belong to it.
+    """A model and what a file states with it, by name, in the form that `simulate`, `measure` and
+    `fit` take: `experiments` to fit, `held_out` ones for `validate`; `fit`: arguments of `fit`, or
+    of `multistart` if it has `starts`; `designs`: arguments of `tune`; `files`: paths of the curves
+    and records that the file names.
 
     >>> study = Study(
     ...     jb.presets.quarter_car(), {"road": Harmonic(frequency=1.5, translation=[0, 0, 0.01])}
@@ -78,11 +78,12 @@ class Study(Printed):
 
 
 def _listed(free: Any) -> list[str]:
+    """Return paths as a list, also if they are one path."""
     return [free] if isinstance(free, str) else list(free)
 
 
 def _row_of(name: str, run: Measurement, use: str) -> tuple[str, ...]:
-    """An experiment: what was measured, over how many times, frequencies or modes."""
+    """Return the row of an experiment in a table: its name, kind, channels, span, and use."""
     over, x, unit = run.axis(next(iter(run.channels)))
     span = f"{len(x)} of {over}"
     if unit:
@@ -91,9 +92,9 @@ def _row_of(name: str, run: Measurement, use: str) -> tuple[str, ...]:
 
 
 def read_study(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST) -> Study:
-    """The model in a file, as `read_model` reads it, and what it states beside it: motions of
-    supports, loads, sensors, records in time, measured modes and responses as experiments, what is
-    free in a fit, and designs.
+    """Read a study: the model in a file, as `read_model` does, and what the file states with it:
+    motions of supports, loads, sensors, records, measured modes and responses as experiments, free
+    parameters of a fit, and designs.
 
         [records.run1]
         file = "run1.csv"              # in the folder of this file
@@ -107,9 +108,9 @@ def read_study(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST
         record = "run1"
         motion.road = {type = "Sampled", record = "run1", translation = "base", axis = "z"}
         initial = "rest"
-        # validate = true              # where it is held out of the fit, to validate the model
+        # validate = true              # to hold it out of the fit, and validate the model by it
 
-        [experiments.modal]            # Experiment where no type is stated
+        [experiments.modal]            # without a type: Experiment
         type = "MeasuredModes"
         frequency = "1.21, 9.8 Hz"     # or with file = "modes.csv" a column, {columns = "f"}
         noise = {frequency = "0.02 Hz"}
@@ -127,11 +128,12 @@ def read_study(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST
         bounds = {"spring.stiffness" = ["10 N/mm", "90 N/mm"]}
 
     Args:
-        path, largest: as in `read_model`
+        path: path of the file, .toml or .json
         allow: names of your modules whose classes and functions the file may use:
-            type = "mine.laws:Cubic"; a quantity of a design, {type = "mine.costs:price",
-            unit = "kg", rate = 3}, is the function price(model, rate=3), which returns SI units
-            of `unit`
+            type = "mine.laws:Cubic". A quantity of a design, {type = "mine.costs:price",
+            unit = "kg", rate = 3}, is the function price(model, rate=3), which returns a number
+            in the SI unit of `unit`
+        largest: largest size of the file [bytes]
 
     Errors: those of `read_model`, `read_record`, `Experiment`, `MeasuredModes`
     and `MeasuredResponse`.
@@ -161,8 +163,8 @@ def study_of(
     *,
     measured: bool = True,
 ) -> Study:
-    """The study in a document that is checked; files that it names are in the folder. `measured`:
-    with experiments."""
+    """Return the study in a checked document; `values`: its checked values; `folder`: folder of the
+    files that it names; `measured`: whether experiments are read."""
     builder = Builder(document, values, folder, allow)
     parts = StudyBuilder(builder, builder.model())
     motion, loads, sensors = parts.motions(), parts.loads(), parts.sensors()
