@@ -72,10 +72,10 @@ class DesignBuilder(EntryBuilder):
         path, kind = ("quantities", name), str(values["type"])
         if kind in QUANTITIES:
             return QUANTITIES[kind]
-        of: Any = self.builder.own_object(kind, (*self.path, *path))
+        of = self.builder.own_object(kind, (*self.path, *path))
         if of is None:
             return None
-        is_function = bool(
+        is_function = (
             callable(of)
             and not inspect.isclass(of)
             and getattr(of, "__module__", None) == kind.partition(":")[0]
@@ -94,7 +94,7 @@ class DesignBuilder(EntryBuilder):
         unit = str(values.get("unit", "1"))
         self.builder.gather((*self.path, *path, "unit"), "", lambda: units.parse(unit, ""))
         self.check_call(of, values, *path)
-        return Quantity(lambda at, **stated: of(at.model, **stated), unit)
+        return Quantity(lambda at, **stated: of(at.model, **stated), unit)  # pyright: ignore[reportCallIssue]
 
     def check_call(self, of: Any, values: dict[str, Any], *path: str) -> None:
         """Check that a function accepts the model and the entries stated with it."""
