@@ -30,7 +30,7 @@ from jaxbody.files.result_files import read_results as read_results
 from jaxbody.files.result_files import write_results as write_results
 from jaxbody.files.studies.study_files import Study as Study
 from jaxbody.files.studies.study_files import read_study as read_study
-from jaxbody.fitting.confidence_bands import bands as bands
+from jaxbody.fitting.bands import bands as bands
 from jaxbody.fitting.coverages import coverage as coverage
 from jaxbody.fitting.experiments.diagnoses import diagnose as diagnose
 from jaxbody.fitting.experiments.experiments import Experiment as Experiment
@@ -165,7 +165,7 @@ from jaxbody.suspension.suspensions import five_link as five_link
 from jaxbody.suspension.suspensions import macpherson as macpherson
 from jaxbody.suspension.suspensions import solid_axle as solid_axle
 from jaxbody.suspension.wheels import Wheel as Wheel
-from jaxbody.vibration.backbone_curves import backbones as backbones
+from jaxbody.vibration.backbones import backbones as backbones
 from jaxbody.vibration.comfort_weightings import weighted as weighted
 from jaxbody.vibration.comfort_weightings import weighted_signal as weighted_signal
 from jaxbody.vibration.comfort_weightings import weighting as weighting

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from jaxbody.core.error_codes import CODES
+from jaxbody.core.codes import CODES
 from jaxbody.core.progress_lines import clear
 
 # most failed samples that an error lists, and most problems, of which `problems` has all

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import jaxbody as jb
-from jaxbody.core.error_codes import CODES
+from jaxbody.core.codes import CODES
 
 ROOT = Path(__file__).parents[2]
 CHROMIUM = next(

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from catalogue import CATALOGUE
 
-from jaxbody.core.error_codes import CODES
+from jaxbody.core.codes import CODES
 
 TESTS = Path(__file__).parents[1]
 

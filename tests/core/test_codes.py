@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import jaxbody as jb
-from jaxbody.core.error_codes import CODES
+from jaxbody.core.codes import CODES
 
 NOT_CODES = {
     "ABCDEFGH",

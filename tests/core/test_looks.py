@@ -21,7 +21,7 @@ from jaxbody.mechanics.static_load_cases import LoadCases
 from jaxbody.shock.matched_records import MatchedRecord
 from jaxbody.suspension.alignment_curves import SuspensionCurves
 from jaxbody.suspension.assemblies import Assembly, Drive
-from jaxbody.vibration.backbone_curves import Backbones
+from jaxbody.vibration.backbones import Backbones
 from jaxbody.vibration.dynamic_stiffnesses import DynamicStiffness
 from jaxbody.vibration.mode_branches import Branches
 from jaxbody.vibration.spins import SpinLinearization

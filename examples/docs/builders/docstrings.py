@@ -3,7 +3,7 @@
 import re
 import textwrap
 
-from jaxbody.core.error_codes import CODES
+from jaxbody.core.codes import CODES
 
 LABELS = ("Errors", "Error", "Warns", "Source", "Sources")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jaxbody as jb
-from jaxbody.core.error_codes import CODES
+from jaxbody.core.codes import CODES
 from jaxbody.geometry.fields import Kind
 
 from .docstrings import _prose, to_rst

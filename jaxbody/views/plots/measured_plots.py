@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.fitting.confidence_bands import Bands
+from jaxbody.fitting.bands import Bands
 from jaxbody.fitting.experiments.diagnoses import Diagnosis
 from jaxbody.fitting.experiments.measurements import Measurement
 from jaxbody.fitting.fit_results import Fit

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
 from jaxbody.core.tables import counted, without_dust
-from jaxbody.vibration.backbone_curves import Backbones
+from jaxbody.vibration.backbones import Backbones
 from jaxbody.vibration.damped_modes import ComplexModes
 from jaxbody.vibration.linearizations import LinearSystem
 from jaxbody.vibration.modal_energies import ModeEnergies
