@@ -1,7 +1,7 @@
 """Pages of the manual as they run: their blocks of Python in order, in one process, and what each
 prints beside what the page shows.
 
-python tests/manual_pages.py examples/docs/guide/build.md ... runs pages and writes what they print
+python tests/manual_pages.py examples/docs/guide/models.md ... runs pages and writes what they print
 into them."""
 
 import contextlib

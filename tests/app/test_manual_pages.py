@@ -34,7 +34,11 @@ def test_a_page_prints_what_it_shows(page):
 def test_the_guide_and_every_kind_of_extension_run():
     names = {label(page) for page in RUNNING}
     assert {
-        f"guide/{name}" for name in ("build", "settle", "shake", "fit", "trust", "tune", "scale")
+        f"guide/{name}"
+        for name in (
+            *("models", "statics", "vibration", "identification", "uncertainty"),
+            *("optimization", "batches_and_speed"),
+        )
     } <= names
     assert {
         f"extending/{name}" for name in ("law", "element", "joint", "sensor", "motion")

@@ -181,7 +181,7 @@ def browse(address, tmp_path, *options):
 
 PLACES = [
     "index",
-    "guide/look",
+    "guide/pictures",
     "generated/reference/equilibrium",
     "theory/paper",
     "generated/gallery",
