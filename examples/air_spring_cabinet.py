@@ -35,7 +35,7 @@ up = [0, 0, 1]
 
 def cabinet(gas):
     """The cabinet on a vertical guide, one air spring with a damper, and stops."""
-    stops = laws.Stop(gap=0.075, stiffness=5e5, engagement=0.01) + laws.Stop(
+    stops = laws.BumpStop(gap=0.075, stiffness=5e5, engagement=0.01) + laws.BumpStop(
         gap=0.09, stiffness=5e5, engagement=0.01, extension=True
     )
     return jb.Model(

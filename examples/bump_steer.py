@@ -20,7 +20,7 @@ import numpy as np
 import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
-corner = jb.double_wishbone()
+corner = jb.suspension.double_wishbone()
 drawn = corner.hard_points
 JOINTS = (
     *(

@@ -19,7 +19,7 @@ import numpy as np
 import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
-car = jb.car_on_double_wishbones()
+car = jb.suspension.car_on_double_wishbones()
 model = car.model
 eq = jb.equilibrium(model)
 modes = jb.modes(jb.linearize(model, eq))
@@ -38,7 +38,7 @@ SPEED = 10.0  # m/s
 # m, forward of the center of mass
 wheels = {name: float(model[f"road {name}"].position[0]) for name in ("fl", "rl")}
 kerb = {
-    f"road {name}": jb.Road.kerb(
+    f"road {name}": jb.inputs.Road.kerb(
         height=0.04, at=3.0, ramp=0.1, speed=SPEED, footprint=0.15, position=x
     )
     for name, x in wheels.items()
@@ -69,10 +69,10 @@ for name in wheels:
 # %%
 def height(points):
     """Of the roll center of the front axle [m]."""
-    return jb.double_wishbone(points).curves(0.0)["roll center height"][0]
+    return jb.suspension.double_wishbone(points).curves(0.0)["roll center height"][0]
 
 
-corner = jb.double_wishbone()
+corner = jb.suspension.double_wishbone()
 slopes = {
     name: 10 * float(slope[2])
     for name, slope in jb.jit(jax.grad(height))(corner.hard_points).items()

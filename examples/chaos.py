@@ -29,7 +29,7 @@ jax.config.update("jax_enable_x64", True)
 # %%
 true = jb.presets.double_pendulum(masses=(1.0, 0.6))
 times, start = jnp.linspace(0.0, 5.0, 151), jb.State(q=jnp.array([2.2, 0.8]), v=jnp.zeros(2))
-sensors = {name: jb.JointAngle(name) for name in ("upper", "lower")}
+sensors = {name: jb.sensors.JointAngle(name) for name in ("upper", "lower")}
 motion = jb.simulate(true, times, initial=start, rtol=1e-8)
 measured = jb.measure(motion, sensors, noise=0.01, key=jax.random.key(0))
 run = jb.Experiment(times, initial=start, sensors=sensors, measured=measured, noise=0.01)
@@ -61,7 +61,7 @@ print(f"{valleys} valleys between 0.3 and 0.9 kg")
 
 # %%
 guess = jb.replace(true, {"lower.mass": 0.8})
-fit = jb.multiple_shooting(guess, {"run": run}, free="lower.mass", segments=15, rtol=1e-6)
+fit = jb.fitting.multiple_shooting(guess, {"run": run}, free="lower.mass", segments=15, rtol=1e-6)
 print(fit)
 
 # %%

@@ -28,8 +28,12 @@ import jaxbody as jb
 jax.config.update("jax_enable_x64", True)
 ms, mu, ks, kt = 375.0, 75.0, 35000.0, 193000.0  # R. N. Jazar, Vehicle Dynamics
 quarter = jb.presets.quarter_car(sprung=ms, unsprung=mu, stiffness=ks, tyre=kt)
-speed, road, class_c = 20.0, {"road": jb.BaseMotion("road", "z")}, jb.Unevenness.iso("C")
-band = jb.Band(0.1, 100.0, points=1001)
+speed, road, class_c = (
+    20.0,
+    {"road": jb.BaseMotion("road", "z")},
+    jb.vibration.RoadRoughness.iso("C"),
+)
+band = jb.vibration.Band(0.1, 100.0, points=1001)
 outputs = {
     "body": jb.Acceleration("body", axis="z"),
     "travel": jb.Elongation("suspension"),
@@ -46,7 +50,7 @@ def ride(damping, band):
 
 def comfort(damping):
     """The weighted acceleration [m/s2]."""
-    return jb.weighted(ride(damping, band), {"body": "Wk"})["body"]
+    return jb.vibration.weighted_response(ride(damping, band), {"body": "Wk"})["body"]
 
 
 # %% [markdown]
@@ -71,16 +75,18 @@ print(
 # predict, as far as one road is like another.
 
 # %%
-distances, heights = jb.road_profile(class_c, length=400.0, spacing=0.05, key=jax.random.key(1))
+distances, heights = jb.vibration.road_profile(
+    class_c, length=400.0, spacing=0.05, key=jax.random.key(1)
+)
 times = jnp.arange(0.0, 18.0, 0.005)
 car, under = (
     jb.replace(quarter, {"suspension.damping": best}),
-    {"road": jb.Road(distances, heights - heights[0], speed=speed)},
+    {"road": jb.inputs.Road(distances, heights - heights[0], speed=speed)},
 )
 # one step per point of the road
 steps = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.05 / speed, max_steps=20_000)
 drive = jb.simulate(car, times, motion=under, initial=car.reference, **steps)
-recorded = jb.weighted_signal(times, jb.measure(drive, outputs)["body"], "Wk")
+recorded = jb.vibration.weighted_signal(times, jb.measure(drive, outputs)["body"], "Wk")
 print(recorded)
 assert abs(float(recorded.rms) / float(comfort(best)) - 1) < 0.25
 
@@ -110,7 +116,7 @@ ax.legend(frameon=False)
 W = 2 * np.pi**2 * 0.1**2 * float(class_c.level) * speed
 least = np.sqrt(W / 2 * ((ms + mu) * ks**2 / (exact * ms**2) + kt * exact / ms**2))
 minimum, gradient = jb.jit(
-    jax.value_and_grad(lambda c: ride(c, jb.Band(1e-6, 1e7, points=2001))["body"])
+    jax.value_and_grad(lambda c: ride(c, jb.vibration.Band(1e-6, 1e7, points=2001))["body"])
 )(exact)
 print(
     f"least acceleration {minimum:.6f} m/s2 at {exact:.1f} N s/m, in closed form {least:.6f} m/s2"

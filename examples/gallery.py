@@ -48,7 +48,10 @@ def small_motions():
 def ports():
     roads = {f"road {wheel}": jb.BaseMotion(f"road {wheel}", "z") for wheel in WHEELS}
     outputs = {name: jb.Position(name, axis="z") for name in ("car", "fl", "rl")}
-    return roads, outputs | {"tyre fl": jb.LoadCell("tyre fl"), "tyre rl": jb.LoadCell("tyre rl")}
+    return roads, outputs | {
+        "tyre fl": jb.sensors.LoadCell("tyre fl"),
+        "tyre rl": jb.sensors.LoadCell("tyre rl"),
+    }
 
 
 @cache
@@ -132,7 +135,7 @@ def track():
     model = jb.Model(bodies={"mass": body}, joints={"mass": joint}, elements={"spring": spring})
     times = jnp.linspace(0, 3, 121)
     true = jb.simulate(jb.replace(model, {"spring.stiffness": 38.0, "spring.damping": 0.8}), times)
-    sensors = {"x": jb.Position("mass", axis=[1, 0, 0]), "tension": jb.LoadCell("spring")}
+    sensors = {"x": jb.Position("mass", axis=[1, 0, 0]), "tension": jb.sensors.LoadCell("spring")}
     measured = jb.measure(true, sensors, noise={"x": 0.02, "tension": 0.8}, key=jax.random.key(1))
     return model, jb.Experiment(times, sensors=sensors, measured=measured)
 
@@ -172,7 +175,7 @@ def shaker():
     record = jb.Record(
         t, {"acc": (0.3 - 2 * np.cos(2 * np.pi * t) + 0.02 * noise.normal(size=1000), "m/s2")}
     )
-    return jb.base_motion(record, "acc", axis=[1, 0, 0], degree=1)
+    return jb.inputs.base_motion(record, "acc", axis=[1, 0, 0], degree=1)
 
 
 def hammered():
@@ -190,11 +193,11 @@ def hammered():
 def on_the_model():
     """Elastic axes on the drawing of an engine."""
     ax = engine().plot(view="xz")
-    return jb.elastic_axes(engine_small(), "engine").plot(view="xz", ax=ax)
+    return jb.vibration.elastic_axes(engine_small(), "engine").plot(view="xz", ax=ax)
 
 
 def roll_axis():
-    return jb.torque_roll_axis(engine_small(), "engine", [1.0, 0, 0]).plot(
+    return jb.vibration.torque_roll_axis(engine_small(), "engine", [1.0, 0, 0]).plot(
         view="xz", ax=engine().plot(view="xz")
     )
 
@@ -207,8 +210,8 @@ def balanced():
 
 
 def stiffnesses():
-    outputs = {"force": jb.LoadCell("suspension"), "stroke": jb.Elongation("suspension")}
-    outputs |= {"tyre force": jb.LoadCell("tyre"), "tyre stroke": jb.Elongation("tyre")}
+    outputs = {"force": jb.sensors.LoadCell("suspension"), "stroke": jb.Elongation("suspension")}
+    outputs |= {"tyre force": jb.sensors.LoadCell("tyre"), "tyre stroke": jb.Elongation("tyre")}
     lin = jb.linearize(quarter(), quarter().reference)
     response = jb.frequency_response(
         lin, jnp.geomspace(0.2, 50, 200), {"road": jb.BaseMotion("road", "z")}, outputs
@@ -221,7 +224,7 @@ def stiffnesses():
 def states():
     roads, outputs = (
         {"road": jb.BaseMotion("road", "z")},
-        {"stroke": jb.Elongation("suspension"), "tyre": jb.LoadCell("tyre")},
+        {"stroke": jb.Elongation("suspension"), "tyre": jb.sensors.LoadCell("tyre")},
     )
     return jb.linearize(quarter(), quarter().reference).state_space(roads, outputs)
 
@@ -234,7 +237,7 @@ def cases():
 def branches():
     stiffness = jnp.linspace(1.5e4, 4e4, 26)
     half = jb.presets.half_car()
-    return jb.track(
+    return jb.track_modes(
         lambda k: jb.linearize(jb.replace(half, {"front spring.stiffness": k}), half.reference),
         stiffness,
     )
@@ -273,41 +276,45 @@ def random_ride():
         "wheel fl": jb.Acceleration("fl", axis="z"),
         "stroke fl": jb.Elongation("spring fl"),
     }
-    road = jb.Unevenness.iso("C").at_speed(20.0)
+    road = jb.vibration.RoadRoughness.iso("C").at_speed(20.0)
     return jb.random_response(
-        small_motions(), jb.Band(0.5, 25.0), roads, outputs, dict.fromkeys(roads, road)
+        small_motions(), jb.vibration.Band(0.5, 25.0), roads, outputs, dict.fromkeys(roads, road)
     )
 
 
 def shaken_engine():
     """Anchor forces of an engine in an earthquake along and across."""
-    mounts = {name: jb.LoadCell(name, component=2) for name in engine().element_names}
+    mounts = {name: jb.sensors.LoadCell(name, component=2) for name in engine().element_names}
     spectra = {
-        "x": jb.Eurocode8(2.0, "B"),
-        "y": jb.Eurocode8(2.0, "B"),
-        "z": jb.Eurocode8(2.0, vertical=True),
+        "x": jb.shock.Eurocode8(2.0, "B"),
+        "y": jb.shock.Eurocode8(2.0, "B"),
+        "z": jb.shock.Eurocode8(2.0, vertical=True),
     }
-    return jb.spectrum_response(engine_small(), {"frame": spectra}, mounts, damping=0.05)
+    return jb.shock.spectrum_response(
+        engine_small(), {"frame": spectra}, mounts, modal_damping=0.05
+    )
 
 
 def worn():
     """Springs of a car on a rough road for an hour."""
     roads, _ = ports()
-    springs = {f"spring {wheel}": jb.LoadCell(f"spring {wheel}") for wheel in WHEELS}
+    springs = {f"spring {wheel}": jb.sensors.LoadCell(f"spring {wheel}") for wheel in WHEELS}
     ride = jb.random_response(
         small_motions(),
-        jb.Band(0.5, 25.0),
+        jb.vibration.Band(0.5, 25.0),
         roads,
         springs,
-        dict.fromkeys(roads, jb.Unevenness.iso("D").at_speed(20.0)),
+        dict.fromkeys(roads, jb.vibration.RoadRoughness.iso("D").at_speed(20.0)),
     )
-    curve = jb.SNCurve(5.0, cycles=1e6, level=6.0, unit="kN")
-    return jb.fatigue_damage(ride, dict.fromkeys(springs, curve), duration=3600.0)
+    curve = jb.shock.SNCurve(5.0, cycles=1e6, level=6.0, unit="kN")
+    return jb.shock.fatigue_damage(ride, dict.fromkeys(springs, curve), duration=3600.0)
 
 
 def weighted():
     t = np.arange(4000) / 200
-    return jb.weighted_signal(t, np.sin(2 * np.pi * 5 * t) * (1 + 0.5 * np.sin(0.7 * t)), "Wk")
+    return jb.vibration.weighted_signal(
+        t, np.sin(2 * np.pi * 5 * t) * (1 + 0.5 * np.sin(0.7 * t)), "Wk"
+    )
 
 
 def bands():
@@ -318,8 +325,11 @@ def bands():
         w = 2 * jnp.pi * f
         return 1 / jnp.sqrt((k - w**2) ** 2 + (c * w) ** 2)
 
-    return plots.plot_bands(
-        jb.bands(fitted(), receptance), f, xlabel="frequency [Hz]", ylabel="receptance [m/N]"
+    return plots.plot_confidence_bands(
+        jb.confidence_bands(fitted(), receptance),
+        f,
+        xlabel="frequency [Hz]",
+        ylabel="receptance [m/N]",
     )
 
 
@@ -342,7 +352,9 @@ def multistart():
         key=jax.random.key(2),
     )
     run = jb.Experiment(times, sensors=sensors, measured=measured)
-    return jb.multistart(model, {"run": run}, free="spring.stiffness", starts=12, spread=0.5)
+    return jb.fitting.multistart(
+        model, {"run": run}, free="spring.stiffness", starts=12, spread=0.5
+    )
 
 
 def modes_of_car():
@@ -353,7 +365,7 @@ PICTURES = {
     "model": lambda: car().plot(),
     "equilibrium": lambda: jb.equilibrium(engine()).plot(),
     "equilibria": lambda: jb.find_equilibria(jb.presets.double_pendulum(), starts=32).plot(),
-    "load_path": lambda: plots.load_path(snapped()),
+    "load_path": lambda: plots.plot_load_path(snapped()),
     "load_cases": lambda: cases().plot(),
     "load_cases_bodies": lambda: cases().plot(of="bodies"),
     "preload": lambda: balanced().plot(),
@@ -368,7 +380,7 @@ PICTURES = {
     "poles": lambda: jb.complex_modes(small_motions()).plot(),
     "mode_energies": lambda: jb.mode_energies(small_motions(), forward="x").plot(),
     "branches": lambda: branches().plot(parameter="front stiffness [N/m]"),
-    "backbones": lambda: jb.backbones(
+    "backbones": lambda: jb.backbone_curves(
         jb.linearize(jb.presets.double_pendulum(), jb.presets.double_pendulum().reference)
     ).plot(),
     "elastic_axes": on_the_model,
@@ -378,19 +390,21 @@ PICTURES = {
     "dynamic_stiffness": stiffnesses,
     "state_space": lambda: states().plot(),
     "random_response": lambda: random_ride().plot(),
-    "suspension_curves": lambda: jb.double_wishbone().curves(np.linspace(-0.08, 0.08, 17)).plot(),
-    "shock_spectrum": lambda: jb.shock_spectrum(
-        jb.HalfSine(15 * 9.81, 0.011), jnp.geomspace(5, 500, 120), damping=[0.01, 0.05, 0.2]
+    "suspension_curves": lambda: (
+        jb.suspension.double_wishbone().curves(np.linspace(-0.08, 0.08, 17)).plot()
+    ),
+    "shock_spectrum": lambda: jb.shock.shock_spectrum(
+        jb.inputs.HalfSine(15 * 9.81, 0.011), jnp.geomspace(5, 500, 120), damping=[0.01, 0.05, 0.2]
     ).plot(),
-    "design_spectrum": lambda: jb.Eurocode8(2.0, "B").plot(damping=(0.02, 0.05, 0.2)),
+    "design_spectrum": lambda: jb.shock.Eurocode8(2.0, "B").plot(damping=(0.02, 0.05, 0.2)),
     "spectrum_response": lambda: shaken_engine().plot(),
-    "matched_record": lambda: jb.matched_record(
-        jb.Eurocode8(2.0, "B"),
+    "matched_record": lambda: jb.shock.spectrum_compatible_record(
+        jb.shock.Eurocode8(2.0, "B"),
         duration=12.0,
         key=jax.random.key(0),
         frequencies=np.geomspace(0.5, 12.0, 30),
     ).plot(),
-    "peak_factors": lambda: jb.peak_factor(random_ride(), 60.0).plot(),
+    "peak_factors": lambda: jb.shock.peak_factor(random_ride(), 60.0).plot(),
     "fatigue_damage": lambda: worn().plot(),
     "weighted_signal": lambda: weighted().plot(),
     "record": lambda: recorded().plot(),
@@ -408,7 +422,7 @@ PICTURES = {
     "bands": bands,
     "validation": lambda: validation().plot(),
     "multistart": lambda: multistart().plot(),
-    "profile": lambda: jb.profile(fitted(), "spring.damping").plot(),
+    "profile": lambda: jb.profile_likelihood(fitted(), "spring.damping").plot(),
     "tuning": lambda: jb.tune(
         quarter(),
         ride,
@@ -426,7 +440,7 @@ PICTURES = {
         limits={"sag": (None, 0.1)},
         points=6,
     ).plot(),
-    "sensitivities": lambda: jb.sensitivities(
+    "sensitivities": lambda: jb.design.sensitivities(
         car(),
         lambda m: {"first frequency": jb.modes(jb.linearize(m, m.reference)).frequency[0]},
         free=["*.stiffness", "car.mass"],

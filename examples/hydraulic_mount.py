@@ -64,7 +64,7 @@ def ratio(model, f=grid):
 
 def quantities(model):
     T = ratio(model)
-    K = jb.dynamic_stiffness(model["mount"], [100.0]).magnitude[0]
+    K = jb.vibration.dynamic_stiffness(model["mount"], [100.0]).magnitude[0]
     return {"largest ratio [-]": jnp.sum(T**24) ** (1 / 24), "stiffness at 100 Hz [N/mm]": 1e-3 * K}
 
 
@@ -97,10 +97,10 @@ for name, model in designs.items():
     axes["ratio"].loglog(
         f, ratio(model, f), color=colors[name], lw=2 if "tuned" in name else 1.2, label=name
     )
-    K = jb.dynamic_stiffness(model["mount"], f)
+    K = jb.vibration.dynamic_stiffness(model["mount"], f)
     axes["stiffness"].loglog(f, 1e-3 * K.magnitude, color=colors[name])
     axes["angle"].semilogx(f, jnp.rad2deg(K.loss_angle), color=colors[name])
-large = jb.dynamic_stiffness(
+large = jb.vibration.dynamic_stiffness(
     jb.replace(best, {"mount.spring.quadratic_damping": 5e4})["mount"], f, amplitude=1e-3
 )
 axes["stiffness"].loglog(f, 1e-3 * large.magnitude, "C0--")
@@ -118,7 +118,7 @@ axes["angle"].legend(frameon=False)
 # %%
 largest = {name: float(ratio(model).max()) for name, model in designs.items()}
 at_speed = {
-    name: 1e-3 * float(jb.dynamic_stiffness(model["mount"], [100.0]).magnitude[0])
+    name: 1e-3 * float(jb.vibration.dynamic_stiffness(model["mount"], [100.0]).magnitude[0])
     for name, model in designs.items()
 }
 for name in designs:

@@ -19,7 +19,7 @@ import numpy as np
 import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
-quake, width, g = jb.Eurocode8(2.5, ground="B"), 0.8, 9.80665  # m/s2; m between anchors
+quake, width, g = jb.shock.Eurocode8(2.5, ground="B"), 0.8, 9.80665  # m/s2; m between anchors
 cabinet = jb.Model(
     bodies={
         "cabinet": jb.Body(600.0, [90, 90, 60], com=[0, 0, 1.0]),
@@ -44,9 +44,9 @@ cabinet = jb.Model(
         ),
     },
 )
-outputs = {"stroke": jb.Elongation("isolators"), "shear": jb.LoadCell("isolators")}
+outputs = {"stroke": jb.Elongation("isolators"), "shear": jb.sensors.LoadCell("isolators")}
 outputs |= {
-    "overturning": jb.Reaction("cabinet", component=4),
+    "overturning": jb.sensors.Reaction("cabinet", component=4),
     "rack": jb.Acceleration("rack", axis="x"),
 }
 
@@ -59,7 +59,7 @@ outputs |= {
 
 # %%
 def peaks(model):
-    return jb.spectrum_response(
+    return jb.shock.spectrum_response(
         jb.linearize(model, model.reference), {"floor": {"x": quake}}, outputs
     )
 
@@ -87,7 +87,7 @@ print(peaks(cabinet), tuned, peaks(tuned.model), sep="\n")
 
 # %%
 records = [
-    jb.matched_record(
+    jb.shock.spectrum_compatible_record(
         quake, duration=16.0, key=jax.random.key(i), frequencies=np.geomspace(0.4, 20.0, 50)
     )
     for i in range(3)
@@ -106,7 +106,7 @@ figure, axes = plt.subplot_mosaic(
 axes["spectra"].loglog(f, quake(f), "k", lw=3, alpha=0.4, label="Eurocode 8, 5 %")
 axes["spectra"].loglog(f, quake(f, 0.28), "k--", lw=1.5, alpha=0.6, label="Eurocode 8, 28 %")
 for r, color in zip(records, ("C0", "C1", "C2"), strict=True):
-    both = jb.shock_spectrum(
+    both = jb.shock.shock_spectrum(
         r.samples, f, damping=[0.05, 0.28], kind="pseudo", peaks="continuous"
     ).values
     axes["spectra"].loglog(f, both.T, color, lw=0.9)

@@ -55,7 +55,7 @@ print(response)
 # instrument feels, and what a stiffer isolator would change.
 
 # %%
-shaking = jb.PSD([2.0, 40.0], [1e-6, 1e-6], unit="(m/s2)2/Hz")
+shaking = jb.vibration.PSD([2.0, 40.0], [1e-6, 1e-6], unit="(m/s2)2/Hz")
 accelerations = {
     f"acceleration {axis}": jb.Acceleration("table", instrument, axis=axis) for axis in "xz"
 }
@@ -66,7 +66,7 @@ def ride(table):
     lin = jb.linearize(table, table.reference)
     return jb.random_response(
         lin,
-        jb.Band(2.0, 40.0, points=2001),
+        jb.vibration.Band(2.0, 40.0, points=2001),
         floor,
         accelerations | stroke,
         {name: shaking for name in floor},

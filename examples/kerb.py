@@ -35,8 +35,8 @@ def spring(name):
     bump, rebound = load[name] / k + travel, max(travel - load[name] / k, 0.0)
     return (
         laws.Linear(k)
-        + laws.Stop(gap=bump, **stop)
-        + laws.Stop(gap=rebound, extension=True, **stop)
+        + laws.BumpStop(gap=bump, **stop)
+        + laws.BumpStop(gap=rebound, extension=True, **stop)
     )
 
 
@@ -56,7 +56,7 @@ model = jb.Model(
     },
     supports={f"road {name}": jb.Support(position=[x, y, 0]) for name, (x, y) in wheels.items()},
     joints={
-        "car": jb.HeavePitchRoll("world"),
+        "car": jb.joints.HeavePitchRoll("world"),
         **{name: jb.Guide("world", axis=up) for name in wheels},
     },
     elements={
@@ -99,7 +99,9 @@ for i, case in enumerate(cases):
 speed, kerb = 10.0, 0.08
 profile = dict(height=kerb, at=3.0, ramp=0.03, speed=speed, footprint=0.15)
 motion = {
-    f"road {name}": jb.Road.kerb(position=x, **profile) for name, (x, y) in wheels.items() if y > 0
+    f"road {name}": jb.inputs.Road.kerb(position=x, **profile)
+    for name, (x, y) in wheels.items()
+    if y > 0
 }  # the right wheels stay on the road
 times = jnp.linspace(0.0, 1.5, 1501)
 run = jb.simulate(model, times, motion=motion, initial=eq.state, rtol=1e-7)
@@ -128,7 +130,8 @@ def roughness(further):
     """The rms acceleration of the car's center [m/s2] with the bump stops moved away by
     `further` [m]."""
     gaps = {
-        path: gap + further for path, gap in jb.paths(model, "strut *.spring.terms.1.gap").items()
+        path: gap + further
+        for path, gap in jb.parameter_paths(model, "strut *.spring.terms.1.gap").items()
     }
     changed = jb.replace(model, gaps)
     v = jb.simulate(

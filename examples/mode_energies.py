@@ -27,7 +27,7 @@ crankshaft = [1.0, 0.0, 0.0]
 engine = jb.presets.engine_on_mounts(damping=np.zeros((3, 3)))
 lin = jb.linearize(engine, engine.reference)
 energies = jb.mode_energies(lin, forward="x", up="z")
-print(energies, jb.torque_roll_axis(lin, "engine", crankshaft), sep="\n\n")
+print(energies, jb.vibration.torque_roll_axis(lin, "engine", crankshaft), sep="\n\n")
 
 # %% [markdown]
 # `tune` changes all nine stiffnesses by exact gradients: it minimizes the coupling of the roll with
@@ -50,7 +50,7 @@ print(tuned)
 
 # %%
 decoupled = jb.linearize(tuned.model, engine.reference)
-axis = jb.torque_roll_axis(decoupled, "engine", crankshaft)
+axis = jb.vibration.torque_roll_axis(decoupled, "engine", crankshaft)
 better = jb.mode_energies(decoupled, forward="x", up="z")
 print(axis, better, sep="\n\n")
 

@@ -71,7 +71,7 @@ model = jb.Model(
 )
 start, sensors = (
     jb.State(record["angle"][:1], record["rate"][:1]),
-    {"angle": jb.JointAngle("rod", bias=0.0)},
+    {"angle": jb.sensors.JointAngle("rod", bias=0.0)},
 )  # bias: zero of the angle
 steps = {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 1 / 6}
 free = ["hinge.spring.moment", "hinge.damper.*", "swing.angle.bias", "swing.initial.*"]

@@ -23,7 +23,7 @@ from jaxbody.views.plots.canvases import COLORS
 jax.config.update("jax_enable_x64", True)
 car = jb.presets.full_car()
 wheels = ("fl", "fr", "rl", "rr")
-road, band = jb.Unevenness.iso("C"), jb.Band(0.2, 40.0, points=201)
+road, band = jb.vibration.RoadRoughness.iso("C"), jb.vibration.Band(0.2, 40.0, points=201)
 speeds = jnp.array([15.0, 30.0])
 loads = {  # the driver alone; four persons and luggage behind the center
     "car.mass": jnp.array([1175.0, 1480.0]),
@@ -35,7 +35,7 @@ loads = {  # the driver alone; four persons and luggage behind the center
 at_wheels = {wheel: jb.BaseMotion(f"road {wheel}", "z") for wheel in wheels}
 driver = {f"seat {axis}": jb.Acceleration("car", [0.2, 0.35, 0.3], axis=axis) for axis in "xyz"}
 travel = {f"travel {wheel}": jb.Elongation(f"spring {wheel}") for wheel in wheels}
-tyres = {f"tyre {wheel}": jb.LoadCell(f"tyre {wheel}") for wheel in wheels}
+tyres = {f"tyre {wheel}": jb.sensors.LoadCell(f"tyre {wheel}") for wheel in wheels}
 weights = {"seat x": "Wd", "seat y": "Wd", "seat z": "Wk"}
 tracks = {
     (a, b): (1.0 if a[1] == b[1] else 0.5) for i, a in enumerate(wheels) for b in wheels[i + 1 :]
@@ -60,7 +60,7 @@ def rides(model):
 
         def driven(speed):
             delays = {wheel: 2.6 / speed for wheel in ("rl", "rr")}
-            felt = jb.CrossPSD(
+            felt = jb.vibration.CrossPSD(
                 dict.fromkeys(wheels, road.at_speed(speed)), delays=delays, coherence=tracks
             )
             ride = jb.random_response(lin, band, at_wheels, driver | travel | tyres, felt)
@@ -120,7 +120,7 @@ print(design)
 
 # The same optimizer and the same function, with derivatives by finite differences
 
-start = jnp.array([jb.paths(car)[path] for path in design.values])
+start = jnp.array([jb.parameter_paths(car)[path] for path in design.values])
 ends = np.array(
     [
         next(ends for pattern, ends in bounds.items() if fnmatch(path, pattern))
@@ -198,7 +198,7 @@ front = jb.pareto(
 print(front)
 # a bar that tuning removed has no ten percent more
 present = [path for path in free if design.values[path.partition(" = ")[0]] > 0]
-strongest = jb.sensitivities(design.model, evaluate, free=present, change=0.1)
+strongest = jb.design.sensitivities(design.model, evaluate, free=present, change=0.1)
 print("largest influence on it:", ", ".join(strongest.ranked("worst")[:3]))
 
 figure, axes = plt.subplot_mosaic(

@@ -59,8 +59,8 @@ wind, sway = (
     {"sway": jb.Position("building", **along)},
 )
 noise, band = (
-    {"wind": jb.PSD([1e-3, 1e3], [1e7, 1e7], unit="N2/Hz")},
-    jb.Band(1e-3, 1e3, points=801),
+    {"wind": jb.vibration.PSD([1e-3, 1e3], [1e7, 1e7], unit="N2/Hz")},
+    jb.vibration.Band(1e-3, 1e3, points=801),
 )
 
 
@@ -75,7 +75,7 @@ scatter = {"frame.stiffness": 0.15 * k}  # standard deviation
 options = dict(free=["tuned.stiffness", "tuned.damping"], bounds={"tuned.damping": (1e2, 1e6)})
 sharp = jb.tune(building, quantities, minimize="rms", **options)
 robust = jb.tune(
-    building, jb.robust(quantities, scatter, sigmas=2.0), minimize="rms high", **options
+    building, jb.design.robust(quantities, scatter, sigmas=2.0), minimize="rms high", **options
 )
 print(sharp, robust, sep="\n\n")
 

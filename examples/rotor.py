@@ -53,7 +53,9 @@ model = jb.Model(bodies={"disk": jb.Body(mass=m, inertia=[I, I, Ip])}, elements=
 
 def spinning(speed):
     """Small motions about a spin [rad/s]."""
-    return jb.linearize_spin(model, jb.State(model.reference.q, jnp.zeros(6).at[5].set(speed)))
+    return jb.vibration.linearize_spin(
+        model, jb.State(model.reference.q, jnp.zeros(6).at[5].set(speed))
+    )
 
 
 print(jb.complex_modes(spinning(2 * np.pi * 80.0)))
@@ -68,7 +70,7 @@ frequencies, directions, amplitudes = (np.zeros((200, n)) for n in (6, 6, 1))
 for i, w in enumerate(2 * np.pi * speeds):
     lin = spinning(w)
     modes = jb.complex_modes(lin)
-    frequencies[i], directions[i] = modes.frequency, jb.whirl(lin, modes)
+    frequencies[i], directions[i] = modes.frequency, jb.vibration.whirl(lin, modes)
     unbalance = 1e-3 * w**2 * jnp.array([1.0, -1.0j, 0, 0, 0, 0])
     amplitudes[i] = abs(
         jnp.linalg.solve(lin.K - w**2 * lin.M + 1j * w * lin.G + spin, unbalance)[0]

@@ -101,7 +101,7 @@ print(trajectory)
 
 sensors = {
     "corner": jb.Position("block", [0.3, 0.2, 0.1]),
-    "pose": jb.BodyPose("block"),
+    "pose": jb.sensors.BodyPose("block"),
     "stay": jb.Elongation("stay"),
 }
 measured = jb.measure(
@@ -117,7 +117,11 @@ run = jb.Experiment(
 free = ["rope?.stiffness", "link.stiffness", "stay.stiffness"]
 guess = jb.replace(
     model,
-    {path: 1.1 * value for pattern in free for path, value in jb.paths(model, pattern).items()},
+    {
+        path: 1.1 * value
+        for pattern in free
+        for path, value in jb.parameter_paths(model, pattern).items()
+    },
 )
 fit = jb.fit(guess, {"run1": run}, free=free, method=optax.lbfgs())
 print(fit)

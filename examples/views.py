@@ -55,7 +55,7 @@ car = jb.Model(
     },
     supports={f"road {name}": jb.Support(position=[x, y, 0]) for name, (x, y) in axles.items()},
     joints={
-        "car": jb.HeavePitchRoll("world"),
+        "car": jb.joints.HeavePitchRoll("world"),
         **{name: jb.Guide("world", axis=[0, 0, 1]) for name in axles},
     },
     elements={
@@ -84,12 +84,15 @@ tub = [[x, y, z] for x, width, *heights in sides for y in (-width, width) for z 
 roof = [(0.75, 0.54, 0.2), (0.1, 0.44, 0.68), (-1.0, 0.44, 0.68), (-1.6, 0.54, 0.22)]
 cabin = [[x, y, z] for x, width, z in roof for y in (-width, width)]
 beams = [
-    jb.Shape.box([0.1, 1.24, 0.06], center=[x, 0, 0.17], color="#2b2f36") for x in (1.25, -1.35)
+    jb.views.Shape.box([0.1, 1.24, 0.06], center=[x, 0, 0.17], color="#2b2f36")
+    for x in (1.25, -1.35)
 ]
-body = [jb.Shape.hull(tub), jb.Shape.hull(cabin, color="#9fc3e6"), *beams]
+body = [jb.views.Shape.hull(tub), jb.views.Shape.hull(cabin, color="#9fc3e6"), *beams]
 kerb = dict(height=0.09, at=3.2, ramp=0.06, speed=6.0, footprint=0.15)
 roads = {
-    f"road {name}": jb.Road.kerb(position=x, **kerb) for name, (x, y) in axles.items() if y < 0
+    f"road {name}": jb.inputs.Road.kerb(position=x, **kerb)
+    for name, (x, y) in axles.items()
+    if y < 0
 }
 drive = jb.simulate(
     car, jnp.linspace(0.0, 1.6, 321), motion=roads, initial=jb.equilibrium(car).state

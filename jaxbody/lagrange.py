@@ -330,9 +330,11 @@ def kinetic_energy(
         xi: displacements Xi of the supports [m, rad], by default 0
         xi_dot: their rates [m/s, rad/s], by default 0
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
-    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
-    >>> float(kinetic_energy(model, state))
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0]
+    ... )
+    >>> state = jb.State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
+    >>> float(jb.kinetic_energy(model, state))
     9.0
     """
     return _value(T, model, state, delta, delta_dot, xi, xi_dot)
@@ -350,11 +352,11 @@ def potential_energy(
         xi: displacements Xi of the supports [m, rad], by default 0
         xi_dot: their rates [m/s, rad/s], by default 0
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 1.5])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 1.5])},
     ...     gravity=[0, 0, -10.0],
     ... )
-    >>> float(potential_energy(model, model.reference))
+    >>> float(jb.potential_energy(model, model.reference))
     30.0
     """
     return _value(V, model, state, delta, delta_dot, xi, xi_dot)
@@ -375,9 +377,11 @@ def dissipation(
     In derivatives the rates of the states of elements are constant, so that -dR/dDelta' is the
     force of dampers.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
-    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
-    >>> float(dissipation(model, state))
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0]
+    ... )
+    >>> state = jb.State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
+    >>> float(jb.dissipation(model, state))
     0.0
     """
     return _value(_R, model, state, delta, delta_dot, xi, xi_dot)
@@ -399,19 +403,19 @@ def lagrangian(
 
     Errors: BAD_SHAPE, NON_FINITE, UNKNOWN_NAME for a support.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
     ...     elements={
-    ...         "s": Spring(
+    ...         "s": jb.Spring(
     ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0
     ...         )
     ...     },
     ... )
-    >>> stiffness = jax.hessian(lambda delta: -lagrangian(model, model.reference, delta))(
+    >>> stiffness = jax.hessian(lambda delta: -jb.lagrangian(model, model.reference, delta))(
     ...     jnp.zeros(1)
     ... )
-    >>> mass = jax.hessian(lambda rate: lagrangian(model, model.reference, None, rate))(
+    >>> mass = jax.hessian(lambda rate: jb.lagrangian(model, model.reference, None, rate))(
     ...     jnp.zeros(1)
     ... )
     >>> stiffness.round(9).tolist(), mass.round(9).tolist()

@@ -14,12 +14,12 @@ from jaxbody.model.inputs.signals import Signal
 OWNERS = (
     jb.Element,
     jb.laws.Law,
-    jb.Joint,
+    jb.joints.Joint,
     jb.Body,
     jb.Support,
-    jb.Load,
-    jb.Motion,
-    jb.Sensor,
+    jb.inputs.Load,
+    jb.inputs.Motion,
+    jb.sensors.Sensor,
     Signal,
 )
 ENDING = ("nonnegative", "positive", "fraction", "definite", "inertia", "increasing", "rising")

@@ -11,21 +11,27 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image  # of matplotlib's own requirements
 
 DOCS = Path(__file__).parents[1] / "examples" / "docs"
 FENCE = re.compile(r"^```(?P<kind>[^\n`]*)\n(?P<text>.*?)^```\n", re.M | re.S)
+PICTURE = re.compile(r"\s*!\[[^\]]*\]\((?P<path>\S*images/pages/\S+\.png)\)")
+COLORS = 64  # a palette of so many keeps a picture small, without a difference that is seen
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
 @dataclass
 class Block:
-    """A block of code, the text that the page shows below it, and the places of both."""
+    """A block of code, the text that the page shows below it, the places of both, and the file of
+    the picture below them."""
 
     code: str
     shown: str
     end: int
     shown_end: int
+    picture: Path | None
 
 
 def blocks(page: Path) -> list[Block]:
@@ -49,12 +55,15 @@ def blocks(page: Path) -> list[Block]:
             and not source[fence.end() : after.start()].strip()
         )
         shown, end = (after["text"], after.end()) if below and after else ("", fence.end())
-        found.append(Block(code, shown, fence.end(), end))
+        picture = PICTURE.match(source, end)
+        path = (page.parent / picture["path"]).resolve() if picture else None
+        found.append(Block(code, shown, fence.end(), end, path))
     return found
 
 
-def printed(found: list[Block], name: str) -> list[str]:
-    """What each block prints."""
+def printed(found: list[Block], name: str, *, save: bool = False) -> list[str]:
+    """Return what each block prints. A block above a picture leaves a figure of matplotlib, which
+    is saved if asked for."""
     names: dict = {"__name__": "__page__"}
     texts = []
     for number, block in enumerate(found):
@@ -62,7 +71,19 @@ def printed(found: list[Block], name: str) -> list[str]:
         with contextlib.redirect_stdout(out):
             exec(compile(block.code, f"{name}, block {number + 1}", "exec"), names)
         texts.append(out.getvalue())
+        if block.picture:
+            assert plt.get_fignums(), f"{name}: there is no figure for {block.picture.name}"
+            if save:
+                save_figure(block.picture)
+        plt.close("all")
     return texts
+
+
+def save_figure(path: Path) -> None:
+    plt.gcf().savefig(path, dpi=110)
+    with Image.open(path) as image:
+        image.convert("RGB").quantize(COLORS).save(path, optimize=True)
+    print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
 
 
 def assert_same(shown: str, text: str) -> None:
@@ -77,7 +98,9 @@ def assert_same(shown: str, text: str) -> None:
 def write(page: Path) -> None:
     """Put what the blocks of a page print into it."""
     source, found = page.read_text(), blocks(page)
-    for block, text in reversed(list(zip(found, printed(found, page.name), strict=True))):
+    for block, text in reversed(
+        list(zip(found, printed(found, page.name, save=True), strict=True))
+    ):
         shown = (
             "\n```text\n" + re.sub(r"\n{3,}", "\n\n", text).strip("\n").rstrip() + "\n```\n"
             if text.strip()

@@ -71,7 +71,7 @@ def random_states(model, count, rng, size=0.3):
     reference = model.reference
     yield jb.State(reference.q, rng.normal(size=model.layout.nv))
     for _ in range(count - 1):
-        q = jb.retract(model, reference.q, size * rng.normal(size=model.layout.nv))
+        q = jb.joints.retract(model, reference.q, size * rng.normal(size=model.layout.nv))
         yield jb.State(q, rng.normal(size=model.layout.nv))
 
 

@@ -43,7 +43,7 @@ ODD_VALUES = [
     [],
     [[1], 2],
     {},
-    {"type": "Stop"},
+    {"type": "BumpStop"},
     {"type": 3},
     "world",
     ["world", 1],

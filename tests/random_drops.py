@@ -307,11 +307,11 @@ def model_of(drop: Drop, deepest: float):
     if drop.kind == "contact":
         element = jb.Contact(*ends, distance=touch, damping=drop.damping, **law)
     else:
-        stop = jb.laws.Stop(gap=drop.gap, **law)
+        stop = jb.laws.BumpStop(gap=drop.gap, **law)
         if drop.kind == "stop":
             spring = jb.laws.Linear(drop.spring) + stop
         else:
-            spring = stop + jb.laws.Stop(gap=drop.clearance - drop.gap, extension=True, **law)
+            spring = stop + jb.laws.BumpStop(gap=drop.clearance - drop.gap, extension=True, **law)
         element = jb.SpringDamper(
             *ends, spring=spring, damper=drop.damping, free_length=touch + drop.gap
         )

@@ -201,11 +201,11 @@ class Structure:
         if kind == "guide":
             return jb.Guide(parent, axis=axis)
         if kind == "heave pitch":
-            return jb.HeavePitch(parent)
+            return jb.joints.HeavePitch(parent)
         if kind == "fixed":
             return jb.Fixed(parent)
         lines = size * view.length * rng.normal(size=(2, 3))
-        return jb.Composite(
+        return jb.joints.Composite(
             parent, ["move", "turn"], directions=rng.normal(size=(2, 3)), points=lines
         )
 
@@ -369,4 +369,4 @@ class Structure:
                 move, speed = (np.concatenate([R @ x[:3], R @ x[3:]]) for x in (move, speed))
             delta[rows] = move * np.where(turns, angle, 0.2 * size * view.length)
             v[rows] = speed * np.where(turns, 1.0, size * view.length) / view.time
-        return jb.State(jb.retract(model, q, delta), v, model.reference.z)
+        return jb.State(jb.joints.retract(model, q, delta), v, model.reference.z)

@@ -31,7 +31,7 @@ SIMPLE_LAWS = st.one_of(
     st.builds(jb.laws.Linear, above_zero),
     st.builds(jb.laws.Polynomial, st.lists(NUMBERS, min_size=1, max_size=4)),
     st.builds(
-        jb.laws.Stop,
+        jb.laws.BumpStop,
         gap=above_zero,
         stiffness=above_zero,
         engagement=above_zero,
@@ -41,7 +41,7 @@ SIMPLE_LAWS = st.one_of(
     st.builds(jb.laws.AirSpring, pressure=above_zero, area=above_zero, height=above_zero),
     st.builds(jb.laws.Digressive, slow=above_zero, fast=above_zero, knee=above_zero),
     st.builds(jb.laws.Friction, level=above_zero, velocity=above_zero),
-    curves.map(lambda x: jb.laws.Table(x, x)),
+    curves.map(lambda x: jb.laws.Tabulated(x, x)),
 )
 SOME_LAWS = SIMPLE_LAWS | st.builds(jb.laws.TwoSided, bump=SIMPLE_LAWS, rebound=SIMPLE_LAWS)
 SOME_LAWS = (
@@ -86,15 +86,19 @@ def models(draw, numbers=NUMBERS):
             draw(st.sampled_from([None, *JOINTS])),
             draw(st.sampled_from(["world", support, *body_names[:i]])),
         )
-        more = {"axis": draw(directions)} if kind in (jb.Guide, jb.Hinge, jb.Cylindrical) else {}
-        more |= (
-            {"at": draw(st.none() | points)}
-            if kind in (jb.Hinge, jb.Ball, jb.Universal, jb.Cylindrical)
+        more = (
+            {"axis": draw(directions)}
+            if kind in (jb.Guide, jb.Hinge, jb.joints.Cylindrical)
             else {}
         )
-        if kind in (jb.Universal, jb.Planar):
+        more |= (
+            {"at": draw(st.none() | points)}
+            if kind in (jb.Hinge, jb.Ball, jb.joints.Universal, jb.joints.Cylindrical)
+            else {}
+        )
+        if kind in (jb.joints.Universal, jb.joints.Planar):
             more |= dict(zip(("first", "second"), draw(crossed), strict=True))
-        if kind is jb.Composite:
+        if kind is jb.joints.Composite:
             steps = draw(st.lists(st.sampled_from(["move", "turn"]), min_size=1, max_size=3))
             more = {
                 "steps": steps,

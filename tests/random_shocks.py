@@ -30,10 +30,10 @@ SOLVERS = ("default", "Tsit5", "PIDController", "Kvaerno5")
 MOTIONS = ("sampled", "half sine", "sawtooth", "triangle", "trapezoid", "spline", "function")
 FORCES = ("hold", "linear", "cubic", "function of force")
 PULSES = {
-    "half sine": jb.HalfSine,
-    "sawtooth": jb.Sawtooth,
-    "triangle": jb.Triangle,
-    "trapezoid": jb.Trapezoid,
+    "half sine": jb.inputs.HalfSine,
+    "sawtooth": jb.inputs.Sawtooth,
+    "triangle": jb.inputs.Triangle,
+    "trapezoid": jb.inputs.Trapezoid,
 }
 
 
@@ -219,7 +219,9 @@ def random_shock(
             tail,
         ]
     elif given == "spline":
-        spline = jb.Spline(0.0, stop, interval=stop / COEFFICIENTS * (1 + 1e-9), along=[axis])
+        spline = jb.inputs.Spline(
+            0.0, stop, interval=stop / COEFFICIENTS * (1 + 1e-9), along=[axis]
+        )
         interval = stop / COEFFICIENTS
         first = int(np.ceil(quiet / interval))  # the coefficient i acts from knot i - 3 to i + 1
         count = max(int(duration / interval) - 3, 1)

@@ -41,7 +41,7 @@ def motion(on, point=(0, 0, 0), direction="z"):
     """A sensor of the displacement of a point along x, y, z or a vector, or of the rotation about
     rx, ry or rz."""
     if isinstance(direction, str) and direction[0] == "r":
-        return jb.Rotation(on, axis=direction[1])
+        return jb.sensors.Rotation(on, axis=direction[1])
     return jb.Position(on, point, axis=direction)
 
 
@@ -265,7 +265,7 @@ def beam_with_tip(elements):
             "beam": jb.Body(mass=30.0, inertia=[1, 2, 2], com=[0.1, 0, 0]),
             "tip": jb.Body(mass=5.0, inertia=[0.1] * 3, position=[0.6, 0, 0]),
         },
-        joints={"beam": jb.HeavePitch("world"), "tip": jb.Hinge("beam", axis="y")},
+        joints={"beam": jb.joints.HeavePitch("world"), "tip": jb.Hinge("beam", axis="y")},
         supports={"base": jb.Support()},
         elements=elements,
         gravity=[0, 0, -9.81],

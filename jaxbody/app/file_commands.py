@@ -67,7 +67,7 @@ def _check(study: Study, options: argparse.Namespace) -> Outcome:
     counts = [bodies, *(counted(len(names), what) for what, names in parts.items() if names)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the remarks are printed
-        remarks = jb.plausibility(model, study.experiments).words if model.layout.nv else ()
+        remarks = jb.fitting.plausibility(model, study.experiments).words if model.layout.nv else ()
     return Outcome(
         [
             f"{options.file.name}: {', '.join(counts)}, {counted(model.layout.nv, 'degree')} of "
@@ -124,8 +124,12 @@ def _random(study: Study, options: argparse.Namespace) -> Outcome:
 
     lin, remarks = _linear(study)
     inputs, outputs = _ports(study, options, "displacement")
-    spectra: Any = dict.fromkeys(inputs, jb.Unevenness.iso(options.road).at_speed(options.speed))
-    response = jb.random_response(lin, jb.Band(*options.frequencies), inputs, outputs, spectra)
+    spectra: Any = dict.fromkeys(
+        inputs, jb.vibration.RoadRoughness.iso(options.road).at_speed(options.speed)
+    )
+    response = jb.random_response(
+        lin, jb.vibration.Band(*options.frequencies), inputs, outputs, spectra
+    )
     return Outcome(
         [response, *remarks],
         lambda: jb.plots.plot_psd(response),
@@ -213,7 +217,7 @@ def _fitted(study: Study, options: argparse.Namespace) -> dict[str, Any]:
                 hint='Give --free "spring.stiffness", or free = [...] below [fit] in the file.',
             )
     if "starts" in arguments:
-        optima = jb.multistart(study.model, study.experiments, **arguments)
+        optima = jb.fitting.multistart(study.model, study.experiments, **arguments)
         results: dict[str, Any] = {"Fit": optima.best, "Optima from several starts": optima}
     else:
         results = {"Fit": jb.fit(study.model, study.experiments, **arguments)}

@@ -248,7 +248,7 @@ def text_of_mounts(path: Path) -> str:
     bodies, supports = mounted_frames(path)
     bodies, supports = bodies or ["engine"], supports or ["frame"]
     origin = dict.fromkeys([bodies[0], *supports, *bodies[1:]], jb.Support())
-    mounts = jb.read_mounts(path, origin)
+    mounts = jb.files.read_mounts(path, origin)
     ends = [
         end for mount in mounts.values() for end in zip(mount.between, mount.points, strict=True)
     ]

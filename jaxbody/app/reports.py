@@ -104,8 +104,10 @@ def report(
     >>> import pathlib, tempfile
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> path = pathlib.Path(tempfile.mkdtemp(), "car.html")
-    >>> text = report(
-    ...     {"Car": car, "Modes": modes(linearize(car, car.reference))}, path, title="Quarter car"
+    >>> text = jb.report(
+    ...     {"Car": car, "Modes": jb.modes(jb.linearize(car, car.reference))},
+    ...     path,
+    ...     title="Quarter car",
     ... ).read_text()
     >>> "<h1>Quarter car</h1>" in text, "<script" in text
     (True, False)

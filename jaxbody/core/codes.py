@@ -187,7 +187,7 @@ NOT_A_FILE: a path is a pipe, a socket or a device -> give the path of a file
 NOT_A_FRACTION: a number is not between 0 and 1 -> give 0.1 for ten percent
 NOT_A_LENGTH: a path is not that of a free length -> give paths to free_length or free_angle
 NOT_A_NUMBER: a value is not a number -> give a number, or a list or array of numbers
-NOT_A_RECORD: a dataset is not a record over time -> read it with jb.read_responses
+NOT_A_RECORD: a dataset is not a record over time -> read it with jb.records.read_responses
 NOT_A_RESPONSE: a dataset is not a frequency response -> read it with jb.read_record, or export it
     again
 NOT_CLOSED: closures cannot be fulfilled, or a driven reading is beyond reach -> move what the
@@ -336,7 +336,7 @@ UNKNOWN_LOSS: a loss is unknown -> use one of those that the message lists
 UNKNOWN_METHOD: a method of fitting is unknown -> use one of those that the message lists
 UNKNOWN_MODE: there is no mode of this number -> modes count from 1
 UNKNOWN_NAME: a name is unknown -> the message shows the nearest known name
-UNKNOWN_PATH: a path or pattern matches nothing -> jb.paths lists all paths
+UNKNOWN_PATH: a path or pattern matches nothing -> jb.parameter_paths lists all paths
 UNKNOWN_UNIT: a unit is unknown, or can be read in two ways -> write products of known units, such
     as N s/m
 UNREADABLE: a file cannot be read -> check whether it is complete and closed

@@ -42,6 +42,22 @@ class Labeled(ABC):
         return frame_of(self.to_xarray(), over or self.index, f"{type(self).__name__}.to_pandas")
 
 
+def frame_of_table(columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Any:
+    """Return a printed table as a DataFrame; a heading "mass [kg]" is a column and its unit."""
+    pandas = import_extra("pandas", "to_pandas")
+    units: dict[str, str] = {}
+    for i, head in enumerate(columns, start=1):
+        name, _, unit = head.removesuffix("]").partition(" [")
+        units[name if name and name not in units else f"column {i}"] = unit
+    frame = pandas.DataFrame([tuple(map(_cell, row)) for row in rows], columns=list(units))
+    frame.attrs["units"] = units
+    return frame
+
+
+def _cell(value: Any) -> Any:
+    return value if isinstance(value, str) else np.asarray(value)[()]
+
+
 def frame_of(data: Any, over: str, where: str) -> Any:
     """Return the variables of a Dataset over one dimension as a DataFrame, as `to_pandas` describes
     it."""

@@ -53,9 +53,9 @@ class Problem:
 
 class JaxbodyError(ValueError):
     """The exception of jaxbody, with all `problems` of a call; the fields of the first are its
-    attributes. `jb.codes()` lists codes.
+    attributes. `jb.error_codes()` lists codes.
 
-    >>> JaxbodyError(Problem("BAD_MASS", "plate", "has a mass of -3 kg")).code
+    >>> jb.JaxbodyError(Problem("BAD_MASS", "plate", "has a mass of -3 kg")).code
     'BAD_MASS'
     """
 
@@ -83,7 +83,7 @@ class JaxbodyWarning(UserWarning):
     """The warning of jaxbody, with its `code`. To turn warnings into errors:
     `warnings.simplefilter("error", JaxbodyWarning)`.
 
-    >>> JaxbodyWarning("TINY_MASS", "mass of 'bolt' is tiny").code
+    >>> jb.JaxbodyWarning("TINY_MASS", "mass of 'bolt' is tiny").code
     'TINY_MASS'
     """
 
@@ -174,7 +174,7 @@ def import_extra(module: str, where: str) -> Any:
 class Status(enum.IntEnum):
     """How a computation ended. Jitted code returns these numbers, one per sample; 0 is good.
 
-    >>> Status(2).name
+    >>> jb.Status(2).name
     'UNSTABLE'
     """
 
@@ -216,10 +216,10 @@ class Status(enum.IntEnum):
 MESSAGES = {status: CODES[status.name][0] for status in Status}
 
 
-def codes() -> str:
+def error_codes() -> str:
     """Return all codes of errors, warnings and statuses as text: what each means, and what to do.
 
-    >>> print(codes())  # doctest: +ELLIPSIS
+    >>> print(jb.error_codes())  # doctest: +ELLIPSIS
     ALL_NAN               all samples of a record are missing; leave its sensor out, ...
     """
     return "\n".join(f"{code:22}{meaning}; {remedy}" for code, (meaning, remedy) in CODES.items())

@@ -10,13 +10,14 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import as_numpy, is_concrete, part_of, rows_or_nan
-from jaxbody.core.datasets import Labeled, dataset
+from jaxbody.core.datasets import Labeled, dataset, frame_of_table
 from jaxbody.core.errors import (
     MESSAGES,
     MOST_PROBLEMS,
     JaxbodyError,
     Problem,
     Status,
+    import_extra,
     unknown,
     warn,
 )
@@ -69,6 +70,22 @@ class Result(tables.Printed, eqx.Module):
             f"{count} {Status(int(value)).name}"
             for value, count in zip(values, counts, strict=True)
         )
+
+    def to_pandas(self) -> Any:
+        """Return the first of the printed tables as a pandas.DataFrame; `attrs["units"]` {column:
+        unit}. Error: MISSING_EXTRA."""
+        table = self._tables()[0]
+        return frame_of_table(table.columns, table.rows)
+
+    def to_xarray(self) -> Any:
+        """Return the same table as an xarray.Dataset over its rows, with units in the attributes of
+        its variables. Error: MISSING_EXTRA."""
+        import_extra("xarray", "to_xarray")
+        frame = self.to_pandas()
+        data = frame.to_xarray()
+        for name, unit in frame.attrs["units"].items():
+            data[name].attrs |= {"units": unit} if unit else {}
+        return data
 
     def raise_if_failed(self) -> None:
         """Raise a JaxbodyError unless every sample is ok; for a batch it lists the indices that are

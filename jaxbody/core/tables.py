@@ -51,6 +51,10 @@ class Printed(ABC):
     def _tables(self) -> list[PrintedTable]:
         """Return the tables that are printed."""
 
+    def summary(self) -> str:
+        """Return the tables as text, as `print` shows them; where a class says so, with more."""
+        return repr(self)
+
     def __repr__(self) -> str:
         return text(*in_numpy(self)._tables())
 

@@ -40,7 +40,7 @@ class Front(Labeled, Result):
     `tune`.
 
     >>> import inspect
-    >>> inspect.signature(pareto).return_annotation  # pareto returns one
+    >>> inspect.signature(jb.pareto).return_annotation  # pareto returns one
     'Front'
     """
 
@@ -112,7 +112,7 @@ def pareto(
     ...     c = model["suspension"].damping / 1500.0
     ...     return {"shake": c + 1 / c, "travel": 1 / c}
     >>> bounds = {"*.damping": (500.0, 5000.0)}
-    >>> front = pareto(
+    >>> front = jb.pareto(
     ...     car,
     ...     trade,
     ...     minimize=["shake", "travel"],

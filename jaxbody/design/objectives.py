@@ -17,7 +17,7 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, Inexact, concrete, float_array, is_concrete
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.vibration.comfort_weightings import weighted
+from jaxbody.vibration.comfort_weightings import weighted_response
 from jaxbody.vibration.frequency_responses import FrequencyResponse
 from jaxbody.vibration.linearizations import Linearization
 from jaxbody.vibration.modal_energies import kinetic_shares
@@ -53,7 +53,7 @@ def smooth_max(x: Any, width: Any) -> Float[Array, ""]:
 
     `width` in the unit of x. Errors: BAD_WIDTH, NOT_A_NUMBER, NO_DATA.
 
-    >>> round(float(smooth_max([1.0, 2.0, 3.0], 0.1)), 4)
+    >>> round(float(jb.objectives.smooth_max([1.0, 2.0, 3.0], 0.1)), 4)
     3.0
     """
     return _smooth_extreme(_numbers(x, "smooth_max.x"), _width(width, "smooth_max.width"), 1)
@@ -63,7 +63,7 @@ def smooth_min(x: Any, width: Any) -> Float[Array, ""]:
     """Return a smooth minimum, -smooth_max(-x), which is below the smallest number by at most width
     log(n). Errors: BAD_WIDTH, NOT_A_NUMBER, NO_DATA.
 
-    >>> round(float(smooth_min([1.0, 2.0, 3.0], 0.1)), 4)
+    >>> round(float(jb.objectives.smooth_min([1.0, 2.0, 3.0], 0.1)), 4)
     1.0
     """
     return _smooth_extreme(_numbers(x, "smooth_min.x"), _width(width, "smooth_min.width"), -1)
@@ -83,7 +83,7 @@ def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
     NaN if one of them is not finite. Errors: NOT_A_NUMBER, NO_DATA, BAD_NUMBER if the power
     is below 1.
 
-    >>> round(float(peak([-3.0, 1.0, 2.0])), 6)
+    >>> round(float(jb.objectives.peak([-3.0, 1.0, 2.0])), 6)
     3.0
     """
     if not power >= 1:
@@ -109,7 +109,10 @@ def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
     instead.
 
     >>> model = jb.presets.engine_on_mounts()
-    >>> [round(float(x), 2) for x in dominant_shares(linearize(model, model.reference))]
+    >>> [
+    ...     round(float(x), 2)
+    ...     for x in jb.objectives.dominant_shares(jb.linearize(model, model.reference))
+    ... ]
     [99.4, 98.21, 37.13, 49.36, 65.54, 78.84]
     """
     return _dominant_shares(lin)
@@ -134,7 +137,7 @@ def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
     Journal of Sound and Vibration 234 (2000) 85.
 
     >>> model = jb.presets.isolated_table(at=(0.45, 0.3, 0.0))  # in the plane of its center of mass
-    >>> round(float(coupling_of_modes(linearize(model, model.reference))), 4)
+    >>> round(float(jb.objectives.coupling_of_modes(jb.linearize(model, model.reference))), 4)
     0.0
     """
     return _coupling_of_modes(lin)
@@ -157,7 +160,12 @@ def torque_roll_coupling(lin: Linearization, body: str, torque: Any) -> Float[Ar
 
     >>> model = jb.presets.engine_on_mounts()
     >>> round(
-    ...     float(torque_roll_coupling(linearize(model, model.reference), "engine", [1, 0, 0])), 4
+    ...     float(
+    ...         jb.objectives.torque_roll_coupling(
+    ...             jb.linearize(model, model.reference), "engine", [1, 0, 0]
+    ...         )
+    ...     ),
+    ...     4,
     ... )
     0.1387
     """
@@ -174,7 +182,10 @@ def band_intrusion(frequencies: Any, band: tuple[float, float]) -> Float[Array, 
     smooth where frequencies cross. To keep frequencies inside a band, limit them:
     limits={"frequency": (6, 18)}. Errors: BAD_BAND, NOT_A_NUMBER.
 
-    >>> [round(float(band_intrusion([f, 40.0], (20.0, 30.0))), 4) for f in (25.0, 29.0, 31.0)]
+    >>> [
+    ...     round(float(jb.objectives.band_intrusion([f, 40.0], (20.0, 30.0))), 4)
+    ...     for f in (25.0, 29.0, 31.0)
+    ... ]
     [1.0, 0.1296, 0.0]
     """
     f = _numbers(frequencies, "band_intrusion.frequencies")
@@ -209,11 +220,14 @@ def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Ar
     BAD_FREQUENCY if a frequency is 0 Hz.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
-    >>> response = frequency_response(
-    ...     linearize(model, model.reference), jnp.geomspace(5, 50, 100), inputs, outputs
+    >>> inputs, outputs = (
+    ...     {"road": jb.BaseMotion("road", "z")},
+    ...     {"body": jb.Position("body", axis="z")},
     ... )
-    >>> round(float(transmitted(response, "body", "road")), 3)
+    >>> response = jb.frequency_response(
+    ...     jb.linearize(model, model.reference), jnp.geomspace(5, 50, 100), inputs, outputs
+    ... )
+    >>> round(float(jb.objectives.transmitted(response, "body", "road")), 3)
     0.106
     """
     known = concrete(response.frequencies)
@@ -243,20 +257,20 @@ def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
 
         sqrt(sum of a_w^2),   a_w^2 = int |W|^2 S_a df
 
-    weights: {output: "Wk" for z or "Wd" for x and y}. Errors: those of `weighted`. Source: ISO
-    2631-1:1997, 6.5.
+    weights: {output: "Wk" for z or "Wd" for x and y}. Errors: those of `weighted_response`. Source:
+    ISO 2631-1:1997, 6.5.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> outputs = {"body": Acceleration("body", axis="z")}
-    >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
-    >>> ride = random_response(
-    ...     linearize(model, model.reference),
-    ...     Band(0.1, 100.0),
-    ...     {"road": BaseMotion("road", "z")},
+    >>> outputs = {"body": jb.Acceleration("body", axis="z")}
+    >>> road = {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)}
+    >>> ride = jb.random_response(
+    ...     jb.linearize(model, model.reference),
+    ...     jb.vibration.Band(0.1, 100.0),
+    ...     {"road": jb.BaseMotion("road", "z")},
     ...     outputs,
     ...     road,
     ... )
-    >>> round(float(comfort(ride, {"body": "Wk"})), 2)
+    >>> round(float(jb.objectives.comfort(ride, {"body": "Wk"})), 2)
     1.19
     """
     return _comfort(ride, weights)
@@ -264,7 +278,7 @@ def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
 
 @program
 def _comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
-    return _root(jnp.sum(weighted(ride, weights).rms ** 2))
+    return _root(jnp.sum(weighted_response(ride, weights).rms ** 2))
 
 
 def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, ""]:
@@ -276,12 +290,19 @@ def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, "
     forces: {output: static load [N]}. Errors: UNKNOWN_NAME, BAD_UNIT if an output is not a force.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
-    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"tyre": LoadCell("tyre")}
-    >>> ride = random_response(
-    ...     linearize(model, model.reference), Band(0.1, 100.0), inputs, outputs, road
+    >>> road = {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)}
+    >>> inputs, outputs = (
+    ...     {"road": jb.BaseMotion("road", "z")},
+    ...     {"tyre": jb.sensors.LoadCell("tyre")},
     ... )
-    >>> round(float(road_holding(ride, {"tyre": 450 * 9.81})), 2)
+    >>> ride = jb.random_response(
+    ...     jb.linearize(model, model.reference),
+    ...     jb.vibration.Band(0.1, 100.0),
+    ...     inputs,
+    ...     outputs,
+    ...     road,
+    ... )
+    >>> round(float(jb.objectives.road_holding(ride, {"tyre": 450 * 9.81})), 2)
     0.23
     """
     for name in forces:
@@ -316,12 +337,19 @@ def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Arr
     Error: UNKNOWN_NAME.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
-    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"travel": Elongation("suspension")}
-    >>> ride = random_response(
-    ...     linearize(model, model.reference), Band(0.1, 100.0), inputs, outputs, road
+    >>> road = {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)}
+    >>> inputs, outputs = (
+    ...     {"road": jb.BaseMotion("road", "z")},
+    ...     {"travel": jb.Elongation("suspension")},
     ... )
-    >>> round(float(stroke(ride, "travel")), 3)
+    >>> ride = jb.random_response(
+    ...     jb.linearize(model, model.reference),
+    ...     jb.vibration.Band(0.1, 100.0),
+    ...     inputs,
+    ...     outputs,
+    ...     road,
+    ... )
+    >>> round(float(jb.objectives.stroke(ride, "travel")), 3)
     0.037
     """
     return _stroke(ride, output, float_array(static, "stroke.static"))

@@ -96,7 +96,7 @@ def sensitivities(
 
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
-    >>> result = sensitivities(
+    >>> result = jb.design.sensitivities(
     ...     jb.presets.quarter_car(),
     ...     sag,
     ...     free=["suspension.stiffness", "body.mass", "tyre.stiffness"],

@@ -94,7 +94,7 @@ def sweep(
     >>> car = jb.presets.quarter_car()
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
-    >>> quantities = sweep(
+    >>> quantities = jb.sweep(
     ...     car, sag, {"suspension.stiffness": [2e4, 4e4], "body.mass": [300.0, 350.0, 400.0]}
     ... )
     >>> round(float(quantities["sag"].sel({"suspension.stiffness": 4e4, "body.mass": 400.0})), 4)

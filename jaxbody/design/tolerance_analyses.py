@@ -157,7 +157,9 @@ def tolerances(
 
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
-    >>> result = tolerances(jb.presets.quarter_car(), sag, {"suspension.stiffness": 1750.0})  # 5 %
+    >>> result = jb.tolerances(
+    ...     jb.presets.quarter_car(), sag, {"suspension.stiffness": 1750.0}
+    ... )  # 5 %
     >>> (
     ...     round(float(result.first[0] / result.nominal[0]), 4),
     ...     round(float(result.mean[0] / result.nominal[0]), 4),
@@ -247,7 +249,9 @@ def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Eval
 
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
-    >>> quantities = robust(sag, {"suspension.stiffness": 1750.0})(jb.presets.quarter_car())
+    >>> quantities = jb.design.robust(sag, {"suspension.stiffness": 1750.0})(
+    ...     jb.presets.quarter_car()
+    ... )
     >>> [round(float(quantities[name]), 4) for name in ("sag", "sag high", "sag low")]
     [0.1051, 0.1212, 0.0896]
     """

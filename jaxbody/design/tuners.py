@@ -113,7 +113,7 @@ def tune(
     ...         "sag": model["body"].mass * 9.81 / model["suspension"].stiffness,
     ...         "stiffness": model["suspension"].stiffness,
     ...     }
-    >>> design = tune(
+    >>> design = jb.tune(
     ...     car,
     ...     sag,
     ...     free=["suspension.stiffness"],

@@ -1,1 +1,14 @@
 """Files of models, of studies and of others: text to checked SI numbers, to models and back."""
+
+from jaxbody.core.compilation.late_imports import late_names
+
+_NAMES = {
+    "interchange.data_sheets": ("read_hard_points", "read_mounts"),
+    "interchange.mjcf_readers": ("read_mjcf",),
+    "interchange.mjcf_writers": ("write_mjcf",),
+    "interchange.state_space_files": ("write_state_space",),
+    "model_files": ("read_model", "write_model"),
+    "result_files": ("read_results", "write_results"),
+    "studies.study_files": ("Study", "read_study"),
+}
+__getattr__, __dir__, __all__ = late_names("jaxbody.files", _NAMES)

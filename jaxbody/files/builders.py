@@ -34,7 +34,7 @@ from jaxbody.files.quantities import by_name, in_SI, owner, words_of_coupling
 from jaxbody.files.schemas import Check
 from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.fields import in_domain, kind_of
-from jaxbody.geometry.points_and_orientations import Euler, direction
+from jaxbody.geometry.points_and_orientations import EulerAngles, direction
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.inputs.base_motions import base_motion
 from jaxbody.model.inputs.loads import Load
@@ -42,7 +42,7 @@ from jaxbody.model.inputs.motions import Motion, Sampled
 from jaxbody.model.inputs.signals import Samples, Signal
 from jaxbody.model.joints.joints import Joint
 from jaxbody.model.laws.laws import Law, Linear, Sum
-from jaxbody.model.laws.tabulated_laws import Table
+from jaxbody.model.laws.tabulated_laws import Tabulated
 from jaxbody.model.models import Model
 from jaxbody.records.record_files import read_record
 from jaxbody.records.records import Record
@@ -149,7 +149,7 @@ class Builder:
             words = words_of_coupling(values or {}, self.check.coordinates) or {}
         if values is None:
             return None
-        if kind is Table and set(values) != {"type", "x", "forces"}:
+        if kind is Tabulated and set(values) != {"type", "x", "forces"}:
             return self.table(values, path)
         given = {
             argument.name: self.value(
@@ -183,7 +183,7 @@ class Builder:
             case "words":
                 return tuple(value)
             case _ if isinstance(value, dict):
-                return self.problems.gather(lambda: Euler(value["sequence"], value["angles"]))
+                return self.problems.gather(lambda: EulerAngles(value["sequence"], value["angles"]))
         return value
 
     def checked(
@@ -330,7 +330,7 @@ class Builder:
             )
             return None
         file = self.beside(values["file"], (*path, "file"))
-        return file and self.gather((*path, "file"), "", lambda: Table.read(file))
+        return file and self.gather((*path, "file"), "", lambda: Tabulated.read(file))
 
     def beside(self, name: str, path: EntryPath) -> Path | None:
         """Return the path of a file in the folder of the document; None with a problem for a file

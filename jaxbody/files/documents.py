@@ -18,6 +18,8 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.source_files import check_file, decoded, extension_of
 
 EntryPath = tuple[str | int, ...]  # path of an entry: ("elements", "AB", "a", 1)
+# types in files of earlier drafts, and the words for them now
+EARLIER_TYPES = {"Stop": "BumpStop", "Table": "Tabulated", "Tilt": "Inclinometer"}
 DEEPEST = 20
 LARGEST = 2e7  # default of the largest size of a file [bytes]
 # bytes of memory per byte of a document; 55 were measured for a model of 10 000 springs
@@ -103,7 +105,20 @@ def parse_document(text: str, name: str, kind: str = "toml") -> Document:
                 hint="Begin with {.",
             )
         )
+    document.values = _with_current_types(document.values)
     return document
+
+
+def _with_current_types(value: Any) -> Any:
+    """Return a value of a document with the current words for types in it."""
+    if isinstance(value, list):
+        return [_with_current_types(each) for each in value]
+    if not isinstance(value, dict):
+        return value
+    current = {name: _with_current_types(each) for name, each in value.items()}
+    if isinstance(current.get("type"), str):
+        current["type"] = EARLIER_TYPES.get(current["type"], current["type"])
+    return current
 
 
 def _syntax(error: Exception, text: str, document: Document) -> Problem:

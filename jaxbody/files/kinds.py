@@ -72,12 +72,12 @@ LAWS = (
     laws.Linear,
     laws.TwoSided,
     spring_laws.Polynomial,
-    spring_laws.Stop,
+    spring_laws.BumpStop,
     spring_laws.TensionOnly,
     spring_laws.AirSpring,
     spring_laws.Digressive,
     spring_laws.Friction,
-    tabulated_laws.Table,
+    tabulated_laws.Tabulated,
     rubber_laws.Maxwell,
     hysteresis_laws.BoucWen,
     hysteresis_laws.Dahl,
@@ -97,7 +97,7 @@ SENSORS = (
     kinematic_sensors.AngularAcceleration,
     instruments.Accelerometer,
     instruments.Gyro,
-    instruments.Tilt,
+    instruments.Inclinometer,
     instruments.Elongation,
     instruments.LoadCell,
     instruments.ForcePlate,
@@ -277,7 +277,7 @@ def object_schema(kind: type, type_name: str = "") -> dict[str, Any]:
     properties: dict[str, Any] = {"type": {"const": type_name}} if type_name else {}
     properties |= {argument.name: argument_schema(argument) for argument in arguments}
     required = [argument.name for argument in arguments if argument.required]
-    if kind is tabulated_laws.Table:
+    if kind is tabulated_laws.Tabulated:
         properties["file"] = {
             "type": "string",
             "description": (

@@ -38,12 +38,12 @@ def read_model(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST
     ... bodies.bob = {mass = "200 g0", com = "0, -50, 0 cm"}
     ... joints.bob = {type = "Hinge", parent = "world", axis = [0, 0, 1]}
     ... ''')
-    >>> read_model(path)  # doctest: +NORMALIZE_WHITESPACE
+    >>> jb.read_model(path)  # doctest: +NORMALIZE_WHITESPACE
     Traceback (most recent call last):
     jaxbody.core.errors.JaxbodyError: pendulum.toml:3 bodies.bob.mass: is '200 g0', in m/s2
     (allowed: a unit such as kg). ...
     >>> _ = path.write_text(path.read_text().replace("200 g0", "0.2 kg"))
-    >>> float(read_model(path)["bob"].com[1])
+    >>> float(jb.read_model(path)["bob"].com[1])
     -0.5
     """
     path = Path(path)
@@ -65,8 +65,8 @@ def write_model(model: Model, path: Any, *, allow: Sequence[str] = ()) -> None:
 
     >>> import pathlib, tempfile
     >>> car, path = jb.presets.quarter_car(), pathlib.Path(tempfile.mkdtemp(), "car.toml")
-    >>> write_model(car, path)
-    >>> bool(jnp.all(read_model(path)["tyre"].stiffness == car["tyre"].stiffness))
+    >>> jb.write_model(car, path)
+    >>> bool(jnp.all(jb.read_model(path)["tyre"].stiffness == car["tyre"].stiffness))
     True
     """
     path = Path(path)

@@ -76,8 +76,7 @@ def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | Non
     stated = SI if stated == "SI" else stated
     given = set(stated) if isinstance(stated, dict) else set()
     missing = {"length", "time", "angle"} - given
-    if not given & {"mass", "force"}:
-        missing.add("mass or force")
+    missing |= set() if given & {"mass", "force"} else {"mass or force"}
     others = sorted(given - set(BASE))
     if missing or others:
         messages = [f"has no {' and no '.join(sorted(missing))}"] * bool(missing)

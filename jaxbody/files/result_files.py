@@ -40,8 +40,8 @@ def write_results(results: Any, path: Any, *, allow: Sequence[str] = ()) -> None
 
     >>> import pathlib, tempfile
     >>> car, path = jb.presets.quarter_car(), pathlib.Path(tempfile.mkdtemp(), "car.zip")
-    >>> write_results({"modes": modes(linearize(car, car.reference))}, path)
-    >>> [round(float(f), 3) for f in read_results(path)["modes"].frequency]
+    >>> jb.write_results({"modes": jb.modes(jb.linearize(car, car.reference))}, path)
+    >>> [round(float(f), 3) for f in jb.read_results(path)["modes"].frequency]
     [1.411, 8.796]
     """
     path = Path(path)
@@ -103,8 +103,8 @@ def read_results(path: Any, *, allow: Sequence[str] = (), largest: float = 1e9) 
 
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp(), "car.zip")
-    >>> write_results(jb.presets.quarter_car(), path)
-    >>> read_results(path).layout.bodies
+    >>> jb.write_results(jb.presets.quarter_car(), path)
+    >>> jb.read_results(path).layout.bodies
     ('body', 'wheel')
     """
     path = Path(path)

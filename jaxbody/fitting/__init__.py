@@ -1,1 +1,21 @@
 """Fits: parameters, experiments, residuals, searches, results; uncertainty, validation."""
+
+from jaxbody.core.compilation.late_imports import late_names
+
+_NAMES = {
+    "bands": ("confidence_bands",),
+    "coverages": ("interval_coverage",),
+    "experiments.diagnoses": ("diagnose",),
+    "experiments.experiments": ("Experiment",),
+    "experiments.measured_responses": ("MeasuredModes", "MeasuredResponse"),
+    "experiments.measured_stiffnesses": ("MeasuredStiffness",),
+    "experiments.measured_suspension_curves": ("MeasuredCurves",),
+    "experiments.plausibilities": ("plausibility",),
+    "fit_results": ("Fit",),
+    "fitters": ("fit",),
+    "multistarts": ("Multistart", "multistart"),
+    "profiles": ("profile_likelihood",),
+    "shootings": ("multiple_shooting",),
+    "validations": ("validate",),
+}
+__getattr__, __dir__, __all__ = late_names("jaxbody.fitting", _NAMES)

@@ -55,7 +55,7 @@ class Bands(Result):
         ]
 
 
-def bands(
+def confidence_bands(
     fit: Fit,
     function: Callable[[Model], Any],
     *,
@@ -81,29 +81,29 @@ def bands(
     BAD_LEVEL, NO_KEY, UNDETERMINED for draws if the data do not determine all parameters,
     TRACED. Warns NONFINITE.
 
-    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    >>> spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
     ...     elements={"spring": spring},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
     ... )
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
     ... )
-    >>> result = fit(model, {"track": track}, free=["spring.stiffness"])
-    >>> frequency = bands(
+    >>> result = jb.fit(model, {"track": track}, free=["spring.stiffness"])
+    >>> frequency = jb.confidence_bands(
     ...     result,
     ...     lambda model: jnp.sqrt(model["spring"].stiffness / model["mass"].mass) / (2 * jnp.pi),
     ... )
     >>> bool(frequency.lower < 1.0 < frequency.upper), bool(frequency.standard_error < 0.02)
     (True, True)
     """
-    check_level(level, "bands.level")
+    check_level(level, "confidence_bands.level")
     with Problems() as problems:
-        check_key(key, "bands.key", problems, "" if samples is None else "Draws need")
+        check_key(key, "confidence_bands.key", problems, "" if samples is None else "Draws need")
     uncertainty = fit._assessed()
     f = jit(lambda u: function(fit.task.space.place(u)[0]))
     value = f(fit.u)
@@ -112,7 +112,7 @@ def bands(
         raise JaxbodyError(
             Problem(
                 "WRONG_KIND",
-                "bands.function",
+                "confidence_bands.function",
                 f"returns {kind}",
                 value,
                 "an array of real numbers",

@@ -42,7 +42,7 @@ CLOSE = 1e-6  # tolerance of the search in a replicate; `assessed` takes one mor
 
 
 class Coverage(Result):
-    """Result of `coverage`, for each of n `parameters`.
+    """Result of `interval_coverage`, for each of n `parameters`.
 
     `contained`: share of the replicates whose interval at `level` contains the true value, with its
     `standard_error`; `bias`: mean error of the estimates over their standard deviation `deviation`;
@@ -53,7 +53,7 @@ class Coverage(Result):
     `stated` (n,): its standard errors; `status` (N,): status of each replicate.
 
     >>> import inspect
-    >>> inspect.signature(coverage).return_annotation  # the result of coverage
+    >>> inspect.signature(jb.fitting.interval_coverage).return_annotation  # the result of coverage
     'Coverage'
     """
 
@@ -118,7 +118,7 @@ class Coverage(Result):
         ]
 
 
-def coverage(
+def interval_coverage(
     fit: Fit,
     *,
     replicates: int = 200,
@@ -160,33 +160,37 @@ def coverage(
     OTHER_WORKER, OTHER_STORE, NOT_SAVED. Warns of replicates that do not converge, LOST and
     INTERRUPTED; they do not count.
 
-    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    >>> spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
     ...     elements={"spring": spring},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
     ... )
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
     ... )
-    >>> result = coverage(fit(model, {"track": track}, free=["spring.stiffness"]), replicates=64)
+    >>> result = jb.fitting.interval_coverage(
+    ...     jb.fit(model, {"track": track}, free=["spring.stiffness"]), replicates=64
+    ... )
     >>> bool(abs(result.contained[0] - 0.95) < 3 * result.standard_error[0]), result.parameters
     (True, ('spring.stiffness',))
     """
-    check_level(level, "coverage.level")
+    check_level(level, "interval_coverage.level")
     uncertainty = fit._assessed()
     with Problems() as problems:
-        replicates = whole_number(replicates, "coverage.replicates", problems, least=2)
-        max_evaluations = whole_number(max_evaluations, "coverage.max_evaluations", problems)
-        check_key(key, "coverage.key", problems)
-        chunks = checked_chunks("coverage", workers, out, chunks, problems, fixed=True)
+        replicates = whole_number(replicates, "interval_coverage.replicates", problems, least=2)
+        max_evaluations = whole_number(
+            max_evaluations, "interval_coverage.max_evaluations", problems
+        )
+        check_key(key, "interval_coverage.key", problems)
+        chunks = checked_chunks("interval_coverage", workers, out, chunks, problems, fixed=True)
         if not fit.ok:
             problems.add(
                 "UNDETERMINED",
-                "coverage.fit",
+                "interval_coverage.fit",
                 f"has the status {Status(int(fit.status)).name}",
                 value=fit.status,
                 hint="Free only what the data determine, and let no bound be active.",
@@ -194,14 +198,17 @@ def coverage(
         if fit.task.loss is not None:
             problems.add(
                 "BAD_OPTION",
-                "coverage.fit",
+                "interval_coverage.fit",
                 f"has the loss {fit.task.loss!r}, for which the noise is not known",
                 value=fit.task.loss,
                 hint="Fit by least squares.",
             )
     key = jax.random.key(0) if key is None else key
     keys, u = np.asarray(jax.random.key_data(jax.random.split(key, replicates))), np.asarray(fit.u)
-    with working("coverage", progress) as line, crew_of(workers, "coverage.workers") as crew:
+    with (
+        working("interval_coverage", progress) as line,
+        crew_of(workers, "interval_coverage.workers") as crew,
+    ):
         line("compiling")
         batch = _batch(
             fit,
@@ -214,7 +221,7 @@ def coverage(
         results, status = gathered(
             batch,
             crew,
-            "coverage",
+            "interval_coverage",
             lambda done, _: line(f"{done} of {replicates} replicates"),
             out,
             chunks,
@@ -275,7 +282,7 @@ def _batch(
         lambda i, j: [keys[i:j]],
         len(keys),
         width=BATCH,
-        where="coverage",
+        where="interval_coverage",
         crew=crew,
         owner=assessed,
         place=(max_steps, kind),

@@ -43,7 +43,7 @@ class Fit(Labeled, Result):
     INTERRUPTED. A batch keeps its leading axes; a fit inside jit or vmap has no standard errors.
 
     >>> import inspect
-    >>> inspect.signature(fit).return_annotation  # the result of fit
+    >>> inspect.signature(jb.fit).return_annotation  # the result of fit
     'Fit'
     """
 

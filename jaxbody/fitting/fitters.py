@@ -143,21 +143,21 @@ def fit(
     Status NOISY_INPUT: noise in the record of an imposed motion or load acts as a force that the
     model does not have, so that estimates are biased and intervals too narrow.
 
-    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    >>> spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
     ...     elements={"spring": spring},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
     ... )
     >>> times = jnp.linspace(0, 1, 6)
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times)},
     ... )
     >>> round(
     ...     float(
-    ...         fit(model, {"track": track}, free=["spring.stiffness"]).estimates[
+    ...         jb.fit(model, {"track": track}, free=["spring.stiffness"]).estimates[
     ...             "spring.stiffness"
     ...         ]
     ...     ),

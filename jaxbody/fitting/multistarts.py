@@ -45,7 +45,7 @@ class Multistart(Result):
     starts that did not converge.
 
     >>> import inspect
-    >>> inspect.signature(multistart).return_annotation  # the result of multistart
+    >>> inspect.signature(jb.fitting.multistart).return_annotation  # the result of multistart
     'Multistart'
     """
 
@@ -126,20 +126,22 @@ def multistart(
     NOT_SAVED. Warns SEVERAL_OPTIMA if another optimum has a log-likelihood within 2 of the best,
     LOST and INTERRUPTED.
 
-    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    >>> spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
     ...     elements={"spring": spring},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
     ... )
     >>> times = jnp.linspace(0, 1, 6)
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times)},
     ...     noise=0.01,
     ... )
-    >>> several = multistart(model, {"track": track}, free=["spring.stiffness"], starts=4)
+    >>> several = jb.fitting.multistart(
+    ...     model, {"track": track}, free=["spring.stiffness"], starts=4
+    ... )
     >>> several.estimates["spring.stiffness"].round(4).tolist()
     [39.4784]
     """

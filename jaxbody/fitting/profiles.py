@@ -80,7 +80,9 @@ class Profile(Result):
         return [tables.PrintedTable(f"Profile of {self.path}", heads, rows, "\n".join(notes))]
 
 
-def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None = None) -> Profile:
+def profile_likelihood(
+    fit: Fit, path: str, *, level: float = 0.95, progress: bool | None = None
+) -> Profile:
     """Compute the profile of one free parameter, from the optimum to both ends of its confidence
     interval.
 
@@ -95,27 +97,27 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
     number that does not vary independently of others, as in a matrix or a direction, BAD_LEVEL,
     TRACED. Warns NOT_CONVERGED.
 
-    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    >>> spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
     ...     elements={"spring": spring},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
     ... )
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
     ... )
-    >>> result = profile(
-    ...     fit(model, {"track": track}, free=["spring.stiffness"]), "spring.stiffness"
+    >>> result = jb.profile_likelihood(
+    ...     jb.fit(model, {"track": track}, free=["spring.stiffness"]), "spring.stiffness"
     ... )
     >>> result.interval[0] < 4 * jnp.pi**2 < result.interval[1]
     True
     """
-    check_level(level, "profile.level")
+    check_level(level, "profile_likelihood.level")
     i, value, unit = _place(fit, path)
-    with working("profile", progress) as line:
+    with working("profile_likelihood", progress) as line:
         search = _ProfileSearch(fit, i, level)
         sides = [search.points(sign, line) for sign in (-1, 1)]
     points = [*sides[0][::-1], (np.asarray(fit.u), 0.0, float(fit.cost)), *sides[1]]
@@ -154,7 +156,7 @@ def _place(fit: Fit, path: str) -> tuple[int, Any, str]:
             raise JaxbodyError(
                 Problem(
                     "WRONG_KIND",
-                    "profile.path",
+                    "profile_likelihood.path",
                     f"'{path}' does not vary independently",
                     path,
                     hint="Give a scalar, such as a stiffness, or a number of a vector.",
@@ -167,9 +169,9 @@ def _place(fit: Fit, path: str) -> tuple[int, Any, str]:
                 partial(_value, parameter.form, number),
                 fit.task.space.units(parameter)[number],
             )
-    problem = unknown(path, "profile.path", tuple(fit.task.space.labels))
+    problem = unknown(path, "profile_likelihood.path", tuple(fit.task.space.labels))
     raise JaxbodyError(
-        Problem("UNKNOWN_PATH", "profile.path", problem.message, path, hint=problem.hint)
+        Problem("UNKNOWN_PATH", "profile_likelihood.path", problem.message, path, hint=problem.hint)
     )
 
 

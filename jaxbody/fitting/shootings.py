@@ -184,22 +184,22 @@ def multiple_shooting(
 
     Errors: those of `fit`, BAD_NUMBER.
 
-    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    >>> spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
     ...     elements={"spring": spring},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
     ... )
     >>> times = jnp.linspace(0, 4, 41)
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times)},
     ...     noise=0.01,
     ... )
     >>> round(
     ...     float(
-    ...         multiple_shooting(
+    ...         jb.fitting.multiple_shooting(
     ...             model, {"track": track}, free="spring.stiffness", segments=4
     ...         ).estimates["spring.stiffness"]
     ...     ),

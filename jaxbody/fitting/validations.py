@@ -96,19 +96,21 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     Errors: NO_DATA, WRONG_KIND, and those of `fit` for experiments that do not match the model.
     Warns NONFINITE.
 
-    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    >>> spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
     ...     elements={"spring": spring},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
     ... )
     >>> def run(times, noise):
     ...     x = jnp.cos(2 * jnp.pi * times) + noise * jnp.cos(300 * times**2)
-    ...     return Experiment(
-    ...         times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": x}
+    ...     return jb.Experiment(
+    ...         times, sensors={"x": jb.Position("mass", axis=[1, 0, 0])}, measured={"x": x}
     ...     )
-    >>> result = fit(model, {"one": run(jnp.linspace(0, 1, 21), 0.02)}, free=["spring.stiffness"])
-    >>> validation = validate(result, {"two": run(jnp.linspace(0, 2, 41), 0.02)})
+    >>> result = jb.fit(
+    ...     model, {"one": run(jnp.linspace(0, 1, 21), 0.02)}, free=["spring.stiffness"]
+    ... )
+    >>> validation = jb.validate(result, {"two": run(jnp.linspace(0, 2, 41), 0.02)})
     >>> print(f"{100 * validation.nrmse['two.x']:.1f} %")
     2.3 %
     """

@@ -282,7 +282,7 @@ class Coupling(Closure):
         ratio: f(y) = ratio y [unit of x by that of y]: for a rack the radius of its pinion, for two
             outer gears minus the ratio of their teeth, for a screw its pitch/(2 pi)
         function: f instead, a JAX function, or a law whose force is then x, such as the measured
-            curve `jb.laws.Table(y, x)`
+            curve `jb.laws.Tabulated(y, x)`
 
     Errors: WRONG_KIND unless one of ratio and function is given, UNKNOWN_NAME where the model has
     no such coordinate, BAD_SHAPE, NON_FINITE.

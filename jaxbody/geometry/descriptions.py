@@ -52,7 +52,9 @@ def text_of(owner: Any, name: str, words: dict[str, str] | None = None) -> str:
     signal.
 
     >>> text_of(
-    ...     SpringDamper(("mass", [0, 0, 0]), ("world", [0, 0, 1]), spring=20e3, free_length=0.9),
+    ...     jb.SpringDamper(
+    ...         ("mass", [0, 0, 0]), ("world", [0, 0, 1]), spring=20e3, free_length=0.9
+    ...     ),
     ...     "spring",
     ... )
     'Linear(20000 N/m)'

@@ -92,19 +92,19 @@ def field(
     Error: UNKNOWN_DOMAIN.
 
     >>> class Cubic(jb.laws.Law):
-    ...     coefficient: jax.Array = field("force/argument^3", "nonnegative")
+    ...     coefficient: jax.Array = jb.field("force/argument^3", "nonnegative")
     ...     def force(self, x):
     ...         return self.coefficient * x**3
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0)},
-    ...     joints={"mass": Guide("world", axis=[0, 0, 1])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0)},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
     ...     elements={
-    ...         "spring": SpringDamper(
+    ...         "spring": jb.SpringDamper(
     ...             ("mass", [0, 0, 0]), ("world", [0, 0, 1]), spring=Cubic(jnp.array(8.0))
     ...         )
     ...     },
     ... )
-    >>> replace(model, {"spring.spring.coefficient": -8.0})  # doctest: +NORMALIZE_WHITESPACE
+    >>> jb.replace(model, {"spring.spring.coefficient": -8.0})  # doctest: +NORMALIZE_WHITESPACE
     Traceback (most recent call last):
     jaxbody.core.errors.JaxbodyError: replace['spring.spring.coefficient']: is -8 N/m3
     (allowed: >= 0). [NEGATIVE]

@@ -105,7 +105,7 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 AXES = "xyz"
 
 
-class Euler(eqx.Module):
+class EulerAngles(eqx.Module):
     """An orientation by Euler angles: R = R_1 R_2 R_3 about axes that turn with the frame, R_3 R_2
     R_1 about fixed axes.
 
@@ -114,7 +114,7 @@ class Euler(eqx.Module):
     the parent (extrinsic). `angles` [rad], one for each letter. Errors: BAD_SEQUENCE, BAD_SHAPE,
     NON_FINITE, DEGREES.
 
-    >>> [round(float(x), 6) for x in np.asarray(Euler("ZYX", [np.pi / 2, 0, 0]))]
+    >>> [round(float(x), 6) for x in np.asarray(jb.EulerAngles("ZYX", [np.pi / 2, 0, 0]))]
     [0.707107, 0.0, 0.0, 0.707107]
     """
 
@@ -131,7 +131,7 @@ class Euler(eqx.Module):
                 raise JaxbodyError(
                     Problem(
                         "BAD_SEQUENCE",
-                        "Euler.sequence",
+                        "EulerAngles.sequence",
                         f"is {sequence!r}",
                         sequence,
                         "one to three of XYZ, or of xyz",
@@ -143,7 +143,7 @@ class Euler(eqx.Module):
             self.angles = checked(
                 angles,
                 ((len(sequence),),),
-                "Euler.angles",
+                "EulerAngles.angles",
                 problems,
                 "One angle [rad] for each letter of the sequence.",
             )
@@ -151,7 +151,7 @@ class Euler(eqx.Module):
             if known is not None and (np.abs(known) > 2 * np.pi).any():
                 problems.add(
                     "DEGREES",
-                    "Euler.angles",
+                    "EulerAngles.angles",
                     f"is {known.tolist()} rad",
                     value=known,
                     limit="2 pi",
@@ -201,7 +201,7 @@ def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
         ((4,), (3, 3)),
         where,
         problems,
-        "Give a quaternion w, x, y, z, a rotation matrix or jb.Euler(sequence, angles).",
+        "Give a quaternion w, x, y, z, a rotation matrix or jb.EulerAngles(sequence, angles).",
     )
     if array is None:
         return np.array(IDENTITY)

@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody import lagrange
+import jaxbody.lagrange as lagrange
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Status

@@ -371,14 +371,16 @@ def equilibrium(
     derivative of a search that failed, or through a singular K, is NaN. Errors: UNATTACHED,
     BAD_SHAPE, UNKNOWN_BODY for a load; warns if the status is not OK. Source: (63) of the paper.
 
-    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=981.0, free_length=1.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    >>> spring = jb.Spring(
+    ...     ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=981.0, free_length=1.0
+    ... )
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
     ...     elements={"s": spring},
     ...     gravity=[0, -9.81, 0],
     ... )
-    >>> round(float(equilibrium(model).elongations["s"]), 12)
+    >>> round(float(jb.equilibrium(model).elongations["s"]), 12)
     0.02
     """
     check_precision("equilibrium", model)

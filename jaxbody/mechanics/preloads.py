@@ -137,14 +137,16 @@ def preload(
     whether it is stable. Differentiable. Errors: UNKNOWN_PATH, UNKNOWN_NAME for a coordinate,
     NOT_A_LENGTH, BAD_SHAPE for the pose; warns UNBALANCED, NEGATIVE_LENGTH, NOT_CLOSED.
 
-    >>> spring = Spring(("car", [0, 0, 0]), ("world", [0, 0, -0.5]), stiffness=2e4, free_length=0.5)
-    >>> model = Model(
-    ...     bodies={"car": Body(mass=400.0, inertia=[1, 1, 1])},
-    ...     joints={"car": Guide("world", axis=[0, 0, 1])},
+    >>> spring = jb.Spring(
+    ...     ("car", [0, 0, 0]), ("world", [0, 0, -0.5]), stiffness=2e4, free_length=0.5
+    ... )
+    >>> model = jb.Model(
+    ...     bodies={"car": jb.Body(mass=400.0, inertia=[1, 1, 1])},
+    ...     joints={"car": jb.Guide("world", axis=[0, 0, 1])},
     ...     elements={"spring": spring},
     ...     gravity=[0, 0, -10.0],
     ... )
-    >>> round(float(preload(model).free_lengths["spring.free_length"]), 9)
+    >>> round(float(jb.preload(model).free_lengths["spring.free_length"]), 9)
     0.7
     """
     check_precision("preload", model)

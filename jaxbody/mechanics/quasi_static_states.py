@@ -124,14 +124,16 @@ def excitation(
     Errors: UNKNOWN_NAME for a support, BAD_SHAPE, CLOSED_LOOPS for a model with closures built from
     traced numbers.
 
-    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
-    ...     supports={"base": Support()},
+    >>> spring = jb.Spring(
+    ...     ("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0
+    ... )
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
+    ...     supports={"base": jb.Support()},
     ...     elements={"s": spring},
     ... )
-    >>> force = excitation(model, model.reference, {"base": [0, 0.1, 0, 0, 0, 0]})
+    >>> force = jb.excitation(model, model.reference, {"base": [0, 0.1, 0, 0, 0, 0]})
     >>> round(float(force[0]), 9)
     5.0
     """
@@ -146,7 +148,7 @@ def excitation(
                 "excitation.model",
                 "has hysteretic elements, whose force depends on the path of the displacement",
                 limit="elements without hysteresis",
-                hint="Simulate the displacement with a jb.Motion.",
+                hint="Simulate the displacement with a jb.inputs.Motion.",
             )
         )
     with Problems() as problems:

@@ -112,13 +112,13 @@ def find_equilibria(
     equal energy) count as one. Errors: UNATTACHED, WRONG_KIND for a key; warns NOT_CONVERGED if no
     search ends at an equilibrium.
 
-    >>> rod = Body(mass=1.0, inertia=[0.1, 0.1, 0.01], com=[0, 0, -0.5])
-    >>> model = Model(
+    >>> rod = jb.Body(mass=1.0, inertia=[0.1, 0.1, 0.01], com=[0, 0, -0.5])
+    >>> model = jb.Model(
     ...     bodies={"rod": rod},
     ...     gravity=[0, 0, -9.81],
-    ...     joints={"rod": Hinge("world", axis=[0, 1, 0])},
+    ...     joints={"rod": jb.Hinge("world", axis=[0, 1, 0])},
     ... )
-    >>> find_equilibria(model, starts=16).stable.tolist()
+    >>> jb.find_equilibria(model, starts=16).stable.tolist()
     [True, False]
     """
     check_precision("find_equilibria", model)

@@ -54,7 +54,7 @@ class LoadCase(eqx.Module):
     the inertia force -m a on every body (braking, along -x, pushes bodies forward, +x; cornering to
     the left, +y, pushes them to the right), and `loads` {name: load}, evaluated at time 0.
 
-    >>> LoadCase(acceleration=[0, 0, 3]).acceleration.tolist()
+    >>> jb.LoadCase(acceleration=[0, 0, 3]).acceleration.tolist()
     [0.0, 0.0, 3.0]
     """
 
@@ -201,17 +201,22 @@ def load_cases(
     that are carried by joints alone. Differentiable. Errors: NO_CASE, UNKNOWN_BODY, UNATTACHED,
     WRONG_KIND.
 
-    >>> mount = Spring(("engine", [0, 0, 0]), ("world", [0, 0, -1]), stiffness=8e5, free_length=1.0)
-    >>> model = Model(
-    ...     bodies={"engine": Body(mass=150.0, inertia=[8, 4, 7])},
-    ...     joints={"engine": Guide("world", axis=[0, 0, 1])},
+    >>> mount = jb.Spring(
+    ...     ("engine", [0, 0, 0]), ("world", [0, 0, -1]), stiffness=8e5, free_length=1.0
+    ... )
+    >>> model = jb.Model(
+    ...     bodies={"engine": jb.Body(mass=150.0, inertia=[8, 4, 7])},
+    ...     joints={"engine": jb.Guide("world", axis=[0, 0, 1])},
     ...     elements={"mount": mount},
     ...     gravity=[0, 0, -9.81],
     ... )
-    >>> pull = Force("engine", force=[0, 0, 800.0])
-    >>> cases = load_cases(
+    >>> pull = jb.Force("engine", force=[0, 0, 800.0])
+    >>> cases = jb.load_cases(
     ...     model,
-    ...     {"bump": LoadCase(acceleration=[0, 0, 3]), "pull": LoadCase(loads={"chain": pull})},
+    ...     {
+    ...         "bump": jb.LoadCase(acceleration=[0, 0, 3]),
+    ...         "pull": jb.LoadCase(loads={"chain": pull}),
+    ...     },
     ... )
     >>> [round(float(z), 6) for z in cases.displacements["engine"][:, 2]]
     [-0.005516, 0.001]

@@ -32,14 +32,14 @@ class Body(Described, eqx.Module):
         position: position of the reference point O in the reference pose, where the search for
             equilibrium starts [m]
         orientation: rotation from body to world in the reference pose: unit quaternion w, x, y, z,
-            rotation matrix or `jb.Euler`
+            rotation matrix or `jb.EulerAngles`
 
     A body of several parts: `Body.of_parts`.
 
     Errors, all at once: BAD_MASS, NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE, BAD_ROTATION,
     BAD_QUATERNION, BAD_SHAPE, NON_FINITE, COMPLEX, NOT_A_NUMBER.
 
-    >>> float(Body(mass=3.0, inertia=[0.3, 0.9, 1.2]).inertia[1, 1])
+    >>> float(jb.Body(mass=3.0, inertia=[0.3, 0.9, 1.2]).inertia[1, 1])
     0.9
     """
 
@@ -74,8 +74,11 @@ class Body(Described, eqx.Module):
 
         `position` and `orientation` are those of the whole, as for a Body. Error: NO_PARTS.
 
-        >>> hammer = Body.of_parts(
-        ...     [Body(mass=0.2, inertia=[0, 2e-3, 2e-3]), Body(mass=0.5, position=[0.15, 0, 0])]
+        >>> hammer = jb.Body.of_parts(
+        ...     [
+        ...         jb.Body(mass=0.2, inertia=[0, 2e-3, 2e-3]),
+        ...         jb.Body(mass=0.5, position=[0.15, 0, 0]),
+        ...     ]
         ... )
         >>> round(float(hammer.com[0]), 6), round(float(hammer.inertia[2, 2]), 6)
         (0.107143, 0.005214)
@@ -107,7 +110,7 @@ class Support(Described, eqx.Module):
     """A frame whose motion is imposed, relative to its reference pose: `position` [m] and
     `orientation` (as for a body).
 
-    >>> Support(position=[0, -1, 0]).position.tolist()
+    >>> jb.Support(position=[0, -1, 0]).position.tolist()
     [0.0, -1.0, 0.0]
     """
 

@@ -211,12 +211,17 @@ def _put(array: Array, leaves: Sequence[Leaf], block: Array) -> Array:
     return device_array(changed)
 
 
-def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
+def parameter_paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
     """Return {path: value} of all numbers of a model or an experiment whose paths match a pattern.
     Error: WRONG_KIND.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -9.81])
-    >>> list(paths(model, "mass.m*")), float(paths(model, "mass.mass")["mass.mass"])
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -9.81]
+    ... )
+    >>> (
+    ...     list(jb.parameter_paths(model, "mass.m*")),
+    ...     float(jb.parameter_paths(model, "mass.mass")["mass.mass"]),
+    ... )
     (['mass.mass'], 2.0)
     """
     arrays = jax.tree.leaves(tree)
@@ -231,15 +236,15 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
     {"left.damper": law}.
 
     A value has the shape of one leaf, and is then used for every match, or one more leading axis
-    with a value for each match, in the order of `paths`. As when a model is built, an axis may have
-    any length, masses must be positive and quaternions of unit length. Errors, all at once:
-    WRONG_KIND, UNKNOWN_PATH, BAD_SHAPE, NON_FINITE, NOT_A_NUMBER, COMPLEX, LISTED_TWICE, BAD_MASS,
-    ZERO_AXIS, BAD_QUATERNION.
+    with a value for each match, in the order of `parameter_paths`. As when a model is built, an
+    axis may have any length, masses must be positive and quaternions of unit length. Errors, all at
+    once: WRONG_KIND, UNKNOWN_PATH, BAD_SHAPE, NON_FINITE, NOT_A_NUMBER, COMPLEX, LISTED_TWICE,
+    BAD_MASS, ZERO_AXIS, BAD_QUATERNION.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
-    >>> float(replace(model, {"*.mass": 3.0})["mass"].mass)
+    >>> model = jb.Model(bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])})
+    >>> float(jb.replace(model, {"*.mass": 3.0})["mass"].mass)
     3.0
-    >>> on_guide = replace(model, {"mass": Guide("world", axis=[0, 0, 1])})
+    >>> on_guide = jb.replace(model, {"mass": jb.Guide("world", axis=[0, 0, 1])})
     >>> type(on_guide.joint("mass")).__name__, float(on_guide["mass"].mass)
     ('Guide', 2.0)
     """

@@ -92,10 +92,10 @@ class Model(tables.Printed, eqx.Module):
     where closures are drawn open, assembled by the least movement. A derivative with respect to a
     model is a model. All problems of an input are reported in one error.
 
-    >>> model = Model(
-    ...     bodies={"plate": Body(mass=3.0, inertia=[0.3, 0.9, 1.2])},
+    >>> model = jb.Model(
+    ...     bodies={"plate": jb.Body(mass=3.0, inertia=[0.3, 0.9, 1.2])},
     ...     elements={
-    ...         "AB": Spring(
+    ...         "AB": jb.Spring(
     ...             ("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8
     ...         )
     ...     },

@@ -18,7 +18,7 @@ class State(eqx.Module):
     If z is omitted although elements have memory, they are at rest in this configuration: branches
     are relaxed, hysteresis is 0.
 
-    >>> state = State(q=[0.3], v=[0.0])
+    >>> state = jb.State(q=[0.3], v=[0.0])
     >>> state.q.shape, state.z.shape
     ((1,), (0,))
     """

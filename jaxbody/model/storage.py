@@ -50,7 +50,7 @@ class KindTable(eqx.Module):
                     limit="a row for each name",
                     hint=(
                         "A function of whole arrays, such as a norm, was applied to its tree; "
-                        "apply it to the values of jb.paths(model)."
+                        "apply it to the values of jb.parameter_paths(model)."
                     ),
                 )
             )

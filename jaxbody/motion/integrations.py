@@ -25,7 +25,7 @@ from jaxbody.model.models import Model
 from jaxbody.model.sizes import take_long
 from jaxbody.motion.canonical_equations import Canonical
 from jaxbody.motion.trajectories import Trajectory
-from jaxbody.numerics.adjoints import Blocks, Driven, Lasting, Projected, Unstarted, Watched
+from jaxbody.numerics.adjoints import BlockAdjoint, Driven, Lasting, Projected, Unstarted, Watched
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.precisions import reachable
 from jaxbody.numerics.runge_kutta_steps import TRIAL, first_length
@@ -101,7 +101,7 @@ def integrate(
         and isinstance(adjoint, diffrax.ForwardMode | None)
         and isinstance(meter, diffrax.NoProgressMeter)
     )
-    in_blocks = by_default or isinstance(adjoint, Blocks)
+    in_blocks = by_default or isinstance(adjoint, BlockAdjoint)
     form, term = dynamics, LOOPS if model.closures else MOTION
     if isinstance(solver, Gauss):
         _check_for_gauss(model)
@@ -228,14 +228,14 @@ def _in_blocks(
         controller, more = _cut_at_kinks(dynamics, diffrax.PIDController(**tolerances))
         max_steps += more
     one_way = isinstance(adjoint, diffrax.ForwardMode) or (
-        isinstance(adjoint, Blocks) and adjoint.forward_only
+        isinstance(adjoint, BlockAdjoint) and adjoint.forward_only
     )
     return {
         "solver": solver,
         "dt0": None,
         "saveat": diffrax.SaveAt(t1=True),
         "stepsize_controller": Unstarted(controller),
-        "adjoint": Blocks(times, dt0, forward_only=one_way),
+        "adjoint": BlockAdjoint(times, dt0, forward_only=one_way),
         "max_steps": max_steps,
     }
 

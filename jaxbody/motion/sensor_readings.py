@@ -84,14 +84,14 @@ def measure(
     BAD_SHAPE, NON_FINITE, NO_KEY.
 
     >>> import jax, jax.numpy as jnp
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
     ...     gravity=[0, -9.81, 0],
     ... )
-    >>> measured = measure(
-    ...     simulate(model, jnp.linspace(0, 1, 5)),
-    ...     {"place": Position("mass")},
+    >>> measured = jb.measure(
+    ...     jb.simulate(model, jnp.linspace(0, 1, 5)),
+    ...     {"place": jb.Position("mass")},
     ...     noise=1e-3,
     ...     key=jax.random.key(0),
     ... )

@@ -108,9 +108,9 @@ def simulate(
         solver: a diffrax solver; by default Dopri8.
         stepsize_controller: a diffrax controller; by default the error controls the steps; with
             diffrax.ConstantStepSize() they are dt0.
-        adjoint: a diffrax adjoint; by default jb.Blocks(), with which forward and reverse mode
-            work, and forward over reverse. For few parameters diffrax.ForwardMode() is faster; with
-            a `solver` forward mode requires it, or jb.Blocks().
+        adjoint: a diffrax adjoint; by default jb.BlockAdjoint(), with which forward and reverse
+            mode work, and forward over reverse. For few parameters diffrax.ForwardMode() is faster;
+            with a `solver` forward mode requires it, or jb.BlockAdjoint().
         dt0: the first step, or the constant step [s]; by default chosen.
         max_steps: the largest number of steps; by default 100,000, or 30 for each sample if that
             is more.
@@ -155,17 +155,19 @@ def simulate(
     million sizes of the model away from where it is attached.
 
     >>> import jax.numpy as jnp
-    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("base", axis=[0, 1, 0])},
-    ...     supports={"base": Support()},
+    >>> spring = jb.Spring(
+    ...     ("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0
+    ... )
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("base", axis=[0, 1, 0])},
+    ...     supports={"base": jb.Support()},
     ...     elements={"s": spring},
     ... )
-    >>> trajectory = simulate(
+    >>> trajectory = jb.simulate(
     ...     model,
     ...     jnp.linspace(0, 1, 11),
-    ...     motion={"base": Harmonic(frequency=1.0, translation=[0, 0.1, 0])},
+    ...     motion={"base": jb.Harmonic(frequency=1.0, translation=[0, 0.1, 0])},
     ... )
     >>> trajectory.poses["mass"].p.shape
     (11, 3)
@@ -562,14 +564,16 @@ def equations_of_motion(
     A mass on a spring falls until it has moved by 0.05 m:
 
     >>> import diffrax, optimistix
-    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=50.0, free_length=1.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 0, 1])},
+    >>> spring = jb.Spring(
+    ...     ("mass", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=50.0, free_length=1.0
+    ... )
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
     ...     elements={"s": spring},
     ...     gravity=[0, 0, -9.81],
     ... )
-    >>> f = equations_of_motion(model)
+    >>> f = jb.equations_of_motion(model)
     >>> low = diffrax.Event(lambda t, y, args, **_: y.q[0] + 0.05, optimistix.Newton(1e-9, 1e-9))
     >>> done = diffrax.diffeqsolve(
     ...     diffrax.ODETerm(f),

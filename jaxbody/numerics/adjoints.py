@@ -1,4 +1,4 @@
-"""Blocks: explicit Runge-Kutta steps of `diffrax.diffeqsolve` in fast loops, with derivatives in
+"""Explicit Runge-Kutta steps of `diffrax.diffeqsolve` in fast loops, with derivatives in
 both modes."""
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ POINTS = 13  # at which a look checks a step between its ends, besides samples
 class Driven(diffrax.ODETerm):
     """y' = driven(u, y, args) with u = drive(t, args), the part that depends on time alone.
 
-    `Blocks` computes u for all stages of a step at once. Both functions are traced once for each
-    shape, also where diffeqsolve needs only their shapes; give functions of a module. `project`:
-    project(u, y, at_y, args), the state next to y that fulfils conditions which solutions fulfil,
-    with what `driven` then returns besides y'; None without such conditions."""
+    `BlockAdjoint` computes u for all stages of a step at once. Both functions are traced once for
+    each shape, also where diffeqsolve needs only their shapes; give functions of a module.
+    `project`: project(u, y, at_y, args), the state next to y that fulfils conditions which
+    solutions fulfil, with what `driven` then returns besides y'; None without such conditions."""
 
     drive: Callable[[Any, Any], Any]
     driven: Callable[[Any, Any, Any], Any]
@@ -65,8 +65,8 @@ def _rate_of_whole(drive, driven, t, y, args):
 
 
 class Unstarted(diffrax.AbstractStepSizeController):
-    """A controller that leaves the first step to `Blocks`: diffeqsolve then neither evaluates the
-    rate nor checks dt0."""
+    """A controller that leaves the first step to `BlockAdjoint`: diffeqsolve then neither evaluates
+    the rate nor checks dt0."""
 
     controller: diffrax.AbstractStepSizeController
 
@@ -158,7 +158,7 @@ class Projected(Wrapped):
 
 
 class Watched(Wrapped):
-    """A solver whose steps end projected, with looks along them, as in `Blocks`.
+    """A solver whose steps end projected, with looks along them, as in `BlockAdjoint`.
 
     After a step with an error far below the tolerance, the next one's interpolation is evaluated
     at points between its ends and at the sample times, otherwise in its middle alone, where half
@@ -224,7 +224,7 @@ class Watched(Wrapped):
         )
 
 
-class Blocks(diffrax.AbstractAdjoint):
+class BlockAdjoint(diffrax.AbstractAdjoint):
     """An adjoint of `diffrax.diffeqsolve` for small systems on a CPU: explicit Runge-Kutta steps in
     blocks of 128, in loops that compile to fast code. Reverse mode, forward mode and forward over
     reverse work.
@@ -273,7 +273,7 @@ class Blocks(diffrax.AbstractAdjoint):
     ...         y0,
     ...         k,
     ...         stepsize_controller=steps,
-    ...         adjoint=Blocks(),
+    ...         adjoint=jb.BlockAdjoint(),
     ...     )
     ...     return path.ys[-1, 0]
     >>> print(
@@ -407,7 +407,7 @@ def _steps_of(controller: Any) -> tuple[Any, Array | None]:
 
 
 def _check(solver, control, event, saveat, max_steps, meter) -> None:
-    """Check that Blocks support these options. Errors, all at once: WRONG_KIND."""
+    """Check that a `BlockAdjoint` supports these options. Errors, all at once: WRONG_KIND."""
     explicit = isinstance(solver, diffrax.AbstractERK) and len(solver.tableau.c) > 0  # pyright: ignore
     integral = isinstance(control, diffrax.PIDController) and (
         (control.pcoeff, control.icoeff, control.dcoeff, control.dtmax) == (0, 1, 0, None)
@@ -440,5 +440,9 @@ def _check(solver, control, event, saveat, max_steps, meter) -> None:
         ):
             if not fits:
                 problems.add(
-                    "WRONG_KIND", f"Blocks.{name}", f"is {kind_of(value)}", value=value, limit=limit
+                    "WRONG_KIND",
+                    f"BlockAdjoint.{name}",
+                    f"is {kind_of(value)}",
+                    value=value,
+                    limit=limit,
                 )

@@ -60,7 +60,7 @@ class Gauss(AbstractSolver):
     Error: BAD_VALUE unless stages is 1, 2 or 3.
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.3, IV.2.1, VI.4, IX.8.
 
-    >>> solver = Gauss(stages=3)
+    >>> solver = jb.Gauss(stages=3)
     >>> # steps = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=period / 10)
     >>> # simulate(model, times, solver=solver, **steps)
     """

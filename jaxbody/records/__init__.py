@@ -1,1 +1,10 @@
 """Measured data: files, formats, units, sampling, repairs."""
+
+from jaxbody.core.compilation.late_imports import late_names
+
+_NAMES = {
+    "record_files": ("read_record",),
+    "records": ("Record",),
+    "response_files": ("read_responses",),
+}
+__getattr__, __dir__, __all__ = late_names("jaxbody.records", _NAMES)

@@ -65,7 +65,7 @@ def read_record(
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.csv"
     >>> _ = path.write_text("t [ms],acc [g]\\n0,0.1\\n10,0.2\\n20,0.0\\n")
-    >>> read_record(path, time="t", channels={"acc": "acc"})["acc"].round(3).tolist()
+    >>> jb.read_record(path, time="t", channels={"acc": "acc"})["acc"].round(3).tolist()
     [0.981, 1.961, 0.0]
     """
     name = str(getattr(path, "name", path))[-100:]

@@ -45,9 +45,8 @@ class Record(Labeled, tables.Printed):
     ALL_NAN, BAD_OPTION. Warns MISSING, DEAD, SATURATED, UNIT (g for m/s2, degrees for radians),
     TIME_UNIT, LOW_RATE.
 
-    >>> Record([0, 10, 20, 30], {"acc": ([0.1, 0.2, 0.0, -0.1], "g")}, time_unit="ms")["acc"].round(
-    ...     3
-    ... ).tolist()
+    >>> acc = ([0.1, 0.2, 0.0, -0.1], "g")
+    >>> jb.Record([0, 10, 20, 30], {"acc": acc}, time_unit="ms")["acc"].round(3).tolist()
     [0.981, 1.961, 0.0, -0.981]
     """
 

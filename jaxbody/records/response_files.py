@@ -27,7 +27,7 @@ def read_responses(
     Errors: those of a file in `read_record`, NOT_A_RESPONSE, NO_UNIT, UNKNOWN_UNIT, UNIT_CONFLICT,
     DIFFERENT_FREQUENCIES.
 
-    >>> frequencies, measured = read_responses(
+    >>> frequencies, measured = jb.records.read_responses(
     ...     "plate.uff", {("corner", "hammer"): "4+Z/1+Z"}
     ... )  # doctest: +SKIP
     """

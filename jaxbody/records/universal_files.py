@@ -129,8 +129,8 @@ def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
                     name,
                     "types 0 and 1",
                     (
-                        "Export time responses; jb.read_responses reads frequency responses, and "
-                        "jb.PSD.from_record makes densities of records."
+                        "Export time responses; jb.records.read_responses reads frequency "
+                        "responses, and jb.vibration.PSD.from_record makes densities of records."
                     ),
                 )
             )
@@ -172,8 +172,8 @@ def read_uff_responses(path: Any, wanted: list[str], largest: float) -> dict[str
                         asked,
                         "type 4",
                         (
-                            "Export frequency responses, H1 or H2 (function type 4); jb.PSD takes "
-                            "a power spectral density as numbers."
+                            "Export frequency responses, H1 or H2 (function type 4); "
+                            "jb.vibration.PSD takes a power spectral density as numbers."
                         ),
                     )
                 )

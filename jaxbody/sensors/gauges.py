@@ -64,7 +64,7 @@ class Displacement(Gauge):
     Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, BAD_DIRECTION, ZERO_AXIS, BAD_SHAPE, NON_FINITE,
     BAD_CHAIN, BAD_LAG.
 
-    >>> Displacement(("plate", [0.1, 0, 0]), "base", axis=[0, 0, 1]).shape
+    >>> jb.sensors.Displacement(("plate", [0.1, 0, 0]), "base", axis=[0, 0, 1]).shape
     ()
     """
 
@@ -91,7 +91,7 @@ class StringPotentiometer(Gauge):
     Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_LENGTH in the reference pose, BAD_SHAPE,
     NON_FINITE, BAD_LAG.
 
-    >>> StringPotentiometer(("plate", [0.1, 0, 0]), ("base", [0, 0, 1])).between
+    >>> jb.sensors.StringPotentiometer(("plate", [0.1, 0, 0]), ("base", [0, 0, 1])).between
     ('plate', 'base')
     """
 
@@ -216,7 +216,7 @@ class LaserVibrometer(LaserLine):
 
     Errors: ZERO_AXIS, NO_SURFACE, GRAZING, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_LAG.
 
-    >>> LaserVibrometer("plate", [0.1, 0, 0], axis=[0, 0, 1]).unit
+    >>> jb.sensors.LaserVibrometer("plate", [0.1, 0, 0], axis=[0, 0, 1]).unit
     'm/s'
     """
 
@@ -236,7 +236,7 @@ class LaserDistance(LaserLine):
     surface of a body, as read by a triangulation sensor. Arguments and errors: see LaserVibrometer;
     `origin` and `normal` must be given.
 
-    >>> LaserDistance(
+    >>> jb.sensors.LaserDistance(
     ...     "plate", [0, 0, 0.1], origin=[0, 0, 1], axis=[0, 0, -1], normal=[0, 0, 1]
     ... ).unit
     'm'

@@ -88,11 +88,10 @@ class Accelerometer(Mounted):
     Errors: TWO_AXES, ZERO_AXIS, BAD_QUATERNION, BAD_ROTATION, BAD_SHAPE, NON_FINITE,
     BAD_CHAIN, BAD_LAG.
 
-    >>> box, hinge = Body(mass=2.0, inertia=[1, 1, 1]), Hinge("world", axis=[0, 0, 1])
-    >>> model = Model(bodies={"box": box}, joints={"box": hinge}, gravity=[0, 0, -9.81])
-    >>> measure(simulate(model, [0.0, 0.1]), {"acc": Accelerometer("box", [0.1, 0, 0])})["acc"][
-    ...     0
-    ... ].tolist()
+    >>> box, hinge = jb.Body(mass=2.0, inertia=[1, 1, 1]), jb.Hinge("world", axis=[0, 0, 1])
+    >>> model = jb.Model(bodies={"box": box}, joints={"box": hinge}, gravity=[0, 0, -9.81])
+    >>> sensors = {"acc": jb.Accelerometer("box", [0.1, 0, 0])}
+    >>> jb.measure(jb.simulate(model, [0.0, 0.1]), sensors)["acc"][0].tolist()
     [0.0, 0.0, 9.81]
     """
 
@@ -113,7 +112,7 @@ class Gyro(Mounted):
     """Angular velocity [rad/s] of a body or support in the axes of the instrument, w_S = R_S' R' w.
     Its arguments (except `point`) and errors are those of an Accelerometer.
 
-        >>> Gyro("box", axis=[0, 0, 1]).shape, Gyro("box").shape
+        >>> jb.sensors.Gyro("box", axis=[0, 0, 1]).shape, jb.sensors.Gyro("box").shape
         ((), (3,))
     """
 
@@ -125,7 +124,7 @@ class Gyro(Mounted):
         return self.along(frames.R[row], frames.w[row])
 
 
-class Tilt(Mounted):
+class Inclinometer(Mounted):
     """An inclinometer: the angles [rad] of its x and y axes above the horizontal plane, or of its
     single `axis`, positive upwards,
 
@@ -135,7 +134,7 @@ class Tilt(Mounted):
     use an Accelerometer. Its arguments (except `point`) and errors are those of an Accelerometer,
     with NO_GRAVITY for a model without gravity.
 
-    >>> Tilt("box").shape, Tilt("box", axis=[1, 0, 0]).shape
+    >>> jb.sensors.Inclinometer("box").shape, jb.sensors.Inclinometer("box", axis=[1, 0, 0]).shape
     ((2,), ())
     """
 
@@ -231,7 +230,7 @@ class Elongation(OfElement):
     of its end b, in the axes of its end a. Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE,
     NON_FINITE, BAD_LAG.
 
-    >>> Elongation("AB").unit, Elongation("mount", component=5).unit
+    >>> jb.Elongation("AB").unit, jb.Elongation("mount", component=5).unit
     ('m', 'rad')
     """
 
@@ -252,7 +251,7 @@ class LoadCell(OfElement):
     the axis.
     Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_LAG.
 
-    >>> LoadCell("AB").unit, LoadCell("mount", component=5).unit
+    >>> jb.sensors.LoadCell("AB").unit, jb.sensors.LoadCell("mount", component=5).unit
     ('N', 'N m')
     """
 
@@ -316,7 +315,7 @@ class ForcePlate(WrenchSensor):
     forces [N] and moments [N m]. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor. Errors:
     UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
 
-    >>> ForcePlate("base").shape, ForcePlate("base", component=2).unit
+    >>> jb.sensors.ForcePlate("base").shape, jb.sensors.ForcePlate("base", component=2).unit
     ((6,), 'N')
     """
 
@@ -350,9 +349,10 @@ class Reaction(WrenchSensor):
     Errors: UNKNOWN_NAME, NO_JOINT for a free body, BAD_COMPONENT, BAD_SHAPE, NON_FINITE,
     BAD_CHAIN, BAD_LAG.
 
-    >>> box, hinge = Body(mass=2.0, inertia=[1, 1, 1]), Hinge("world", axis=[0, 1, 0])
-    >>> model = Model(bodies={"box": box}, joints={"box": hinge}, gravity=[0, 0, -9.81])
-    >>> measure(simulate(model, [0.0, 0.1]), {"up": Reaction("box", component=2)})["up"].tolist()
+    >>> box, hinge = jb.Body(mass=2.0, inertia=[1, 1, 1]), jb.Hinge("world", axis=[0, 1, 0])
+    >>> model = jb.Model(bodies={"box": box}, joints={"box": hinge}, gravity=[0, 0, -9.81])
+    >>> sensors = {"up": jb.sensors.Reaction("box", component=2)}
+    >>> jb.measure(jb.simulate(model, [0.0, 0.1]), sensors)["up"].tolist()
     [19.62, 19.62]
     """
 
@@ -409,7 +409,7 @@ class JointAngle(Components):
     Errors: UNKNOWN_NAME, BAD_COMPONENT (free bodies and ball joints have no angle: use
     Orientation), BAD_SHAPE, NON_FINITE, BAD_LAG.
 
-    >>> JointAngle("arm").unit
+    >>> jb.sensors.JointAngle("arm").unit
     'rad'
     """
 
@@ -537,7 +537,7 @@ class BodyPose(Attitude):
     reading, in world axes. Noise is one number for both, or two: meters for the position, radians
     for the orientation. `bias` (six numbers) and `delay` may be given.
 
-    >>> BodyPose("plate").shape, BodyPose("plate").noise_shape
+    >>> jb.sensors.BodyPose("plate").shape, jb.sensors.BodyPose("plate").noise_shape
     ((7,), (6,))
     """
 
@@ -560,7 +560,7 @@ class Orientation(Attitude):
     axes. `bias` (three numbers) is a rotation vector that rotates the reading; `delay` may be given
     too. Errors: BAD_QUATERNION, BAD_ROTATION, BAD_SHAPE, NON_FINITE, BAD_CHAIN.
 
-    >>> Orientation("plate").shape, Orientation("plate").noise_shape
+    >>> jb.sensors.Orientation("plate").shape, jb.sensors.Orientation("plate").noise_shape
     ((4,), (3,))
     """
 

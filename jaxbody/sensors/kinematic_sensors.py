@@ -148,7 +148,7 @@ class Position(KinematicOfPoint):
 
     Errors: BAD_DIRECTION, ZERO_AXIS, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
 
-    >>> Position("plate", [0.1, 0, 0]).shape, Position("plate", axis="x").shape
+    >>> jb.Position("plate", [0.1, 0, 0]).shape, jb.Position("plate", axis="x").shape
     ((3,), ())
     """
 
@@ -165,7 +165,7 @@ class Velocity(KinematicOfPoint):
 
     Its arguments and errors are those of Position.
 
-    >>> Velocity("plate", [0.1, 0, 0], relative_to="base").unit
+    >>> jb.Velocity("plate", [0.1, 0, 0], relative_to="base").unit
     'm/s'
     """
 
@@ -185,13 +185,14 @@ class Acceleration(KinematicOfPoint):
 
     Its arguments and errors are those of Position. A stone that falls:
 
-    >>> guide = Guide("world", axis=[0, 0, 1])
-    >>> model = Model(
-    ...     bodies={"stone": Body(mass=1, inertia=[1, 1, 1])},
+    >>> guide = jb.Guide("world", axis=[0, 0, 1])
+    >>> model = jb.Model(
+    ...     bodies={"stone": jb.Body(mass=1, inertia=[1, 1, 1])},
     ...     joints={"stone": guide},
     ...     gravity=[0, 0, -10],
     ... )
-    >>> measure(simulate(model, [0.0, 0.5]), {"a": Acceleration("stone", axis="z")})["a"].tolist()
+    >>> sensors = {"a": jb.Acceleration("stone", axis="z")}
+    >>> jb.measure(jb.simulate(model, [0.0, 0.5]), sensors)["a"].tolist()
     [-10.0, -10.0]
     """
 
@@ -225,7 +226,7 @@ class Rotation(Kinematic):
 
     Errors: BAD_DIRECTION, ZERO_AXIS, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
 
-    >>> Rotation("plate", axis="z").unit
+    >>> jb.sensors.Rotation("plate", axis="z").unit
     'rad'
     """
 
@@ -252,7 +253,7 @@ class AngularVelocity(KinematicVector):
     """Angular velocity [rad/s] of a body or support. Its arguments and errors are those of
     Rotation; a Gyro reads it in its own axes.
 
-    >>> AngularVelocity("plate").shape
+    >>> jb.sensors.AngularVelocity("plate").shape
     (3,)
     """
 
@@ -268,7 +269,7 @@ class AngularAcceleration(KinematicVector):
     """Angular acceleration [rad/s2] of a body or support. Its arguments and errors are those
     of Rotation.
 
-    >>> AngularAcceleration("plate", axis="y").unit
+    >>> jb.sensors.AngularAcceleration("plate", axis="y").unit
     'rad/s2'
     """
 

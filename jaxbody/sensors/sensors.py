@@ -228,19 +228,19 @@ class Sensor(Described, Channel):
     of a falling body, read 2 % too high:
 
     >>> import equinox as eqx
-    >>> class Speed(Sensor):
+    >>> class Speed(jb.sensors.Sensor):
     ...     on: str = eqx.field(static=True)
     ...     shape, unit = (), "m/s"
     ...     def reading(self, model, frames):
     ...         return jnp.linalg.norm(frames.v[model.layout.frame(self.on)])
-    >>> guide = Guide("world", axis=[0, 0, 1])
-    >>> model = Model(
-    ...     bodies={"stone": Body(mass=1, inertia=[1, 1, 1])},
+    >>> guide = jb.Guide("world", axis=[0, 0, 1])
+    >>> model = jb.Model(
+    ...     bodies={"stone": jb.Body(mass=1, inertia=[1, 1, 1])},
     ...     joints={"stone": guide},
     ...     gravity=[0, 0, -10],
     ... )
-    >>> run = simulate(model, [0.0, 0.5])
-    >>> round(float(measure(run, {"speed": Speed("stone", gain=1.02)})["speed"][-1]), 9)
+    >>> run = jb.simulate(model, [0.0, 0.5])
+    >>> round(float(jb.measure(run, {"speed": Speed("stone", gain=1.02)})["speed"][-1]), 9)
     5.1
     """
 

@@ -51,7 +51,7 @@ class SNCurve(eqx.Module):
 
     Errors: NO_UNIT, UNKNOWN_UNIT, BAD_NUMBER, BAD_OPTION.
 
-    >>> weld = SNCurve(3.0, cycles=2e6, level=71.0, unit="MPa")
+    >>> weld = jb.shock.SNCurve(3.0, cycles=2e6, level=71.0, unit="MPa")
     >>> round(float(weld.endured(142e6)))
     250000
     """
@@ -159,20 +159,20 @@ def fatigue_damage(
     'jaxbody[fatigue]'; warns NONFINITE.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
-    >>> ride = random_response(
-    ...     linearize(car, car.reference),
-    ...     Band(0.1, 50.0),
-    ...     {"road": BaseMotion("road", "z")},
-    ...     {"spring": LoadCell("suspension")},
-    ...     {"road": Unevenness.iso("C").at_speed(20.0)},
+    >>> ride = jb.random_response(
+    ...     jb.linearize(car, car.reference),
+    ...     jb.vibration.Band(0.1, 50.0),
+    ...     {"road": jb.BaseMotion("road", "z")},
+    ...     {"spring": jb.sensors.LoadCell("suspension")},
+    ...     {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)},
     ... )
-    >>> curve = SNCurve(5.0, cycles=1e6, level=4.0, unit="kN")
-    >>> damage = fatigue_damage(ride, {"spring": curve}, duration=3600.0)
+    >>> curve = jb.shock.SNCurve(5.0, cycles=1e6, level=4.0, unit="kN")
+    >>> damage = jb.shock.fatigue_damage(ride, {"spring": curve}, duration=3600.0)
     >>> bool(
     ...     damage["spring"]
-    ...     < fatigue_damage(ride, {"spring": curve}, duration=3600.0, method="narrow band")[
-    ...         "spring"
-    ...     ]
+    ...     < jb.shock.fatigue_damage(
+    ...         ride, {"spring": curve}, duration=3600.0, method="narrow band"
+    ...     )["spring"]
     ... )
     True
     """

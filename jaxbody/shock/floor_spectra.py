@@ -48,9 +48,9 @@ FINE = 20
 
 def floor_spectrum(
     lin: Linearization,
+    frequencies: Any,
     spectra: dict[Any, dict[str, Any]],
     output: Any,
-    frequencies: Any,
     *,
     damping: Any = 0.05,
     modal_damping: Any = None,
@@ -64,10 +64,10 @@ def floor_spectrum(
 
     Args:
         lin: `linearize(model, equilibrium(model))`.
+        frequencies: natural frequencies of the equipment [Hz], in one row.
         spectra: {support: {direction: record or ResponseSpectrum}}, as in `spectrum_response`.
         output: a sensor of one acceleration, such as Acceleration("cabinet", [0, 0, 1.8],
             axis="x").
-        frequencies: natural frequencies of the equipment [Hz], in one row.
         damping: damping ratio or ratios of the equipment.
         modal_damping: damping ratios of the model's modes, one for all or one for each; default:
             those of the model's dampers.
@@ -75,25 +75,23 @@ def floor_spectrum(
     Errors: those of `spectrum_response` and `shock_spectrum`, BAD_UNIT for an output that is no
     acceleration, BAD_OPTION for records of different times, or records with spectra.
 
-    >>> spring = Spring(
+    >>> spring = jb.Spring(
     ...     ("floor", [0, 0, 0]), ("base", [1, 0, 0]), stiffness=800.0, free_length=1.0, damping=4.0
     ... )
-    >>> model = Model(
-    ...     bodies={"floor": Body(2.0, [1, 1, 1])},
-    ...     supports={"base": Support()},
+    >>> model = jb.Model(
+    ...     bodies={"floor": jb.Body(2.0, [1, 1, 1])},
+    ...     supports={"base": jb.Support()},
     ...     elements={"s": spring},
-    ...     joints={"floor": Guide("world", axis="x")},
+    ...     joints={"floor": jb.Guide("world", axis="x")},
     ... )
-    >>> level = Eurocode8(2.0)
-    >>> floor = floor_spectrum(
-    ...     linearize(model, equilibrium(model)),
-    ...     {"base": {"x": level}},
-    ...     Acceleration("floor", axis="x"),
+    >>> level = jb.shock.Eurocode8(2.0)
+    >>> floor = jb.shock.floor_spectrum(
+    ...     jb.linearize(model, jb.equilibrium(model)),
     ...     [0.3, 1e3],
+    ...     {"base": {"x": level}},
+    ...     jb.Acceleration("floor", axis="x"),
     ... )
-    >>> soft, rigid = floor.values[
-    ...     0
-    ... ].tolist()  # that of the ground, and the acceleration of the floor
+    >>> soft, rigid = floor.values[0].tolist()  # of the ground, and of the floor's peak
     >>> round(soft / float(level(0.3)), 2), round(rigid / float(level(3.1831)), 2)
     (1.02, 1.0)
     """

@@ -122,7 +122,7 @@ class MatchedRecord(Labeled, Result):
         return [tables.PrintedTable(title, ("", "", ""), rows, self.failure)]
 
 
-def matched_record(
+def spectrum_compatible_record(
     spectrum: ResponseSpectrum,
     *,
     duration: float,
@@ -154,8 +154,8 @@ def matched_record(
     NOT_CONVERGED. Source: L. Al Atik, N. Abrahamson, Earthquake Spectra 26 (2010) 601, whose
     adjustments are wavelets.
 
-    >>> quake = matched_record(
-    ...     Eurocode8(2.0, "B"),
+    >>> quake = jb.shock.spectrum_compatible_record(
+    ...     jb.shock.Eurocode8(2.0, "B"),
     ...     duration=8.0,
     ...     key=jax.random.key(1),
     ...     frequencies=[0.7, 1.0, 1.5, 2.5, 4.0],
@@ -171,20 +171,24 @@ def matched_record(
         check_kind(
             spectrum,
             ResponseSpectrum,
-            "matched_record.spectrum",
+            "spectrum_compatible_record.spectrum",
             "a ResponseSpectrum, such as Eurocode8(2.0)",
             problems,
         )
-        length = positive_number(duration, "matched_record.duration", problems)
-        check_key(key, "matched_record.key", problems, "Phases are random: give")
-        zeta = check_dampings(damping, "matched_record.damping", problems)
-        limit = positive_number(tolerance, "matched_record.tolerance", problems)
-        given = None if rate is None else positive_number(rate, "matched_record.rate", problems)
+        length = positive_number(duration, "spectrum_compatible_record.duration", problems)
+        check_key(key, "spectrum_compatible_record.key", problems, "Phases are random: give")
+        zeta = check_dampings(damping, "spectrum_compatible_record.damping", problems)
+        limit = positive_number(tolerance, "spectrum_compatible_record.tolerance", problems)
+        given = (
+            None
+            if rate is None
+            else positive_number(rate, "spectrum_compatible_record.rate", problems)
+        )
         f = (
             None
             if frequencies is None
             else problems.gather(
-                lambda: check_frequencies(frequencies, "matched_record.frequencies")
+                lambda: check_frequencies(frequencies, "spectrum_compatible_record.frequencies")
             )
         )
         problems.raise_if_any()
@@ -194,7 +198,7 @@ def matched_record(
     n = max(int(np.ceil(float(length) * per_second)), 2 * LINES)
     times = float(length) * np.arange(n + 1) / n
     problem = _Problem(times, f, np.asarray(spectrum(f, zeta)), float(zeta))
-    with working("matched_record") as line:
+    with working("spectrum_compatible_record") as line:
         a, reached = _fitted(problem, key, float(limit) / 2, line)
     v, x = (np.asarray(y)[:, 0] for y in integrals(times, a[:, None]))
     deviation = np.abs(reached / problem.target - 1).max()
@@ -214,7 +218,7 @@ def _check_reach(
 ) -> None:
     """Check that the spectrum covers the frequencies `f` [Hz], and that the duration [s] and
     sampling rate [Hz] suffice for them."""
-    where, (low, high) = "matched_record.frequencies", map(float, spectrum.covers())
+    where, (low, high) = "spectrum_compatible_record.frequencies", map(float, spectrum.covers())
     if (outside := f[(f < low * (1 - 1e-9)) | (f > high * (1 + 1e-9))]).size:
         problems.add(
             "NOT_COVERED",
@@ -236,7 +240,7 @@ def _check_reach(
     if rate < 4 * f[-1]:
         problems.add(
             "LOW_RATE",
-            "matched_record.rate",
+            "spectrum_compatible_record.rate",
             f"is {rate:g} Hz",
             value=rate,
             limit=f">= {4 * f[-1]:.6g} Hz",

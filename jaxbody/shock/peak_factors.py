@@ -83,14 +83,14 @@ def level_crossings(response: RandomResponse, output: str, levels: Any) -> Float
     J. 24 (1945) 46.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
-    >>> ride = random_response(
-    ...     linearize(car, car.reference),
-    ...     Band(0.1, 50.0),
-    ...     {"road": BaseMotion("road", "z")},
-    ...     {"travel": Elongation("suspension")},
-    ...     {"road": Unevenness.iso("C").at_speed(20.0)},
+    >>> ride = jb.random_response(
+    ...     jb.linearize(car, car.reference),
+    ...     jb.vibration.Band(0.1, 50.0),
+    ...     {"road": jb.BaseMotion("road", "z")},
+    ...     {"travel": jb.Elongation("suspension")},
+    ...     {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)},
     ... )
-    >>> rates = level_crossings(ride, "travel", [0.0, 2 * ride["travel"]])
+    >>> rates = jb.shock.level_crossings(ride, "travel", [0.0, 2 * ride["travel"]])
     >>> round(float(rates[1] / rates[0]), 6)  # exp(-2)
     0.135335
     """
@@ -196,14 +196,14 @@ def peak_factor(
     fewer than 1.5 crossings in T.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
-    >>> ride = random_response(
-    ...     linearize(car, car.reference),
-    ...     Band(0.1, 50.0),
-    ...     {"road": BaseMotion("road", "z")},
-    ...     {"travel": Elongation("suspension")},
-    ...     {"road": Unevenness.iso("C").at_speed(20.0)},
+    >>> ride = jb.random_response(
+    ...     jb.linearize(car, car.reference),
+    ...     jb.vibration.Band(0.1, 50.0),
+    ...     {"road": jb.BaseMotion("road", "z")},
+    ...     {"travel": jb.Elongation("suspension")},
+    ...     {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)},
     ... )
-    >>> peaks = peak_factor(ride, 60.0)
+    >>> peaks = jb.shock.peak_factor(ride, 60.0)
     >>> round(float(peaks["travel"] / ride["travel"]), 2)
     3.62
     """

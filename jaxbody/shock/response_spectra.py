@@ -26,7 +26,7 @@ class ResponseSpectrum(tables.Printed, eqx.Module):
     pseudo-acceleration w^2 max|x| [m/s2] at frequencies [Hz] and damping ratios, of oscillators x''
     + 2 zeta w x' + w^2 x = -a. A subclass defines `__call__` and `covers`.
 
-    >>> class Plateau(ResponseSpectrum):
+    >>> class Plateau(jb.shock.ResponseSpectrum):
     ...     level: float
     ...     def __call__(self, frequencies, damping=0.05):
     ...         return self.level * jnp.sqrt(0.05 / damping) * jnp.ones(jnp.shape(frequencies))
@@ -140,7 +140,7 @@ class DesignSpectrum(ResponseSpectrum):
 
     Errors: BAD_FREQUENCY, NOT_POSITIVE, NOT_A_FRACTION, BAD_SHAPE, NON_FINITE.
 
-    >>> spectrum = DesignSpectrum([1.0, 4.0], [2.0, 8.0])
+    >>> spectrum = jb.shock.DesignSpectrum([1.0, 4.0], [2.0, 8.0])
     >>> round(float(spectrum(2.0)), 9)
     4.0
     """
@@ -223,7 +223,7 @@ class Eurocode8(ResponseSpectrum):
     Errors: BAD_OPTION, BAD_NUMBER. Source: EN 1998-1:2004, 3.2.2.2 and 3.2.2.3; national annexes
     may have other numbers.
 
-    >>> spectrum = Eurocode8(2.0, ground="B")
+    >>> spectrum = jb.shock.Eurocode8(2.0, ground="B")
     >>> [round(float(x), 9) for x in (spectrum(3.0), spectrum(1.0), spectrum.rigid())]
     [6.0, 3.0, 2.4]
     """
@@ -295,7 +295,7 @@ class ASCE7(ResponseSpectrum):
     Errors: BAD_NUMBER. Source: ASCE 7-16, 11.4.6; B by its table 17.5-1, in straight lines between
     its rows.
 
-    >>> spectrum = ASCE7(short=1.0, one_second=0.6)
+    >>> spectrum = jb.shock.ASCE7(short=1.0, one_second=0.6)
     >>> [round(float(x) / 9.80665, 9) for x in (spectrum(4.0), spectrum(0.5), spectrum.rigid())]
     [1.0, 0.3, 0.4]
     """

@@ -169,7 +169,7 @@ def shock_spectrum(
 
     Args:
         record: a Record with one acceleration, (times, accelerations) [s, m/s2], evenly spaced, or
-            a pulse [m/s2] such as jb.HalfSine(...).
+            a pulse [m/s2] such as jb.inputs.HalfSine(...).
         frequencies: natural frequencies [Hz], in one row.
         damping: damping ratio or ratios, 0 to below 1.
         kind: "absolute" acceleration x'' + a [m/s2] (default), "relative" displacement x [m], or
@@ -188,7 +188,7 @@ def shock_spectrum(
     Seismol. Soc. Am. 59 (1969) 909.
 
     >>> times = jnp.arange(0.0, 5.0, 0.001)
-    >>> step = shock_spectrum(
+    >>> step = jb.shock.shock_spectrum(
     ...     (times, jnp.full(5000, 2.0)), [1.0, 4.0], damping=0.0, peaks="continuous"
     ... )
     >>> step.values.round(9).tolist()  # twice the acceleration

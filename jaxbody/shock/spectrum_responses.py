@@ -319,7 +319,7 @@ def spectrum_response(
     outputs: dict[str, Any],
     *,
     combine: str = "CQC",
-    damping: Any = None,
+    modal_damping: Any = None,
     highest: float | None = None,
 ) -> SpectrumResponse:
     """Compute peaks of outputs in an earthquake or shock of supports, from response spectra or
@@ -347,7 +347,7 @@ def spectrum_response(
             excitations are taken as independent.
         outputs: {name: sensor}, such as LoadCell, Elongation, Acceleration or Reaction.
         combine: rule by which modes are combined, "CQC" (default), "SRSS" or "absolute".
-        damping: damping ratios of the modes, one for all or one for each; default: those of
+        modal_damping: damping ratios of the modes, one for all or one for each; default: those of
             the model's dampers.
         highest: frequency [Hz] above which modes move as rigid bodies; default: none.
 
@@ -356,20 +356,20 @@ def spectrum_response(
     records; warns SINGULAR_K, UNSTABLE, NOT_SYMMETRIC, SINGULAR_M. Source: A. K. Chopra, Dynamics
     of Structures (2012), ch. 13; for the missing mass, U.S. NRC Regulatory Guide 1.92 (2006).
 
-    >>> spring = Spring(
+    >>> spring = jb.Spring(
     ...     ("mass", [0, 0, 0]), ("base", [1, 0, 0]), stiffness=800.0, free_length=1.0, damping=4.0
     ... )
-    >>> model = Model(
-    ...     bodies={"mass": Body(2.0, [1, 1, 1])},
-    ...     supports={"base": Support()},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(2.0, [1, 1, 1])},
+    ...     supports={"base": jb.Support()},
     ...     elements={"s": spring},
-    ...     joints={"mass": Guide("world", axis="x")},
+    ...     joints={"mass": jb.Guide("world", axis="x")},
     ... )
-    >>> level = DesignSpectrum([0.1, 100.0], [3.0, 3.0], damping=0.05)
-    >>> peaks = spectrum_response(
-    ...     linearize(model, equilibrium(model)),
+    >>> level = jb.shock.DesignSpectrum([0.1, 100.0], [3.0, 3.0], damping=0.05)
+    >>> peaks = jb.shock.spectrum_response(
+    ...     jb.linearize(model, jb.equilibrium(model)),
     ...     {"base": {"x": level}},
-    ...     {"force": Elongation("s", gain=800.0)},
+    ...     {"force": jb.Elongation("s", gain=800.0)},
     ... )
     >>> (
     ...     round(float(peaks["force"]), 9),
@@ -383,7 +383,7 @@ def spectrum_response(
             lin, spectra, outputs, "spectrum_response", problems
         )
         check_one_of(combine, COMBINATIONS, "BAD_OPTION", "spectrum_response.combine", problems)
-        ratios = checked_ratios(damping, lin, "spectrum_response.damping", problems)
+        ratios = checked_ratios(modal_damping, lin, "spectrum_response.modal_damping", problems)
         top = (
             None
             if highest is None

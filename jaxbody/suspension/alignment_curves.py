@@ -199,7 +199,7 @@ def suspension_curves(
             kingpin, its steering axis is the screw axis of the motion by this drive, with the
             others held
         equilibrium: whether what closures and readings leave free is in equilibrium, as in a model
-            of bushings (`jb.compliant`)
+            of bushings (`jb.suspension.compliant`)
         loads: {name: load} of this equilibrium, such as a side force at the wheel; by default none
 
     The curves can be part of an objective of `tune` or of your own loss function: they have exact
@@ -215,26 +215,29 @@ def suspension_curves(
 
     A wheel on two parallel arms of 0.4 m moves on a circle, without camber:
 
-    >>> part = Body(mass=1.0, inertia=[1, 1, 1])
+    >>> part = jb.Body(mass=1.0, inertia=[1, 1, 1])
     >>> arms = {
-    ...     name: Hinge("world", axis="x", at=[0, 0.3, z])
+    ...     name: jb.Hinge("world", axis="x", at=[0, 0.3, z])
     ...     for name, z in (("lower", 0.2), ("upper", 0.5))
     ... }
     >>> closures = {
     ...     "upper joint": jb.closures.Ball(("upper", [0, 0.7, 0.5]), ("upright", [0, 0.7, 0.5]))
     ... }
-    >>> model = Model(bodies=dict.fromkeys(["lower", "upper", "upright"], part), closures=closures,
-    ...               joints={**arms, "upright": Hinge("lower", axis="x", at=[0, 0.7, 0.2])})
-    >>> wheel = Wheel(
+    >>> model = jb.Model(
+    ...     bodies=dict.fromkeys(["lower", "upper", "upright"], part),
+    ...     closures=closures,
+    ...     joints={**arms, "upright": jb.Hinge("lower", axis="x", at=[0, 0.7, 0.2])},
+    ... )
+    >>> wheel = jb.suspension.Wheel(
     ...     "upright",
     ...     center=[0, 0.75, 0.3],
     ...     axis="y",
     ...     radius=0.3,
     ...     kingpin=[[0, 0.7, 0.2], [0, 0.7, 0.5]],
     ... )
-    >>> curves = suspension_curves(
+    >>> curves = jb.suspension.suspension_curves(
     ...     model,
-    ...     drive={"travel": Position("upright", [0, 0.75, 0.3], axis="z")},
+    ...     drive={"travel": jb.Position("upright", [0, 0.75, 0.3], axis="z")},
     ...     over={"travel": [0.0, 0.24]},
     ...     wheel=wheel,
     ... )
@@ -260,7 +263,8 @@ def suspension_curves(
                 "suspension_curves.equilibrium",
                 "has no elements to rest on",
                 limit="a model with springs or bushings",
-                hint="Leave the option out, or give the model elements (`jb.compliant`).",
+                hint="Leave the option out, or give the model elements "
+                "(`jb.suspension.compliant`).",
             )
     return warn_if_failed(_curves(*arguments, acting if equilibrium else None))
 

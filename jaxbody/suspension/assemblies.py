@@ -129,15 +129,17 @@ def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = 
 
     A point of a pendulum of 1 m, hung between two rods of 1 m in a plane, drawn 1 cm too low:
 
-    >>> bar = Body(mass=1.0, inertia=[1, 1, 1], position=[0.5, 0, -0.81])
-    >>> plane = Composite(
+    >>> bar = jb.Body(mass=1.0, inertia=[1, 1, 1], position=[0.5, 0, -0.81])
+    >>> plane = jb.joints.Composite(
     ...     "world", ["move", "move"], directions=[[1, 0, 0], [0, 0, 1]], points=[[0, 0, 0]] * 2
     ... )
     >>> rods = {
     ...     name: jb.closures.Rod(("world", [x, 0, 0]), ("bar", [0, 0, 0]), length=1.0)
     ...     for name, x in (("left", 0.0), ("right", 1.2))
     ... }
-    >>> done = assemble(Model(bodies={"bar": bar}, joints={"bar": plane}, closures=rods))
+    >>> done = jb.suspension.assemble(
+    ...     jb.Model(bodies={"bar": bar}, joints={"bar": plane}, closures=rods)
+    ... )
     >>> x, z = (done.state.q + jnp.array([0.5, -0.81])).tolist()
     >>> done.freedoms, round(x, 9), round(z, 9)
     (0, 0.6, -0.8)

@@ -43,7 +43,7 @@ class Compliance:
         damping: in the same form [N s/m, N m s/rad]; None: no damping
 
     >>> radial, axial, tilting = 8e6, 4e5, 900.0
-    >>> Compliance(
+    >>> jb.suspension.Compliance(
     ...     stiffness=[radial, radial, axial, tilting, tilting, 0.0]
     ... ).damping is None  # free to turn about its axis z
     True
@@ -71,10 +71,11 @@ def compliant(model: Model, compliances: Mapping[str, Compliance]) -> Model:
     Guide, Cylindrical, Fixed and Weld can be one, and Rod becomes a spring), and those of a
     Bushing.
 
-    >>> corner = jb.double_wishbone()
-    >>> rubber = Compliance(stiffness=[8e6, 8e6, 4e5, 900.0, 900.0, 0.0])
-    >>> elastic = compliant(
-    ...     corner.model, {"lower arm": rubber, "upper ball": Compliance(stiffness=3e7)}
+    >>> corner = jb.suspension.double_wishbone()
+    >>> rubber = jb.suspension.Compliance(stiffness=[8e6, 8e6, 4e5, 900.0, 900.0, 0.0])
+    >>> elastic = jb.suspension.compliant(
+    ...     corner.model,
+    ...     {"lower arm": rubber, "upper ball": jb.suspension.Compliance(stiffness=3e7)},
     ... )
     >>> elastic.element_names, elastic.closure_names
     (('spring', 'lower arm joint', 'upper ball'), ('tie rod',))

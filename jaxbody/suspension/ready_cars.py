@@ -44,7 +44,7 @@ class Car(Suspension):
     wheels; hard points as of a `Suspension`, "front lower outer" and "rear lower outer" for those
     of left wheels; the right wheels are their mirror images.
 
-    >>> car = jb.car_on_double_wishbones()
+    >>> car = jb.suspension.car_on_double_wishbones()
     >>> car.moved({"rear tie rod inner": [0.05, 0.2, 0.26]}).model["rr tie rod"].a[1:].tolist()
     [-0.2, -0.24]
     """
@@ -64,9 +64,8 @@ class Car(Suspension):
         force is that of all elements, including the tyre; see `suspension_curves`. Errors:
         UNKNOWN_NAME.
 
-        >>> toe = jb.car_on_double_wishbones().curves("fr", [-0.04, 0.0, 0.04])[
-        ...     "toe"
-        ... ]  # doctest: +SKIP
+        >>> car = jb.suspension.car_on_double_wishbones()
+        >>> toe = car.curves("fr", [-0.04, 0.0, 0.04])["toe"]  # doctest: +SKIP
         """
         names = tuple(end + side for end in ENDS for side in SIDES)
         if wheel not in names:
@@ -111,8 +110,8 @@ def car_on_double_wishbones(
 
     Args:
         front_points, rear_points: {name: place [m]} of the hard points of left wheels that differ
-            from `jb.double_wishbone`, with the wheel center above x = 0 of the axle and z = 0 on
-            the road
+            from `jb.suspension.double_wishbone`, with the wheel center above x = 0 of the axle and
+            z = 0 on the road
         mass, inertia: of the car without suspensions [kg, kg m2]
         front, rear: distances of the axles from the center of mass [m]
         height: of the center of mass of the car above the road [m]
@@ -128,9 +127,9 @@ def car_on_double_wishbones(
     so that it settles elsewhere.
 
     Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT of hard points. Source: hard
-    points as in `jb.double_wishbone`; the other numbers are those of a compact car.
+    points as in `jb.suspension.double_wishbone`; the other numbers are those of a compact car.
 
-    >>> model = car_on_double_wishbones().model
+    >>> model = jb.suspension.car_on_double_wishbones().model
     >>> len(model.layout.bodies), model.layout.nv, len(model.closure_names)
     (14, 24, 8)
     """

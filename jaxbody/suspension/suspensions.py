@@ -54,11 +54,11 @@ class Suspension(eqx.Module):
     A pendulum whose pin is a hard point:
 
     >>> def drawn(points):
-    ...     model = Model(
-    ...         bodies={"bar": Body(mass=1.0, inertia=[1, 1, 1])},
-    ...         joints={"bar": Hinge("world", axis="y", at=points["pin"])},
+    ...     model = jb.Model(
+    ...         bodies={"bar": jb.Body(mass=1.0, inertia=[1, 1, 1])},
+    ...         joints={"bar": jb.Hinge("world", axis="y", at=points["pin"])},
     ...     )
-    ...     return jb.Suspension(model, hard_points=points, build=drawn)
+    ...     return jb.suspension.Suspension(model, hard_points=points, build=drawn)
     >>> pendulum = drawn({"pin": [0.0, 0.0, 1.0]})
     >>> pendulum.moved({"pin": [0.0, 0.0, 2.0]}).model.joint("bar").at.tolist()
     [0.0, 0.0, 2.0]
@@ -83,7 +83,7 @@ class Suspension(eqx.Module):
         keeps its compression in the design position. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE,
         WRONG_SIDE.
 
-        >>> corner = jb.double_wishbone().moved({"tie rod inner": [0.05, 0.2, 0.255]})
+        >>> corner = jb.suspension.double_wishbone().moved({"tie rod inner": [0.05, 0.2, 0.255]})
         >>> corner.model["tie rod"].a.tolist()
         [0.05, 0.2, 0.255]
         """
@@ -119,7 +119,7 @@ class Corner(Suspension):
         steering: the path of the coordinate that steers, such as "rack.q"
         hard_points, build: those of a `Suspension`
 
-    >>> corner = jb.double_wishbone()
+    >>> corner = jb.suspension.double_wishbone()
     >>> corner.steering, corner.model.layout.bodies
     ('rack.q', ('lower arm', 'upright', 'rack', 'upper arm'))
     """
@@ -136,7 +136,8 @@ class Corner(Suspension):
         rad of a coordinate that turns], each one number or as many as the other has; see
         `suspension_curves`.
 
-        >>> toe = jb.double_wishbone().curves([-0.04, 0.0, 0.04])["toe"]  # doctest: +SKIP
+        >>> corner = jb.suspension.double_wishbone()
+        >>> toe = corner.curves([-0.04, 0.0, 0.04])["toe"]  # doctest: +SKIP
         """
         return suspension_curves(
             self.model,
@@ -216,7 +217,7 @@ def double_wishbone(
     Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT. Source: hard points of the public
     project suspension-explorer.
 
-    >>> round(float(jnp.rad2deg(double_wishbone().curves(0.0)["camber"][0])), 6)
+    >>> round(float(jnp.rad2deg(jb.suspension.double_wishbone().curves(0.0)["camber"][0])), 6)
     -1.909152
     """
     points = _points(DOUBLE_WISHBONE, hard_points, "double_wishbone")
@@ -259,7 +260,7 @@ def macpherson(
     Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT. Source: hard points of the public
     project suspension-explorer.
 
-    >>> macpherson().model.closure_names
+    >>> jb.suspension.macpherson().model.closure_names
     ('strut', 'tie rod')
     """
     points = _points(MACPHERSON, hard_points, "macpherson")
@@ -291,7 +292,7 @@ def five_link(
 
     Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT.
 
-    >>> corner = five_link({"tie rod outer": [0.15, 0.7, 0.265]})
+    >>> corner = jb.suspension.five_link({"tie rod outer": [0.15, 0.7, 0.265]})
     >>> corner.model.closures[0].names
     ('lower front link', 'lower rear link', 'upper front link', 'upper rear link', 'tie rod')
     """
@@ -486,7 +487,7 @@ class Axle(Suspension):
     """A suspension of both wheels: `model`, in the design position, whose body "axle" has the axes
     and the origin of the car; `left` and `right`, its wheels; hard points as of a `Suspension`.
 
-    >>> axle = jb.solid_axle()
+    >>> axle = jb.suspension.solid_axle()
     >>> axle.model.closure_names
     ('left lower link', 'right lower link', 'upper link', 'Panhard rod')
     """
@@ -503,7 +504,7 @@ class Axle(Suspension):
         number or as many as the other has; see `suspension_curves`. Derivatives "left" are those by
         this wheel alone while the other is held; the sum of both is that by the bounce of the axle.
 
-        >>> axle = jb.solid_axle()
+        >>> axle = jb.suspension.solid_axle()
         >>> camber = axle.curves([-0.03, 0.0, 0.03], [0.03, 0.0, -0.03])["camber"]  # doctest: +SKIP
         """
         return suspension_curves(
@@ -539,7 +540,7 @@ def solid_axle(
     The axle has two freedoms, bounce and roll: with one wheel up by 3 cm and the other down, it
     leans by 6 cm in its track of 1.5 m.
 
-    >>> curves = solid_axle().curves(0.03, -0.03)
+    >>> curves = jb.suspension.solid_axle().curves(0.03, -0.03)
     >>> round(float(jnp.sin(-curves["camber"][0])), 6)  # of the left wheel
     0.04
     """

@@ -47,7 +47,7 @@ class Wheel(eqx.Module):
 
     Errors: NOT_POSITIVE, ZERO_AXIS, BAD_DIRECTION, BAD_SHAPE, NON_FINITE.
 
-    >>> Wheel("upright", center=[0, 0.75, 0.3], axis=[0, 1, 0], radius=0.3).on
+    >>> jb.suspension.Wheel("upright", center=[0, 0.75, 0.3], axis=[0, 1, 0], radius=0.3).on
     'upright'
     """
 

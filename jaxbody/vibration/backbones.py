@@ -150,7 +150,7 @@ class Backbones(Labeled, Result):
                 "status": (("mode",), self.status, ""),
             },
             {"mode": list(range(1, largest.shape[-1] + 1)), "coordinate": list(self.coordinates)},
-            "backbones",
+            "backbone_curves",
         )
 
     @tables.summarized("Backbones", 1, curvature="curvature [1/m2, 1/rad2]")
@@ -187,7 +187,7 @@ def _amplitude(value: Any, unit: str) -> str:
     return f"up to {value:.3g} {unit}" if np.isfinite(value) else "any"
 
 
-def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
+def backbone_curves(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
     """Compute the change of natural frequencies with amplitude, and the amplitude up to which the
     linear model is valid, without damping.
 
@@ -204,18 +204,18 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
 
     A pendulum softens as 1 - a^2/16:
 
-    >>> bob = Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
-    >>> model = Model(
+    >>> bob = jb.Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
+    >>> model = jb.Model(
     ...     bodies={"bob": bob},
-    ...     joints={"bob": Hinge("world", axis=[0, 1, 0])},
+    ...     joints={"bob": jb.Hinge("world", axis=[0, 1, 0])},
     ...     gravity=[0, 0, -9.81],
     ... )
-    >>> curves = backbones(linearize(model, equilibrium(model)))
+    >>> curves = jb.backbone_curves(jb.linearize(model, jb.equilibrium(model)))
     >>> round(float(curves.curvature[0]), 12), round(float(curves.frequency_within(1.0)[0]), 12)
     (-0.0625, 0.4)
     """
-    check_system(lin, "backbones", allow_float32=allow_float32)
-    check_without_memory("backbones", lin.model)
+    check_system(lin, "backbone_curves", allow_float32=allow_float32)
+    check_without_memory("backbone_curves", lin.model)
     return warn_if_failed(_backbones(lin))
 
 

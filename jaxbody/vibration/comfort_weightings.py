@@ -84,7 +84,7 @@ class WeightedSignal(Result):
         return [tables.PrintedTable(f"Signal weighted by {self.name}", ("", ""), rows)]
 
 
-def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
+def frequency_weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
     """Compute a frequency weighting at frequencies [Hz]: the complex response from acceleration to
     weighted acceleration [m/s2, or rad/s2 for We].
 
@@ -96,36 +96,36 @@ def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
     Errors: BAD_WEIGHTING, BAD_FREQUENCY, BAD_SHAPE. Source: ISO 2631-1:1997, annex A; for Wb ISO
     2631-4:2001; parameters as in ISO 8041:2005, table 3.
 
-    >>> [round(float(abs(w)), 3) for w in weighting("Wk", [1.0, 8.0])]
+    >>> [round(float(abs(w)), 3) for w in jb.vibration.frequency_weighting("Wk", [1.0, 8.0])]
     [0.482, 1.036]
     """
     with Problems() as problems:
-        check_one_of(name, WEIGHTINGS, "BAD_WEIGHTING", "weighting.name", problems, HINT)
-    return _weighting(name, check_frequencies(frequencies, "weighting.frequencies"))
+        check_one_of(name, WEIGHTINGS, "BAD_WEIGHTING", "frequency_weighting.name", problems, HINT)
+    return _weighting(name, check_frequencies(frequencies, "frequency_weighting.frequencies"))
 
 
-def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomResponse:
-    """Weight accelerations of a random response, {output: "Wk", or another `weighting`}: densities
-    times |W|^2, weighted rms.
+def weighted_response(response: RandomResponse, weights: dict[str, str]) -> RandomResponse:
+    """Weight accelerations of a random response, {output: "Wk", or another `frequency_weighting`}:
+    densities times |W|^2, weighted rms.
 
     Other outputs are omitted. Errors: UNKNOWN_NAME, BAD_WEIGHTING, BAD_UNIT for an output that is
     not an acceleration (angular for We, else linear). Source: ISO 2631-1:1997.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> response = random_response(
-    ...     linearize(model, equilibrium(model)),
-    ...     Band(0.1, 100.0),
-    ...     {"road": BaseMotion("road", "z")},
-    ...     {"body": Acceleration("body", axis="z")},
-    ...     {"road": Unevenness.iso("C").at_speed(20.0)},
+    >>> response = jb.random_response(
+    ...     jb.linearize(model, jb.equilibrium(model)),
+    ...     jb.vibration.Band(0.1, 100.0),
+    ...     {"road": jb.BaseMotion("road", "z")},
+    ...     {"body": jb.Acceleration("body", axis="z")},
+    ...     {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)},
     ... )
-    >>> bool(weighted(response, {"body": "Wk"})["body"] < response["body"])
+    >>> bool(jb.vibration.weighted_response(response, {"body": "Wk"})["body"] < response["body"])
     True
     """
     with Problems() as problems:
         for output, name in weights.items():
             if output not in response.outputs:
-                problems.collected.append(unknown(output, "weighted", response.outputs))
+                problems.collected.append(unknown(output, "weighted_response", response.outputs))
                 continue
             where = f"weighted[{output!r}]"
             check_one_of(name, WEIGHTINGS, "BAD_WEIGHTING", where, problems, HINT)
@@ -173,14 +173,14 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
 
         VDV = (int a_w^4 dt)^(1/4)
 
-    `name` is that of a `weighting`. The Fourier transform of the record, padded with zeros until
-    the filter has decayed, is multiplied by the frequency response: exact up to half the sampling
-    rate, unlike digital filters of the same order, and differentiable. Sample at 200 Hz or more, as
-    weightings extend to 80 Hz. Errors: BAD_WEIGHTING, NOT_UNIFORM, BAD_SHAPE, NON_FINITE. Source:
-    ISO 2631-1:1997, 6.1 and 6.3.2.
+    `name` is that of a `frequency_weighting`. The Fourier transform of the record, padded with
+    zeros until the filter has decayed, is multiplied by the frequency response: exact up to half
+    the sampling rate, unlike digital filters of the same order, and differentiable. Sample at 200
+    Hz or more, as weightings extend to 80 Hz. Errors: BAD_WEIGHTING, NOT_UNIFORM, BAD_SHAPE,
+    NON_FINITE. Source: ISO 2631-1:1997, 6.1 and 6.3.2.
 
     >>> t = jnp.arange(0.0, 20.0, 0.005)
-    >>> signal = weighted_signal(t, jnp.sin(2 * jnp.pi * 5.0 * t), "Wk")
+    >>> signal = jb.vibration.weighted_signal(t, jnp.sin(2 * jnp.pi * 5.0 * t), "Wk")
     >>> round(float(signal.rms * 2**0.5), 2), round(float(signal.crest_factor), 1)
     (1.04, 1.5)
     >>> round(float(signal.vdv / (3 / 8 * 20.0) ** 0.25), 2)

@@ -113,11 +113,11 @@ def complex_modes(
     SINGULAR_K, and of the status of `lin`. Source: D. J. Inman, Vibration with Control (2006), 3.4
     and 4.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
     ...     elements={
-    ...         "s": Spring(
+    ...         "s": jb.Spring(
     ...             ("mass", [0, 0, 0]),
     ...             ("world", [0, 1, 0]),
     ...             stiffness=50.0,
@@ -126,7 +126,7 @@ def complex_modes(
     ...         )
     ...     },
     ... )
-    >>> damped = complex_modes(linearize(model, model.reference))
+    >>> damped = jb.complex_modes(jb.linearize(model, model.reference))
     >>> (
     ...     round(float(damped.decay_rate[0]), 9),
     ...     round(float(damped.damping_ratio[0]), 9),
@@ -316,10 +316,14 @@ def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
 
     A hanging, spinning top:
 
-    >>> top = Body(mass=1.0, inertia=[0.1, 0.1, 0.15], com=[0, 0, -1])
-    >>> model = Model(bodies={"top": top}, joints={"top": Ball("world")}, gravity=[0, 0, -9.81])
-    >>> lin = linearize_spin(model, State(model.reference.q, jnp.array([0, 0, 30.0])))
-    >>> [round(float(x)) for x in whirl(lin, complex_modes(lin))]
+    >>> top = jb.Body(mass=1.0, inertia=[0.1, 0.1, 0.15], com=[0, 0, -1])
+    >>> model = jb.Model(
+    ...     bodies={"top": top}, joints={"top": jb.Ball("world")}, gravity=[0, 0, -9.81]
+    ... )
+    >>> lin = jb.vibration.linearize_spin(
+    ...     model, jb.State(model.reference.q, jnp.array([0, 0, 30.0]))
+    ... )
+    >>> [round(float(x)) for x in jb.vibration.whirl(lin, jb.complex_modes(lin))]
     [0, -1, 1]
     """
     return _whirl(lin, modes.shapes)

@@ -131,7 +131,7 @@ def dynamic_stiffness(
     BAD_FREQUENCY, NOT_POSITIVE. Warns NOT_CONVERGED.
 
     >>> rubber = jb.laws.Linear(2e4) + jb.laws.Maxwell(stiffness=6e4, relaxation_time=0.01)
-    >>> stiffness = dynamic_stiffness(rubber, [10.0])
+    >>> stiffness = jb.vibration.dynamic_stiffness(rubber, [10.0])
     >>> (
     ...     round(float(stiffness.magnitude[0]), 6),
     ...     round(float(jnp.rad2deg(stiffness.loss_angle[0])), 6),

@@ -180,16 +180,21 @@ def frequency_response(
     forces; warns UNSTABLE, SINGULAR_K at 0 Hz, DEFECTIVE (modes), NONFINITE (an undamped
     resonance), and for modal damping NOT_SYMMETRIC, SINGULAR_M.
 
-    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
-    ...     supports={"base": Support()},
+    >>> spring = jb.Spring(
+    ...     ("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0
+    ... )
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
+    ...     supports={"base": jb.Support()},
     ...     elements={"s": spring},
     ... )
-    >>> lin = linearize(model, equilibrium(model))
-    >>> response = frequency_response(
-    ...     lin, [2.0], {"base": BaseMotion("base", "y")}, {"mass": Position("mass", axis="y")}
+    >>> lin = jb.linearize(model, jb.equilibrium(model))
+    >>> response = jb.frequency_response(
+    ...     lin,
+    ...     [2.0],
+    ...     {"base": jb.BaseMotion("base", "y")},
+    ...     {"mass": jb.Position("mass", axis="y")},
     ... )
     >>> round(float(response["mass", "base"][0].real * (1 - (2.0 * 2 * jnp.pi) ** 2 / 25)), 12)
     1.0

@@ -18,7 +18,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody import lagrange
+import jaxbody.lagrange as lagrange
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of, kind_of
 from jaxbody.core.arrays import Array, Float, Inexact, Int, is_concrete
@@ -335,18 +335,18 @@ class Linearization(LinearSystem):
         status is IMPROPER, with NaN in D; use kind="acceleration".
         Errors: WRONG_KIND, UNKNOWN_NAME, BAD_COMPONENT.
 
-        >>> spring = Spring(
+        >>> spring = jb.Spring(
         ...     ("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0
         ... )
-        >>> model = Model(
-        ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-        ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
-        ...     supports={"base": Support()},
+        >>> model = jb.Model(
+        ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+        ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
+        ...     supports={"base": jb.Support()},
         ...     elements={"s": spring},
         ... )
-        >>> lin = linearize(model, equilibrium(model))
+        >>> lin = jb.linearize(model, jb.equilibrium(model))
         >>> s = lin.state_space(
-        ...     {"base": BaseMotion("base", "y")}, {"mass": Position("mass", axis="y")}
+        ...     {"base": jb.BaseMotion("base", "y")}, {"mass": jb.Position("mass", axis="y")}
         ... )
         >>> s.A.tolist(), s.B.tolist()
         ([[0.0, 1.0], [-25.0, 0.0]], [[0.0], [25.0]])
@@ -395,16 +395,16 @@ def linearize(
     T, R and V + lambda c, as `lagrange.py` states them: the same, more slowly. Errors: BAD_SHAPE,
     NON_FINITE for a state, OTHER_MODEL, NOTHING_MOVES, BAD_METHOD.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
     ...     elements={
-    ...         "s": Spring(
+    ...         "s": jb.Spring(
     ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0
     ...         )
     ...     },
     ... )
-    >>> lin = linearize(model, equilibrium(model))
+    >>> lin = jb.linearize(model, jb.equilibrium(model))
     >>> float(lin.K[0, 0]), float(lin.M[0, 0])
     (50.0, 2.0)
     """

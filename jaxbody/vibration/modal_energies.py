@@ -221,16 +221,16 @@ def mode_energies(
     derivatives and single shapes do not. Errors: WRONG_KIND, BAD_DIRECTION, FLOAT32 unless
     `allow_float32`; warns as `modes` does.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
     ...     elements={
-    ...         "s": Spring(
+    ...         "s": jb.Spring(
     ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0
     ...         )
     ...     },
     ... )
-    >>> mode_energies(linearize(model, equilibrium(model)), up="y").names
+    >>> jb.mode_energies(jb.linearize(model, jb.equilibrium(model)), up="y").names
     ('mass bounce 100 %',)
     """
     check_system(lin, "mode_energies", allow_float32=allow_float32)

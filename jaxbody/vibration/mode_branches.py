@@ -106,7 +106,7 @@ def mac(
     natural modes are orthogonal; by default W = 1, which depends on units if shapes have both.
     Errors: BAD_SHAPE. Source: R. J. Allemang, Sound and Vibration 37 (2003) 14.
 
-    >>> mac([[1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0], [0.0, 1.0]]).round(12).tolist()
+    >>> jb.vibration.mac([[1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0], [0.0, 1.0]]).round(12).tolist()
     [[1.0, 0.5], [0.0, 0.5]]
     """
     X, Y = (
@@ -148,7 +148,9 @@ def _mac(X: Array, Y: Array, W: Float[Array, "nv nv"]) -> Float[Array, "n m"]:
     )
 
 
-def track(linearized: Callable[[Any], Linearization | SpinLinearization], values: Any) -> Branches:
+def track_modes(
+    linearized: Callable[[Any], Linearization | SpinLinearization], values: Any
+) -> Branches:
     """Follow modes along a parameter by their shapes; `linearized(value)` returns the linearization
     at each of `values`.
 
@@ -160,17 +162,17 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
 
     >>> car = jb.presets.half_car()
     >>> def linearized(stiffness):
-    ...     model = replace(car, {"front spring.stiffness": stiffness})
-    ...     return linearize(model, equilibrium(model))
-    >>> track(linearized, [1.8e4, 2.2e4, 2.6e4]).order.tolist()
+    ...     model = jb.replace(car, {"front spring.stiffness": stiffness})
+    ...     return jb.linearize(model, jb.equilibrium(model))
+    >>> jb.track_modes(linearized, [1.8e4, 2.2e4, 2.6e4]).order.tolist()
     [[0, 1], [0, 1], [0, 1]]
     """
-    given = float_array(values, "track.values")
+    given = float_array(values, "track_modes.values")
     if given.ndim != 1 or not given.size:
         raise JaxbodyError(
             Problem(
                 "BAD_SHAPE",
-                "track.values",
+                "track_modes.values",
                 f"has shape {given.shape}",
                 given.shape,
                 "(k,)",
@@ -181,7 +183,7 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
         raise JaxbodyError(
             Problem(
                 "NON_FINITE",
-                "track.values",
+                "track_modes.values",
                 "has values that are not finite",
                 given,
                 "finite",

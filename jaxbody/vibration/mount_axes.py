@@ -149,11 +149,11 @@ def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
 
     >>> corners = [[1, 1, -0.2], [1, -1, -0.2], [-1, 1, -0.2], [-1, -1, -0.2]]
     >>> legs = {
-    ...     f"leg{i}": Bushing(("box", at), ("world", at), stiffness=[1e4, 2e4, 3e4])
+    ...     f"leg{i}": jb.Bushing(("box", at), ("world", at), stiffness=[1e4, 2e4, 3e4])
     ...     for i, at in enumerate(corners)
     ... }
-    >>> model = Model(bodies={"box": Body(mass=50.0, inertia=[4, 5, 6])}, elements=legs)
-    >>> axes = elastic_axes(linearize(model, model.reference), "box")
+    >>> model = jb.Model(bodies={"box": jb.Body(mass=50.0, inertia=[4, 5, 6])}, elements=legs)
+    >>> axes = jb.vibration.elastic_axes(jb.linearize(model, model.reference), "box")
     >>> axes.stiffness.tolist(), [round(float(x), 9) for x in axes.center]
     ([40000.0, 80000.0, 120000.0], [0.0, 0.0, -0.2])
     """
@@ -174,7 +174,9 @@ def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAx
     R. Singh, Journal of Sound and Vibration 234 (2000) 85.
 
     >>> model = jb.presets.engine_on_mounts()
-    >>> axis = torque_roll_axis(linearize(model, model.reference), "engine", [1, 0, 0])
+    >>> axis = jb.vibration.torque_roll_axis(
+    ...     jb.linearize(model, model.reference), "engine", [1, 0, 0]
+    ... )
     >>> [round(float(x), 4) for x in axis.direction]
     [0.9445, 0.3279, -0.0191]
     """
@@ -223,7 +225,7 @@ def _free(lin: Linearization, body: str, where: str) -> str:
                 f"'{body}' follows other bodies by closures",
                 body,
                 "a body whose six coordinates are independent",
-                "Make bushings of them by jb.compliant.",
+                "Make bushings of them by jb.suspension.compliant.",
             )
         )
     return body

@@ -183,11 +183,11 @@ def modes(lin: Linearization, *, stiffness: str = "relaxed", allow_float32: bool
     Errors: FLOAT32 unless `allow_float32`, BAD_OPTION; warns UNSTABLE, SINGULAR_K,
     SINGULAR_M, NONFINITE.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
     ...     elements={
-    ...         "s": Spring(
+    ...         "s": jb.Spring(
     ...             ("mass", [0, 0, 0]),
     ...             ("world", [0, 1, 0]),
     ...             stiffness=50.0,
@@ -196,7 +196,7 @@ def modes(lin: Linearization, *, stiffness: str = "relaxed", allow_float32: bool
     ...         )
     ...     },
     ... )
-    >>> natural = modes(linearize(model, equilibrium(model)))
+    >>> natural = jb.modes(jb.linearize(model, jb.equilibrium(model)))
     >>> round(float(natural.frequency[0]), 6), round(float(natural.damping_ratio[0]), 6)
     (0.795775, 0.1)
     """

@@ -118,21 +118,21 @@ def random_response(
     Errors: those of `frequency_response`, UNKNOWN_NAME or NO_SPECTRUM (missing), BAD_UNIT for a
     spectrum that does not fit its input; warns COARSE, NOT_POSITIVE, UNDAMPED, UNSTABLE.
 
-    >>> spring = Spring(
+    >>> spring = jb.Spring(
     ...     ("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0
     ... )
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
-    ...     supports={"base": Support()},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
+    ...     supports={"base": jb.Support()},
     ...     elements={"s": spring},
     ... )
-    >>> response = random_response(
-    ...     linearize(model, equilibrium(model)),
-    ...     Band(1e-7, 1e3),
-    ...     {"pull": PointForce("mass", direction="y")},
-    ...     {"stroke": Elongation("s")},
-    ...     {"pull": PowerLaw(3.0, unit="N2/Hz")},
+    >>> response = jb.random_response(
+    ...     jb.linearize(model, jb.equilibrium(model)),
+    ...     jb.vibration.Band(1e-7, 1e3),
+    ...     {"pull": jb.PointForce("mass", direction="y")},
+    ...     {"stroke": jb.Elongation("s")},
+    ...     {"pull": jb.vibration.PowerLaw(3.0, unit="N2/Hz")},
     ... )
     >>> round(float(response["stroke"] ** 2 / (3.0 / (4 * 2.0 * 50.0))), 6)
     1.0

@@ -19,13 +19,13 @@ REFERENCE = 0.1  # cycle/m
 MOST_POINTS = 10_000_000
 
 
-class Unevenness(eqx.Module):
+class RoadRoughness(eqx.Module):
     """The heights of a road as a one-sided power spectral density over n [cycle/m], Gd(n) = level
     (n/0.1)^-exponent, level = Gd(0.1 cycle/m) [m3].
 
     Errors: NEGATIVE, BAD_SHAPE, NON_FINITE. Source: ISO 8608, where the exponent is 2.
 
-    >>> float(Unevenness.iso("C").level)
+    >>> float(jb.vibration.RoadRoughness.iso("C").level)
     0.000256
     """
 
@@ -34,19 +34,19 @@ class Unevenness(eqx.Module):
 
     def __init__(self, level, *, exponent=2.0):
         with Problems() as problems:
-            self.level = scalar(level, "Unevenness.level", problems)
-            self.exponent = scalar(exponent, "Unevenness.exponent", problems)
-            check_not_negative(self.level, "Unevenness.level", problems)
+            self.level = scalar(level, "RoadRoughness.level", problems)
+            self.exponent = scalar(exponent, "RoadRoughness.exponent", problems)
+            check_not_negative(self.level, "RoadRoughness.level", problems)
 
     @classmethod
-    def iso(cls, road_class: str) -> Unevenness:
+    def iso(cls, road_class: str) -> RoadRoughness:
         """Return the geometric mean of a class, A (smooth) to H: 16e-6 m3 for A, each four times
         the previous one. Error: BAD_CLASS."""
         if road_class not in tuple(CLASSES):
             raise JaxbodyError(
                 Problem(
                     "BAD_CLASS",
-                    "Unevenness.iso",
+                    "RoadRoughness.iso",
                     f"is {road_class!r}",
                     road_class,
                     " ".join(CLASSES),
@@ -71,7 +71,7 @@ class Unevenness(eqx.Module):
 
 
 def road_profile(
-    road: Unevenness, *, length, spacing, key: PRNGKeyArray
+    road: RoadRoughness, *, length, spacing, key: PRNGKeyArray
 ) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
     """Generate a road profile, (distances, heights) [m], for a Road.
 
@@ -88,21 +88,21 @@ def road_profile(
 
     Errors: BAD_LENGTH, WRONG_KIND.
 
-    >>> distances, heights = road_profile(
-    ...     Unevenness.iso("C"), length=100.0, spacing=0.1, key=jax.random.key(0)
+    >>> distances, heights = jb.vibration.road_profile(
+    ...     jb.vibration.RoadRoughness.iso("C"), length=100.0, spacing=0.1, key=jax.random.key(0)
     ... )
-    >>> wheel = Road(distances, heights, speed=20.0)
+    >>> wheel = jb.inputs.Road(distances, heights, speed=20.0)
     >>> distances.shape
     (1001,)
     """
-    if not isinstance(road, Unevenness):
+    if not isinstance(road, RoadRoughness):
         raise JaxbodyError(
             Problem(
                 "WRONG_KIND",
                 "road_profile.road",
                 f"is a {type(road).__name__}",
                 road,
-                "Unevenness",
+                "RoadRoughness",
                 'Give Unevenness.iso("C").',
             )
         )

@@ -58,7 +58,7 @@ class Spectrum(eqx.Module):
     """The base class of power spectral densities: `spectrum(f)` at frequencies f [Hz] is one-sided,
     per hertz, of a signal in `quantity`.
 
-    >>> PowerLaw(2.0, unit="(m/s)2/Hz")(jnp.array([1.0, 3.0])).tolist()
+    >>> jb.vibration.PowerLaw(2.0, unit="(m/s)2/Hz")(jnp.array([1.0, 3.0])).tolist()
     [2.0, 2.0]
     """
 
@@ -141,7 +141,9 @@ class PowerLaw(Density):
     Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY for a reference of 0 or less,
     BAD_SHAPE, NON_FINITE.
 
-    >>> road = PowerLaw(64e-6, exponent=2.0, reference=0.1, unit="m2/(cycle/m)", speed=20.0)
+    >>> road = jb.vibration.PowerLaw(
+    ...     64e-6, exponent=2.0, reference=0.1, unit="m2/(cycle/m)", speed=20.0
+    ... )
     >>> round(float(road(jnp.array([2.0]))[0]) * 1e6, 9)
     3.2
     """
@@ -188,7 +190,7 @@ class PSD(Density):
 
     Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, BAD_FREQUENCY, NEGATIVE, BAD_SHAPE, NON_FINITE.
 
-    >>> psd = PSD([10.0, 100.0], [0.01, 0.1], unit="g2/Hz")
+    >>> psd = jb.vibration.PSD([10.0, 100.0], [0.01, 0.1], unit="g2/Hz")
     >>> round(float(psd(jnp.array([31.6227766]))[0]) / 9.80665**2, 9)
     0.031622777
     """
@@ -263,8 +265,8 @@ class CrossPSD(eqx.Module):
     The matrix S must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, BAD_PAIR for an
     input with itself or a pair given twice, NOT_POSITIVE, BAD_SHAPE, NON_FINITE.
 
-    >>> road = PowerLaw(1e-6, unit="m2/Hz", exponent=2.0)
-    >>> axles = CrossPSD(
+    >>> road = jb.vibration.PowerLaw(1e-6, unit="m2/Hz", exponent=2.0)
+    >>> axles = jb.vibration.CrossPSD(
     ...     {"front": road, "rear": road},
     ...     delays={"rear": 0.125},
     ...     coherence={("front", "rear"): 1.0},
@@ -371,7 +373,7 @@ class Band(eqx.Module):
     where a density jumps it is up to half a step of the jump: divide the band there. Errors:
     EMPTY_BAND, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE.
 
-    >>> band = Band(1.0, 100.0)
+    >>> band = jb.vibration.Band(1.0, 100.0)
     >>> round(float(jnp.sum(band.weights / band.frequencies**2)), 9)
     0.99
     """

@@ -97,13 +97,13 @@ def linearize_spin(model: Model, at: State) -> SpinLinearization:
     A disk with 0.2 kg m2 about its axis z, spinning at 30 rad/s, has G = 0.2 x 30 between its
     transverse rotations:
 
-    >>> spring = Spring(("disk", [0, 0, 0.5]), ("world", [0, 0, 1]), stiffness=10.0)
-    >>> model = Model(
-    ...     bodies={"disk": Body(mass=1.0, inertia=[0.1, 0.1, 0.2])}, elements={"s": spring}
+    >>> spring = jb.Spring(("disk", [0, 0, 0.5]), ("world", [0, 0, 1]), stiffness=10.0)
+    >>> model = jb.Model(
+    ...     bodies={"disk": jb.Body(mass=1.0, inertia=[0.1, 0.1, 0.2])}, elements={"s": spring}
     ... )
-    >>> lin = linearize_spin(
-    ...     replace(model, {"s.free_length": 0.5}),
-    ...     State(model.reference.q, jnp.array([0, 0, 0, 0, 0, 30.0])),
+    >>> lin = jb.vibration.linearize_spin(
+    ...     jb.replace(model, {"s.free_length": 0.5}),
+    ...     jb.State(model.reference.q, jnp.array([0, 0, 0, 0, 0, 30.0])),
     ... )
     >>> round(float(lin.G[3, 4]), 9)
     6.0

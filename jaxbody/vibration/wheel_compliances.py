@@ -70,18 +70,18 @@ def wheel_compliance(lin: Linearization, wheel: Wheel) -> WheelCompliance:
 
     Args:
         lin: the linearization at an equilibrium, such as that of a corner with
-            bushings (`jb.compliant`)
+            bushings (`jb.suspension.compliant`)
         wheel: the wheel
 
     The result has exact derivatives with respect to every number of the model. Error: UNKNOWN_NAME.
 
     A wheel on a spring of 200 N/mm and a guide rises by 5 mm under 1 kN:
 
-    >>> model = Model(
-    ...     bodies={"upright": Body(mass=20.0, inertia=[1, 1, 1])},
-    ...     joints={"upright": Guide("world", axis="z")},
+    >>> model = jb.Model(
+    ...     bodies={"upright": jb.Body(mass=20.0, inertia=[1, 1, 1])},
+    ...     joints={"upright": jb.Guide("world", axis="z")},
     ...     elements={
-    ...         "spring": Spring(
+    ...         "spring": jb.Spring(
     ...             ("upright", [0, 0.7, 0]),
     ...             ("world", [0, 0.7, 0.4]),
     ...             stiffness=2e5,
@@ -89,8 +89,10 @@ def wheel_compliance(lin: Linearization, wheel: Wheel) -> WheelCompliance:
     ...         )
     ...     },
     ... )
-    >>> wheel = Wheel("upright", center=[0, 0.75, 0], axis="y", radius=0.3)
-    >>> compliance = wheel_compliance(linearize(model, equilibrium(model)), wheel)
+    >>> wheel = jb.suspension.Wheel("upright", center=[0, 0.75, 0], axis="y", radius=0.3)
+    >>> compliance = jb.vibration.wheel_compliance(
+    ...     jb.linearize(model, jb.equilibrium(model)), wheel
+    ... )
     >>> (
     ...     round(float(compliance["wheel z", "force z"]) * 1e6, 9),
     ...     float(compliance["toe", "force y"]),

@@ -49,7 +49,7 @@ class View(Printed):
     .gif or .mp4, `plot()` draws it into axes; in a notebook it is shown inline. `animation` has all
     drawn parts with their poses.
 
-    >>> view(jb.presets.quarter_car()).animation.part("bodies", "wheel", "solid").color
+    >>> jb.view(jb.presets.quarter_car()).animation.part("bodies", "wheel", "solid").color
     '#e0803a'
     """
 
@@ -209,8 +209,8 @@ def view(
         what: a model, an equilibrium, a trajectory, modes (natural or complex), the curves of a
             suspension, which moves over its travel, a tuning (the model before and after), or
             {name: any of these}, side by side.
-        shapes: {body or support: jb.Shape, or several}, in place of the default ones; they never
-            enter the physics.
+        shapes: {body or support: jb.views.Shape, or several}, in place of the default ones; they
+            never enter the physics.
         at: the state in which a model is drawn, or about which modes vibrate: a State, an
             equilibrium or a linearization; None takes the reference pose.
         number: number of the mode, from 1, or several, side by side.
@@ -228,16 +228,16 @@ def view(
     Errors: WRONG_KIND, NO_DATA, UNKNOWN_NAME, UNKNOWN_MODE, NOT_POSITIVE, BAD_SHAPE, NON_FINITE,
     ZERO_AXIS. `view(...).save("x.html")` and `.show()` need `pip install 'jaxbody[view]'`.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
     ...     gravity=[0, -9.81, 0],
     ...     elements={
-    ...         "s": Spring(
+    ...         "s": jb.Spring(
     ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9
     ...         )
     ...     },
     ... )
-    >>> coil = view(model).animation.part("elements", "s", "coil")
+    >>> coil = jb.view(model).animation.part("elements", "s", "coil")
     >>> float(coil.scale[0, 2])  # its length [m]
     1.0
     """
@@ -374,7 +374,7 @@ def _shapes(shapes: Any, models: list[Model], problems: Problems) -> dict[str, t
     )
     result = {}
     for name, shape in checked_dict(
-        shapes, "view.shapes", "body: jb.Shape.box(...)", problems
+        shapes, "view.shapes", "body: jb.views.Shape.box(...)", problems
     ).items():
         several = tuple(shape) if isinstance(shape, list | tuple) else (shape,)
         if name not in known:
@@ -386,7 +386,7 @@ def _shapes(shapes: Any, models: list[Model], problems: Problems) -> dict[str, t
                 f"is {kind_of(shape)}",
                 value=shape,
                 limit="a Shape",
-                hint="Give jb.Shape.box(...), or a list of shapes.",
+                hint="Give jb.views.Shape.box(...), or a list of shapes.",
             )
         result[name] = several
     return result

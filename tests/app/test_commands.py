@@ -117,8 +117,11 @@ def test_every_ready_model_is_printed_and_read_again(name, capsys, folder):
     assert commands.main(["new", name]) == 0
     (folder / "model.toml").write_text(capsys.readouterr().out)
     model, again = getattr(jb.presets, name)(), jb.read_model("model.toml")
-    assert jb.paths(model).keys() == jb.paths(again).keys()
-    assert all(np.array_equal(x, jb.paths(again)[path]) for path, x in jb.paths(model).items())
+    assert jb.parameter_paths(model).keys() == jb.parameter_paths(again).keys()
+    assert all(
+        np.array_equal(x, jb.parameter_paths(again)[path])
+        for path, x in jb.parameter_paths(model).items()
+    )
     assert commands.main(["check", "model.toml"]) == 0 and "no errors" in capsys.readouterr().out
 
 
@@ -144,7 +147,7 @@ def test_measured_data_of_a_new_file_are_read_when_they_are_there(name, capsys, 
         measured,
         atol=0.006,
     )  # two decimals
-    assert all(jb.paths(study.model, path) for path in study.fit["free"])
+    assert all(jb.parameter_paths(study.model, path) for path in study.fit["free"])
 
 
 WITHOUT_DESIGN = ("double_pendulum", "full_car_on_double_wishbones")
@@ -159,7 +162,10 @@ def test_the_design_of_a_new_file_is_tuned(name, capsys, folder):
     said = capsys.readouterr()
     assert "best of 1 starts; ok" in said.out and "wrote model.toml" in said.out and not said.err
     tuned, before = jb.read_model("model.toml"), getattr(jb.presets, name)()
-    assert any(not np.array_equal(x, jb.paths(before)[path]) for path, x in jb.paths(tuned).items())
+    assert any(
+        not np.array_equal(x, jb.parameter_paths(before)[path])
+        for path, x in jb.parameter_paths(tuned).items()
+    )
 
 
 @pytest.mark.long
@@ -199,7 +205,7 @@ def test_a_data_sheet_of_mounts_becomes_a_file(capsys, folder):
     )
     model = jb.read_model("mounts.toml")
     frames = {"engine": model["engine"], "frame": model["frame"], "sub frame": model["sub frame"]}
-    for name, mount in jb.read_mounts("mounts.csv", frames).items():
+    for name, mount in jb.files.read_mounts("mounts.csv", frames).items():
         assert model[name].between == mount.between
         for field in ("a", "b", "stiffness", "damping", "orientation", "orientation_b"):
             np.testing.assert_array_equal(getattr(model[name], field), getattr(mount, field))
@@ -467,9 +473,13 @@ def test_a_design_is_that_of_python_and_is_written_into_the_file(capsys, folder)
     def drive(car):
         lin = jb.linearize(car, jb.equilibrium(car))
         outputs = {"seat": jb.Acceleration("body", axis="z"), "travel": jb.Elongation("suspension")}
-        spectra = {"road": jb.Unevenness.iso("C").at_speed(20.0)}
+        spectra = {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)}
         ride = jb.random_response(
-            lin, jb.Band(0.1, 100.0), {"road": jb.BaseMotion("road", "z")}, outputs, spectra
+            lin,
+            jb.vibration.Band(0.1, 100.0),
+            {"road": jb.BaseMotion("road", "z")},
+            outputs,
+            spectra,
         )
         comfort, travel = (
             jb.objectives.comfort(ride, {"seat": "Wk"}),
@@ -483,7 +493,7 @@ def test_a_design_is_that_of_python_and_is_written_into_the_file(capsys, folder)
     expected = jb.tune(car, drive, free=free, minimize="comfort", limits=limits, bounds=bounds)
     assert commands.main(["tune", "measured.toml", "--design", "ride", "--write"]) == 0
     assert "wrote measured.toml" in capsys.readouterr().out
-    tuned = jb.paths(jb.read_model("measured.toml"))
+    tuned = jb.parameter_paths(jb.read_model("measured.toml"))
     for path in free:
         np.testing.assert_allclose(tuned[path], expected.values[path], rtol=1e-6)  # of the search
     assert abs(float(expected.after["comfort"]) - float(expected.before["comfort"])) > 0.1
@@ -598,7 +608,10 @@ def test_the_random_response_and_load_cases_are_those_of_python(capsys, folder):
     lin = jb.linearize(car, jb.equilibrium(car))
     ports = {"road.z": jb.BaseMotion("road", "z")}, {"body.z": jb.Acceleration("body", axis="z")}
     expected = jb.random_response(
-        lin, jb.Band(0.2, 40.0), *ports, {"road.z": jb.Unevenness.iso("C").at_speed(15.0)}
+        lin,
+        jb.vibration.Band(0.2, 40.0),
+        *ports,
+        {"road.z": jb.vibration.RoadRoughness.iso("C").at_speed(15.0)},
     )
     assert str(expected) in capsys.readouterr().out
     table = np.loadtxt(folder / "psd.csv", delimiter=",", skiprows=1)

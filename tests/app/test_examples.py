@@ -218,7 +218,7 @@ def test_two_bodies_in_general_position():
         ("arm.mass", slope["arm"].mass),
         ("rope1.stiffness", slope["rope1"].stiffness),
     ):
-        value = jb.paths(model, path)[path]
+        value = jb.parameter_paths(model, path)[path]
         ends = [float(first(jb.replace(model, {path: value * (1 + sign * h)}))) for sign in (1, -1)]
         np.testing.assert_allclose((ends[0] - ends[1]) / (2 * h * value), derivative, rtol=1e-6)
 
@@ -338,7 +338,7 @@ def test_the_modes_of_the_engine(monkeypatch):
             names["engine"].reference,
         )
 
-    assert jb.track(between, np.linspace(0.0, 1.0, 21)).ok.all()
+    assert jb.track_modes(between, np.linspace(0.0, 1.0, 21)).ok.all()
 
 
 @pytest.mark.long

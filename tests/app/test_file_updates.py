@@ -32,7 +32,7 @@ a = ["box", "100, 0, 0 mm"]        # the bracket
 b = ["table", ["10 cm", 0, "-0.5 m"]]
 free_length = "0.5 m"
 spring = ["21 N/mm",               # catalogue
-          {type = "Stop", gap = "8 mm", stiffness = "3 kN/mm"}]
+          {type = "BumpStop", gap = "8 mm", stiffness = "3 kN/mm"}]
 damper = {type = "TwoSided", bump = "0.9 N s/mm", rebound = "2.1 N s/mm"}
 
 [elements.right]
@@ -170,7 +170,7 @@ def test_numbers_of_a_unit_system_stay_in_it(tmp_path):
 def test_what_stands_in_another_file_is_named(tmp_path):
     (tmp_path / "curve.csv").write_text("x [mm],F [N]\n0,0\n1,10\n2,30\n3,50\n")
     path = tmp_path / "box.toml"
-    path.write_text(BOX.replace('["21 N/mm",', '[{type = "Table", file = "curve.csv"},'))
+    path.write_text(BOX.replace('["21 N/mm",', '[{type = "Tabulated", file = "curve.csv"},'))
     model = jb.read_model(path)
     space = space_of_all(
         model, lambda leaf: leaf.path in ("left.spring.terms.0.forces", "box.mass")

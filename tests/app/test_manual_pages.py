@@ -16,6 +16,10 @@ PAGES = sorted(
     for path in manual_pages.DOCS.rglob("*.md")
     if not path.is_relative_to(manual_pages.DOCS / "generated")
 )
+GUIDE = (
+    *("models", "statics", "vibration", "shock", "suspensions", "identification", "uncertainty"),
+    *("optimization", "batches_and_speed"),
+)
 RUNNING = [path for path in PAGES if manual_pages.blocks(path)]
 
 
@@ -31,15 +35,21 @@ def test_a_page_prints_what_it_shows(page):
         manual_pages.assert_same(block.shown, text)
 
 
+@pytest.mark.parametrize("page", PAGES, ids=label)
+def test_code_fits_the_page(page):
+    cells = re.findall(r"^```(?:python|\{code-cell\})\n(.*?)^```", page.read_text(), re.M | re.S)
+    assert [line for cell in cells for line in cell.splitlines() if len(line) > 80] == []
+
+
+@pytest.mark.parametrize("page", GUIDE)
+def test_a_page_of_the_guide_shows_a_picture_of_its_result(page):
+    found = [block.picture for block in manual_pages.blocks(manual_pages.DOCS / f"guide/{page}.md")]
+    assert any(picture and picture.exists() for picture in found)
+
+
 def test_the_guide_and_every_kind_of_extension_run():
     names = {label(page) for page in RUNNING}
-    assert {
-        f"guide/{name}"
-        for name in (
-            *("models", "statics", "vibration", "identification", "uncertainty"),
-            *("optimization", "batches_and_speed"),
-        )
-    } <= names
+    assert {f"guide/{name}" for name in GUIDE} <= names
     assert {
         f"extending/{name}" for name in ("law", "element", "joint", "sensor", "motion")
     } <= names
@@ -91,7 +101,7 @@ def test_the_model_file_and_its_commands(tmp_path, monkeypatch, capsys):
     bushings = {
         side: jb.Bushing(*points, stiffness=[2e5, 2e5, 4e5]) for side, points in ends.items()
     }
-    spring = jb.laws.Linear(6e4) + jb.laws.Stop(gap=0.015, stiffness=2e6)
+    spring = jb.laws.Linear(6e4) + jb.laws.BumpStop(gap=0.015, stiffness=2e6)
     damper = jb.laws.TwoSided(bump=900.0, rebound=2100.0)
     strut = jb.SpringDamper(
         ("engine", [0.3, 0, -0.1]),
@@ -107,8 +117,8 @@ def test_the_model_file_and_its_commands(tmp_path, monkeypatch, capsys):
     )
     read = jb.read_model("engine.toml")
     assert all(
-        np.allclose(x, jb.paths(model)[path], rtol=1e-15, atol=0)
-        for path, x in jb.paths(read).items()
+        np.allclose(x, jb.parameter_paths(model)[path], rtol=1e-15, atol=0)
+        for path, x in jb.parameter_paths(read).items()
     )
     new, plain, study = (block.splitlines() for block in fenced("commands.md", "sh"))
     assert (

@@ -64,12 +64,12 @@ OUTPUTS = {
 
 def peaks(values, spectrum, combine):
     made = model(values)
-    response = jb.spectrum_response(
+    response = jb.shock.spectrum_response(
         jb.linearize(made, made.reference),
         {"ground": {"x": spectrum}},
         OUTPUTS,
         combine=combine,
-        damping=ZETA,
+        modal_damping=ZETA,
     )
     return response.values
 
@@ -118,7 +118,7 @@ def main() -> int:
     ratios: dict[str, list] = {how: [] for how in by}
     for _ in range(RECORDS):
         times, a = noise_record(rng, duration=20.0, rate=200.0, band=(0.5, 12.0))
-        spectrum = jb.shock_spectrum(
+        spectrum = jb.shock.shock_spectrum(
             (times, a), np.geomspace(0.3, 40.0, 600), damping=ZETA, kind="pseudo"
         )
         exact = np.array([history_peaks(m, k, a, times[1]) for m, k in zip(M, K, strict=True)])

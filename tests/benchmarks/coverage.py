@@ -39,54 +39,54 @@ CORNER, OTHER = rigs.CORNERS[0], rigs.CORNERS[2]
 UP, BEAM = [0, 0, 1], {"axis": [0, 0, -1], "normal": [0, 0, 1]}
 INSTRUMENTS: dict[str, tuple[dict[str, Any], Any]] = {  # sensors and their noise
     "accelerometer and gyro": (
-        {"acc": jb.Accelerometer("plate", CORNER), "gyro": jb.Gyro("plate")},
+        {"acc": jb.Accelerometer("plate", CORNER), "gyro": jb.sensors.Gyro("plate")},
         {"acc": 0.05, "gyro": 0.01},
     ),
-    "pose": ({"pose": jb.BodyPose("plate")}, {"pose": [1e-3, 3e-3]}),
+    "pose": ({"pose": jb.sensors.BodyPose("plate")}, {"pose": [1e-3, 3e-3]}),
     "elongations": (
         {name: jb.Elongation(name) for name in ("s0", "s1", "s2", "s4")},
         dict.fromkeys(("s0", "s1", "s2", "s4"), 1e-3),
     ),
     "position and rotation": (
-        {"p": jb.Position("plate", CORNER), "turn": jb.Rotation("plate")},
+        {"p": jb.Position("plate", CORNER), "turn": jb.sensors.Rotation("plate")},
         {"p": 1e-3, "turn": 3e-3},
     ),
     "velocities": (
-        {"v": jb.Velocity("plate", CORNER), "w": jb.AngularVelocity("plate")},
+        {"v": jb.Velocity("plate", CORNER), "w": jb.sensors.AngularVelocity("plate")},
         {"v": 5e-3, "w": 0.01},
     ),
     "accelerations": (
-        {"a": jb.Acceleration("plate", CORNER), "w'": jb.AngularAcceleration("plate")},
+        {"a": jb.Acceleration("plate", CORNER), "w'": jb.sensors.AngularAcceleration("plate")},
         {"a": 0.05, "w'": 0.2},
     ),
     "attitude, tilt and height": (
         {
-            "turn": jb.Orientation("plate"),
-            "tilt": jb.Tilt("plate"),
+            "turn": jb.sensors.Orientation("plate"),
+            "tilt": jb.sensors.Inclinometer("plate"),
             "z": jb.Position("plate", axis="z"),
         },
         {"turn": 3e-3, "tilt": 3e-3, "z": 1e-3},
     ),
     "gauges": (
         {
-            "a": jb.Displacement(("plate", CORNER), ("base", rigs.ON_BASE[0])),
-            "b": jb.StringPotentiometer(("plate", OTHER), ("base", rigs.ON_BASE[1])),
+            "a": jb.sensors.Displacement(("plate", CORNER), ("base", rigs.ON_BASE[0])),
+            "b": jb.sensors.StringPotentiometer(("plate", OTHER), ("base", rigs.ON_BASE[1])),
         },
         {"a": 1e-3, "b": 1e-3},
     ),
     "lasers": (
         {
-            "v": jb.LaserVibrometer("plate", CORNER, axis=UP),
-            "v2": jb.LaserVibrometer("plate", OTHER, axis=[1, 0, 0.5]),
-            "d": jb.LaserDistance("plate", [0, 0, 0.1], origin=[-0.3, 0.2, 1], **BEAM),
+            "v": jb.sensors.LaserVibrometer("plate", CORNER, axis=UP),
+            "v2": jb.sensors.LaserVibrometer("plate", OTHER, axis=[1, 0, 0.5]),
+            "d": jb.sensors.LaserDistance("plate", [0, 0, 0.1], origin=[-0.3, 0.2, 1], **BEAM),
         },
         {"v": 5e-3, "v2": 5e-3, "d": 1e-3},
     ),
     "load cell and force plate": (
-        {"cell": jb.LoadCell("s0"), "table": jb.ForcePlate("base")},
+        {"cell": jb.sensors.LoadCell("s0"), "table": jb.sensors.ForcePlate("base")},
         {"cell": 0.5, "table": [2.0, 1.0]},
     ),
-    "reaction of the base": ({"reaction": jb.Reaction("base")}, {"reaction": [2.0, 1.0]}),
+    "reaction of the base": ({"reaction": jb.sensors.Reaction("base")}, {"reaction": [2.0, 1.0]}),
 }
 
 
@@ -106,7 +106,7 @@ class Study:
         )
         clean = jb.measure(jb.simulate(self.model, self.times, **self.shaking, **HOW), sensors)
         self.exact = {name: np.asarray(reading) for name, reading in clean.items()}
-        values = jb.paths(self.model)
+        values = jb.parameter_paths(self.model)
         free = [path for path in values if path.endswith("stiffness")] + FREE[1:]
         self.truth = {path: np.asarray(values[path]) for path in free}
         self.start = jb.replace(

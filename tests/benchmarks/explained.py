@@ -48,9 +48,9 @@ SCATTER = 0.15  # of the logarithms of the guess
 TIMES = STEP * np.arange(SAMPLES)
 SENSORS = {
     "acc": jb.Accelerometer("top", axis=[0, 0, 1]),
-    "low": jb.Displacement("table", "base", axis=[0, 0, 1]),
-    "high": jb.Displacement("top", "base", axis=[0, 0, 1]),
-    "turn": jb.JointAngle("wheel"),
+    "low": jb.sensors.Displacement("table", "base", axis=[0, 0, 1]),
+    "high": jb.sensors.Displacement("top", "base", axis=[0, 0, 1]),
+    "turn": jb.sensors.JointAngle("wheel"),
 }
 INITIAL = jb.State(q=np.zeros(3), v=np.array([0.0, 0.0, 12.0]))  # the wheel spins
 

@@ -41,8 +41,8 @@ motion = {"road": jb.Harmonic(frequency=1.3, translation=[0, 0, 0.01])}
 first = lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
 def ride(model):
     lin = jb.linearize(model, jb.equilibrium(model))
-    roads, band = {"road": jb.BaseMotion("road", "z")}, jb.Band(0.2, 40.0, points=201)
-    uneven = jb.Unevenness.iso("C").at_speed(20.0)
+    roads, band = {"road": jb.BaseMotion("road", "z")}, jb.vibration.Band(0.2, 40.0, points=201)
+    uneven = jb.vibration.RoadRoughness.iso("C").at_speed(20.0)
     return jb.random_response(lin, band, roads, {"body": jb.Acceleration("body", axis="z")}, {"road": uneven})
 def record():
     sensors = {"body": jb.Position("body", axis="z")}

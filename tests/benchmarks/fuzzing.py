@@ -54,7 +54,7 @@ def sources(folder: Path) -> dict:
         jb.write_model(model, path)
     mjcf = [mjcf[0], mjcf[2]]
     for path in mjcf:
-        jb.write_mjcf(models[path.stem], path)
+        jb.files.write_mjcf(models[path.stem], path)
     times = 0.01 * np.arange(60)
     record = folder / "run.csv"
     record.write_text(
@@ -67,13 +67,13 @@ def sources(folder: Path) -> dict:
     return {
         "model files, TOML": (toml, jb.read_model, changed_text),
         "model files, JSON": (toml, jb.read_model, changed_value),
-        "MJCF": (mjcf, jb.read_mjcf, changed_text),
+        "MJCF": (mjcf, jb.files.read_mjcf, changed_text),
         "data sheets of mounts": (
             [mounts],
-            lambda path: jb.read_mounts(path, BODIES),
+            lambda path: jb.files.read_mounts(path, BODIES),
             changed_text,
         ),
-        "hard points": ([points], jb.read_hard_points, changed_text),
+        "hard points": ([points], jb.files.read_hard_points, changed_text),
         "records": (
             [record],
             lambda path: jb.read_record(path, time="t", channels={"a": "a"}),

@@ -48,7 +48,7 @@ def plate():
 
 
 def truth(model):
-    result = {path: x for pattern in FREE for path, x in jb.paths(model, pattern).items()}
+    result = {path: x for pattern in FREE for path, x in jb.parameter_paths(model, pattern).items()}
     return {path: float(x) for path, x in result.items()}
 
 
@@ -64,7 +64,7 @@ def loads():
 
 def experiment(model, seed=0):
     sensors = {name: jb.Accelerometer("plate", place) for name, place in PLACES.items()} | {
-        "gyro": jb.Gyro("plate")
+        "gyro": jb.sensors.Gyro("plate")
     }
     trajectory = jb.simulate(model, TIMES, loads=loads(), rtol=1e-11)
     measured = jb.measure(trajectory, sensors, noise=NOISE, key=jax.random.key(seed))
@@ -119,7 +119,7 @@ def decay(model):
     """The plate thrown from its reference pose: smooth, so that no program's way with sampled
     forces matters."""
     sensors = {name: jb.Accelerometer("plate", place) for name, place in PLACES.items()} | {
-        "gyro": jb.Gyro("plate")
+        "gyro": jb.sensors.Gyro("plate")
     }
     initial = jb.State(model.reference.q, jax.numpy.asarray(THROWN))
     measured = jb.measure(

@@ -39,7 +39,7 @@ def warm(function):
 def step():
     """Half a second of a double wishbone that its spring lifts, and of the same bodies
     without closures."""
-    model, times = jb.double_wishbone().model, np.linspace(0.0, 0.5, 51)
+    model, times = jb.suspension.double_wishbone().model, np.linspace(0.0, 0.5, 51)
     names = model.layout.bodies
     tree = jb.Model(
         bodies={name: model[name] for name in names},
@@ -92,7 +92,7 @@ def curves():
     points = {name: jnp.array(point) for name, point in DOUBLE_WISHBONE.items()}
 
     def toe_and_camber(travel, points):
-        found = jb.double_wishbone(points).curves(travel)
+        found = jb.suspension.double_wishbone(points).curves(travel)
         return jnp.stack([found["toe"], found["camber"]])
 
     alone = jax.jit(lambda x: toe_and_camber(travel, x))
@@ -109,7 +109,7 @@ def curves():
 def design():
     """Of the full car: load of a tyre in equilibrium, the sum of its seven lowest frequencies, toe
     and camber of a wheel at eleven travels, by the 60 coordinates of twenty hard points."""
-    car, travel = jb.car_on_double_wishbones(), np.linspace(-0.05, 0.05, 11)
+    car, travel = jb.suspension.car_on_double_wishbones(), np.linspace(-0.05, 0.05, 11)
     points = {
         name: at
         for name, at in car.hard_points.items()
@@ -146,7 +146,7 @@ def car():
     largest distances of car and hub at the end from those with rtol 1e-12. Without anti-roll bars,
     which Exudyn has not."""
     model, times = (
-        jb.car_on_double_wishbones(anti_roll=(1e-6, 1e-6)).model,
+        jb.suspension.car_on_double_wishbones(anti_roll=(1e-6, 1e-6)).model,
         np.linspace(0.0, 1.0, 101),
     )
     motion = {

@@ -29,8 +29,10 @@ def motion(model):
 def comfort(model):
     lin = jb.linearize(model, jb.equilibrium(model))
     roads, body = {"road": jb.BaseMotion("road", "z")}, {"body": jb.Acceleration("body", axis="z")}
-    uneven = {"road": jb.Unevenness.iso("C").at_speed(20.0)}
-    return jb.random_response(lin, jb.Band(0.2, 40.0, points=201), roads, body, uneven)["body"]
+    uneven = {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)}
+    return jb.random_response(lin, jb.vibration.Band(0.2, 40.0, points=201), roads, body, uneven)[
+        "body"
+    ]
 
 
 def of_stiffness(function):

@@ -49,9 +49,10 @@ def main():
         )
         for method in ("direct", "modal")
     ]
-    band = jb.Band(0.1, 20.0, points=1000)
+    band = jb.vibration.Band(0.1, 20.0, points=1000)
     white = {
-        d: jb.PowerLaw(1e-4, unit="(m/s)2/Hz" if len(d) == 1 else "(rad/s)2/Hz") for d in DIRECTIONS
+        d: jb.vibration.PowerLaw(1e-4, unit="(m/s)2/Hz" if len(d) == 1 else "(rad/s)2/Hz")
+        for d in DIRECTIONS
     }
     felt = {"corner": jb.Acceleration("plate", [0.4, 0.3, 0.05], axis="z")}
     names = [f"s{i}" for i in range(5)]

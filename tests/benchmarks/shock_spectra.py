@@ -52,7 +52,9 @@ def main() -> int:
     a, h = record["acceleration"], record.sampling.step
 
     def ours():
-        return jb.shock_spectrum(record, FREQUENCIES, damping=DAMPING).values.block_until_ready()
+        return jb.shock.shock_spectrum(
+            record, FREQUENCIES, damping=DAMPING
+        ).values.block_until_ready()
 
     difference = np.abs(np.asarray(ours()) / by_lfilter(a, h) - 1).max()
     times = [(seconds(ours), seconds(lambda: by_lfilter(a, h))) for _ in range(ROUNDS)]

@@ -29,7 +29,7 @@ TRUTH = {
     **{f"run.acc.{name}": x for name, x in CHAIN.items()},
 }
 ON = {"axis": [1, 0, 0]}
-GAP = jb.Displacement("cart", "base", axis=[1, 0, 0])
+GAP = jb.sensors.Displacement("cart", "base", axis=[1, 0, 0])
 
 
 class Study:

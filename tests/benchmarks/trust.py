@@ -103,7 +103,7 @@ def drift(share):
     model = jb.replace(rigs.rig(), {"*.damping": 0.0})
     eq = jb.equilibrium(model)
     start = jb.State(
-        jb.retract(model, eq.state.q, jnp.array([0.04, -0.03, 0.05, 0.15, -0.1, 0.2, -0.3])),
+        jb.joints.retract(model, eq.state.q, jnp.array([0.04, -0.03, 0.05, 0.15, -0.1, 0.2, -0.3])),
         0.3 * jnp.ones(7),
     )
     found = jb.simulate(model, np.linspace(0, 10, 401), initial=start, rtol=1e-13)
@@ -351,7 +351,7 @@ def units(share):
     rng, counts, flagged = np.random.default_rng(0), collections.Counter(), collections.Counter()
 
     def judged(model):
-        return bool(jb.plausibility(model).words)
+        return bool(jb.fitting.plausibility(model).words)
 
     for name in dir(jb.presets):
         ready = getattr(jb.presets, name)()

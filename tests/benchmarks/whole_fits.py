@@ -64,7 +64,7 @@ class DataSheet:
         self.model = on_guide(strut(spring=self.truth), mass=100.0)
         self.off = {f"mount.spring.{name}": off for name, off in zip(self.names, OFF, strict=True)}
         self.exact = {
-            name: jb.dynamic_stiffness(self.model["mount"], SHEET, amplitude=X)
+            name: jb.vibration.dynamic_stiffness(self.model["mount"], SHEET, amplitude=X)
             for name, X in AMPLITUDES.items()
         }
 
@@ -75,7 +75,7 @@ class DataSheet:
                 np.asarray(self.exact[name].magnitude),
                 np.asarray(self.exact[name].loss_angle),
             )
-            sheets[name] = jb.MeasuredStiffness(
+            sheets[name] = jb.fitting.MeasuredStiffness(
                 "mount",
                 SHEET,
                 amplitude=X,
@@ -178,7 +178,7 @@ def pendulum() -> OfRecord:
         ("boom", [0, 0, 0.3]),
         10,
         3.0,
-        jb.JointAngle("boom"),
+        jb.sensors.JointAngle("boom"),
         np.arange(201) / 400,
         1e-3,
     )
@@ -193,7 +193,7 @@ CASES = {
     "Polynomial": law(
         laws.Polynomial([4e4, 4e6, 5e9]), 20.0, "spring.coefficients", "damper.coefficient"
     ),
-    "Stop": law(
+    "BumpStop": law(
         laws.Linear(4e4) + laws.Stop(gap=5e-4, stiffness=2e5),
         20.0,
         "spring.terms.1.gap",
@@ -218,7 +218,7 @@ CASES = {
         "spring.height",
         constant=1400.0,
     ),
-    "Table": law(
+    "Tabulated": law(
         laws.Table(
             [-6e-3, -2e-3, -6e-4, 6e-4, 2e-3, 6e-3], [-540.0, -120.0, -24.0, 24.0, 120.0, 540.0]
         ),
@@ -278,7 +278,7 @@ def main():
     options = parser.parse_args()
     for name in options.cases:
         case = CASES[name]()
-        truth = {path: np.asarray(jb.paths(case.model)[path]) for path in case.off}
+        truth = {path: np.asarray(jb.parameter_paths(case.model)[path]) for path in case.off}
         start, held = (
             jb.replace(case.model, {path: x * case.off[path] for path, x in truth.items()}),
             [],

@@ -72,7 +72,9 @@ def jobs():
             jb.tolerances(model, frequencies, scatter, samples=100_000, workers=workers).samples
         ),
         "multistart of 32": lambda workers: (
-            jb.multistart(guess, runs, free=[f"{name}.stiffness"], starts=32, workers=workers).cost
+            jb.fitting.multistart(
+                guess, runs, free=[f"{name}.stiffness"], starts=32, workers=workers
+            ).cost
         ),
     }
 

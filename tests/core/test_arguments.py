@@ -57,7 +57,7 @@ DICTS = {
     "joints": (lambda: model(joints=(GUIDE,)), "joints", "a tuple {name: jb.Hinge(...)}"),
     "loads of simulate": (lambda: simulate(loads=[PUSH]), "loads", "a list {name: jb.Force(...)}"),
     "one motion": (
-        lambda: simulate(motion=jb.AtRest()),
+        lambda: simulate(motion=jb.inputs.AtRest()),
         "motion",
         "an AtRest {support: jb.Harmonic(...)}",
     ),
@@ -87,7 +87,7 @@ DICTS = {
         "a list {name: array}",
     ),
     "motion of an experiment": (
-        lambda: experiment(motion=[jb.AtRest()]),
+        lambda: experiment(motion=[jb.inputs.AtRest()]),
         "Experiment.motion",
         "a list {support: jb.Harmonic(...)}",
     ),
@@ -107,7 +107,7 @@ DICTS = {
         "a list {path: standard deviation}",
     ),
     "scatter of robust": (
-        lambda: jb.robust(heaviness, 0.1)(model()),
+        lambda: jb.design.robust(heaviness, 0.1)(model()),
         "robust.scatter",
         "a float {path: standard deviation}",
     ),
@@ -272,13 +272,13 @@ NUMBERS = {
         "'x' numbers",
     ),
     "sigmas": (
-        lambda: jb.robust(heaviness, {"*.mass": 0.1}, sigmas="x"),
+        lambda: jb.design.robust(heaviness, {"*.mass": 0.1}, sigmas="x"),
         "NOT_A_NUMBER",
         "robust.sigmas",
         "'x' numbers",
     ),
     "seed": (
-        lambda: jb.multistart(model(), {}, free=[], seed="x"),
+        lambda: jb.fitting.multistart(model(), {}, free=[], seed="x"),
         "BAD_NUMBER",
         "multistart.seed",
         "'x' whole number >= 0",
@@ -310,8 +310,10 @@ def fitted():
 
 KEYED = {
     "measure": lambda fitted, key: jb.measure(simulate(), {"z": PLACE}, noise=1e-3, key=key),
-    "bands": lambda fitted, key: jb.bands(fitted, lambda m: m["s"].stiffness, samples=4, key=key),
-    "coverage": lambda fitted, key: jb.coverage(fitted, replicates=2, key=key),
+    "bands": lambda fitted, key: jb.confidence_bands(
+        fitted, lambda m: m["s"].stiffness, samples=4, key=key
+    ),
+    "coverage": lambda fitted, key: jb.fitting.interval_coverage(fitted, replicates=2, key=key),
     "tune": lambda fitted, key: tune(key=key, bounds={"s.stiffness": (200.0, 800.0)}, starts=2),
     "sweep": lambda fitted, key: jb.sweep(
         model(), heaviness, {"*.mass": (1.0, 2.0)}, samples=2, key=key
@@ -320,8 +322,8 @@ KEYED = {
         model(), heaviness, {"*.mass": 0.1}, samples=4, key=key
     ),
     "find_equilibria": lambda fitted, key: jb.find_equilibria(model(), starts=2, key=key),
-    "road_profile": lambda fitted, key: jb.road_profile(
-        jb.Unevenness.iso("C"), length=10.0, spacing=1.0, key=key
+    "road_profile": lambda fitted, key: jb.vibration.road_profile(
+        jb.vibration.RoadRoughness.iso("C"), length=10.0, spacing=1.0, key=key
     ),
 }
 
@@ -354,7 +356,11 @@ def test_noise_from_a_traced_key():
 def test_all_problems_of_a_call_are_in_one_error():
     with pytest.raises(jb.JaxbodyError) as refused:
         simulate(
-            loads=[PUSH], motion={"bse": jb.AtRest()}, rtol="x", max_steps=2.5, solver=diffrax.Tsit5
+            loads=[PUSH],
+            motion={"bse": jb.inputs.AtRest()},
+            rtol="x",
+            max_steps=2.5,
+            solver=diffrax.Tsit5,
         )
     assert [problem.where for problem in refused.value.problems] == [
         "motion",
@@ -386,8 +392,8 @@ def test_names_of_numpy_are_names():
         jb.equilibrium(built, loads={s: jb.Force(mass, force=[0, 0, 1.0])})
         ends = [
             jb.Position(mass).on,
-            jb.ForcePlate(base).on,
-            jb.Reaction(mass).on,
+            jb.sensors.ForcePlate(base).on,
+            jb.sensors.Reaction(mass).on,
             jb.Position(mass, axis="z").on,
             jb.BaseMotion(base, np.str_("z"), kind=np.str_("velocity")).kind,
         ]

@@ -126,7 +126,7 @@ def test_a_fit():
         experiments={"run1": experiment},
         status=jnp.array(7),
     )
-    dataset = jb.Fit.to_xarray(fit)
+    dataset = jb.fitting.Fit.to_xarray(fit)
     assert float(dataset["estimate"].sel(parameter="mass.com[1]")) == 2.0
     assert float(dataset["standard_error"].sel(parameter="mass.com[2]")) == np.inf
     np.testing.assert_array_equal(dataset["upper"], [51.0, 1.2, 2.4, np.inf])

@@ -55,7 +55,7 @@ def tuned(folder):
 
 def counted(folder):
     record = jb.Record(np.arange(8.0) / 10, {"x": ([0, 1, -1, 2, 0, 1, 0, 1.5], "N")})
-    jb.fatigue_damage(record, {"x": jb.SNCurve(3.0, cycles=1e6, level=1.0, unit="N")})
+    jb.shock.fatigue_damage(record, {"x": jb.shock.SNCurve(3.0, cycles=1e6, level=1.0, unit="N")})
 
 
 def viewed(suffix):
@@ -65,7 +65,7 @@ def viewed(suffix):
 def shaped(folder):
     path = folder / "part.stl"
     path.write_bytes(bytes(100))
-    jb.Shape.file(path)
+    jb.views.Shape.file(path)
 
 
 def swept(**options):
@@ -85,7 +85,7 @@ def swept(**options):
 def from_urdf(folder):
     path = folder / "arm.urdf"
     path.write_text("<robot name='arm'><link name='base'/></robot>")
-    jb.read_mjcf(path)
+    jb.files.read_mjcf(path)
 
 
 USES = {

@@ -42,7 +42,7 @@ def stops(t):
 def moved(k, adjoint=None, *, width=1.0, end=0.6, rtol=1e-4):
     """The last position; all cases share one program: a spring with a table of this half width."""
     x = width * np.array([-2.0, -1.0, 1.0, 2.0])
-    model = slider(None, jb.laws.Table(x, k * x))
+    model = slider(None, jb.laws.Tabulated(x, k * x))
     return jb.simulate(
         model,
         [0.0, end / 2, end],

@@ -67,8 +67,8 @@ first(jb.modes, lin)
 lin = jb.linearize(car, jb.equilibrium(car))
 pull = {"pull": jb.PointForce("body", direction="z")}
 stroke = {"stroke": jb.Elongation("suspension")}
-density = {"pull": jb.PowerLaw(3.0, unit="N2/Hz")}
-first(jb.random_response, lin, jb.Band(0.1, 100.0), pull, stroke, density)
+density = {"pull": jb.vibration.PowerLaw(3.0, unit="N2/Hz")}
+first(jb.random_response, lin, jb.vibration.Band(0.1, 100.0), pull, stroke, density)
 read = {"z": jb.Position("body", axis=[0, 0, 1])}
 track = jb.Experiment(times, sensors=read, measured=jb.measure(run, read), loads=push)
 first(jb.fit, car, {"track": track}, free=["suspension.stiffness"])

@@ -107,7 +107,7 @@ def made():
         2 * [tuple(jnp.ones((1, *e.shape)) for e in eq.deformations)],
     )
     o, i = jnp.ones(nv), jnp.zeros(nv, int)
-    wheel = jb.Wheel("mass", center=[0, 0, 0], axis="y", radius=0.3)
+    wheel = jb.suspension.Wheel("mass", center=[0, 0, 0], axis="y", radius=0.3)
     return [
         jb.simulate(model, TIMES[:3]),
         eq,
@@ -144,8 +144,8 @@ def made():
         modes,
         jb.complex_modes(lin),
         jb.mode_energies(lin),
-        jb.elastic_axes(lin, "box"),
-        jb.torque_roll_axis(lin, "box", [1, 0, 0]),
+        jb.vibration.elastic_axes(lin, "box"),
+        jb.vibration.torque_roll_axis(lin, "box", [1, 0, 0]),
         Backbones(o, lin.K, 0 * i, o, lin.K, lin.K, o, o, o, i, model.layout, model.independent),
         SpinLinearization(
             lin.M, lin.C, lin.K, lin.status, lin.state, model, lin.basis, lin.C, lin.K, lin.K[0]
@@ -161,23 +161,27 @@ def made():
         DynamicStiffness(o, o + 1j, o[0], i[0]),
         jb.frequency_response(small, [1.0, 2.0], shaken, moved),
         jb.random_response(
-            small, jb.Band(0.5, 5.0), shaken, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}
+            small,
+            jb.vibration.Band(0.5, 5.0),
+            shaken,
+            moved,
+            {"base": jb.vibration.PowerLaw(1.0, unit="m2/Hz")},
         ),
         *shocked(small, moved),
-        jb.weighted_signal(np.arange(400) / 400, np.cos(np.arange(400)), "Wk"),
-        jb.base_motion(acceleration, "acc", axis=[1, 0, 0]),
+        jb.vibration.weighted_signal(np.arange(400) / 400, np.cos(np.arange(400)), "Wk"),
+        jb.inputs.base_motion(acceleration, "acc", axis=[1, 0, 0]),
         result,
         Multistart(result, np.ones(1), np.ones(1, int), result.estimates, 4, 3, result.status),
         jb.validate(result, {"later": measured(TIMES)}),
         Coverage(
             ("spring.stiffness",), 0.95, *np.zeros((3, 4, 1)), *np.ones((2, 1)), np.zeros(4, int)
         ),
-        jb.profile(result, free[0]),
-        jb.bands(result, lambda model: model["spring"].stiffness),
+        jb.profile_likelihood(result, free[0]),
+        jb.confidence_bands(result, lambda model: model["spring"].stiffness),
         jb.diagnose(one, {"run": measured(TIMES)}),
-        jb.plausibility(one),
+        jb.fitting.plausibility(one),
         jb.tune(one, quantities, free=free, minimize="shake", bounds=bounds, starts=1),
-        jb.sensitivities(one, quantities, free=free),
+        jb.design.sensitivities(one, quantities, free=free),
         jb.tolerances(one, quantities, {"spring.stiffness": 1.0}, samples=100),
         jb.pareto(
             one, quantities, minimize=["shake", "travel"], free=free, bounds=bounds, points=3
@@ -190,19 +194,19 @@ def shocked(small, moved):
     record = np.arange(40) / 10, np.cos(np.arange(40.0))
     ride = jb.random_response(
         small,
-        jb.Band(0.5, 5.0),
+        jb.vibration.Band(0.5, 5.0),
         {"base": jb.BaseMotion("base", "x")},
         moved,
-        {"base": jb.PowerLaw(1.0, unit="m2/Hz")},
+        {"base": jb.vibration.PowerLaw(1.0, unit="m2/Hz")},
     )
     o = jnp.ones(3)
     return [
-        jb.shock_spectrum(record, [1.0, 2.0], damping=[0.02, 0.05]),
-        jb.spectrum_response(small, {"base": {"x": record}}, moved),
+        jb.shock.shock_spectrum(record, [1.0, 2.0], damping=[0.02, 0.05]),
+        jb.shock.spectrum_response(small, {"base": {"x": record}}, moved),
         MatchedRecord(o, o, o, o, o, o, o, jnp.array(0.05), jnp.array(0)),
-        jb.peak_factor(ride, 30.0),
-        jb.fatigue_damage(
-            ride, {"mass": jb.SNCurve(3.0, cycles=1e6, level=1.0, unit="m")}, duration=60.0
+        jb.shock.peak_factor(ride, 30.0),
+        jb.shock.fatigue_damage(
+            ride, {"mass": jb.shock.SNCurve(3.0, cycles=1e6, level=1.0, unit="m")}, duration=60.0
         ),
     ]
 
@@ -221,6 +225,16 @@ def looked_at(thing):
 def classes(of=Result):
     every = {c for each in of.__subclasses__() for c in ({each} | classes(each))}
     return {c for c in every if c.__module__.startswith("jaxbody.") and not inspect.isabstract(c)}
+
+
+@pytest.mark.long
+def test_every_result_is_text_arrays_and_a_picture(results):
+    for result in results:
+        name = type(result).__name__
+        assert name == "Trajectory" or f"{result.summary()}\n" == str(result), name
+        assert result.to_pandas().attrs["units"].keys() >= set(result.to_pandas().columns), name
+        assert len(result.to_xarray().data_vars) > 0, name
+        assert hasattr(result, "plot") != (name in {"Plausibility", "WheelCompliance"}), name
 
 
 @pytest.mark.long

@@ -52,7 +52,7 @@ def test_a_batch_has_the_sample_in_its_index():
 def test_responses_have_the_units_of_output_and_input(lin):
     inputs, outputs = (
         {"road": jb.BaseMotion("road", "z")},
-        {"seat": jb.Acceleration("body", axis="z"), "load": jb.LoadCell("tyre")},
+        {"seat": jb.Acceleration("body", axis="z"), "load": jb.sensors.LoadCell("tyre")},
     )
     response = jb.frequency_response(lin, np.geomspace(0.1, 10, 5), inputs, outputs)
     frame = response.to_pandas()
@@ -62,7 +62,11 @@ def test_responses_have_the_units_of_output_and_input(lin):
         and frame.attrs["units"]["frequency"] == "Hz"
     )
     ride = jb.random_response(
-        lin, jb.Band(0.1, 10.0), inputs, outputs, {"road": jb.Unevenness.iso("C").at_speed(20.0)}
+        lin,
+        jb.vibration.Band(0.1, 10.0),
+        inputs,
+        outputs,
+        {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)},
     )
     frame = ride.to_pandas()
     np.testing.assert_array_equal(frame["psd[seat]"], ride.psd[0])
@@ -111,8 +115,8 @@ def test_every_class_with_labeled_arrays_has_its_dimension():
     def below(kind):
         return {x for sub in kind.__subclasses__() for x in {sub, *below(sub)}}
 
-    for name in dir(jb):
-        getattr(jb, name)
+    for home in [jb, *(getattr(jb, family) for family in jb._MODULES)]:
+        [getattr(home, name) for name in dir(home)]
     classes = {
         kind
         for kind in below(Labeled)

@@ -137,19 +137,19 @@ CALLS = {
     "simulate": (lambda: jb.simulate(on_guide(), TIMES), "simulate"),
     "fit": (lambda: jb.fit(on_guide(), run(), free=FREE), "fit: evaluation 1: cost"),
     "multistart": (
-        lambda: jb.multistart(on_guide(), run(), free=FREE, starts=2),
+        lambda: jb.fitting.multistart(on_guide(), run(), free=FREE, starts=2),
         "multistart: starts 2 of 2: least cost",
     ),
     "multiple_shooting": (
-        lambda: jb.multiple_shooting(on_guide(), run(), free=FREE, segments=2),
+        lambda: jb.fitting.multiple_shooting(on_guide(), run(), free=FREE, segments=2),
         "multiple shooting: all segments, slack",
     ),
     "coverage": (
-        lambda: jb.coverage(jb.fit(on_guide(), run(), free=FREE), replicates=16),
+        lambda: jb.fitting.interval_coverage(jb.fit(on_guide(), run(), free=FREE), replicates=16),
         "coverage: 16 of 16 replicates",
     ),
     "profile": (
-        lambda: jb.profile(jb.fit(on_guide(), run(), free=FREE), FREE[0]),
+        lambda: jb.profile_likelihood(jb.fit(on_guide(), run(), free=FREE), FREE[0]),
         "profile: point 1 below the estimate, tau",
     ),
     "diagnose": (lambda: jb.diagnose(on_guide(), run()), "diagnose: 'run'"),
@@ -168,7 +168,7 @@ CALLS = {
         "sweep: 3 of 3 models",
     ),
     "sensitivities": (
-        lambda: jb.sensitivities(on_guide(), stiff, free=FREE),
+        lambda: jb.design.sensitivities(on_guide(), stiff, free=FREE),
         "sensitivities: evaluation 1",
     ),
     "tolerances": (

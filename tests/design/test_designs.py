@@ -199,7 +199,10 @@ def test_multipliers_are_those_of_the_problem_solved_again(car):
 @pytest.mark.long
 def test_the_tuned_damper_of_a_quarter_car():
     """By the library's random response over all frequencies: c = ks sqrt(M/kt)."""
-    band, road = jb.Band(1e-6, 1e7, points=1001), jb.Unevenness.iso("C").at_speed(20.0)
+    band, road = (
+        jb.vibration.Band(1e-6, 1e7, points=1001),
+        jb.vibration.RoadRoughness.iso("C").at_speed(20.0),
+    )
 
     def felt(model):
         seat = {"body": jb.Acceleration("body", axis="z")}
@@ -750,7 +753,8 @@ def test_a_stop_that_just_touches_at_rest_is_named():
             ("body", [0, 0, 0]),
             ("world", [0, 0, -0.5]),
             free_length=0.5,
-            spring=jb.laws.Linear(3000.0) + jb.laws.Stop(gap=0.02, stiffness=2e4, engagement=5e-3),
+            spring=jb.laws.Linear(3000.0)
+            + jb.laws.BumpStop(gap=0.02, stiffness=2e4, engagement=5e-3),
         )
     }
     model = jb.Model(

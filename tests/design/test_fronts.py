@@ -11,8 +11,8 @@ import jaxbody as jb
 
 MS, MU, KT = 375.0, 75.0, 193000.0
 W = 2 * np.pi**2 * 0.1**2 * 256e-6 * 20.0  # intensity of a class C road at 20 m/s
-BAND = jb.Band(1e-4, 1e5, points=801)
-ROAD = jb.Unevenness.iso("C").at_speed(20.0)
+BAND = jb.vibration.Band(1e-4, 1e5, points=801)
+ROAD = jb.vibration.RoadRoughness.iso("C").at_speed(20.0)
 ASKED = {"comfort": jb.Acceleration("body", axis="z"), "travel": jb.Elongation("suspension")}
 
 

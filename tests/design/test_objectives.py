@@ -129,11 +129,15 @@ def ride():
     asked = {
         "body": jb.Acceleration("body", axis="z"),
         "travel": jb.Elongation("suspension"),
-        "tyre": jb.LoadCell("tyre"),
+        "tyre": jb.sensors.LoadCell("tyre"),
     }
-    road = {"road": jb.Unevenness.iso("C").at_speed(20.0)}
+    road = {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)}
     return jb.random_response(
-        lin, jb.Band(1e-4, 1e5, points=2001), {"road": jb.BaseMotion("road", "z")}, asked, road
+        lin,
+        jb.vibration.Band(1e-4, 1e5, points=2001),
+        {"road": jb.BaseMotion("road", "z")},
+        asked,
+        road,
     )
 
 
@@ -161,7 +165,7 @@ def test_what_a_random_road_does_is_the_closed_form(ride):
         objectives.road_holding(ride, {"tyre": M * G}), KT * np.sqrt(tyre) / (M * G), rtol=1e-4
     )
     f, psd = np.asarray(ride.frequencies), np.asarray(ride.psd[0])
-    felt = np.trapezoid(psd * np.abs(np.asarray(jb.weighting("Wk", f))) ** 2, f)
+    felt = np.trapezoid(psd * np.abs(np.asarray(jb.vibration.frequency_weighting("Wk", f))) ** 2, f)
     np.testing.assert_allclose(objectives.comfort(ride, {"body": "Wk"}), np.sqrt(felt), rtol=1e-4)
     with pytest.raises(jb.JaxbodyError, match="BAD_UNIT"):
         objectives.road_holding(ride, {"travel": 1.0})
@@ -179,7 +183,10 @@ def test_several_seats_are_summed_and_several_tyres_averaged():
     names, units = ("z", "x", "y", "left", "right"), ("m/s2",) * 3 + ("N",) * 2
     arrays = map(jnp.asarray, (f, psd, rms, weights, weights, 0))
     ride = RandomResponse(*arrays, outputs=names, units=units)
-    gains = [np.abs(np.asarray(jb.weighting(name, f))) ** 2 for name in ("Wk", "Wd", "Wd")]
+    gains = [
+        np.abs(np.asarray(jb.vibration.frequency_weighting(name, f))) ** 2
+        for name in ("Wk", "Wd", "Wd")
+    ]
     felt = np.sum([np.trapezoid(s * gain, f) for s, gain in zip(S, gains, strict=True)])
     np.testing.assert_allclose(
         objectives.comfort(ride, {"z": "Wk", "x": "Wd", "y": "Wd"}), np.sqrt(felt), rtol=1e-12

@@ -93,7 +93,7 @@ def test_the_second_order_of_a_frequency_is_that_of_its_closed_form():
     np.testing.assert_allclose([result.mean[0], result.deviation[0]], [mean, deviation], rtol=1e-12)
     assert abs(result.sampled_mean[0] - mean) < 4 * deviation / n**0.5
     assert abs(result.sampled_deviation[0] / deviation - 1) < 4 * np.sqrt(0.5 / n)
-    high = jb.robust(frequency, scatter)(model)["objective high"]
+    high = jb.design.robust(frequency, scatter)(model)["objective high"]
     np.testing.assert_allclose(high, mean + 3 * deviation, rtol=1e-12)
 
 
@@ -134,7 +134,7 @@ def test_a_design_for_the_mean_plus_three_sigma(weight):
         x, p = model["spring"].stiffness / K0, model["spring"].damping - C0
         return {"cost": (x - 1) ** 2 + p * x**2}
 
-    made = jb.robust(cost, {"spring.damping": s})
+    made = jb.design.robust(cost, {"spring.damping": s})
     free = dict(free="spring.stiffness", bounds={"spring.stiffness": (10.0, 200.0)})
     result = jb.tune(weight, made, minimize="cost high", **free)
     np.testing.assert_allclose(result.values["spring.stiffness"], K0 / (1 + 3 * s), rtol=1e-5)
@@ -160,7 +160,7 @@ def test_bad_scatter_is_reported(weight, code):
     scatter, words = BAD[code]
     for call in (
         lambda: jb.tolerances(weight, quadratic, scatter),
-        lambda: jb.robust(quadratic, scatter)(weight),
+        lambda: jb.design.robust(quadratic, scatter)(weight),
     ):
         with pytest.raises(jb.JaxbodyError, match=words) as caught:
             call()
@@ -175,7 +175,7 @@ def modal(model):
 @pytest.fixture(scope="module")
 def ranked():
     car = jb.presets.quarter_car(damping=1500.0)
-    return car, jb.sensitivities(car, modal, free=["*.stiffness", "*.mass"], change=0.2)
+    return car, jb.design.sensitivities(car, modal, free=["*.stiffness", "*.mass"], change=0.2)
 
 
 @pytest.mark.long
@@ -185,7 +185,7 @@ def test_sensitivities_are_differences_and_ranked(ranked):
     car, result = ranked
     frequency = jax.jit(lambda model: modal(model)["frequency"])
     for i, path in enumerate(result.parameters):
-        value = float(jb.paths(car)[path])
+        value = float(jb.parameter_paths(car)[path])
         at = lambda x, path=path: np.asarray(frequency(jb.replace(car, {path: x})))  # noqa: E731
         np.testing.assert_allclose(
             result.slopes[:, i],
@@ -200,7 +200,7 @@ def test_sensitivities_are_differences_and_ranked(ranked):
     with pytest.raises(jb.JaxbodyError, match="Did you mean"):
         result.ranked("frequency")
     with pytest.raises(jb.JaxbodyError, match="BAD_CHANGE"):
-        jb.sensitivities(car, modal, free="*.mass", change=1.5)
+        jb.design.sensitivities(car, modal, free="*.mass", change=1.5)
 
 
 @pytest.mark.long

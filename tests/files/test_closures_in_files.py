@@ -61,7 +61,7 @@ axis = "z"
 
 def four_bar(pin):
     """A four-bar of one freedom, closed by `pin`."""
-    joints: dict[str, jb.Joint] = {
+    joints: dict[str, jb.joints.Joint] = {
         "crank": jb.Hinge("world", axis="z"),
         "coupler": jb.Hinge("crank", axis="z", at=[0.04, 0, 0]),
         "rocker": jb.Hinge("world", axis="z", at=[0.1, 0, 0]),
@@ -71,21 +71,23 @@ def four_bar(pin):
 
 def geared(coupling):
     """A rack, a nut with two coordinates and a pinion, of which two are coupled."""
-    joints: dict[str, jb.Joint] = {
+    joints: dict[str, jb.joints.Joint] = {
         "rack": jb.Guide("world", axis="y"),
-        "nut": jb.Cylindrical("world", axis="x"),
+        "nut": jb.joints.Cylindrical("world", axis="x"),
         "pinion": jb.Hinge("world", axis="x"),
     }
     return jb.Model(bodies=dict.fromkeys(joints, BAR), joints=joints, closures={"mesh": coupling})
 
 
 ENDS = ("coupler", [0.16, 0, 0]), ("rocker", [0.18, 0, 0])
-CURVE = jb.laws.Table(np.linspace(-1.0, 1.0, 5), 0.01 * np.linspace(-1.0, 1.0, 5) ** 3)
+CURVE = jb.laws.Tabulated(np.linspace(-1.0, 1.0, 5), 0.01 * np.linspace(-1.0, 1.0, 5) ** 3)
 MODELS = {
-    "double wishbone": lambda: jb.double_wishbone().model,
-    "MacPherson": lambda: jb.macpherson().model,
-    "five links": lambda: jb.five_link({"lower front outer": [0.04, 0.66, 1 / 3 - 0.14]}).model,
-    "solid axle": lambda: jb.solid_axle().model,
+    "double wishbone": lambda: jb.suspension.double_wishbone().model,
+    "MacPherson": lambda: jb.suspension.macpherson().model,
+    "five links": lambda: (
+        jb.suspension.five_link({"lower front outer": [0.04, 0.66, 1 / 3 - 0.14]}).model
+    ),
+    "solid axle": lambda: jb.suspension.solid_axle().model,
     "ball": lambda: four_bar(jb.closures.Ball(*ENDS)),
     "hinge": lambda: four_bar(jb.closures.Hinge(*ENDS, axis=[1e-3, 0.1, 1])),
     "guide": lambda: four_bar(jb.closures.Guide(*ENDS, axis="x")),
@@ -174,7 +176,9 @@ def test_units_of_couplings_are_those_of_their_coordinates(tmp_path):
         assert read(tmp_path, of.replace('"8 mm/rad"', ratio))["mesh"].ratio == pytest.approx(
             value, rel=1e-14
         )
-    table = 'function = {type = "Table", x = "-90, 0, 45, 90 deg", forces = ["-10 mm", 0, 4, 10]}'
+    table = (
+        'function = {type = "Tabulated", x = "-90, 0, 45, 90 deg", forces = ["-10 mm", 0, 4, 10]}'
+    )
     law = read(tmp_path, STEERING.replace('ratio = "8 mm/rad"', table))["mesh"].function
     np.testing.assert_allclose(law.x, [-np.pi / 2, 0, np.pi / 4, np.pi / 2], rtol=1e-15)
     np.testing.assert_allclose(law.forces, [-0.01, 0, 0.004, 0.01], rtol=1e-15)
@@ -218,7 +222,7 @@ def test_units_of_couplings_are_those_of_their_coordinates(tmp_path):
         ),
         (
             'ratio = "8 mm/rad"',
-            'function = {type = "Table", x = "0, 1 m", forces = [0, 1]}',
+            'function = {type = "Tabulated", x = "0, 1 m", forces = [0, 1]}',
             19,
             "closures.mesh.function.x: is '0, 1 m'",
         ),
@@ -290,7 +294,7 @@ class OnRail(jb.closures.Closure):
         return self.offset(A, B)[2:] - self.height
 
 
-class Screw(jb.Joint):
+class Screw(jb.joints.Joint):
     """A nut on a screw, and a turn of its handle."""
 
     lead: jnp.ndarray = jb.field("m/rad")
@@ -392,7 +396,7 @@ def test_names_and_units_are_checked_before_JAX_is_imported(tmp_path):
 
 @pytest.mark.long
 def test_a_corner_of_a_file_has_the_same_curves(tmp_path):
-    corner = jb.double_wishbone()
+    corner = jb.suspension.double_wishbone()
     read = again(corner.model, tmp_path / "corner.toml")
     curves = [Corner(model, corner.wheel).curves(0.04) for model in (corner.model, read)]
     assert float(curves[0]["camber"][0]) == float(curves[1]["camber"][0])
@@ -403,4 +407,6 @@ def test_the_steering_of_the_manual_is_read(tmp_path):
     text = (manual_pages.DOCS / "guide" / "files.md").read_text()
     (block,) = re.findall(r"^```toml\n(.*?)^```", text, re.M | re.S)
     model = read(tmp_path, block)
-    assert model["mesh"].ratio == pytest.approx(0.008, rel=1e-15) and jb.assemble(model).ok
+    assert (
+        model["mesh"].ratio == pytest.approx(0.008, rel=1e-15) and jb.suspension.assemble(model).ok
+    )

@@ -15,7 +15,7 @@ type = "Spring"
 a = ["plate", [
    1, 2,
    3]]
-law = { type = "Stop", gap = "3 mm" }
+law = { type = "BumpStop", gap = "3 mm" }
 [[runs]]
 x = 1
 [runs.deep]

@@ -53,7 +53,7 @@ stiffness = "200, 200, 400 N/mm"
 type = "SpringDamper"
 a = ["engine", "0.3, -0.25, -0.1 m"]
 b = ["frame", "0.3, -0.25, -0.2 m"]
-spring = ["200 N/mm", {type = "Stop", gap = "8 mm", stiffness = "3 kN/mm"}]
+spring = ["200 N/mm", {type = "BumpStop", gap = "8 mm", stiffness = "3 kN/mm"}]
 damper = {type = "TwoSided", bump = "0.9 N s/mm", rebound = "2.1 N s/mm"}
 
 [elements.rear]
@@ -61,7 +61,7 @@ type = "Torsion"
 a = "engine"
 b = "frame"
 axis = [0, 1, 0]
-spring = {type = "Table", file = "rear.csv"}
+spring = {type = "Tabulated", file = "rear.csv"}
 '''  # fmt: skip
 
 
@@ -195,7 +195,7 @@ def test_a_file_by_hand_is_the_model_in_python(tmp_path):
                 180.0,
                 [8, 12, 10],
                 position=[0, 0, 0.5],
-                orientation=jb.Euler("ZYX", np.deg2rad([0.0, 3, 0])),
+                orientation=jb.EulerAngles("ZYX", np.deg2rad([0.0, 3, 0])),
             )
         },
         supports={"frame": jb.Support([0, 0, 0.4])},
@@ -206,14 +206,14 @@ def test_a_file_by_hand_is_the_model_in_python(tmp_path):
             "right": jb.SpringDamper(
                 ("engine", [0.3, -0.25, -0.1]),
                 ("frame", [0.3, -0.25, -0.2]),
-                spring=jb.laws.Linear(2e5) + jb.laws.Stop(gap=0.008, stiffness=3e6),
+                spring=jb.laws.Linear(2e5) + jb.laws.BumpStop(gap=0.008, stiffness=3e6),
                 damper=jb.laws.TwoSided(bump=900.0, rebound=2100.0),
             ),
             "rear": jb.Torsion(
                 "engine",
                 "frame",
                 axis=[0, 1, 0],
-                spring=jb.laws.Table(np.deg2rad(angles), 3 * angles),
+                spring=jb.laws.Tabulated(np.deg2rad(angles), 3 * angles),
             ),
         },
         gravity=[0, 0, -9.81],
@@ -331,6 +331,13 @@ def test_problems_are_reported_with_their_line(old, new, line, message, tmp_path
     assert len(str(error.value).splitlines()) <= 12
 
 
+def test_types_of_earlier_drafts_are_read(tmp_path):
+    text = ENGINE.replace('"BumpStop"', '"Stop"').replace('"Tabulated"', '"Table"')
+    assert text.count('"Stop"') == text.count('"Table"') == 1
+    old, new = (jb.read_model(engine(tmp_path, each)) for each in (text, ENGINE))
+    same_to_the_bit(old, new)
+
+
 def test_all_problems_are_in_one_error(tmp_path):
     text = (
         ENGINE.replace("180 kg", "180 m")
@@ -355,7 +362,9 @@ def test_own_classes_are_taken_from_modules_that_are_allowed(tmp_path):
     ball = jb.Body(mass=0.2, inertia=[1, 1, 1])
     elements = {
         "pair": Charges(("ball", "world"), **ends, strength=jnp.array(0.5)),
-        "pusher": Pusher(("ball", "world"), **ends, spring=jb.laws.Stop(gap=1.0, stiffness=3.0)),
+        "pusher": Pusher(
+            ("ball", "world"), **ends, spring=jb.laws.BumpStop(gap=1.0, stiffness=3.0)
+        ),
         "rubber": jb.SpringDamper(
             ("ball", [0, 0, 0]), ("world", [0, 0, 1]), spring=Cubic(jnp.array(8.0))
         ),
@@ -425,12 +434,11 @@ def test_every_class_of_the_package_is_in_the_schema():
     def below(kind):
         return {x for sub in kind.__subclasses__() for x in {sub, *below(sub)}}
 
-    public = {getattr(jb.laws, name) for name in dir(jb.laws)} | {
-        getattr(jb, name) for name in dir(jb) if name[0].isupper()
-    }
+    homes = (jb, jb.laws, jb.joints, jb.inputs, jb.sensors)
+    public = {getattr(home, name) for home in homes for name in dir(home) if name[0].isupper()}
     wanted = {
         kind
-        for base in (jb.Element, jb.Joint, Law, jb.Load, jb.Sensor)
+        for base in (jb.Element, jb.joints.Joint, Law, jb.inputs.Load, jb.sensors.Sensor)
         for kind in below(base) & public
     }
     assert len(wanted) > 40 and wanted - set(TYPES.values()) == {
@@ -498,9 +506,13 @@ def check_mutations(count, folder):
 
 def test_an_orientation_that_follows_from_the_drawing_is_not_written(tmp_path):
     path = tmp_path / "m.toml"
-    turned = jb.Body(2.0, [1, 1, 1], orientation=jb.Euler("XYZ", [0.3, -0.2, 0.5]))
-    ends = {"a": ("box", [0, 0, 0]), "b": ("world", [0, 0, 0]), "orientation": jb.Euler("Y", [0.4])}
-    own = jb.Bushing(**ends, stiffness=[1, 2, 3], orientation_b=jb.Euler("Z", [0.1]))
+    turned = jb.Body(2.0, [1, 1, 1], orientation=jb.EulerAngles("XYZ", [0.3, -0.2, 0.5]))
+    ends = {
+        "a": ("box", [0, 0, 0]),
+        "b": ("world", [0, 0, 0]),
+        "orientation": jb.EulerAngles("Y", [0.4]),
+    }
+    own = jb.Bushing(**ends, stiffness=[1, 2, 3], orientation_b=jb.EulerAngles("Z", [0.1]))
     model = jb.Model(
         bodies={"box": turned}, elements={"mount": jb.Mount(**ends, x=3.0), "own": own}
     )

@@ -227,11 +227,13 @@ def test_constructors_warn_of_phases_in_degrees():
         ),
         (lambda: jb.signals.Sine(amplitude=1.0, frequency=1.0, phase=45.0), "Sine.phase is 45 rad"),
         (
-            lambda: jb.Unbalance("a", axis=[0, 0, 1], unbalance=1.0, frequency=1.0, phase=45.0),
+            lambda: jb.inputs.Unbalance(
+                "a", axis=[0, 0, 1], unbalance=1.0, frequency=1.0, phase=45.0
+            ),
             "Unbalance.phase is 45 rad",
         ),
         (
-            lambda: jb.EngineTorque(
+            lambda: jb.inputs.EngineTorque(
                 "a", axis=[0, 0, 1], frequency=1.0, orders=[2], amplitudes=[1], phases=[45]
             ),
             "EngineTorque.phases is 45",

@@ -58,10 +58,10 @@ def results():
         "response": jb.frequency_response(lin, np.geomspace(0.1, 10, 20), inputs, HEIGHT),
         "ride": jb.random_response(
             lin,
-            jb.Band(0.1, 100.0),
+            jb.vibration.Band(0.1, 100.0),
             inputs,
             HEIGHT,
-            {"road": jb.Unevenness.iso("C").at_speed(20.0)},
+            {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)},
         ),
         "load cases": jb.load_cases(CAR, {"bump": jb.LoadCase(acceleration=[0, 0, 3])}),
         "record": jb.Record(np.arange(10) / 10, {"a": (np.sin(np.arange(10)), "mm")}),

@@ -36,7 +36,7 @@ def test_intervals_of_a_linear_problem_contain_what_they_state(fitted):
     """The estimate of a mean from 8 numbers of known noise: 95 % and 50 %, deviations as stated, no
     bias, to four standard errors."""
     for level in (0.95, 0.5):
-        result = jb.coverage(fitted, replicates=1000, level=level)
+        result = jb.fitting.interval_coverage(fitted, replicates=1000, level=level)
         assert result.ok.all() and result.parameters == ("spring.stiffness",)
         assert abs(result.contained[0] - level) < 4 * result.standard_error[0]
     assert abs(result.bias[0]) < 4 / np.sqrt(1000) and abs(result.ratio[0] - 1) < 4 / np.sqrt(2000)
@@ -51,7 +51,7 @@ def test_intervals_of_a_linear_problem_contain_what_they_state(fitted):
 def test_intervals_that_are_too_narrow_contain_less(fitted):
     """Of intervals scaled to 1/2 of their width, those of a normal distribution contain
     2 Phi(1.96/2) - 1."""
-    result = jb.coverage(fitted, replicates=1000)
+    result = jb.fitting.interval_coverage(fitted, replicates=1000)
     narrow = dataclasses.replace(
         result, lower=(result.lower + result.u) / 2, upper=(result.upper + result.u) / 2
     )
@@ -70,7 +70,7 @@ def test_replicates_are_as_whole_fits_of_records_with_noise(noise):
     """The same numbers as `fit` of records to which the noise of the first replicates is added:
     estimates to the tolerance of the fit."""
     fitted = jb.fit(MODEL, {"run": record(noise)}, free=["spring.stiffness"])
-    result = jb.coverage(fitted, replicates=4)
+    result = jb.fitting.interval_coverage(fitted, replicates=4)
     run, rows = fitted.experiments["run"], np.arange(12) != 4
     level = (
         0.05
@@ -96,21 +96,21 @@ def test_replicates_are_as_whole_fits_of_records_with_noise(noise):
 def test_two_processes_and_a_store_have_the_same_replicates(fitted, tmp_path):
     pytest.importorskip("loky", reason="needs jaxbody[cluster]")
     pytest.importorskip("zarr", reason="needs jaxbody[cluster]")
-    whole, out = jb.coverage(fitted, replicates=40), tmp_path / "c.zarr"
+    whole, out = jb.fitting.interval_coverage(fitted, replicates=40), tmp_path / "c.zarr"
     with pytest.warns(jb.JaxbodyWarning, match="INTERRUPTED"):
-        part = jb.coverage(fitted, replicates=40, out=out, chunks=[1])
+        part = jb.fitting.interval_coverage(fitted, replicates=40, out=out, chunks=[1])
     assert (
         part.ok.sum() == 16
         and (part.u[16:32] == whole.u[16:32]).all()
         and np.isnan(part.u[:16]).all()
     )
-    by_two = jb.coverage(fitted, replicates=40, out=out, workers=2)
+    by_two = jb.fitting.interval_coverage(fitted, replicates=40, out=out, workers=2)
     for name in ("u", "lower", "upper", "status"):
         np.testing.assert_array_equal(getattr(by_two, name), getattr(whole, name))
     with pytest.raises(
         jb.JaxbodyError, match=r"is of another call: .*level 0\.95 there, 0\.9 here"
     ):
-        jb.coverage(fitted, replicates=40, out=out, level=0.9)
+        jb.fitting.interval_coverage(fitted, replicates=40, out=out, level=0.9)
 
 
 def test_fits_without_a_normal_optimum_are_refused(fitted):
@@ -118,4 +118,4 @@ def test_fits_without_a_normal_optimum_are_refused(fitted):
     bound = dataclasses.replace(fitted, status=jnp.asarray(jb.Status.AT_BOUND.value))
     for result, words in ((robust, "has the loss 'cauchy'"), (bound, "has the status AT_BOUND")):
         with pytest.raises(jb.JaxbodyError, match=words):
-            jb.coverage(result)
+            jb.fitting.interval_coverage(result)

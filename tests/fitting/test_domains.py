@@ -19,13 +19,13 @@ from jaxbody.model.elements.contacts import Touching
 from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.inputs.pulses import Pulse, PulseMotion
 from jaxbody.model.laws import (
+    BumpStop,
     Digressive,
     Friction,
     Law,
     Linear,
     Polynomial,
-    Stop,
-    Table,
+    Tabulated,
     TensionOnly,
 )
 
@@ -139,21 +139,21 @@ def of_memory(model, _):
     return jnp.concatenate([forces, r / (1 + jnp.abs(r))])
 
 
-PULSE = jb.Trapezoid(2.0, 0.5, rise=0.2, fall=0.1).motion("z")
+PULSE = jb.inputs.Trapezoid(2.0, 0.5, rise=0.2, fall=0.1).motion("z")
 K = np.diag([3.0, 2.0, 4.0, 1.0, 1.5, 2.0]) + 0.2
 HERE = "mass", [0, 0, 0]
 SPRING = jb.Spring(HERE, ("world", [0, 0, 0.1]), stiffness=2.0, damping=0.5, free_length=0.3)
 TYRE = jb.Tyre(HERE, ("world", [0, 0, 0]), stiffness=2.0, damping=0.5, radius=1.0, engagement=0.1)
-TABLE = jb.laws.Table([-1, 0, 1, 2], [-10, 0, 10, 40])
+TABLE = jb.laws.Tabulated([-1, 0, 1, 2], [-10, 0, 10, 40])
 # of each class that states a field with a domain that ends: what is fitted, and what is measured
 # of it
 FITTED = {
     Linear: (Linear(2.0), force()),
     Digressive: (Digressive(slow=2.0, fast=1.0, knee=0.1), force()),
     Friction: (Friction(level=2.0, velocity=0.1), force()),
-    Stop: (Stop(gap=0.1, stiffness=5.0, engagement=0.05), force()),
+    BumpStop: (BumpStop(gap=0.1, stiffness=5.0, engagement=0.05), force()),
     TensionOnly: (TensionOnly(2.0), force()),
-    Table: (Table([-0.5, -0.2, 0.1, 0.5], [-2.0, -0.8, 0.4, 2.0]), points),
+    Tabulated: (Tabulated([-0.5, -0.2, 0.1, 0.5], [-2.0, -0.8, 0.4, 2.0]), points),
     jb.laws.AirSpring: (
         jb.laws.AirSpring(pressure=3.0, area=0.5, height=0.5, exponent=1.4, ambient=1.0),
         force(AT + 0.4),
@@ -170,7 +170,7 @@ FITTED = {
         wrenches,
     ),
     jb.Body: (jb.Body(mass=2.0, inertia=[1.0, 1.2, 1.5]), of_body),
-    jb.Sensor: (jb.Position("mass", axis=[1, 0, 0], lag=0.05), of_sensor),
+    jb.sensors.Sensor: (jb.Position("mass", axis=[1, 0, 0], lag=0.05), of_sensor),
     jb.laws.Maxwell: (jb.laws.Maxwell(stiffness=2.0, relaxation_time=0.3), of_memory),
     jb.laws.BoucWen: (jb.laws.BoucWen(alpha=2.0, beta=1.0, gamma=0.5, delta=0.3, n=1.5), of_memory),
     jb.laws.Dahl: (jb.laws.Dahl(stiffness=2.0, level=1.0, exponent=1.5), of_memory),
@@ -206,9 +206,9 @@ FITTED = {
     ),
     jb.Inerter: (jb.Inerter(HERE, ("world", [0, 0, 0.1]), inertance=50.0), inertia),
     Pulse: (PULSE, of_motion),
-    jb.Trapezoid: (PULSE, of_motion),
-    jb.Road: (
-        jb.Road([0.0, 1.0, 1.5, 3.0], [0.0, 0.0, 0.2, 0.2], speed=1.0, footprint=0.5),
+    jb.inputs.Trapezoid: (PULSE, of_motion),
+    jb.inputs.Road: (
+        jb.inputs.Road([0.0, 1.0, 1.5, 3.0], [0.0, 0.0, 0.2, 0.2], speed=1.0, footprint=0.5),
         of_road,
     ),
 }
@@ -239,7 +239,7 @@ def test_data_that_pull_a_number_across_the_end_of_its_domain_leave_it_inside(ki
     )
     part, function = FITTED[kind]
     model, run = holding(part), Given(function, own=part)
-    in_run = isinstance(part, jb.Sensor | jb.Motion)
+    in_run = isinstance(part, jb.sensors.Sensor | jb.inputs.Motion)
     owner, inner = (part.pulse, "pulse.") if isinstance(part, PulseMotion) else (part, "")
     of_model = "mass" if isinstance(part, jb.Body) else "s.spring" if isinstance(part, Law) else "s"
     path = f"own.{inner}{name}" if in_run else f"{of_model}.{name}"
@@ -301,7 +301,9 @@ def test_a_fit_that_ends_at_zero_says_so_once_and_assesses_the_others():
         and "at its bound" in str(result)
     )
     with pytest.raises(jb.JaxbodyError, match=r"not determined: s.spring.fast \(zero\)"):
-        jb.bands(result, lambda model: model["s"].spring.slow, samples=10, key=jax.random.key(1))
+        jb.confidence_bands(
+            result, lambda model: model["s"].spring.slow, samples=10, key=jax.random.key(1)
+        )
 
 
 def test_a_coefficient_of_either_sign_crosses_zero():
@@ -344,7 +346,7 @@ def test_a_fraction_has_an_interval_a_profile_bounds_and_random_starts_between_z
     np.testing.assert_allclose(result.estimates["s.spring.share"], best, rtol=1e-6)
     low, high = result.intervals(0.99)["s.spring.share"]
     assert 0 < low < best < high < 1
-    profile = jb.profile(result, "s.spring.share", level=0.99)
+    profile = jb.profile_likelihood(result, "s.spring.share", level=0.99)
     assert 0 < profile.interval[0] < best < profile.interval[1] <= 1
     bounded = jb.fit(
         model,
@@ -444,7 +446,7 @@ def test_replace_refuses_what_the_constructor_of_a_mount_or_a_table_refuses(name
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.Bushing(
             HERE, ("world", [0, 0, 0]), **given
-        ) if "mount" in name or "damping" in name else jb.laws.Table(
+        ) if "mount" in name or "damping" in name else jb.laws.Tabulated(
             *(
                 value if path.endswith(each) else start
                 for each, start in (("x", TABLE.x), ("forces", TABLE.forces))

@@ -33,7 +33,7 @@ def model_of(values):
 def sheets(exact, seed):
     rng = np.random.default_rng(seed)
     return {
-        name: jb.MeasuredStiffness(
+        name: jb.fitting.MeasuredStiffness(
             "mount",
             FREQUENCIES,
             amplitude=X,
@@ -51,7 +51,7 @@ def sheets(exact, seed):
 def exact():
     element = model_of(TRUTH)["mount"]
     return {
-        name: jb.dynamic_stiffness(element, FREQUENCIES, amplitude=X)
+        name: jb.vibration.dynamic_stiffness(element, FREQUENCIES, amplitude=X)
         for name, X in AMPLITUDES.items()
     }
 
@@ -70,8 +70,8 @@ def test_a_fit_recovers_six_parameters(exact):
 
 def test_one_curve_at_a_small_amplitude_cannot_tell_the_quadratic_loss():
     element = model_of(TRUTH)["mount"]
-    K = jb.dynamic_stiffness(element, FREQUENCIES)
-    sheet = jb.MeasuredStiffness(
+    K = jb.vibration.dynamic_stiffness(element, FREQUENCIES)
+    sheet = jb.fitting.MeasuredStiffness(
         "mount",
         FREQUENCIES,
         magnitude=K.magnitude,

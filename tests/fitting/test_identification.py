@@ -175,7 +175,9 @@ def test_the_fit_says_what_it_found(result, record, optimum):
         and result.cost <= min(result.history) * (1 + 1e-8)
         and len(result.history) == result.evaluations
     )
-    assert values_of(result).tolist() == [float(jb.paths(result.model)[path]) for path in FREE]
+    assert values_of(result).tolist() == [
+        float(jb.parameter_paths(result.model)[path]) for path in FREE
+    ]
     assert re.search(r"\n  s.stiffness +79.92\d* +N/m +0.\d+ ", str(result)) and re.search(
         r"\n  s.damping +\S+ +N s/m ", str(result)
     )
@@ -427,7 +429,7 @@ RIG_OF_ALL = jb.Model(
         "strut": jb.SpringDamper(
             ("plate", [0, 0, 0]),
             ("base", [0, 0, 1]),
-            spring=jb.laws.Linear(1.0) + jb.laws.Stop(gap=0.1, stiffness=1.0),
+            spring=jb.laws.Linear(1.0) + jb.laws.BumpStop(gap=0.1, stiffness=1.0),
             damper=2.0,
         ),
         "torsion": jb.Torsion(
@@ -445,8 +447,8 @@ RUN_OF_ALL = jb.Experiment(
     motion={"base": jb.Harmonic(frequency=1.0, translation=[0, 0, 0.01])},
     initial=RIG_OF_ALL.reference,
     sensors={
-        "plate6": jb.ForcePlate("base", gain=1.0, bias=np.zeros(6)),
-        "pose": jb.BodyPose("plate", bias=np.zeros(6)),
+        "plate6": jb.sensors.ForcePlate("base", gain=1.0, bias=np.zeros(6)),
+        "pose": jb.sensors.BodyPose("plate", bias=np.zeros(6)),
         "acc": jb.Accelerometer("plate", axis=[0, 0, 1], bias=0.0, delay=0.0, lag=1e-3),
         "mine": Mine("plate", axis=[0, 0, 1], bias=0.0),
     },
@@ -464,7 +466,7 @@ class Weighed(Measurement):
 
     measured: dict = eqx.field(default_factory=dict)
     noise: dict | None = None
-    channels: ClassVar = {("force"): jb.ForcePlate("base")}  # pyright: ignore[reportIncompatibleMethodOverride]
+    channels: ClassVar = {("force"): jb.sensors.ForcePlate("base")}  # pyright: ignore[reportIncompatibleMethodOverride]
 
     def readings(self, model, integration, lin):
         along = model["s"].stiffness * model.joint("cart").axis
@@ -839,7 +841,7 @@ def test_what_is_of_another_kind_is_reported_and_no_traceback(record):
         ),
         (lambda: jb.validate(None, run), "validate.experiments: is one Experiment"),
         (
-            lambda: jb.multiple_shooting(cart(), run, free=FREE, segments=2),
+            lambda: jb.fitting.multiple_shooting(cart(), run, free=FREE, segments=2),
             "multiple_shooting.experiments: is one Experiment",
         ),
         (lambda: fit("osc", {"run": run}), "fit.model: is a str (allowed: jb.Model)"),

@@ -138,7 +138,9 @@ def test_a_record_in_segments():
     """The gaps between segments hold the dependent coordinates of their initial states, too."""
     times, rng = np.linspace(0.0, 3.0, 121), np.random.default_rng(1)
     run = run_of(by_hand(times) + 1e-5 * rng.normal(size=len(times)), times, 1e-5)
-    fit = jb.multiple_shooting(slider_crank(330.0, 4.0), {"run": run}, free=FREE, segments=3)
+    fit = jb.fitting.multiple_shooting(
+        slider_crank(330.0, 4.0), {"run": run}, free=FREE, segments=3
+    )
     assert fit.ok
     for path, truth in zip(FREE, (STIFFNESS, DAMPING), strict=True):
         assert abs(fit.estimates[path] - truth) < 4 * fit.standard_errors[path] < 1e-2 * truth

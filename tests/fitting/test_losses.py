@@ -462,7 +462,7 @@ def test_many_starts_find_the_optima_that_scipy_finds():
     a period."""
     record = motion(50.0, 0.1) + SIGMA * np.random.default_rng(3).normal(size=len(TIMES))
     start = oscillator(left=250.0, c=0.1)
-    several = jb.multistart(
+    several = jb.fitting.multistart(
         start, run(record), free="left.stiffness", starts=12, spread=2.3, rtol=EXACT, max_steps=2000
     )
     ends = {}
@@ -494,7 +494,7 @@ def test_optima_that_explain_as_much_are_warned_of():
     z = z + 1e-3 * np.random.default_rng(0).normal(size=len(TIMES))
     runs = {"run": jb.Experiment(TIMES, initial=initial[1], sensors=height, measured={"z": z})}
     with pytest.warns(jb.JaxbodyWarning, match="as well: costs.*SEVERAL_OPTIMA"):
-        several = jb.multistart(pendulum, runs, free="run.initial.q", starts=6, spread=0.8)
+        several = jb.fitting.multistart(pendulum, runs, free="run.initial.q", starts=6, spread=0.8)
     assert float(several.cost[1]) == pytest.approx(float(several.cost[0]), rel=1e-9)
     ends = np.sort(np.asarray(several.estimates["run.initial.q"])[:2, 0])
     np.testing.assert_allclose(ends, [-0.5, 0.5], atol=2e-3)

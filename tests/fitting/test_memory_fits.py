@@ -37,9 +37,9 @@ def close_to_truth(fit, rtol):
 
 
 def test_a_fit_of_a_stiffness_curve():
-    exact = jb.dynamic_stiffness(model_of()["s"], FREQUENCIES)
+    exact = jb.vibration.dynamic_stiffness(model_of()["s"], FREQUENCIES)
     rng = np.random.default_rng(2)
-    sheet = jb.MeasuredStiffness(
+    sheet = jb.fitting.MeasuredStiffness(
         "s",
         FREQUENCIES,
         magnitude=np.asarray(exact.magnitude) * (1 + 0.002 * rng.normal(size=25)),

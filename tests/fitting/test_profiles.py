@@ -70,7 +70,7 @@ def least(record, fixed):
 
 @pytest.fixture(scope="module")
 def profile(result):
-    return jb.profile(result, "spring.damping")
+    return jb.profile_likelihood(result, "spring.damping")
 
 
 def test_a_profile_ends_where_the_sum_of_squares_has_risen_enough(result, record, profile):
@@ -94,7 +94,7 @@ def test_a_profile_ends_where_the_sum_of_squares_has_risen_enough(result, record
 def test_a_profile_at_a_bound_has_one_side(record):
     with pytest.warns(jb.JaxbodyWarning, match="AT_BOUND"):
         held = fit(run(record), bounds={"spring.stiffness": (54, 80)})
-    side = jb.profile(held, "spring.stiffness")
+    side = jb.profile_likelihood(held, "spring.stiffness")
     low, high = held.intervals()["spring.stiffness"]
     print(side.interval, low, high)
     assert side.interval[0] == pytest.approx(54) == float(low) and float(high) == pytest.approx(
@@ -110,7 +110,7 @@ def test_of_a_robust_loss_the_profile_is_as_wide_as_the_standard_error(record):
     for loss in ("soft_l1", "cauchy"):
         robust = fit(run(spoiled), loss=loss)
         ends, (low, high) = (
-            jb.profile(robust, "spring.stiffness").interval,
+            jb.profile_likelihood(robust, "spring.stiffness").interval,
             robust.intervals()["spring.stiffness"],
         )
         print(ends, low, high)
@@ -123,7 +123,9 @@ def test_what_has_no_profile_is_reported(result):
         (("spring.stiffness", 1.5), "BAD_LEVEL"),
     ):
         with pytest.raises(jb.JaxbodyError) as error:
-            jb.profile(result, arguments[0], **({"level": arguments[1]} if arguments[1:] else {}))
+            jb.profile_likelihood(
+                result, arguments[0], **({"level": arguments[1]} if arguments[1:] else {})
+            )
         assert error.value.code == code
 
 
@@ -180,7 +182,7 @@ def test_a_pose_is_validated_component_by_component(result):
     }
     start = jb.State(jnp.array([X0]), jnp.array([0.0]))
     posed = jb.Experiment(
-        TIMES, initial=start, sensors={"pose": jb.BodyPose("mass")}, measured=measured
+        TIMES, initial=start, sensors={"pose": jb.sensors.BodyPose("mass")}, measured=measured
     )
     message = jb.validate(result, {"posed": posed})
     along = 1 + motion(*map(float, result.estimates.values())) - position[:, 0]
@@ -218,14 +220,14 @@ def frequency(model):
 
 def test_bands_are_the_delta_method_and_draws_agree(result):
     k, error = (float(x["spring.stiffness"]) for x in (result.estimates, result.standard_errors))
-    message = jb.bands(result, frequency)
+    message = jb.confidence_bands(result, frequency)
     f = np.sqrt(k / MASS) / (2 * np.pi) * np.array([1.0, 2.0])
     np.testing.assert_allclose(message.value, f, rtol=1e-12)
     np.testing.assert_allclose(message.standard_error, f * error / (2 * k), rtol=1e-9)
     np.testing.assert_allclose(
         message.upper - f, student.ppf(0.975, len(TIMES) - 2) * message.standard_error, rtol=1e-6
     )
-    drawn = jb.bands(result, frequency, samples=2000, key=jax.random.key(1))
+    drawn = jb.confidence_bands(result, frequency, samples=2000, key=jax.random.key(1))
     np.testing.assert_allclose(
         drawn.standard_error, message.standard_error, rtol=4 / np.sqrt(2 * 2000)
     )
@@ -234,11 +236,13 @@ def test_bands_are_the_delta_method_and_draws_agree(result):
 @pytest.mark.nan
 def test_bands_of_what_has_none_are_reported(result):
     with pytest.raises(jb.JaxbodyError, match="WRONG_KIND"):
-        jb.bands(result, lambda model: 1j * frequency(model))
+        jb.confidence_bands(result, lambda model: 1j * frequency(model))
     with pytest.raises(jb.JaxbodyError, match="NO_KEY"):
-        jb.bands(result, frequency, samples=10)
+        jb.confidence_bands(result, frequency, samples=10)
     with pytest.warns(jb.JaxbodyWarning, match="NONFINITE"):
-        message = jb.bands(result, lambda model: jnp.sqrt(model["spring"].stiffness * 0.0))
+        message = jb.confidence_bands(
+            result, lambda model: jnp.sqrt(model["spring"].stiffness * 0.0)
+        )
     assert np.isinf(message.standard_error)
 
 
@@ -248,7 +252,7 @@ def test_draws_need_data_that_determine_all_parameters(record):
     with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE"):
         result = jb.fit(oscillator(), run(record), free=(*FREE, "mass.mass"), max_steps=2000)
     with pytest.raises(jb.JaxbodyError, match=r"not determined.*UNDETERMINED"):
-        jb.bands(result, frequency, samples=10, key=jax.random.key(0))
+        jb.confidence_bands(result, frequency, samples=10, key=jax.random.key(0))
 
 
 def test_intervals_and_notes_print(result):
@@ -294,7 +298,7 @@ def test_pictures_of_a_fit_show_its_numbers(result, record, profile):
     r = np.asarray(result.predicted["run"]["x"]) - 1 - record
     bars = plots.plot_autocorrelation(result)
     np.testing.assert_allclose(bars.lines[0].get_ydata()[0], r[1:] @ r[:-1] / (r @ r), rtol=1e-6)
-    line = plots.plot_profile(profile).lines[0]
+    line = plots.plot_profile_likelihood(profile).lines[0]
     np.testing.assert_array_equal(line.get_xdata(), profile.values)
     with pytest.raises(jb.JaxbodyError, match="UNKNOWN_NAME"):
         plots.plot_autocorrelation(result, sensor="y")
@@ -322,15 +326,15 @@ def test_few_degrees_of_freedom_are_printed_where_they_widen_intervals(result, r
     )
     assert text in str(few) and "degrees of freedom" in repr(few).splitlines()[1]
     with np.errstate(all="ignore"):
-        side = jb.profile(few, "spring.stiffness")
+        side = jb.profile_likelihood(few, "spring.stiffness")
     assert (
         side.degrees_of_freedom == pytest.approx(6)
         and side.limit == pytest.approx(student.ppf(0.975, 6))
         and text in str(side)
     )
-    band = jb.bands(few, lambda model: model["spring"].stiffness)
+    band = jb.confidence_bands(few, lambda model: model["spring"].stiffness)
     assert band.degrees_of_freedom == pytest.approx(6) and text in str(band)
     np.testing.assert_allclose(result.degrees_of_freedom["spring.damping"], 59, rtol=1e-9)
     assert "freedom" not in str(result) + str(
-        jb.bands(result, lambda model: model["spring"].stiffness)
+        jb.confidence_bands(result, lambda model: model["spring"].stiffness)
     )

@@ -11,12 +11,12 @@ from test_domains import AT, ENDS, TABLE, Given, force, holding
 
 import jaxbody as jb
 from jaxbody.fitting.parameters import transforms
-from jaxbody.model.laws import Table
+from jaxbody.model.laws import Tabulated
 
 A = np.array(
     [[1.0, 0, 0, 0], [1, 1, 0, 0], [0, 1, -1, 0], [0, 0, 1, 1], [0, 2, 0, 1], [1, 0, 0, 3]]
 )
-LAW = Table([-1.0, 0.0, 1.0, 3.0], [-2.0, -0.5, 0.25, 1.0])
+LAW = Tabulated([-1.0, 0.0, 1.0, 3.0], [-2.0, -0.5, 0.25, 1.0])
 RISE = np.array([-1.5, -0.75, 0.5, 1.5])
 E = np.array([1.0, -0.5, 0.75, -1.0, 0.25, 0.5])
 
@@ -80,7 +80,7 @@ def test_the_points_of_a_fitted_table_stay_sorted_and_have_standard_errors(rng):
 
 
 def test_a_table_with_equal_forces_is_refused_by_a_fit_with_the_remedy():
-    flat = holding(jb.laws.Table([-1, 0, 1, 2], [-10, 0, 0, 40]))
+    flat = holding(jb.laws.Tabulated([-1, 0, 1, 2], [-10, 0, 0, 40]))
     with pytest.raises(
         jb.JaxbodyError, match=r"a step of zero.*Start with numbers that all differ.*START_ON_BOUND"
     ):
@@ -154,8 +154,8 @@ def test_rows_have_priors_ties_and_traced_fits_but_no_bounds():
         ):
             solve(model, given, free=[path], bounds={path: (-3.0, 3.0)})
     with pytest.raises(jb.JaxbodyError, match="WRONG_KIND"):
-        jb.profile(prior, f"{path}[2] - [1]")
-    both = holding(jb.SpringDamper(*ENDS, spring=LAW, damper=Table(LAW.x, 2 * LAW.forces)))
+        jb.profile_likelihood(prior, f"{path}[2] - [1]")
+    both = holding(jb.SpringDamper(*ENDS, spring=LAW, damper=Tabulated(LAW.x, 2 * LAW.forces)))
     tied = jb.fit(
         both, measured(RISE, row("forces")), free=["s.damper.forces = s.spring.forces * 2"]
     )
@@ -189,9 +189,9 @@ def test_rows_stay_in_order_in_random_starts_and_when_tuned():
         model, lambda model: model["s"].spring.forces[2] - model["s"].spring.forces[1], free=path
     )
     assert met.places == {f"{path}[2]": "at its bound"} and "at its bound" in str(met)
-    several = jb.multistart(model, measured(RISE, row("forces")), free=[path], starts=4)
+    several = jb.fitting.multistart(model, measured(RISE, row("forces")), free=[path], starts=4)
     np.testing.assert_allclose(several.estimates[path], RISE[None], rtol=1e-5)
-    bent = jb.sensitivities(
+    bent = jb.design.sensitivities(
         model, lambda model: {"last": model["s"].spring.forces[-1] ** 2}, free=path
     )
     np.testing.assert_allclose(bent.slopes, [[2.0, 2, 2, 2]], rtol=1e-9)

@@ -99,7 +99,7 @@ def test_where_one_shot_does_several_give_the_same():
     run = experiment(np.linspace(0, 3, 61))
     options = dict(free=["spring.stiffness", "spring.free_length"], rtol=1e-10, max_steps=2000)
     whole = jb.fit(model_of(1.05 * TRUTH), run, **options)
-    several = jb.multiple_shooting(model_of(1.05 * TRUTH), run, segments=4, **options)
+    several = jb.fitting.multiple_shooting(model_of(1.05 * TRUTH), run, segments=4, **options)
     assert (
         several.ok
         and list(several.experiments) == ["run"]
@@ -159,7 +159,7 @@ def test_a_chaotic_record_is_fitted_where_one_shot_is_lost():
     options = dict(free=["spring.stiffness", "spring.free_length"], max_steps=10_000)
     with pytest.warns(jb.JaxbodyWarning):
         lost = jb.fit(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), **options)
-    result = jb.multiple_shooting(
+    result = jb.fitting.multiple_shooting(
         model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), segments=48, **options
     )
     assert float(lost.cost) > 100 * float(result.cost)

@@ -43,7 +43,9 @@ def noise(level=1e-3, seed=0):
 
 def run(x, sensor=None):
     sensor = (
-        jb.Displacement("a", ("world", [1, 0, 0]), axis=[1, 0, 0]) if sensor is None else sensor
+        jb.sensors.Displacement("a", ("world", [1, 0, 0]), axis=[1, 0, 0])
+        if sensor is None
+        else sensor
     )
     return {"run": jb.Experiment(TIMES, initial=INITIAL, sensors={"x": sensor}, measured={"x": x})}
 

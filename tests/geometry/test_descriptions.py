@@ -17,9 +17,9 @@ LAWS = {
         "Polynomial([1000 N/m, 20000 N/m2])",
     ),
     "stop": (
-        jb.laws.Stop(gap=0.06, stiffness=2e5, engagement=0.01),
-        "Stop(gap=0.06 m, stiffness=200000 N/m, engagement=0.01 m, extension=False)",
-        "Stop(gap=0.06 m, stiffness=200000 N/m, engagement=0.01 m, extension=False)",
+        jb.laws.BumpStop(gap=0.06, stiffness=2e5, engagement=0.01),
+        "BumpStop(gap=0.06 m, stiffness=200000 N/m, engagement=0.01 m, extension=False)",
+        "BumpStop(gap=0.06 m, stiffness=200000 N/m, engagement=0.01 m, extension=False)",
     ),
     "sum": (
         jb.laws.Linear(3.0) + jb.laws.TensionOnly(5.0),
@@ -27,9 +27,9 @@ LAWS = {
         "Linear(3 N/m) + TensionOnly(5 N/m)",
     ),
     "table": (
-        jb.laws.Table(np.linspace(-0.1, 0.1, 21), np.linspace(-100, 300, 21)),
-        "Table(x=[21 numbers from -0.1 to 0.1], forces=[21 numbers from -100 to 300])",
-        "Table(x=[21 numbers from -0.1 to 0.1] m, forces=[21 numbers from -100 to 300] N)",
+        jb.laws.Tabulated(np.linspace(-0.1, 0.1, 21), np.linspace(-100, 300, 21)),
+        "Tabulated(x=[21 numbers from -0.1 to 0.1], forces=[21 numbers from -100 to 300])",
+        "Tabulated(x=[21 numbers from -0.1 to 0.1] m, forces=[21 numbers from -100 to 300] N)",
     ),
 }
 

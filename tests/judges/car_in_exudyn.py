@@ -27,7 +27,7 @@ class Car(Judge):
         )
 
     def joint(self, body, parent, joint):
-        if not isinstance(joint, jb.HeavePitchRoll):
+        if not isinstance(joint, jb.joints.HeavePitchRoll):
             super().joint(body, parent, joint)
             return
         own, ground = self.marker(body, [0, 0, 0]), self.marker("world", self.places[body][0])

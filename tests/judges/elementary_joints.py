@@ -84,7 +84,7 @@ def frames(model):
             steps = [
                 Step("move" if isinstance(joint, jb.Guide) else "turn", at, np.asarray(joint.axis))
             ]
-        elif isinstance(joint, jb.Composite):
+        elif isinstance(joint, jb.joints.Composite):
             rows = zip(
                 joint.steps, np.asarray(joint.points), np.asarray(joint.directions), strict=True
             )

@@ -17,7 +17,7 @@ def force(law, x):
         return sum(float(c) * x ** (i + 1) for i, c in enumerate(law.coefficients))
     if isinstance(law, jb.laws.TensionOnly):
         return float(law.stiffness) * max(x, 0.0)
-    if isinstance(law, jb.laws.Stop):
+    if isinstance(law, jb.laws.BumpStop):
         d, w, k = -x - float(law.gap), float(law.engagement), float(law.stiffness)
         return -k * (0.0 if d < 0 else d * d / (2 * w) if d < w else d - w / 2)
     if isinstance(law, jb.laws.Digressive):

@@ -10,7 +10,7 @@ import jaxbody as jb
 from jaxbody import presets
 
 G = [0.4, -0.3, -9.7]
-TILT = jb.Euler("ZYX", [0.5, 0.2, 0.1])
+TILT = jb.EulerAngles("ZYX", [0.5, 0.2, 0.1])
 MODELS = {}
 
 
@@ -172,10 +172,10 @@ def sliders(rng):
 @judged
 def crane(rng):
     """A trolley that moves in a plane, and a load that turns about two lines on it."""
-    plane = jb.Composite(
+    plane = jb.joints.Composite(
         "base", ["move", "move"], directions=[[1, 0.2, 0], [-0.2, 1, 0]], points=np.zeros((2, 3))
     )
-    swing = jb.Composite(
+    swing = jb.joints.Composite(
         "trolley",
         ["turn", "turn"],
         directions=[[1, 0, 0.3], [0, 1, 0]],
@@ -198,7 +198,7 @@ def robot_arm(rng):
     """Six links on motions of every order, two of them on one joint."""
     joints = {
         "turret": jb.Hinge("base", axis="z"),
-        "shoulder": jb.Composite(
+        "shoulder": jb.joints.Composite(
             "turret",
             ["turn", "move", "turn"],
             directions=rng.normal(size=(3, 3)),
@@ -278,7 +278,7 @@ def rolling_car(rng):
         for i, c in enumerate(corners)
     }
     elements |= {f"t{i}": spring(rng, "axle", "base", 1.2, stiffness=900.0) for i in range(3)}
-    joints = {"car": jb.HeavePitchRoll("base"), "axle": jb.Translation("base")}
+    joints = {"car": jb.joints.HeavePitchRoll("base"), "axle": jb.Translation("base")}
     return jb.Model(
         bodies={"car": car, "axle": body(rng, mass=4.0)},
         supports=BASE,
@@ -394,7 +394,7 @@ def axle_with_anti_roll_bar(rng):
         damper=3.0,
     )
     joints = {
-        "car": jb.HeavePitchRoll("base"),
+        "car": jb.joints.HeavePitchRoll("base"),
         "left": jb.Guide("car", axis=[0, 0.2, 1]),
         "right": jb.Guide("car", axis=[0, -0.2, 1]),
     }
@@ -449,7 +449,8 @@ def laws_of_springs(rng):
         "hardening": {"spring": jb.laws.Polynomial([80.0, 20.0, 50.0]), "damper": 1.0},
         "rope": {"spring": jb.laws.TensionOnly(200.0)},
         "stop": {
-            "spring": jb.laws.Linear(60.0) + jb.laws.Stop(gap=0.05, stiffness=900.0, engagement=0.1)
+            "spring": jb.laws.Linear(60.0)
+            + jb.laws.BumpStop(gap=0.05, stiffness=900.0, engagement=0.1)
         },
         "damper": {"spring": 90.0, "damper": jb.laws.Digressive(slow=30.0, fast=2.0, knee=0.3)},
         "friction": {"spring": 70.0, "damper": jb.laws.Friction(level=3.0, velocity=0.2)},

@@ -95,7 +95,7 @@ def test_motion_to_second_order_in_the_deformation():
     times less motion differs a hundred times less."""
     model, apart = engine(1e-3), []
     for scale in (0.1, 0.01):
-        start = jb.State(jb.retract(model, model.reference.q, scale * START), jnp.zeros(6))
+        start = jb.State(jb.joints.retract(model, model.reference.q, scale * START), jnp.zeros(6))
         pose = jb.simulate(model, [0.0, 0.15, 0.3], initial=start, rtol=1e-11).poses["engine"]
         _, place, R = by_exudyn(1e-3, 0.3, scale)
         apart.append(max(abs(pose.p[-1] - place).max(), abs(pose.R[-1] - R).max()))
@@ -120,7 +120,7 @@ def test_rests_of_closed_loops(name, rng):
             for name, row in rows.items()
         }
 
-    near = poses(jb.retract(model, eq.state.q, 0.01 * rng.normal(size=model.layout.nv)))
+    near = poses(jb.joints.retract(model, eq.state.q, 0.01 * rng.normal(size=model.layout.nv)))
     found = in_exudyn.Judge(model, near).rest()
     for name, expected in poses(eq.state.q).items():
         for ours, theirs in zip(expected, found[name], strict=True):
@@ -132,7 +132,7 @@ def test_a_car_on_double_wishbones_goes_over_a_kerb():
     """It rests as it is drawn, and half a second later hub and car are where Exudyn's
     generalized-alpha method has them: its error falls to a quarter with steps of half the length,
     so that two runs give the limit."""
-    model, end = jb.car_on_double_wishbones(anti_roll=(1e-6, 1e-6)).model, 0.5
+    model, end = jb.suspension.car_on_double_wishbones(anti_roll=(1e-6, 1e-6)).model, 0.5
     still, _ = Car(model, {}).motion(0.1, 100)
     np.testing.assert_allclose(still, [0, 0, 0.5, 1.2, 0, 0], atol=1e-12)
     half, whole = (

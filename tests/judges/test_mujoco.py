@@ -36,7 +36,7 @@ ITS_OWN_FORCES = (
 def random_states(model, rng):
     """Displaced from the reference by up to half a turn."""
     n, reference = model.layout.nv, model.reference
-    q = [jb.retract(model, reference.q, 0.4 * rng.normal(size=n)) for _ in range(SAMPLES)]
+    q = [jb.joints.retract(model, reference.q, 0.4 * rng.normal(size=n)) for _ in range(SAMPLES)]
     return [jb.State(x, rng.normal(size=n), 0.3 * rng.normal(size=model.layout.nz)) for x in q]
 
 

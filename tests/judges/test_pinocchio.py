@@ -38,7 +38,7 @@ def shaking(model, rng):
 def random_states(model, rng):
     """Displaced from the reference by up to half a turn."""
     q = [
-        jb.retract(model, model.reference.q, 0.4 * rng.normal(size=model.layout.nv))
+        jb.joints.retract(model, model.reference.q, 0.4 * rng.normal(size=model.layout.nv))
         for _ in range(SAMPLES)
     ]
     return jb.State(jnp.stack(q), jnp.array(rng.normal(size=(SAMPLES, model.layout.nv))))

@@ -99,7 +99,7 @@ def vibrating(periods, samples=201):
     eq = jb.equilibrium(model)
     period = 1 / float(jb.modes(jb.linearize(model, eq)).frequency[-1])
     start = jb.State(
-        jb.retract(model, eq.state.q, jnp.array([0.02, -0.015, 0.02, 0.06, -0.05, 0.08])),
+        jb.joints.retract(model, eq.state.q, jnp.array([0.02, -0.015, 0.02, 0.06, -0.05, 0.08])),
         jnp.zeros(6),
     )
     options = dict(
@@ -166,7 +166,7 @@ def stiff():
             "box": jb.Body(mass=2.0, inertia=[0.02, 0.03, 0.04]),
             "bob": jb.Body(mass=m, inertia=[1, 1, 1], position=[0, 0, 0.2]),
         },
-        joints={"box": jb.HeavePitchRoll("world"), "bob": jb.Guide("box", axis=[0, 0, 1])},
+        joints={"box": jb.joints.HeavePitchRoll("world"), "bob": jb.Guide("box", axis=[0, 0, 1])},
         elements={
             **legs,
             "stiff": jb.Spring(

@@ -365,7 +365,7 @@ def test_every_joint_on_a_support_and_on_a_body_moves_and_reacts_as_by_euler_lag
         "bob": jb.Ball("base", at=rng.normal(size=3)),
         "slider": jb.Guide("stand", axis=rng.normal(size=3)),
         "raft": jb.Free("stand"),
-        "car": jb.HeavePitchRoll("base"),
+        "car": jb.joints.HeavePitchRoll("base"),
     }
     on_bodies = {
         "flap": jb.Hinge("raft", axis=rng.normal(size=3), at=rng.normal(size=3)),
@@ -373,7 +373,7 @@ def test_every_joint_on_a_support_and_on_a_body_moves_and_reacts_as_by_euler_lag
         "piston": jb.Guide("bob", axis=rng.normal(size=3)),
         "dinghy": jb.Free("slider"),
         "wheel": jb.Hinge("car", axis=rng.normal(size=3), at=rng.normal(size=3)),
-        "tool": jb.Composite(
+        "tool": jb.joints.Composite(
             "knee", STEPS, directions=rng.normal(size=(4, 3)), points=rng.normal(size=(4, 3))
         ),
     }
@@ -457,11 +457,11 @@ def test_matrices_are_the_hessians_that_define_them(inerters):
         "knee": jb.Ball("arm"),
         "lump": jb.Fixed("knee"),
         "slider": jb.Guide("stand", axis=rng.normal(size=3)),
-        "car": jb.HeavePitchRoll("arm"),
+        "car": jb.joints.HeavePitchRoll("arm"),
         "wheel": jb.Hinge("car", axis=rng.normal(size=3), at=rng.normal(size=3)),
-        "half": jb.HeavePitch("wheel"),
+        "half": jb.joints.HeavePitch("wheel"),
         "block": jb.Translation("half"),
-        "tool": jb.Composite(
+        "tool": jb.joints.Composite(
             "lump", STEPS, directions=rng.normal(size=(4, 3)), points=rng.normal(size=(4, 3))
         ),
     }

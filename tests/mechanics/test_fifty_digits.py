@@ -178,7 +178,7 @@ def stiffness_and_slope(model, change, q):
 def test_stiffness_and_its_derivative(seed):
     rng = np.random.default_rng(seed)
     model = suspended(rng)
-    q = np.array(jb.retract(model, model.reference.q, 0.1 * rng.normal(size=6)))
+    q = np.array(jb.joints.retract(model, model.reference.q, 0.1 * rng.normal(size=6)))
     K, slope = stiffness_and_slope(model, 0.7, q)
     numbers, h = numbers_of(model), mp.mpf(10) ** -9
     np.testing.assert_allclose(
@@ -244,7 +244,7 @@ def test_derivatives_of_a_frequency_by_every_kind_of_number(rng):
     exact to 1e-20."""
     model, h = suspended(rng), mp.mpf(10) ** -12
     paths = {kind: kind if "." in kind or kind == "gravity" else f"body.{kind}" for kind in KINDS}
-    values = jb.paths(model)
+    values = jb.parameter_paths(model)
     directions = {
         kind: rng.normal(size=values[path].shape) * np.abs(values[path]).max()
         for kind, path in paths.items()
@@ -300,7 +300,7 @@ def test_small_rotations(rng):
     axis = axis / np.linalg.norm(axis)
     for angle in ANGLES:
         q = np.array(
-            jb.retract(model, model.reference.q, np.concatenate([np.zeros(3), angle * axis]))
+            jb.joints.retract(model, model.reference.q, np.concatenate([np.zeros(3), angle * axis]))
         )
         found = np.array(slopes_along(model, q, direction))
         f = lambda s, q=q: energy(model, numbers, exact(q), s * exact(direction))  # noqa: E731

@@ -15,7 +15,7 @@ G = 9.81
 def crane():
     """An arm on a hinge of a tilted support, a hook that it carries, a spring that holds it, a
     bushing, a spiral spring, a free load."""
-    turn = jb.Euler("z", [0.3])
+    turn = jb.EulerAngles("z", [0.3])
     return jb.Model(
         bodies={
             "arm": jb.Body(

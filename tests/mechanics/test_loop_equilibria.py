@@ -145,7 +145,7 @@ def test_a_pose_that_cannot_be_closed_is_reported():
 @pytest.mark.long
 def test_the_spring_of_a_corner_carries_its_weight_over_its_travel():
     """dV/dz = 0 over the travel of the wheel."""
-    corner = jb.double_wishbone()
+    corner = jb.suspension.double_wishbone()
     drawn, names = corner.model, corner.model.layout.bodies
     model = jb.Model(
         bodies={name: drawn[name] for name in names},

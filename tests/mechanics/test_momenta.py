@@ -53,7 +53,9 @@ def model_and_state(name):
 
 def form_of(model, motions=None, loads=()):
     return Canonical(
-        dynamics_of(model, motions or tuple(jb.AtRest() for _ in model.layout.supports), loads)
+        dynamics_of(
+            model, motions or tuple(jb.inputs.AtRest() for _ in model.layout.supports), loads
+        )
     )
 
 
@@ -356,7 +358,8 @@ def test_energy_of_a_tumbling_plate_has_no_trend_over_a_hundred_thousand_periods
     eq = jb.equilibrium(model)
     period = 1 / float(jb.modes(jb.linearize(model, eq)).frequency[-1])
     start = jb.State(
-        jb.retract(model, eq.state.q, jnp.array([0.05, -0.04, 0.05, 1.0, -0.8, 1.2])), jnp.zeros(6)
+        jb.joints.retract(model, eq.state.q, jnp.array([0.05, -0.04, 0.05, 1.0, -0.8, 1.2])),
+        jnp.zeros(6),
     )
     result, error = tumbling(model, start, period, 40, 100_000)
     assert result.poses["plate"].R[:, 2, 2].min() < -0.5

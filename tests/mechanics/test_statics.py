@@ -298,7 +298,7 @@ def test_matrices_of_an_arm_on_a_bushing_are_second_derivatives_of_its_energies(
     assert_second_derivatives(model, jb.State(jnp.array([0.7]), jnp.array([-1.1])))
 
 
-class Parabola(jb.Motion):
+class Parabola(jb.inputs.Motion):
     """Xi(t) = xi + t xi' + t^2/2 xi''."""
 
     terms: tuple[jax.Array, jax.Array, jax.Array]
@@ -631,7 +631,7 @@ def test_a_model_in_which_nothing_moves_has_forces_at_rest_and_no_vibrations():
     ) == pytest.approx(-9.81)
     for function in (
         jb.linearize,
-        jb.linearize_spin,
+        jb.vibration.linearize_spin,
         lambda model, state: jb.simulate(model, [0.0, 1.0], initial=state),
     ):
         with pytest.raises(jb.JaxbodyError, match=r"no body that can move.*NOTHING_MOVES"):
@@ -762,9 +762,11 @@ def test_what_looks_like_wrong_geometry_is_named_beside_an_ok_status():
         ("bob", [0, 0, 0]),
         ("world", [0, 0, 0]),
         stiffness=np.diag([0, 0, 0, 0, 1e-3, 0]),
-        orientation_b=jb.Euler("Y", [0.2]),
+        orientation_b=jb.EulerAngles("Y", [0.2]),
     )
-    aslant = jb.Torsion("bob", "world", axis="y", damper=1.0, orientation_b=jb.Euler("X", [0.3]))
+    aslant = jb.Torsion(
+        "bob", "world", axis="y", damper=1.0, orientation_b=jb.EulerAngles("X", [0.3])
+    )
     parts = {
         "bodies": {"bob": bob},
         "joints": {"bob": jb.Hinge("world", axis="y")},

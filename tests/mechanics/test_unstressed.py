@@ -80,7 +80,7 @@ def test_two_unstressed_springs_in_line_under_a_load_across():
     assert abs(float(eq.energy) - 24.01163) <= 5e-6  # half of the last digit printed
     assert "by descent of the potential of the loads" in str(eq)
     with pytest.raises(jb.JaxbodyError, match=r"by descent.*NO_PATH"):
-        jb.plots.load_path(eq)
+        jb.plots.plot_load_path(eq)
 
 
 @pytest.mark.long

@@ -29,7 +29,7 @@ def spring(a="engine", b="base", **changed):
 
 
 def composite(steps, **more):
-    return jb.Composite(
+    return jb.joints.Composite(
         "base",
         steps,
         **{"directions": [[0, 0, 1]] * len(steps), "points": [[0, 0, 0]] * len(steps)} | more,
@@ -176,32 +176,38 @@ BAD = {
         None,
         "-1, 3, 3 signs",
     ),
-    "18 no sequence": (lambda: jb.Euler("", []), "BAD_SEQUENCE", "Euler.sequence", "", "ZYX yaw"),
-    "18 mixed sequence": (
-        lambda: jb.Euler("Zyx", [0, 0, 0]),
+    "18 no sequence": (
+        lambda: jb.EulerAngles("", []),
         "BAD_SEQUENCE",
-        "Euler.sequence",
+        "EulerAngles.sequence",
+        "",
+        "ZYX yaw",
+    ),
+    "18 mixed sequence": (
+        lambda: jb.EulerAngles("Zyx", [0, 0, 0]),
+        "BAD_SEQUENCE",
+        "EulerAngles.sequence",
         "Zyx",
         "Capitals small",
     ),
     "18 axis twice": (
-        lambda: jb.Euler("ZZX", [0, 0, 0]),
+        lambda: jb.EulerAngles("ZZX", [0, 0, 0]),
         "BAD_SEQUENCE",
-        "Euler.sequence",
+        "EulerAngles.sequence",
         "ZZX",
         "twice",
     ),
     "18 two angles": (
-        lambda: jb.Euler("ZYX", [0.1, 0.2]),
+        lambda: jb.EulerAngles("ZYX", [0.1, 0.2]),
         "BAD_SHAPE",
-        "Euler.angles",
+        "EulerAngles.angles",
         (2,),
         "(2,) (3,) letter",
     ),
     "61 degrees": (
-        lambda: jb.Euler("ZYX", [30.0, 0, 0]),
+        lambda: jb.EulerAngles("ZYX", [30.0, 0, 0]),
         "DEGREES",
-        "Euler.angles",
+        "EulerAngles.angles",
         None,
         "30 deg2rad",
     ),
@@ -857,7 +863,7 @@ def test_responses_at_too_many_frequencies_are_refused(monkeypatch):
     lin = jb.linearize(car, car.reference)
     inputs, outputs = {"road": jb.BaseMotion("road", "z")}, {"body": jb.Position("body", axis="z")}
     frequencies = np.linspace(0.1, 50, 1_000_000)
-    spectra = {"road": jb.Unevenness.iso("C").at_speed(20.0)}
+    spectra = {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)}
     monkeypatch.setattr("jaxbody.model.preconditions.MOST_MEMORY", 1e8)
     for compute in (
         lambda: jb.frequency_response(lin, frequencies, inputs, outputs),
@@ -895,6 +901,7 @@ def test_a_batch_of_models_is_refused_with_the_way(name):
 def test_a_row_of_a_tree_without_rows_is_named():
     norms = jax.tree.map(jnp.linalg.norm, CAR)
     with pytest.raises(
-        jb.JaxbodyError, match=r"model\['tyre'\]: has leaves without rows .*jb.paths\(model\)"
+        jb.JaxbodyError,
+        match=r"model\['tyre'\]: has leaves without rows .*jb.parameter_paths\(model\)",
     ):
         norms["tyre"]

@@ -29,14 +29,14 @@ def test_euler_angles_are_those_of_scipy(sequence):
     angles = ANGLES[: len(sequence)]
     exact = Rotation.from_euler(sequence, angles).as_matrix()
     np.testing.assert_allclose(
-        turned(jb.Body(mass=1.0, orientation=jb.Euler(sequence, angles)).orientation),
+        turned(jb.Body(mass=1.0, orientation=jb.EulerAngles(sequence, angles)).orientation),
         exact,
         atol=1e-15,
     )
 
 
 def test_euler_angles_may_stand_wherever_an_orientation_may():
-    euler, exact = jb.Euler("ZYX", ANGLES), Rotation.from_euler("ZYX", ANGLES).as_matrix()
+    euler, exact = jb.EulerAngles("ZYX", ANGLES), Rotation.from_euler("ZYX", ANGLES).as_matrix()
     ends = ("a", [0, 0, 0]), ("b", [0, 0, 0])
     for thing in (
         jb.Body(mass=1.0, orientation=euler).orientation,
@@ -45,8 +45,8 @@ def test_euler_angles_may_stand_wherever_an_orientation_may():
         jb.Bushing(*ends, stiffness=[1, 2, 3], orientation_b=euler).orientation_b,
         jb.Torsion("a", "b", axis=[0, 0, 1], spring=1.0, orientation=euler).orientation,
         jb.Accelerometer("a", orientation=euler).orientation,
-        jb.Gyro("a", orientation=euler).orientation,
-        jb.Orientation("a", orientation=euler).orientation,
+        jb.sensors.Gyro("a", orientation=euler).orientation,
+        jb.sensors.Orientation("a", orientation=euler).orientation,
         jb.replace(
             jb.Model(bodies={"a": jb.Body(mass=1.0, inertia=[1, 1, 1])}), {"a.orientation": euler}
         )["a"].orientation,
@@ -58,7 +58,7 @@ def test_euler_angles_may_be_differentiated():
     """dR/d(yaw) of a turn about z is [z] R."""
 
     def R(yaw):
-        q = jb.Support(orientation=jb.Euler("ZYX", jnp.stack([yaw, 0.3, -0.2]))).orientation
+        q = jb.Support(orientation=jb.EulerAngles("ZYX", jnp.stack([yaw, 0.3, -0.2]))).orientation
         return jb.Model(
             bodies={"a": jb.Body(mass=1.0, inertia=[1, 1, 1], orientation=q)}
         ).reference.q[3:]
@@ -104,7 +104,7 @@ def test_a_body_of_parts_is_the_cloud_of_all_their_points(rng):
         m, x = rng.uniform(0.1, 2), rng.normal(size=3)
         parts.append(jb.Body(mass=m, position=x))
         masses, points = [*masses, m], [*points, x]
-    whole = jb.Body.of_parts(parts, position=[1, 2, 3], orientation=jb.Euler("Z", [0.4]))
+    whole = jb.Body.of_parts(parts, position=[1, 2, 3], orientation=jb.EulerAngles("Z", [0.4]))
     total, com, inertia = cloud(np.array(masses), np.array(points))
     assert abs(whole.mass - total) <= 1e-14 * total
     np.testing.assert_allclose(whole.com, com, atol=1e-14)
@@ -122,7 +122,9 @@ def test_parts_may_be_differentiated():
     @jax.jit
     @jax.value_and_grad
     def inertia(m):
-        bar = jb.Body(mass=2.0, inertia=[0, 2 / 12, 2 / 12], orientation=jb.Euler("z", [m * 0]))
+        bar = jb.Body(
+            mass=2.0, inertia=[0, 2 / 12, 2 / 12], orientation=jb.EulerAngles("z", [m * 0])
+        )
         return jb.Body.of_parts([bar, jb.Body(mass=m, position=[0.5, 0, 0])]).inertia[2, 2]
 
     value, slope = inertia(0.5)
@@ -177,7 +179,7 @@ def test_what_may_turn_without_inertia_is_reported_when_a_model_is_built():
 def test_a_singular_mass_matrix_is_reported_as_such():
     """K is regular; the rod has no inertia about its own axis z. Once six zero frequencies and
     SINGULAR_K were reported."""
-    model = mounted(jb.Body(mass=1.0, inertia=[1, 1, 0], orientation=jb.Euler("x", [0.0])))
+    model = mounted(jb.Body(mass=1.0, inertia=[1, 1, 0], orientation=jb.EulerAngles("x", [0.0])))
     eq = jb.equilibrium(model)
     assert eq.ok  # statics is right
     lin = jb.linearize(model, eq)

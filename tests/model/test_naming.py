@@ -97,7 +97,7 @@ def test_paths_lead_to_every_number_of_a_model_once(zoo):
         "gravity"
     }
     expected |= {f"{name}.{field}" for name, fields in JOINTS.items() for field in fields}
-    result = jb.paths(zoo)
+    result = jb.parameter_paths(zoo)
     assert set(result) == expected and len(result) == len(expected)
     assert sum(value.size for value in result.values()) == sum(
         leaf.size for leaf in jax.tree.leaves(zoo)
@@ -105,7 +105,7 @@ def test_paths_lead_to_every_number_of_a_model_once(zoo):
 
 
 def test_a_path_reads_what_the_name_gives(zoo):
-    result = jb.paths(zoo)
+    result = jb.parameter_paths(zoo)
     for name, kind in KINDS.items():
         for field in FIELDS[kind]:
             np.testing.assert_array_equal(result[f"{name}.{field}"], getattr(zoo[name], field))
@@ -118,27 +118,31 @@ def test_a_path_reads_what_the_name_gives(zoo):
 
 
 def test_replace_changes_one_leaf_and_no_other(zoo):
-    before = jb.paths(zoo)
+    before = jb.parameter_paths(zoo)
     for path, value in before.items():
         new = other_value(path, value)
-        after = jb.paths(jb.replace(zoo, {path: new}))
+        after = jb.parameter_paths(jb.replace(zoo, {path: new}))
         np.testing.assert_allclose(after[path], new, rtol=1e-15, err_msg=path)
         same({**after, path: value}, before)
 
 
 def test_replacing_all_paths_by_those_of_another_model_gives_that_model(zoo):
     other = jb.replace(
-        zoo, {path: other_value(path, value) for path, value in jb.paths(zoo).items()}
+        zoo, {path: other_value(path, value) for path, value in jb.parameter_paths(zoo).items()}
     )
-    again = jb.replace(zoo, jb.paths(other))
+    again = jb.replace(zoo, jb.parameter_paths(other))
     assert jax.tree.structure(again) == jax.tree.structure(zoo)
-    same(jb.paths(again), jb.paths(other))
-    same(jb.paths(jb.replace(again, jb.paths(zoo))), jb.paths(zoo))
+    same(jb.parameter_paths(again), jb.parameter_paths(other))
+    same(jb.parameter_paths(jb.replace(again, jb.parameter_paths(zoo))), jb.parameter_paths(zoo))
 
 
 def test_matches_come_in_the_order_in_which_things_were_given(zoo):
-    assert list(jb.paths(zoo, "s?.stiffness")) == ["s1.stiffness", "s2.stiffness", "s3.stiffness"]
-    assert list(jb.paths(zoo, "*.mass")) == [
+    assert list(jb.parameter_paths(zoo, "s?.stiffness")) == [
+        "s1.stiffness",
+        "s2.stiffness",
+        "s3.stiffness",
+    ]
+    assert list(jb.parameter_paths(zoo, "*.mass")) == [
         f"{name}.mass" for name in ("plate", "arm", "cart", "bob", "lid")
     ]
     backwards = jb.Model(
@@ -148,24 +152,33 @@ def test_matches_come_in_the_order_in_which_things_were_given(zoo):
             for i, name in enumerate("cba", 1)
         },
     )
-    assert list(jb.paths(backwards, "*.stiffness")) == ["c.stiffness", "b.stiffness", "a.stiffness"]
-    assert list(jb.paths(backwards, "?.mass").values()) == [1, 2]
+    assert list(jb.parameter_paths(backwards, "*.stiffness")) == [
+        "c.stiffness",
+        "b.stiffness",
+        "a.stiffness",
+    ]
+    assert list(jb.parameter_paths(backwards, "?.mass").values()) == [1, 2]
 
 
 def test_wildcards_match_as_in_file_names(zoo):
-    assert set(jb.paths(zoo, "s[13].[ab]")) == {"s1.a", "s1.b", "s3.a", "s3.b"}
-    assert set(jb.paths(zoo, "*.orientation*")) == {
-        path for path in jb.paths(zoo) if ".orientation" in path
+    assert set(jb.parameter_paths(zoo, "s[13].[ab]")) == {"s1.a", "s1.b", "s3.a", "s3.b"}
+    assert set(jb.parameter_paths(zoo, "*.orientation*")) == {
+        path for path in jb.parameter_paths(zoo) if ".orientation" in path
     }
-    assert set(jb.paths(zoo, "mount.*")) == {f"mount.{field}" for field in FIELDS["bushing"]}
-    assert list(jb.paths(zoo, "grav*")) == ["gravity"]
-    assert jb.paths(zoo, "S1.stiffness") == {}
+    assert set(jb.parameter_paths(zoo, "mount.*")) == {
+        f"mount.{field}" for field in FIELDS["bushing"]
+    }
+    assert list(jb.parameter_paths(zoo, "grav*")) == ["gravity"]
+    assert jb.parameter_paths(zoo, "S1.stiffness") == {}
 
 
 def test_one_value_serves_every_match(zoo):
     after = jb.replace(zoo, {"s?.stiffness": 7, "*.com": [1, 2, 3], "[sp]*.b": np.ones(3)})
-    assert all(value == 7.0 for value in jb.paths(after, "s?.stiffness").values())
-    assert all((value == np.array([1, 2, 3])).all() for value in jb.paths(after, "*.com").values())
+    assert all(value == 7.0 for value in jb.parameter_paths(after, "s?.stiffness").values())
+    assert all(
+        (value == np.array([1, 2, 3])).all()
+        for value in jb.parameter_paths(after, "*.com").values()
+    )
     assert all((after[name].b == 1).all() for name in ("s1", "s2", "s3", "pad"))
     assert (after["mount"].b == zoo["mount"].b).all()
 
@@ -175,8 +188,8 @@ def test_a_leading_axis_gives_a_value_to_each_match_in_the_order_of_paths(zoo):
     after = jb.replace(zoo, {"s?.stiffness": stiffness, "*.a": ends})
     for name, k in zip(("s1", "s2", "s3"), stiffness, strict=True):
         assert after[name].stiffness == k
-    for path, a in zip(jb.paths(zoo, "*.a"), ends, strict=True):  # over three tables
-        np.testing.assert_array_equal(jb.paths(after)[path], a)
+    for path, a in zip(jb.parameter_paths(zoo, "*.a"), ends, strict=True):  # over three tables
+        np.testing.assert_array_equal(jb.parameter_paths(after)[path], a)
     some = jb.replace(zoo, {"s[13].stiffness": [8, 9]})
     assert [float(some[name].stiffness) for name in ("s1", "s2", "s3")] == [8.0, 20.0, 9.0]
 
@@ -224,8 +237,10 @@ def test_replace_inside_jit_grad_and_vmap(zoo):
 def test_paths_and_replace_of_a_batch_of_models_keep_its_leading_axis(zoo):
     stiffness = np.arange(12.0).reshape(4, 3)
     batch = jax.vmap(lambda k: jb.replace(zoo, {"s?.stiffness": k}))(stiffness)
-    assert jb.paths(batch)["s2.a"].shape == (4, 3) and jb.paths(batch)["gravity"].shape == (4, 3)
-    np.testing.assert_array_equal(jb.paths(batch)["s2.stiffness"], stiffness[:, 1])
+    assert jb.parameter_paths(batch)["s2.a"].shape == (4, 3) and jb.parameter_paths(batch)[
+        "gravity"
+    ].shape == (4, 3)
+    np.testing.assert_array_equal(jb.parameter_paths(batch)["s2.stiffness"], stiffness[:, 1])
     after = jb.replace(
         batch,
         {
@@ -270,7 +285,7 @@ def test_paths_of_an_experiment_are_its_initial_state_motions_and_sensors(run):
     expected |= {f"wall.{field}" for field in harmonic} | {
         f"base.terms.{i}.{field}" for i in (0, 1) for field in harmonic
     }
-    result = jb.paths(run)
+    result = jb.parameter_paths(run)
     assert set(result) == expected
     assert result["base.terms.1.frequency"] == 3.0
     np.testing.assert_array_equal(result["height.axis"], [0, 0, 1])
@@ -292,7 +307,7 @@ def test_replace_works_on_an_experiment(run):
     np.testing.assert_array_equal(after.initial.v, [7, 8])
     np.testing.assert_array_equal(after.sensors["height"].axis, [0, 1, 0])
     np.testing.assert_array_equal(after.measured["corner"], run.measured["corner"])
-    same(jb.paths(jb.replace(after, jb.paths(run))), jb.paths(run))
+    same(jb.parameter_paths(jb.replace(after, jb.parameter_paths(run))), jb.parameter_paths(run))
 
 
 def refused(tree, values):
@@ -379,11 +394,11 @@ def test_all_problems_of_values_are_reported_at_once(zoo):
 
 @pytest.mark.parametrize(
     "part",
-    [lambda zoo: zoo["plate"], lambda zoo: jb.double_wishbone(), lambda zoo: {"a": 1.0}],
+    [lambda zoo: zoo["plate"], lambda zoo: jb.suspension.double_wishbone(), lambda zoo: {"a": 1.0}],
     ids=["body", "corner", "dict"],
 )
 def test_what_is_no_model_or_experiment_is_refused(zoo, part):
-    for call in (jb.paths, lambda tree: jb.replace(tree, {"mass": 2.0})):
+    for call in (jb.parameter_paths, lambda tree: jb.replace(tree, {"mass": 2.0})):
         with pytest.raises(
             jb.JaxbodyError, match=r"got a (Body|Corner|dict).*a model or an experiment.*WRONG_KIND"
         ):
@@ -409,7 +424,7 @@ def test_two_hundred_springs_are_replaced_in_a_few_operations():
     k = jnp.arange(1.0, n + 1)
     assert len(jax.make_jaxpr(total)(k).eqns) < 30  # not one or more for each spring
     np.testing.assert_allclose(jax.jit(total)(k), k.sum() + 111, rtol=1e-14)
-    values = jb.paths(model)
+    values = jb.parameter_paths(model)
     called = []
     sys.setprofile(lambda frame, event, argument: called.append(event))
     try:
@@ -418,4 +433,4 @@ def test_two_hundred_springs_are_replaced_in_a_few_operations():
         sys.setprofile(None)
     # one sweep over 1006 paths, and not one for each of them
     assert len(called) < 400 * len(values), len(called)
-    same(jb.paths(again, "*.stiffness"), jb.paths(model, "*.stiffness"))
+    same(jb.parameter_paths(again, "*.stiffness"), jb.parameter_paths(model, "*.stiffness"))

@@ -66,6 +66,6 @@ def test_a_state_of_lists_and_whole_numbers_is_that_of_arrays_and_what_is_no_sta
 def test_lists_of_traced_numbers_make_a_state_and_words_do_not():
     rate = jax.grad(lambda v: jb.kinetic_energy(MODEL, jb.State([0.0], [v])))(3.0)
     np.testing.assert_allclose(rate, 2.0 * 3.0)
-    np.testing.assert_allclose(jb.retract(MODEL, [0.5], [1]), [1.5])
+    np.testing.assert_allclose(jb.joints.retract(MODEL, [0.5], [1]), [1.5])
     with pytest.raises(jb.JaxbodyError, match=r"State\.v: is 'fast'.*NOT_A_NUMBER"):
         jb.State([0.0], "fast")

@@ -74,7 +74,7 @@ def with_numbers(numbers):
             "table": jb.SpringDamper(
                 ("slider", [0, 0, 0]),
                 ("base", [1, 0, 1]),
-                spring=jb.laws.Table(n["table"], n["forces"]),
+                spring=jb.laws.Tabulated(n["table"], n["forces"]),
             ),
             "linear": jb.SpringDamper(
                 ("slider", [0, 0, 0]), ("base", [1, 0, -1]), spring=n["linear"]
@@ -149,10 +149,10 @@ def test_replace_under_jit_has_nan_where_it_refuses_known_numbers():
     for path, value in PATHS.items():
         with pytest.raises(jb.JaxbodyError):
             jb.replace(model, {path: value})
-    known = jb.paths(model)
+    known = jb.parameter_paths(model)
     put = jax.jit(
         lambda values: {
-            path: jb.paths(jb.replace(model, {path: value}), path)[path]
+            path: jb.parameter_paths(jb.replace(model, {path: value}), path)[path]
             for path, value in values.items()
         }
     )

@@ -18,7 +18,7 @@ import jaxbody as jb
 
 def everything():
     """A model of each kind of element, joint and law."""
-    law = jb.laws.Linear(3e4) + jb.laws.Stop(gap=0.08, stiffness=1e5, engagement=0.01)
+    law = jb.laws.Linear(3e4) + jb.laws.BumpStop(gap=0.08, stiffness=1e5, engagement=0.01)
     points = ("car", [0, 0, 0]), ("base", [0, 0, -1])
     return jb.Model(
         bodies={
@@ -27,7 +27,7 @@ def everything():
         },
         supports={"base": jb.Support()},
         joints={
-            "car": jb.HeavePitchRoll("base"),
+            "car": jb.joints.HeavePitchRoll("base"),
             "arm": jb.Hinge("car", axis=[0, 0, 1]),
             "fixed": jb.Fixed("arm"),
             "ball": jb.Ball("base"),
@@ -40,7 +40,7 @@ def everything():
                 free_length=0.5,
             ),
             "table": jb.SpringDamper(
-                *points, spring=jb.laws.Table([-1, 0, 1, 2], [-10, 0, 10, 40]), free_length=0.5
+                *points, spring=jb.laws.Tabulated([-1, 0, 1, 2], [-10, 0, 10, 40]), free_length=0.5
             ),
             "spring": jb.Spring(*points, stiffness=100.0, free_length=1.0),
             "bushing": jb.Bushing(("free", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=[1, 2, 3]),
@@ -101,7 +101,7 @@ def test_tree_at_of_a_whole_array_works():
         lambda m: m.elements[0].rows.stiffness, model, model.elements[0].rows.stiffness * 2
     )
     by_name = jb.replace(
-        model, {name: 2 * value for name, value in jb.paths(model, "*.stiffness").items()}
+        model, {name: 2 * value for name, value in jb.parameter_paths(model, "*.stiffness").items()}
     )
     assert eqx.tree_equal(whole, by_name)
 
@@ -141,7 +141,7 @@ TIMES = np.linspace(0.0, 0.6, 13)
 def test_a_law_that_holds_a_network_moves_as_its_numbers_say_and_can_be_differentiated_and_fitted():
     model = slider(s=Learned(network(1), 50.0))
     W1, b1, W2, b2 = (
-        np.asarray(jb.paths(model)[f"s.spring.network.layers.{i}.{name}"])
+        np.asarray(jb.parameter_paths(model)[f"s.spring.network.layers.{i}.{name}"])
         for i in (0, 1)
         for name in ("weight", "bias")
     )
@@ -238,7 +238,7 @@ def test_whole_parts_and_laws_are_replaced_beside_numbers():
     }
     model = jb.Model(**parts, elements={"s": spring, "t": spring}, gravity=[0, 0, -9.81])
     stop, bushing = (
-        jb.laws.Stop(gap=0.01, stiffness=1e5, engagement=1e-3),
+        jb.laws.BumpStop(gap=0.01, stiffness=1e5, engagement=1e-3),
         jb.Bushing(("mass", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=[1e3] * 3),
     )
     changed = jb.replace(

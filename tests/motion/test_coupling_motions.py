@@ -78,7 +78,9 @@ def test_a_rack_swings_on_the_spring_of_its_pinion():
     acceleration = (pull - STIFFNESS * turn) / inertia
     teeth = MASS * (G - RADIUS * acceleration)
     np.testing.assert_allclose(motion.closure_reactions["mesh"]["move"], teeth, atol=1e-5)
-    read = jb.measure(motion, {"pinion": jb.Reaction("wheel"), "rack": jb.Reaction("follower")})
+    read = jb.measure(
+        motion, {"pinion": jb.sensors.Reaction("wheel"), "rack": jb.sensors.Reaction("follower")}
+    )
     # of a coupling, in the joint
     np.testing.assert_allclose(read["pinion"][:, 4], RADIUS * teeth, atol=1e-6)
     np.testing.assert_allclose(read["rack"][:, 2], teeth, atol=1e-5)
@@ -157,7 +159,7 @@ def test_a_nut_runs_down_its_screw():
     r, mass, about = 0.02 / (2 * np.pi), 0.4, 3e-5
     model = jb.Model(
         bodies={"nut": jb.Body(mass=mass, inertia=[1.0, 1.0, about])},
-        joints={"nut": jb.Cylindrical("world", axis="z")},
+        joints={"nut": jb.joints.Cylindrical("world", axis="z")},
         closures={"thread": jb.closures.Coupling("nut.q.0", "nut.q.1", ratio=r)},
         gravity=[0, 0, -G],
     )
@@ -184,7 +186,7 @@ PROFILES = {  # f, f', f''
 }
 CAMS = {
     "function": lambda y: LIFT * (1 - jnp.cos(y)),
-    "table": jb.laws.Table(ANGLES, PROFILES["table"][0](ANGLES)),
+    "table": jb.laws.Tabulated(ANGLES, PROFILES["table"][0](ANGLES)),
 }
 
 

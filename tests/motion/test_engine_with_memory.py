@@ -128,10 +128,10 @@ def test_responses(lin):
     np.testing.assert_allclose(response["z", "base"], by_states, rtol=1e-9)
     ride = jb.random_response(
         lin,
-        jb.Band(1.0, 50.0),
+        jb.vibration.Band(1.0, 50.0),
         inputs,
         outputs,
-        {"base": jb.PSD([1.0, 50.0], [1e-8, 1e-8], unit="m2/Hz")},
+        {"base": jb.vibration.PSD([1.0, 50.0], [1e-8, 1e-8], unit="m2/Hz")},
     )
     fine = np.linspace(1.0, 50.0, 4001)
     square = (
@@ -147,7 +147,7 @@ def lowest(model):
 
 def test_designs(model):
     path = "mount 2.y.terms.0.coefficient"
-    k = float(jb.paths(model)[path])
+    k = float(jb.parameter_paths(model)[path])
     swept = jb.sweep(model, lambda model: {"lowest": lowest(model)}, {path: [k, 1.1 * k]})
     np.testing.assert_allclose(
         swept["lowest"], [lowest(model), lowest(jb.replace(model, {path: 1.1 * k}))], rtol=1e-10
@@ -173,7 +173,7 @@ def test_reverse_mode_over_a_minute_within_100_mb(model, rest):
         )
         return jnp.sum(run.state.q[:, 2] ** 2) * 1e6
 
-    k = jnp.array(float(jb.paths(model)["mount 1.z.terms.1.stiffness"]))
+    k = jnp.array(float(jb.parameter_paths(model)["mount 1.z.terms.1.stiffness"]))
     program = jax.jit(jax.grad(travel)).lower(k).compile()
     memory = program.memory_analysis()
     assert memory.temp_size_in_bytes + memory.output_size_in_bytes < 100e6

@@ -165,7 +165,7 @@ def test_a_mount_with_a_fluid_has_paths_words_and_a_file(tmp_path):
         elements={"engine mount A": mount},
     )
     assert model.layout.states == ("engine mount A, fluid", "engine mount A, rate of fluid")
-    assert "engine mount A.z.fluid_mass" in jb.paths(model)
+    assert "engine mount A.z.fluid_mass" in jb.parameter_paths(model)
     jb.write_model(model, tmp_path / "engine.toml")
     again = jb.read_model(tmp_path / "engine.toml")
     for one, other in zip(jax.tree.leaves(model), jax.tree.leaves(again), strict=True):

@@ -165,7 +165,7 @@ def check_newton(trajectory):
     of energy."""
     mass, com = trajectory.model["rocker"].mass, trajectory.model["rocker"].com
     read = jb.measure(
-        trajectory, {"a": jb.Acceleration("rocker", com), "joint": jb.Reaction("rocker")}
+        trajectory, {"a": jb.Acceleration("rocker", com), "joint": jb.sensors.Reaction("rocker")}
     )
     turn = np.asarray(trajectory.poses["coupler"].R)[:, :2, :2]
     of_closure = np.stack([trajectory.closure_reactions["pin"][row] for row in "xy"], -1)
@@ -431,7 +431,8 @@ def chain(speed):
 def test_without_an_initial_state_a_model_that_is_drawn_open_starts_closed():
     """In its reference, which is closed, so that nobody is told that it was open."""
     model = jb.replace(
-        chain(0.0)[0], {"lower.orientation": jb.Euler("Z", [-0.5]), "end.position": [0.9, 0.1, 0]}
+        chain(0.0)[0],
+        {"lower.orientation": jb.EulerAngles("Z", [-0.5]), "end.position": [0.9, 0.1, 0]},
     )
     assert abs(float(model.reference.q[1]) + 0.5) > 0.05  # drawn open
     trajectory = jb.simulate(model, [0.0, 1e-3])
@@ -494,7 +495,7 @@ def test_steps_of_every_solver_are_projected(options):
 
 def bob_on_a_rod():
     """In a plane, drawn closed."""
-    plane = jb.Composite(
+    plane = jb.joints.Composite(
         "world", ["move", "move"], directions=[[1, 0, 0], [0, 0, 1]], points=[[0, 0, 0]] * 2
     )
     rod = jb.closures.Rod(("world", [0, 0, 0]), ("bob", [0, 0, 0]), length=1.0)

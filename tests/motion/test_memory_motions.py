@@ -54,7 +54,7 @@ def test_states_have_names_units_and_values_at_rest(solid):
     initial = jb.Experiment(
         [0.0, 1.0], initial=solid.reference, sensors={"x": jb.Position("m", axis="x")}
     )
-    assert set(jb.paths(initial)) >= {"initial.q", "initial.v", "initial.z"}
+    assert set(jb.parameter_paths(initial)) >= {"initial.q", "initial.v", "initial.z"}
 
 
 @pytest.mark.parametrize(

@@ -620,7 +620,7 @@ def test_times_outside_a_sampled_motion_are_refused():
         jb.simulate(slider(), np.linspace(0, 5, 11), motion=motion)
     assert error.value.code == "T_RANGE"
     with pytest.raises(jb.JaxbodyError, match="Did you mean 'base'") as error:
-        jb.simulate(slider(), SHORT, motion={"bose": jb.AtRest()})
+        jb.simulate(slider(), SHORT, motion={"bose": jb.inputs.AtRest()})
     assert error.value.code == "UNKNOWN_NAME"
 
 
@@ -767,7 +767,7 @@ def test_a_solver_in_blocks_is_that_solver(rig):
     times = jnp.linspace(0.0, 0.1, 5)
     paths = [
         jb.simulate(rig, times, motion=SHAKEN, **options)
-        for options in ({}, {"solver": diffrax.Tsit5(), "adjoint": jb.Blocks()})
+        for options in ({}, {"solver": diffrax.Tsit5(), "adjoint": jb.BlockAdjoint()})
     ]
     np.testing.assert_allclose(paths[1].state.q, paths[0].state.q, rtol=0, atol=1e-8)
     assert int(paths[1].statistics["num_accepted_steps"]) > int(
@@ -783,7 +783,7 @@ def test_newtons_method_takes_the_steps_of_a_stiff_part_that_turns():
     model = jb.Model(
         bodies={
             "arm": jb.Body(
-                6.0, [0.5, 0.5, 0.01], com=[0, 0, -0.9], orientation=jb.Euler("Y", [-a])
+                6.0, [0.5, 0.5, 0.01], com=[0, 0, -0.9], orientation=jb.EulerAngles("Y", [-a])
             ),
             "collar": jb.Body(3.0, position=[0, 0, 2 * top[2]]),
         },

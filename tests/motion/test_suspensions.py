@@ -50,7 +50,7 @@ RIG = {
         lambda x, v: 200 * x + 100 * x**2 + 9000 * x**3 + v + 0.5 * v**3,
     ),
     "table": (
-        dict(spring=laws.Table(X, F), damper=laws.Table(V, D)),
+        dict(spring=laws.Tabulated(X, F), damper=laws.Tabulated(V, D)),
         lambda x, v: PchipInterpolator(X, F)(x) + PchipInterpolator(V, D)(v),
     ),
     "bilinear": (
@@ -63,7 +63,7 @@ RIG = {
     ),
     "bump stop": (
         dict(
-            spring=laws.Linear(200.0) + laws.Stop(gap=0.1, stiffness=5000.0, engagement=0.02),
+            spring=laws.Linear(200.0) + laws.BumpStop(gap=0.1, stiffness=5000.0, engagement=0.02),
             damper=1.0,
         ),
         lambda x, v: 200 * x - stop(-x - 0.1, 5000, 0.02) + v,
@@ -223,8 +223,8 @@ LIKE_ADAMS = {
     "linear": (100.0, 5.0),
     "polynomial": (laws.Polynomial([100.0, 0.0]), laws.Polynomial([5.0])),
     "table": (
-        laws.Table([-3, -1, 0.5, 1, 4], [-300, -100, 50, 100, 400]),
-        laws.Table([-9, -1, 0.5, 1, 9], [-45, -5, 2.5, 5, 45]),
+        laws.Tabulated([-3, -1, 0.5, 1, 4], [-300, -100, 50, 100, 400]),
+        laws.Tabulated([-9, -1, 0.5, 1, 9], [-45, -5, 2.5, 5, 45]),
     ),
     "two-sided": (laws.TwoSided(bump=100.0, rebound=100.0), laws.TwoSided(bump=5.0, rebound=5.0)),
     "digressive": (
@@ -267,7 +267,7 @@ def test_every_law_that_can_express_it_moves_as_in_adams():
 
 def on_a_table(start):
     strut = jb.SpringDamper(
-        ("body", [0, 0, 0]), ("world", [0, 0, -1]), spring=laws.Table(X, F), free_length=1.0
+        ("body", [0, 0, 0]), ("world", [0, 0, -1]), spring=laws.Tabulated(X, F), free_length=1.0
     )
     model = jb.Model(
         bodies={"body": jb.Body(mass=M, inertia=[1, 1, 1])},
@@ -358,7 +358,7 @@ def test_gradients_of_a_motion_by_numbers_of_its_laws():
         "table strut.spring.forces",
         "friction strut.damper.velocity",
     ]
-    values = jb.paths(model)
+    values = jb.parameter_paths(model)
     assert set(paths) <= set(values)
 
     @jax.jit

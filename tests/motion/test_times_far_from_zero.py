@@ -50,7 +50,7 @@ class Doubled(jb.Sampled):
         return super().__call__(t) * jnp.where((t > 1e9) | (t < 2.0), 2.0, 0.0)
 
 
-class Pushing(jb.Load):
+class Pushing(jb.inputs.Load):
     """A load of its own, with a signal of the package."""
 
     push: Samples = jb.field()
@@ -71,7 +71,7 @@ EXACT = {
         jb.Sampled.from_accelerations(t0 + BEFORE, translation=100 * ROWS)
     ),
     "spline": lambda t0: moved(
-        jb.Spline(
+        jb.inputs.Spline(
             t0 - 0.25,
             t0 + 1.25,
             interval=0.125,
@@ -79,7 +79,7 @@ EXACT = {
             like=lambda t: 0.01 * jnp.zeros(6).at[2].set(jnp.sin(9 * (t - t0))),
         )
     ),
-    "pulse": lambda t0: moved(jb.Trapezoid(10.0, 0.5, start=t0 + 0.25).motion("z")),
+    "pulse": lambda t0: moved(jb.inputs.Trapezoid(10.0, 0.5, start=t0 + 0.25).motion("z")),
     "harmonic": lambda t0: moved(
         jb.Harmonic(
             frequency=[1, 2, 3, 4, 5, 6], translation=0.01 * UP, translation_phase=[0, 0, 0.4]
@@ -87,19 +87,21 @@ EXACT = {
     ),
     "sine": lambda t0: moved(Sine(amplitude=[0, 0, 0.01, 0, 0, 0], frequency=3.0, phase=0.4)),
     "road": lambda t0: moved(
-        jb.Road(
+        jb.inputs.Road(
             np.arange(32.0), 0.01 * np.cos(np.arange(32.0)), speed=16.0, position=8.0 - 16.0 * t0
         )
     ),
     "delays": lambda t0: moved(
         Delayed(jb.Sampled(t0 + BEFORE, translation=ROWS), 0.125)
-        + Delayed(jb.HalfSine(10.0, 0.5, start=t0).motion("z"), 0.25)
+        + Delayed(jb.inputs.HalfSine(10.0, 0.5, start=t0).motion("z"), 0.25)
     ),
     "hold": lambda t0: pushed(Samples(t0 + BEFORE[::32], 1e3 * ROWS[::32], kind="hold")),
     "linear": lambda t0: pushed(Samples(t0 + BEFORE, 1e3 * ROWS, kind="linear")),
     "cubic": lambda t0: pushed(Samples(t0 + BEFORE, 1e3 * ROWS, kind="cubic")),
     "unbalance": lambda t0: {
-        "loads": {"rotor": jb.Unbalance("mass", axis="x", unbalance=0.01, frequency=4.0, phase=0.3)}
+        "loads": {
+            "rotor": jb.inputs.Unbalance("mass", axis="x", unbalance=0.01, frequency=4.0, phase=0.3)
+        }
     },
 }
 ROUNDED = {
@@ -114,8 +116,8 @@ ROUNDED = {
 
 
 LOADS = [
-    jb.Unbalance("mass", axis="x", unbalance=0.01, frequency=4.0, run_up=0.7, phase=0.3),
-    jb.EngineTorque(
+    jb.inputs.Unbalance("mass", axis="x", unbalance=0.01, frequency=4.0, run_up=0.7, phase=0.3),
+    jb.inputs.EngineTorque(
         "mass",
         axis="x",
         frequency=2.3,
@@ -245,7 +247,7 @@ def test_a_base_motion_and_a_fit_of_a_record():
     estimates, motions = [], []
     for t0 in (0.0, START):
         record = jb.Record(t0 + BEFORE, {"base": (1e4 * ROWS[:, 2] / 50, "m/s2")})
-        motion = jb.base_motion(record, "base", axis=UP).motion
+        motion = jb.inputs.base_motion(record, "base", axis=UP).motion
         measured = jb.measure(
             run(0.0, lambda _: moved(jb.Sampled(BEFORE, translation=ROWS))),
             sensors,

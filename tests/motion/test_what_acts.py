@@ -85,7 +85,7 @@ def test_a_stop_that_is_met_once_turns_a_fall_also_between_sparse_samples():
     assert np.abs(E - E[0]).max() < 1e-6 * 98.1
 
 
-PULSE = {"road": jb.HalfSine(50.0, 0.011, start=2.0).motion("z")}
+PULSE = {"road": jb.inputs.HalfSine(50.0, 0.011, start=2.0).motion("z")}
 
 
 @pytest.mark.nan

@@ -78,7 +78,7 @@ def test_three_systems_as_exactly_as_diffrax_with_gradients_of_every_mode(system
     field, args, y0, end = SYSTEMS[system]
     exact, theirs, ours = (
         path(field, args, y0, end, **options)
-        for options in ({"rtol": 1e-13}, {}, {"adjoint": jb.Blocks()})
+        for options in ({"rtol": 1e-13}, {}, {"adjoint": jb.BlockAdjoint()})
     )
     np.testing.assert_array_equal(ours.ts, theirs.ts)
     size = np.abs(flat(exact.ys)).max()
@@ -102,12 +102,12 @@ def test_three_systems_as_exactly_as_diffrax_with_gradients_of_every_mode(system
 
     def reverse(args, y0):
         return jax.value_and_grad(
-            lambda *given: loss(*given, jb.Blocks()), argnums=(0, 1), has_aux=True
+            lambda *given: loss(*given, jb.BlockAdjoint()), argnums=(0, 1), has_aux=True
         )(args, y0)
 
     (_, same), (slope, changes) = jax.jit(lambda: along(diffrax.ForwardMode()))()
     (_, ys), slopes = jax.jit(reverse)(args, y0)
-    (_, forward) = jax.jit(lambda: along(jb.Blocks(forward_only=True)))()
+    (_, forward) = jax.jit(lambda: along(jb.BlockAdjoint(forward_only=True)))()
     np.testing.assert_allclose(flat(ys), flat(same), rtol=0, atol=1e-13 * size)
     assert float(flat(slopes).sum()) == pytest.approx(float(slope), rel=1e-9)
     np.testing.assert_allclose(
@@ -128,7 +128,7 @@ def test_reverse_mode_is_forward_mode_of_the_same_blocks(adaptive):
             args,
             y0,
             end,
-            adjoint=jb.Blocks(),
+            adjoint=jb.BlockAdjoint(),
             **options,
         ).ys[-1, 0]
 
@@ -151,7 +151,8 @@ def test_tableaus_and_polynomials_are_those_of_the_solver(solver):
     field, args, y0, end = SYSTEMS["Lotka-Volterra"]
     options = {"solver": solver, "dt0": 0.02} | CONSTANT
     theirs, ours = (
-        path(field, args, y0, end, **options, **given) for given in ({}, {"adjoint": jb.Blocks()})
+        path(field, args, y0, end, **options, **given)
+        for given in ({}, {"adjoint": jb.BlockAdjoint()})
     )
     np.testing.assert_allclose(ours.ys, theirs.ys, rtol=1e-12)
     assert int(ours.stats["num_steps"]) == 150
@@ -161,7 +162,7 @@ def test_tableaus_and_polynomials_are_those_of_the_solver(solver):
 def test_backward_in_time_with_a_first_step_and_times_to_stop_at():
     """From the end of a path back to its start, and in steps that end where they are asked to."""
     field, args, y0, end = SYSTEMS["Lotka-Volterra"]
-    there = path(field, args, y0, end, adjoint=jb.Blocks()).ys[-1]
+    there = path(field, args, y0, end, adjoint=jb.BlockAdjoint()).ys[-1]
     back = path(
         field,
         args,
@@ -170,7 +171,7 @@ def test_backward_in_time_with_a_first_step_and_times_to_stop_at():
         t0=end,
         dt0=-0.01,
         saveat=diffrax.SaveAt(ts=jnp.array([2.0, 1.0, 0.0])),
-        adjoint=jb.Blocks(),
+        adjoint=jb.BlockAdjoint(),
     )
     np.testing.assert_allclose(back.ys[-1], y0, rtol=1e-8)
     between = path(field, args, y0, 2.0, saveat=diffrax.SaveAt(ts=jnp.array([1.0, 2.0]))).ys[::-1]
@@ -180,7 +181,7 @@ def test_backward_in_time_with_a_first_step_and_times_to_stop_at():
     )
     assert (
         int(
-            path(field, args, y0, end, stepsize_controller=steps, adjoint=jb.Blocks()).stats[
+            path(field, args, y0, end, stepsize_controller=steps, adjoint=jb.BlockAdjoint()).stats[
                 "num_accepted_steps"
             ]
         )
@@ -193,10 +194,11 @@ def test_samples_are_functions_of_the_state_and_statuses_those_of_diffrax():
     field, args, y0, end = SYSTEMS["Lotka-Volterra"]
     sums = diffrax.SaveAt(ts=jnp.array([0.5, 1.0]), fn=lambda t, y, args: t + jnp.sum(y))
     theirs, ours = (
-        path(field, args, y0, end, saveat=sums, **given) for given in ({}, {"adjoint": jb.Blocks()})
+        path(field, args, y0, end, saveat=sums, **given)
+        for given in ({}, {"adjoint": jb.BlockAdjoint()})
     )
     np.testing.assert_allclose(ours.ys, theirs.ys, rtol=1e-9)
-    short = path(field, args, y0, end, adjoint=jb.Blocks(), max_steps=3, throw=False)
+    short = path(field, args, y0, end, adjoint=jb.BlockAdjoint(), max_steps=3, throw=False)
     assert (
         bool(short.result == diffrax.RESULTS.max_steps_reached)
         and int(short.stats["num_steps"]) == 3
@@ -206,7 +208,7 @@ def test_samples_are_functions_of_the_state_and_statuses_those_of_diffrax():
         and np.isfinite(short.ys[-1]).all()
         and float(short.ts[-1]) < end
     )
-    stuck = path(field, args * jnp.nan, y0, end, adjoint=jb.Blocks(), throw=False)
+    stuck = path(field, args * jnp.nan, y0, end, adjoint=jb.BlockAdjoint(), throw=False)
     assert (
         bool(stuck.result == diffrax.RESULTS.dt_min_reached)
         and jb.Status(int(stuck.stats["status"])).name == "NONFINITE"
@@ -226,13 +228,13 @@ def test_times_and_first_step_of_the_adjoint_replace_those_that_diffrax_checks_a
             end,
             saveat=diffrax.SaveAt(ts=times, t1=True),
             dt0=0.05,
-            adjoint=jb.Blocks(),
+            adjoint=jb.BlockAdjoint(),
             throw=False,
             **CONSTANT,
         ).ys
 
     def by_blocks(y0):
-        blocks = jb.Blocks(times, jnp.array(0.05))
+        blocks = jb.BlockAdjoint(times, jnp.array(0.05))
         return path(
             field,
             args,
@@ -266,7 +268,7 @@ def test_parts_of_a_driven_term_are_found_within_what_diffrax_makes_of_it():
         2.0,
         saveat=diffrax.SaveAt(t1=True),
         stepsize_controller=steps,
-        adjoint=jb.Blocks(times),
+        adjoint=jb.BlockAdjoint(times),
         throw=False,
     )
     np.testing.assert_allclose(run.ys[:3, 0], np.sin(2 * times) / 2, atol=1e-9)
@@ -292,7 +294,7 @@ def test_parts_of_a_driven_term_are_found_within_what_diffrax_makes_of_it():
 def test_what_blocks_do_not_know_is_refused_by_name(given):
     field, args, y0, end = SYSTEMS["Lotka-Volterra"]
     with pytest.raises(jb.JaxbodyError, match=rf"Blocks\.{next(iter(given))}.*WRONG_KIND"):
-        path(field, args, y0, end, adjoint=jb.Blocks(), **given)
+        path(field, args, y0, end, adjoint=jb.BlockAdjoint(), **given)
 
 
 def test_a_linear_function_has_the_transpose_that_it_is_given():

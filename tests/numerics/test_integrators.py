@@ -389,7 +389,10 @@ def decaying(y0, most=1000):
         "stepsize_controller": diffrax.PIDController(rtol=1e-9, atol=1e-12),
         "throw": False,
     }
-    term, blocks = diffrax.ODETerm(lambda t, y, args: -y), jb.Blocks(jnp.linspace(0.0, 1.0, 5))
+    term, blocks = (
+        diffrax.ODETerm(lambda t, y, args: -y),
+        jb.BlockAdjoint(jnp.linspace(0.0, 1.0, 5)),
+    )
     return diffrax.diffeqsolve(
         term, diffrax.Dopri8(), 0.0, 1.0, None, y0, adjoint=blocks, max_steps=most, **options
     ).ys[:-1]

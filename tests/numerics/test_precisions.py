@@ -51,7 +51,7 @@ def of_a_table():
                                                     stiffness=np.diag([900.0, 800, 700, 20, 30, 40]))})
     times, noise = np.linspace(0.0, 0.3, 31), 1e-3
     motion = {"base": jb.Harmonic(frequency=3.0, rotation=[0, 0.1, 0], translation=[0.01, 0, 0.02])}
-    sensors = {"turn": jb.Orientation("table"), "speed": jb.Gyro("table", lag=0.02)}
+    sensors = {"turn": jb.sensors.Orientation("table"), "speed": jb.sensors.Gyro("table", lag=0.02)}
     read = jb.measure(jb.simulate(model, times, motion=motion), sensors)
     run = jb.Experiment(times, motion=motion, sensors=sensors, measured=read, noise=noise)
     found = jb.fit(jb.replace(model, {"table.mass": 2.2}), {"run": run}, free="table.mass", allow_float32=True)

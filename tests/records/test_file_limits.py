@@ -246,8 +246,8 @@ def test_a_named_pipe_is_refused_by_every_reader(tmp_path):
         for read in (
             lambda: jb.read_record(path, channels={"a": ("a", "g")}, rate=100.0),
             lambda: jb.read_record(path, channels={"a": ("a", "g")}, rate=100.0, format="hdf5"),
-            lambda: jb.read_responses(path, {("y", "f"): "4+Z/1+Z"}),
-            lambda: laws.Table.read(path),
+            lambda: jb.records.read_responses(path, {("y", "f"): "4+Z/1+Z"}),
+            lambda: laws.Tabulated.read(path),
         ):
             with refused("NOT_A_FILE", "pipe", "regular file"):
                 read()
@@ -325,11 +325,11 @@ def test_a_curve_may_have_another_separator_and_decimal_commas(tmp_path):
     with commas and points."""
     path = tmp_path / "feder.csv"
     path.write_bytes("Weg;Kraft\nmm;kN\n-2,5;-1,0\n0;0\n1,5;0,5\n3;1,25\nEnde;\n".encode("utf-16"))
-    law = laws.Table.read(path, decimal=",", encoding="utf-16", footer=1)
+    law = laws.Tabulated.read(path, decimal=",", encoding="utf-16", footer=1)
     np.testing.assert_allclose(law.x, [-2.5e-3, 0, 1.5e-3, 3e-3], rtol=1e-15)
     np.testing.assert_allclose(law.forces, [-1000, 0, 500, 1250], rtol=1e-15)
     path.write_text("elongation [mm] | force [kN]\n-2.5|-1\n0|0\n1.5|0.5\n3|1.25\n")
-    np.testing.assert_array_equal(laws.Table.read(path, separator="|").forces, law.forces)
+    np.testing.assert_array_equal(laws.Tabulated.read(path, separator="|").forces, law.forces)
 
 
 @pytest.mark.parametrize(
@@ -362,7 +362,7 @@ def test_what_is_wrong_with_a_curve_is_named(text, options, code, words, tmp_pat
     path = tmp_path / "curve.csv"
     path.write_text(text)
     with refused(code, *words):
-        laws.Table.read(path, **options)
+        laws.Tabulated.read(path, **options)
 
 
 @pytest.mark.parametrize(
@@ -385,5 +385,5 @@ def test_a_table_pairs_turns_with_moments_and_reads_plain_numbers(tmp_path, text
     path = tmp_path / "curve.csv"
     path.write_text(text)
     with pytest.raises(jb.JaxbodyError, match=words) as refused:
-        jb.laws.Table.read(path)
+        jb.laws.Tabulated.read(path)
     assert refused.value.code == code

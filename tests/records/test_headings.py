@@ -18,7 +18,7 @@ def record(path, text, **options):
 
 def response(path, text):
     path.write_text(text)
-    frequencies, measured = jb.read_responses(path, {("a", "f"): "1+Z/1+Z"})
+    frequencies, measured = jb.records.read_responses(path, {("a", "f"): "1+Z/1+Z"})
     return frequencies.tolist(), measured["a", "f"].tolist()
 
 
@@ -128,13 +128,17 @@ def test_spectra_are_named_with_what_to_export_instead(of, name, tmp_path):
     )
     with pytest.raises(
         jb.JaxbodyError,
-        match=rf"'1\+Z' is {name} .*Export time responses.*jb.PSD.from_record.*NOT_A_RECORD",
+        match=(
+            rf"'1\+Z' is {name} .*Export time responses.*"
+            r"jb.vibration.PSD.from_record.*NOT_A_RECORD"
+        ),
     ):
         record(path, text)
     with pytest.raises(
         jb.JaxbodyError,
         match=(
-            rf"'1\+Z/1\+Z' is {name} .*Export frequency responses, H1 or H2.*jb.PSD.*NOT_A_RESPONSE"
+            rf"'1\+Z/1\+Z' is {name} .*Export frequency responses, H1 or H2.*"
+            r"jb.vibration.PSD.*NOT_A_RESPONSE"
         ),
     ):
         response(path, text)

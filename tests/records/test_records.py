@@ -289,7 +289,7 @@ def test_frequency_responses_of_a_universal_file(tmp_path):
     path = tmp_path / "plate.uff"
     pyuff.UFF(str(path)).write_sets(sets, "overwrite")
     pairs = {("z", "f"): "4+Z/1-Z", ("x", "f"): ("4+X/1-Z", "m/s2", "N")}
-    frequencies, measured = jb.read_responses(path, pairs)
+    frequencies, measured = jb.records.read_responses(path, pairs)
     np.testing.assert_allclose(frequencies, x["x"], rtol=1e-6)
     np.testing.assert_allclose(
         measured["z", "f"], H * 1e-3 / (0.45359237 * 9.80665), rtol=0, atol=1e-9
@@ -308,7 +308,7 @@ def test_frequency_responses_of_a_universal_file(tmp_path):
         (("4+Z/1-Z", "m/s2", "N"), "UNIT_CONFLICT"),
     ):
         with pytest.raises(jb.JaxbodyError) as refused:
-            jb.read_responses(path, {("z", "f"): bad})
+            jb.records.read_responses(path, {("z", "f"): bad})
         assert refused.value.code == code
     with pytest.raises(
         jb.JaxbodyError, match=r"not a function of time.*read_responses.*NOT_A_RECORD"
@@ -321,12 +321,12 @@ def test_frequency_responses_of_a_universal_file(tmp_path):
     with pytest.raises(
         jb.JaxbodyError, match=r"different frequencies from the first.*DIFFERENT_FREQUENCIES"
     ):
-        jb.read_responses(path, pairs | {("x", "f"): "4+Y/1-Z"})
+        jb.records.read_responses(path, pairs | {("x", "f"): "4+Y/1-Z"})
     before, number, after = path.read_text().rpartition(f"{H[7].real:20.11e}")
     assert number
     path.write_text(before + f"{'nan':>20}" + after)
     with pytest.raises(jb.JaxbodyError, match=r"4\+X/1-Z.*not finite.*NOT_A_RESPONSE"):
-        jb.read_responses(path, {("x", "f"): "4+X/1-Z"})
+        jb.records.read_responses(path, {("x", "f"): "4+X/1-Z"})
 
 
 PEER = """PEER NGA STRONG MOTION DATABASE RECORD

@@ -40,10 +40,12 @@ def test_what_is_uneven_remains_so():
 
 def test_a_printed_record_has_the_spectra_of_the_exact_one():
     printed = np.round(EVEN, 6)
-    exact, rounded = (jb.PSD.from_record(t, A, unit="m/s2") for t in (EVEN, printed))
+    exact, rounded = (jb.vibration.PSD.from_record(t, A, unit="m/s2") for t in (EVEN, printed))
     np.testing.assert_allclose(rounded.values, exact.values, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(
-        jb.weighted_signal(printed, A, "Wk").rms, jb.weighted_signal(EVEN, A, "Wk").rms, rtol=1e-6
+        jb.vibration.weighted_signal(printed, A, "Wk").rms,
+        jb.vibration.weighted_signal(EVEN, A, "Wk").rms,
+        rtol=1e-6,
     )
     with Problems() as problems:
         _, step = checked_samples(
@@ -57,7 +59,7 @@ def test_times_that_are_uneven_are_refused_with_remedies_that_exist():
         jb.JaxbodyError,
         match=r"steps from 0.00390625 to 0.0078125 s.*rate=.*fill=.*CubicSpline.*NOT_UNIFORM",
     ):
-        jb.PSD.from_record(np.delete(EVEN, 9), np.delete(A, 9), unit="m/s2")
+        jb.vibration.PSD.from_record(np.delete(EVEN, 9), np.delete(A, 9), unit="m/s2")
 
 
 def test_a_rate_beside_times_moves_them_to_its_steps():
@@ -106,7 +108,7 @@ def test_what_is_no_time_is_named(times, words):
     for use in (
         lambda: jb.Record(times, {"a": ([1.0, 2.0], "m")}),
         lambda: jb.signals.Samples(times, [1.0, 2.0]),
-        lambda: jb.weighted_signal(times, A, "Wk"),
+        lambda: jb.vibration.weighted_signal(times, A, "Wk"),
     ):
         with pytest.raises(jb.JaxbodyError, match="NOT_A_NUMBER") as refused:
             use()

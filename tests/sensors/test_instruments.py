@@ -46,12 +46,12 @@ ON_ROD = {
     "tip": jb.Accelerometer("rod", [0, 0, -1.0]),
     "turned": jb.Accelerometer("rod", [0, 0, -1.0], orientation=MOUNTED),
     "along": jb.Accelerometer("rod", [0, 0, -1.0], axis=[0, 0, -2.0]),
-    "gyro": jb.Gyro("rod", orientation=R_S),
-    "rate": jb.Gyro("rod", axis=[0, 1, 0]),
-    "tilt": jb.Tilt("rod", axis=[1, 0, 0]),
-    "tilts": jb.Tilt("rod", orientation=Rotation.from_euler("z", 0.3).as_matrix()),
-    "angle": jb.JointAngle("rod"),
-    "held": jb.ForcePlate("world"),
+    "gyro": jb.sensors.Gyro("rod", orientation=R_S),
+    "rate": jb.sensors.Gyro("rod", axis=[0, 1, 0]),
+    "tilt": jb.sensors.Inclinometer("rod", axis=[1, 0, 0]),
+    "tilts": jb.sensors.Inclinometer("rod", orientation=Rotation.from_euler("z", 0.3).as_matrix()),
+    "angle": jb.sensors.JointAngle("rod"),
+    "held": jb.sensors.ForcePlate("world"),
 }
 read_all = jax.jit(
     lambda model, t, q, v, sensors, motions=(), loads=(): read(
@@ -104,9 +104,11 @@ def test_a_sensor_at_rest_reads_g_upwards_whatever_its_axes(pendulum):
     sensors = {
         "acc": jb.Accelerometer("box", P),
         "base": jb.Accelerometer("base", P, orientation=MOUNTED),
-        "tilt": jb.Tilt("base"),
+        "tilt": jb.sensors.Inclinometer("base"),
     }
-    result = read_all(model, jnp.array(0.0), jnp.zeros(0), jnp.zeros(0), sensors, (jb.AtRest(),))
+    result = read_all(
+        model, jnp.array(0.0), jnp.zeros(0), jnp.zeros(0), sensors, (jb.inputs.AtRest(),)
+    )
     np.testing.assert_allclose(result["acc"], R_S.T @ [-0.3, 0.2, G], rtol=0, atol=1e-12)
     np.testing.assert_allclose(result["base"], R_S.T @ [-0.3, 0.2, G], rtol=0, atol=1e-12)
     np.testing.assert_allclose(
@@ -142,21 +144,23 @@ SHAKING = {name: x for name, x in rigs.SHAKING.items() if name != "frequency"} |
 GENERAL = {
     "acc": jb.Accelerometer("arm", P, orientation=MOUNTED),
     "floor": jb.Accelerometer("base", P),
-    "gyro": jb.Gyro("arm"),
-    "seen": jb.Displacement(("box", P), ("arm", [0.1, 0, 0.2])),
-    "ruler": jb.Displacement(("box", P), ("base", [0.1, 0, 0.2]), axis=[3, 0, 4]),
+    "gyro": jb.sensors.Gyro("arm"),
+    "seen": jb.sensors.Displacement(("box", P), ("arm", [0.1, 0, 0.2])),
+    "ruler": jb.sensors.Displacement(("box", P), ("base", [0.1, 0, 0.2]), axis=[3, 0, 4]),
     "velocity": jb.Velocity("box", P, relative_to="arm"),
     "geophone": jb.Velocity("box", P, axis=[0, 3, 4]),
-    "wire": jb.StringPotentiometer(("box", P), ("base", [0.1, 0, 0.2])),
-    "laser": jb.LaserVibrometer("box", P, axis=[0, 3, 4]),
-    "beam": jb.LaserVibrometer(
+    "wire": jb.sensors.StringPotentiometer(("box", P), ("base", [0.1, 0, 0.2])),
+    "laser": jb.sensors.LaserVibrometer("box", P, axis=[0, 3, 4]),
+    "beam": jb.sensors.LaserVibrometer(
         "box", P, axis=[0, 3, 4], origin=[0.1, -3, -4], normal=[0.2, 0.3, 1]
     ),
-    "range": jb.LaserDistance("box", P, axis=[0, 3, 4], origin=[0.1, -3, -4], normal=[0.2, 0.3, 1]),
-    "attitude": jb.Orientation("arm", orientation=MOUNTED),
-    "cell": jb.LoadCell("s0"),
-    "table": jb.ForcePlate("base"),
-    "angle": jb.JointAngle("arm"),
+    "range": jb.sensors.LaserDistance(
+        "box", P, axis=[0, 3, 4], origin=[0.1, -3, -4], normal=[0.2, 0.3, 1]
+    ),
+    "attitude": jb.sensors.Orientation("arm", orientation=MOUNTED),
+    "cell": jb.sensors.LoadCell("s0"),
+    "table": jb.sensors.ForcePlate("base"),
+    "angle": jb.sensors.JointAngle("arm"),
     **{
         f"{kind.__name__} {to}": kind("box", *point, relative_to=to)
         for to in ("world", "arm", "base")
@@ -164,12 +168,12 @@ GENERAL = {
             (jb.Position, (P,)),
             (jb.Velocity, (P,)),
             (jb.Acceleration, (P,)),
-            (jb.Rotation, ()),
-            (jb.AngularVelocity, ()),
-            (jb.AngularAcceleration, ()),
+            (jb.sensors.Rotation, ()),
+            (jb.sensors.AngularVelocity, ()),
+            (jb.sensors.AngularAcceleration, ()),
         )
     },
-    "rolled": jb.AngularAcceleration("box", axis="y", relative_to="arm"),
+    "rolled": jb.sensors.AngularAcceleration("box", axis="y", relative_to="arm"),
 }
 CENTERS, H = np.array([0.4, 0.9]), 2e-3
 STENCIL = np.arange(-4, 5)
@@ -361,10 +365,10 @@ def test_derivatives_of_all_instruments_agree_in_general_position(flight):
 
 @pytest.mark.long
 def test_zero_length_has_derivatives_of_zero_and_is_refused_as_a_beginning(pendulum):
-    wire = jb.StringPotentiometer(("rod", [0, 0, 0]), ("world", [0, 0, 0]))
+    wire = jb.sensors.StringPotentiometer(("rod", [0, 0, 0]), ("world", [0, 0, 0]))
 
     def length(q, a):
-        moved = jb.StringPotentiometer(("rod", a), ("world", [0, 0, 0]))
+        moved = jb.sensors.StringPotentiometer(("rod", a), ("world", [0, 0, 0]))
         return read(pendulum, (), jnp.array(0.0), jb.State(q, jnp.zeros(1)), {"wire": moved})[
             "wire"
         ]
@@ -474,7 +478,7 @@ def test_attitudes_are_delayed_as_one_turning_whatever_the_signs_of_their_quater
     q = Rotation.from_rotvec(np.array(TIMES)[:, None] * rate).as_quat()[
         :, [3, 0, 1, 2]
     ] * RANDOM.choice([-1, 1], size=(200, 1))
-    sensor = jb.Orientation("rod", delay=0.0123, bias=[0.01, 0.02, -0.03])
+    sensor = jb.sensors.Orientation("rod", delay=0.0123, bias=[0.01, 0.02, -0.03])
     result = jax.jit(lambda t, q: sensor.transduced(t, q))(TIMES, jnp.asarray(q))
     expected = Rotation.from_rotvec([0.01, 0.02, -0.03]) * Rotation.from_rotvec(
         (np.array(TIMES) - 0.0123)[:, None] * rate
@@ -547,19 +551,25 @@ def problems_of(function, *arguments, **options):
             ["TWO_AXES", "BAD_SHAPE"],
         ),
         (
-            lambda: jb.Gyro("rod", orientation=[1, 0, 0, 1], bias=[0, 0]),
+            lambda: jb.sensors.Gyro("rod", orientation=[1, 0, 0, 1], bias=[0, 0]),
             ["BAD_QUATERNION", "BAD_SHAPE"],
         ),
         (
-            lambda: jb.Tilt("rod", orientation=2 * np.eye(3), delay=[0.1, 0.1]),
+            lambda: jb.sensors.Inclinometer("rod", orientation=2 * np.eye(3), delay=[0.1, 0.1]),
             ["BAD_ROTATION", "BAD_SHAPE"],
         ),
-        (lambda: jb.Displacement("rod", "rod", axis=[0, 0, np.inf]), ["SELF_SPRING", "NON_FINITE"]),
-        (lambda: jb.Velocity(3.0, gain="loud"), ["WRONG_KIND", "NOT_A_NUMBER"]),
-        (lambda: jb.LaserVibrometer("rod", axis=[0, 0, 1], normal=[0, 0, 1]), ["NO_SURFACE"]),
-        (lambda: jb.LoadCell("s", start=1.0), ["BAD_CHAIN"]),
         (
-            lambda: jb.Orientation("rod", gain=2.0, lag=0.1, bias=1.0),
+            lambda: jb.sensors.Displacement("rod", "rod", axis=[0, 0, np.inf]),
+            ["SELF_SPRING", "NON_FINITE"],
+        ),
+        (lambda: jb.Velocity(3.0, gain="loud"), ["WRONG_KIND", "NOT_A_NUMBER"]),
+        (
+            lambda: jb.sensors.LaserVibrometer("rod", axis=[0, 0, 1], normal=[0, 0, 1]),
+            ["NO_SURFACE"],
+        ),
+        (lambda: jb.sensors.LoadCell("s", start=1.0), ["BAD_CHAIN"]),
+        (
+            lambda: jb.sensors.Orientation("rod", gain=2.0, lag=0.1, bias=1.0),
             ["BAD_CHAIN", "BAD_CHAIN", "BAD_SHAPE"],
         ),
     ],
@@ -576,7 +586,7 @@ def test_an_instrument_reports_all_that_is_wrong_with_its_numbers(make, codes):
 type_names = (
     "Accelerometer",
     "Gyro",
-    "Tilt",
+    "Inclinometer",
     "Displacement",
     "Velocity",
     "LaserVibrometer",
@@ -587,19 +597,19 @@ type_names = (
 
 def test_an_argument_that_there_is_not_is_named():
     with pytest.raises(TypeError, match="Gyro has no argument 'gian'"):
-        jb.Gyro("rod", gian=1.0)
+        jb.sensors.Gyro("rod", gian=1.0)
 
 
 def test_what_does_not_fit_a_model_is_reported_at_once(pendulum):
     still = jb.replace(pendulum, {"gravity": [0, 0, 0.0]})
     sensors = {
-        "a": jb.Tilt("rod"),
-        "b": jb.Displacement(("rod", P), "base"),
-        "c": jb.LoadCell("s"),
-        "d": jb.ForcePlate("rod"),
-        "e": jb.JointAngle("rod", component=1),
-        "f": jb.LaserDistance("rod", origin=[0, 0, 0], axis=[0, 0, 1], normal=[1, 0, 0]),
-        "g": jb.StringPotentiometer(("rod", [0, 0, 0]), ("world", [0, 0, 0])),
+        "a": jb.sensors.Inclinometer("rod"),
+        "b": jb.sensors.Displacement(("rod", P), "base"),
+        "c": jb.sensors.LoadCell("s"),
+        "d": jb.sensors.ForcePlate("rod"),
+        "e": jb.sensors.JointAngle("rod", component=1),
+        "f": jb.sensors.LaserDistance("rod", origin=[0, 0, 0], axis=[0, 0, 1], normal=[1, 0, 0]),
+        "g": jb.sensors.StringPotentiometer(("rod", [0, 0, 0]), ("world", [0, 0, 0])),
     }
     result = problems_of(check_sensors, sensors, still, "sensors")
     assert [p.code for p in result] == [
@@ -620,7 +630,11 @@ def test_what_does_not_fit_a_model_is_reported_at_once(pendulum):
     )
     result = problems_of(
         check_sensors,
-        {"a": jb.JointAngle("rod"), "b": jb.LoadCell("m"), "c": jb.LoadCell("m", component=6)},
+        {
+            "a": jb.sensors.JointAngle("rod"),
+            "b": jb.sensors.LoadCell("m"),
+            "c": jb.sensors.LoadCell("m", component=6),
+        },
         free,
         "sensors",
     )
@@ -634,7 +648,7 @@ def test_a_cell_in_a_bushing_reads_one_of_its_six_forces():
     model = jb.Model(bodies={"box": jb.Body(mass=1.0, inertia=[1, 1, 1])}, elements={"m": mount})
     q, v = jnp.array([0.1, 0.2, 0.3, 1, 0, 0, 0]), jnp.array([1.0, 2, 3, 0, 0, 0])
     result = read_all(
-        model, jnp.array(0.0), q, v, {i: jb.LoadCell("m", component=i) for i in range(6)}
+        model, jnp.array(0.0), q, v, {i: jb.sensors.LoadCell("m", component=i) for i in range(6)}
     )
     # from the box to the world
     np.testing.assert_allclose([result[i] for i in range(3)], [-1 - 1, -4 - 4, -9 - 9], rtol=1e-13)
@@ -676,7 +690,7 @@ def taken(cart, seeds, chain, noise=0.0):
     whole = jb.simulate(model, times, motion=motion, rtol=1e-11)
     acc, gap = (
         jb.Accelerometer("cart", axis=[1, 0, 0], **{**CHAIN, "start": None}),
-        jb.Displacement("cart", "base", axis=[1, 0, 0]),
+        jb.sensors.Displacement("cart", "base", axis=[1, 0, 0]),
     )
     level = {"acc": max(noise, 1e-6), "gap": max(noise / 100, 1e-8)}
     initial = jax.tree.map(lambda x: x[1], whole.state)

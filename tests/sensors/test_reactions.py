@@ -47,9 +47,9 @@ def test_a_pendulum_pulls_on_its_hinge(q, w):
         gravity=[0, 0, -G],
     )
     sensors = {
-        "hinge": jb.Reaction("rod"),
-        "mass": jb.Reaction("rod", [0, 0, 0]),
-        "up": jb.Reaction("rod", component=2),
+        "hinge": jb.sensors.Reaction("rod"),
+        "mass": jb.sensors.Reaction("rod", [0, 0, 0]),
+        "up": jb.sensors.Reaction("rod", component=2),
     }
     result = at(model, [q], [w], sensors)
     along, across = np.array([np.sin(q), 0, np.cos(q)]), np.array([np.cos(q), 0, -np.sin(q)])
@@ -102,7 +102,7 @@ def test_a_chain_of_two_links_pulls_on_both_hinges():
         model,
         [a, b - a],
         [da, db - da],
-        {"upper": jb.Reaction("upper"), "lower": jb.Reaction("lower")},
+        {"upper": jb.sensors.Reaction("upper"), "lower": jb.sensors.Reaction("lower")},
     )
     # world to the axes of the upper rod
     in_upper = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
@@ -123,7 +123,7 @@ def test_a_console_bends_its_hinge():
         joints={"beam": jb.Hinge("world", axis=[0, 0, 1])},
         gravity=[0, 0, -G],
     )
-    sensors = {"root": jb.Reaction("beam"), "plate": jb.ForcePlate("world")}
+    sensors = {"root": jb.sensors.Reaction("beam"), "plate": jb.sensors.ForcePlate("world")}
     load = (jb.Force(("beam", tip), force=F),)
     result = at(model, [0.0], [0.0], sensors, (), load)
     weight = np.array([0, 0, -m * G])
@@ -135,7 +135,7 @@ def test_a_console_bends_its_hinge():
     )
     np.testing.assert_allclose(result["plate"], -result["root"], rtol=0, atol=1e-11)
     welded = jb.Model(bodies={"beam": beam}, joints={"beam": jb.Fixed("world")}, gravity=[0, 0, -G])
-    result = at(welded, [], [], {"root": jb.Reaction("beam")}, (), load)
+    result = at(welded, [], [], {"root": jb.sensors.Reaction("beam")}, (), load)
     np.testing.assert_allclose(
         result["root"],
         -np.concatenate([weight + F, np.cross(c, weight) + np.cross(tip, F)]),
@@ -162,7 +162,9 @@ def test_a_guide_on_a_moving_base_pushes_sideways():
         gravity=[0, 0, -G],
     )
     motion = (jb.Harmonic(frequency=f, translation=d),)
-    result = at(model, [0.1], [0.4], {"guide": jb.Reaction("carriage")}, motion, (), t)["guide"]
+    result = at(model, [0.1], [0.4], {"guide": jb.sensors.Reaction("carriage")}, motion, (), t)[
+        "guide"
+    ]
     w = 2 * np.pi * f
     acceleration = -(w**2) * np.asarray(motion[0](t))[:3]
     # world to base
@@ -181,7 +183,7 @@ KINDS = {
     "hinge": jb.Hinge("arm", axis=[0.3, 1.0, 0.2], at=[0.1, 0.0, 0.3]),
     "ball": jb.Ball("arm", at=[0.1, 0.2, -0.1]),
     "translation": jb.Translation("arm"),
-    "car": jb.HeavePitchRoll("arm"),
+    "car": jb.joints.HeavePitchRoll("arm"),
 }
 
 
@@ -256,7 +258,7 @@ def test_what_joints_and_all_else_exert_is_the_rate_of_momentum(kind):
             element.wrenches(*(frames[layout.frame(end)] for end in element.between))
             for element in (model[f"s{i}"] for i in range(3))
         ]
-        sensors = {name: jb.Reaction(name, [0, 0, 0]) for name in ("box", "arm")}
+        sensors = {name: jb.sensors.Reaction(name, [0, 0, 0]) for name in ("box", "arm")}
         return (
             rate,
             frames,
@@ -299,7 +301,7 @@ def test_what_joints_and_all_else_exert_is_the_rate_of_momentum(kind):
 @pytest.mark.long
 def test_derivatives_of_reactions_agree():
     """Forward, backward and differences, by the state and by the numbers of the model."""
-    model, sensors = tree(KINDS["guide"]), {"box": jb.Reaction("box", [0.1, 0, 0.2])}
+    model, sensors = tree(KINDS["guide"]), {"box": jb.sensors.Reaction("box", [0.1, 0, 0.2])}
     x0, rebuild = jax.flatten_util.ravel_pytree(
         (jnp.array([0.1, -0.2]), jnp.array([0.5, -1.0]), model)
     )
@@ -364,17 +366,22 @@ def test_responses_of_reactions_are_those_of_supports_and_of_accelerations(chain
         "turn": jb.BaseMotion("base", "ry"),
     }
     joints = {
-        f"{name} {k}": jb.Reaction(name, component=k)
+        f"{name} {k}": jb.sensors.Reaction(name, component=k)
         for name in ("upper", "lower")
         for k in (0, 2, 4)
     }
-    others = {d: jb.Reaction("base", component=k) for d, k in (("x", 0), ("z", 2), ("ry", 4))}
+    others = {
+        d: jb.sensors.Reaction("base", component=k) for d, k in (("x", 0), ("z", 2), ("ry", 4))
+    }
     com = {d: jb.Acceleration("lower", chain["lower"].com, axis=d) for d in ("x", "z")}
-    turned = {"phi": jb.Rotation("upper", axis="y")}
+    turned = {"phi": jb.sensors.Rotation("upper", axis="y")}
     outputs = {**joints, **others, **{f"com {d}": port for d, port in com.items()}, **turned}
     H = jb.frequency_response(lin, [0.3, 1.1, 2.7, 9.0], inputs, outputs)
     rest = at(
-        chain, lin.state.q, np.zeros(2), {name: jb.Reaction(name) for name in ("upper", "lower")}
+        chain,
+        lin.state.q,
+        np.zeros(2),
+        {name: jb.sensors.Reaction(name) for name in ("upper", "lower")},
     )
     F, upper_turn = rest["upper"][[0, 2]], float(lin.state.q[0])
     # askew, and both components are there
@@ -412,7 +419,7 @@ def test_all_that_the_world_carries_is_an_output_of_responses(chain):
     lin = jb.linearize(model, jb.equilibrium(model))
     outputs = {
         f"{kind.__name__} {k}": kind(on, component=k)
-        for kind, on in ((jb.ForcePlate, "world"), (jb.Reaction, "upper"))
+        for kind, on in ((jb.sensors.ForcePlate, "world"), (jb.sensors.Reaction, "upper"))
         for k in range(6)
     }
     H = jb.frequency_response(
@@ -436,7 +443,7 @@ def test_an_accelerometer_is_an_output_of_responses(chain):
     x, z = np.eye(3)[[0, 2]]
     outputs = {
         "read": jb.Accelerometer("lower", [0, 0, -0.5], axis=x),
-        "phi": jb.Rotation("lower", axis="y"),
+        "phi": jb.sensors.Rotation("lower", axis="y"),
         "along x": jb.Acceleration("lower", [0, 0, -0.5], axis=x),
         "along z": jb.Acceleration("lower", [0, 0, -0.5], axis=z),
     }
@@ -459,7 +466,10 @@ def test_a_loss_factor_with_a_sensor_of_forces_is_refused(chain):
     """Hysteresis is no part of what such a sensor reads: its force would silently be that of the
     spring alone."""
     lin = jb.linearize(chain, jb.equilibrium(chain))
-    for sensor in (jb.Reaction("lower", component=0), jb.ForcePlate("base", component=0)):
+    for sensor in (
+        jb.sensors.Reaction("lower", component=0),
+        jb.sensors.ForcePlate("base", component=0),
+    ):
         with pytest.raises(jb.JaxbodyError, match="BAD_OPTION") as refused:
             jb.frequency_response(
                 lin,
@@ -480,7 +490,7 @@ def test_a_fit_takes_a_mass_from_a_hinge():
         bodies={"rod": rod}, joints={"rod": jb.Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -G]
     )
     times, start = np.linspace(0, 0.5, 26), jb.State(jnp.array([0.7]), jnp.array([0.0]))
-    sensors = {"hinge": jb.Reaction("rod")}
+    sensors = {"hinge": jb.sensors.Reaction("rod")}
     measured = jb.measure(jb.simulate(model, times, initial=start), sensors)
     run = jb.Experiment(
         times, sensors=sensors, measured=measured, initial=start, noise={"hinge": [0.01, 0.01]}
@@ -499,9 +509,9 @@ def test_a_reaction_on_a_support_is_what_a_force_plate_reads_in_world_axes(chain
     turned = jb.replace(chain, {"base.orientation": [np.cos(0.15), 0, np.sin(0.15), 0]})
     r = np.array([0.1, -0.2, 0.3])
     sensors = {
-        "plate": jb.ForcePlate("base"),
-        "force": jb.Reaction("base"),
-        "about r": jb.Reaction("base", r),
+        "plate": jb.sensors.ForcePlate("base"),
+        "force": jb.sensors.Reaction("base"),
+        "about r": jb.sensors.Reaction("base", r),
     }
     read = {
         name: np.asarray(x)[-1]
@@ -517,9 +527,9 @@ def test_a_reaction_on_a_support_is_what_a_force_plate_reads_in_world_axes(chain
 @pytest.mark.parametrize(
     ("sensor", "code", "words"),
     [
-        (jb.Reaction("nobody"), "UNKNOWN_NAME", "nobody upper lower"),
-        (jb.Reaction("box"), "NO_JOINT", "box free joint LoadCell"),
-        (jb.Reaction("upper", component=6), "BAD_COMPONENT", "component 6 upper"),
+        (jb.sensors.Reaction("nobody"), "UNKNOWN_NAME", "nobody upper lower"),
+        (jb.sensors.Reaction("box"), "NO_JOINT", "box free joint LoadCell"),
+        (jb.sensors.Reaction("upper", component=6), "BAD_COMPONENT", "component 6 upper"),
     ],
 )
 def test_a_reaction_of_no_joint_is_refused(chain, sensor, code, words):

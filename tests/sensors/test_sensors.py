@@ -52,8 +52,8 @@ SENSORS = {
     "point": jb.Position("arm", POINT),
     "along": jb.Position("arm", POINT, axis=[0, 3, 4]),
     "anchor": jb.Position("base", END),
-    "pose": jb.BodyPose("arm"),
-    "floor": jb.BodyPose("base"),
+    "pose": jb.sensors.BodyPose("arm"),
+    "floor": jb.sensors.BodyPose("base"),
     "tie": jb.Elongation("tie"),
     "cord": jb.Elongation("cord"),
 }
@@ -225,7 +225,7 @@ def test_a_batch_of_trajectories_is_measured_one_by_one(trajectory):
 
 
 def test_the_residual_of_a_pose_is_the_turn_from_the_measured_to_the_read_orientation():
-    pose = jb.BodyPose("arm")
+    pose = jb.sensors.BodyPose("arm")
     residual = jax.jit(pose.residual)
     for angle in (1e-8, 1e-4, 0.1, 1.0, 3.0):
         R, turn = Rotation.random(random_state=RANDOM), angle * np.array([0.48, 0.6, -0.64])
@@ -242,7 +242,7 @@ def test_the_residual_of_a_pose_is_the_turn_from_the_measured_to_the_read_orient
 
 
 def test_the_residual_of_a_pose_has_its_derivative_where_it_vanishes():
-    pose, q = jb.BodyPose("arm"), np.array([0.1, 0.7, -0.5, 0.5])
+    pose, q = jb.sensors.BodyPose("arm"), np.array([0.1, 0.7, -0.5, 0.5])
 
     def residual(turn):
         # exp to first order, and that is what is asked
@@ -267,7 +267,7 @@ def test_residuals_of_missing_samples_are_zero_with_zero_derivatives():
     measured = np.array(
         [[0.1, np.nan, 0.3, 1, 0, 0, 0], [0.1, 0.2, 0.3, 1, 0, np.nan, 0], np.full(7, np.nan)]
     )
-    pose, reading = jb.BodyPose("arm"), jnp.array([1.0, 2, 3, 0.8, 0.6, 0, 0])
+    pose, reading = jb.sensors.BodyPose("arm"), jnp.array([1.0, 2, 3, 0.8, 0.6, 0, 0])
     expected = [[0.9, 0, 2.7, 2 * np.arccos(0.8), 0, 0], [0.9, 1.8, 2.7, 0, 0, 0], np.zeros(6)]
     residual = jax.jit(
         jax.vmap(lambda x, y: (pose.residual(x, y), jax.jacfwd(pose.residual)(x, y)), (None, 0))
@@ -410,7 +410,7 @@ def test_an_experiment_reports_all_that_is_wrong_at_once():
             "c": np.zeros(3),
             "spare": np.zeros(3),
         },
-        motion={"base": jb.AtRest()},
+        motion={"base": jb.inputs.AtRest()},
         noise={"base": 0.0, "b": 1.0},
     )
     codes = [problem.code for problem in result]

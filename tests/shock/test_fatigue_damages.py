@@ -17,7 +17,9 @@ K, N0, S0 = 5.0, 1e6, 0.02  # of ranges of displacement [m]
 
 
 def curve(**more):
-    return jb.SNCurve(**({"exponent": K, "cycles": N0, "level": 1e3 * S0, "unit": "mm"} | more))
+    return jb.shock.SNCurve(
+        **({"exponent": K, "cycles": N0, "level": 1e3 * S0, "unit": "mm"} | more)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -32,13 +34,13 @@ def test_dirlik_and_rainflow_agree_on_an_hour(rng):
     rate, hour = 64.0, 3600.0
     x = signal_of(wide, rng, int(hour * rate), rate)
     fine = np.fft.irfft(np.concatenate([np.fft.rfft(x), np.zeros(len(x) // 2)]) * 2, 2 * len(x))
-    counted = jb.fatigue_damage(
+    counted = jb.shock.fatigue_damage(
         jb.Record(np.arange(len(fine)) / (2 * rate), {"x": (fine, "m")}), {"x": curve()}
     )
-    expected = jb.fatigue_damage(wide, {"x": curve()}, duration=hour)
+    expected = jb.shock.fatigue_damage(wide, {"x": curve()}, duration=hour)
     np.testing.assert_allclose(counted["x"], expected["x"], rtol=0.1)
     np.testing.assert_allclose(counted.cycles, expected.cycles, rtol=0.03)
-    narrow = jb.fatigue_damage(wide, {"x": curve()}, duration=hour, method="narrow band")
+    narrow = jb.shock.fatigue_damage(wide, {"x": curve()}, duration=hour, method="narrow band")
     assert narrow["x"] > expected["x"] and counted.method == "rainflow"
 
 
@@ -56,7 +58,7 @@ def test_a_narrow_band_in_closed_form():
     sigma = float(narrow["x"])
     exact = 3600 * 3.0 * (2 * np.sqrt(2) * sigma / S0) ** K * gamma(1 + K / 2) / N0
     for method in ("narrow band", "Dirlik"):
-        damage = jb.fatigue_damage(narrow, {"x": curve()}, duration=3600.0, method=method)
+        damage = jb.shock.fatigue_damage(narrow, {"x": curve()}, duration=3600.0, method=method)
         np.testing.assert_allclose(
             damage["x"], exact, rtol=0.01 if method == "narrow band" else 0.03
         )
@@ -96,14 +98,14 @@ def test_constant_cycles_are_counted_one_by_one():
     pytest.importorskip("rainflow")
     t = np.arange(100 * 64 + 1) / 64
     record = jb.Record(t, {"x": (20.0 * np.cos(2 * np.pi * t), "mm")})
-    once = jb.fatigue_damage(record, {"x": curve()})
+    once = jb.shock.fatigue_damage(record, {"x": curve()})
     np.testing.assert_allclose(once["x"], 100 * (0.04 / S0) ** K / N0, rtol=1e-9)
     np.testing.assert_allclose([once.range[0], once.cycles[0]], [0.04, 100], rtol=1e-9)
-    half = jb.fatigue_damage(
+    half = jb.shock.fatigue_damage(
         record, {"x": curve(level=0.5e3 * S0, of="amplitude")}, duration=1000.0
     )
     np.testing.assert_allclose(half["x"], 10 * once["x"], rtol=1e-9)
-    direct = jb.fatigue_damage(
+    direct = jb.shock.fatigue_damage(
         {"x": (20.0 * np.cos(2 * np.pi * t), "mm")}, {"x": curve()}, duration=100.0
     )
     np.testing.assert_allclose(direct["x"], once["x"], rtol=1e-12)
@@ -112,7 +114,7 @@ def test_constant_cycles_are_counted_one_by_one():
 
 def test_counting_has_no_derivative_and_says_so():
     def damage(x):
-        return jb.fatigue_damage({"x": (x, "m")}, {"x": curve()}, duration=10.0).damage[0]
+        return jb.shock.fatigue_damage({"x": (x, "m")}, {"x": curve()}, duration=10.0).damage[0]
 
     with pytest.raises(jb.JaxbodyError, match=r"rainflow cycles has no derivative.*Dirlik.*TRACED"):
         jax.grad(damage)(jnp.zeros(50))
@@ -120,7 +122,7 @@ def test_counting_has_no_derivative_and_says_so():
 
 def test_derivatives_of_dirlik_agree_with_differences(response):
     def damage(k, level):
-        return jb.fatigue_damage(
+        return jb.shock.fatigue_damage(
             response, {"x": curve(exponent=k, level=level)}, duration=3600.0
         ).damage[0]
 
@@ -134,12 +136,12 @@ def test_derivatives_of_dirlik_agree_with_differences(response):
 
 def test_bad_input_is_refused_with_what_is_wrong(response):
     with pytest.raises(jb.JaxbodyError) as raised:
-        jb.SNCurve(-1.0, cycles=1e6, level=1.0, of="peak")
+        jb.shock.SNCurve(-1.0, cycles=1e6, level=1.0, of="peak")
     assert [p.code for p in raised.value.problems] == ["BAD_NUMBER", "BAD_OPTION", "NO_UNIT"]
     with pytest.raises(jb.JaxbodyError, match="UNKNOWN_UNIT"):
         curve(unit="Mpa")
     with pytest.raises(jb.JaxbodyError) as raised:
-        jb.fatigue_damage(
+        jb.shock.fatigue_damage(
             response, {"x": curve(unit="MPa"), "y": curve(), "force": 3.0}, method="rainflow"
         )
     assert [p.code for p in raised.value.problems] == [
@@ -150,4 +152,4 @@ def test_bad_input_is_refused_with_what_is_wrong(response):
         "WRONG_KIND",
     ]
     with pytest.raises(jb.JaxbodyError, match="WRONG_KIND"):
-        jb.fatigue_damage(np.zeros(5), {"x": curve()})
+        jb.shock.fatigue_damage(np.zeros(5), {"x": curve()})

@@ -57,11 +57,11 @@ def driven(zeta=0.05):
 
 
 def shaken(lin, frequencies=None):
-    band = jb.Band(0.5, 12.0, points=1601) if frequencies is None else frequencies
-    noise = jb.PowerLaw(1.0, unit="N2/Hz")
+    band = jb.vibration.Band(0.5, 12.0, points=1601) if frequencies is None else frequencies
+    noise = jb.vibration.PowerLaw(1.0, unit="N2/Hz")
     ports = (
         {"pull": jb.PointForce("mass", direction="x")},
-        {"x": jb.Position("mass", axis="x"), "force": jb.LoadCell("s")},
+        {"x": jb.Position("mass", axis="x"), "force": jb.sensors.LoadCell("s")},
     )
     return jb.random_response(lin, band, *ports, {"pull": noise})
 
@@ -97,7 +97,7 @@ def test_crossings_agree_with_a_simulation(response, rng):
         counts.append(
             [np.sum((fine[:-1] < b) & (fine[1:] >= b)) / (SAMPLES / RATE) for b in levels]
         )
-    rates = np.asarray(jb.level_crossings(response, "x", levels))
+    rates = np.asarray(jb.shock.level_crossings(response, "x", levels))
     error = np.std(counts, 0, ddof=1) / np.sqrt(10)
     assert np.all(np.abs(np.mean(counts, 0) - rates) < 3 * error), (
         np.mean(counts, 0),
@@ -115,7 +115,7 @@ def test_peaks_agree_with_a_simulation(response, rng):
     count = int(T * RATE)
     peaks = np.abs(pieces[: len(pieces) // count * count].reshape(-1, count)).max(1) / sigma
     found = {
-        formula: jb.peak_factor(response, T, formula=formula)
+        formula: jb.shock.peak_factor(response, T, formula=formula)
         for formula in ("Davenport", "Der Kiureghian", "Vanmarcke")
     }
     assert abs(float(found["Der Kiureghian"].factor[0]) / peaks.mean() - 1) < 0.03
@@ -124,7 +124,7 @@ def test_peaks_agree_with_a_simulation(response, rng):
     np.testing.assert_allclose(
         found["Vanmarcke"]["x"], sigma * found["Vanmarcke"].factor[0], rtol=1e-9
     )
-    high = jb.peak_factor(response, T, formula="Vanmarcke", probability=0.9).factor[0]
+    high = jb.shock.peak_factor(response, T, formula="Vanmarcke", probability=0.9).factor[0]
     assert abs(np.mean(peaks < float(high)) - 0.9) < 3 * np.sqrt(0.09 / len(peaks)) + 0.02
 
 
@@ -138,7 +138,7 @@ def test_derivatives_agree_with_differences(response):
     ):
 
         def peak(T, formula=formula, p=p):
-            return jb.peak_factor(response, T, formula=formula, probability=p).maximum[0]
+            return jb.shock.peak_factor(response, T, formula=formula, probability=p).maximum[0]
 
         h = 1e-3
         np.testing.assert_allclose(
@@ -149,13 +149,13 @@ def test_derivatives_agree_with_differences(response):
 @pytest.mark.nan
 def test_bad_input_is_refused(response):
     with pytest.raises(jb.JaxbodyError) as raised:
-        jb.peak_factor(response, -1.0, formula="Rice", probability=2.0)
+        jb.shock.peak_factor(response, -1.0, formula="Rice", probability=2.0)
     assert [p.code for p in raised.value.problems] == ["BAD_NUMBER", "BAD_OPTION", "NOT_A_FRACTION"]
     with pytest.raises(jb.JaxbodyError, match="no distribution"):
-        jb.peak_factor(response, 10.0, probability=0.5)
+        jb.shock.peak_factor(response, 10.0, probability=0.5)
     with pytest.raises(jb.JaxbodyError, match="WRONG_KIND"):
-        jb.peak_factor(3.0, 10.0)
+        jb.shock.peak_factor(3.0, 10.0)
     with pytest.raises(jb.JaxbodyError, match="UNKNOWN_NAME"):
-        jb.level_crossings(response, "y", 0.0)
+        jb.shock.level_crossings(response, "y", 0.0)
     with pytest.warns(jb.JaxbodyWarning, match="NONFINITE"):
-        jb.peak_factor(response, 0.1)
+        jb.shock.peak_factor(response, 0.1)

@@ -23,10 +23,10 @@ def record():
 
 def test_el_centro_at_its_samples(record):
     """The table of references was computed with g = 9.81 m/s2 for displacements."""
-    relative = jb.shock_spectrum(
+    relative = jb.shock.shock_spectrum(
         (record.times, 9.81 * el_centro_in_g()), 1 / PERIODS, kind="relative"
     )
-    absolute = jb.shock_spectrum(record, 1 / PERIODS)
+    absolute = jb.shock.shock_spectrum(record, 1 / PERIODS)
     np.testing.assert_allclose(
         relative.values[0], [0.00150965, 0.00787759, 0.05690374, 0.11283152, 0.13646048], rtol=3e-6
     )
@@ -39,7 +39,7 @@ def test_el_centro_at_its_samples(record):
 def test_el_centro_between_its_samples(record):
     """The references come from sixteen steps a sample; published: 5.37, 7.47, 5.97 and 2.67 in."""
     made = {
-        kind: jb.shock_spectrum(
+        kind: jb.shock.shock_spectrum(
             record, 1 / PERIODS, damping=[0.02, 0.05], kind=kind, peaks="continuous"
         )
         for kind in ("pseudo", "absolute")
@@ -71,8 +71,8 @@ def test_a_continuous_peak_is_that_of_a_record_sampled_far_more_often(rng):
     frequencies, damping = np.geomspace(12.0, 25.0, 12), [0.0, 0.05, 0.4]
     for kind, side in (("absolute", "maximax"), ("relative", "negative")):
         options = {"damping": damping, "kind": kind, "side": side}
-        coarse = jb.shock_spectrum((times, a), frequencies, **options, peaks="continuous")
-        dense = jb.shock_spectrum((fine, np.interp(fine, times, a)), frequencies, **options)
+        coarse = jb.shock.shock_spectrum((times, a), frequencies, **options, peaks="continuous")
+        dense = jb.shock.shock_spectrum((fine, np.interp(fine, times, a)), frequencies, **options)
         assert np.all(coarse.values > dense.values * (1 - 1e-12))
         # 1 - cos of half a step
         np.testing.assert_allclose(coarse.values, dense.values, rtol=(np.pi * 25 / 50 / 200) ** 2)
@@ -118,11 +118,11 @@ def half_sine(ft):
 T = 0.02
 FT = np.array([0.1, 0.25, 0.5, 1.25, 3.0, 10.25, 40.25])  # frequencies times the length of a pulse
 PULSES = {  # and the largest error of 2000 straight lines
-    "half sine": (jb.HalfSine(3.0, T), (np.pi / 2000) ** 2 / 8),
-    "sawtooth": (jb.Sawtooth(3.0, T), 1e-11),
-    "triangle": (jb.Triangle(3.0, T), 1e-11),
-    "trapezoid": (jb.Trapezoid(3.0, T, rise=0.0011 * T, fall=0.31 * T), 1e-11),
-    "triangle of a trapezoid": (jb.Trapezoid(3.0, T, rise=0.5 * T, fall=0.5 * T), 3e-9),
+    "half sine": (jb.inputs.HalfSine(3.0, T), (np.pi / 2000) ** 2 / 8),
+    "sawtooth": (jb.inputs.Sawtooth(3.0, T), 1e-11),
+    "triangle": (jb.inputs.Triangle(3.0, T), 1e-11),
+    "trapezoid": (jb.inputs.Trapezoid(3.0, T, rise=0.0011 * T, fall=0.31 * T), 1e-11),
+    "triangle of a trapezoid": (jb.inputs.Trapezoid(3.0, T, rise=0.5 * T, fall=0.5 * T), 3e-9),
 }
 
 
@@ -149,7 +149,7 @@ def test_residual_spectra_of_pulses_are_their_fourier_transforms(name):
             / 2
         )
     for side in ("maximax", "negative"):
-        residual = jb.shock_spectrum(pulse, FT / T, damping=0.0, part="residual", side=side)
+        residual = jb.shock.shock_spectrum(pulse, FT / T, damping=0.0, part="residual", side=side)
         np.testing.assert_allclose(residual.values[0], np.abs(exact), rtol=error, atol=3.0 * error)
 
 
@@ -161,7 +161,7 @@ def test_undamped_spectra_of_pulses_in_closed_form():
         ("half sine", [max(half_sine(ft)) for ft in few]),
         ("sawtooth", [saw(ft) for ft in few]),
     ):
-        spectrum = jb.shock_spectrum(PULSES[pulse][0], few / T, damping=0.0)
+        spectrum = jb.shock.shock_spectrum(PULSES[pulse][0], few / T, damping=0.0)
         np.testing.assert_allclose(spectrum.values[0] / 3.0, exact, rtol=1e-6)
     assert "also in the free vibration after it" in str(spectrum)
 
@@ -182,10 +182,10 @@ def test_the_parts_of_a_record_are_those_of_the_record_with_zeros(rng):
     f, options = [0.3, 2.0, 11.0], {"damping": [0.0, 0.1], "peaks": "continuous"}
     for side in ("positive", "negative"):
         parts = {
-            part: jb.shock_spectrum((times, a), f, side=side, part=part, **options).values
+            part: jb.shock.shock_spectrum((times, a), f, side=side, part=part, **options).values
             for part in ("primary", "residual", "both")
         }
-        whole = jb.shock_spectrum(
+        whole = jb.shock.shock_spectrum(
             (longer, np.append(a, np.zeros(2 * len(a)))), f, side=side, **options
         ).values
         np.testing.assert_allclose(parts["both"], whole, rtol=1e-9)
@@ -197,9 +197,9 @@ def test_the_parts_of_a_record_are_those_of_the_record_with_zeros(rng):
             and step == times[1] - times[0]
         )
     with pytest.raises(jb.JaxbodyError, match=r'add zeros, or give part="both" .*TOO_SHORT'):
-        jb.shock_spectrum((times, a), f)
+        jb.shock.shock_spectrum((times, a), f)
     with pytest.raises(jb.JaxbodyError, match=r"shock_spectrum.part.*BAD_OPTION"):
-        jb.shock_spectrum((times, a), [11.0], part="after")
+        jb.shock.shock_spectrum((times, a), [11.0], part="after")
 
 
 @pytest.mark.long
@@ -207,11 +207,13 @@ def test_the_parts_of_a_record_are_those_of_the_record_with_zeros(rng):
 def test_derivatives_by_damping_at_none_are_those_of_the_first_of_equal_peaks(f):
     """Undamped, all peaks of the free vibration are equal; with any damping the first is
     the largest."""
-    pulse = jb.HalfSine(15 * G, 0.011)
+    pulse = jb.inputs.HalfSine(15 * G, 0.011)
     for given in (pulse, pulse.samples(lengths=30)):
 
         def largest(zeta, given=given):
-            return jb.shock_spectrum(given, [f], damping=zeta, peaks="continuous").values[0, 0]
+            return jb.shock.shock_spectrum(given, [f], damping=zeta, peaks="continuous").values[
+                0, 0
+            ]
 
         difference = (4 * largest(1e-6) - largest(2e-6) - 3 * largest(0.0)) / 2e-6
         np.testing.assert_allclose(jax.grad(largest)(0.0), difference, rtol=1e-5)
@@ -220,9 +222,9 @@ def test_derivatives_by_damping_at_none_are_those_of_the_first_of_equal_peaks(f)
 @pytest.mark.long
 def test_a_half_sine_of_15_g_and_11_ms():
     """Q = 10; the larger of the maxima in the pulse and after it, and the minimum."""
-    frequencies, pulse = [10, 20, 50, 75, 100, 200, 500], jb.HalfSine(15 * G, 0.011)
+    frequencies, pulse = [10, 20, 50, 75, 100, 200, 500], jb.inputs.HalfSine(15 * G, 0.011)
     sides = {
-        side: jb.shock_spectrum(pulse, frequencies, side=side).values[0] / G
+        side: jb.shock.shock_spectrum(pulse, frequencies, side=side).values[0] / G
         for side in ("positive", "negative")
     }
     np.testing.assert_allclose(
@@ -243,7 +245,7 @@ def test_derivatives_agree_with_differences(rng, peaks):
     def size(a, zeta):
         return (
             weights
-            @ jb.shock_spectrum((times, a), frequencies, damping=zeta, peaks=peaks).values[0]
+            @ jb.shock.shock_spectrum((times, a), frequencies, damping=zeta, peaks=peaks).values[0]
         )
 
     by_a, by_zeta = jax.grad(size, (0, 1))(jnp.asarray(a), jnp.array(0.05))
@@ -257,25 +259,25 @@ def test_derivatives_agree_with_differences(rng, peaks):
 @pytest.mark.long
 def test_a_spectrum_is_known_between_its_points(record):
     f, zeta = np.geomspace(0.2, 10.0, 40), [0.02, 0.05, 0.1]
-    spectrum = jb.shock_spectrum(record, f, damping=zeta, kind="pseudo")
+    spectrum = jb.shock.shock_spectrum(record, f, damping=zeta, kind="pseudo")
     np.testing.assert_allclose(spectrum(f, 0.05), spectrum.values[1], rtol=1e-12)
     np.testing.assert_allclose(
         spectrum(np.sqrt(f[3] * f[4]), 0.02) ** 2,
         spectrum.values[0, 3] * spectrum.values[0, 4],
         rtol=1e-12,
     )
-    relative = jb.shock_spectrum(record, f, damping=zeta, kind="relative")
+    relative = jb.shock.shock_spectrum(record, f, damping=zeta, kind="relative")
     np.testing.assert_allclose(relative(f, 0.1), spectrum.values[2], rtol=1e-12)
     assert [float(x) for x in (*spectrum.covers(), *spectrum.dampings())] == pytest.approx(
         [0.2, 10.0, 0.02, 0.1]
     )
     with pytest.raises(jb.JaxbodyError, match="BAD_KIND"):
-        jb.shock_spectrum(record, f)(1.0)
+        jb.shock.shock_spectrum(record, f)(1.0)
 
 
 def test_a_table_and_labeled_arrays(record):
     pytest.importorskip("pandas")
-    spectrum = jb.shock_spectrum(record, [0.5, 2.0], damping=[0.02, 0.05], kind="relative")
+    spectrum = jb.shock.shock_spectrum(record, [0.5, 2.0], damping=[0.02, 0.05], kind="relative")
     assert "damping ratio" in str(spectrum) and "0.02" in str(spectrum)
     frame = spectrum.to_pandas()
     np.testing.assert_array_equal(frame["spectrum[0.05]"], spectrum.values[1])
@@ -284,7 +286,7 @@ def test_a_table_and_labeled_arrays(record):
 
 def test_bad_input_is_refused_all_at_once(record):
     with pytest.raises(jb.JaxbodyError) as raised:
-        jb.shock_spectrum(
+        jb.shock.shock_spectrum(
             record,
             [0.01, 1.0, 20.0, 40.0],
             damping=[5.0, 0.05],
@@ -306,7 +308,7 @@ def test_bad_input_is_refused_all_at_once(record):
         and "a period of 0.01 Hz" in text
     )
     with pytest.raises(jb.JaxbodyError, match=r"too few for 40 Hz.*LOW_RATE"):
-        jb.shock_spectrum(record, [20.0, 40.0], peaks="continuous")
+        jb.shock.shock_spectrum(record, [20.0, 40.0], peaks="continuous")
     times = record.times
     for given, code in (
         (np.zeros(5), "WRONG_KIND"),
@@ -320,4 +322,4 @@ def test_bad_input_is_refused_all_at_once(record):
         ),
     ):
         with pytest.raises(jb.JaxbodyError, match=code):
-            jb.shock_spectrum(given, [1.0])
+            jb.shock.shock_spectrum(given, [1.0])

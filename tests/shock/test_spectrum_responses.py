@@ -51,7 +51,7 @@ def record():
 
 DAMPED = np.hypot(1, 2 * 0.05)  # absolute over pseudo-acceleration of a harmonic motion
 OUTPUTS = {
-    "base shear": jb.LoadCell("storey 1"),
+    "base shear": jb.sensors.LoadCell("storey 1"),
     "roof": jb.Position("5", axis="x"),
     "roof acceleration": jb.Acceleration("5", axis="x"),
 }
@@ -63,12 +63,14 @@ def test_a_five_storey_frame(five, record):
     np.testing.assert_allclose(
         1 / f, [2.00002963, 0.6851796, 0.43464798, 0.33834496, 0.29665032], rtol=2e-8
     )
-    spectrum = jb.shock_spectrum(record, f, kind="relative")
+    spectrum = jb.shock.shock_spectrum(record, f, kind="relative")
     np.testing.assert_allclose(
         spectrum.values[0], [0.13646859, 0.0656516, 0.03800461, 0.02199561, 0.01634553], rtol=3e-7
     )
     by = {
-        how: jb.spectrum_response(five, {"0": {"x": spectrum}}, OUTPUTS, combine=how, damping=0.05)
+        how: jb.shock.spectrum_response(
+            five, {"0": {"x": spectrum}}, OUTPUTS, combine=how, modal_damping=0.05
+        )
         for how in ("SRSS", "CQC", "absolute")
     }
     shears = [266534.084, 108288.690, 43271.154, 12816.223, 2586.303]
@@ -121,10 +123,10 @@ def one_mode():
 
 
 ONE = {
-    "force": jb.LoadCell("spring"),
+    "force": jb.sensors.LoadCell("spring"),
     "stroke": jb.Elongation("spring"),
     "acceleration": jb.Acceleration("mass", axis="x"),
-    "reaction": jb.Reaction("base", component=0),
+    "reaction": jb.sensors.Reaction("base", component=0),
 }
 
 
@@ -142,7 +144,7 @@ def test_one_mode_equals_its_history(rng):
     model = one_mode()
     lin = jb.linearize(model, model.reference)
     times, a = noise_record(rng, duration=5.0, rate=50.0)
-    response = jb.spectrum_response(lin, {"base": {"x": (times, a)}}, ONE)
+    response = jb.shock.spectrum_response(lin, {"base": {"x": (times, a)}}, ONE)
     system = lin.state_space({"base": jb.BaseMotion("base", "x", kind="acceleration")}, ONE)
     fine = np.linspace(0, times[-1], 400 * (len(times) - 1) + 1)
     y = lsim(
@@ -160,11 +162,12 @@ def test_a_spectrum_gives_what_its_record_gives_for_strokes(rng):
     lin = jb.linearize(model, model.reference)
     times, a = noise_record(rng, duration=5.0, rate=50.0)
     modes = jb.modes(lin)
-    spectrum = jb.shock_spectrum(
+    spectrum = jb.shock.shock_spectrum(
         (times, a), modes.frequency, damping=modes.damping_ratio, kind="pseudo", peaks="continuous"
     )
     by_record, by_spectrum = (
-        jb.spectrum_response(lin, {"base": {"x": given}}, ONE) for given in ((times, a), spectrum)
+        jb.shock.spectrum_response(lin, {"base": {"x": given}}, ONE)
+        for given in ((times, a), spectrum)
     )
     np.testing.assert_allclose(by_spectrum["stroke"], by_record["stroke"], rtol=1e-12)
     # the force of spring and damper in phase quadrature: what a spectrum alone knows
@@ -176,7 +179,7 @@ def test_a_spectrum_gives_what_its_record_gives_for_strokes(rng):
     np.testing.assert_allclose(by_spectrum["force"], by_record["force"], rtol=0.05)
 
 
-class Plateau(jb.ResponseSpectrum):
+class Plateau(jb.shock.ResponseSpectrum):
     """A spectrum of one's own that is flat, of 3 m/s2."""
 
     def __call__(self, frequencies, damping=0.05):
@@ -187,9 +190,9 @@ class Plateau(jb.ResponseSpectrum):
 
 
 def test_a_spectrum_of_ones_own_states_its_values_and_what_it_covers(five):
-    level, other = Plateau(), jb.DesignSpectrum([0.1, 50.0], [3.0, 3.0])
+    level, other = Plateau(), jb.shock.DesignSpectrum([0.1, 50.0], [3.0, 3.0])
     mine, theirs = (
-        jb.spectrum_response(five, {"0": {"x": each}}, OUTPUTS, damping=0.05)
+        jb.shock.spectrum_response(five, {"0": {"x": each}}, OUTPUTS, modal_damping=0.05)
         for each in (level, other)
     )
     np.testing.assert_allclose(mine.values, theirs.values, rtol=1e-12)
@@ -205,11 +208,15 @@ def test_a_spectrum_of_ones_own_states_its_values_and_what_it_covers(five):
 def test_modes_above_a_frequency_move_with_the_base(five):
     """All modes rigid: each floor has the acceleration of the ground, and the base shear is the
     mass times it."""
-    level = jb.DesignSpectrum([0.1, 50.0], [3.0, 2.0])
-    rigid = jb.spectrum_response(five, {"0": {"x": level}}, OUTPUTS, damping=0.05, highest=0.1)
+    level = jb.shock.DesignSpectrum([0.1, 50.0], [3.0, 2.0])
+    rigid = jb.shock.spectrum_response(
+        five, {"0": {"x": level}}, OUTPUTS, modal_damping=0.05, highest=0.1
+    )
     np.testing.assert_allclose(rigid["base shear"], 5 * 45000 * 2.0, rtol=1e-10)
     np.testing.assert_allclose(rigid["roof acceleration"], 2.0, rtol=1e-10)
-    some = jb.spectrum_response(five, {"0": {"x": level}}, OUTPUTS, damping=0.05, highest=2.0)
+    some = jb.shock.spectrum_response(
+        five, {"0": {"x": level}}, OUTPUTS, modal_damping=0.05, highest=2.0
+    )
     assert np.asarray(some.taken).tolist() == [True, True, False, False, False]
     missing = 1 - float(some.mass[0, :2].sum()) / (5 * 45000)
     np.testing.assert_allclose(np.abs(some.rest[0, 0]), missing * 5 * 45000 * 2.0, rtol=1e-10)
@@ -228,9 +235,14 @@ def test_a_body_that_its_joint_carries_along_has_the_acceleration_of_its_support
             )
         },
     )
-    lin, level = jb.linearize(model, model.reference), jb.DesignSpectrum([0.1, 50.0], [3.0, 1.5])
-    outputs = {"a": jb.Acceleration("mass"), "force": jb.LoadCell("spring")}
-    response = jb.spectrum_response(lin, {"base": {"x": level, "z": level}}, outputs, damping=0.05)
+    lin, level = (
+        jb.linearize(model, model.reference),
+        jb.shock.DesignSpectrum([0.1, 50.0], [3.0, 1.5]),
+    )
+    outputs = {"a": jb.Acceleration("mass"), "force": jb.sensors.LoadCell("spring")}
+    response = jb.shock.spectrum_response(
+        lin, {"base": {"x": level, "z": level}}, outputs, modal_damping=0.05
+    )
     at_mode = float(level(jb.modes(lin).frequency[0]))
     np.testing.assert_allclose(
         response.by_excitation, [[1.5, 0, 0, 0], [0, 0, DAMPED * at_mode, 2 * at_mode]], atol=1e-12
@@ -255,19 +267,25 @@ def test_supports_that_move_together_and_apart():
     )
     lin, level, out = (
         jb.linearize(model, model.reference),
-        jb.DesignSpectrum([0.1, 50.0], [3.0, 3.0]),
+        jb.shock.DesignSpectrum([0.1, 50.0], [3.0, 3.0]),
         {"a": jb.Acceleration("mass", axis="x")},
     )
-    together = jb.spectrum_response(lin, {("left", "right"): {"x": level}}, out, damping=0.05)
-    apart = jb.spectrum_response(
-        lin, {"left": {"x": level}, "right": {"x": level}}, out, damping=0.05
+    together = jb.shock.spectrum_response(
+        lin, {("left", "right"): {"x": level}}, out, modal_damping=0.05
+    )
+    apart = jb.shock.spectrum_response(
+        lin, {"left": {"x": level}, "right": {"x": level}}, out, modal_damping=0.05
     )
     np.testing.assert_allclose(
         [together["a"], apart["a"]], [DAMPED * 3.0, DAMPED * 3.0 / np.sqrt(2)], rtol=1e-12
     )
     assert together.excitations == ("left and right x",) and np.allclose(apart.mass, 0.5)
-    bound = jb.spectrum_response(
-        lin, {"left": {"x": level}, "right": {"x": level}}, out, damping=0.05, combine="absolute"
+    bound = jb.shock.spectrum_response(
+        lin,
+        {"left": {"x": level}, "right": {"x": level}},
+        out,
+        modal_damping=0.05,
+        combine="absolute",
     )
     np.testing.assert_allclose(bound["a"], DAMPED * 3.0, rtol=1e-12)
 
@@ -288,14 +306,17 @@ def test_coinciding_modes_are_one_whatever_their_basis():
             )
         },
     )
-    lin, level = jb.linearize(model, model.reference), jb.DesignSpectrum([0.1, 50.0], [3.0, 3.0])
+    lin, level = (
+        jb.linearize(model, model.reference),
+        jb.shock.DesignSpectrum([0.1, 50.0], [3.0, 3.0]),
+    )
     out = {
         "along": jb.Acceleration("mass", axis=[1, 0, 0]),
         "diagonal": jb.Acceleration("mass", axis=[1, 1, 0]),
     }
     for combine in ("SRSS", "CQC", "absolute"):
-        response = jb.spectrum_response(
-            lin, {"base": {"x": level}}, out, damping=0.05, combine=combine
+        response = jb.shock.spectrum_response(
+            lin, {"base": {"x": level}}, out, modal_damping=0.05, combine=combine
         )
         np.testing.assert_allclose(
             response.values, [DAMPED * 3.0, DAMPED * 3.0 / np.sqrt(2)], rtol=1e-10
@@ -322,9 +343,11 @@ def test_isolated_equipment_in_el_centro():
     outputs = {
         "stretch": jb.Position("cabinet", axis="x", relative_to="floor"),
         "acceleration": jb.Acceleration("cabinet", axis="x"),
-        "force": jb.LoadCell("isolator 1", component=0),
+        "force": jb.sensors.LoadCell("isolator 1", component=0),
     }
-    response = jb.spectrum_response(lin, {"floor": {"x": (0.02 * np.arange(len(a)), a)}}, outputs)
+    response = jb.shock.spectrum_response(
+        lin, {"floor": {"x": (0.02 * np.arange(len(a)), a)}}, outputs
+    )
     np.testing.assert_allclose(
         response.frequency[:3], [1.00658424, 1.00658424, 2.09537219], rtol=2e-8
     )
@@ -340,13 +363,13 @@ def test_isolated_equipment_in_el_centro():
 
 @pytest.mark.long
 def test_derivatives_by_the_model_agree_with_differences(five):
-    level = jb.Eurocode8(2.0, "B")
+    level = jb.shock.Eurocode8(2.0, "B")
 
     def shear(k):
         model = jb.replace(frame(3), {"storey 1.stiffness": k})
         lin = jb.linearize(model, model.reference)
-        return jb.spectrum_response(
-            lin, {"0": {"x": level}}, {"shear": jb.LoadCell("storey 1")}, damping=0.05
+        return jb.shock.spectrum_response(
+            lin, {"0": {"x": level}}, {"shear": jb.sensors.LoadCell("storey 1")}, modal_damping=0.05
         )["shear"]
 
     k, h = 54.82e5, 50.0
@@ -357,7 +380,7 @@ def test_derivatives_by_the_model_agree_with_differences(five):
 
 @pytest.mark.long
 def test_bad_input_is_refused_all_at_once(five):
-    level = jb.DesignSpectrum([1.0, 2.0], [3.0, 3.0], damping=0.02)
+    level = jb.shock.DesignSpectrum([1.0, 2.0], [3.0, 3.0], damping=0.02)
     with pytest.raises(
         jb.JaxbodyError,
         match=(
@@ -365,14 +388,14 @@ def test_bad_input_is_refused_all_at_once(five):
             r"to 0\.02.*NOT_COVERED"
         ),
     ):
-        jb.spectrum_response(five, {"0": {"x": level}}, OUTPUTS, damping=0.05)
+        jb.shock.spectrum_response(five, {"0": {"x": level}}, OUTPUTS, modal_damping=0.05)
     with pytest.raises(jb.JaxbodyError) as raised:
-        jb.spectrum_response(
+        jb.shock.spectrum_response(
             five,
             {"roof": {"x": 3.0}, "0": {"u": level}},
             {"a": jb.Acceleration("six")},
             combine="sum",
-            damping=5.0,
+            modal_damping=5.0,
             highest=-1,
         )
     codes = {
@@ -384,11 +407,11 @@ def test_bad_input_is_refused_all_at_once(five):
         "BAD_FREQUENCY",
     }
     assert {p.code for p in raised.value.problems} == codes
-    absolute = jb.shock_spectrum((np.arange(100) / 20, np.ones(100)), [1.0, 2.0])
+    absolute = jb.shock.shock_spectrum((np.arange(100) / 20, np.ones(100)), [1.0, 2.0])
     with pytest.raises(jb.JaxbodyError, match="BAD_KIND"):
-        jb.spectrum_response(five, {"0": {"x": absolute}}, OUTPUTS)
+        jb.shock.spectrum_response(five, {"0": {"x": absolute}}, OUTPUTS)
     with pytest.raises(jb.JaxbodyError, match="BAD_CHAIN"):
-        jb.spectrum_response(
+        jb.shock.spectrum_response(
             five, {"0": {"x": level}}, {"a": jb.Acceleration("5", axis="x", lag=0.1)}
         )
 
@@ -412,13 +435,15 @@ def test_two_masses_that_a_rod_joins_respond_as_one():
         },
         closures={"rod": jb.closures.Rod(("frame", [0, 0, 0]), ("box", [0, 0, 0]))},
     )
-    lin, level = jb.linearize(model, jb.equilibrium(model)), jb.Eurocode8(2.0)
+    lin, level = jb.linearize(model, jb.equilibrium(model)), jb.shock.Eurocode8(2.0)
     w, zeta = np.sqrt(800.0 / 5), 4.0 / (2 * np.sqrt(800.0 * 5))
-    peaks = jb.spectrum_response(
+    peaks = jb.shock.spectrum_response(
         lin, {"base": {"x": level}}, {"force": jb.Elongation("s", gain=800.0)}
     )
     np.testing.assert_allclose(peaks["force"], 5 * float(level(w / (2 * np.pi), zeta)), rtol=1e-10)
     np.testing.assert_allclose(peaks.total_mass, [5.0], rtol=1e-12)
-    floor = jb.floor_spectrum(lin, {"base": {"x": level}}, jb.Acceleration("box", axis="x"), [1e4])
+    floor = jb.shock.floor_spectrum(
+        lin, [1e4], {"base": {"x": level}}, jb.Acceleration("box", axis="x")
+    )
     # stiff equipment moves with the box
     np.testing.assert_allclose(floor.values, [[peaks["force"] / 5]], rtol=1e-5)

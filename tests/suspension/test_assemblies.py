@@ -72,7 +72,7 @@ def test_a_four_bar_linkage_moves_as_by_freudenstein(
 ):
     model, rates = motion
     rough = state(crank, coupler - crank + 10.0, rocker - 10.0)
-    q = jb.assemble(model, start=rough, hold=["crank"]).state.q
+    q = jb.suspension.assemble(model, start=rough, hold=["crank"]).state.q
     found = np.rad2deg([q[0] + q[1], q[2]])
     np.testing.assert_allclose((found - [coupler, rocker] + 180) % 360 - 180, 0, atol=1e-8)
     v, a = rates(q, 25.0, 15.0)
@@ -82,7 +82,7 @@ def test_a_four_bar_linkage_moves_as_by_freudenstein(
 
 @pytest.mark.long
 def test_conditions_out_of_the_plane_are_redundant_and_do_no_harm():
-    done = jb.assemble(four_bar(), start=state(40.0, -20.0, 57.0))
+    done = jb.suspension.assemble(four_bar(), start=state(40.0, -20.0, 57.0))
     assert done.freedoms == 1 and len(done.redundant) == 3 and done.ok
     assert set(done.redundant) == {"pin z", "pin turn 1", "pin turn 2"}
     assert "implied by the others: pin z" in repr(done)
@@ -94,17 +94,19 @@ def test_other_closures_of_the_same_linkage_move_alike(name):
     and at its end's distance."""
     ends = ("coupler", [CRANK + COUPLER, 0, 0]), ("rocker", [GROUND + ROCKER, 0, 0])
     start = state(40.0, 20.0 - 40.0, 57.0)
-    expected = jb.assemble(four_bar(), start=start, hold=["crank"]).state.q
+    expected = jb.suspension.assemble(four_bar(), start=start, hold=["crank"]).state.q
     if name == "Ball":
-        q = jb.assemble(four_bar(jb.closures.Ball(*ends)), start=start, hold=["crank"]).state.q
+        q = jb.suspension.assemble(
+            four_bar(jb.closures.Ball(*ends)), start=start, hold=["crank"]
+        ).state.q
         np.testing.assert_allclose(q, expected, atol=1e-12)
     elif name == "Rod":
         rod = jb.closures.Rod(("crank", [CRANK, 0, 0]), ends[1], length=COUPLER)
-        q = jb.assemble(four_bar(rod), start=start, hold=["crank"]).state.q
+        q = jb.suspension.assemble(four_bar(rod), start=start, hold=["crank"]).state.q
         np.testing.assert_allclose(q[2], expected[2], atol=1e-12)
     else:
         line = jb.closures.Inline(("coupler", [CRANK, 0, 0]), ends[1], axis="x")
-        q = jb.assemble(
+        q = jb.suspension.assemble(
             four_bar(line), start=jb.State(expected, jnp.zeros(3)), hold=["crank"]
         ).state.q
         np.testing.assert_allclose(q, expected, atol=1e-12)
@@ -173,7 +175,7 @@ def test_an_assembled_state_has_derivatives_by_lengths():
     differences of the closed form."""
 
     def rocker(crank):
-        return jb.assemble(
+        return jb.suspension.assemble(
             four_bar(crank=crank), start=state(90.0, 0.0 - 90.0, 80.0), hold=["crank"]
         ).state.q[2]
 
@@ -201,7 +203,7 @@ def test_the_reference_of_a_model_is_assembled_and_follows_lengths():
     z = -sqrt(a^2 - x^2); drawn 1 cm too low. Memory is relaxed there: a branch is as long as
     the spring."""
     d, drawn = 1.2, np.array([0.5, -0.81])
-    plane = jb.Composite(
+    plane = jb.joints.Composite(
         "world", ["move", "move"], directions=[[1, 0, 0], [0, 0, 1]], points=[[0, 0, 0]] * 2
     )
     rods = {
@@ -268,7 +270,7 @@ def test_a_start_off_the_closures_has_derivatives_by_the_point_that_sets_the_siz
 @pytest.mark.long
 def test_a_turn_of_the_crank_one_position_after_the_other():
     model = four_bar()
-    q = jb.assemble(model, start=state(0.0, 36.0, 62.0), hold=["crank"]).state.q
+    q = jb.suspension.assemble(model, start=state(0.0, 36.0, 62.0), hold=["crank"]).state.q
     drives = drives_of(model, {"crank": "crank.q"}, "test")
     turns = jnp.linspace(0.0, 2 * np.pi, 37)[:, None]
     each, status = jax.jit(positions)(model, drives, turns, q)
@@ -285,7 +287,7 @@ def test_a_turn_of_the_crank_one_position_after_the_other():
 @pytest.mark.long
 def test_what_cannot_be_assembled_is_named():
     with pytest.warns(jb.JaxbodyWarning, match=r"NOT_CLOSED.*'pin x' stays 0.3.* m apart"):
-        done = jb.assemble(four_bar(coupler=0.5, rocker=0.08))
+        done = jb.suspension.assemble(four_bar(coupler=0.5, rocker=0.08))
     assert done.report().startswith("NOT_CLOSED")
 
 
@@ -333,9 +335,9 @@ def test_bad_input():
     ):
         jb.Model(bodies={"a": BAR}, closures={"point": point})
     with pytest.raises(jb.JaxbodyError, match=r"has no closures.*NO_CLOSURE"):
-        jb.assemble(jb.Model(bodies={"a": BAR}))
+        jb.suspension.assemble(jb.Model(bodies={"a": BAR}))
     with pytest.raises(jb.JaxbodyError, match=r"assemble.hold.*UNKNOWN_NAME"):
-        jb.assemble(four_bar(), hold=["cranc"])
+        jb.suspension.assemble(four_bar(), hold=["cranc"])
 
 
 @pytest.mark.nan
@@ -382,7 +384,9 @@ def test_an_assembled_state_has_derivatives_by_its_start(hold):
 
     def assembled(x):
         changed = jb.replace(model, {"rod.length": x[2]})
-        return jb.assemble(changed, start=jb.State(x[:2], jnp.zeros(2)), hold=hold).state.q
+        return jb.suspension.assemble(
+            changed, start=jb.State(x[:2], jnp.zeros(2)), hold=hold
+        ).state.q
 
     x = jnp.array([np.deg2rad(30.0), 0.1, 0.35])
     expected = differences(assembled, x)
@@ -421,7 +425,7 @@ def test_what_cannot_be_assembled_is_nan_while_traced_and_stays_where_it_ended_o
     model, start = two_arms(), jb.State(jnp.array([0.5, 0.4]), jnp.zeros(2))
 
     def assembly(x):
-        return jb.assemble(
+        return jb.suspension.assemble(
             jb.replace(model, {"rod.length": x[0]}),
             start=dataclasses.replace(start, q=x[1:]),
             hold=["input"],
@@ -449,9 +453,9 @@ def test_what_cannot_be_assembled_is_nan_while_traced_and_stays_where_it_ended_o
 def test_loops_are_refused_in_float32():
     """Their gaps would have to be closed to more digits than there are."""
     with jax.enable_x64(False):
-        model, corner = four_bar(), jb.double_wishbone()
+        model, corner = four_bar(), jb.suspension.double_wishbone()
         calls = (
-            lambda: jb.assemble(model),
+            lambda: jb.suspension.assemble(model),
             lambda: jb.simulate(model, [0.0, 0.1]),
             lambda: jb.equilibrium(model),
             lambda: jb.linearize(model, jb.State(np.zeros(3, np.float32), np.zeros(3, np.float32))),
@@ -476,7 +480,8 @@ def test_a_pin_of_a_planar_linkage_needs_no_conditions_out_of_its_plane():
     )
     start = state(40, -20, 50)
     two, five = (
-        jb.assemble(model, start=start, hold=["crank"]) for model in (four_bar(pin), four_bar())
+        jb.suspension.assemble(model, start=start, hold=["crank"])
+        for model in (four_bar(pin), four_bar())
     )
     np.testing.assert_allclose(two.state.q, five.state.q, atol=1e-9)
     assert "implied" not in str(

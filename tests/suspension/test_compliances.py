@@ -24,7 +24,7 @@ def slider_crank():
             inertia=[0.02] * 3,
             com=[0, 0, 0],
             position=[x, 0, 0],
-            orientation=jb.Euler("ZYX", [0.4, 0.2, 0.1]),
+            orientation=jb.EulerAngles("ZYX", [0.4, 0.2, 0.1]),
         ),
         "lever": jb.Body(mass=0.8, inertia=[0.01] * 3, com=[x, -0.1, 0.02]),
     }
@@ -54,17 +54,17 @@ def limit():
     with bushings stiffer by 10, 100, 1000."""
     model, k = slider_crank(), 2e5
     hinge, slide = (
-        jb.Compliance(stiffness=[k, k, k, k, k, 0.0]),
-        jb.Compliance(stiffness=[k, k, 0.0, k, k, k]),
+        jb.suspension.Compliance(stiffness=[k, k, k, k, k, 0.0]),
+        jb.suspension.Compliance(stiffness=[k, k, 0.0, k, k, k]),
     )
     joints = {
         "crank": hinge,
         "slider": slide,
         "lever": hinge,
-        "rod": jb.Compliance(stiffness=k),
-        "guide": jb.Compliance(stiffness=k),
+        "rod": jb.suspension.Compliance(stiffness=k),
+        "guide": jb.suspension.Compliance(stiffness=k),
     }
-    elastic = jb.compliant(model, joints)
+    elastic = jb.suspension.compliant(model, joints)
 
     def settled(model, start=None):
         eq = jb.equilibrium(model, start=start)
@@ -76,7 +76,7 @@ def limit():
             poses,
         )
 
-    own = jb.paths(elastic, "*.stiffness")
+    own = jb.parameter_paths(elastic, "*.stiffness")
     stiffer = [
         {path: s * x for path, x in own.items() if path != "return.stiffness"}
         for s in (10.0, 100.0, 1000.0)
@@ -115,7 +115,7 @@ def test_an_elastic_tie_rod_gives_toe_by_a_side_force():
     """With the wheel's height and the rack held: dtoe/dF = T Y/(k u_y^2), where T and Y are the
     changes of toe and of the contact's y by the rack, whose motion changes the distance of the
     rod's ends by u_y."""
-    corner, k = jb.double_wishbone(), 4e6
+    corner, k = jb.suspension.double_wishbone(), 4e6
     model, wheel = corner.model, corner.wheel
     names = model.layout.bodies
     center, height = np.asarray(wheel.center), float(wheel.center[2])
@@ -127,7 +127,7 @@ def test_an_elastic_tie_rod_gives_toe_by_a_side_force():
         joints={name: model.joint(name) for name in names} | {"rack": jb.Fixed("world")},
         closures={name: model[name] for name in model.closure_names} | {"height": held},
     )
-    elastic = jb.compliant(still, {"tie rod": jb.Compliance(stiffness=k)})
+    elastic = jb.suspension.compliant(still, {"tie rod": jb.suspension.Compliance(stiffness=k)})
     curves = corner.curves(0.0, 0.0)
     contact = np.array([curves[f"contact {x}"][0] for x in "xyz"])
 
@@ -155,11 +155,12 @@ def test_bushings_turn_with_the_axis_of_their_joint_and_take_derivatives():
         mass=1.0,
         inertia=[1, 1, 1],
         position=[0.3, 0.2, 0.1],
-        orientation=jb.Euler("XYZ", [0.5, -0.4, 1.1]),
+        orientation=jb.EulerAngles("XYZ", [0.5, -0.4, 1.1]),
     )
     model = jb.Model(bodies={"arm": body}, joints={"arm": jb.Hinge("world", axis=n)})
-    elastic = jb.compliant(
-        model, {"arm": jb.Compliance(stiffness=[5.0, 5.0, 2.0, 3.0, 3.0, 1.0], damping=4.0)}
+    elastic = jb.suspension.compliant(
+        model,
+        {"arm": jb.suspension.Compliance(stiffness=[5.0, 5.0, 2.0, 3.0, 3.0, 1.0], damping=4.0)},
     )
     lin = jb.linearize(elastic, elastic.reference)
     along = np.outer(n, n)
@@ -175,10 +176,12 @@ def test_bushings_turn_with_the_axis_of_their_joint_and_take_derivatives():
 
 @pytest.mark.long
 def test_bad_input():
-    corner = jb.macpherson()
+    corner = jb.suspension.macpherson()
     with pytest.raises(jb.JaxbodyError, match=r"compliant\['strut'\]: is a Inline.*WRONG_KIND"):
-        jb.compliant(corner.model, {"strut": jb.Compliance(stiffness=1e6)})
+        jb.suspension.compliant(corner.model, {"strut": jb.suspension.Compliance(stiffness=1e6)})
     with pytest.raises(jb.JaxbodyError, match=r"lower ar'.*UNKNOWN_NAME"):
-        jb.compliant(corner.model, {"lower ar": jb.Compliance(stiffness=1e6)})
+        jb.suspension.compliant(corner.model, {"lower ar": jb.suspension.Compliance(stiffness=1e6)})
     with pytest.raises(jb.JaxbodyError, match="NEGATIVE_STIFFNESS"):
-        jb.compliant(corner.model, {"lower arm": jb.Compliance(stiffness=[1e6, -1e6, 1e6])})
+        jb.suspension.compliant(
+            corner.model, {"lower arm": jb.suspension.Compliance(stiffness=[1e6, -1e6, 1e6])}
+        )

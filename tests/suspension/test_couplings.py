@@ -74,7 +74,7 @@ def test_gears_turn_by_their_teeth_any_number_of_turns():
     }
     model = jb.Model(bodies=dict.fromkeys(joints, part()), joints=joints, closures=couplings)
     turned = 40.0  # rad
-    done = jb.assemble(
+    done = jb.suspension.assemble(
         model, start=jb.State(jnp.array([turned, -50.0, 25.0]), jnp.zeros(3)), hold=["first"]
     )
     assert done.ok and done.freedoms == 1 and len(done.redundant) == 1
@@ -84,7 +84,7 @@ def test_gears_turn_by_their_teeth_any_number_of_turns():
     assert done.redundant[0] in ("first pair turn", "second pair turn", "both pairs turn")
     slipped = jb.closures.Coupling("third.q", "first.q", function=lambda y: 23 / 31 * y + 0.2)
     with pytest.warns(jb.JaxbodyWarning, match=r"NOT_CLOSED.*pair"):
-        done = jb.assemble(
+        done = jb.suspension.assemble(
             jb.Model(
                 bodies=dict.fromkeys(joints, part()),
                 joints=joints,
@@ -100,7 +100,7 @@ def test_a_nut_on_a_screw_has_the_frequency_of_both_motions():
     r = pitch / (2 * np.pi)
     model = jb.Model(
         bodies={"nut": jb.Body(mass=mass, inertia=[1.0, 1.0, about])},
-        joints={"nut": jb.Cylindrical("world", axis="z")},
+        joints={"nut": jb.joints.Cylindrical("world", axis="z")},
         closures={"thread": jb.closures.Coupling("nut.q.0", "nut.q.1", ratio=r)},
         elements={
             "spring": jb.Spring(
@@ -118,7 +118,7 @@ LIFT, SPRING, REST = 0.03, 2.0, 0.6
 ANGLES = np.linspace(0.0, np.pi, 400)
 CAMS = {
     "function": lambda y: LIFT * (1 - jnp.cos(y)),
-    "table": jb.laws.Table(ANGLES, LIFT * (1 - np.cos(ANGLES))),
+    "table": jb.laws.Tabulated(ANGLES, LIFT * (1 - np.cos(ANGLES))),
 }
 
 
@@ -142,7 +142,7 @@ def test_a_cam_turns_until_its_spring_balances_the_follower(kind):
 
 @pytest.mark.long
 def test_a_corner_is_steered_by_its_pinion():
-    corner = jb.double_wishbone()
+    corner = jb.suspension.double_wishbone()
     model = corner.model
     names, r = (*model.layout.bodies, "pinion"), 0.007
     bodies = {name: model[name] for name in model.layout.bodies} | {"pinion": part()}
@@ -159,7 +159,7 @@ def test_a_corner_is_steered_by_its_pinion():
         elements={"spring": model["spring"]},
     )
     turns = np.array([-2.0, 0.0, 4.0])
-    by_pinion = jb.Corner(steered, corner.wheel, "pinion.q").curves(0.02, turns)
+    by_pinion = jb.suspension.Corner(steered, corner.wheel, "pinion.q").curves(0.02, turns)
     by_rack = corner.curves(0.02, r * turns)
     for name in ("toe", "camber", "trail", "wheel rate"):
         np.testing.assert_allclose(by_pinion[name], by_rack[name], atol=1e-11, rtol=1e-9)

@@ -30,7 +30,9 @@ def level_axle(**options):
             f"{side} spring lower": [0, y * SPRINGS / 2, 0.31],
             f"{side} spring upper": [0, y * SPRINGS / 2, 0.62],
         }
-    return jb.solid_axle(points, mass=MASS, inertia=ABOUT, stiffness=STIFFNESS, **options)
+    return jb.suspension.solid_axle(
+        points, mass=MASS, inertia=ABOUT, stiffness=STIFFNESS, **options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -82,4 +84,4 @@ def test_bounce_and_roll_frequencies_are_those_of_two_springs():
 
 def test_bad_input():
     with pytest.raises(jb.JaxbodyError, match=r"panhard rod body.*Did you mean 'Panhard rod body'"):
-        jb.solid_axle({"panhard rod body": [0, 0.5, 0.3]})
+        jb.suspension.solid_axle({"panhard rod body": [0, 0.5, 0.3]})

@@ -36,12 +36,12 @@ def carriage(side=SIDE, spring=SPRING):
     )
 
 
-WHEEL = jb.Wheel("upright", center=[0, 0, 0], axis="y", radius=0.3)
+WHEEL = jb.suspension.Wheel("upright", center=[0, 0, 0], axis="y", radius=0.3)
 
 
 def curves(model, push=0.0):
     loads = {"push": jb.Force("upright", force=[0, push, 0])}
-    return jb.suspension_curves(
+    return jb.suspension.suspension_curves(
         model,
         drive={"travel": WHEEL},
         over={"travel": TRAVEL},
@@ -116,7 +116,7 @@ def test_what_has_no_minimum_of_energy_is_unstable_and_loads_need_an_equilibrium
     with pytest.raises(
         jb.JaxbodyError, match=r"suspension_curves.loads.*equilibrium=True.*BAD_OPTION"
     ):
-        jb.suspension_curves(
+        jb.suspension.suspension_curves(
             carriage(),
             drive={"travel": WHEEL, "x": "upright.q.0", "y": "upright.q.1"},
             over={"travel": TRAVEL, "x": 0.0, "y": 0.0},
@@ -132,7 +132,7 @@ def test_what_has_no_minimum_of_energy_is_unstable_and_loads_need_an_equilibrium
     ):
         curves(bare)
     with pytest.raises(jb.JaxbodyError, match=r"freedoms remain.*equilibrium=True.*UNDRIVEN"):
-        jb.suspension_curves(
+        jb.suspension.suspension_curves(
             carriage(), drive={"travel": WHEEL}, over={"travel": TRAVEL}, wheel=WHEEL
         )
 
@@ -140,15 +140,19 @@ def test_what_has_no_minimum_of_energy_is_unstable_and_loads_need_an_equilibrium
 @pytest.fixture(scope="module")
 def elastic():
     """A double wishbone with bushings at its arms and an elastic tie rod."""
-    corner = jb.double_wishbone()
-    bushing = jb.Compliance(stiffness=[5e6, 5e6, 5e6, 5e4, 5e4, 20.0], damping=10.0)
-    joints = {"lower arm": bushing, "upper arm": bushing, "tie rod": jb.Compliance(stiffness=5e6)}
-    return corner, jb.compliant(corner.model, joints)
+    corner = jb.suspension.double_wishbone()
+    bushing = jb.suspension.Compliance(stiffness=[5e6, 5e6, 5e6, 5e4, 5e4, 20.0], damping=10.0)
+    joints = {
+        "lower arm": bushing,
+        "upper arm": bushing,
+        "tie rod": jb.suspension.Compliance(stiffness=5e6),
+    }
+    return corner, jb.suspension.compliant(corner.model, joints)
 
 
 def of_corner(corner, model, travel=TRAVEL, **more):
     over = {"travel": travel, "steering": 0.0}
-    return jb.suspension_curves(
+    return jb.suspension.suspension_curves(
         model, drive=corner.drive, over=over, wheel=corner.wheel, equilibrium=True, **more
     )
 
@@ -188,7 +192,7 @@ def test_an_elastic_corner_is_where_the_force_that_lifts_it_puts_it(elastic):
 @pytest.mark.long
 def test_ideal_joints_are_the_limit_of_stiff_bushings(elastic):
     corner, model = elastic
-    ideal, paths = corner.curves(TRAVEL), jb.paths(model, "*.stiffness")
+    ideal, paths = corner.curves(TRAVEL), jb.parameter_paths(model, "*.stiffness")
     errors = []
     for factor in (10.0, 100.0, 1000.0):
         stiffer = {

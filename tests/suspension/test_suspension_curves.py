@@ -68,7 +68,7 @@ def table(text):
 
 @pytest.fixture(scope="module")
 def double():
-    return jb.double_wishbone().curves(TRAVEL)
+    return jb.suspension.double_wishbone().curves(TRAVEL)
 
 
 def degrees(curves, name):
@@ -108,7 +108,10 @@ def test_motion_ratio_wheel_force_and_wheel_rate(double):
 def test_a_wheel_under_load_moves_by_the_wheel_rate():
     """Equilibria under a vertical force at the wheel center, with the rack held: the forces of the
     table lead to its travel, and the change of travel by force is one over the wheel rate."""
-    model, center = jb.double_wishbone().model, jb.double_wishbone().wheel.center
+    model, center = (
+        jb.suspension.double_wishbone().model,
+        jb.suspension.double_wishbone().wheel.center,
+    )
     bodies, joints = (
         {name: part(name) for name in model.layout.bodies}
         for part in (model.__getitem__, model.joint)
@@ -141,7 +144,7 @@ def lift(center, force):
 
 @pytest.mark.long
 def test_a_macpherson_strut_over_travel():
-    curves = jb.macpherson().curves(TRAVEL)
+    curves = jb.suspension.macpherson().curves(TRAVEL)
     _, *angles, x, y, camber_rate, toe_rate = table(STRUT)
     for name, expected in zip(("camber", "toe", "caster", "kingpin"), angles, strict=True):
         np.testing.assert_allclose(degrees(curves, name), expected, atol=1e-9)
@@ -163,7 +166,7 @@ def test_rack_and_travel_together_in_41_positions():
         .split(",")
     )
     rows = dict(zip(names, np.loadtxt(file, delimiter=",").T, strict=True))
-    curves = jb.double_wishbone().curves(rows["dz_m"], rows["rack_m"])
+    curves = jb.suspension.double_wishbone().curves(rows["dz_m"], rows["rack_m"])
     for name in ("camber", "toe", "caster", "kingpin"):
         np.testing.assert_allclose(degrees(curves, name), rows[f"{name}_deg"], atol=1e-8)
     for name in "xyz":
@@ -178,7 +181,7 @@ def test_rack_and_travel_together_in_41_positions():
 
 def test_a_right_wheel_has_the_curves_of_the_left_one(double):
     mirrored = {name: np.array(point) * [1, -1, 1] for name, point in DOUBLE_WISHBONE.items()}
-    right = jb.double_wishbone(mirrored).curves(TRAVEL)
+    right = jb.suspension.double_wishbone(mirrored).curves(TRAVEL)
     for name in (
         "camber",
         "toe",
@@ -211,12 +214,14 @@ def test_trail_and_scrub_radius_are_measured_on_the_ground(double):
 @pytest.mark.long
 def test_the_screw_axis_of_steering_is_the_line_through_the_ball_joints():
     """With the lower arm held, steering turns the upright about both ball joints."""
-    corner = jb.double_wishbone()
+    corner = jb.suspension.double_wishbone()
     at_rest = dict(over={"arm": 0.0, "rack": 0.0})
-    wheel = jb.Wheel("upright", center=corner.wheel.center, axis=corner.wheel.axis, radius=0.3)
+    wheel = jb.suspension.Wheel(
+        "upright", center=corner.wheel.center, axis=corner.wheel.axis, radius=0.3
+    )
     drive = {"arm": "lower arm.q", "rack": "rack.q"}
-    screw = jb.suspension_curves(corner.model, drive=drive, wheel=wheel, **at_rest)
-    line = jb.suspension_curves(corner.model, drive=drive, wheel=corner.wheel, **at_rest)
+    screw = jb.suspension.suspension_curves(corner.model, drive=drive, wheel=wheel, **at_rest)
+    line = jb.suspension.suspension_curves(corner.model, drive=drive, wheel=corner.wheel, **at_rest)
     for name in ("caster", "kingpin", "trail", "scrub radius"):
         np.testing.assert_allclose(screw[name], line[name], atol=1e-12)
 
@@ -234,7 +239,7 @@ def test_the_roll_center_is_where_the_front_view_instant_center_says():
         "axle inner": (0, 0.7, 0.3),
         "wheel center": (0, 0.75, 0.3),
     }
-    curves = jb.double_wishbone(points).curves(TRAVEL)
+    curves = jb.suspension.double_wishbone(points).curves(TRAVEL)
     # lines z = 0.2 - (y - 0.4) 0.02/0.3 and z = 0.45 + (y - 0.4) 0.05/0.28 meet at y, z
     y = 0.4 - 0.25 / (0.02 / 0.3 + 0.05 / 0.28)
     z = 0.2 - (y - 0.4) * 0.02 / 0.3
@@ -275,7 +280,7 @@ def upright(travel, rack):
 
 @pytest.mark.long
 def test_five_links_over_travel_and_steering_are_where_five_distances_say():
-    corner = jb.five_link()
+    corner = jb.suspension.five_link()
     travel, rack = (
         np.array([-0.08, -0.03, 0.0, 0.05, 0.08]),
         np.array([0.0, 0.02, 0.0, -0.03, 0.01]),
@@ -307,7 +312,7 @@ def test_five_links_over_travel_and_steering_are_where_five_distances_say():
 
 
 def loss(point):
-    curves = jb.double_wishbone({"upper outer": point}).curves(
+    curves = jb.suspension.double_wishbone({"upper outer": point}).curves(
         np.array([-0.05, 0.05]), np.array([0.0, 0.01])
     )
     return (
@@ -333,7 +338,7 @@ def test_curves_have_derivatives_by_hard_points():
 @pytest.mark.long
 def test_beyond_reach_the_last_good_value_is_kept_by_name():
     with pytest.warns(jb.JaxbodyWarning, match=r"NOT_CLOSED.*within reach: travel = 0.* m"):
-        curves = jb.double_wishbone().curves(np.linspace(0.0, 1.0, 11))
+        curves = jb.suspension.double_wishbone().curves(np.linspace(0.0, 1.0, 11))
     ok = np.asarray(curves.ok)
     assert (
         ok[:3].all()
@@ -345,8 +350,8 @@ def test_beyond_reach_the_last_good_value_is_kept_by_name():
 
 @pytest.mark.long
 def test_bad_input():
-    corner = jb.double_wishbone()
-    call = lambda drive, over: jb.suspension_curves(  # noqa: E731
+    corner = jb.suspension.double_wishbone()
+    call = lambda drive, over: jb.suspension.suspension_curves(  # noqa: E731
         corner.model, drive=drive, over=over, wheel=corner.wheel
     )
     travel = jb.Position("upright", corner.wheel.center, axis="z")
@@ -367,24 +372,27 @@ def test_bad_input():
             {"travel": 0.0, "rack": 0.0},
         )
     with pytest.raises(jb.JaxbodyError, match=r"uper outer.*Did you mean 'upper outer'"):
-        jb.double_wishbone({"uper outer": (0, 0, 0)})
+        jb.suspension.double_wishbone({"uper outer": (0, 0, 0)})
     with pytest.raises(
         jb.JaxbodyError,
         match=r"'upper outer' at y = -0.7 m.*y > 0 on the left, as the wheel center.*WRONG_SIDE",
     ):
-        jb.double_wishbone({"upper outer": (0, -0.7, 0.5)})
+        jb.suspension.double_wishbone({"upper outer": (0, -0.7, 0.5)})
     with pytest.raises(
         jb.JaxbodyError, match=r"'lower outer' at y = 0.9 m.*Give all points of a right wheel"
     ):
-        jb.double_wishbone({"wheel center": (0, -0.9, 0.3)})
+        jb.suspension.double_wishbone({"wheel center": (0, -0.9, 0.3)})
 
 
 READY = {
-    "double_wishbone": (jb.double_wishbone, DOUBLE_WISHBONE),
-    "macpherson": (jb.macpherson, MACPHERSON),
-    "five_link": (jb.five_link, FIVE_LINK),
-    "solid_axle": (jb.solid_axle, SOLID_AXLE),
-    "car": (lambda points: jb.car_on_double_wishbones(rear_points=points), DOUBLE_WISHBONE),
+    "double_wishbone": (jb.suspension.double_wishbone, DOUBLE_WISHBONE),
+    "macpherson": (jb.suspension.macpherson, MACPHERSON),
+    "five_link": (jb.suspension.five_link, FIVE_LINK),
+    "solid_axle": (jb.suspension.solid_axle, SOLID_AXLE),
+    "car": (
+        lambda points: jb.suspension.car_on_double_wishbones(rear_points=points),
+        DOUBLE_WISHBONE,
+    ),
 }
 
 
@@ -419,5 +427,5 @@ def test_hard_points_in_other_axes_or_units_are_refused(name, axes, code, words)
 
 @pytest.mark.filterwarnings("ignore:.*FAR_FROM_DRAWN")  # a corner without a wheel load
 def test_the_plausibility_of_a_suspension_is_that_of_its_model():
-    corner = jb.double_wishbone()
-    assert jb.plausibility(corner).numbers == jb.plausibility(corner.model).numbers
+    corner = jb.suspension.double_wishbone()
+    assert jb.fitting.plausibility(corner).numbers == jb.fitting.plausibility(corner.model).numbers

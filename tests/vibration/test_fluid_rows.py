@@ -53,8 +53,8 @@ W = 2 * np.pi * FREQUENCIES
 INPUTS = {"force": jb.PointForce("m", direction="x"), "base": jb.BaseMotion("base", "x")}
 OUTPUTS = {
     "x": jb.Position("m", axis="x"),
-    "tension": jb.LoadCell("s"),
-    "reaction": jb.Reaction("base", component=0),
+    "tension": jb.sensors.LoadCell("s"),
+    "reaction": jb.sensors.Reaction("base", component=0),
 }
 
 
@@ -249,7 +249,7 @@ def test_branches_beside_a_fluid():
     assert max(np.abs(exact - s).min() for s in found) < 1e-9 * np.abs(exact).max()
     inputs, outputs = (
         {"base": jb.BaseMotion("base", "z")},
-        {"z": jb.Position("tip", axis="z"), "left": jb.LoadCell("left")},
+        {"z": jb.Position("tip", axis="z"), "left": jb.sensors.LoadCell("left")},
     )
     direct, modal = (
         jb.frequency_response(lin, FREQUENCIES, inputs, outputs, method=method)
@@ -375,11 +375,11 @@ def test_maxima_by_a_spectrum_have_the_fluid_and_branches_that_follow():
         elements={"s": jb.SpringDamper(*ends, free_length=1.0, spring=PUBLISHED, damper=200.0)},
     )
     outputs, shock = (
-        {"a": jb.Acceleration("m", axis="x"), "tension": jb.LoadCell("s")},
-        {"base": {"x": jb.Eurocode8(2.5, ground="B")}},
+        {"a": jb.Acceleration("m", axis="x"), "tension": jb.sensors.LoadCell("s")},
+        {"base": {"x": jb.shock.Eurocode8(2.5, ground="B")}},
     )
     one, other = (
-        jb.spectrum_response(jb.linearize(model, model.reference), shock, outputs)
+        jb.shock.spectrum_response(jb.linearize(model, model.reference), shock, outputs)
         for model in (followed, damped)
     )
     assert one.damping_ratio.shape == (2,)

@@ -253,8 +253,8 @@ def test_a_base_drives_a_closed_loop_as_by_its_equation_of_motion():
     swing = -along * s**2 / (INERTIA * s**2 + C * s + K)
     sensors = {
         "coupler": jb.Position("coupler", axis="x"),
-        "base": jb.Reaction("base", component=0),
-        "pull": jb.LoadCell("pull"),
+        "base": jb.sensors.Reaction("base", component=0),
+        "pull": jb.sensors.LoadCell("pull"),
     }
     response = jb.frequency_response(
         lin, f, inputs={"x": jb.BaseMotion("base", "x")}, outputs=sensors
@@ -288,7 +288,7 @@ def test_a_base_drives_a_closed_loop_as_by_its_equation_of_motion():
     f = np.linspace(0.3, 2.7, 601)
     s = 2j * np.pi * f
     white, x = (
-        {"x": jb.PSD([0.1, 10.0], [1.0, 1.0], unit="m2/Hz")},
+        {"x": jb.vibration.PSD([0.1, 10.0], [1.0, 1.0], unit="m2/Hz")},
         {"x": jb.BaseMotion("base", "x")},
     )
     spectrum = jb.random_response(lin, f, x, {"coupler": sensors["coupler"]}, white)
@@ -406,7 +406,10 @@ def test_axes_of_a_mounted_body_are_those_without_the_loop_beside_it():
         jb.linearize(model, model.reference)
         for model in (jb.Model(bodies=box, elements=legs), loop)
     )
-    for function, more in ((jb.elastic_axes, ()), (jb.torque_roll_axis, ([1, 0, 0],))):
+    for function, more in (
+        (jb.vibration.elastic_axes, ()),
+        (jb.vibration.torque_roll_axis, ([1, 0, 0],)),
+    ):
         expected, found = (function(lin, "box", *more) for lin in (alone, beside_it))
         for name in (
             "center",
@@ -431,4 +434,4 @@ def test_axes_of_a_mounted_body_are_those_without_the_loop_beside_it():
         closures={"rod": jb.closures.Rod(("world", [0, 0, 1]), ("box", [0, 0, 0]))},
     )
     with pytest.raises(jb.JaxbodyError, match=r"'box' follows other bodies by closures.*NOT_FREE"):
-        jb.elastic_axes(jb.linearize(held, held.reference), "box")
+        jb.vibration.elastic_axes(jb.linearize(held, held.reference), "box")

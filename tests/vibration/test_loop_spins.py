@@ -43,7 +43,7 @@ def spinning(model, speed=SPEED):
 @pytest.mark.long
 def test_a_disk_on_a_closure_whirls_as_on_a_joint():
     tree, loop = rotor("joint"), rotor("closure")
-    lin, same = (jb.linearize_spin(model, spinning(model)) for model in (tree, loop))
+    lin, same = (jb.vibration.linearize_spin(model, spinning(model)) for model in (tree, loop))
     assert lin.ok and same.ok and same.M.shape == (7, 7)
     np.testing.assert_allclose(same.G, -same.G.T, atol=1e-9 * np.abs(same.G).max())
     expected, found = jb.complex_modes(lin), jb.complex_modes(same)
@@ -54,7 +54,7 @@ def test_a_disk_on_a_closure_whirls_as_on_a_joint():
         found.decay_rate, expected.decay_rate, atol=1e-8 * float(np.abs(expected.decay_rate).max())
     )
     assert found.shapes.shape[0] == 12  # of all coordinates
-    still = jb.complex_modes(jb.linearize_spin(tree, spinning(tree, 0.0)))
+    still = jb.complex_modes(jb.vibration.linearize_spin(tree, spinning(tree, 0.0)))
     # Hz: the spin matters
     assert np.max(np.abs(np.asarray(still.frequency) - expected.frequency)) > 0.1
 
@@ -62,7 +62,10 @@ def test_a_disk_on_a_closure_whirls_as_on_a_joint():
 @pytest.mark.long
 def test_without_a_spin_they_are_small_motions_about_rest():
     loop = rotor("closure")
-    still, plain = jb.linearize_spin(loop, spinning(loop, 0.0)), jb.linearize(loop, loop.reference)
+    still, plain = (
+        jb.vibration.linearize_spin(loop, spinning(loop, 0.0)),
+        jb.linearize(loop, loop.reference),
+    )
     assert still.coordinates == plain.coordinates
     for mine, theirs in (
         (still.M, plain.M),
@@ -79,6 +82,6 @@ def test_speeds_that_do_not_fit_the_closures_are_reported():
     state = spinning(loop)
     with pytest.warns(jb.JaxbodyWarning, match="NOT_CLOSED"):
         # the disk tilts in its bearing
-        lin = jb.linearize_spin(loop, jb.State(state.q, state.v.at[-2].set(5.0)))
+        lin = jb.vibration.linearize_spin(loop, jb.State(state.q, state.v.at[-2].set(5.0)))
     with pytest.warns(jb.JaxbodyWarning, match="NOT_CLOSED"):
         jb.complex_modes(lin)

@@ -30,8 +30,8 @@ STIFFNESS = np.array(  # REFERENCES2 1.1
 INPUTS = {"force": jb.PointForce("m", direction="x"), "base": jb.BaseMotion("base", "x")}
 OUTPUTS = {
     "x": jb.Position("m", axis="x"),
-    "tension": jb.LoadCell("s"),
-    "reaction": jb.Reaction("base", component=0),
+    "tension": jb.sensors.LoadCell("s"),
+    "reaction": jb.sensors.Reaction("base", component=0),
 }
 
 
@@ -284,13 +284,13 @@ def test_the_optimum_of_an_elastically_supported_damper(N, crossing, height):
 def test_random_response_against_a_sum(solid):
     """The rms under white noise of the base's displacement from 1 to 40 Hz: the integral
     of |K/D|^2."""
-    band = jb.Band(1.0, 40.0)
+    band = jb.vibration.Band(1.0, 40.0)
     found = jb.random_response(
         solid,
         band,
         {"base": INPUTS["base"]},
         {"x": OUTPUTS["x"]},
-        {"base": jb.PowerLaw(1e-6, unit="m2/Hz")},
+        {"base": jb.vibration.PowerLaw(1e-6, unit="m2/Hz")},
     )
     f = np.linspace(1, 40, 20001)
     w = 2 * np.pi * f
@@ -350,7 +350,10 @@ def test_derivatives_of_poles_in_both_modes():
 
 def test_what_does_not_take_states_yet_says_so(solid):
     model = solid.model
-    for call in (lambda: jb.backbones(solid), lambda: jb.linearize_spin(model, model.reference)):
+    for call in (
+        lambda: jb.backbone_curves(solid),
+        lambda: jb.vibration.linearize_spin(model, model.reference),
+    ):
         with pytest.raises(jb.JaxbodyError) as caught:
             call()
         assert caught.value.code == "MEMORY"

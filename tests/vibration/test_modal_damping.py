@@ -71,7 +71,10 @@ def test_responses_with_modal_damping_are_sums_over_the_modes(rig, method):
 def test_random_responses_with_modal_damping_are_sums_over_the_modes(rig):
     lin, Y = rig
     f = np.linspace(0.5, 3.0, 301)
-    white = {"z": jb.PowerLaw(3.0, unit="N2/Hz"), "base x": jb.PowerLaw(0.2, unit="m2/Hz")}
+    white = {
+        "z": jb.vibration.PowerLaw(3.0, unit="N2/Hz"),
+        "base x": jb.vibration.PowerLaw(0.2, unit="m2/Hz"),
+    }
     inputs = {name: (FORCES | MOTIONS)[name] for name in white}
     ride = jb.random_response(lin, f, inputs, OUTPUTS, white, modal_damping=RATIOS)
     H = np.abs(relative_sum(lin, Y, RATIOS, f)[:, [2, 3]]) ** 2
@@ -95,7 +98,10 @@ def test_a_ratio_acts_as_a_damper_on_body_and_support():
     """zeta = c/(2 m w): the same motion and the same reaction of forces and of the base in motion;
     what a damper has is added to."""
     inputs = {"pull": jb.PointForce("mass"), "base": jb.BaseMotion("base", "z")}
-    outputs = {"mass": jb.Position("mass", axis="z"), "reaction": jb.Reaction("base", component=2)}
+    outputs = {
+        "mass": jb.Position("mass", axis="z"),
+        "reaction": jb.sensors.Reaction("base", component=2),
+    }
     damped = jb.frequency_response(on_a_spring(3.0), F, inputs, outputs)
     for c in (0.0, 1.0):
         result = jb.frequency_response(
@@ -167,7 +173,7 @@ def test_invalid_ratios_are_refused(rig, ratios, code):
             F,
             {"z": FORCES["z"]},
             OUTPUTS,
-            {"z": jb.PowerLaw(1.0, unit="N2/Hz")},
+            {"z": jb.vibration.PowerLaw(1.0, unit="N2/Hz")},
             modal_damping=ratios,
         ),
     ):
@@ -187,7 +193,7 @@ def test_modal_damping_without_real_modes_is_reported(rig):
 
 def test_modal_damping_with_sensors_of_forces_is_refused(rig):
     """They read forces of the model, which these are not."""
-    sensors = {"arm": jb.Reaction("arm", component=0)}
+    sensors = {"arm": jb.sensors.Reaction("arm", component=0)}
     with pytest.raises(
         jb.JaxbodyError, match="modal_damping: is not read by a Reaction on 'arm'"
     ) as refused:

@@ -113,7 +113,7 @@ def test_shares_are_those_of_the_matrices(rig):
 
 def _places(model, q, delta):
     """Centers of mass and orientations of the bodies after small displacements."""
-    state = jb.State(jb.retract(model, q, jnp.asarray(delta)), jnp.zeros(model.layout.nv))
+    state = jb.State(jb.joints.retract(model, q, jnp.asarray(delta)), jnp.zeros(model.layout.nv))
     frames = frames_of(model, state)[model.layout.first_body :]
     return frames.point(model.bodies.rows.com), frames.R
 

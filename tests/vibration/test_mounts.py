@@ -31,10 +31,10 @@ def mounted(points) -> jb.Model:
 
 def natural_motions(model: jb.Model, times) -> dict[str, jb.Experiment]:
     modes = jb.modes(jb.linearize(model, model.reference))
-    runs, sensors = {}, {"pose": jb.BodyPose("engine")}
+    runs, sensors = {}, {"pose": jb.sensors.BodyPose("engine")}
     for i in range(6):
         shape = modes.shapes[:, i] / jnp.abs(modes.shapes[:, i]).max()
-        q = jb.retract(model, model.reference.q, AMPLITUDE * shape)
+        q = jb.joints.retract(model, model.reference.q, AMPLITUDE * shape)
         initial = jb.State(q, model.reference.v)
         measured = jb.measure(jb.simulate(model, times, initial=initial, rtol=1e-11), sensors)
         runs[f"mode{i + 1}"] = jb.Experiment(

@@ -27,8 +27,8 @@ def test_each_component_of_a_vector_is_an_output(lin):
     forces and moments."""
     vectors = {
         "acc": jb.Acceleration("box", POINT),
-        "pose": jb.BodyPose("box"),
-        "base": jb.Reaction("base"),
+        "pose": jb.sensors.BodyPose("box"),
+        "base": jb.sensors.Reaction("base"),
     }
     H = jb.frequency_response(lin, F, INPUTS, vectors)
     parts = ("x", "y", "z", "rx", "ry", "rz")
@@ -40,7 +40,7 @@ def test_each_component_of_a_vector_is_an_output(lin):
     assert H.output_units == ("m/s2",) * 3 + ("m",) * 3 + ("rad",) * 3 + ("N",) * 3 + ("N m",) * 3
     single = {f"acc.{d}": jb.Acceleration("box", POINT, axis=d) for d in "xyz"}
     single |= {f"pose.{d}": rigs.motion("box", direction=d) for d in parts}
-    single |= {f"base.{d}": jb.Reaction("base", component=k) for k, d in enumerate(parts)}
+    single |= {f"base.{d}": jb.sensors.Reaction("base", component=k) for k, d in enumerate(parts)}
     expected = jb.frequency_response(lin, F, INPUTS, single)
     np.testing.assert_allclose(
         H.values, expected.values, rtol=1e-12, atol=1e-12 * np.abs(expected.values).max()
@@ -53,7 +53,7 @@ def test_a_rate_is_s_times_its_motion(lin):
     of rotations; s = 2 pi i f."""
     families = [
         (jb.Position, jb.Velocity, jb.Acceleration),
-        (jb.Rotation, jb.AngularVelocity, jb.AngularAcceleration),
+        (jb.sensors.Rotation, jb.sensors.AngularVelocity, jb.sensors.AngularAcceleration),
     ]
     outputs = {
         kind.__name__: kind("box", axis=[1, 2, -1], relative_to="arm")
@@ -111,7 +111,7 @@ def test_a_lag_is_a_state_of_the_state_space(lin):
     """C (s - A)^-1 B + D is the frequency response, and the poles gain -1/lag."""
     outputs = {
         "read": jb.Acceleration("box", POINT, axis="z", gain=2.0, lag=0.07),
-        "turn": jb.Rotation("arm", axis="x"),
+        "turn": jb.sensors.Rotation("arm", axis="x"),
     }
     inputs = {"x": jb.BaseMotion("base", "x", kind="acceleration"), "pull": INPUTS["pull"]}
     space = lin.state_space(inputs, outputs)
@@ -128,7 +128,10 @@ def test_a_lag_is_a_state_of_the_state_space(lin):
 def test_a_force_reaches_a_reaction_at_once_in_the_state_space(lin):
     """D of a joint's reaction to a force on its body is what the response at very high frequencies
     tends to, whatever the masses do."""
-    outputs = {"hinge": jb.Reaction("arm", component=0), "base": jb.Reaction("base", component=1)}
+    outputs = {
+        "hinge": jb.sensors.Reaction("arm", component=0),
+        "base": jb.sensors.Reaction("base", component=1),
+    }
     inputs = {
         "pull": jb.PointForce("arm", [0.1, 0, 0.2], "x"),
         "push": jb.PointForce("box", [0.1, 0, 0.2], "y"),
@@ -143,7 +146,7 @@ def test_a_force_reaches_a_reaction_at_once_in_the_state_space(lin):
     assert np.abs(D[0, 0]) > 0.01
 
 
-class Slant(jb.Sensor):
+class Slant(jb.sensors.Sensor):
     """The distance of a body from a corner of the room, a sensor of one's own."""
 
     on: str = eqx.field(static=True)
@@ -190,7 +193,10 @@ def test_a_sensor_of_ones_own_is_an_instrument_an_output_and_a_term_of_a_design(
         fit.model["suspension"].stiffness, car["suspension"].stiffness, rtol=1e-6
     )
 
-    band, spectra = jb.Band(0.3, 20.0, points=200), {"road": jb.Unevenness.iso("C").at_speed(20.0)}
+    band, spectra = (
+        jb.vibration.Band(0.3, 20.0, points=200),
+        {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)},
+    )
 
     def rms(model):
         return {

@@ -248,7 +248,7 @@ def test_a_rotor_whirls_forward_and_backward_as_in_closed_form():
     """I w^2 -+ P W w - k = 0 for turning across the axis, w = -+P W/(2 I) + sqrt((P W/(2
     I))^2 + k/I); the spin does not affect translation."""
     model, speed = rotor(), 80.0
-    lin = jb.linearize_spin(model, spinning(model, speed))
+    lin = jb.vibration.linearize_spin(model, spinning(model, speed))
     result = jb.complex_modes(lin)
     half, k = 0.2 * speed / (2 * 0.12), 4 * STIFF * H**2
     backward, forward = (sign * half + np.sqrt(half**2 + k / 0.12) for sign in (-1, 1))
@@ -259,9 +259,11 @@ def test_a_rotor_whirls_forward_and_backward_as_in_closed_form():
     assert max_difference(2 * np.pi * result.frequency, expected) < 1e-10 * forward
     assert lin.ok and result.ok and np.abs(np.asarray(result.decay_rate)).max() < 1e-9
     assert max_difference(lin.G, -lin.G.T) < 1e-12 and abs(lin.G[3, 4] - 0.2 * speed) < 1e-12
-    sense = np.asarray(jb.whirl(lin, result))
+    sense = np.asarray(jb.vibration.whirl(lin, result))
     assert max_difference(sense[np.isin(expected, [backward, forward])], [-1.0, 1.0]) < 1e-9
-    still = jb.linearize_spin(model, spinning(model, 0.0))  # without a spin it is `linearize`
+    still = jb.vibration.linearize_spin(
+        model, spinning(model, 0.0)
+    )  # without a spin it is `linearize`
     plain = jb.linearize(model, model.reference)
     for a, b in (
         (still.M, plain.M),
@@ -284,7 +286,7 @@ def test_a_free_spinning_disk():
             elements={"damper": damper},
             gravity=[0, 0, 0],
         )
-    lin = jb.linearize_spin(model, spinning(model, 30.0))
+    lin = jb.vibration.linearize_spin(model, spinning(model, 30.0))
     G = np.zeros((6, 6))
     G[3, 4], G[4, 3] = 0.2 * 30.0, -0.2 * 30.0
     assert lin.ok and not lin.C.any() and not lin.K.any() and max_difference(lin.G, G) < 1e-12
@@ -296,12 +298,13 @@ def test_unsteady_spins_are_reported():
     the equations."""
     for model in (rotor(inertia=(0.1, 0.14, 0.2)), rotor(at=0.05)):
         with pytest.warns(jb.JaxbodyWarning, match="NOT_STEADY"):
-            lin = jb.linearize_spin(model, spinning(model, 30.0))
+            lin = jb.vibration.linearize_spin(model, spinning(model, 30.0))
         with pytest.warns(jb.JaxbodyWarning, match="NOT_STEADY"):
             result = jb.complex_modes(lin)
         assert np.isnan(np.asarray(result.frequency)).all() and "steady" in str(lin)
     assert (
-        refused(jb.linearize_spin, model, jb.State(model.reference.q, jnp.zeros(5))) == "BAD_SHAPE"
+        refused(jb.vibration.linearize_spin, model, jb.State(model.reference.q, jnp.zeros(5)))
+        == "BAD_SHAPE"
     )
 
 
@@ -337,7 +340,9 @@ def test_a_rotor_on_a_hinge_of_a_carrier():
             )
         },
     )
-    lin = jb.linearize_spin(model, jb.State(model.reference.q, jnp.zeros(7).at[6].set(speed)))
+    lin = jb.vibration.linearize_spin(
+        model, jb.State(model.reference.q, jnp.zeros(7).at[6].set(speed))
+    )
     result = jb.complex_modes(lin)
     k = 4 * STIFF * H**2
     for sign in (-1, 1):  # theta = x + i y:  I theta'' + (beta k - i P W) theta' + k theta = 0
@@ -354,8 +359,8 @@ def test_a_top_that_hangs_is_followed_over_its_speed():
     body = jb.Body(mass=1.0, inertia=[0.1, 0.1, 0.15], com=[0, 0, -1])
     model = jb.Model(bodies={"top": body}, joints={"top": jb.Ball("world")}, gravity=[0, 0, -9.81])
     speeds = np.linspace(0.0, 40.0, 5)
-    result = jb.track(
-        lambda speed: jb.linearize_spin(
+    result = jb.track_modes(
+        lambda speed: jb.vibration.linearize_spin(
             model, jb.State(model.reference.q, jnp.array([0.0, 0.0, 1.0]) * speed)
         ),
         speeds,
@@ -381,7 +386,10 @@ def engine():
 def test_elastic_axes_satisfy_their_definition(engine):
     """A force along each, with its moment, moves the body along it and does not turn it; a couple
     along a torsional axis turns it about a parallel one."""
-    result, flexibility = jb.elastic_axes(engine, "engine"), np.linalg.inv(np.asarray(engine.K))
+    result, flexibility = (
+        jb.vibration.elastic_axes(engine, "engine"),
+        np.linalg.inv(np.asarray(engine.K)),
+    )
     for n, k, p, h in zip(
         result.directions.T, result.stiffness, result.points, result.pitch, strict=True
     ):
@@ -415,7 +423,7 @@ def test_mounts_inclined_towards_a_point_decouple_there():
         )
     model = jb.Model(bodies={"box": jb.Body(mass=30.0, inertia=[1, 1, 1])}, elements=mounts)
     lin = jb.linearize(model, model.reference)
-    result = jb.elastic_axes(lin, "box")
+    result = jb.vibration.elastic_axes(lin, "box")
     height = (
         b
         * (kp - ks)
@@ -430,7 +438,7 @@ def test_mounts_inclined_towards_a_point_decouple_there():
 def test_the_torque_roll_axis(engine):
     """J n ~ torque; a spin about it needs no other torque; decoupled where K is proportional
     to M."""
-    result = jb.torque_roll_axis(engine, "engine", [2.0, 0, 0])
+    result = jb.vibration.torque_roll_axis(engine, "engine", [2.0, 0, 0])
     n = np.linalg.solve(presets.ENGINE, [1.0, 0, 0])
     n /= np.linalg.norm(n)
     assert (
@@ -472,7 +480,7 @@ def test_the_torque_roll_axis_of_a_turned_engine_with_its_reference_point_elsewh
         orientation_b=R.as_matrix(),
     )
     model = jb.Model(bodies={"engine": body}, elements={"mount": mount})
-    result = jb.torque_roll_axis(jb.linearize(model, model.reference), "engine", torque)
+    result = jb.vibration.torque_roll_axis(jb.linearize(model, model.reference), "engine", torque)
     n = R.apply(np.linalg.solve(presets.ENGINE, R.inv().apply(torque)))
     np.testing.assert_allclose(result.direction, n / np.linalg.norm(n), atol=1e-12)
     np.testing.assert_allclose(result.point - np.array([1, 2, 3]), R.apply(com), rtol=1e-11)
@@ -482,11 +490,11 @@ def test_axes_of_bodies_without_them_are_refused(engine):
     model = jb.presets.half_car()
     lin = jb.linearize(model, model.reference)
     assert (
-        refused(jb.elastic_axes, lin, "body") == "NOT_FREE"
-        and refused(jb.elastic_axes, engine, "motor") == "UNKNOWN_NAME"
+        refused(jb.vibration.elastic_axes, lin, "body") == "NOT_FREE"
+        and refused(jb.vibration.elastic_axes, engine, "motor") == "UNKNOWN_NAME"
     )
-    assert refused(jb.torque_roll_axis, engine, "engine", [0, 0, 0]) == "ZERO_AXIS"
-    assert refused(jb.torque_roll_axis, engine, "engine", [1, 0]) == "BAD_SHAPE"
+    assert refused(jb.vibration.torque_roll_axis, engine, "engine", [0, 0, 0]) == "ZERO_AXIS"
+    assert refused(jb.vibration.torque_roll_axis, engine, "engine", [1, 0]) == "BAD_SHAPE"
 
 
 # Modes compared and followed
@@ -496,7 +504,7 @@ def test_mac_by_its_definition():
     rng = np.random.default_rng(0)
     X, Y = rng.normal(size=(2, 4, 3)) + 1j * rng.normal(size=(2, 4, 3))
     W = np.cov(rng.normal(size=(4, 9)))
-    result = jb.mac(X, Y, mass=W)
+    result = jb.vibration.mac(X, Y, mass=W)
     for i in range(3):
         for j in range(3):
             x, y = X[:, i], Y[:, j]
@@ -505,8 +513,8 @@ def test_mac_by_its_definition():
             )
             assert abs(result[i, j] - expected) < 1e-12
     assert (
-        refused(jb.mac, X, Y[:3]) == "BAD_SHAPE"
-        and refused(jb.mac, X, Y, mass=W[:2]) == "BAD_SHAPE"
+        refused(jb.vibration.mac, X, Y[:3]) == "BAD_SHAPE"
+        and refused(jb.vibration.mac, X, Y, mass=W[:2]) == "BAD_SHAPE"
     )
 
 
@@ -538,7 +546,7 @@ def crossing():
 )
 def test_modes_are_followed_through_crossings(crossing, values):
     """Also where a value lies on a crossing, also where the first one does."""
-    result = jb.track(crossing, values)
+    result = jb.track_modes(crossing, values)
     assert result.ok.all() and result.frequency.shape == (len(values), 3)
     columns = 4 * np.pi**2 * np.asarray(result.frequency).T ** 2
     for expected in (values, 200.0 + 0 * values, 300.0 + 0 * values):
@@ -549,7 +557,7 @@ def test_modes_are_followed_through_crossings(crossing, values):
 @pytest.mark.long
 def test_following_is_differentiable(crossing):
     k = jnp.array([100.0, 250.0, 350.0])
-    rows = jax.jacrev(lambda k: jb.track(crossing, k).frequency)(k)
+    rows = jax.jacrev(lambda k: jb.track_modes(crossing, k).frequency)(k)
     slope = 1 / (4 * np.pi * np.sqrt(k))
     assert max_difference(rows[:, 0, :], np.diag(slope)) < 1e-12 and np.abs(rows[:, 1:]).max() == 0
 
@@ -580,11 +588,11 @@ def test_lost_branches_are_reported():
         return jb.linearize(model, model.reference)
 
     with pytest.warns(jb.JaxbodyWarning, match="LOST_BRANCH"):
-        result = jb.track(turned, [0.0, 0.4, 1.3])
+        result = jb.track_modes(turned, [0.0, 0.4, 1.3])
     assert np.asarray(result.status).tolist() == [0, 0, int(Status.LOST_BRANCH)]
     assert (
-        refused(jb.track, turned, [[0.0]]) == "BAD_SHAPE"
-        and refused(jb.track, turned, [0.0, np.nan]) == "NON_FINITE"
+        refused(jb.track_modes, turned, [[0.0]]) == "BAD_SHAPE"
+        and refused(jb.track_modes, turned, [0.0, np.nan]) == "NON_FINITE"
     )
 
 
@@ -594,9 +602,9 @@ def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
     damped, energies, axes = (
         jb.complex_modes(engine),
         jb.mode_energies(engine),
-        jb.elastic_axes(engine, "engine"),
+        jb.vibration.elastic_axes(engine, "engine"),
     )
-    followed = jb.track(crossing, np.linspace(100, 400, 7))
+    followed = jb.track_modes(crossing, np.linspace(100, 400, 7))
     assert complex(damped.to_xarray()["pole"].sel(mode=2)[0]) == complex(damped.poles[1, 0])
     share = energies.to_xarray()["kinetic"].sel(body="engine", direction="about x", mode=6)
     assert float(share) == float(energies.kinetic["engine"][3, 5]) and share.attrs["units"] == "%"
@@ -605,12 +613,16 @@ def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
         followed.frequency[0, 0]
     )
     model = rotor()
-    spun = jb.linearize_spin(model, spinning(model, 80.0))
+    spun = jb.vibration.linearize_spin(model, spinning(model, 80.0))
     assert float(
         spun.to_xarray()["G"].sel(coordinate="disk turn about x", coordinate_2="disk turn about y")
     ) == float(spun.G[3, 4])
     # they would not see G
-    for function in (jb.modes, jb.mode_energies, lambda lin: jb.elastic_axes(lin, "disk")):
+    for function in (
+        jb.modes,
+        jb.mode_energies,
+        lambda lin: jb.vibration.elastic_axes(lin, "disk"),
+    ):
         assert refused(function, spun) == "WRONG_KIND"
     assert refused(jb.complex_modes, model) == "WRONG_KIND"
 

@@ -19,7 +19,7 @@ OUTPUTS = {
     "stroke": jb.Elongation("suspension"),
     "tyre": jb.Elongation("tyre"),
 }
-BAND = jb.Band(0.1, 100.0, points=801)
+BAND = jb.vibration.Band(0.1, 100.0, points=801)
 
 
 def exact_variances(W):
@@ -55,15 +55,19 @@ def lin():
 @pytest.fixture(scope="module")
 def ride(lin):
     return jb.random_response(
-        lin, BAND, ROAD, OUTPUTS, {"road": jb.Unevenness.iso("C").at_speed(SPEED)}
+        lin, BAND, ROAD, OUTPUTS, {"road": jb.vibration.RoadRoughness.iso("C").at_speed(SPEED)}
     )
 
 
 def test_white_noise_variances_in_closed_form(lin):
     """By integration over 26 decades, which leave out less than 1e-12."""
-    road = jb.Unevenness.iso("C")
+    road = jb.vibration.RoadRoughness.iso("C")
     computed = jb.random_response(
-        lin, jb.Band(1e-13, 1e13, points=12001), ROAD, OUTPUTS, {"road": road.at_speed(SPEED)}
+        lin,
+        jb.vibration.Band(1e-13, 1e13, points=12001),
+        ROAD,
+        OUTPUTS,
+        {"road": road.at_speed(SPEED)},
     )
     assert np.abs(np.asarray(computed.rms) ** 2 / exact_variances(white(road)) - 1).max() < 1e-9
 
@@ -71,8 +75,8 @@ def test_white_noise_variances_in_closed_form(lin):
 @pytest.mark.long
 def test_damping_of_least_body_acceleration(lin):
     """ks sqrt(M/kt): the derivative of the variance vanishes there."""
-    road = {"road": jb.Unevenness.iso("C").at_speed(SPEED)}
-    band = jb.Band(1e-4, 1e6, points=2001)
+    road = {"road": jb.vibration.RoadRoughness.iso("C").at_speed(SPEED)}
+    band = jb.vibration.Band(1e-4, 1e6, points=2001)
 
     def variance(c):
         lin = jb.linearize(jb.replace(CAR, {"suspension.damping": c}), CAR.reference)
@@ -90,8 +94,10 @@ def test_damping_of_least_body_acceleration(lin):
 def test_a_white_rate_is_a_motion_with_a_falling_density(lin, unit, power):
     """S_x = S/w^2 of a white velocity and S/w^4 of a white acceleration, whichever of them the
     input is."""
-    f, given = np.linspace(0.5, 20.0, 400), {"road": jb.PowerLaw(3e-4, unit=unit)}
-    motion = {"road": jb.PowerLaw(3e-4 / (2 * np.pi) ** power, exponent=power, unit="m2/Hz")}
+    f, given = np.linspace(0.5, 20.0, 400), {"road": jb.vibration.PowerLaw(3e-4, unit=unit)}
+    motion = {
+        "road": jb.vibration.PowerLaw(3e-4 / (2 * np.pi) ** power, exponent=power, unit="m2/Hz")
+    }
     expected = jb.random_response(lin, f, ROAD, OUTPUTS, motion).psd
     for kind in ("displacement", "velocity", "acceleration"):
         found = jb.random_response(
@@ -104,7 +110,7 @@ def test_a_white_rate_is_a_motion_with_a_falling_density(lin, unit, power):
 def test_a_band_integrates_to_the_fourth_order(points):
     """int df/f is exact; the error of int df is that of Gregory's rule of the third order, 19/720
     x^4 in the limit of short steps x of the logarithm."""
-    band = jb.Band(0.5, 20.0, points=points)
+    band = jb.vibration.Band(0.5, 20.0, points=points)
     step = np.log(40.0) / (points - 1)
     for weights, x in ((band.weights, step), (band.coarse, 2 * step)):
         assert float(jnp.sum(weights / band.frequencies)) == pytest.approx(np.log(40.0), rel=1e-13)
@@ -119,18 +125,18 @@ def test_spectra_in_all_units_and_sides_agree(lin, ride):
     a = level * 0.01 * SPEED  # m2 Hz: a/f^2 one-sided per Hz
     points = np.geomspace(0.01, 200, 400)
     same = [
-        jb.PowerLaw(a, exponent=2.0, unit="m2/Hz"),
-        jb.PowerLaw(a / 2, exponent=2.0, unit="m2/Hz", sides=2),
-        jb.PowerLaw((2 * np.pi) * a, exponent=2.0, unit="m2/(rad/s)"),
-        jb.PowerLaw(level, exponent=2.0, reference=0.1, unit="m3", speed=SPEED),
-        jb.PowerLaw((2 * np.pi) ** 2 * a, unit="(m/s)2/Hz"),
-        jb.PowerLaw((2 * np.pi) ** 4 * a, exponent=-2.0, unit="(m/s2)2/Hz"),
-        jb.PowerLaw((2 * np.pi) ** 4 * a / 9.80665**2, exponent=-2.0, unit="g2/Hz"),
-        jb.PSD(points, a / points**2, unit="m2/Hz"),
-        jb.PSD(
+        jb.vibration.PowerLaw(a, exponent=2.0, unit="m2/Hz"),
+        jb.vibration.PowerLaw(a / 2, exponent=2.0, unit="m2/Hz", sides=2),
+        jb.vibration.PowerLaw((2 * np.pi) * a, exponent=2.0, unit="m2/(rad/s)"),
+        jb.vibration.PowerLaw(level, exponent=2.0, reference=0.1, unit="m3", speed=SPEED),
+        jb.vibration.PowerLaw((2 * np.pi) ** 2 * a, unit="(m/s)2/Hz"),
+        jb.vibration.PowerLaw((2 * np.pi) ** 4 * a, exponent=-2.0, unit="(m/s2)2/Hz"),
+        jb.vibration.PowerLaw((2 * np.pi) ** 4 * a / 9.80665**2, exponent=-2.0, unit="g2/Hz"),
+        jb.vibration.PSD(points, a / points**2, unit="m2/Hz"),
+        jb.vibration.PSD(
             points / SPEED, a / points**2 * SPEED / 2, unit="m2/(cycle/m)", sides=2, speed=SPEED
         ),
-        jb.PSD(2 * np.pi * points, 0 * points + 2 * np.pi * a, unit="(m/s)2/(rad/s)"),
+        jb.vibration.PSD(2 * np.pi * points, 0 * points + 2 * np.pi * a, unit="(m/s)2/(rad/s)"),
     ]
     for spectrum in same:
         computed = jb.random_response(lin, BAND, ROAD, OUTPUTS, {"road": spectrum})
@@ -148,7 +154,7 @@ def test_spectra_in_all_units_and_sides_agree(lin, ride):
 def test_any_frequencies_are_integrated_by_trapezoids(lin, ride):
     f = np.linspace(0.1, 100.0, 20001)
     computed = jb.random_response(
-        lin, f, ROAD, OUTPUTS, {"road": jb.Unevenness.iso("C").at_speed(SPEED)}
+        lin, f, ROAD, OUTPUTS, {"road": jb.vibration.RoadRoughness.iso("C").at_speed(SPEED)}
     )
     np.testing.assert_allclose(
         computed.rms, np.sqrt(np.trapezoid(np.asarray(computed.psd), f)), rtol=1e-13
@@ -156,7 +162,11 @@ def test_any_frequencies_are_integrated_by_trapezoids(lin, ride):
     np.testing.assert_allclose(computed.rms, ride.rms, rtol=1e-3)
     with pytest.warns(jb.JaxbodyWarning, match="too far apart"):
         coarse = jb.random_response(
-            lin, f[::1000], ROAD, OUTPUTS, {"road": jb.Unevenness.iso("C").at_speed(SPEED)}
+            lin,
+            f[::1000],
+            ROAD,
+            OUTPUTS,
+            {"road": jb.vibration.RoadRoughness.iso("C").at_speed(SPEED)},
         )
     assert jb.Status(int(coarse.status)).name == "COARSE"
 
@@ -186,32 +196,34 @@ def test_an_undamped_resonance_has_an_infinite_variance_where_it_is_excited_and_
     lin, f = two_directions(0.0), np.exp(0.05 * (np.arange(200) - 99.5))
     forces = {name: jb.PointForce("mass", direction=name) for name in "xy"}
     reads = {name: jb.Acceleration("mass", axis=name) for name in "xy"}
-    white = {name: jb.PowerLaw(1.0, unit="N2/Hz") for name in "xy"}
-    for band in (np.append(f[:100], [1.0, *f[100:]]), f, jb.Band(0.1, 10.0)):
+    white = {name: jb.vibration.PowerLaw(1.0, unit="N2/Hz") for name in "xy"}
+    for band in (np.append(f[:100], [1.0, *f[100:]]), f, jb.vibration.Band(0.1, 10.0)):
         with pytest.warns(
             jb.JaxbodyWarning, match=r"no damping.*; x near (0\.9|1).* Hz; give dampers.*UNDAMPED"
         ):
             both = jb.random_response(lin, band, forces, reads, white)
         assert np.isinf(both["x"])
     assert np.isfinite(both["y"])
-    assert np.isinf(jb.weighted(both, {"x": "Wd"})["x"]) and np.isfinite(
-        jb.weighted(both, {"y": "Wd"})["y"]
+    assert np.isinf(jb.vibration.weighted_response(both, {"x": "Wd"})["x"]) and np.isfinite(
+        jb.vibration.weighted_response(both, {"y": "Wd"})["y"]
     )
-    assert np.isnan(jb.level_crossings(both, "x", 0.0)) and np.isfinite(
-        jb.level_crossings(both, "y", 0.0)
+    assert np.isnan(jb.shock.level_crossings(both, "x", 0.0)) and np.isfinite(
+        jb.shock.level_crossings(both, "y", 0.0)
     )
     for inputs, outputs in (("y", "xy"), ("xy", "y")):  # not excited, not read
         part = [
             {name: table[name] for name in names}
             for table, names in ((forces, inputs), (reads, outputs), (white, inputs))
         ]
-        assert jb.random_response(lin, jb.Band(0.1, 10.0), *part).ok
+        assert jb.random_response(lin, jb.vibration.Band(0.1, 10.0), *part).ok
     assert jb.random_response(
-        two_directions(2e-3), jb.Band(0.5, 2.0, points=20001), forces, reads, white
+        two_directions(2e-3), jb.vibration.Band(0.5, 2.0, points=20001), forces, reads, white
     ).ok
-    with_loss = jb.random_response(lin, jb.Band(0.5, 2.0), forces, reads, white, loss_factor=0.05)
+    with_loss = jb.random_response(
+        lin, jb.vibration.Band(0.5, 2.0), forces, reads, white, loss_factor=0.05
+    )
     with_ratio = jb.random_response(
-        lin, jb.Band(0.5, 2.0), forces, reads, white, modal_damping=0.05
+        lin, jb.vibration.Band(0.5, 2.0), forces, reads, white, modal_damping=0.05
     )
     assert with_loss.ok and with_ratio.ok
 
@@ -230,8 +242,11 @@ def test_a_wheelbase_filters_the_excitation_of_both_axles():
     )
     lin = jb.linearize(car, jb.equilibrium(car))
     inputs = {axle: jb.BaseMotion(axle, "z") for axle in ("front", "rear")}
-    outputs = {"heave": jb.Position("body", axis="z"), "pitch": jb.Rotation("body", axis="y")}
-    road = jb.Unevenness.iso("B").at_speed(SPEED)
+    outputs = {
+        "heave": jb.Position("body", axis="z"),
+        "pitch": jb.sensors.Rotation("body", axis="y"),
+    }
+    road = jb.vibration.RoadRoughness.iso("B").at_speed(SPEED)
     f, delay = np.array([0.7, 1.3, 2.9, 7.0]), 2.5 / SPEED
     both = {"front": road, "rear": road}
     H = np.asarray(jb.frequency_response(lin, f, inputs, outputs).values)
@@ -239,7 +254,7 @@ def test_a_wheelbase_filters_the_excitation_of_both_axles():
     phase = np.exp(-2j * np.pi * f * delay)
     for coherence in (1.0, 0.6, lambda f: jnp.exp(-0.1 * f)):
         g = coherence(f) if callable(coherence) else coherence
-        spectra = jb.CrossPSD(
+        spectra = jb.vibration.CrossPSD(
             both, delays={"rear": delay}, coherence={("front", "rear"): coherence}
         )
         response = jb.random_response(lin, np.linspace(0.5, 8, 751), inputs, outputs, spectra)
@@ -262,7 +277,7 @@ def test_weightings_as_tabulated():
         "Wd": {0.5: 853, 1: 1011, 2: 890, 4: 512},
     }
     for name, values in tabulated.items():
-        computed = 1000 * np.abs(np.asarray(jb.weighting(name, list(values))))
+        computed = 1000 * np.abs(np.asarray(jb.vibration.frequency_weighting(name, list(values))))
         np.testing.assert_allclose(computed, list(values.values()), rtol=5e-3)
 
 
@@ -290,7 +305,7 @@ def test_a_weighted_signal_is_that_of_the_analog_filter():
             for a_, b_, c_, d_ in zip(high, low, change, step, strict=True)
         )
         _, reference, _ = scipy.signal.lsim((top, bottom), a, t)
-        computed = jb.weighted_signal(t, a, name)
+        computed = jb.vibration.weighted_signal(t, a, name)
         assert (
             np.abs(np.asarray(computed.values) - reference).max() < 3e-3 * np.abs(reference).max()
         )
@@ -306,13 +321,13 @@ def test_roads_by_class():
     n = np.array([0.02, 0.1, 1.7])
     for i, name in enumerate("ABCDEFGH"):
         np.testing.assert_allclose(
-            jb.Unevenness.iso(name)(n), 16e-6 * 4**i * (n / 0.1) ** -2, rtol=1e-14
+            jb.vibration.RoadRoughness.iso(name)(n), 16e-6 * 4**i * (n / 0.1) ** -2, rtol=1e-14
         )
-    road = jb.Unevenness.iso("D")
+    road = jb.vibration.RoadRoughness.iso("D")
     for count in (2000, 2001):
         s, z = (
             np.asarray(x)
-            for x in jb.road_profile(
+            for x in jb.vibration.road_profile(
                 road, length=250.0, spacing=250.0 / count, key=jax.random.key(3)
             )
         )
@@ -320,8 +335,12 @@ def test_roads_by_class():
         k = np.arange(1, (count + 1) // 2)
         density = 2 * np.abs(np.fft.rfft(z[:-1])[k]) ** 2 / count**2 * 250
         np.testing.assert_allclose(density, road(k / 250), rtol=1e-9)
-    again = jb.road_profile(road, length=250.0, spacing=250.0 / 2001, key=jax.random.key(3))[1]
-    other = jb.road_profile(road, length=250.0, spacing=250.0 / 2001, key=jax.random.key(4))[1]
+    again = jb.vibration.road_profile(
+        road, length=250.0, spacing=250.0 / 2001, key=jax.random.key(3)
+    )[1]
+    other = jb.vibration.road_profile(
+        road, length=250.0, spacing=250.0 / 2001, key=jax.random.key(4)
+    )[1]
     assert np.array_equal(again, z) and not np.allclose(other, z)
 
 
@@ -330,7 +349,7 @@ def test_a_record_gives_back_its_density():
     standard errors."""
     rate, S = 200.0, 0.5
     a = np.random.default_rng(0).normal(size=40_000) * np.sqrt(S * rate / 2)
-    psd = jb.PSD.from_record(np.arange(40_000) / rate, a, unit="m/s2", segment=512)
+    psd = jb.vibration.PSD.from_record(np.arange(40_000) / rate, a, unit="m/s2", segment=512)
     mean = float(jnp.mean(psd(jnp.linspace(1.0, 99.0, 500))))
     # half as many independent powers as samples
     assert psd.quantity == "m/s2" and abs(mean / S - 1) < 3 / np.sqrt(20_000)
@@ -340,14 +359,14 @@ def test_a_record_gives_back_its_density():
 def test_contradictory_coherences_are_refused(lin):
     """One wheel coherent with two that are not with each other; by numbers at once, by functions in
     a status."""
-    road = jb.Unevenness.iso("B").at_speed(SPEED)
+    road = jb.vibration.RoadRoughness.iso("B").at_speed(SPEED)
     names = ("one", "two", "three")
     with pytest.raises(jb.JaxbodyError, match="NOT_POSITIVE"):
-        jb.CrossPSD(
+        jb.vibration.CrossPSD(
             dict.fromkeys(names, road), coherence={("one", "two"): 1.0, ("one", "three"): 1.0}
         )
-    spectra = jb.CrossPSD(
-        {"road": road, "pull": jb.PowerLaw(1.0, unit="N2/Hz")},
+    spectra = jb.vibration.CrossPSD(
+        {"road": road, "pull": jb.vibration.PowerLaw(1.0, unit="N2/Hz")},
         coherence={("road", "pull"): lambda f: 0.5 + f},
     )
     with pytest.warns(jb.JaxbodyWarning, match="NOT_POSITIVE"):
@@ -361,56 +380,56 @@ def test_contradictory_coherences_are_refused(lin):
 @pytest.mark.parametrize(
     ("code", "call"),
     [
-        ("BAD_UNIT", lambda lin: jb.PowerLaw(1.0, unit="m/Hz")),
-        ("BAD_UNIT", lambda lin: jb.PSD([1, 2], [1, 1], unit="furlong2/Hz")),
-        ("NO_SPEED", lambda lin: jb.PowerLaw(1.0, unit="m3")),
-        ("NO_SPEED", lambda lin: jb.PowerLaw(1.0, unit="m2/Hz", speed=20.0)),
-        ("NO_SPEED", lambda lin: jb.Unevenness.iso("A").at_speed(-3.0)),
-        ("BAD_SIDES", lambda lin: jb.PowerLaw(1.0, unit="m2/Hz", sides=3)),
-        ("NEGATIVE", lambda lin: jb.PSD([1, 2], [1, -1], unit="m2/Hz")),
-        ("BAD_FREQUENCY", lambda lin: jb.PSD([0, 2], [1, 1], unit="m2/Hz")),
-        ("BAD_SHAPE", lambda lin: jb.PSD([1, 2, 3], [1, 1], unit="m2/Hz")),
-        ("EMPTY_BAND", lambda lin: jb.Band(10.0, 1.0)),
-        ("BAD_FREQUENCY", lambda lin: jb.Band(0.0, 1.0)),
+        ("BAD_UNIT", lambda lin: jb.vibration.PowerLaw(1.0, unit="m/Hz")),
+        ("BAD_UNIT", lambda lin: jb.vibration.PSD([1, 2], [1, 1], unit="furlong2/Hz")),
+        ("NO_SPEED", lambda lin: jb.vibration.PowerLaw(1.0, unit="m3")),
+        ("NO_SPEED", lambda lin: jb.vibration.PowerLaw(1.0, unit="m2/Hz", speed=20.0)),
+        ("NO_SPEED", lambda lin: jb.vibration.RoadRoughness.iso("A").at_speed(-3.0)),
+        ("BAD_SIDES", lambda lin: jb.vibration.PowerLaw(1.0, unit="m2/Hz", sides=3)),
+        ("NEGATIVE", lambda lin: jb.vibration.PSD([1, 2], [1, -1], unit="m2/Hz")),
+        ("BAD_FREQUENCY", lambda lin: jb.vibration.PSD([0, 2], [1, 1], unit="m2/Hz")),
+        ("BAD_SHAPE", lambda lin: jb.vibration.PSD([1, 2, 3], [1, 1], unit="m2/Hz")),
+        ("EMPTY_BAND", lambda lin: jb.vibration.Band(10.0, 1.0)),
+        ("BAD_FREQUENCY", lambda lin: jb.vibration.Band(0.0, 1.0)),
         (
             "EMPTY_BAND",
             lambda lin: jb.random_response(
-                lin, [1.0], ROAD, OUTPUTS, {"road": jb.PowerLaw(1.0, unit="m2/Hz")}
+                lin, [1.0], ROAD, OUTPUTS, {"road": jb.vibration.PowerLaw(1.0, unit="m2/Hz")}
             ),
         ),
         (
             "EMPTY_BAND",
             lambda lin: jb.random_response(
-                lin, [2.0, 1.0], ROAD, OUTPUTS, {"road": jb.PowerLaw(1.0, unit="m2/Hz")}
+                lin, [2.0, 1.0], ROAD, OUTPUTS, {"road": jb.vibration.PowerLaw(1.0, unit="m2/Hz")}
             ),
         ),
         (
             "BAD_UNIT",
             lambda lin: jb.random_response(
-                lin, BAND, ROAD, OUTPUTS, {"road": jb.PowerLaw(1.0, unit="N2/Hz")}
+                lin, BAND, ROAD, OUTPUTS, {"road": jb.vibration.PowerLaw(1.0, unit="N2/Hz")}
             ),
         ),
         (
             "BAD_UNIT",
             lambda lin: jb.random_response(
-                lin, BAND, ROAD, OUTPUTS, {"road": jb.PowerLaw(1.0, unit="rad2/Hz")}
+                lin, BAND, ROAD, OUTPUTS, {"road": jb.vibration.PowerLaw(1.0, unit="rad2/Hz")}
             ),
         ),
         ("NO_SPECTRUM", lambda lin: jb.random_response(lin, BAND, ROAD, OUTPUTS, {})),
         (
             "UNKNOWN_NAME",
             lambda lin: jb.random_response(
-                lin, BAND, ROAD, OUTPUTS, {"rood": jb.PowerLaw(1.0, unit="m2/Hz")}
+                lin, BAND, ROAD, OUTPUTS, {"rood": jb.vibration.PowerLaw(1.0, unit="m2/Hz")}
             ),
         ),
         ("WRONG_KIND", lambda lin: jb.random_response(lin, BAND, ROAD, OUTPUTS, {"road": 1.0})),
         (
             "BAD_FREQUENCY",
             lambda lin: jb.random_response(
-                lin, [0.0, 1.0], ROAD, OUTPUTS, {"road": jb.PowerLaw(1.0, unit="m2/Hz")}
+                lin, [0.0, 1.0], ROAD, OUTPUTS, {"road": jb.vibration.PowerLaw(1.0, unit="m2/Hz")}
             ),
         ),
-        ("BAD_FREQUENCY", lambda lin: jb.weighting("Wk", [0.0, 1.0])),
+        ("BAD_FREQUENCY", lambda lin: jb.vibration.frequency_weighting("Wk", [0.0, 1.0])),
         ("BAD_FREQUENCY", lambda lin: jb.frequency_response(lin, [-1.0], ROAD, OUTPUTS)),
         ("BAD_SHAPE", lambda lin: jb.frequency_response(lin, [], ROAD, OUTPUTS)),
         ("NON_FINITE", lambda lin: jb.frequency_response(lin, [np.nan], ROAD, OUTPUTS)),
@@ -431,7 +450,7 @@ def test_contradictory_coherences_are_refused(lin):
         ),
         (
             "UNKNOWN_NAME",
-            lambda lin: jb.frequency_response(lin, [1.0], ROAD, {"t": jb.LoadCell("tire")}),
+            lambda lin: jb.frequency_response(lin, [1.0], ROAD, {"t": jb.sensors.LoadCell("tire")}),
         ),
         (
             "UNKNOWN_NAME",
@@ -440,7 +459,7 @@ def test_contradictory_coherences_are_refused(lin):
         (
             "BAD_COMPONENT",
             lambda lin: jb.frequency_response(
-                lin, [1.0], ROAD, {"t": jb.LoadCell("tyre", component=2)}
+                lin, [1.0], ROAD, {"t": jb.sensors.LoadCell("tyre", component=2)}
             ),
         ),
         ("WRONG_KIND", lambda lin: jb.frequency_response(lin, [1.0], OUTPUTS, ROAD)),
@@ -448,7 +467,7 @@ def test_contradictory_coherences_are_refused(lin):
         (
             "WRONG_KIND",
             lambda lin: jb.frequency_response(
-                jb.linearize_spin(lin.model, lin.state), [1.0], ROAD, OUTPUTS
+                jb.vibration.linearize_spin(lin.model, lin.state), [1.0], ROAD, OUTPUTS
             ),
         ),
         (
@@ -456,19 +475,19 @@ def test_contradictory_coherences_are_refused(lin):
             lambda lin: jb.frequency_response(lin, [1.0], ROAD, {"p": jb.BaseMotion("road", "z")}),
         ),
         ("BAD_DIRECTION", lambda lin: jb.BaseMotion("road", "up")),
-        ("BAD_DIRECTION", lambda lin: jb.Rotation("body", axis="w")),
+        ("BAD_DIRECTION", lambda lin: jb.sensors.Rotation("body", axis="w")),
         ("BAD_KIND", lambda lin: jb.BaseMotion("road", "z", kind="jerk")),
         ("BAD_CHAIN", lambda lin: lin.state_space(ROAD, {"p": jb.Position("body", delay=0.1)})),
         ("ZERO_AXIS", lambda lin: jb.PointForce("body", direction=[0, 0, 0])),
-        ("BAD_CLASS", lambda lin: jb.Unevenness.iso("Z")),
+        ("BAD_CLASS", lambda lin: jb.vibration.RoadRoughness.iso("Z")),
         (
             "BAD_LENGTH",
-            lambda lin: jb.road_profile(
-                jb.Unevenness.iso("A"), length=1.0, spacing=2.0, key=jax.random.key(0)
+            lambda lin: jb.vibration.road_profile(
+                jb.vibration.RoadRoughness.iso("A"), length=1.0, spacing=2.0, key=jax.random.key(0)
             ),
         ),
-        ("BAD_WEIGHTING", lambda lin: jb.weighting("Wz", [1.0])),
-        ("NOT_UNIFORM", lambda lin: jb.weighted_signal([0, 1, 3.0], [0, 1, 2.0], "Wk")),
+        ("BAD_WEIGHTING", lambda lin: jb.vibration.frequency_weighting("Wz", [1.0])),
+        ("NOT_UNIFORM", lambda lin: jb.vibration.weighted_signal([0, 1, 3.0], [0, 1, 2.0], "Wk")),
     ],
 )
 def test_invalid_arguments_are_refused(lin, code, call):
@@ -478,8 +497,8 @@ def test_invalid_arguments_are_refused(lin, code, call):
 
 
 def test_only_accelerations_are_weighted(lin, ride):
-    felt = jb.weighted(ride, {"acceleration": "Wk"})
-    W = np.abs(np.asarray(jb.weighting("Wk", BAND.frequencies)))
+    felt = jb.vibration.weighted_response(ride, {"acceleration": "Wk"})
+    W = np.abs(np.asarray(jb.vibration.frequency_weighting("Wk", BAND.frequencies)))
     np.testing.assert_allclose(felt.psd[0], ride.psd[0] * W**2, rtol=1e-12)
     np.testing.assert_allclose(
         felt["acceleration"] ** 2, jnp.sum(felt.psd[0] * BAND.weights), rtol=1e-12
@@ -490,7 +509,7 @@ def test_only_accelerations_are_weighted(lin, ride):
         ("BAD_WEIGHTING", {"acceleration": "Wx"}),
     ):
         with pytest.raises(jb.JaxbodyError) as refused:
-            jb.weighted(ride, weights)
+            jb.vibration.weighted_response(ride, weights)
         assert refused.value.code == code
 
 
@@ -539,7 +558,7 @@ def test_pictures_show_their_data(lin, ride, monkeypatch):
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), ride.psd[2])
     with pytest.raises(jb.JaxbodyError, match="UNKNOWN_NAME"):
         plots.plot_psd(ride, outputs=("seat",))
-    forces = jb.frequency_response(lin, [1.0, 2.0], ROAD, {"tyre": jb.LoadCell("tyre")})
+    forces = jb.frequency_response(lin, [1.0, 2.0], ROAD, {"tyre": jb.sensors.LoadCell("tyre")})
     with pytest.raises(jb.JaxbodyError, match="BAD_UNIT"):
         plots.plot_transmissibility(forces)
     plt.close("all")
@@ -551,12 +570,12 @@ def test_variances_by_simulation(lin):
     standard errors of the closed form; and on a path of a class C road, whose density is exact:
     within half a percent of the sum over the waves that it has (steps of 5 cm take from waves of
     20 cm)."""
-    road, eq = jb.Unevenness.iso("C"), jb.equilibrium(CAR)
+    road, eq = jb.vibration.RoadRoughness.iso("C"), jb.equilibrium(CAR)
     length, spacing, n = 400.0, 0.05, 8000
     times = jnp.linspace(0.0, 2 * length / SPEED, 2 * n + 1)
 
     def variances(s, z):
-        wheel = jb.Road(s, z - z[0], speed=SPEED)
+        wheel = jb.inputs.Road(s, z - z[0], speed=SPEED)
         steps = dict(
             stepsize_controller=diffrax.ConstantStepSize(), dt0=spacing / SPEED, max_steps=20_000
         )
@@ -579,7 +598,9 @@ def test_variances_by_simulation(lin):
 
     s, z = (
         np.asarray(x)
-        for x in jb.road_profile(road, length=length, spacing=spacing, key=jax.random.key(1))
+        for x in jb.vibration.road_profile(
+            road, length=length, spacing=spacing, key=jax.random.key(1)
+        )
     )
     # twice, the first time to settle
     computed = variances(np.concatenate([s, s[1:] + length]), np.concatenate([z, z[1:]]))

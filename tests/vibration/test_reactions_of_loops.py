@@ -41,10 +41,10 @@ INPUTS = {
     "acceleration": jb.BaseMotion("base", "y", kind="acceleration"),
 }
 OUTPUTS = {
-    "hinge": jb.Reaction("arm"),
-    "edge": jb.Reaction("base", [0.3, 0.1, 0.2]),
-    "plate": jb.ForcePlate("base"),
-    "moment": jb.Reaction("arm", [0, -0.2, 0.1], component=3, gain=2.0, lag=0.01),
+    "hinge": jb.sensors.Reaction("arm"),
+    "edge": jb.sensors.Reaction("base", [0.3, 0.1, 0.2]),
+    "plate": jb.sensors.ForcePlate("base"),
+    "moment": jb.sensors.Reaction("arm", [0, -0.2, 0.1], component=3, gain=2.0, lag=0.01),
 }
 
 
@@ -76,9 +76,9 @@ def test_of_a_slider_crank_they_are_the_changes_of_a_motions_reactions():
     rest = jb.equilibrium(model)
     lin = jb.linearize(model, rest)
     outputs = {
-        "foot": jb.Reaction("crank"),
-        "pin": jb.Reaction("coupler"),
-        "base": jb.ForcePlate("base"),
+        "foot": jb.sensors.Reaction("crank"),
+        "pin": jb.sensors.Reaction("coupler"),
+        "base": jb.sensors.ForcePlate("base"),
     }
     system = lin.state_space({"push": jb.PointForce("coupler", direction="y")}, outputs)
 

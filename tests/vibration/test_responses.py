@@ -36,14 +36,14 @@ def rig():
 
 OUTPUTS = {
     "point": jb.Position("box", POINT, axis=[1, 1, 0]),
-    "turn": jb.Rotation("arm", axis="x"),
+    "turn": jb.sensors.Rotation("arm", axis="x"),
     "relative": jb.Position("arm", [0.1, 0, 0.2], axis="y", relative_to="box"),
     "elongation": jb.Elongation("s2"),
     "deformation": jb.Elongation("mount", component=4),
-    "tension": jb.LoadCell("s3"),
-    "bushing": jb.LoadCell("mount", component=1),
-    "force": jb.Reaction("base", component=0),
-    "moment": jb.Reaction("base", component=4),
+    "tension": jb.sensors.LoadCell("s3"),
+    "bushing": jb.sensors.LoadCell("mount", component=1),
+    "force": jb.sensors.Reaction("base", component=0),
+    "moment": jb.sensors.Reaction("base", component=4),
 }
 
 
@@ -245,8 +245,8 @@ def test_a_loss_factor_makes_the_stiffness_complex():
     f, eta = r * np.sqrt(50.0) / (2 * np.pi), 0.2
     outputs = {
         "mass": jb.Position("mass", axis="y"),
-        "force": jb.LoadCell("s"),
-        "reaction": jb.Reaction("base", component=1),
+        "force": jb.sensors.LoadCell("s"),
+        "reaction": jb.sensors.Reaction("base", component=1),
     }
     T = (1 + 1j * eta) / (1 + 1j * eta - r**2)
     for given, method in ((eta, "direct"), ({"s": eta}, "modal")):
@@ -329,7 +329,10 @@ def test_fixed_points_of_an_absorber():
 PLATE = rigs.plate(damping=2.0)
 FOUR = np.array([0.6, 1.9, 2.7, 4.0])
 UP = {"base": jb.BaseMotion("base", "z")}
-CORNER = {"corner": jb.Acceleration("plate", [0.4, 0.3, 0.05], axis="z"), "s1": jb.LoadCell("s1")}
+CORNER = {
+    "corner": jb.Acceleration("plate", [0.4, 0.3, 0.05], axis="z"),
+    "s1": jb.sensors.LoadCell("s1"),
+}
 
 
 def measures(model):
@@ -340,12 +343,14 @@ def measures(model):
     modal = jb.frequency_response(lin, FOUR, UP, CORNER, method="modal").magnitude.ravel()
     ride = jb.random_response(
         lin,
-        jb.Band(0.2, 20.0, points=201),
+        jb.vibration.Band(0.2, 20.0, points=201),
         UP,
         CORNER,
-        {"base": jb.PowerLaw(1e-4, unit="(m/s)2/Hz")},
+        {"base": jb.vibration.PowerLaw(1e-4, unit="(m/s)2/Hz")},
     )
-    return jnp.concatenate([direct, modal, ride.rms, jb.weighted(ride, {"corner": "Wk"}).rms])
+    return jnp.concatenate(
+        [direct, modal, ride.rms, jb.vibration.weighted_response(ride, {"corner": "Wk"}).rms]
+    )
 
 
 @pytest.mark.long
@@ -458,10 +463,10 @@ def test_an_unstable_equilibrium_has_no_response():
     with pytest.warns(jb.JaxbodyWarning, match="UNSTABLE"):
         ride = jb.random_response(
             lin,
-            jb.Band(1, 2, points=17),
+            jb.vibration.Band(1, 2, points=17),
             {"x": BASE["x"]},
             {"bob": jb.Position("bob", axis="z")},
-            {"x": jb.PowerLaw(1.0, unit="m2/Hz")},
+            {"x": jb.vibration.PowerLaw(1.0, unit="m2/Hz")},
         )
     assert np.isnan(ride.rms).all()
     with pytest.raises(jb.JaxbodyError, match="UNSTABLE"):

@@ -49,10 +49,10 @@ IN_SI = {  # unit -> how many of (m/s2)2/Hz, or of the quantity squared per hert
 @pytest.mark.parametrize("unit", IN_SI)
 def test_a_density_is_the_same_in_every_spelling_of_its_unit(unit):
     """g counts squared, and so do millimeters and degrees."""
-    density = jb.PowerLaw(3.0, unit=unit)
+    density = jb.vibration.PowerLaw(3.0, unit=unit)
     np.testing.assert_allclose(density(F), 3.0 * IN_SI[unit], rtol=1e-13)
     np.testing.assert_allclose(
-        jb.PSD([0.1, 100.0], [3.0, 3.0], unit=unit)(F), 3.0 * IN_SI[unit], rtol=1e-12
+        jb.vibration.PSD([0.1, 100.0], [3.0, 3.0], unit=unit)(F), 3.0 * IN_SI[unit], rtol=1e-12
     )
 
 
@@ -73,7 +73,7 @@ def test_a_density_over_distance_is_read_in_every_spelling(unit, waves, quantity
     """A road of level (n/n0)^-2 at a speed U: level/U (f/U/n0)^-2 per hertz; per rad/m at the same
     wave 2 pi times as much, n0 in rad/m."""
     around = 2 * np.pi if "rad" in unit else 1.0
-    road = jb.PowerLaw(64e-6, exponent=2.0, reference=0.1 * around, unit=unit, speed=20.0)
+    road = jb.vibration.PowerLaw(64e-6, exponent=2.0, reference=0.1 * around, unit=unit, speed=20.0)
     np.testing.assert_allclose(road(F), waves * 64e-6 / 20.0 * (F / 20.0 / 0.1) ** -2, rtol=1e-13)
     assert road.quantity == quantity
 
@@ -96,7 +96,7 @@ def test_a_density_over_distance_is_read_in_every_spelling(unit, waves, quantity
 )
 def test_a_unit_of_no_density_is_refused(unit):
     with pytest.raises(jb.JaxbodyError) as refused:
-        jb.PowerLaw(1.0, unit=unit)
+        jb.vibration.PowerLaw(1.0, unit=unit)
     assert (
         refused.value.code == "BAD_UNIT"
         and refused.value.where == "PowerLaw.unit"
@@ -105,9 +105,11 @@ def test_a_unit_of_no_density_is_refused(unit):
 
 
 def test_a_two_sided_density_counts_twice():
-    law, twice = (jb.PowerLaw(3.0, exponent=2.0, unit="m2/Hz", sides=sides) for sides in (1, 2))
+    law, twice = (
+        jb.vibration.PowerLaw(3.0, exponent=2.0, unit="m2/Hz", sides=sides) for sides in (1, 2)
+    )
     table, table_twice = (
-        jb.PSD([0.1, 100.0], [300.0, 3e-4], unit="m2/Hz", sides=sides) for sides in (1, 2)
+        jb.vibration.PSD([0.1, 100.0], [300.0, 3e-4], unit="m2/Hz", sides=sides) for sides in (1, 2)
     )  # the same: 3/f^2
     for spectrum, sides in ((law, 1), (twice, 2), (table, 1), (table_twice, 2)):
         np.testing.assert_allclose(spectrum(F), sides * 3.0 / F**2, rtol=1e-12)
@@ -116,7 +118,7 @@ def test_a_two_sided_density_counts_twice():
 @pytest.mark.parametrize("reference", [0.0, -0.1])
 def test_a_reference_of_zero_or_less_is_refused(reference):
     with pytest.raises(jb.JaxbodyError) as refused:
-        jb.PowerLaw(1.0, exponent=2.0, reference=reference, unit="m2/Hz")
+        jb.vibration.PowerLaw(1.0, exponent=2.0, reference=reference, unit="m2/Hz")
     assert (
         refused.value.code == "BAD_FREQUENCY"
         and refused.value.where == "PowerLaw.reference"
@@ -128,9 +130,9 @@ def test_a_reference_of_zero_or_less_is_refused(reference):
     "pairs", [{("front", "front"): 0.5}, {("front", "rear"): 0.5, ("rear", "front"): 0.9}]
 )
 def test_coherence_of_an_input_with_itself_and_of_a_pair_given_twice_is_refused(pairs):
-    road = jb.PowerLaw(1.0, unit="m2/Hz")
+    road = jb.vibration.PowerLaw(1.0, unit="m2/Hz")
     with pytest.raises(jb.JaxbodyError) as refused:
-        jb.CrossPSD({"front": road, "rear": road}, coherence=pairs)
+        jb.vibration.CrossPSD({"front": road, "rear": road}, coherence=pairs)
     assert refused.value.code == "BAD_PAIR" and str(list(pairs)[-1]) in str(refused.value)
 
 
@@ -151,8 +153,10 @@ def test_a_delayed_input_lags():
             ),
         },
     )
-    white = jb.PowerLaw(1.0, unit="m2/Hz")
-    spectra = jb.CrossPSD({"a": white, "b": white}, delays={"b": d}, coherence={("a", "b"): 1.0})
+    white = jb.vibration.PowerLaw(1.0, unit="m2/Hz")
+    spectra = jb.vibration.CrossPSD(
+        {"a": white, "b": white}, delays={"b": d}, coherence={("a", "b"): 1.0}
+    )
     inputs, f = {name: jb.BaseMotion(name, "z") for name in ("a", "b")}, np.linspace(1.0, 6.0, 201)
     result = jb.random_response(
         jb.linearize(model, model.reference),

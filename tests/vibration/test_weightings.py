@@ -292,7 +292,7 @@ def test_weightings_are_those_of_the_tables(name):
         (f, x) for f, x in zip(THIRD_OCTAVES[first:], TABLES[name], strict=False) if x is not None
     ]
     frequencies, printed = np.array(rows).T
-    result = 1000 * np.abs(np.asarray(jb.weighting(name, frequencies)))
+    result = 1000 * np.abs(np.asarray(jb.vibration.frequency_weighting(name, frequencies)))
     assert (np.abs(result - printed) <= 4e-3 * printed + 5e-3).all()
 
 
@@ -310,7 +310,11 @@ AT_REFERENCE = {
 @pytest.mark.parametrize("name", AT_REFERENCE)
 def test_weightings_at_the_reference_frequencies(name):
     """ISO 8041:2005, table 1: at 100 rad/s, of Wf at 2.5 rad/s, four digits."""
-    result = float(np.abs(jb.weighting(name, [(2.5 if name == "Wf" else 100.0) / (2 * np.pi)]))[0])
+    result = float(
+        np.abs(
+            jb.vibration.frequency_weighting(name, [(2.5 if name == "Wf" else 100.0) / (2 * np.pi)])
+        )[0]
+    )
     assert f"{result:.4g}" == f"{AT_REFERENCE[name]:.4g}"
 
 
@@ -333,7 +337,9 @@ def test_wb_is_that_of_the_british_standard():
     step = (s**2 + w * 2.5 / 0.9 * s + (w * 2.5) ** 2) / (s**2 + w * 4 / 0.95 * s + (w * 4) ** 2)
     gain = w * 0.4 * 16**2 * 4**2 / (16 * 2.5**2)
     # of 0.71 for the root of one half
-    np.testing.assert_allclose(jb.weighting("Wb", f), band * change * step * gain, rtol=6e-3)
+    np.testing.assert_allclose(
+        jb.vibration.frequency_weighting("Wb", f), band * change * step * gain, rtol=6e-3
+    )
 
 
 @pytest.mark.long
@@ -353,7 +359,7 @@ def test_only_accelerations_of_the_right_kind_are_weighted():
     )
     outputs = {
         "z": jb.Acceleration("box", axis="z"),
-        "pitch": jb.AngularAcceleration("box", axis="y"),
+        "pitch": jb.sensors.AngularAcceleration("box", axis="y"),
     }
     shaken = {"floor": jb.BaseMotion("floor", "z")}
     ride = jb.random_response(
@@ -361,15 +367,15 @@ def test_only_accelerations_of_the_right_kind_are_weighted():
         np.linspace(1, 9, 81),
         shaken,
         outputs,
-        {"floor": jb.PowerLaw(1e-3, unit="m2/s4/Hz")},
+        {"floor": jb.vibration.PowerLaw(1e-3, unit="m2/s4/Hz")},
     )
-    felt = jb.weighted(ride, {"z": "Wb", "pitch": "We"})
+    felt = jb.vibration.weighted_response(ride, {"z": "Wb", "pitch": "We"})
     assert felt.units == ("m/s2", "rad/s2")
-    W = np.abs(np.asarray(jb.weighting("Wb", ride.frequencies)))
+    W = np.abs(np.asarray(jb.vibration.frequency_weighting("Wb", ride.frequencies)))
     np.testing.assert_allclose(felt.psd[0], ride.psd[0] * W**2, rtol=1e-12)
     for weights in ({"z": "We"}, {"pitch": "Wk"}):
         with pytest.raises(jb.JaxbodyError) as refused:
-            jb.weighted(ride, weights)
+            jb.vibration.weighted_response(ride, weights)
         assert refused.value.code == "BAD_UNIT"
 
 
@@ -386,8 +392,11 @@ def test_the_dose_of_a_weighted_sine_is_the_closed_form(name, frequency):
     """With a |W| for the amplitude; the beginning from rest, a second or two of 80 s, adds less
     than half a percent."""
     t = np.arange(0.0, 80.0, 1 / 400)
-    felt = jb.weighted_signal(t, 0.8 * np.sin(2 * np.pi * frequency * t), name)
-    amplitude, T = 0.8 * float(jnp.abs(jb.weighting(name, [frequency]))[0]), t[-1]
+    felt = jb.vibration.weighted_signal(t, 0.8 * np.sin(2 * np.pi * frequency * t), name)
+    amplitude, T = (
+        0.8 * float(jnp.abs(jb.vibration.frequency_weighting(name, [frequency]))[0]),
+        t[-1],
+    )
     np.testing.assert_allclose(felt.vdv, (3 / 8) ** 0.25 * amplitude * T**0.25, rtol=5e-3)
     np.testing.assert_allclose(
         felt.estimated_vdv, 1.4 * amplitude / np.sqrt(2) * T**0.25, rtol=5e-3
@@ -402,14 +411,14 @@ def test_the_dose_of_a_shock_counts_it_more_than_the_rms_does_and_has_derivative
     degree, so that the derivative along the record is the dose; 0 at silence."""
     t = np.arange(0.0, 10.0, 0.005)
     shock = 30.0 * (np.arange(2000) == 400)
-    felt = jb.weighted_signal(t, shock, "Wk")
+    felt = jb.vibration.weighted_signal(t, shock, "Wk")
     np.testing.assert_allclose(
         felt.vdv, np.trapezoid(np.asarray(felt.values) ** 4, t) ** 0.25, rtol=1e-12
     )
     assert felt.vdv > 1.5 * felt.estimated_vdv and felt.crest_factor > 6
 
     def of(a):
-        return jb.weighted_signal(t, a, "Wk").vdv
+        return jb.vibration.weighted_signal(t, a, "Wk").vdv
 
     np.testing.assert_allclose(
         jnp.vdot(jax.grad(of)(jnp.asarray(shock)), shock), felt.vdv, rtol=1e-12
@@ -422,5 +431,9 @@ def test_slow_weightings_are_padded_until_their_filter_has_decayed():
     Fourier transform do not meet (of Wf, from 0.08 Hz)."""
     t = np.arange(0.0, 120.0, 0.25)
     a = np.sin(2 * np.pi * 0.2 * t)
-    longer = jb.weighted_signal(np.arange(0.0, 400.0, 0.25), np.pad(a, (0, 1120)), "Wf").values
-    np.testing.assert_allclose(jb.weighted_signal(t, a, "Wf").values, longer[:480], atol=2e-6)
+    longer = jb.vibration.weighted_signal(
+        np.arange(0.0, 400.0, 0.25), np.pad(a, (0, 1120)), "Wf"
+    ).values
+    np.testing.assert_allclose(
+        jb.vibration.weighted_signal(t, a, "Wf").values, longer[:480], atol=2e-6
+    )

@@ -13,7 +13,7 @@ K_ROD = 4e6
 
 @pytest.fixture(scope="module")
 def ideal():
-    return jb.double_wishbone()
+    return jb.suspension.double_wishbone()
 
 
 @pytest.fixture(scope="module")
@@ -29,12 +29,14 @@ def elastic(ideal):
         | {"rack": jb.Fixed("world")},
         closures={name: model[name] for name in model.closure_names} | {"height": held},
     )
-    return jb.compliant(still, {"tie rod": jb.Compliance(stiffness=K_ROD)})
+    return jb.suspension.compliant(still, {"tie rod": jb.suspension.Compliance(stiffness=K_ROD)})
 
 
 @pytest.fixture(scope="module")
 def compliance(ideal, elastic):
-    return jb.wheel_compliance(jb.linearize(elastic, jb.equilibrium(elastic)), ideal.wheel)
+    return jb.vibration.wheel_compliance(
+        jb.linearize(elastic, jb.equilibrium(elastic)), ideal.wheel
+    )
 
 
 @pytest.mark.long

@@ -16,7 +16,7 @@ G, L = 9.81, 0.1
 
 @pytest.fixture(scope="module")
 def curves():
-    return jb.double_wishbone().curves(np.linspace(-0.06, 0.06, 5))
+    return jb.suspension.double_wishbone().curves(np.linspace(-0.06, 0.06, 5))
 
 
 @pytest.fixture(scope="module")
@@ -91,10 +91,10 @@ def test_a_suspension_moves_over_its_travel(curves, corner):
 @pytest.mark.long
 def test_rows_beyond_reach_are_left_out(curves):
     with pytest.warns(jb.JaxbodyWarning):
-        partly = jb.double_wishbone().curves([0.0, 0.02, 1.0])
+        partly = jb.suspension.double_wishbone().curves([0.0, 0.02, 1.0])
     assert len(jb.view(partly).animation.seconds) == 2
     with pytest.warns(jb.JaxbodyWarning):
-        nowhere = jb.double_wishbone().curves([1.0])
+        nowhere = jb.suspension.double_wishbone().curves([1.0])
     with pytest.raises(jb.JaxbodyError, match=r"has no configuration.*NONFINITE"):
         jb.view(nowhere)
 

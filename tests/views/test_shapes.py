@@ -60,30 +60,32 @@ def test_only_sharp_edges_are_drawn(mesh, count):
 
 
 def test_shapes_are_where_they_are_placed():
-    box = jb.Shape.box([2, 1, 1], center=[1, 0, 0], orientation=jb.Euler("z", [np.pi / 2]))
+    box = jb.views.Shape.box(
+        [2, 1, 1], center=[1, 0, 0], orientation=jb.EulerAngles("z", [np.pi / 2])
+    )
     np.testing.assert_allclose(
         [box.mesh.vertices.min(0), box.mesh.vertices.max(0)],
         [[0.5, -1, -0.5], [1.5, 1, 0.5]],
         atol=1e-12,
     )
-    rod = jb.Shape.cylinder(0.1, 2.0, axis=[1, 0, 0], center=[0, 0, 3])
+    rod = jb.views.Shape.cylinder(0.1, 2.0, axis=[1, 0, 0], center=[0, 0, 3])
     assert np.ptp(rod.mesh.vertices[:, 0]) == pytest.approx(2.0) and rod.mesh.vertices[
         :, 2
     ].mean() == pytest.approx(3.0)
-    ball = jb.Shape.sphere(0.5, center=[0, 1, 0], color="red")
+    ball = jb.views.Shape.sphere(0.5, center=[0, 1, 0], color="red")
     assert (
         np.linalg.norm(ball.mesh.vertices - [0, 1, 0], axis=1) == pytest.approx(0.5)
         and ball.color == "#ff0000"
     )
-    assert len(jb.Shape.hull(np.eye(4, 3)).mesh.faces) == 4
+    assert len(jb.views.Shape.hull(np.eye(4, 3)).mesh.faces) == 4
 
 
 def test_a_mesh_from_a_file_is_drawn_in_meters(tmp_path):
     path = tmp_path / "part.stl"
     trimesh.creation.box(extents=[100.0, 200.0, 300.0]).export(path)
-    shape = jb.Shape.file(path, scale=1e-3, center=[0, 0, 1])
+    shape = jb.views.Shape.file(path, scale=1e-3, center=[0, 0, 1])
     np.testing.assert_allclose(np.ptp(shape.mesh.vertices, axis=0), [0.1, 0.2, 0.3], atol=1e-9)
-    animation = jb.view(plate(), shapes={"plate": [shape, jb.Shape.sphere(0.2)]}).animation
+    animation = jb.view(plate(), shapes={"plate": [shape, jb.views.Shape.sphere(0.2)]}).animation
     assert animation.part("bodies", "plate", "shape 1").mesh is shape.mesh
     assert {part.path[2] for part in animation.parts if part.path[:2] == ("bodies", "plate")} == {
         "shape 1",
@@ -95,21 +97,21 @@ def test_a_mesh_from_a_file_is_drawn_in_meters(tmp_path):
 def test_shapes_do_not_enter_the_physics():
     model = plate()
     before = repr(model), repr(jb.equilibrium(model))
-    jb.view(model, shapes={"plate": jb.Shape.box([1, 1, 1])})
+    jb.view(model, shapes={"plate": jb.views.Shape.box([1, 1, 1])})
     assert (repr(model), repr(jb.equilibrium(model))) == before
 
 
 @pytest.mark.parametrize(
     "make, code",
     [
-        (lambda: jb.Shape.box([1, -1, 1]), "NOT_POSITIVE"),
-        (lambda: jb.Shape.cylinder(0.1, 1.0, axis=[0, 0, 0]), "ZERO_AXIS"),
-        (lambda: jb.Shape.sphere(np.nan), "NON_FINITE"),
-        (lambda: jb.Shape.hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), "BAD_SHAPE"),
-        (lambda: jb.Shape.hull([[0, 0], [1, 0]]), "BAD_SHAPE"),
-        (lambda: jb.Shape.box([1, 1, 1], color="no color"), "WRONG_KIND"),
-        (lambda: jb.Shape.sphere(1.0, opacity=2.0), "NOT_A_FRACTION"),
-        (lambda: jb.Shape.file("none.stl"), "NO_FILE"),
+        (lambda: jb.views.Shape.box([1, -1, 1]), "NOT_POSITIVE"),
+        (lambda: jb.views.Shape.cylinder(0.1, 1.0, axis=[0, 0, 0]), "ZERO_AXIS"),
+        (lambda: jb.views.Shape.sphere(np.nan), "NON_FINITE"),
+        (lambda: jb.views.Shape.hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), "BAD_SHAPE"),
+        (lambda: jb.views.Shape.hull([[0, 0], [1, 0]]), "BAD_SHAPE"),
+        (lambda: jb.views.Shape.box([1, 1, 1], color="no color"), "WRONG_KIND"),
+        (lambda: jb.views.Shape.sphere(1.0, opacity=2.0), "NOT_A_FRACTION"),
+        (lambda: jb.views.Shape.file("none.stl"), "NO_FILE"),
     ],
 )
 def test_what_is_no_shape_is_refused(make, code):
@@ -121,4 +123,4 @@ def test_a_file_without_a_mesh_is_named(tmp_path):
     path = tmp_path / "part.stl"
     path.write_bytes(b"no mesh at all")
     with pytest.raises(jb.JaxbodyError, match=r"part\.stl.*UNREADABLE"):
-        jb.Shape.file(path)
+        jb.views.Shape.file(path)

@@ -111,7 +111,7 @@ def test_a_minute_of_a_car_is_a_small_page(car, most, tmp_path):
     profile = _rough()
     places = {name: float(model[name].position[0]) for name in model.layout.supports}
     motion = {
-        name: jb.Road(*profile, speed=10.0, position=x + 5.0, footprint=0.2)
+        name: jb.inputs.Road(*profile, speed=10.0, position=x + 5.0, footprint=0.2)
         for name, x in places.items()
     }
     run = jb.simulate(model, jnp.linspace(0.0, 60.0, 1501), motion=motion, rtol=1e-4)

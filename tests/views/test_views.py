@@ -300,9 +300,9 @@ def test_a_mode_that_does_not_exist_is_named():
 def test_joints_of_several_lines_are_drawn_along_them():
     at = [0.2, 0.1, 0.0]
     joints = {
-        "puck": jb.Planar("world", first="x", second="y"),
-        "yoke": jb.Universal("puck", first="x", second="z", at=at),
-        "shaft": jb.Cylindrical("yoke", axis="z", at=at),
+        "puck": jb.joints.Planar("world", first="x", second="y"),
+        "yoke": jb.joints.Universal("puck", first="x", second="z", at=at),
+        "shaft": jb.joints.Cylindrical("yoke", axis="z", at=at),
     }
     parts = jb.view(
         jb.Model(
@@ -341,7 +341,7 @@ def driven():
         },
         gravity=[0, 0, -9.81],
     )
-    road = jb.Road([0.0, 5.0, 5.5, 20.0], [0.0, 0.0, 0.08, 0.08], speed=8.0, position=1.0)
+    road = jb.inputs.Road([0.0, 5.0, 5.5, 20.0], [0.0, 0.0, 0.08, 0.08], speed=8.0, position=1.0)
     return jb.simulate(
         car, jnp.linspace(0.0, 2.0, 101), motion={"road": road}, initial=jb.equilibrium(car).state
     ), road
@@ -467,7 +467,7 @@ def test_a_motion_that_failed_is_shown_until_then(motion):
 def test_what_cannot_be_viewed_is_named_all_at_once():
     model = plate()
     with pytest.raises(jb.JaxbodyError) as error:
-        shapes = {"plat": jb.Shape.sphere(1.0), "plate": 3.0}
+        shapes = {"plat": jb.views.Shape.sphere(1.0), "plate": 3.0}
         jb.view(
             model, shapes=shapes, trails=["corner"], amplitude=-1.0, speed=0.0, direction=[0, 0, 0]
         )

@@ -18,10 +18,10 @@ from .docstrings import _prose, to_rst
 PACKAGES = re.findall(r"^    (\w+) +(\S.*)$", jb.__doc__ or "", re.M)
 FAMILIES = (
     "Element",
-    "Joint",
-    "Sensor",
-    "Load",
-    "Motion",
+    "joints.Joint",
+    "sensors.Sensor",
+    "inputs.Load",
+    "inputs.Motion",
     "closures.Closure",
     "signals.Signal",
     "laws.Law",
@@ -46,12 +46,8 @@ def public_names() -> dict[str, list[str]]:
     return {package: sorted(found, key=str.lower) for package, found in names.items() if found}
 
 
-TWINS = {
-    name
-    for names in public_names().values()
-    for name in names
-    if name[0].isupper() and name.lower() in jb.__all__
-}  # Fit and fit
+EVERY = [name for names in public_names().values() for name in names]
+TWINS = {name for name in EVERY if name != name.lower() and name.lower() in EVERY}
 
 
 def place(name: str) -> str:
@@ -78,11 +74,7 @@ def result_of(name: str) -> type | None:
         else None
     )
     ours = inspect.isclass(kind) and kind.__module__.startswith("jaxbody")
-    return (
-        kind
-        if ours and kind not in [thing(name) for names in public_names().values() for name in names]
-        else None
-    )
+    return kind if ours and kind not in map(thing, EVERY) else None
 
 
 def _title(text: str) -> list[str]:
@@ -290,8 +282,33 @@ CODES_TEXT = textwrap.dedent("""\
     `code`. An error lists all problems of an input at once, in `problems`. A computation returns its `Status` in `status`, one for each
     member of a batch; it warns where the status is not OK, and `raise_if_failed()` turns that into an error.
 
-    `print(jb.codes())` prints this table.
+    `print(jb.error_codes())` prints this table.
     """)  # noqa: E501
+
+
+def signatures_page() -> str:
+    """Return the table of all public signatures, names of arguments with their defaults."""
+    lines = [*_title("Signatures"), *to_rst(SIGNATURES_TEXT)]
+    for package, names in public_names().items():
+        lines += [package, "-" * len(package), ""]
+        lines += [f"- ``{signature_of(name)}``" for name in names] + [""]
+    return "\n".join(lines)
+
+
+def signature_of(name: str) -> str:
+    """Return a name with its arguments and their defaults, without types."""
+    signature = inspect.signature(thing(name))
+    plain = [
+        each.replace(annotation=inspect.Parameter.empty) for each in signature.parameters.values()
+    ]
+    text = str(signature.replace(parameters=plain, return_annotation=inspect.Signature.empty))
+    return " ".join(f"{name}{text}".replace("<factory>", "...").split())
+
+
+SIGNATURES_TEXT = """\
+All public names with their arguments; those after a star are given by name.
+
+"""
 
 
 def pages() -> dict[str, str]:
@@ -329,12 +346,13 @@ def pages() -> dict[str, str]:
         ]
     )
     found["codes.rst"] = codes_page()
+    found["signatures.rst"] = signatures_page()
     return found
 
 
 REFERENCE_TEXT = textwrap.dedent("""\
-    Every public name, by package, from the ground up: a package uses only those above it. `import jaxbody as jb` has all names; those of
-    `closures`, `laws`, `signals`, `objectives`, `presets`, `plots` and `units` stand in these modules, as in `jb.laws.Linear`.
+    Every public name, by package, from the ground up: a package uses only those above it. `import jaxbody as jb` has what a first script
+    needs; families of names stand in modules, as in `jb.laws.Linear` and `jb.sensors.Gyro`. [All signatures](signatures) are one table.
 
     Numbers are in SI units and radians, frequencies in hertz, vectors in world axes unless stated otherwise. Shapes stand in signatures
     and tables: `Float[Array, "nt 3"]` is an array of real numbers with nt rows of three. Letters of shapes are

@@ -9,7 +9,7 @@ from jaxbody.geometry.frames import Pose
 jax.config.update("jax_enable_x64", True)
 
 
-class Screw(jb.Joint):
+class Screw(jb.joints.Joint):
     """q is the angle about z [rad]; the body moves along z by `lead` [m/rad] for each radian."""
 
     lead: jax.Array = jb.field("m")

@@ -11,7 +11,7 @@ import jaxbody as jb
 jax.config.update("jax_enable_x64", True)
 
 
-class Chirp(jb.Motion):
+class Chirp(jb.inputs.Motion):
     """z(t) = a sin(2 pi (f t + r t^2/2)), along z."""
 
     amplitude: jax.Array = jb.field("m")

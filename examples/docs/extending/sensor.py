@@ -11,7 +11,7 @@ import jaxbody as jb
 jax.config.update("jax_enable_x64", True)
 
 
-class Distance(jb.Sensor):
+class Distance(jb.sensors.Sensor):
     """The distance between the reference points of the body that it is `on` and of another."""
 
     on: str = eqx.field(static=True)

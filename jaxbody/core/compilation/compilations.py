@@ -141,7 +141,7 @@ def compile_times() -> Iterator[CompileTimes]:
     A second run with new values should compile nothing; where it does, a shape, a type or a Python
     function has changed.
 
-    >>> with compile_times() as times:
+    >>> with jb.compile_times() as times:
     ...     _ = jax.jit(lambda x: x + 1.5)(jnp.ones(3))
     >>> times.count > 0
     True

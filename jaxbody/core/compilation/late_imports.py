@@ -1,7 +1,6 @@
-"""Names of a package that are imported from its modules at their first use.
-
-To import all modules takes three times as long as to import those that a simulation needs, and a
-model has one or two of the laws of forces."""
+"""Names of a package that are imported from its modules at their first use: importing all takes
+three times as long as importing those that a simulation needs, and a model has one or two of the
+laws of forces."""
 
 from __future__ import annotations
 
@@ -13,33 +12,39 @@ from typing import Any
 
 def late_names(
     package: str,
-    modules: dict[str, tuple[str, ...]],
-    whole: dict[str, str] | None = None,
-    successors: dict[str, str] | None = None,
+    names: dict[str, tuple[str, ...]],
+    modules: dict[str, str] | None = None,
+    renamed: dict[str, str] | None = None,
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package whose names are imported at their
-    first use; its stub lists the same names for editors and type checkers.
+    first use; its stub says the same to editors and type checkers.
 
     Args:
-        package: name of the package, such as "jaxbody.model.laws"
-        modules: {module in it: public names}
-        whole: {public name of a module: module}; None: no modules
-        successors: {name that was public: what its error message adds}; None: no such names
+        package: "jaxbody.model.laws"
+        names: {module in the package: public names}
+        modules: {public name of a module: module}
+        renamed: {name that was public: place of its successor in the package}
     """
-    places = {name: (module, name) for module, names in modules.items() for name in names}
-    places |= {name: (module, "") for name, module in (whole or {}).items()}
-    instead = successors or {}
+    places = {name: (module, name) for module, those in names.items() for name in those}
+    modules = modules or {}
 
     def __getattr__(name: str) -> Any:
-        if name not in places:
-            raise AttributeError(
-                f"module '{package}' has no attribute '{name}'{instead.get(name, '')}"
-            )
-        module, attribute = places[name]
-        imported = importlib.import_module(f"{package}.{module}")
-        thing = getattr(imported, attribute) if attribute else imported
+        if name in modules:
+            thing = importlib.import_module(f"{package}.{modules[name]}")
+        elif name in places:
+            module, attribute = places[name]
+            thing = getattr(importlib.import_module(f"{package}.{module}"), attribute)
+        else:
+            raise AttributeError(f"module '{package}' has no attribute '{name}'{successor(name)}")
         setattr(sys.modules[package], name, thing)
         return thing
 
-    names = sorted(places)
-    return __getattr__, lambda: names, names
+    def successor(name: str) -> str:
+        """Return where a name that was public stands today, for the message."""
+        place = (renamed or {}).get(name) or next(
+            (f"{each}.{name}" for each in modules if name in __getattr__(each).__all__), ""
+        )
+        return f"; use {package}.{place}" if place and name[0] != "_" else ""
+
+    public = sorted([*places, *modules])
+    return __getattr__, lambda: public, public

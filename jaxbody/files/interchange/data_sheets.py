@@ -14,7 +14,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.source_files import check_file, decoded
 from jaxbody.files.documents import LARGEST
 from jaxbody.files.quantities import NUMBER, in_SI
-from jaxbody.geometry.points_and_orientations import Euler, matrix
+from jaxbody.geometry.points_and_orientations import EulerAngles, matrix
 from jaxbody.model.bodies import Body, Support
 from jaxbody.model.elements.bushings import Bushing
 from jaxbody.records.text_tables import split_unit
@@ -219,8 +219,9 @@ def read_mounts(
     ...     "name, x [mm], y [mm], z [mm], kx [N/mm], ky [N/mm], kz [N/mm]\\n"
     ...     "left, 0, 250, 500, 200, 200, 400\\n"
     ... )
-    >>> mounts = read_mounts(
-    ...     path, {"engine": Body(180.0, [8, 12, 10], position=[0, 0, 0.6]), "frame": Support()}
+    >>> mounts = jb.files.read_mounts(
+    ...     path,
+    ...     {"engine": jb.Body(180.0, [8, 12, 10], position=[0, 0, 0.6]), "frame": jb.Support()},
     ... )
     >>> (
     ...     mounts["left"].between,
@@ -255,7 +256,7 @@ def _mount(
 ) -> Bushing | None:
     """Return the bushing of one row, whose two frames coincide in the reference pose."""
     own = [*bodies, "world", "world"]
-    R = matrix(np.asarray(Euler("ZYX", [values.get(f"r{axis}", 0.0) for axis in "zyx"])))
+    R = matrix(np.asarray(EulerAngles("ZYX", [values.get(f"r{axis}", 0.0) for axis in "zyx"])))
     places, turns = [], []
     for end in (values.get("a", own[0]), values.get("b", own[1])):
         if end not in own:
@@ -308,10 +309,10 @@ def read_hard_points(path: Any, *, largest: float = LARGEST) -> dict[str, np.nda
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp(), "corner.csv")
     >>> _ = path.write_text("name, x [mm], y [mm], z [mm]\\ntie rod inner, 50, 200, 255\\n")
-    >>> points = read_hard_points(path)
+    >>> points = jb.files.read_hard_points(path)
     >>> points["tie rod inner"].tolist()
     [0.05, 0.2, 0.255]
-    >>> toe = double_wishbone(points).curves([-0.04, 0.04])["toe"]  # doctest: +SKIP
+    >>> toe = jb.suspension.double_wishbone(points).curves([-0.04, 0.04])["toe"]  # doctest: +SKIP
     """
     return _by_name(
         path,

@@ -121,7 +121,7 @@ def read_mjcf(path: Any, *, largest: float = LARGEST) -> MjcfModel:
     ...   <joint name="pivot" axis="0 1 0" damping="0.1" armature="0.01"/>
     ...   <geom type="sphere" size="0.1" mass="2" pos="0 0 -0.5"/>
     ... </body></worldbody></mujoco>''')
-    >>> read = read_mjcf(path)
+    >>> read = jb.files.read_mjcf(path)
     >>> read.model["bob"].com.tolist(), sorted(each.what for each in read.left_out)
     ([0.0, 0.0, -0.5], ['armature of joints', 'contact of geoms'])
     """

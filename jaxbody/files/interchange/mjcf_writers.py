@@ -52,8 +52,8 @@ def write_mjcf(model: Model, path: Any) -> None:
 
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp(), "car.xml")
-    >>> write_mjcf(jb.presets.quarter_car(), path)
-    >>> float(read_mjcf(path).model["tyre"].stiffness)
+    >>> jb.files.write_mjcf(jb.presets.quarter_car(), path)
+    >>> float(jb.files.read_mjcf(path).model["tyre"].stiffness)
     193000.0
     """
     path = Path(path)

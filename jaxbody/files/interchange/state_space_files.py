@@ -26,13 +26,13 @@ def write_state_space(system: StateSpace, path: Any) -> None:
 
     >>> import pathlib, tempfile
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> small = linearize(model, equilibrium(model))
+    >>> small = jb.linearize(model, jb.equilibrium(model))
     >>> road, body = (
-    ...     {"road": BaseMotion("road", "z", kind="acceleration")},
-    ...     {"body": Acceleration("body", axis="z")},
+    ...     {"road": jb.BaseMotion("road", "z", kind="acceleration")},
+    ...     {"body": jb.Acceleration("body", axis="z")},
     ... )
     >>> path = pathlib.Path(tempfile.mkdtemp(), "plant.mat")
-    >>> write_state_space(small.state_space(road, body), path)
+    >>> jb.files.write_state_space(small.state_space(road, body), path)
     >>> import scipy.io
     >>> scipy.io.loadmat(path)["A"].shape
     (6, 6)

@@ -11,14 +11,14 @@ from jaxbody.core.arrays import Array
 from jaxbody.design import objectives
 from jaxbody.mechanics.equilibria import Equilibrium, equilibrium
 from jaxbody.model.inputs.port_inputs import BaseMotion
-from jaxbody.model.leaf_paths import paths
+from jaxbody.model.leaf_paths import parameter_paths
 from jaxbody.model.models import Model
 from jaxbody.sensors.sensors import Sensor
 from jaxbody.vibration.damped_modes import complex_modes
 from jaxbody.vibration.linearizations import Linearization, linearize
 from jaxbody.vibration.natural_modes import Modes, modes
 from jaxbody.vibration.random_responses import RandomResponse, random_response
-from jaxbody.vibration.road_spectra import Unevenness
+from jaxbody.vibration.road_spectra import RoadRoughness
 from jaxbody.vibration.spectra import Band, Spectrum
 
 
@@ -48,7 +48,8 @@ class Design:
     def ride(self) -> RandomResponse:
         inputs = {name: BaseMotion(name, "z") for name in self.roads}
         spectra: dict[str, Spectrum] = {
-            name: Unevenness.iso(kind).at_speed(speed) for name, (kind, speed) in self.roads.items()
+            name: RoadRoughness.iso(kind).at_speed(speed)
+            for name, (kind, speed) in self.roads.items()
         }
         return random_response(self.linearization, Band(*self.band), inputs, self.sensors, spectra)
 
@@ -70,7 +71,7 @@ class Quantity:
 
 def value(at: Design, path: str) -> Array:
     """Return a number of the model."""
-    return paths(at.model, path)[path]
+    return parameter_paths(at.model, path)[path]
 
 
 def frequency(at: Design, mode: int) -> Array:

@@ -27,10 +27,10 @@ class Study(Printed):
     of `multistart` if it has `starts`; `designs`: arguments of `tune`; `files`: paths of the curves
     and records that the file names.
 
-    >>> study = Study(
-    ...     jb.presets.quarter_car(), {"road": Harmonic(frequency=1.5, translation=[0, 0, 0.01])}
+    >>> study = jb.files.Study(
+    ...     jb.presets.quarter_car(), {"road": jb.Harmonic(frequency=1.5, translation=[0, 0, 0.01])}
     ... )
-    >>> trajectory = simulate(
+    >>> trajectory = jb.simulate(
     ...     study.model, [0.0, 0.1], motion=study.motion, loads=study.loads, initial="rest"
     ... )
     """
@@ -147,7 +147,7 @@ def read_study(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST
     ... sensors.height = {type = "Position", on = "stone", axis = "z"}
     ... experiments.fall = {record = "fall"}
     ... ''')
-    >>> read_study(folder / "fall.toml").experiments["fall"].measured["height"].tolist()
+    >>> jb.read_study(folder / "fall.toml").experiments["fall"].measured["height"].tolist()
     [0.0, -0.049, -0.196]
     """
     path = Path(path)

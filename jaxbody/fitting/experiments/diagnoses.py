@@ -169,18 +169,18 @@ def diagnose(
     Errors: those of `simulate`, WRONG_KIND, NO_DATA.
 
     >>> times = jnp.linspace(0, 1, 50)
-    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=40.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    >>> spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=40.0)
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
     ...     elements={"spring": spring},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
     ... )
-    >>> run = Experiment(
+    >>> run = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(40**0.5 * times)},
     ... )
-    >>> diagnose(model, {"run": run}).words
+    >>> jb.diagnose(model, {"run": run}).words
     ()
     """
     check_measurements(experiments, "diagnose.experiments").raise_if_any()

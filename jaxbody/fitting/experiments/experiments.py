@@ -105,16 +105,16 @@ class Experiment(Measurement):
     UNKNOWN_NAME, UNKNOWN_CHANNEL and WRONG_DIMENSION of a record, BAD_NAME, DUPLICATE_NAME,
     WRONG_KIND; warns MISSING above 20 %, DEAD, SATURATED.
 
-    >>> height = Position("mass", axis=[0, 1, 0])
-    >>> Experiment(
+    >>> height = jb.Position("mass", axis=[0, 1, 0])
+    >>> jb.Experiment(
     ...     [0.0, 0.1, 0.2], sensors={"height": height}, measured={"height": [0, -0.049, -0.196]}
     ... ).measured["height"].shape
     (3,)
-    >>> fall = Record(
+    >>> fall = jb.Record(
     ...     [0.0, 0.1, 0.2],
     ...     {"height": ([0, -49, -196], "mm"), "temperature": ([20.0, 20.5, 20.2], "1")},
     ... )
-    >>> Experiment(sensors={"height": height}, measured=fall).measured["height"].tolist()
+    >>> jb.Experiment(sensors={"height": height}, measured=fall).measured["height"].tolist()
     [0.0, -0.049, -0.196]
     """
 

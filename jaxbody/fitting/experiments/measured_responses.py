@@ -76,9 +76,9 @@ class MeasuredResponse(ByFrequency):
     Errors, all at once: BAD_FREQUENCY, BAD_SHAPE, NO_DATA, NON_FINITE, ALL_NAN, BAD_NOISE,
     UNKNOWN_NAME, WRONG_KIND.
 
-    >>> force, motion = PointForce("mass", direction="y"), Position("mass", axis="y")
+    >>> force, motion = jb.PointForce("mass", direction="y"), jb.Position("mass", axis="y")
     >>> measured = {("y", "f"): [0.02 + 0j, -0.01 - 0.001j]}
-    >>> hammer = MeasuredResponse(
+    >>> hammer = jb.MeasuredResponse(
     ...     [1.0, 2.0], inputs={"f": force}, outputs={"y": motion}, measured=measured
     ... )
     >>> list(hammer.channels)
@@ -232,7 +232,7 @@ class MeasuredModes(Measurement):
     Errors, all at once: NO_DATA, BAD_SHAPE, BAD_FREQUENCY, NON_FINITE, ALL_NAN, BAD_NOISE,
     UNKNOWN_NAME, WRONG_KIND, BAD_PAIRING.
 
-    >>> test = MeasuredModes(
+    >>> test = jb.MeasuredModes(
     ...     frequency=[0.8, 2.1], damping_ratio=[0.01, np.nan], noise={"frequency": 0.01}
     ... )
     >>> list(test.channels)

@@ -38,7 +38,7 @@ class MeasuredStiffness(ByFrequency):
     Errors, all at once: NO_DATA, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE, ALL_NAN,
     BAD_NOISE, UNKNOWN_NAME.
 
-    >>> sheet = MeasuredStiffness(
+    >>> sheet = jb.fitting.MeasuredStiffness(
     ...     "mount",
     ...     [5.0, 10.0],
     ...     magnitude=[3.0e4, 4.6e4],

@@ -43,8 +43,8 @@ class MeasuredCurves(Measurement):
     Errors, all at once: NO_DATA, BAD_SHAPE, NON_FINITE, ALL_NAN, BAD_NOISE, UNKNOWN_NAME, and those
     of `suspension_curves`.
 
-    >>> corner = jb.double_wishbone()
-    >>> rig = MeasuredCurves(
+    >>> corner = jb.suspension.double_wishbone()
+    >>> rig = jb.fitting.MeasuredCurves(
     ...     corner.wheel,
     ...     drive={"travel": corner.wheel, "rack": "rack.q"},
     ...     over={"travel": [-0.05, 0.05], "rack": 0.0},

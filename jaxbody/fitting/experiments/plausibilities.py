@@ -79,14 +79,16 @@ def plausibility(
     Warns GYRATION, DENSITY, FREQUENCY, SAG, GRAVITY (neither zero nor 9.7 to 9.9 m/s2), TIME_UNIT,
     DRAWN_APART, FAR_FROM_DRAWN, FLOAT32. Errors: X64_CHANGED.
 
-    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=800.0, free_length=1.0)
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    >>> spring = jb.Spring(
+    ...     ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=800.0, free_length=1.0
+    ... )
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
     ...     elements={"s": spring},
     ...     gravity=[0, -9.81, 0],
     ... )
-    >>> plausibility(model).words
+    >>> jb.fitting.plausibility(model).words
     ()
     """
     model = model.model if isinstance(model, Suspension) else model

@@ -86,7 +86,7 @@ class Bushing(FramePair):
     Errors: NOT_SYMMETRIC, NEGATIVE_STIFFNESS, NEGATIVE_DAMPING, SELF_SPRING, BAD_SHAPE,
     NON_FINITE, BAD_QUATERNION.
 
-    >>> mount = Bushing(
+    >>> mount = jb.Bushing(
     ...     ("engine", [0.4, 0, 0]),
     ...     ("base", [0.4, 0, 0]),
     ...     stiffness=[9e4, 2e5, 5e5],
@@ -192,12 +192,12 @@ class Mount(FramePair, LawForces):  # pyright: ignore[reportIncompatibleMethodOv
     Errors: NEGATIVE, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, those of the laws.
 
     >>> rubber = jb.laws.Linear(4e5) + jb.laws.Maxwell(stiffness=2e5, relaxation_time=2e-3)
-    >>> mount = Mount(
+    >>> mount = jb.Mount(
     ...     ("engine", [0.4, 0, 0]),
     ...     ("base", [0.4, 0, 0]),
     ...     x=1e5,
     ...     y=1e5,
-    ...     z=rubber + jb.laws.Stop(gap=0.01, stiffness=5e6),
+    ...     z=rubber + jb.laws.BumpStop(gap=0.01, stiffness=5e6),
     ... )
     >>> mount.between
     ('engine', 'base')

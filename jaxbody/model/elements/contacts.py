@@ -27,7 +27,7 @@ class Touching(Element):
     """The base class of unilateral contacts: `stiffness` k [N/m], `damping` c [N s/m], `engagement`
     w [m].
 
-    >>> issubclass(Tyre, Touching) and issubclass(Contact, Touching)
+    >>> issubclass(jb.Tyre, Touching) and issubclass(jb.Contact, Touching)
     True
     """
 
@@ -70,8 +70,8 @@ class Tyre(Touching):
         e = n . (A - B) - radius,   n the road's normal, `axis` in the road's frame; the penetration
                                     is -e
 
-    The road is a support that follows the profile under the wheel (jb.Road, which averages it over
-    the footprint), or the world.
+    The road is a support that follows the profile under the wheel (jb.inputs.Road, which averages
+    it over the footprint), or the world.
 
     Args:
         hub: name of the wheel, or (name, point)
@@ -84,7 +84,7 @@ class Tyre(Touching):
 
     Errors: NEGATIVE, NOT_POSITIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE.
 
-    >>> tyre = Tyre(
+    >>> tyre = jb.Tyre(
     ...     ("wheel", [0, 0, 0]), ("road", [0, 0, 0]), stiffness=2e5, damping=50.0, radius=0.31
     ... )
     >>> tyre.between
@@ -126,7 +126,7 @@ class Contact(Touching, LineElement):
 
     Errors: NEGATIVE, NOT_POSITIVE, SELF_SPRING, ZERO_LENGTH, BAD_SHAPE, NON_FINITE.
 
-    >>> stop = Contact(
+    >>> stop = jb.Contact(
     ...     ("arm", [0.5, 0, 0]),
     ...     ("base", [0.5, 0, -0.3]),
     ...     distance=0.05,

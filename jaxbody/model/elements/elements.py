@@ -39,7 +39,7 @@ class Element(Described, eqx.Module):
     and the domain of its numbers, which `replace`, `fit` and `tune` respect. Two equal charges, one
     of which floats above the other where strength / e^2 = m g:
 
-    >>> class Charges(Element):
+    >>> class Charges(jb.Element):
     ...     strength: jax.Array = jb.field("N m2", "positive")
     ...     def deformation(self, A, B):
     ...         return jnp.linalg.norm(B.point(self.b) - A.point(self.a))
@@ -47,16 +47,16 @@ class Element(Described, eqx.Module):
     ...         return self.strength / e
     ...     def dissipation(self, e, e_dot):
     ...         return jnp.zeros_like(e)
-    >>> ball = Body(mass=0.2, inertia=[1, 1, 1], position=[0, 0, 0.6])
-    >>> model = Model(
+    >>> ball = jb.Body(mass=0.2, inertia=[1, 1, 1], position=[0, 0, 0.6])
+    >>> model = jb.Model(
     ...     bodies={"ball": ball},
-    ...     joints={"ball": Guide("world", axis=[0, 0, 1])},
+    ...     joints={"ball": jb.Guide("world", axis=[0, 0, 1])},
     ...     elements={
     ...         "pair": Charges(("ball", "world"), jnp.zeros(3), jnp.zeros(3), jnp.array(0.5))
     ...     },
     ...     gravity=[0, 0, -10],
     ... )
-    >>> round(float(equilibrium(model).elongations["pair"]), 9)
+    >>> round(float(jb.equilibrium(model).elongations["pair"]), 9)
     0.5
     """
 

@@ -91,7 +91,7 @@ class Spring(LineElement):
     Errors: NEGATIVE_STIFFNESS, NEGATIVE_DAMPING (warnings with `allow_negative`), NEGATIVE_LENGTH,
     SELF_SPRING, BAD_SHAPE, NON_FINITE. Source: (20)-(28) of the paper.
 
-    >>> spring = Spring(
+    >>> spring = jb.Spring(
     ...     ("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8
     ... )
     """
@@ -152,11 +152,11 @@ class SpringDamper(LawForces, LineElement):
     Errors: NEGATIVE, NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE, MEMORY, those of
     the laws.
 
-    >>> strut = SpringDamper(
+    >>> strut = jb.SpringDamper(
     ...     ("car", [1.4, 0.7, 0]),
     ...     ("wheel", [0, 0, 0]),
     ...     free_length=0.5,
-    ...     spring=jb.laws.Linear(2e4) + jb.laws.Stop(gap=0.08, stiffness=1e5, engagement=0.01),
+    ...     spring=jb.laws.Linear(2e4) + jb.laws.BumpStop(gap=0.08, stiffness=1e5, engagement=0.01),
     ...     damper=jb.laws.TwoSided(bump=900.0, rebound=2100.0),
     ... )
     >>> float(strut.spring.force(jnp.array(-0.1)))
@@ -211,15 +211,17 @@ class Inerter(Element):
     sqrt(k/(m + b)) = 2.5 rad/s:
 
     >>> places = ("mass", [0, 0, 0]), ("world", [0, 1, 0])
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
     ...     elements={
-    ...         "s": Spring(*places, stiffness=50.0, free_length=1.0),
-    ...         "i": Inerter(*places, inertance=6.0),
+    ...         "s": jb.Spring(*places, stiffness=50.0, free_length=1.0),
+    ...         "i": jb.Inerter(*places, inertance=6.0),
     ...     },
     ... )
-    >>> round(float(2 * jnp.pi * modes(linearize(model, equilibrium(model))).frequency[0]), 9)
+    >>> round(
+    ...     float(2 * jnp.pi * jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]), 9
+    ... )
     2.5
     """
 

@@ -40,7 +40,7 @@ class Torsion(LawForces):
     of the laws.
     Warns UNIT for a free angle of more than a turn.
 
-    >>> spring = Torsion("arm", "base", axis=[0, 0, 1], spring=30.0, damper=0.5)
+    >>> spring = jb.Torsion("arm", "base", axis=[0, 0, 1], spring=30.0, damper=0.5)
     >>> spring.between
     ('arm', 'base')
     """
@@ -112,7 +112,7 @@ class AntiRollBar(LawForces):
 
     Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, MEMORY, those of the laws.
 
-    >>> bar = AntiRollBar(
+    >>> bar = jb.AntiRollBar(
     ...     ("left wheel", [0, -0.1, 0]), ("right wheel", [0, 0.1, 0]), "car", spring=1.2e4
     ... )
     >>> bar.between

@@ -105,8 +105,8 @@ def base_motion(
     more than 30 degrees.
 
     >>> times = jnp.arange(2000) / 100
-    >>> record = Record(times, {"acc": (0.2 - jnp.cos(2 * jnp.pi * times), "m/s2")})
-    >>> motion = base_motion(record, "acc", axis=[1, 0, 0]).motion
+    >>> record = jb.Record(times, {"acc": (0.2 - jnp.cos(2 * jnp.pi * times), "m/s2")})
+    >>> motion = jb.inputs.base_motion(record, "acc", axis=[1, 0, 0]).motion
     >>> round(
     ...     float(motion(jnp.array(10.0))[0]) * 39.478, 2
     ... )  # cos(2 pi t)/(2 pi)^2, less its small slow part

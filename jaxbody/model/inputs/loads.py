@@ -30,7 +30,7 @@ from jaxbody.model.inputs.signals import Signal, as_signal, turned
 class Load(Described, eqx.Module):
     """The base class of loads: a user-defined load derives from it and defines `at_point`.
 
-    >>> class Thrust(Load):
+    >>> class Thrust(jb.inputs.Load):
     ...     level: jax.Array
     ...     def at_point(self, now):
     ...         return self.level * now.R[:, 2], jnp.zeros(3)
@@ -96,7 +96,7 @@ class Force(Load):
 
     Errors: BAD_AXES, BAD_SHAPE, NON_FINITE.
 
-    >>> pull = Force(("engine", [0, 0, 0.2]), force=[100.0, 0, 0])
+    >>> pull = jb.Force(("engine", [0, 0, 0.2]), force=[100.0, 0, 0])
     >>> pull.on
     'engine'
     """
@@ -159,7 +159,7 @@ class Unbalance(Load):
 
     Errors: ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
-    >>> motor = Unbalance("motor", axis=[0, 1, 0], unbalance=1e-3, frequency=50.0)
+    >>> motor = jb.inputs.Unbalance("motor", axis=[0, 1, 0], unbalance=1e-3, frequency=50.0)
     >>> motor.on
     'motor'
     """
@@ -222,7 +222,7 @@ class EngineTorque(Load):
 
     Errors: ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
-    >>> torque = EngineTorque(
+    >>> torque = jb.inputs.EngineTorque(
     ...     "engine",
     ...     axis=[1, 0, 0],
     ...     frequency=13.0,

@@ -55,7 +55,9 @@ class Motion(Signal):
     in world axes. It is a signal of six numbers with this chart. Any signal of six numbers, or
     function that returns them, can be given as a motion.
 
-    >>> (Harmonic(frequency=1.0, translation=[0.1, 0, 0]) + AtRest())(jnp.array(0.0)).tolist()
+    >>> (jb.Harmonic(frequency=1.0, translation=[0.1, 0, 0]) + jb.inputs.AtRest())(
+    ...     jnp.array(0.0)
+    ... ).tolist()
     [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
     """
 
@@ -63,7 +65,7 @@ class Motion(Signal):
 class AtRest(Motion):
     """Xi = 0.
 
-    >>> AtRest()(jnp.array(1.0)).tolist()
+    >>> jb.inputs.AtRest()(jnp.array(1.0)).tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     """
 
@@ -88,7 +90,7 @@ class Harmonic(Motion):
     per axis.
 
     >>> import jax.numpy as jnp
-    >>> Harmonic(frequency=2.0, translation=[0.01, 0, 0])(jnp.array(0.25)).tolist()[0]
+    >>> jb.Harmonic(frequency=2.0, translation=[0.01, 0, 0])(jnp.array(0.25)).tolist()[0]
     -0.01
     """
 
@@ -155,7 +157,7 @@ class Sampled(Motion):
     deviations of the steps.
 
     >>> times = jnp.linspace(0, 1, 11)
-    >>> drift = Sampled(times, translation=jnp.stack([times**2, 0 * times, 0 * times], 1))
+    >>> drift = jb.Sampled(times, translation=jnp.stack([times**2, 0 * times, 0 * times], 1))
     >>> round(float(drift(jnp.array(0.55))[0]), 9)
     0.3025
     """

@@ -25,7 +25,7 @@ class BaseMotion(eqx.Module):
     `kind` of the input: displacement [m, rad], velocity or acceleration. Errors:
     BAD_DIRECTION, BAD_KIND.
 
-    >>> BaseMotion("base", "z", kind="acceleration").unit
+    >>> jb.BaseMotion("base", "z", kind="acceleration").unit
     'm/s2'
     """
 
@@ -54,7 +54,7 @@ class PointForce(eqx.Module):
 
     `point` is in the axes of the body. Errors: BAD_DIRECTION, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
-    >>> PointForce("engine", [0, 0, 0.2], "z").unit, PointForce("engine", direction="rx").unit
+    >>> jb.PointForce("engine", [0, 0, 0.2], "z").unit, jb.PointForce("engine", direction="rx").unit
     ('N', 'N m')
     """
 

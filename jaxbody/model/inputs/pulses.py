@@ -93,7 +93,7 @@ class PulseMotion(Motion):
 
     Errors: WRONG_KIND, BAD_DIRECTION, ZERO_AXIS.
 
-    >>> PulseMotion(HalfSine(9.81, 0.01), "z").axis.tolist()
+    >>> PulseMotion(jb.inputs.HalfSine(9.81, 0.01), "z").axis.tolist()
     [0.0, 0.0, 1.0]
     """
 
@@ -103,7 +103,11 @@ class PulseMotion(Motion):
     def __init__(self, pulse, axis):
         with Problems() as problems:
             check_kind(
-                pulse, Pulse, "PulseMotion.pulse", "a pulse, such as jb.HalfSine(...)", problems
+                pulse,
+                Pulse,
+                "PulseMotion.pulse",
+                "a pulse, such as jb.inputs.HalfSine(...)",
+                problems,
             )
             self.pulse, self.axis = (
                 pulse,
@@ -139,7 +143,7 @@ class HalfSine(Pulse):
 
     Errors: BAD_NUMBER, BAD_SHAPE, NON_FINITE. Source: IEC 60068-2-27.
 
-    >>> pulse = HalfSine(15 * 9.81, 0.011)  # 15 g, 11 ms
+    >>> pulse = jb.inputs.HalfSine(15 * 9.81, 0.011)  # 15 g, 11 ms
     >>> round(
     ...     float(jax.jvp(pulse.motion("z"), (jnp.array(0.02),), (jnp.array(1.0),))[1][2]), 4
     ... )  # velocity after it, 2 A T/pi
@@ -160,7 +164,10 @@ class Sawtooth(Pulse):
 
     Args: as HalfSine. Errors: BAD_NUMBER, BAD_SHAPE, NON_FINITE. Source: IEC 60068-2-27.
 
-    >>> Sawtooth(10.0, 2.0)(jnp.array(1.0)).item(), Sawtooth(10.0, 2.0)(jnp.array(2.0)).item()
+    >>> (
+    ...     jb.inputs.Sawtooth(10.0, 2.0)(jnp.array(1.0)).item(),
+    ...     jb.inputs.Sawtooth(10.0, 2.0)(jnp.array(2.0)).item(),
+    ... )
     (5.0, 0.0)
     """
 
@@ -173,7 +180,7 @@ class Triangle(Pulse):
 
     Args: as HalfSine. Errors: BAD_NUMBER, BAD_SHAPE, NON_FINITE.
 
-    >>> Triangle(10.0, 2.0)(jnp.array(0.5)).item()
+    >>> jb.inputs.Triangle(10.0, 2.0)(jnp.array(0.5)).item()
     5.0
     """
 
@@ -196,7 +203,7 @@ class Trapezoid(Pulse):
     Errors: BAD_NUMBER, also where rise and fall are longer than the pulse, BAD_SHAPE, NON_FINITE.
     Source: IEC 60068-2-27.
 
-    >>> pulse = Trapezoid(10.0, 2.0, rise=0.2)
+    >>> pulse = jb.inputs.Trapezoid(10.0, 2.0, rise=0.2)
     >>> round(pulse(jnp.array(0.1)).item(), 9), round(pulse(jnp.array(1.0)).item(), 9)
     (5.0, 10.0)
     """

@@ -51,7 +51,7 @@ class Road(Motion):
     Source: M. W. Sayers, On the calculation of international roughness index from longitudinal road
     profile, TRR 1501, 1995.
 
-    >>> front = Road([0.0, 10.0, 20.0], [0.0, 0.0, 0.5], speed=10.0, position=1.5)
+    >>> front = jb.inputs.Road([0.0, 10.0, 20.0], [0.0, 0.0, 0.5], speed=10.0, position=1.5)
     >>> front(jnp.array(1.05)).tolist()
     [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
     """
@@ -90,7 +90,7 @@ class Road(Motion):
             position: position of the wheel ahead of the vehicle's origin [m]
             footprint: length of the contact patch [m]
 
-        >>> Road.kerb(0.1, at=5.0, ramp=0.02, speed=8.0).heights.tolist()
+        >>> jb.inputs.Road.kerb(0.1, at=5.0, ramp=0.02, speed=8.0).heights.tolist()
         [0.0, 0.1]
         """
         with Problems() as problems:

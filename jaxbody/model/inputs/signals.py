@@ -58,9 +58,11 @@ class Signal(Described, eqx.Module):
     """A number or a vector as a function of time. Signals can be added to each other and to
     functions of time.
 
-    >>> Sine(amplitude=[0, 0, 5.0], frequency=2.0, phase=0.0)(jnp.array(0.25)).tolist()[2]
+    >>> jb.signals.Sine(amplitude=[0, 0, 5.0], frequency=2.0, phase=0.0)(jnp.array(0.25)).tolist()[
+    ...     2
+    ... ]
     -5.0
-    >>> (Sine(amplitude=2.0, frequency=1.0) + (lambda t: 3.0 * t))(jnp.array(1.0)).item()
+    >>> (jb.signals.Sine(amplitude=2.0, frequency=1.0) + (lambda t: 3.0 * t))(jnp.array(1.0)).item()
     5.0
     """
 
@@ -124,7 +126,7 @@ class Delayed(Signal):
     """signal(t - delay): the same signal `delay` [s] later, such as the motion of a rear wheel that
     follows the front wheel on the same road.
 
-    >>> motion = Delayed(Harmonic(frequency=2.0, translation=[0.01, 0, 0]), 0.25)
+    >>> motion = jb.signals.Delayed(jb.Harmonic(frequency=2.0, translation=[0.01, 0, 0]), 0.25)
     >>> motion(jnp.array(0.25)).tolist()[0]
     0.01
     """
@@ -154,7 +156,7 @@ class Delayed(Signal):
 class Constant(Signal):
     """A constant.
 
-    >>> float(Constant(3.0)(jnp.array(1.0)))
+    >>> float(jb.signals.Constant(3.0)(jnp.array(1.0)))
     3.0
     """
 
@@ -170,7 +172,7 @@ class Constant(Signal):
 class Sine(Signal):
     """a cos(2 pi f t + p): `amplitude` a, a number or vector, `frequency` f [Hz], `phase` p [rad].
 
-    >>> float(Sine(amplitude=2.0, frequency=1.0)(jnp.array(0.0)))
+    >>> float(jb.signals.Sine(amplitude=2.0, frequency=1.0)(jnp.array(0.0)))
     2.0
     """
 
@@ -204,7 +206,11 @@ class Samples(Signal):
     `values` (n,) or (n, k). Times outside the samples are an error. Errors: times as in `simulate`,
     BAD_SHAPE, NON_FINITE, BAD_KIND.
 
-    >>> float(Samples([0.0, 1.0, 2.0, 3.0], [0.0, 2.0, 4.0, 6.0], kind="linear")(jnp.array(0.25)))
+    >>> float(
+    ...     jb.signals.Samples([0.0, 1.0, 2.0, 3.0], [0.0, 2.0, 4.0, 6.0], kind="linear")(
+    ...         jnp.array(0.25)
+    ...     )
+    ... )
     0.5
     """
 
@@ -256,7 +262,7 @@ class Function(Signal):
     """Any JAX function of time. Each new function object is compiled again; a Signal with array
     leaves avoids that.
 
-    >>> Function(lambda t: 3.0 * t)(0.5)
+    >>> jb.signals.Function(lambda t: 3.0 * t)(0.5)
     1.5
     """
 

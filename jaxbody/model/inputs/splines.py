@@ -40,12 +40,12 @@ class Spline(Motion):
     Source: C. de Boor, A Practical Guide to Splines, 1978, ch. IX.
 
     >>> import jax.numpy as jnp
-    >>> near = Spline(
+    >>> near = jb.inputs.Spline(
     ...     0.0,
     ...     1.0,
     ...     interval=0.05,
     ...     along=[[1, 0, 0]],
-    ...     like=Harmonic(frequency=1.0, translation=[0.01, 0, 0]),
+    ...     like=jb.Harmonic(frequency=1.0, translation=[0.01, 0, 0]),
     ... )
     >>> near.values.shape, round(float(near(jnp.array(0.5))[0]), 5)
     ((23, 1), -0.01)

@@ -1,1 +1,18 @@
 """Joints of every kind: the base class; slides and turns about one line, several or in series."""
+
+from jaxbody.core.compilation.late_imports import late_names
+
+_NAMES = {
+    "combined_joints": (
+        "Composite",
+        "Cylindrical",
+        "HeavePitch",
+        "HeavePitchRoll",
+        "Planar",
+        "Translation",
+        "Universal",
+    ),
+    "joints": ("Ball", "Fixed", "Free", "Guide", "Hinge", "Joint"),
+    "kinematics": ("retract",),
+}
+__getattr__, __dir__, __all__ = late_names("jaxbody.model.joints", _NAMES)

@@ -39,7 +39,7 @@ class Composite(Joint):
 
     Errors: UNKNOWN_NAME, BAD_SHAPE, ZERO_AXIS, NON_FINITE. A puck on a table:
 
-    >>> plane = Composite(
+    >>> plane = jb.joints.Composite(
     ...     "table",
     ...     ["move", "move", "turn"],
     ...     directions=[[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -162,7 +162,7 @@ class Translation(Series):
     """Moving without turning: q is the displacement [m] of the body along the parent's x, y and z
     from the reference pose.
 
-    >>> Translation("base").motions
+    >>> jb.Translation("base").motions
     ('move along x', 'move along y', 'move along z')
     """
 
@@ -175,7 +175,7 @@ class HeavePitch(Series):
     pose, with the rotation about the body's reference point O. With x forward and z up, a positive
     pitch lowers the front.
 
-    >>> HeavePitch("world").motions
+    >>> jb.joints.HeavePitch("world").motions
     ('move along z', 'turn about y')
     """
 
@@ -189,7 +189,7 @@ class HeavePitchRoll(Series):
     reference point O. With x forward, y to the left and z up (ISO 8855), a positive pitch lowers
     the front and a positive roll the right.
 
-    >>> HeavePitchRoll("world").motions
+    >>> jb.joints.HeavePitchRoll("world").motions
     ('move along z', 'turn about y', 'turn about x')
     """
 
@@ -244,7 +244,7 @@ class Universal(Combined):
 
     Errors: BAD_DIRECTION, also for axes that are parallel, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
-    >>> Universal("gearbox", first="y", second="z").motions
+    >>> jb.joints.Universal("gearbox", first="y", second="z").motions
     ('turn about its first axis', 'turn about its second axis')
     """
 
@@ -293,7 +293,7 @@ class Cylindrical(Combined):
 
     Errors: BAD_DIRECTION, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
-    >>> Cylindrical("housing", axis="x").motions
+    >>> jb.joints.Cylindrical("housing", axis="x").motions
     ('move along its axis', 'turn about its axis')
     """
 
@@ -336,7 +336,7 @@ class Planar(Combined):
 
     Errors: BAD_DIRECTION, also for directions that are parallel, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
-    >>> Planar("world", first="x", second="z").motions
+    >>> jb.joints.Planar("world", first="x", second="z").motions
     ('move along its first direction', 'move along its second direction', 'turn about its normal')
     """
 

@@ -36,7 +36,7 @@ class Joint(Described, eqx.Module):
     g / (1 + I / (m lead^2)):
 
     >>> from jaxbody.geometry.frames import Pose
-    >>> class Screw(Joint):
+    >>> class Screw(jb.joints.Joint):
     ...     lead: jax.Array  # m/rad
     ...     nq, nv, motions, turns = 1, 1, ("turn of the screw",), (True,)
     ...     def pose(self, q, parent, rest):
@@ -46,11 +46,11 @@ class Joint(Described, eqx.Module):
     ...     def axes(self, q, parent, body):
     ...         n = parent.R[:, 2]
     ...         return self.lead * n[None], n[None]
-    >>> nut = Body(mass=0.3, inertia=[2e-5, 2e-5, 2e-5])
-    >>> model = Model(
+    >>> nut = jb.Body(mass=0.3, inertia=[2e-5, 2e-5, 2e-5])
+    >>> model = jb.Model(
     ...     bodies={"nut": nut}, joints={"nut": Screw("world", jnp.array(0.01))}, gravity=[0, 0, -9]
     ... )
-    >>> round(float(simulate(model, [0.0, 1.0]).poses["nut"].p[-1, 2]), 9)  # 9 / (1 + 2/3) / 2
+    >>> round(float(jb.simulate(model, [0.0, 1.0]).poses["nut"].p[-1, 2]), 9)  # 9 / (1 + 2/3) / 2
     -2.7
     """
 
@@ -104,7 +104,7 @@ class Free(Joint):
     """Six degrees of freedom: q = (position of O, unit quaternion), v = (velocity of O, angular
     velocity), in the parent's axes.
 
-    >>> Free().parent
+    >>> jb.Free().parent
     'world'
     """
 
@@ -137,12 +137,15 @@ class Free(Joint):
 class Fixed(Joint):
     """No degree of freedom: the body keeps its reference pose on the parent.
 
-    >>> Fixed("base").nq
+    >>> jb.Fixed("base").nq
     0
     """
 
     nq, nv = 0, 0
     motions, turns = (), ()
+
+    def __init__(self, parent: str):
+        self.parent = parent
 
     def pose(self, q, parent, rest):
         return parent @ rest
@@ -155,7 +158,7 @@ class Guide(Joint):
     """Sliding along a straight line: q is the displacement [m] from the reference pose along `axis`
     (x, y, z or a direction, parent's frame).
 
-    >>> Guide("base", axis="z").axis.tolist()
+    >>> jb.Guide("base", axis="z").axis.tolist()
     [0.0, 0.0, 1.0]
     """
 
@@ -182,9 +185,9 @@ class Hinge(Joint):
     direction) through the point `at`, both in the parent's frame; without `at`, through the body's
     reference point O.
 
-    >>> model = Model(
-    ...     bodies={"arm": Body(mass=1.0, inertia=[1, 1, 1], com=[1, 0, 0])},
-    ...     joints={"arm": Hinge("world", axis=[0, 0, 1])},
+    >>> model = jb.Model(
+    ...     bodies={"arm": jb.Body(mass=1.0, inertia=[1, 1, 1], com=[1, 0, 0])},
+    ...     joints={"arm": jb.Hinge("world", axis=[0, 0, 1])},
     ... )
     >>> model.reference.q.tolist()
     [0.0]
@@ -215,8 +218,8 @@ class Ball(Joint):
     q = unit quaternion of the turn from the reference pose, v = angular velocity, in the
     parent's axes.
 
-    >>> Model(
-    ...     bodies={"top": Body(mass=1.0, inertia=[1, 1, 1])}, joints={"top": Ball("world")}
+    >>> jb.Model(
+    ...     bodies={"top": jb.Body(mass=1.0, inertia=[1, 1, 1])}, joints={"top": jb.Ball("world")}
     ... ).reference.q.tolist()
     [1.0, 0.0, 0.0, 0.0]
     """

@@ -248,8 +248,8 @@ def retract(model: Any, q, delta) -> Float[Array, "nq"]:
     """Return q (+) Delta, the coordinates after small displacements Delta, one for each speed;
     those of a free body are its displacement [m] and rotation vector [rad], in world axes.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
-    >>> retract(model, model.reference.q, [0.1, 0, 0, 0, 0, 0]).tolist()
+    >>> model = jb.Model(bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])})
+    >>> jb.joints.retract(model, model.reference.q, [0.1, 0, 0, 0, 0, 0]).tolist()
     [0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     """
     return _retract(model, numbers(q, "retract.q"), numbers(delta, "retract.delta"))

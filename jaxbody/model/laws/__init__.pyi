@@ -1,5 +1,4 @@
-"""Force laws F(x) of one number, of springs and dampers, with and without memory; public
-as jaxbody.laws."""
+"""What `jaxbody.model.laws` offers, written by `python tests/stubs.py`."""
 
 from jaxbody.model.laws.hydraulic_mounts import Hydraulic as Hydraulic
 from jaxbody.model.laws.hysteresis_laws import BoucWen as BoucWen
@@ -15,9 +14,9 @@ from jaxbody.model.laws.memory_laws import Inertial as Inertial
 from jaxbody.model.laws.memory_laws import Viscoelastic as Viscoelastic
 from jaxbody.model.laws.rubber_laws import Maxwell as Maxwell
 from jaxbody.model.laws.spring_laws import AirSpring as AirSpring
+from jaxbody.model.laws.spring_laws import BumpStop as BumpStop
 from jaxbody.model.laws.spring_laws import Digressive as Digressive
 from jaxbody.model.laws.spring_laws import Friction as Friction
 from jaxbody.model.laws.spring_laws import Polynomial as Polynomial
-from jaxbody.model.laws.spring_laws import Stop as Stop
 from jaxbody.model.laws.spring_laws import TensionOnly as TensionOnly
-from jaxbody.model.laws.tabulated_laws import Table as Table
+from jaxbody.model.laws.tabulated_laws import Tabulated as Tabulated

@@ -42,14 +42,14 @@ class Hydraulic(Inertial):
     P. V. Ravindra, Linear analysis of automotive hydro-mechanical mount, Journal of Sound and
     Vibration 158 (1992) 219; with a decoupler G. Kim, R. Singh, ibid. 179 (1995) 427.
 
-    >>> law = Hydraulic(
+    >>> law = jb.laws.Hydraulic(
     ...     stiffness=512950.0,
     ...     damping=198.0,
     ...     upper_stiffness=436950.0,
     ...     fluid_mass=62.8,
     ...     fluid_damping=2666.0,
     ... )
-    >>> K = jb.dynamic_stiffness(law, [10.0])
+    >>> K = jb.vibration.dynamic_stiffness(law, [10.0])
     >>> round(float(K.magnitude[0]), 4), round(float(jnp.rad2deg(K.loss_angle[0])), 6)
     (641526.9444, 53.216419)
     """
@@ -127,7 +127,7 @@ class Hydraulic(Inertial):
 
         Errors: NOT_POSITIVE, NEGATIVE, those of the mechanical parameters.
 
-        >>> law = Hydraulic.from_fluid(
+        >>> law = jb.laws.Hydraulic.from_fluid(
         ...     stiffness=2e5,
         ...     pumping_area=5e-3,
         ...     inertance=2e6,

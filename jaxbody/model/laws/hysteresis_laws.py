@@ -32,7 +32,7 @@ class BoucWen(Hysteretic):
     (1976) 249; the form of J.-P. Noel and M. Schoukens, Hysteretic benchmark with a dynamic
     nonlinearity (2016).
 
-    >>> law = BoucWen(alpha=5e4, beta=1e3, gamma=0.8, delta=-1.1)
+    >>> law = jb.laws.BoucWen(alpha=5e4, beta=1e3, gamma=0.8, delta=-1.1)
     >>> float(law.rate(jnp.array(0.0), jnp.array(0.1), jnp.zeros(1))[0])
     5000.0
     """
@@ -83,7 +83,7 @@ class Dahl(Hysteretic):
     Error: NOT_POSITIVE. Source: P. R. Dahl, A solid friction model, The Aerospace Corporation
     TOR-158(3107-18) (1968).
 
-    >>> law = Dahl(stiffness=1e6, level=100.0)
+    >>> law = jb.laws.Dahl(stiffness=1e6, level=100.0)
     >>> float(law.rate(jnp.array(0.0), jnp.array(1e-3), jnp.array([50.0]))[0])
     500.0
     """
@@ -127,7 +127,7 @@ class LuGre(Hysteretic):
     Errors: NOT_POSITIVE, NEGATIVE. Source: C. Canudas de Wit, H. Olsson, K. J. Astrom,
     P. Lischinsky, IEEE Trans. Automatic Control 40 (1995) 419.
 
-    >>> law = LuGre(
+    >>> law = jb.laws.LuGre(
     ...     stiffness=1e5, damping=300.0, viscosity=0.4, level=1.0, static_level=1.5, velocity=1e-3
     ... )
     >>> round(float(law.restoring_force(jnp.array(0.0), jnp.array(1.0), jnp.array([1e-5]))), 9)

@@ -32,7 +32,7 @@ class Law(Described, eqx.Module):
     """The base class of laws. A user-defined law derives from it and defines `force` or
     `potential`.
 
-    >>> class Cubic(Law):
+    >>> class Cubic(jb.laws.Law):
     ...     coefficient: jax.Array
     ...     def force(self, x):
     ...         return self.coefficient * x**3
@@ -93,7 +93,7 @@ def as_law(value: Any, where: str, problems: Problems) -> Law | None:
 class Linear(Law):
     """F = k x,  U = k x^2/2. `coefficient` k, stiffness [N/m] or damping [N s/m]. Error: NEGATIVE.
 
-    >>> float(Linear(200.0).force(jnp.array(0.1)))
+    >>> float(jb.laws.Linear(200.0).force(jnp.array(0.1)))
     20.0
     """
 
@@ -115,7 +115,7 @@ class Function(Law):
     """Any JAX function x -> F. Each new function object is compiled again; a Law with array leaves
     avoids that. The energy is a quadrature with twenty nodes, exact to rounding where F is smooth.
 
-    >>> round(float(Function(lambda x: jnp.sinh(x)).potential(jnp.array(1.0))), 12)
+    >>> round(float(jb.laws.Function(lambda x: jnp.sinh(x)).potential(jnp.array(1.0))), 12)
     0.543080634815
     """
 
@@ -129,9 +129,9 @@ class Sum(Law):
     """The sum of several laws, such as a spring and its bump stop.
 
     >>> float(
-    ...     (Linear(100.0) + jb.laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.01)).force(
-    ...         jnp.array(-0.2)
-    ...     )
+    ...     (
+    ...         jb.laws.Linear(100.0) + jb.laws.BumpStop(gap=0.1, stiffness=1000.0, engagement=0.01)
+    ...     ).force(jnp.array(-0.2))
     ... )
     -115.0
     """
@@ -233,7 +233,7 @@ class TwoSided(Law):
     `bump` (spring or damper in compression) and `rebound` (in extension): laws or numbers. Two
     numbers make a bilinear damper.
 
-    >>> damper = TwoSided(bump=800.0, rebound=2400.0)
+    >>> damper = jb.laws.TwoSided(bump=800.0, rebound=2400.0)
     >>> (
     ...     float(damper.force(jnp.array(-0.5))),
     ...     float(damper.force(jnp.array(0.5))),

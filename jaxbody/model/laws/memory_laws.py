@@ -149,7 +149,7 @@ class Viscoelastic(InnerCoordinates):
     (e', y') and definite in y'. In a linearization each y has a row, with M = 0. A spring k with a
     branch of a cubic spring and a dashpot:
 
-    >>> class Branch(Viscoelastic):
+    >>> class Branch(jb.laws.Viscoelastic):
     ...     cubic: jax.Array = jb.field("N/m3", "positive")
     ...     damping: jax.Array = jb.field("N s/m", "positive")
     ...     states = ("dashpot",)
@@ -188,7 +188,7 @@ class Inertial(InnerCoordinates):
     and definite. In a linearization each y has a row in M, C and K. A mass on a spring, carried
     by the deformation:
 
-    >>> class Absorber(Inertial):
+    >>> class Absorber(jb.laws.Inertial):
     ...     stiffness: jax.Array = jb.field("force/argument", "positive")
     ...     mass: jax.Array = jb.field("force s2/argument", "positive")
     ...     states, state_units = ("mass", "rate of mass"), ("argument", "argument/s")
@@ -255,7 +255,7 @@ class Hysteretic(Memory):
     rest in K, dF/de + dF/dz df/de', and no row for z: to first order it is a spring, and its
     losses, which grow with the square of the amplitude or less, are in simulations only.
 
-    >>> class Elastoplastic(Hysteretic):
+    >>> class Elastoplastic(jb.laws.Hysteretic):
     ...     stiffness: jax.Array = jb.field("force/argument", "positive")
     ...     limit: jax.Array = jb.field("force", "positive")
     ...     states, state_units = ("spring",), ("force",)

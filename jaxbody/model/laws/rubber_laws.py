@@ -25,7 +25,7 @@ class Maxwell(Viscoelastic):
 
     Error: NOT_POSITIVE. Source: R. S. Lakes, Viscoelastic Materials (2009), 2.6.
 
-    >>> mount = jb.laws.Linear(2e4) + Maxwell(stiffness=6e4, relaxation_time=0.01)
+    >>> mount = jb.laws.Linear(2e4) + jb.laws.Maxwell(stiffness=6e4, relaxation_time=0.01)
     >>> float(mount.terms[1].restoring_force(jnp.array(0.001), 0.0, jnp.zeros(1)))
     60.0
     """

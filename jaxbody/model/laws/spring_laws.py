@@ -19,7 +19,7 @@ class Polynomial(Law):
     """F = c1 x + c2 x^2 + c3 x^3 + ..., U = c1 x^2/2 + c2 x^3/3 + ... `coefficients` c1, c2, ...
     [N/m], [N/m2] ... Hardening where c3 > 0.
 
-    >>> float(Polynomial([100.0, 0.0, 5.0]).force(jnp.array(2.0)))
+    >>> float(jb.laws.Polynomial([100.0, 0.0, 5.0]).force(jnp.array(2.0)))
     240.0
     """
 
@@ -50,7 +50,7 @@ class Polynomial(Law):
         return self._sum(x, np.arange(2, self.coefficients.shape[-1] + 2)) * x**2
 
 
-class Stop(Law):
+class BumpStop(Law):
     """A stop behind a gap: with the penetration d = -x - gap (an `extension` stop: d = x - gap) and
     the engagement w,
 
@@ -66,7 +66,9 @@ class Stop(Law):
 
     Errors: NEGATIVE for gap or stiffness, NOT_POSITIVE for the engagement.
 
-    >>> round(float(Stop(gap=0.06, stiffness=2e5, engagement=0.01).force(jnp.array(-0.1))))
+    >>> round(
+    ...     float(jb.laws.BumpStop(gap=0.06, stiffness=2e5, engagement=0.01).force(jnp.array(-0.1)))
+    ... )
     -7000
     """
 
@@ -118,8 +120,8 @@ class TensionOnly(Law):
     Error: NEGATIVE.
 
     >>> (
-    ...     float(TensionOnly(100.0).force(jnp.array(-0.1))),
-    ...     float(TensionOnly(100.0).force(jnp.array(0.1))),
+    ...     float(jb.laws.TensionOnly(100.0).force(jnp.array(-0.1))),
+    ...     float(jb.laws.TensionOnly(100.0).force(jnp.array(0.1))),
     ... )
     (0.0, 10.0)
     """
@@ -152,7 +154,7 @@ class AirSpring(Law):
 
     Error: NOT_POSITIVE.
 
-    >>> spring = AirSpring.carrying(2000.0, area=0.02, height=0.15)
+    >>> spring = jb.laws.AirSpring.carrying(2000.0, area=0.02, height=0.15)
     >>> round(float(spring.force(jnp.array(0.0))), 6), round(float(spring.slope(jnp.array(0.0))))
     (-2000.0, 37581)
     """
@@ -219,7 +221,7 @@ class Digressive(Law):
 
     Errors: NEGATIVE, NOT_POSITIVE for the knee.
 
-    >>> float(Digressive(slow=3000.0, fast=0.0, knee=0.3).force(jnp.array(0.4)))
+    >>> float(jb.laws.Digressive(slow=3000.0, fast=0.0, knee=0.3).force(jnp.array(0.4)))
     720.0
     """
 
@@ -246,7 +248,7 @@ class Friction(Law):
 
     `level` F0 [N], `velocity` v0 [m/s]. Errors: NEGATIVE, NOT_POSITIVE for the velocity.
 
-    >>> round(float(Friction(level=50.0, velocity=1e-3).force(jnp.array(0.1))), 2)
+    >>> round(float(jb.laws.Friction(level=50.0, velocity=1e-3).force(jnp.array(0.1))), 2)
     50.0
     """
 

@@ -15,7 +15,7 @@ from jaxbody.geometry.fields import field, kind_of, nan_outside
 from jaxbody.model.laws.laws import Law, row_of_numbers
 
 
-class Table(Law):
+class Tabulated(Law):
     """Interpolation of measured points by monotone cubics (Fritsch, Carlson, SIAM J. Numer.
     Anal. 17 (1980) 238, slopes of Fritsch and Butland): between x_i and x_{i+1}, h apart,
     with u = (x - x_i)/h,
@@ -24,10 +24,10 @@ class Table(Law):
 
     U is its exact integral. Beyond the points F continues with the slope at the end, and results
     have the status TABLE_RANGE. It needs at least four points: `x` [m or m/s], increasing, and
-    `forces` [N], not decreasing. `Table.read` reads them from a file with units. Errors, all at
+    `forces` [N], not decreasing. `Tabulated.read` reads them from a file with units. Errors, all at
     once: TABLE_SHORT, TABLE_UNSORTED, TABLE_DUPLICATE, TABLE_FALLS, BAD_SHAPE, NON_FINITE.
 
-    >>> float(Table([-1, 0, 1, 2], [-10, 0, 10, 40]).force(jnp.array(3.0))) > 70
+    >>> float(jb.laws.Tabulated([-1, 0, 1, 2], [-10, 0, 10, 40]).force(jnp.array(3.0))) > 70
     True
     """
 
@@ -39,7 +39,7 @@ class Table(Law):
     def __init__(self, x, forces):
         with Problems() as problems:
             self.x, self.forces = (
-                row_of_numbers(v, f"Table.{name}", problems)
+                row_of_numbers(v, f"Tabulated.{name}", problems)
                 for name, v in (("x", x), ("forces", forces))
             )
             _check_table(self.x, self.forces, problems)
@@ -58,7 +58,7 @@ class Table(Law):
         skip: int = 0,
         footer: int = 0,
         largest: float = 1e8,
-    ) -> Table:
+    ) -> Tabulated:
         """Read the law from a text file of two columns below their names and units, `elongation
         [mm], force [kN]`.
 
@@ -168,8 +168,8 @@ def _end_slope(h0, h1, d0, d1):
 def has_range(tree: Any) -> bool:
     """Return whether the tree holds a law with a limited range."""
     return any(
-        isinstance(leaf, Table)
-        for leaf in jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, Table))
+        isinstance(leaf, Tabulated)
+        for leaf in jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, Tabulated))
     )
 
 
@@ -180,7 +180,7 @@ def _check_table(x: Any, forces: Any, problems: Problems) -> None:
     if len(x) != len(F):
         problems.add(
             "BAD_SHAPE",
-            "Table.forces",
+            "Tabulated.forces",
             f"has {len(F)} numbers for {len(x)} of x",
             value=len(F),
             limit=f"{len(x)}",
@@ -189,7 +189,7 @@ def _check_table(x: Any, forces: Any, problems: Problems) -> None:
     if len(x) < 4:
         problems.add(
             "TABLE_SHORT",
-            "Table.x",
+            "Tabulated.x",
             f"has {len(x)} points",
             value=len(x),
             limit="at least 4",
@@ -204,7 +204,7 @@ def _check_table(x: Any, forces: Any, problems: Problems) -> None:
             i = int(np.flatnonzero(bad)[0])
             problems.add(
                 code,
-                "Table.x",
+                "Tabulated.x",
                 f"{verb} at index {i + 1}: {x[i]:g}, then {x[i + 1]:g}",
                 value=i + 1,
                 limit="increasing",
@@ -214,7 +214,7 @@ def _check_table(x: Any, forces: Any, problems: Problems) -> None:
         i = int(np.flatnonzero(rises < 0)[0])
         problems.add(
             "TABLE_FALLS",
-            "Table.forces",
+            "Tabulated.forces",
             f"falls from {F[i]:g} to {F[i + 1]:g} N between x = {x[i]:g} and {x[i + 1]:g}",
             value=i + 1,
             limit="not falling",

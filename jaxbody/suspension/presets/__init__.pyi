@@ -1,4 +1,4 @@
-"""Ready models; public as `jb.presets`."""
+"""What `jaxbody.suspension.presets` offers, written by `python tests/stubs.py`."""
 
 from jaxbody.suspension.presets.linkages import four_bar as four_bar
 from jaxbody.suspension.presets.presets import coupled_gliders as coupled_gliders
@@ -6,9 +6,7 @@ from jaxbody.suspension.presets.presets import double_pendulum as double_pendulu
 from jaxbody.suspension.presets.presets import elastic_pendulum as elastic_pendulum
 from jaxbody.suspension.presets.presets import engine_on_mounts as engine_on_mounts
 from jaxbody.suspension.presets.presets import full_car as full_car
-from jaxbody.suspension.presets.presets import (
-    full_car_on_double_wishbones as full_car_on_double_wishbones,
-)
+from jaxbody.suspension.presets.presets import full_car_on_double_wishbones as full_car_on_double_wishbones
 from jaxbody.suspension.presets.presets import half_car as half_car
 from jaxbody.suspension.presets.presets import hydraulic_engine_mounts as hydraulic_engine_mounts
 from jaxbody.suspension.presets.presets import isolated_table as isolated_table

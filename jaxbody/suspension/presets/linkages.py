@@ -47,9 +47,9 @@ def four_bar(
     Machinery, for lengths and angle; the angles of coupler and rocker are those of
     Freudenstein's equation.
 
-    >>> model = four_bar()
-    >>> eq = equilibrium(model)
-    >>> len(eq.redundant), round(float(modes(linearize(model, eq)).frequency[0]), 4)
+    >>> model = jb.presets.four_bar()
+    >>> eq = jb.equilibrium(model)
+    >>> len(eq.redundant), round(float(jb.modes(jb.linearize(model, eq)).frequency[0]), 4)
     (3, 18.1984)
     """
     turn = np.deg2rad(angle)

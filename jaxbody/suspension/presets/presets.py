@@ -46,7 +46,9 @@ def quarter_car(
 
     Source: R. N. Jazar, Vehicle Dynamics: 8.8671 and 55.2694 rad/s undamped.
 
-    >>> frequency = modes(linearize(model := quarter_car(), equilibrium(model))).frequency
+    >>> frequency = jb.modes(
+    ...     jb.linearize(model := jb.presets.quarter_car(), jb.equilibrium(model))
+    ... ).frequency
     >>> round(float(2 * jnp.pi * frequency[0]), 4)
     8.8671
     """
@@ -109,7 +111,7 @@ def half_car(
 
     Source: S. S. Rao, Mechanical Vibrations, example 5.7: 5.8593 and 9.4341 rad/s.
 
-    >>> half_car().layout.coordinates
+    >>> jb.presets.half_car().layout.coordinates
     ('body move along z', 'body turn about y')
     """
     length = 0.5
@@ -192,7 +194,7 @@ def full_car(
     Source: the seven-degree-of-freedom model of R. N. Jazar, Vehicle Dynamics, chapter 14. The
     numbers are those of a compact car and have no source.
 
-    >>> full_car().layout.nv
+    >>> jb.presets.full_car().layout.nv
     7
     """
     attached, radius = 0.55, 0.3
@@ -250,9 +252,9 @@ MOUNT_DAMPING = np.array([[910.0, 2000, 198], [1470, 610, 1400], [800, 1560, 150
 
 
 def full_car_on_double_wishbones(**numbers: Any) -> Model:
-    """Return the model of `jb.car_on_double_wishbones`, which takes the same numbers.
+    """Return the model of `jb.suspension.car_on_double_wishbones`, which takes the same numbers.
 
-    >>> len(full_car_on_double_wishbones().layout.bodies)
+    >>> len(jb.presets.full_car_on_double_wishbones().layout.bodies)
     14
     """
     # this imports more modules than all other presets together
@@ -282,7 +284,7 @@ def engine_on_mounts(
     Source: a powertrain on three mounts (github hojjatkarami/NVHteam; the stiffness of mount 1
     includes its hydraulic branch): 7.50256052 ... 26.4512989 Hz.
 
-    >>> engine_on_mounts().element_names
+    >>> jb.presets.engine_on_mounts().element_names
     ('mount 1', 'mount 2', 'mount 3')
     """
     mounts = zip(np.asarray(points), stiffness, damping, strict=True)
@@ -323,12 +325,12 @@ def hydraulic_engine_mounts(
 
     Source: a powertrain on three mounts (github hojjatkarami/NVHteam).
 
-    >>> model = hydraulic_engine_mounts()
+    >>> model = jb.presets.hydraulic_engine_mounts()
     >>> model.layout.states
     ('mount 1, fluid', 'mount 1, rate of fluid')
     >>> [
     ...     round(float(f), 4)
-    ...     for f in complex_modes(linearize(model, model.reference)).natural_frequency
+    ...     for f in jb.complex_modes(jb.linearize(model, model.reference)).natural_frequency
     ... ]
     [7.5009, 8.6181, 8.8047, 10.393, 12.1152, 20.6315, 27.4148]
     """
@@ -371,7 +373,7 @@ def isolated_table(
 
     Source: Harris, Shock and Vibration Handbook, chapter 3: z 6.366198 Hz, yaw 5.097929 Hz.
 
-    >>> isolated_table().element_names[0]
+    >>> jb.presets.isolated_table().element_names[0]
     'isolator 1'
     """
     return Model(
@@ -415,7 +417,7 @@ def stewart_table(
     Source: D. Stewart, Proc. Inst. Mech. Eng. 180 (1965) 371, in the symmetric form with leg ends
     in pairs.
 
-    >>> stewart_table().layout.nv, len(stewart_table().element_names)
+    >>> jb.presets.stewart_table().layout.nv, len(jb.presets.stewart_table().element_names)
     (6, 6)
     """
     pairs = np.deg2rad([120 * i for i in range(3)])
@@ -455,7 +457,7 @@ def elastic_pendulum(
     Source: P. Lynch, the swinging spring: in 2:1 resonance it alternates between bouncing and
     swinging, each time in another plane.
 
-    >>> elastic_pendulum().layout.coordinates[2]
+    >>> jb.presets.elastic_pendulum().layout.coordinates[2]
     'bob move along z'
     """
     length = free_length + mass * gravity / stiffness
@@ -480,7 +482,7 @@ def double_pendulum(*, masses=(1.0, 1.0), lengths=(1.0, 1.0), gravity=G) -> Mode
     Source: for example L. D. Landau, E. M. Lifshitz, Mechanics, section 5, with rods instead of
     point masses.
 
-    >>> double_pendulum().layout.motions
+    >>> jb.presets.double_pendulum().layout.motions
     (('upper', 'turn about its hinge'), ('lower', 'turn about its hinge'))
     """
     (m1, m2), (l1, l2) = masses, lengths
@@ -519,7 +521,7 @@ def coupled_gliders(
 
     Source: M. Schmidt, H. Lipson, Science 324 (2009) 81; examples/gliders.py fits their record.
 
-    >>> coupled_gliders().element_names
+    >>> jb.presets.coupled_gliders().element_names
     ('left', 'middle', 'right')
     """
     places = {"one": span / 3, "two": 2 * span / 3}
@@ -573,8 +575,8 @@ def rubber_isolators(
     Source of the form: R. S. Lakes, Viscoelastic Materials (2009), chapter 2. The numbers have no
     source: they are those of a rubber whose loss angle is about 5 to 8 degrees from 1 to 200 Hz.
 
-    >>> law = rubber_isolators()["isolator 1"].z
-    >>> K = jb.dynamic_stiffness(law, [1.0, 200.0])
+    >>> law = jb.presets.rubber_isolators()["isolator 1"].z
+    >>> K = jb.vibration.dynamic_stiffness(law, [1.0, 200.0])
     >>> [round(float(x)) for x in K.magnitude]
     [43184, 66308]
     """

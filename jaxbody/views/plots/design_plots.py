@@ -23,8 +23,10 @@ def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
     ...     c = model["suspension"].damping / 1500.0
     ...     return {"shake": c + 1 / c, "travel": 1 / c}
     >>> bounds = {"*.damping": (500.0, 5000.0)}
-    >>> ax = plot_tuning(
-    ...     tune(car, trade, minimize="shake", free=["suspension.damping"], bounds=bounds, starts=1)
+    >>> ax = jb.plots.plot_tuning(
+    ...     jb.tune(
+    ...         car, trade, minimize="shake", free=["suspension.damping"], bounds=bounds, starts=1
+    ...     )
     ... )
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('trial', 'shake')
@@ -60,7 +62,7 @@ def plot_front(front: Front, *, ax: Any = None) -> Any:
     ...     c = model["suspension"].damping / 1500.0
     ...     return {"shake": c + 1 / c, "travel": 1 / c}
     >>> bounds = {"*.damping": (500.0, 5000.0)}
-    >>> front = pareto(
+    >>> front = jb.pareto(
     ...     car,
     ...     trade,
     ...     minimize=["shake", "travel"],
@@ -68,7 +70,7 @@ def plot_front(front: Front, *, ax: Any = None) -> Any:
     ...     bounds=bounds,
     ...     points=4,
     ... )
-    >>> ax = plot_front(front)
+    >>> ax = jb.plots.plot_front(front)
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('travel', 'shake')
     """
@@ -99,7 +101,9 @@ def plot_tornado(
     >>> def trade(model):
     ...     c = model["suspension"].damping / 1500.0
     ...     return {"shake": c + 1 / c, "travel": 1 / c}
-    >>> ax = plot_tornado(sensitivities(car, trade, free=["suspension.damping"]), "travel")
+    >>> ax = jb.plots.plot_tornado(
+    ...     jb.design.sensitivities(car, trade, free=["suspension.damping"]), "travel"
+    ... )
     >>> ax.get_xlabel(), [text.get_text() for text in ax.get_yticklabels()]
     ('travel', ['suspension.damping'])
     """
@@ -141,8 +145,8 @@ def plot_tolerances(tolerances: Tolerances, quantity: str | None = None, *, ax: 
     >>> def trade(model):
     ...     c = model["suspension"].damping / 1500.0
     ...     return {"shake": c + 1 / c, "travel": 1 / c}
-    >>> ax = plot_tolerances(
-    ...     tolerances(car, trade, {"suspension.damping": 150.0}, samples=200), "travel"
+    >>> ax = jb.plots.plot_tolerances(
+    ...     jb.tolerances(car, trade, {"suspension.damping": 150.0}, samples=200), "travel"
     ... )
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['200 samples', 'first order', 'second order', 'nominal']

@@ -38,19 +38,21 @@ def plot_history(fit: Fit, *, ax: Any = None) -> Any:
     A dotted line marks each new estimate of the noise, which changes the weights in the cost:
     compare costs only between two such lines.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...     elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+    ...     elements={
+    ...         "spring": jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    ...     },
     ... )
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
     ... )
-    >>> fitted = fit(model, {"track": track}, free=["spring.stiffness"])
-    >>> plot_history(fitted).get_yscale()
+    >>> fitted = jb.fit(model, {"track": track}, free=["spring.stiffness"])
+    >>> jb.plots.plot_history(fitted).get_yscale()
     'log'
     """
     ax = axes_or_new(ax, 6.0, 3.0)
@@ -90,11 +92,11 @@ def plot_correlations(fit: Fit, *, ax: Any = None) -> Any:
 
     Near 1 or -1 the data determine a combination of the two parameters better than each of them.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
     ...     elements={
-    ...         "spring": Spring(
+    ...         "spring": jb.Spring(
     ...             ("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0, damping=1.0
     ...         )
     ...     },
@@ -104,11 +106,11 @@ def plot_correlations(fit: Fit, *, ax: Any = None) -> Any:
     ...     jnp.exp(-0.5 * times) * (jnp.cos(5.454 * times) + 0.0917 * jnp.sin(5.454 * times))
     ...     + noise
     ... )
-    >>> track = Experiment(
-    ...     times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": decay}
+    >>> track = jb.Experiment(
+    ...     times, sensors={"x": jb.Position("mass", axis=[1, 0, 0])}, measured={"x": decay}
     ... )
-    >>> ax = plot_correlations(
-    ...     fit(model, {"track": track}, free=["spring.stiffness", "spring.damping"])
+    >>> ax = jb.plots.plot_correlations(
+    ...     jb.fit(model, {"track": track}, free=["spring.stiffness", "spring.damping"])
     ... )
     >>> [text.get_text() for text in ax.get_yticklabels()]
     ['spring.stiffness', 'spring.damping']
@@ -148,19 +150,21 @@ def plot_autocorrelation(
         sensor: name of the sensor; None takes the first one.
         ax: axes to draw into; None makes a new figure.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...     elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+    ...     elements={
+    ...         "spring": jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    ...     },
     ... )
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
     ... )
-    >>> fitted = fit(model, {"track": track}, free=["spring.stiffness"])
-    >>> plot_autocorrelation(fitted).get_xlabel()
+    >>> fitted = jb.fit(model, {"track": track}, free=["spring.stiffness"])
+    >>> jb.plots.plot_autocorrelation(fitted).get_xlabel()
     'lag [samples]'
     """
     run, sensor, part = chosen(fit, run, sensor, "plot_autocorrelation")
@@ -211,19 +215,23 @@ def plot_multistart(result: Multistart, *, ax: Any = None) -> Any:
     """Draw the cost of each optimum above the least cost, and below it the number of starts that
     reached the optimum; the best optimum is the first.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...     elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+    ...     elements={
+    ...         "spring": jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    ...     },
     ... )
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
     ... )
-    >>> ax = plot_multistart(
-    ...     multistart(model, {"track": track}, free="spring.stiffness", starts=3, spread=0.1)
+    >>> ax = jb.plots.plot_multistart(
+    ...     jb.fitting.multistart(
+    ...         model, {"track": track}, free="spring.stiffness", starts=3, spread=0.1
+    ...     )
     ... )
     >>> ax.figure.axes[-1].get_xlabel()
     'optimum'
@@ -246,25 +254,29 @@ def plot_multistart(result: Multistart, *, ax: Any = None) -> Any:
     return ax
 
 
-def plot_profile(profile: Profile, *, ax: Any = None) -> Any:
+def plot_profile_likelihood(profile: Profile, *, ax: Any = None) -> Any:
     """Draw the signed root tau of a likelihood profile over its parameter, with the confidence
     interval, in which tau is between the dashed lines.
 
     tau is a straight line if the likelihood is that of a normal distribution.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...     elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+    ...     elements={
+    ...         "spring": jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    ...     },
     ... )
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
     ... )
-    >>> fitted = fit(model, {"track": track}, free=["spring.stiffness"])
-    >>> plot_profile(profile(fitted, "spring.stiffness")).get_xlabel()
+    >>> fitted = jb.fit(model, {"track": track}, free=["spring.stiffness"])
+    >>> jb.plots.plot_profile_likelihood(
+    ...     jb.profile_likelihood(fitted, "spring.stiffness")
+    ... ).get_xlabel()
     'spring.stiffness [N/m]'
     """
     ax = axes_or_new(ax, 4.6, 3.2)
@@ -288,7 +300,7 @@ def plot_profile(profile: Profile, *, ax: Any = None) -> Any:
     return ax
 
 
-def plot_coverage(result: Coverage, *, ax: Any = None) -> Any:
+def plot_interval_coverage(result: Coverage, *, ax: Any = None) -> Any:
     """Draw the share of replicates whose intervals contain the true value, for each parameter, and
     the confidence level with two standard errors of such a share."""
     count = len(result.parameters)

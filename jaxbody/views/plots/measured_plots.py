@@ -55,18 +55,20 @@ def plot_fit(fit: Fit, *, run: str | None = None, sensor: str | None = None, ax:
             moment"; None takes the first one ("frequency" for modes).
         ax: axes to draw into; None makes a new figure.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...     elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+    ...     elements={
+    ...         "spring": jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    ...     },
     ... )
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     times,
-    ...     sensors={"x": Position("mass", axis=[1, 0, 0])},
+    ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
     ... )
-    >>> plot_fit(fit(model, {"track": track}, free=["spring.stiffness"])).get_ylabel()
+    >>> jb.plots.plot_fit(jb.fit(model, {"track": track}, free=["spring.stiffness"])).get_ylabel()
     'x [m]'
     """
     run, sensor, part = chosen(fit, run, sensor, "plot_fit")
@@ -342,7 +344,7 @@ def plot_record(record: Record, *, channels: tuple[str, ...] | None = None, ax: 
 
     channels: names; None takes all. Error: UNKNOWN_CHANNEL.
 
-    >>> record = Record(
+    >>> record = jb.Record(
     ...     [0.0, 0.1, 0.2], {"seat": ([0.1, 0.2, 0.0], "g"), "stroke": ([0, 5, 9], "mm")}
     ... )
     >>> [axes.get_ylabel() for axes in record.plot().figure.axes]
@@ -374,12 +376,12 @@ def plot_measurement(measurement: Measurement, *, ax: Any = None) -> Any:
 
     Error: NO_DATA for a planned experiment, in which nothing is measured yet.
 
-    >>> track = Experiment(
+    >>> track = jb.Experiment(
     ...     [0.0, 0.1, 0.2],
-    ...     sensors={"x": Position("mass", axis="x")},
+    ...     sensors={"x": jb.Position("mass", axis="x")},
     ...     measured={"x": [1.0, 0.9, 0.7]},
     ... )
-    >>> plot_measurement(track).get_ylabel()
+    >>> jb.plots.plot_measurement(track).get_ylabel()
     'x [m]'
     """
     channels = {
@@ -446,8 +448,10 @@ def plot_recovered(recovered: Recovered, *, ax: Any = None) -> Any:
     removed from the accelerations [m/s2, rad/s].
 
     >>> t = jnp.arange(400) / 100
-    >>> shaken = base_motion(Record(t, {"acc": (jnp.cos(6 * t), "m/s2")}), "acc", axis=[1, 0, 0])
-    >>> plot_recovered(shaken).figure.axes[-1].get_xlabel()
+    >>> shaken = jb.inputs.base_motion(
+    ...     jb.Record(t, {"acc": (jnp.cos(6 * t), "m/s2")}), "acc", axis=[1, 0, 0]
+    ... )
+    >>> jb.plots.plot_recovered(shaken).figure.axes[-1].get_xlabel()
     'time [s]'
     """
     check_single("plot_recovered.recovered", recovered.times, 1)
@@ -466,7 +470,7 @@ def plot_recovered(recovered: Recovered, *, ax: Any = None) -> Any:
     )
 
 
-def plot_bands(
+def plot_confidence_bands(
     bands: Bands, x: Any = None, *, xlabel: str = "component", ylabel: str = "value", ax: Any = None
 ) -> Any:
     """Draw the value of a function of a fitted model with its confidence band: a line over x, or
@@ -480,11 +484,11 @@ def plot_bands(
 
     Error: BAD_SHAPE if x has not one number for each value.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
     ...     elements={
-    ...         "spring": Spring(
+    ...         "spring": jb.Spring(
     ...             ("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0, damping=1.0
     ...         )
     ...     },
@@ -494,12 +498,13 @@ def plot_bands(
     ...     jnp.exp(-0.5 * times) * (jnp.cos(5.454 * times) + 0.0917 * jnp.sin(5.454 * times))
     ...     + noise
     ... )
-    >>> track = Experiment(
-    ...     times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": decay}
+    >>> track = jb.Experiment(
+    ...     times, sensors={"x": jb.Position("mass", axis=[1, 0, 0])}, measured={"x": decay}
     ... )
-    >>> fitted = fit(model, {"track": track}, free=["spring.damping"])
-    >>> plot_bands(
-    ...     bands(fitted, lambda model: model["spring"].damping), ylabel="damping [N s/m]"
+    >>> fitted = jb.fit(model, {"track": track}, free=["spring.damping"])
+    >>> jb.plots.plot_confidence_bands(
+    ...     jb.confidence_bands(fitted, lambda model: model["spring"].damping),
+    ...     ylabel="damping [N s/m]",
     ... ).get_ylabel()
     'damping [N s/m]'
     """
@@ -543,11 +548,11 @@ def plot_diagnosis(diagnosis: Diagnosis, *, ax: Any = None) -> Any:
     """Draw for each channel the gain relative to the prediction, the delay [samples] and the
     residual relative to the signal [%].
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
-    ...     joints={"mass": Guide("world", axis=[1, 0, 0])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
     ...     elements={
-    ...         "spring": Spring(
+    ...         "spring": jb.Spring(
     ...             ("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0, damping=1.0
     ...         )
     ...     },
@@ -557,10 +562,10 @@ def plot_diagnosis(diagnosis: Diagnosis, *, ax: Any = None) -> Any:
     ...     jnp.exp(-0.5 * times) * (jnp.cos(5.454 * times) + 0.0917 * jnp.sin(5.454 * times))
     ...     + noise
     ... )
-    >>> track = Experiment(
-    ...     times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": decay}
+    >>> track = jb.Experiment(
+    ...     times, sensors={"x": jb.Position("mass", axis=[1, 0, 0])}, measured={"x": decay}
     ... )
-    >>> plot_diagnosis(diagnose(model, {"track": track})).get_ylabel()
+    >>> jb.plots.plot_diagnosis(jb.diagnose(model, {"track": track})).get_ylabel()
     'gain [-]'
     """
     names = tuple(c.name for c in diagnosis.channels)

@@ -45,7 +45,9 @@ def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any
     for another kind.
 
     >>> car = jb.presets.half_car()
-    >>> ax = plot_mode_energies(mode_energies(linearize(car, equilibrium(car)), forward="x"))
+    >>> ax = jb.plots.plot_mode_energies(
+    ...     jb.mode_energies(jb.linearize(car, jb.equilibrium(car)), forward="x")
+    ... )
     >>> ax.get_title()
     'kinetic energy [%]; 4 rows below 0.05 % left out'
     """
@@ -96,7 +98,7 @@ def _rows(energies: ModeEnergies, kind: str) -> dict[str, np.ndarray]:
     return {name: np.asarray(row) for name, row in rows.items()}
 
 
-def plot_branches(branches: Branches, *, parameter: str = "parameter", ax: Any = None) -> Any:
+def plot_tracked_modes(branches: Branches, *, parameter: str = "parameter", ax: Any = None) -> Any:
     """Draw the frequency of each mode [Hz] along a parameter; a gap and a cross mark where a mode
     could not be tracked.
 
@@ -104,11 +106,14 @@ def plot_branches(branches: Branches, *, parameter: str = "parameter", ax: Any =
     the parameter, with its unit.
 
     >>> car = jb.presets.half_car()
-    >>> found = track(
-    ...     lambda k: linearize(replace(car, {"front spring.stiffness": k}), car.reference),
+    >>> found = jb.track_modes(
+    ...     lambda k: jb.linearize(jb.replace(car, {"front spring.stiffness": k}), car.reference),
     ...     jnp.linspace(1.5e4, 4e4, 6),
     ... )
-    >>> [line.get_label() for line in plot_branches(found, parameter="front stiffness [N/m]").lines]
+    >>> [
+    ...     line.get_label()
+    ...     for line in jb.plots.plot_tracked_modes(found, parameter="front stiffness [N/m]").lines
+    ... ]
     ['1: body bounce 86 %', '2: body about y 86 %']
     """
     check_single("plot_branches.branches", branches.frequency, 2)
@@ -140,7 +145,7 @@ def plot_matrix(lin: LinearSystem, *, matrix: str = "K", ax: Any = None) -> Any:
     Error: UNKNOWN_NAME.
 
     >>> engine = jb.presets.engine_on_mounts()
-    >>> ax = linearize(engine, equilibrium(engine)).plot()
+    >>> ax = jb.linearize(engine, jb.equilibrium(engine)).plot()
     >>> [text.get_text() for text in ax.get_xticklabels()][:2]
     ['engine move along x', 'engine move along y']
     """
@@ -178,8 +183,8 @@ def plot_modes(modes: Modes, *, ax: Any = None) -> Any:
     The squares of a column add up to 1 if M couples no coordinates. `draw_mode` draws one mode as a
     motion of the model.
 
-    >>> lin = linearize(jb.presets.quarter_car(), jb.presets.quarter_car().reference)
-    >>> [text.get_text() for text in plot_modes(modes(lin)).get_yticklabels()]
+    >>> lin = jb.linearize(jb.presets.quarter_car(), jb.presets.quarter_car().reference)
+    >>> [text.get_text() for text in jb.plots.plot_modes(jb.modes(lin)).get_yticklabels()]
     ['body move along its guide', 'wheel move along its guide']
     """
     check_single("plot_modes.modes", modes.frequency, 1)
@@ -210,7 +215,7 @@ def plot_poles(modes: ComplexModes, *, ax: Any = None) -> Any:
     grow.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
-    >>> ax = plot_poles(complex_modes(linearize(car, car.reference)))
+    >>> ax = jb.plots.plot_poles(jb.complex_modes(jb.linearize(car, car.reference)))
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('real part [1/s]', 'damped frequency [Hz]')
     """
@@ -262,20 +267,22 @@ def plot_poles(modes: ComplexModes, *, ax: Any = None) -> Any:
     return ax
 
 
-def plot_backbones(backbones: Backbones, *, ax: Any = None) -> Any:
+def plot_backbone_curves(backbones: Backbones, *, ax: Any = None) -> Any:
     """Draw the change of each natural frequency [%] over the amplitude of the mode's largest
     component, up to 5 %.
 
     Modes with a largest component in rad have a panel of their own. Modes without a backbone are
     left out; those whose frequency does not change extend to the largest amplitude of the others.
 
-    >>> bob = Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
-    >>> pendulum = Model(
+    >>> bob = jb.Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
+    >>> pendulum = jb.Model(
     ...     bodies={"bob": bob},
-    ...     joints={"bob": Hinge("world", axis=[0, 1, 0])},
+    ...     joints={"bob": jb.Hinge("world", axis=[0, 1, 0])},
     ...     gravity=[0, 0, -9.81],
     ... )
-    >>> plot_backbones(backbones(linearize(pendulum, pendulum.reference))).get_xlabel()
+    >>> jb.plots.plot_backbone_curves(
+    ...     jb.backbone_curves(jb.linearize(pendulum, pendulum.reference))
+    ... ).get_xlabel()
     'amplitude [rad]'
     """
     check_single("plot_backbones.backbones", backbones.frequency, 1)
@@ -318,7 +325,9 @@ def plot_elastic_axes(axes: ElasticAxes, *, view: str = "xz", ax: Any = None) ->
     them on the model. Error: BAD_VIEW.
 
     >>> engine = jb.presets.engine_on_mounts()
-    >>> ax = plot_elastic_axes(elastic_axes(linearize(engine, engine.reference), "engine"))
+    >>> ax = jb.plots.plot_elastic_axes(
+    ...     jb.vibration.elastic_axes(jb.linearize(engine, engine.reference), "engine")
+    ... )
     >>> ax.get_title(), ax.get_xlabel()
     ('elastic axes of engine', 'x [m]')
     """
@@ -343,8 +352,11 @@ def plot_torque_roll_axis(axis: TorqueRollAxis, *, view: str = "xz", ax: Any = N
     rotation about it; the arguments are those of `plot_elastic_axes`.
 
     >>> engine = jb.presets.engine_on_mounts()
-    >>> ax = plot_torque_roll_axis(
-    ...     torque_roll_axis(linearize(engine, engine.reference), "engine", [1.0, 0, 0]), view="xy"
+    >>> ax = jb.plots.plot_torque_roll_axis(
+    ...     jb.vibration.torque_roll_axis(
+    ...         jb.linearize(engine, engine.reference), "engine", [1.0, 0, 0]
+    ...     ),
+    ...     view="xy",
     ... )
     >>> ax.get_title(), ax.get_ylabel()
     ('torque roll axis of engine', 'y [m]')

@@ -64,16 +64,16 @@ def draw_model(
         names: whether to write the names of bodies and elements.
         ax: axes to draw into; None makes a new figure.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
     ...     gravity=[0, -9.81, 0],
     ...     elements={
-    ...         "s": Spring(
+    ...         "s": jb.Spring(
     ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9
     ...         )
     ...     },
     ... )
-    >>> draw_model(model).get_ylabel()
+    >>> jb.plots.draw_model(model).get_ylabel()
     'y [m]'
     """
     state = model.reference if state is None else state
@@ -112,8 +112,8 @@ def draw_mode(
 
     Error: UNKNOWN_MODE.
 
-    >>> lin = linearize(jb.presets.quarter_car(), jb.presets.quarter_car().reference)
-    >>> draw_mode(lin, modes(lin), 2).get_title().splitlines()
+    >>> lin = jb.linearize(jb.presets.quarter_car(), jb.presets.quarter_car().reference)
+    >>> jb.plots.draw_mode(lin, jb.modes(lin), 2).get_title().splitlines()
     ['mode 2: 8.796 Hz', 'wheel bounce 100 %']
     """
     model = lin.model

@@ -32,16 +32,16 @@ def plot_trajectory(
 
     Coordinates that do not move are left out. bodies: names of bodies and supports; None takes all.
 
-    >>> model = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
     ...     elements={
-    ...         "s": Spring(
+    ...         "s": jb.Spring(
     ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9
     ...         )
     ...     },
     ... )
-    >>> ax = plot_trajectory(simulate(model, jnp.linspace(0, 1, 11)))
+    >>> ax = jb.plots.plot_trajectory(jb.simulate(model, jnp.linspace(0, 1, 11)))
     >>> ax.get_ylabel()
     'displacement [m]'
     """
@@ -72,16 +72,16 @@ def plot_forces(
     The moments [N m] of torsion springs and bushings are below. elements: names; None takes all.
     Error: UNKNOWN_NAME.
 
-    >>> oscillator = Model(
-    ...     bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])},
-    ...     joints={"mass": Guide("world", axis=[0, 1, 0])},
+    >>> oscillator = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+    ...     joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
     ...     elements={
-    ...         "s": Spring(
+    ...         "s": jb.Spring(
     ...             ("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9
     ...         )
     ...     },
     ... )
-    >>> ax = plot_forces(simulate(oscillator, jnp.linspace(0, 1, 11)))
+    >>> ax = jb.plots.plot_forces(jb.simulate(oscillator, jnp.linspace(0, 1, 11)))
     >>> ax.get_ylabel(), [line.get_label() for line in ax.lines]
     ('force, tension positive [N]', ['s'])
     """
@@ -108,8 +108,8 @@ def plot_energies(trajectory: Trajectory, *, ax: Any = None) -> Any:
     resolve the motion or the integration is not accurate.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
-    >>> motion = {"road": Harmonic(frequency=1.0, translation=[0, 0, 0.01])}
-    >>> ax = plot_energies(simulate(car, jnp.linspace(0, 1, 101), motion=motion))
+    >>> motion = {"road": jb.Harmonic(frequency=1.0, translation=[0, 0, 0.01])}
+    >>> ax = jb.plots.plot_energies(jb.simulate(car, jnp.linspace(0, 1, 101), motion=motion))
     >>> print(*(line.get_label() for line in ax.lines), sep=", ")
     kinetic, potential, dissipated, work of the supports, kinetic + potential + dissipated - work
     """
@@ -176,14 +176,14 @@ def plot_phases(
 
     Error: UNKNOWN_NAME.
 
-    >>> bob = Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
-    >>> model = Model(
+    >>> bob = jb.Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
+    >>> model = jb.Model(
     ...     bodies={"bob": bob},
-    ...     joints={"bob": Hinge("world", axis=[0, 1, 0])},
+    ...     joints={"bob": jb.Hinge("world", axis=[0, 1, 0])},
     ...     gravity=[0, 0, -9.81],
     ... )
-    >>> ax = plot_phases(
-    ...     simulate(model, jnp.linspace(0, 1, 51), initial=State(jnp.ones(1), jnp.zeros(1)))
+    >>> ax = jb.plots.plot_phases(
+    ...     jb.simulate(model, jnp.linspace(0, 1, 51), initial=jb.State(jnp.ones(1), jnp.zeros(1)))
     ... )
     >>> ax.get_xlabel(), ax.get_ylabel(), [line.get_label() for line in ax.lines]
     ('turn [rad]', 'rate of turn [rad/s]', ['bob turn about its hinge', 'start'])
@@ -257,9 +257,11 @@ def plot_force_strokes(
 
     Errors: UNKNOWN_NAME; NO_DATA if less than two samples are after `start`.
 
-    >>> motion = {"road": Harmonic(frequency=1.0, translation=[0, 0, 0.01])}
-    >>> ax = plot_force_strokes(
-    ...     simulate(jb.presets.quarter_car(damping=1500.0), jnp.linspace(0, 1, 101), motion=motion)
+    >>> motion = {"road": jb.Harmonic(frequency=1.0, translation=[0, 0, 0.01])}
+    >>> ax = jb.plots.plot_force_strokes(
+    ...     jb.simulate(
+    ...         jb.presets.quarter_car(damping=1500.0), jnp.linspace(0, 1, 101), motion=motion
+    ...     )
     ... )
     >>> ax.get_xlabel(), [line.get_label() for line in ax.lines]
     ('elongation [m]', ['suspension', 'tyre'])

@@ -35,11 +35,14 @@ def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> A
     phases below; return the top axes.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
-    >>> response = frequency_response(
-    ...     linearize(model, equilibrium(model)), jnp.geomspace(0.1, 50, 100), inputs, outputs
+    >>> inputs, outputs = (
+    ...     {"road": jb.BaseMotion("road", "z")},
+    ...     {"body": jb.Position("body", axis="z")},
     ... )
-    >>> ax = plot_frequency_response(response)
+    >>> response = jb.frequency_response(
+    ...     jb.linearize(model, jb.equilibrium(model)), jnp.geomspace(0.1, 50, 100), inputs, outputs
+    ... )
+    >>> ax = jb.plots.plot_frequency_response(response)
     >>> ax.get_ylabel()
     'magnitude [-]'
     """
@@ -60,7 +63,9 @@ def plot_element_stiffness(stiffness: DynamicStiffness, *, ax: Any = None) -> An
     below; return the top axes.
 
     >>> rubber = jb.laws.Linear(2e4) + jb.laws.Maxwell(stiffness=6e4, relaxation_time=0.01)
-    >>> ax = plot_element_stiffness(dynamic_stiffness(rubber, jnp.geomspace(0.5, 200, 100)))
+    >>> ax = jb.plots.plot_element_stiffness(
+    ...     jb.vibration.dynamic_stiffness(rubber, jnp.geomspace(0.5, 200, 100))
+    ... )
     >>> ax.get_ylabel()
     'magnitude [N/m]'
     """
@@ -78,10 +83,10 @@ def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any
     Error: BAD_UNIT if no output has the unit of an input.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
-    >>> road, body = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
-    >>> ax = plot_transmissibility(
-    ...     frequency_response(
-    ...         linearize(car, car.reference), jnp.geomspace(0.1, 50, 100), road, body
+    >>> road, body = {"road": jb.BaseMotion("road", "z")}, {"body": jb.Position("body", axis="z")}
+    >>> ax = jb.plots.plot_transmissibility(
+    ...     jb.frequency_response(
+    ...         jb.linearize(car, car.reference), jnp.geomspace(0.1, 50, 100), road, body
     ...     )
     ... )
     >>> (
@@ -143,13 +148,13 @@ def plot_dynamic_stiffness(
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> inputs, outputs = (
-    ...     {"road": BaseMotion("road", "z")},
-    ...     {"force": LoadCell("suspension"), "stroke": Elongation("suspension")},
+    ...     {"road": jb.BaseMotion("road", "z")},
+    ...     {"force": jb.sensors.LoadCell("suspension"), "stroke": jb.Elongation("suspension")},
     ... )
-    >>> response = frequency_response(
-    ...     linearize(car, car.reference), jnp.geomspace(0.1, 50, 100), inputs, outputs
+    >>> response = jb.frequency_response(
+    ...     jb.linearize(car, car.reference), jnp.geomspace(0.1, 50, 100), inputs, outputs
     ... )
-    >>> ax = plot_dynamic_stiffness(response, pairs={"suspension": ("force", "stroke")})
+    >>> ax = jb.plots.plot_dynamic_stiffness(response, pairs={"suspension": ("force", "stroke")})
     >>> round(float(ax.lines[0].get_ydata()[0]), 1)  # 35000 N/m
     35.0
     """
@@ -219,8 +224,8 @@ def plot_weighted_signal(signal: WeightedSignal, *, ax: Any = None) -> Any:
     """Draw the weighted acceleration over time with its rms, and below it the vibration dose value
     accumulated since the start.
 
-    >>> plot_weighted_signal(
-    ...     weighted_signal(jnp.arange(400) / 400, jnp.sin(jnp.arange(400)), "Wk")
+    >>> jb.plots.plot_weighted_signal(
+    ...     jb.vibration.weighted_signal(jnp.arange(400) / 400, jnp.sin(jnp.arange(400)), "Wk")
     ... ).get_ylabel()
     'weighted by Wk [m/s2]'
     """
@@ -309,8 +314,10 @@ def plot_state_space(system: StateSpace, *, frequencies: Any = None, ax: Any = N
     frequencies: [Hz]; None takes 400 from a tenth of the smallest pole to ten times the largest.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
-    >>> road, body = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
-    >>> plot_state_space(linearize(car, car.reference).state_space(road, body)).get_ylabel()
+    >>> road, body = {"road": jb.BaseMotion("road", "z")}, {"body": jb.Position("body", axis="z")}
+    >>> jb.plots.plot_state_space(
+    ...     jb.linearize(car, car.reference).state_space(road, body)
+    ... ).get_ylabel()
     'magnitude [-]'
     """
     check_single("plot_state_space.system", system.A, 2)
@@ -342,10 +349,12 @@ def plot_psd(
     outputs: names of outputs; None takes all. Error: UNKNOWN_NAME.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
-    >>> road, body = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
-    >>> rough = {"road": Unevenness.iso("C").at_speed(20.0)}
-    >>> plot_psd(
-    ...     random_response(linearize(car, car.reference), Band(0.5, 20.0), road, body, rough)
+    >>> road, body = {"road": jb.BaseMotion("road", "z")}, {"body": jb.Position("body", axis="z")}
+    >>> rough = {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)}
+    >>> jb.plots.plot_psd(
+    ...     jb.random_response(
+    ...         jb.linearize(car, car.reference), jb.vibration.Band(0.5, 20.0), road, body, rough
+    ...     )
     ... ).get_ylabel()
     'power spectral density [m$^2$/Hz]'
     """

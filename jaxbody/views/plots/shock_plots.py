@@ -60,7 +60,7 @@ def plot_response_spectrum(
     return lines_over_frequency(ax, f, lines, "pseudo-acceleration [m/s2]")
 
 
-def plot_matched_record(quake: MatchedRecord, *, ax: Any = None) -> Any:
+def plot_spectrum_compatible_record(quake: MatchedRecord, *, ax: Any = None) -> Any:
     """Draw acceleration, velocity and displacement over time, and below them the reached spectrum
     with its target."""
     panels = {

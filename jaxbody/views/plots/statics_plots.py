@@ -44,7 +44,7 @@ def draw_equilibrium(
         names: whether to write the names of bodies and elements.
         ax: axes to draw into; None makes a new figure.
 
-    >>> ax = draw_equilibrium(equilibrium(jb.presets.quarter_car()))
+    >>> ax = jb.plots.draw_equilibrium(jb.equilibrium(jb.presets.quarter_car()))
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('x [m]', 'z [m]')
     """
@@ -73,15 +73,15 @@ def draw_assembly(
     return ax
 
 
-def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
+def plot_load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
     """Draw the smallest eigenvalue of K, relative to the largest without loads, over the load
     factor; it is zero at a limit point.
 
     eq: an equilibrium under loads. Error: NO_PATH if it has no load path.
 
-    >>> ax = load_path(
-    ...     equilibrium(
-    ...         jb.presets.quarter_car(), loads={"driver": Force("body", force=[0, 0, -800.0])}
+    >>> ax = jb.plots.plot_load_path(
+    ...     jb.equilibrium(
+    ...         jb.presets.quarter_car(), loads={"driver": jb.Force("body", force=[0, 0, -800.0])}
     ...     )
     ... )
     >>> ax.get_xlabel(), ax.lines[0].get_xdata()[0].item()
@@ -110,13 +110,16 @@ def plot_equilibria(equilibria: Equilibria, *, ax: Any = None) -> Any:
     """Draw the energies of equilibria [J] over their distances from the reference pose [m],
     numbered as in the printed table: filled circles are stable, open ones unstable.
 
-    >>> bob = Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
-    >>> pendulum = Model(
+    >>> bob = jb.Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
+    >>> pendulum = jb.Model(
     ...     bodies={"bob": bob},
-    ...     joints={"bob": Hinge("world", axis=[0, 1, 0])},
+    ...     joints={"bob": jb.Hinge("world", axis=[0, 1, 0])},
     ...     gravity=[0, 0, -9.81],
     ... )
-    >>> [line.get_label() for line in plot_equilibria(find_equilibria(pendulum, starts=8)).lines]
+    >>> [
+    ...     line.get_label()
+    ...     for line in jb.plots.plot_equilibria(jb.find_equilibria(pendulum, starts=8)).lines
+    ... ]
     ['stable', 'unstable']
     """
     ax = axes_or_new(ax, 5.0, 3.4)
@@ -167,11 +170,11 @@ def plot_load_cases(cases: LoadCases, *, of: str = "elements", ax: Any = None) -
     Components that are zero in all cases are left out. Error: UNKNOWN_NAME.
 
     >>> car = jb.presets.half_car(height=0.5)
-    >>> ax = load_cases(
+    >>> ax = jb.load_cases(
     ...     car,
     ...     {
-    ...         "brake": LoadCase(acceleration=[-0.2, 0, 0]),
-    ...         "bump": LoadCase(acceleration=[0, 0, 0.2]),
+    ...         "brake": jb.LoadCase(acceleration=[-0.2, 0, 0]),
+    ...         "bump": jb.LoadCase(acceleration=[0, 0, 0.2]),
     ...     },
     ... ).plot()
     >>> ax.get_ylabel(), [text.get_text() for text in ax.get_legend().get_texts()]
@@ -249,9 +252,8 @@ def plot_suspension_curves(
 
     Error: UNKNOWN_NAME.
 
-    >>> ax = (
-    ...     jb.double_wishbone().curves(np.linspace(-0.1, 0.1, 11)).plot(of=["camber", "toe"])
-    ... )  # doctest: +SKIP
+    >>> curves = jb.suspension.double_wishbone().curves(np.linspace(-0.1, 0.1, 11))
+    >>> ax = curves.plot(of=["camber", "toe"])  # doctest: +SKIP
     """
     check_single("plot_suspension_curves.curves", curves.status, 1)
     check_known(tuple(of), tuple(curves.curves), "plot_suspension_curves.of")
@@ -281,8 +283,8 @@ def plot_preload(preload: Preload, *, ax: Any = None) -> Any:
     coordinates that may move; angles [rad] are below.
 
     >>> quarter = jb.presets.quarter_car()
-    >>> softer = replace(quarter, {"suspension.stiffness": 3e4})
-    >>> preload(softer).plot().get_xlabel()
+    >>> softer = jb.replace(quarter, {"suspension.stiffness": 3e4})
+    >>> jb.preload(softer).plot().get_xlabel()
     'change [m]'
     """
     check_single("plot_preload.preload", preload.values, 1)

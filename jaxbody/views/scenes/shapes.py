@@ -31,7 +31,7 @@ class Shape:
     `color` is a color of matplotlib; None takes the default color of the body. `opacity` is between
     0 and 1.
 
-    >>> shape = Shape.box([1.2, 0.4, 0.1], center=[0, 0, 0.05], color="tab:blue")
+    >>> shape = jb.views.Shape.box([1.2, 0.4, 0.1], center=[0, 0, 0.05], color="tab:blue")
     >>> shape.mesh.vertices.max(0).tolist()
     [0.6, 0.2, 0.1]
     """

@@ -48,9 +48,9 @@ jax.config.update("jax_enable_x64", True)
 
 def ride(model):
     lin = jb.linearize(model, jb.equilibrium(model))
-    roads, uneven = {"road": jb.BaseMotion("road", "z")}, jb.Unevenness.iso("C").at_speed(20.0)
+    roads, uneven = {"road": jb.BaseMotion("road", "z")}, jb.vibration.RoadRoughness.iso("C").at_speed(20.0)
     sensors = {"body": jb.Acceleration("body", axis="z")}
-    return {"acceleration": jb.random_response(lin, jb.Band(0.2, 40.0, points=201), roads, sensors, {"road": uneven})["body"]}
+    return {"acceleration": jb.random_response(lin, jb.vibration.Band(0.2, 40.0, points=201), roads, sensors, {"road": uneven})["body"]}
 
 car = jb.presets.quarter_car(damping=1500.0)
 found = ride(car), jb.tune(car, ride, free=["suspension.damping"], minimize="acceleration")

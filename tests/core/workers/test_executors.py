@@ -414,7 +414,7 @@ def test_multistart_has_the_same_optima_by_two_processes():
     """21 starts are two batches, the second one filled up; its program has LAPACK's QR."""
     model, runs = spring_record()
     one, two = (
-        jb.multistart(model, runs, free=["spring.stiffness"], starts=21, workers=workers)
+        jb.fitting.multistart(model, runs, free=["spring.stiffness"], starts=21, workers=workers)
         for workers in (None, 2)
     )
     assert (

@@ -123,11 +123,11 @@ def test_starts_continue_where_they_stopped(tmp_path):
     """40 starts are three chunks of 16, the last one short."""
     model, runs = spring_record()
     options = dict(free=["spring.stiffness"], starts=40)
-    whole, out = jb.multistart(model, runs, **options), tmp_path / "m.zarr"
-    part = jb.multistart(model, runs, **options, out=out, chunks=[1])
+    whole, out = jb.fitting.multistart(model, runs, **options), tmp_path / "m.zarr"
+    part = jb.fitting.multistart(model, runs, **options, out=out, chunks=[1])
     assert part.starts == 17 and part.failures == 0 and sorted(flags(out)) == [1]
     before = flags(out)
-    both = jb.multistart(model, runs, **options, out=out)
+    both = jb.fitting.multistart(model, runs, **options, out=out)
     assert flags(out)[1] == before[1] and sorted(flags(out)) == [0, 1, 2]
     assert (
         both.starts == whole.starts == 41

@@ -14,7 +14,7 @@ upper outer; 50 cm; -25; 0.75 m
 
 def test_points_are_in_meters_whatever_the_columns(tmp_path):
     (tmp_path / "corner.csv").write_text(SHEET)
-    points = jb.read_hard_points(tmp_path / "corner.csv")
+    points = jb.files.read_hard_points(tmp_path / "corner.csv")
     assert list(points) == ["lower outer", "upper outer"]
     np.testing.assert_allclose(points["lower outer"], [0, 0.9, 0.2], rtol=1e-15)
     np.testing.assert_allclose(points["upper outer"], [-0.025, 0.75, 0.5], rtol=1e-15)
@@ -46,5 +46,5 @@ def test_problems_are_reported_with_their_line(old, new, message, tmp_path):
     assert old in SHEET
     (tmp_path / "corner.csv").write_text(SHEET.replace(old, new, 1))
     with pytest.raises(jb.JaxbodyError) as error:
-        jb.read_hard_points(tmp_path / "corner.csv")
+        jb.files.read_hard_points(tmp_path / "corner.csv")
     assert message in str(error.value)

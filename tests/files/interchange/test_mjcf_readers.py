@@ -84,7 +84,7 @@ def agree(model, m, rng, count=3):
 @pytest.mark.parametrize("name", FILES)
 def test_public_files_have_the_energies_that_mujoco_computes(name, rng, reader):
     m = mujoco.MjModel.from_xml_path(str(ASSETS / f"{name}.xml"))
-    read = jb.read_mjcf(ASSETS / f"{name}.xml")
+    read = jb.files.read_mjcf(ASSETS / f"{name}.xml")
     assert {each.what for each in read.left_out} == FILES[name]
     if BUSY in FILES[name]:
         for body in np.flatnonzero(m.body_jntnum > 1):
@@ -97,7 +97,7 @@ def compiled(tmp_path, text, **others):
     """Our model of a file and MuJoCo's."""
     for name, content in {"model": text, **others}.items():
         (tmp_path / f"{name}.xml").write_text(f"<mujoco>{content}</mujoco>")
-    return jb.read_mjcf(tmp_path / "model.xml"), mujoco.MjModel.from_xml_path(
+    return jb.files.read_mjcf(tmp_path / "model.xml"), mujoco.MjModel.from_xml_path(
         str(tmp_path / "model.xml")
     )
 
@@ -147,7 +147,9 @@ def test_shapes_have_their_mass_and_inertia(tmp_path, rng, reader):
 def test_classes_frames_includes_and_springs_of_all_kinds_of_joints(tmp_path, rng, reader):
     read, m = compiled(tmp_path, KINDS, part=PART)
     model = read.model
-    assert model.layout.supports == ("shelf",) and isinstance(model.joint("included"), jb.Composite)
+    assert model.layout.supports == ("shelf",) and isinstance(
+        model.joint("included"), jb.joints.Composite
+    )
     assert {each.what for each in read.left_out} == {"contact of geoms", BUSY}
     # of the slide of a body that turns, which is left out
     m.dof_damping[m.jnt_dofadr[m.body("included").jntadr[0]]] = 0
@@ -201,7 +203,7 @@ def test_what_is_complete_says_so(tmp_path, reader):
         '<mujoco><worldbody><body><joint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 '
         '1"/></body></worldbody></mujoco>'
     )
-    read = jb.read_mjcf(tmp_path / "m.xml")
+    read = jb.files.read_mjcf(tmp_path / "m.xml")
     assert read.left_out == () and "nothing" in str(read)
 
 
@@ -311,7 +313,7 @@ BALL = '<geom size="0.1"/>'
 def test_problems_have_their_line(text, messages, tmp_path, own):
     (tmp_path / "model.xml").write_text(f"<mujoco>{text.replace('{}', BALL)}</mujoco>")
     with pytest.raises(jb.JaxbodyError) as raised:
-        jb.read_mjcf(tmp_path / "model.xml")
+        jb.files.read_mjcf(tmp_path / "model.xml")
     for message in messages:
         assert message in str(raised.value)
 
@@ -336,7 +338,7 @@ def test_problems_have_their_line(text, messages, tmp_path, own):
 def test_files_of_another_kind(content, code, tmp_path, own):
     (tmp_path / "model.xml").write_text(content)
     with pytest.raises(jb.JaxbodyError) as raised:
-        jb.read_mjcf(tmp_path / "model.xml")
+        jb.files.read_mjcf(tmp_path / "model.xml")
     assert raised.value.code == code
 
 
@@ -347,7 +349,7 @@ def test_all_problems_of_a_file_at_once(tmp_path, own):
     )
     (tmp_path / "model.xml").write_text(text)
     with pytest.raises(jb.JaxbodyError) as raised:
-        jb.read_mjcf(tmp_path / "model.xml")
+        jb.files.read_mjcf(tmp_path / "model.xml")
     assert [problem.where for problem in raised.value.problems[:3]] == [
         "model.xml:2 body pos",
         "model.xml:2 joint axis",
@@ -361,7 +363,9 @@ def test_mutated_files_are_models_or_clear_errors(count, tmp_path, own):
     (tmp_path / "part.xml").write_text(f"<mujoco>{PART}</mujoco>")
     (tmp_path / "model.xml").write_text(f"<mujoco>{KINDS}</mujoco>")
     assert (
-        0.1 * count < check_changed_text(tmp_path / "model.xml", count, jb.read_mjcf) < 0.9 * count
+        0.1 * count
+        < check_changed_text(tmp_path / "model.xml", count, jb.files.read_mjcf)
+        < 0.9 * count
     )
 
 
@@ -410,7 +414,7 @@ def test_a_urdf_is_read_by_mujoco(tmp_path):
     """The moment about the pivot: that about the center of mass, turned by 0.1 about x, and m l^2;
     meshes are not looked for."""
     (tmp_path / "arm.urdf").write_text(URDF)
-    read = jb.read_mjcf(tmp_path / "arm.urdf")
+    read = jb.files.read_mjcf(tmp_path / "arm.urdf")
     rod, hinge = read.model["rod"], read.model.joint("rod")
     turn = np.array([[1, 0, 0], [0, np.cos(0.1), -np.sin(0.1)], [0, np.sin(0.1), np.cos(0.1)]])
     np.testing.assert_allclose(
@@ -437,13 +441,13 @@ def test_what_ends_the_process_of_the_compiler_does_not_end_this_one(tmp_path, m
     (tmp_path / "model.xml").write_text(
         "<mujoco><worldbody><body><joint/><geom size='1' mass='2'/></body></worldbody></mujoco>"
     )
-    assert jb.read_mjcf(tmp_path / "model.xml").model["body 1"].mass == 2
+    assert jb.files.read_mjcf(tmp_path / "model.xml").model["body 1"].mass == 2
     (tmp_path / "arm.urdf").write_text(URDF)
     with pytest.raises(
         jb.JaxbodyError,
         match="URDF that MuJoCo refuses: its compilation ended with the exit code -9",
     ):
-        jb.read_mjcf(tmp_path / "arm.urdf")
+        jb.files.read_mjcf(tmp_path / "arm.urdf")
 
 
 @pytest.mark.long
@@ -451,4 +455,4 @@ def test_what_ends_the_process_of_the_compiler_does_not_end_this_one(tmp_path, m
 def test_mutated_files_are_models_or_clear_errors_by_mujoco(tmp_path):
     (tmp_path / "part.xml").write_text(f"<mujoco>{PART}</mujoco>")
     (tmp_path / "model.xml").write_text(f"<mujoco>{KINDS}</mujoco>")
-    assert 10 < check_changed_text(tmp_path / "model.xml", 100, jb.read_mjcf) < 90
+    assert 10 < check_changed_text(tmp_path / "model.xml", 100, jb.files.read_mjcf) < 90

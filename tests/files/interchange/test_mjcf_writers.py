@@ -15,8 +15,10 @@ mujoco = pytest.importorskip("mujoco")
 import mujoco_states  # noqa: E402
 
 BOX = {"mass": 2.0, "inertia": [0.10, 0.16, 0.20, 0.01, -0.02, 0.015], "com": [0.05, -0.02, 0.03]}
-ARM = jb.Support([0.1, 0, 0.3], jb.Euler("ZYX", [0.5, 0.2, 0.1]))
-TURNED = jb.Body(**BOX, position=[0.1, 0.2, -0.5], orientation=jb.Euler("XYZ", [0.4, -0.3, 0.2]))
+ARM = jb.Support([0.1, 0, 0.3], jb.EulerAngles("ZYX", [0.5, 0.2, 0.1]))
+TURNED = jb.Body(
+    **BOX, position=[0.1, 0.2, -0.5], orientation=jb.EulerAngles("XYZ", [0.4, -0.3, 0.2])
+)
 ON_ARM = mujoco_states.multiplied(ARM.orientation * np.array([1, -1, -1, -1]), TURNED.orientation)
 G = [0.3, 0, -9.8]
 
@@ -52,10 +54,10 @@ def ball():
 def crane():
     """A trolley that moves in a plane on springs, and a load that turns about two axes on it; all
     axes are oblique to the bodies'."""
-    plane = jb.Composite(
+    plane = jb.joints.Composite(
         "arm", ["move", "move"], directions=[[1, 0.2, 0], [-0.2, 1, 0]], points=np.zeros((2, 3))
     )
-    swing = jb.Composite(
+    swing = jb.joints.Composite(
         "trolley",
         ["turn", "turn"],
         directions=[[1, 0, 0.3], [0, 1, 0]],
@@ -139,9 +141,11 @@ def shafts():
     """A puck on a turned support, a yoke on a universal joint on it, and a shaft that slides and
     turns in the yoke."""
     joints = {
-        "puck": jb.Planar("arm", first=[1, 0.2, 0], second=[-0.1, 1, 0.1]),
-        "yoke": jb.Universal("puck", first=[0, 1, 0.2], second=[1, 0, 0], at=[0.1, 0.1, -0.2]),
-        "shaft": jb.Cylindrical("yoke", axis=[0, 0.2, 1], at=[0.02, 0, 0]),
+        "puck": jb.joints.Planar("arm", first=[1, 0.2, 0], second=[-0.1, 1, 0.1]),
+        "yoke": jb.joints.Universal(
+            "puck", first=[0, 1, 0.2], second=[1, 0, 0], at=[0.1, 0.1, -0.2]
+        ),
+        "shaft": jb.joints.Cylindrical("yoke", axis=[0, 0.2, 1], at=[0.02, 0, 0]),
     }
     ends = {"puck": [0.3, 0.3, 0.1], "yoke": [-0.2, 0.1, -1.4], "shaft": [0.4, 0.1, -0.6]}
     light = {"mass": 0.7, "inertia": [0.02, 0.03, 0.04]}
@@ -183,7 +187,7 @@ MODELS = {
 def written(request, tmp_path_factory):
     """A model, and its file."""
     model, path = MODELS[request.param](), tmp_path_factory.mktemp("mjcf") / "model.xml"
-    jb.write_mjcf(model, path)
+    jb.files.write_mjcf(model, path)
     return model, path
 
 
@@ -207,7 +211,7 @@ def test_mujoco_simulates_the_same_motion(written, rng):
     """To the error of MuJoCo's integration, which is at most the change by halving its step; 1e-10:
     the tolerance of ours."""
     model, path = written
-    q = jb.retract(model, model.reference.q, 0.02 * rng.normal(size=model.layout.nv))
+    q = jb.joints.retract(model, model.reference.q, 0.02 * rng.normal(size=model.layout.nv))
     start, times = (
         jb.State(q, jnp.array(0.2 * rng.normal(size=model.layout.nv))),
         np.linspace(0.0, 0.8, 5),
@@ -230,7 +234,7 @@ def test_mujoco_simulates_the_same_motion(written, rng):
 def test_what_is_read_again_is_the_same(written, rng):
     """Energies at some states; the order of the bodies may be another."""
     model, path = written
-    read = jb.read_mjcf(path)
+    read = jb.files.read_mjcf(path)
     # a bushing along two slides becomes two
     assert read.left_out == () and set(read.model.names) >= set(model.names)
     states = list(mujoco_states.random_states(model, 3, rng))
@@ -243,8 +247,8 @@ def test_what_is_read_again_is_the_same(written, rng):
 
 
 def test_bodies_and_springs_keep_their_numbers(tmp_path):
-    jb.write_mjcf(rigs.plate(damping=1.0), tmp_path / "plate.xml")
-    plate, again = rigs.plate(damping=1.0), jb.read_mjcf(tmp_path / "plate.xml").model
+    jb.files.write_mjcf(rigs.plate(damping=1.0), tmp_path / "plate.xml")
+    plate, again = rigs.plate(damping=1.0), jb.files.read_mjcf(tmp_path / "plate.xml").model
     for name in ("plate", "s3"):
         for leaf, same in zip(
             jax.tree.leaves(plate[name]), jax.tree.leaves(again[name]), strict=True
@@ -310,7 +314,7 @@ BODY, ENDS = jb.Body(1.0, [1, 1, 1]), (("body", [0, 0, 0]), ("world", [0, 0, 1])
 )
 def test_what_mjcf_does_not_have_is_refused_by_name(parts, messages, tmp_path):
     with pytest.raises(jb.JaxbodyError) as raised:
-        jb.write_mjcf(jb.Model(**{"bodies": {"body": BODY}, **parts}), tmp_path / "model.xml")
+        jb.files.write_mjcf(jb.Model(**{"bodies": {"body": BODY}, **parts}), tmp_path / "model.xml")
     for message in messages:
         assert message in str(raised.value)
     assert not list(tmp_path.iterdir())

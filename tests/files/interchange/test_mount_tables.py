@@ -10,7 +10,7 @@ name; x [mm]; y [mm]; z [mm]; kx [N/mm]; ky [N/mm]; kz [N/mm]; rz [deg]; cz [N s
 left; 100; 250; 500; 200; 210; 400; 90; 0.5; 30 N m/deg
 right; 100; -250; 50 cm; 200; 210; 400; ; 0.5; 0
 """
-TURN = jb.Euler("XYZ", [0.1, -0.2, 0.3])
+TURN = jb.EulerAngles("XYZ", [0.1, -0.2, 0.3])
 BODIES = {
     "engine": jb.Body(180.0, [8, 12, 10], position=[0.1, 0, 0.6], orientation=TURN),
     "frame": jb.Support([0, 0, 0.4]),
@@ -25,7 +25,7 @@ def sheet(folder, text):
 def test_the_mounts_are_where_they_are_drawn_and_relaxed(tmp_path):
     """In the reference pose both frames of each mount coincide at its place; its energy when the
     engine moves is that of its stiffness."""
-    mounts = jb.read_mounts(sheet(tmp_path, SHEET), BODIES)
+    mounts = jb.files.read_mounts(sheet(tmp_path, SHEET), BODIES)
     assert list(mounts) == ["left", "right"] and mounts["left"].between == ("engine", "frame")
     np.testing.assert_allclose(mounts["right"].b, [0.1, -0.25, 0.1], atol=1e-15)
     np.testing.assert_allclose(
@@ -51,7 +51,7 @@ def test_columns_name_the_bodies(tmp_path):
         "kz [N/m],name,a,b,x [m],y [m],z [m],kx [N/m],ky [N/m]\n3,m,engine,world,0,0,1,1,2\n"
         "4,n,frame,engine,0,0,1,1,2\n"
     )
-    mounts = jb.read_mounts(sheet(tmp_path, text), BODIES)
+    mounts = jb.files.read_mounts(sheet(tmp_path, text), BODIES)
     assert mounts["m"].between == ("engine", "world") and mounts["n"].between == ("frame", "engine")
     np.testing.assert_allclose(mounts["m"].b, [0, 0, 1])
     assert mounts["n"].stiffness.tolist() == [1, 2, 4]
@@ -93,7 +93,7 @@ def test_columns_name_the_bodies(tmp_path):
 def test_problems_are_reported_with_their_line(old, new, message, tmp_path):
     assert old in SHEET
     with pytest.raises(jb.JaxbodyError) as error:
-        jb.read_mounts(sheet(tmp_path, SHEET.replace(old, new, 1)), BODIES)
+        jb.files.read_mounts(sheet(tmp_path, SHEET.replace(old, new, 1)), BODIES)
     assert message in str(error.value)
 
 
@@ -102,7 +102,7 @@ def test_an_unknown_body_is_named(tmp_path):
     with pytest.raises(
         jb.JaxbodyError, match=r"mounts.csv:2: 'engin' is unknown. Did you mean 'engine'\?"
     ):
-        jb.read_mounts(sheet(tmp_path, text), BODIES)
+        jb.files.read_mounts(sheet(tmp_path, text), BODIES)
 
 
 def test_bodies_of_empty_cells_are_those_without_columns(tmp_path):
@@ -110,5 +110,5 @@ def test_bodies_of_empty_cells_are_those_without_columns(tmp_path):
         "name,a,b,x [m],y [m],z [m],kx [N/m],ky [N/m],kz [N/m]\nm,,,0,0,1,1,2,3\n"
         "n,frame,world,0,0,1,1,2,3\n"
     )
-    mounts = jb.read_mounts(sheet(tmp_path, text), BODIES)
+    mounts = jb.files.read_mounts(sheet(tmp_path, text), BODIES)
     assert [mount.between for mount in mounts.values()] == [("engine", "frame"), ("frame", "world")]

@@ -20,7 +20,7 @@ def lin():
 
 @pytest.mark.long
 def test_another_program_finds_the_same_response(lin, tmp_path):
-    jb.write_state_space(lin.state_space(ROAD, SEAT), tmp_path / "plant.mat")
+    jb.files.write_state_space(lin.state_space(ROAD, SEAT), tmp_path / "plant.mat")
     plant = scipy.io.loadmat(tmp_path / "plant.mat", simplify_cells=True)
     assert [plant[name] for name in ("inputs", "input_units")] == ["road", "m/s2"]
     assert list(plant["outputs"]) == ["seat", "stroke"] and list(plant["output_units"]) == [
@@ -47,5 +47,5 @@ def test_what_cannot_be_written_is_said(lin, tmp_path):
         (jax.tree.map(lambda x: jnp.stack([x, x]), system), "plant.mat", "BAD_SHAPE"),
     ):
         with pytest.raises(jb.JaxbodyError) as error:
-            jb.write_state_space(given, tmp_path / path)
+            jb.files.write_state_space(given, tmp_path / path)
         assert error.value.code == code

@@ -58,11 +58,11 @@ def test_a_design_is_what_tune_takes(file):
     outputs = {
         "seat": jb.Acceleration("body", axis="z"),
         "travel": jb.Elongation("suspension"),
-        "load": jb.LoadCell("tyre"),
+        "load": jb.sensors.LoadCell("tyre"),
     }
-    spectra = {"road": jb.Unevenness.iso("C").at_speed(20.0)}
+    spectra = {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)}
     ride = jb.random_response(
-        lin, jb.Band(0.2, 50.0), {"road": jb.BaseMotion("road", "z")}, outputs, spectra
+        lin, jb.vibration.Band(0.2, 50.0), {"road": jb.BaseMotion("road", "z")}, outputs, spectra
     )
     frequencies = jb.modes(lin).frequency
     expected = {

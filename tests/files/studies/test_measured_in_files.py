@@ -292,7 +292,7 @@ def test_several_starts_are_those_of_multistart(truth, capsys, monkeypatch):
         frequency=f, damping_ratio=zeta, noise={"frequency": 0.01, "damping_ratio": 0.001}
     )
     bounds = {"*.stiffness": (2e3, np.inf)}
-    expected = jb.multistart(
+    expected = jb.fitting.multistart(
         model, {"modal": modal}, free="*.stiffness", starts=4, spread=0.3, seed=7, bounds=bounds
     )
     assert expected.starts == 5

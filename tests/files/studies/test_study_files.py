@@ -43,7 +43,7 @@ def test_motions_are_those_of_python(tmp_path):
     for name, value in vars(expected).items():
         np.testing.assert_allclose(getattr(study.motion["table"], name), value, rtol=1e-15)
     same = jb.read_model(tmp_path / "shaker.toml")
-    assert jb.paths(same).keys() == jb.paths(study.model).keys()
+    assert jb.parameter_paths(same).keys() == jb.parameter_paths(study.model).keys()
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_experiments_are_those_of_python(car):
     )
     same(study.experiments["run1"], expected)
     same(study.sensors, sensors)
-    kick = jb.Unbalance("car", axis=[0, 1, 0], unbalance=5e-3, frequency=20.0)
+    kick = jb.inputs.Unbalance("car", axis=[0, 1, 0], unbalance=5e-3, frequency=20.0)
     start = jb.State(np.array([0.005]), np.array([-0.001]))
     height = {"height": sensors["height"]}
     free = jb.Experiment(
@@ -407,7 +407,7 @@ a5 = {type = "AngularVelocity", on = "box"}
 a6 = {type = "AngularAcceleration", on = "box"}
 a7 = {type = "Accelerometer", on = "box", orientation = {sequence = "xyz", angles = "10, 20, 30 deg"}}
 a8 = {type = "Gyro", on = "box", axis = "z", gain = 0.99}
-a9 = {type = "Tilt", on = "box", axis = [1, 0, 0]}
+a9 = {type = "Inclinometer", on = "box", axis = [1, 0, 0]}
 b1 = {type = "Elongation", on = "mount", component = 4, bias = "1 deg"}
 b2 = {type = "LoadCell", on = "twist", bias = "1 N mm"}
 b3 = {type = "ForcePlate", on = "table", bias = ["1 N", "0 N", "0 N", "2 N m", "0 N m", "0 N m"]}
@@ -442,23 +442,29 @@ elements.twist = {type = "Torsion", a = "box", b = "table", axis = [0, 0, 1], sp
         ),
         "a2": jb.Velocity("box", lag=0.003, start=[0.001, 0, 0]),
         "a3": jb.Acceleration("table", axis="x"),
-        "a4": jb.Rotation("box", axis="y", bias=2 * deg),
-        "a5": jb.AngularVelocity("box"),
-        "a6": jb.AngularAcceleration("box"),
-        "a7": jb.Accelerometer("box", orientation=jb.Euler("xyz", [10 * deg, 20 * deg, 30 * deg])),
-        "a8": jb.Gyro("box", axis="z", gain=0.99),
-        "a9": jb.Tilt("box", axis=[1, 0, 0]),
+        "a4": jb.sensors.Rotation("box", axis="y", bias=2 * deg),
+        "a5": jb.sensors.AngularVelocity("box"),
+        "a6": jb.sensors.AngularAcceleration("box"),
+        "a7": jb.Accelerometer(
+            "box", orientation=jb.EulerAngles("xyz", [10 * deg, 20 * deg, 30 * deg])
+        ),
+        "a8": jb.sensors.Gyro("box", axis="z", gain=0.99),
+        "a9": jb.sensors.Inclinometer("box", axis=[1, 0, 0]),
         "b1": jb.Elongation("mount", component=4, bias=deg),
-        "b2": jb.LoadCell("twist", bias=0.001),
-        "b3": jb.ForcePlate("table", bias=[1, 0, 0, 2, 0, 0]),
-        "b4": jb.Reaction("arm", [0, 0, 0.01], component=3, bias=0.001),
-        "b5": jb.JointAngle("arm", delay=-0.001),
-        "b6": jb.Displacement(("box", [0, 0, 0.01]), "table", axis="z"),
-        "b7": jb.StringPotentiometer(("box", [0, 0, 0.01]), ("table", [0, 0, -0.5]), bias=0.002),
-        "b8": jb.LaserVibrometer("box", axis="z", origin=[0, 0, -1], normal=[0, 0, 1]),
-        "b9": jb.LaserDistance("box", origin=[0, 0, -1], axis="z", normal=[0, 0, 1], bias=0.001),
-        "c1": jb.BodyPose("box", bias=[0.001, 0, 0, deg, 0, 0]),
-        "c2": jb.Orientation("box", orientation=[0, 1, 0, 0], bias=[0, deg, 0]),
+        "b2": jb.sensors.LoadCell("twist", bias=0.001),
+        "b3": jb.sensors.ForcePlate("table", bias=[1, 0, 0, 2, 0, 0]),
+        "b4": jb.sensors.Reaction("arm", [0, 0, 0.01], component=3, bias=0.001),
+        "b5": jb.sensors.JointAngle("arm", delay=-0.001),
+        "b6": jb.sensors.Displacement(("box", [0, 0, 0.01]), "table", axis="z"),
+        "b7": jb.sensors.StringPotentiometer(
+            ("box", [0, 0, 0.01]), ("table", [0, 0, -0.5]), bias=0.002
+        ),
+        "b8": jb.sensors.LaserVibrometer("box", axis="z", origin=[0, 0, -1], normal=[0, 0, 1]),
+        "b9": jb.sensors.LaserDistance(
+            "box", origin=[0, 0, -1], axis="z", normal=[0, 0, 1], bias=0.001
+        ),
+        "c1": jb.sensors.BodyPose("box", bias=[0.001, 0, 0, deg, 0, 0]),
+        "c2": jb.sensors.Orientation("box", orientation=[0, 1, 0, 0], bias=[0, deg, 0]),
     }
     found = jb.read_study(tmp_path / "box.toml").sensors
     assert len({type(sensor) for sensor in expected.values()}) == len(SENSORS)
@@ -483,12 +489,16 @@ loads.pull = {type = "Force", on = ["box", "0, 0, 2 cm"], moment = {type = "Sine
 """)  # noqa: E501
     study = jb.read_study(tmp_path / "table.toml")
     record = jb.Record(times, {"a": (acc, "m/s2")})
-    same(study.motion["table"], jb.base_motion(record, "a", axis=[1, 0, 0], cutoff=0.5).motion)
-    same(study.motion["road"], jb.Road([0, 5, 10], [0, 0.02, 0], speed=10.0, footprint=0.1))
-    same(study.motion["drop"], jb.HalfSine(15.0, 0.011).motion("z"))
+    same(
+        study.motion["table"], jb.inputs.base_motion(record, "a", axis=[1, 0, 0], cutoff=0.5).motion
+    )
+    same(study.motion["road"], jb.inputs.Road([0, 5, 10], [0, 0.02, 0], speed=10.0, footprint=0.1))
+    same(study.motion["drop"], jb.inputs.HalfSine(15.0, 0.011).motion("z"))
     same(
         study.loads["engine"],
-        jb.EngineTorque("box", axis=[1, 0, 0], frequency=13.0, orders=[2, 4], amplitudes=[60, 15]),
+        jb.inputs.EngineTorque(
+            "box", axis=[1, 0, 0], frequency=13.0, orders=[2, 4], amplitudes=[60, 15]
+        ),
     )
     same(
         study.loads["pull"],

@@ -221,7 +221,7 @@ def test_a_fit_to_a_recorded_base_motion_says_that_rest_would_do_better():
         for i in range(20)
     )
     motion = {
-        "base": jb.base_motion(
+        "base": jb.inputs.base_motion(
             jb.Record(times, {"acc": (shaking, "m/s2")}), "acc", axis=[0, 0, 1]
         ).motion
     }

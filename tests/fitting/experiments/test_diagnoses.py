@@ -196,7 +196,10 @@ def scaled(model, pattern, factor):
     """The model with numbers as they would be in another unit."""
     return jb.replace(
         model,
-        {path: np.asarray(value) * factor for path, value in jb.paths(model, pattern).items()},
+        {
+            path: np.asarray(value) * factor
+            for path, value in jb.parameter_paths(model, pattern).items()
+        },
     )
 
 
@@ -226,7 +229,7 @@ UNITS = {
 def table():
     """The plate with springs that bear it, relaxed at the reference pose but for their weight."""
     model = plate()
-    for path, value in jb.paths(model, "*.stiffness").items():
+    for path, value in jb.parameter_paths(model, "*.stiffness").items():
         model = jb.replace(model, {path: 30 * value})
     return model
 
@@ -236,7 +239,7 @@ def table():
 def test_a_unit_that_moves_a_size_far_away_is_named(table, case):
     change, code = UNITS[case]
     with pytest.warns(jb.JaxbodyWarning) as caught:
-        result = jb.plausibility(change(table))
+        result = jb.fitting.plausibility(change(table))
     codes = {w.message.code for w in caught}
     assert code in codes and result.words and all(word in str(result) for word in result.words)
 
@@ -254,7 +257,7 @@ def test_geometry_that_is_drawn_apart_and_does_not_stay_is_named():
         gravity=[0, 0, -9.81],
     )
     with pytest.warns(jb.JaxbodyWarning) as caught:
-        words = jb.plausibility(model).words
+        words = jb.fitting.plausibility(model).words
     assert {"DRAWN_APART", "FAR_FROM_DRAWN"} <= {w.message.code for w in caught}
     assert (
         "bushing 'mount' is drawn 0.25 m apart" in words
@@ -270,7 +273,7 @@ def test_times_in_milliseconds_are_named(table, swing):
     with pytest.warns(
         jb.JaxbodyWarning, match=r"step of 'run' over the first period is .*in seconds.*TIME_UNIT"
     ):
-        jb.plausibility(table, {"run": run})
+        jb.fitting.plausibility(table, {"run": run})
 
 
 @pytest.mark.long
@@ -286,7 +289,7 @@ def test_the_sizes_are_those_of_closed_forms(table):
         },
         gravity=[0, 0, -9.81],
     )
-    numbers = jb.plausibility(model).numbers
+    numbers = jb.fitting.plausibility(model).numbers
     assert numbers["first natural frequency"][0] == pytest.approx(
         np.sqrt(800 / 2) / (2 * np.pi), rel=1e-12
     )
@@ -296,11 +299,11 @@ def test_the_sizes_are_those_of_closed_forms(table):
     assert numbers["mass over the cube of the size of the model"][0] == pytest.approx(
         2 / 0.5**3, rel=1e-12
     )
-    weightless = jb.plausibility(jb.replace(model, {"gravity": [0.0, 0.0, 0.0]})).numbers
+    weightless = jb.fitting.plausibility(jb.replace(model, {"gravity": [0.0, 0.0, 0.0]})).numbers
     name = "sag along the first mode, were there gravity, over the size of the model"
     assert weightless[name][0] == pytest.approx(2 * 9.80665 / 800 / 0.5, rel=1e-12)
     for sound in (table, jb.presets.quarter_car()):
-        assert jb.plausibility(sound).words == ()
+        assert jb.fitting.plausibility(sound).words == ()
 
 
 def balanced_rack():
@@ -331,7 +334,7 @@ def balanced_rack():
 @pytest.mark.long
 def test_closed_loops_are_diagnosed_and_their_sizes_are_those_of_closed_forms():
     model, frequency, sag = balanced_rack()
-    numbers = jb.plausibility(model).numbers
+    numbers = jb.fitting.plausibility(model).numbers
     assert numbers["first natural frequency"][0] == pytest.approx(frequency, rel=1e-10)
     assert numbers["sag under gravity over the size of the model"][0] == pytest.approx(
         sag / float(size_of(model)), rel=1e-10
@@ -423,7 +426,7 @@ def test_modes_and_stiffnesses_in_other_units_are_named():
     modes = jb.modes(jb.linearize(model, jb.equilibrium(model)))
     f, shapes = np.asarray(modes.frequency), np.array([[1.0, 1.56], [1.0, -1.28]])
     sensors = {name: jb.Position(name, axis=[1, 0, 0]) for name in "ab"}
-    sheet = jb.MeasuredStiffness(
+    sheet = jb.fitting.MeasuredStiffness(
         "s1", [5.0, 10.0], magnitude=np.array([8.0, 8.1]), loss_angle=np.rad2deg([0.0236, 0.047])
     )
     tests = {
@@ -470,7 +473,10 @@ def test_an_encoder_that_starts_again_after_a_turn_is_named(turn):
         (angle, [] if turn < 10 else ["GAIN_FACTOR"]),
     ):
         run = jb.Experiment(
-            TIMES, initial=start, sensors={"turn": jb.JointAngle("wheel")}, measured={"turn": x}
+            TIMES,
+            initial=start,
+            sensors={"turn": jb.sensors.JointAngle("wheel")},
+            measured={"turn": x},
         )
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", jb.JaxbodyWarning)

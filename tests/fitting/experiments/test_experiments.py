@@ -62,7 +62,11 @@ def test_a_record_is_taken_as_it_comes_from_its_file(record):
 
 
 def test_what_does_not_fit_a_record_is_said_at_once(record):
-    sensors = {"acc": SENSORS["height"], "heigth": SENSORS["height"], "height": jb.BodyPose("box")}
+    sensors = {
+        "acc": SENSORS["height"],
+        "heigth": SENSORS["height"],
+        "height": jb.sensors.BodyPose("box"),
+    }
     found, message = codes(sensors=sensors, measured=record)
     place = "Experiment.measured['{}']".format
     wrong = [
@@ -94,7 +98,7 @@ def test_a_torsion_spring_reads_an_angle_and_a_moment():
         joints={"arm": jb.Hinge("world", axis=[0, 0, 1])},
         elements={"bar": bar},
     )
-    sensors = {"angle": jb.Elongation("bar"), "moment": jb.LoadCell("bar")}
+    sensors = {"angle": jb.Elongation("bar"), "moment": jb.sensors.LoadCell("bar")}
     times = np.linspace(0, 0.5, 11)
     turned = 0.1 * np.cos(30**0.5 * times)
     start = jb.State(np.array([0.1]), np.zeros(1))
@@ -126,7 +130,9 @@ def test_a_motion_that_ends_before_the_record_is_refused_before_a_model_is_there
     "use",
     [
         lambda plan: jb.fit(box(), {"plan": plan}, free="s.stiffness"),
-        lambda plan: jb.multiple_shooting(box(), {"plan": plan}, free="s.stiffness", segments=2),
+        lambda plan: jb.fitting.multiple_shooting(
+            box(), {"plan": plan}, free="s.stiffness", segments=2
+        ),
         lambda plan: jb.diagnose(box(), {"plan": plan}),
     ],
     ids=["fit", "multiple_shooting", "diagnose"],

@@ -26,7 +26,7 @@ def rig_of(rows, wheel, take=slice(None), noise=(1e-9, 1e-10)):
     """Toe, camber and the wheel's center, to about the digits of the table [rad, m]."""
     angles = {name: np.deg2rad(rows[f"{name}_deg"])[take] for name in ("toe", "camber")}
     places = {f"wheel {x}": rows[f"wheel_{x}_m"][take] for x in "xyz"}
-    return jb.MeasuredCurves(
+    return jb.fitting.MeasuredCurves(
         wheel,
         drive={"travel": wheel, "rack": "rack.q"},
         over={"travel": rows["dz_m"][take], "rack": rows["rack_m"][take]},
@@ -37,7 +37,7 @@ def rig_of(rows, wheel, take=slice(None), noise=(1e-9, 1e-10)):
 
 def off(names, by=0.005):
     """The corner with these points off by 5 mm along each axis, with alternating signs."""
-    corner, signs = jb.double_wishbone(), np.array([1, -1, 1])
+    corner, signs = jb.suspension.double_wishbone(), np.array([1, -1, 1])
     return corner.moved(
         {name: corner.hard_points[name] + by * signs * (-1) ** i for i, name in enumerate(names)}
     )
@@ -51,7 +51,7 @@ def test_hard_points_from_the_published_curves():
     0.03 of that of the points."""
     start = off(POINTS)
     fit = jb.fit(start, {"rig": rig_of(table(), start.wheel)}, free=POINTS, rtol=1e-12)
-    truth = jb.double_wishbone().hard_points
+    truth = jb.suspension.double_wishbone().hard_points
     for name in POINTS:
         np.testing.assert_allclose(fit.estimates[name], truth[name], atol=1e-9)
         np.testing.assert_allclose(
@@ -59,7 +59,7 @@ def test_hard_points_from_the_published_curves():
         )
 
 
-ALL = [name for name in jb.double_wishbone().hard_points if "spring" not in name]
+ALL = [name for name in jb.suspension.double_wishbone().hard_points if "spring" not in name]
 
 
 @pytest.mark.long
@@ -68,7 +68,7 @@ def test_what_curves_cannot_tell_is_named():
     """A bearing of an arm may move along its axis, and the inner point of the axle along the axle:
     five motions that change nothing. The singular values of the derivatives of all curves have as
     many that are zero."""
-    corner = jb.double_wishbone()
+    corner = jb.suspension.double_wishbone()
     with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE"):
         fit = jb.fit(corner, {"rig": rig_of(table(), corner.wheel)}, free=ALL, rtol=1e-12)
     alone = [
@@ -85,11 +85,11 @@ def test_what_curves_cannot_tell_is_named():
 
 @pytest.mark.long
 def test_a_moved_corner_moves_the_wheel_of_its_curves():
-    corner = jb.double_wishbone()
+    corner = jb.suspension.double_wishbone()
     moved = corner.moved(
         {"wheel center": [-0.02, 0.951, 0.315], "axle inner": [-0.021, 0.8, 0.309]}
     )
-    rig = jb.MeasuredCurves(
+    rig = jb.fitting.MeasuredCurves(
         corner.wheel,
         drive=corner.drive,
         over={"travel": [-0.01, 0.0, 0.02], "steering": 0.0},
@@ -104,11 +104,11 @@ def test_a_moved_corner_moves_the_wheel_of_its_curves():
 
 @pytest.mark.long
 def test_bad_input():
-    corner = jb.double_wishbone()
+    corner = jb.suspension.double_wishbone()
 
     def rig(measured, over=None, **options):
         drive = {"travel": corner.wheel, "rack": "rack.q"}
-        return jb.MeasuredCurves(
+        return jb.fitting.MeasuredCurves(
             corner.wheel,
             drive=drive,
             over=over or {"travel": [0.0, 0.01], "rack": 0.0},

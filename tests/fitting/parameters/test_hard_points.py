@@ -11,10 +11,10 @@ from jaxbody.fitting.parameters.spaces import space_of
 
 TRAVEL = np.array([-0.04, 0.0, 0.06])
 READY = {
-    "double wishbone": jb.double_wishbone,
-    "macpherson": jb.macpherson,
-    "five links": jb.five_link,
-    "solid axle": jb.solid_axle,
+    "double wishbone": jb.suspension.double_wishbone,
+    "macpherson": jb.suspension.macpherson,
+    "five links": jb.suspension.five_link,
+    "solid axle": jb.suspension.solid_axle,
 }
 SHIFT = np.array([0.004, -0.003, 0.006])
 
@@ -37,8 +37,8 @@ def test_a_moved_suspension_is_the_one_built_from_the_moved_points(name):
 @pytest.mark.long
 def test_what_is_no_point_stays():
     """A stiffness that was changed, and the compression of the spring in the design position."""
-    corner = jb.double_wishbone(force=2500.0, radius=0.32)
-    corner = jb.Corner(
+    corner = jb.suspension.double_wishbone(force=2500.0, radius=0.32)
+    corner = jb.suspension.Corner(
         jb.replace(corner.model, {"upright.mass": 33.0}),
         corner.wheel,
         hard_points=corner.hard_points,
@@ -60,7 +60,7 @@ FREE = ["lower outer", "tie rod inner", "upper inner front", "wheel center"]
 
 @pytest.mark.long
 def test_curves_of_a_space_and_their_derivatives_are_those_of_corners_built_anew():
-    space = space_of(jb.double_wishbone(), [*FREE, "upright.mass"], "test")
+    space = space_of(jb.suspension.double_wishbone(), [*FREE, "upright.mass"], "test")
     assert space.labels[:3] == ["lower outer[0]", "lower outer[1]", "lower outer[2]"]
     assert space.units(space.parameters[0]) == ["m"] * 3
     u = 0.003 * np.random.default_rng(1).normal(size=space.size)
@@ -77,7 +77,7 @@ def test_curves_of_a_space_and_their_derivatives_are_those_of_corners_built_anew
     of_space = with_slopes(lambda u: toe(space.designed(u)[0]))
     (found, slopes), (expected, by_places) = (
         of_space(jnp.asarray(u)),
-        with_slopes(lambda x: toe(jb.double_wishbone(x)))(places),
+        with_slopes(lambda x: toe(jb.suspension.double_wishbone(x)))(places),
     )
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
     assert float(space.place(jnp.asarray(u))[0]["upright"].mass) == pytest.approx(
@@ -100,7 +100,7 @@ def test_curves_of_a_space_and_their_derivatives_are_those_of_corners_built_anew
 def test_tune_moves_a_point_within_its_bounds():
     """The height of the inner end of the tie rod at which toe has no slope over travel, from
     Newton's steps by hand."""
-    corner = jb.double_wishbone()
+    corner = jb.suspension.double_wishbone()
 
     def slope(corner):
         return corner.curves(0.0).slopes["travel"]["toe"][0]
@@ -111,7 +111,9 @@ def test_tune_moves_a_point_within_its_bounds():
     bounds = {"tie rod inner": ([0.05, 0.2, 0.24], [0.05001, 0.20001, 0.28])}
     design = jb.tune(corner, goal, free=["tie rod inner"], bounds=bounds)
     z = float(design.values["tie rod inner"][2])
-    assert isinstance(design.suspension, jb.Corner) and design.suspension.model is not None
+    assert (
+        isinstance(design.suspension, jb.suspension.Corner) and design.suspension.model is not None
+    )
     np.testing.assert_allclose(
         design.suspension.hard_points["tie rod inner"], design.values["tie rod inner"], atol=1e-15
     )
@@ -122,8 +124,8 @@ def test_tune_moves_a_point_within_its_bounds():
 
 
 def test_measured_wheels_of_an_axle_move_with_their_own_hard_points():
-    axle = jb.solid_axle()
-    rig = jb.MeasuredCurves(
+    axle = jb.suspension.solid_axle()
+    rig = jb.fitting.MeasuredCurves(
         axle.right,
         drive={"left": axle.left, "right": axle.right},
         over={"left": [0.0], "right": 0.0},
@@ -136,7 +138,7 @@ def test_measured_wheels_of_an_axle_move_with_their_own_hard_points():
 
 
 def test_bad_input():
-    corner = jb.double_wishbone()
+    corner = jb.suspension.double_wishbone()
     with pytest.raises(jb.JaxbodyError, match=r"lower outr.*UNKNOWN_PATH"):
         space_of(corner, ["lower outr"], "test")
     with pytest.raises(

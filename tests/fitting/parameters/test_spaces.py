@@ -136,7 +136,7 @@ def test_directions_in_rows_stay_of_length_one_and_tilt_each_by_itself():
     """Two small tilts turn a direction by their length, normal to it, and no other; the formula
     is (n + t)/|n + t|."""
     rows = np.array([[1.0, 2.0, 2.0], [0.0, -3.0, 4.0]])
-    joint = jb.Composite("world", ["turn", "move"], directions=rows, points=np.zeros((2, 3)))
+    joint = jb.joints.Composite("world", ["turn", "move"], directions=rows, points=np.zeros((2, 3)))
     body = jb.Model(bodies={"body": jb.Body(mass=2.0, inertia=[1, 1, 1])}, joints={"body": joint})
     space = space_of(body, ["body.directions"], "fit")
     n = rows / np.linalg.norm(rows, axis=1, keepdims=True)

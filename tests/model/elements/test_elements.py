@@ -24,9 +24,9 @@ ROOT = RNG.normal(size=(6, 6))
 STIFFNESS, DAMPING = ROOT @ ROOT.T + np.eye(6), ROOT.T @ ROOT
 HARDENING, STOP = (
     laws.Polynomial([120.0, 5.0, 30.0]),
-    laws.Stop(gap=0.3, stiffness=900.0, engagement=0.2),
+    laws.BumpStop(gap=0.3, stiffness=900.0, engagement=0.2),
 )
-TABLE = laws.Table(
+TABLE = laws.Tabulated(
     [-2.0, -1.0, -0.2, 0.0, 0.5, 2.0, 4.0], [-300.0, -100.0, -30.0, 0.0, 40.0, 90.0, 400.0]
 )
 GAS = laws.AirSpring.carrying(500.0, area=0.01, height=10.0)

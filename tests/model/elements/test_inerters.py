@@ -55,8 +55,8 @@ def test_an_isolator_with_an_inerter():
         isolator(),
         f,
         x=jb.Position("m", axis="z"),
-        force=jb.LoadCell("inerter"),
-        base=jb.Reaction("base", component=2),
+        force=jb.sensors.LoadCell("inerter"),
+        base=jb.sensors.Reaction("base", component=2),
     )
     np.testing.assert_allclose(
         np.abs(found["x"]), [1.74807666047, 0.76580144294, 0.09096704238, 0.14884768905], rtol=1e-10
@@ -108,7 +108,7 @@ def test_quarter_cars_of_smith_and_wang(k, c, b, acceleration, deflection, force
     state space."""
     lin = at_rest(quarter_car(float(k), float(c), float(b)))
     np.testing.assert_allclose(jb.modes(lin).frequency, undamped, rtol=1e-9)
-    outputs = {"deflection": jb.Elongation("strut"), "tyre": jb.LoadCell("tyre")}
+    outputs = {"deflection": jb.Elongation("strut"), "tyre": jb.sensors.LoadCell("tyre")}
     system = lin.state_space({"road": jb.BaseMotion("road", "z", kind="velocity")}, outputs)
     A, b_in, out = np.asarray(system.A), np.asarray(system.B), np.asarray(system.C)
     W = HERTZ**2 * 5e-7 * 25
@@ -226,9 +226,9 @@ def test_what_supports_supply_is_stored_or_lost():
     )
     np.testing.assert_allclose(work, total[-1] - total[0], atol=1e-9 * float(np.abs(total).max()))
     sensors = {
-        "cell": jb.LoadCell("inerter"),
+        "cell": jb.sensors.LoadCell("inerter"),
         "a": jb.Acceleration("m", axis="z"),
-        "base": jb.Reaction("base", component=2),
+        "base": jb.sensors.Reaction("base", component=2),
     }
     read = jb.measure(run, sensors)
     base = jax.vmap(jax.grad(jax.grad(lambda t: run.motions[0](t)[2])))(times)
@@ -301,7 +301,7 @@ def test_a_backbone_bends_by_the_inertia_of_an_inerter_across_the_motion():
             "inerter": jb.Inerter(("m", [0, 0, 0]), ("world", [h, 0, 0]), inertance=B),
         },
     )
-    curves = jb.backbones(at_rest(model))
+    curves = jb.backbone_curves(at_rest(model))
     np.testing.assert_allclose(curves.curvature, [-B / (4 * M * h**2)], rtol=1e-10)
 
 
@@ -316,7 +316,9 @@ def test_an_inerter_along_the_axis_of_a_rotor():
             "inerter": jb.Inerter(*places, inertance=3.0),
         },
     )
-    lin = jb.linearize_spin(model, jb.State(model.reference.q, jnp.array([0, 0, 0, 0, 0, 30.0])))
+    lin = jb.vibration.linearize_spin(
+        model, jb.State(model.reference.q, jnp.array([0, 0, 0, 0, 0, 30.0]))
+    )
     assert int(lin.status) == 0
     np.testing.assert_allclose(lin.M, np.diag([2, 2, 5, 0.1, 0.1, 0.2]), atol=1e-12)
     np.testing.assert_allclose(lin.G[3, 4], 6.0, rtol=1e-10)
@@ -392,7 +394,7 @@ def test_without_inerters_free_bodies_keep_their_constant_mass():
         (lambda: jb.Inerter(("a", [0, 0, 0]), ("b", [0, 0, 0]), inertance=-1.0), "NEGATIVE"),
         (lambda: jb.Inerter(("a", [0, 0, 0]), ("a", [0, 0, 1]), inertance=1.0), "SELF_SPRING"),
         (lambda: isolator(between=(("m", [0, 0, 0]), ("base", [0, 0, 1]))), "ZERO_LENGTH"),
-        (lambda: jb.dynamic_stiffness(isolator()["inerter"], [1.0]), "WRONG_KIND"),
+        (lambda: jb.vibration.dynamic_stiffness(isolator()["inerter"], [1.0]), "WRONG_KIND"),
     ],
 )
 def test_bad_inerters(make, code):

@@ -14,7 +14,7 @@ STIFFNESS, DAMPING = (
     np.array([20.0, 30, 50, 4, 5, 6]),
 )
 PLACES = ("engine", [0.2, 0.1, -0.1]), ("base", [0.2, 0.1, -0.1])
-TURNED = jb.Euler("XYZ", [0.3, -0.2, 0.5])
+TURNED = jb.EulerAngles("XYZ", [0.3, -0.2, 0.5])
 
 
 def engine(mount, joint=None):
@@ -57,13 +57,13 @@ def test_small_motions_of_a_mount_with_laws_of_every_kind():
         *PLACES,
         x=rubber,
         y=3e4,
-        z=rubber + jb.laws.Stop(gap=0.001, stiffness=2e4, engagement=0.01),
+        z=rubber + jb.laws.BumpStop(gap=0.001, stiffness=2e4, engagement=0.01),
         rx=500.0,
         ry=jb.laws.Linear(300.0) + jb.laws.Maxwell(stiffness=90.0, relaxation_time=0.05),
         rz=200.0,
         damping=[5.0, 6.0, 7.0],
     )
-    model = engine(mount, jb.HeavePitch("world"))
+    model = engine(mount, jb.joints.HeavePitch("world"))
     assert model.layout.states == (
         "mount, x branch 1",
         "mount, x branch 2",
@@ -88,7 +88,7 @@ EXACT = 2e4 + 6e4 * 2j * np.pi * FREQUENCIES * 0.01 / (1 + 2j * np.pi * FREQUENC
 @pytest.mark.parametrize("amplitude", [None, 1e-3])
 def test_dynamic_stiffness_of_the_standard_linear_solid(amplitude):
     element = jb.Mount(("a", [0, 0, 0]), ("b", [0, 0, 0]), z=SOLID)
-    found = jb.dynamic_stiffness(
+    found = jb.vibration.dynamic_stiffness(
         element, FREQUENCIES, amplitude=amplitude, preload=-100.0, direction="z"
     )
     np.testing.assert_allclose(found.stiffness, EXACT, rtol=1e-10 if amplitude is None else 1e-8)
@@ -101,7 +101,7 @@ def test_dynamic_stiffness_of_the_standard_linear_solid(amplitude):
 
 
 def test_at_0_hz_the_dynamic_stiffness_is_static():
-    found = jb.dynamic_stiffness(SOLID, [0.0, 1.0])
+    found = jb.vibration.dynamic_stiffness(SOLID, [0.0, 1.0])
     np.testing.assert_allclose(found.stiffness, [2e4, EXACT[0]], rtol=1e-10)
 
 
@@ -112,7 +112,9 @@ def test_the_loop_of_bouc_and_wen_in_its_dynamic_stiffness():
 
     def energy(x, X=1e-3):
         law = jb.laws.BoucWen(alpha=x[0], beta=1e3, gamma=0.8, delta=x[1])
-        return np.pi * X**2 * jb.dynamic_stiffness(law, [1.0], amplitude=X).stiffness.imag[0]
+        return (
+            np.pi * X**2 * jb.vibration.dynamic_stiffness(law, [1.0], amplitude=X).stiffness.imag[0]
+        )
 
     x = jnp.array([5e4, -1.1])
     for X, exact in ((2e-4, 4.2389324969e-4), (1e-3, 0.049164468767580), (2e-3, 0.366679080472407)):
@@ -129,13 +131,13 @@ def test_the_loop_of_bouc_and_wen_in_its_dynamic_stiffness():
 
 def test_bad_input_is_refused():
     for call, code in (
-        (lambda: jb.dynamic_stiffness(SOLID, [-1.0]), "BAD_FREQUENCY"),
-        (lambda: jb.dynamic_stiffness(SOLID, [0.0], amplitude=1e-3), "BAD_FREQUENCY"),
-        (lambda: jb.dynamic_stiffness(SOLID, [1.0], amplitude=-1.0), "NOT_POSITIVE"),
-        (lambda: jb.dynamic_stiffness(jb.Mount(*PLACES, z=1.0), [1.0]), "BAD_DIRECTION"),
-        (lambda: jb.dynamic_stiffness("mount", [1.0]), "WRONG_KIND"),
+        (lambda: jb.vibration.dynamic_stiffness(SOLID, [-1.0]), "BAD_FREQUENCY"),
+        (lambda: jb.vibration.dynamic_stiffness(SOLID, [0.0], amplitude=1e-3), "BAD_FREQUENCY"),
+        (lambda: jb.vibration.dynamic_stiffness(SOLID, [1.0], amplitude=-1.0), "NOT_POSITIVE"),
+        (lambda: jb.vibration.dynamic_stiffness(jb.Mount(*PLACES, z=1.0), [1.0]), "BAD_DIRECTION"),
+        (lambda: jb.vibration.dynamic_stiffness("mount", [1.0]), "WRONG_KIND"),
         (lambda: jb.Mount(*PLACES, damping=[-1.0, 0, 0]), "NEGATIVE"),
-        (lambda: jb.MeasuredStiffness("mount", [1.0]), "NO_DATA"),
+        (lambda: jb.fitting.MeasuredStiffness("mount", [1.0]), "NO_DATA"),
     ):
         with pytest.raises(jb.JaxbodyError) as caught:
             call()

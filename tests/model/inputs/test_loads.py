@@ -116,13 +116,15 @@ LOADS = {
     ),
     "unbalance": (
         lambda on: [
-            jb.Unbalance((on, P), axis=AXIS, unbalance=0.02, frequency=2.0, run_up=1.0, phase=0.4)
+            jb.inputs.Unbalance(
+                (on, P), axis=AXIS, unbalance=0.02, frequency=2.0, run_up=1.0, phase=0.4
+            )
         ],
         lambda t, R: (f := R @ unbalance(t), np.cross(R @ (P - COM), f)),
     ),
     "engine torque": (
         lambda on: [
-            jb.EngineTorque(
+            jb.inputs.EngineTorque(
                 on,
                 axis=AXIS,
                 frequency=3.0,
@@ -200,11 +202,11 @@ def test_bad_loads_are_refused():
         (lambda: jb.Force("body", force=lambda t: t), ("BAD_SHAPE", "Force.force", "()")),
         (lambda: jb.Force("body", axes="wheel"), ("BAD_AXES", "wheel", "world or body")),
         (
-            lambda: jb.Unbalance("body", axis=[0, 0, 0], unbalance=1, frequency=1),
+            lambda: jb.inputs.Unbalance("body", axis=[0, 0, 0], unbalance=1, frequency=1),
             ("ZERO_AXIS", "Unbalance.axis"),
         ),
         (
-            lambda: jb.EngineTorque(
+            lambda: jb.inputs.EngineTorque(
                 "body", axis=[1, 0, 0], frequency=1, orders=[2, 4], amplitudes=[1]
             ),
             ("BAD_SHAPE", "EngineTorque.amplitudes"),
@@ -385,7 +387,7 @@ def test_the_stiffness_under_a_dead_force_is_the_second_derivative_of_its_potent
 
     @jax.jit
     def V(delta):
-        q = jb.retract(TABLE, eq.state.q, delta)
+        q = jb.joints.retract(TABLE, eq.state.q, delta)
         w, v = q[3], q[4:]
         P = q[:3] + ARM + 2 * jnp.cross(v, jnp.cross(v, ARM) + w * ARM)
         return jb.potential_energy(TABLE, jb.State(q, jnp.zeros(6))) - PULL @ P
@@ -488,10 +490,10 @@ def test_a_limit_point_is_found_where_the_force_is_largest():
     assert abs(float(eq.load_factor) - 0.5) <= 1e-3
     smallest = np.asarray(eq.path.smallest)
     assert np.nanmin(smallest) < 0.05 < np.nanmax(smallest) == 1.0
-    line = plots.load_path(eq).lines[0]
+    line = plots.plot_load_path(eq).lines[0]
     assert line.get_xdata()[0] == 0 and abs(np.nanmax(line.get_xdata()) - 0.5) <= 1e-3
     with pytest.raises(jb.JaxbodyError, match="NO_PATH"):
-        plots.load_path(jb.equilibrium(truss()))
+        plots.plot_load_path(jb.equilibrium(truss()))
 
 
 @pytest.mark.long
@@ -513,7 +515,9 @@ def test_preload_is_the_least_change_that_balances():
     """Against NumPy: residual r + A dl = 0, dl = -A^+ r; A of unit vectors along the springs."""
     model = jb.presets.stewart_table(gravity=G)
     pose = jb.State(
-        jb.retract(model, model.reference.q, jnp.array([0.02, -0.01, 0.01, 0.01, 0.02, -0.03])),
+        jb.joints.retract(
+            model, model.reference.q, jnp.array([0.02, -0.01, 0.01, 0.01, 0.02, -0.03])
+        ),
         jnp.zeros(6),
     )
     result = jb.preload(model, pose)
@@ -641,7 +645,7 @@ def test_equilibrium_of_a_nonlinear_rig_under_a_load_is_scipys():
                 ("high", [0, 0, 0]),
                 ("low", [0, 0, 0]),
                 free_length=1.0,
-                spring=laws.Linear(90.0) + laws.Stop(gap=0.1, stiffness=900.0, engagement=0.05),
+                spring=laws.Linear(90.0) + laws.BumpStop(gap=0.1, stiffness=900.0, engagement=0.05),
             ),
         },
         gravity=[0, 0, -G],

@@ -41,7 +41,7 @@ def worst(result, exact):
 
 
 def test_at_rest_is_zero():
-    assert not any(np.any(x) for x in with_derivatives(jb.AtRest(), EVEN))
+    assert not any(np.any(x) for x in with_derivatives(jb.inputs.AtRest(), EVEN))
 
 
 @pytest.mark.parametrize(
@@ -103,12 +103,14 @@ def test_a_delayed_motion_is_the_same_later(rng):
     motion = jb.Sampled(UNEVEN, translation=rng.normal(size=(len(UNEVEN), 3)))
     t = within(rng, UNEVEN)
     for result, exact in zip(
-        with_derivatives(jb.Delayed(motion, 0.3), t + 0.3), with_derivatives(motion, t), strict=True
+        with_derivatives(jb.signals.Delayed(motion, 0.3), t + 0.3),
+        with_derivatives(motion, t),
+        strict=True,
     ):
         # t + 0.3 - 0.3 is t to 1e-16, times the slopes of a spline through noise
         assert worst(result, exact) <= 1e-12
-    assert jb.Delayed(motion, 0.3).covers() == (UNEVEN[0] + 0.3, UNEVEN[-1] + 0.3)
-    assert jb.Delayed(jnp.ones_like, jnp.array(0.3)).covers() == (-np.inf, np.inf)
+    assert jb.signals.Delayed(motion, 0.3).covers() == (UNEVEN[0] + 0.3, UNEVEN[-1] + 0.3)
+    assert jb.signals.Delayed(jnp.ones_like, jnp.array(0.3)).covers() == (-np.inf, np.inf)
 
 
 def cubic(t):
@@ -267,7 +269,7 @@ RECORDS = {
     "initial values": lambda x: jb.Sampled.from_accelerations(
         UNEVEN, initial_position=x[0], initial_velocity=x[1]
     ),
-    "delay": lambda x: jb.Delayed(
+    "delay": lambda x: jb.signals.Delayed(
         jb.Sampled(UNEVEN, translation=x[:-1, None] * AXIS), 0.01 * x[-1]
     ),
     "harmonic": lambda x: jb.Harmonic(
@@ -445,8 +447,18 @@ BAD = {
         "Harmonic.frequency",
         (3,),
     ),
-    "two delays": (lambda: jb.Delayed(jb.AtRest(), [0, 1]), "BAD_SHAPE", "Delayed.delay", (2,)),
-    "no delayed motion": (lambda: jb.Delayed(3.0, 0.1), "WRONG_KIND", "Delayed.signal", 3.0),
+    "two delays": (
+        lambda: jb.signals.Delayed(jb.inputs.AtRest(), [0, 1]),
+        "BAD_SHAPE",
+        "Delayed.delay",
+        (2,),
+    ),
+    "no delayed motion": (
+        lambda: jb.signals.Delayed(3.0, 0.1),
+        "WRONG_KIND",
+        "Delayed.signal",
+        3.0,
+    ),
     "no function": (lambda: as_motion(3.0), "WRONG_KIND", "motion", 3.0),
 }
 

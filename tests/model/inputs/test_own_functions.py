@@ -29,7 +29,7 @@ def slider(spring=100.0, damper=None):
     )
 
 
-class Counted(jb.Motion):
+class Counted(jb.inputs.Motion):
     """A motion that counts its calls."""
 
     amplitude: jax.Array
@@ -40,7 +40,7 @@ class Counted(jb.Motion):
         return jnp.full(6, self.amplitude)
 
 
-class Sine(jb.Motion):
+class Sine(jb.inputs.Motion):
     amplitude: jax.Array
 
     def __call__(self, t):
@@ -71,8 +71,8 @@ MOTIONS = {
     "three numbers": (lambda t: jnp.array([jnp.sin(t), 0, 0]), "BAD_SHAPE"),
     "nothing": (lambda t: None, "BAD_SHAPE"),
     "a class": (Sine(jnp.array(1.0)), "NOT_TRACEABLE"),
-    "a delayed one": (jb.Delayed(lambda t: np.sin(t) * np.ones(6), 0.1), "NOT_TRACEABLE"),
-    "one of a sum": (jb.AtRest() + (lambda t: jnp.zeros(3)), "FUNCTION_FAILED"),
+    "a delayed one": (jb.signals.Delayed(lambda t: np.sin(t) * np.ones(6), 0.1), "NOT_TRACEABLE"),
+    "one of a sum": (jb.inputs.AtRest() + (lambda t: jnp.zeros(3)), "FUNCTION_FAILED"),
 }
 
 

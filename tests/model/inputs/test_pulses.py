@@ -11,11 +11,11 @@ import jaxbody as jb
 
 T, A, START = 0.4, 3.0, 0.1
 PULSES = {
-    "half sine": (jb.HalfSine(A, T, START), lambda u: np.sin(np.pi * u)),
-    "sawtooth": (jb.Sawtooth(A, T, START), lambda u: u),
-    "triangle": (jb.Triangle(A, T, START), lambda u: 1 - abs(2 * u - 1)),
+    "half sine": (jb.inputs.HalfSine(A, T, START), lambda u: np.sin(np.pi * u)),
+    "sawtooth": (jb.inputs.Sawtooth(A, T, START), lambda u: u),
+    "triangle": (jb.inputs.Triangle(A, T, START), lambda u: 1 - abs(2 * u - 1)),
     "trapezoid": (
-        jb.Trapezoid(A, T, START, rise=0.1, fall=0.2),
+        jb.inputs.Trapezoid(A, T, START, rise=0.1, fall=0.2),
         lambda u: min(u / 0.25, 1.0, (1 - u) / 0.5),
     ),
 }
@@ -50,13 +50,13 @@ def test_a_motion_has_the_acceleration_of_its_pulse(name):
 
 def test_half_sine_of_15_g_changes_the_velocity_by_a_meter_a_second():
     """2 A T/pi, and the free fall without rebound v^2/2g; IEC 60068-2-27 prints 1.0 m/s."""
-    motion = jb.HalfSine(15 * 9.80665, 0.011).motion("z")
+    motion = jb.inputs.HalfSine(15 * 9.80665, 0.011).motion("z")
     v = float(jax.jacfwd(motion)(jnp.array(0.011))[2])
     np.testing.assert_allclose([v, v**2 / (2 * 9.80665)], [1.0301127, 0.0541027], rtol=1e-6)
 
 
 def test_samples_keep_the_impulse_of_a_pulse_that_jumps():
-    times, values = jb.Sawtooth(A, T, START).samples(count=50, lengths=3)
+    times, values = jb.inputs.Sawtooth(A, T, START).samples(count=50, lengths=3)
     assert times.shape == (151,) and float(times[0]) == START and float(values[50]) == A / 2
     np.testing.assert_allclose(np.trapezoid(values, times), A * T / 2, rtol=1e-12)
 
@@ -77,7 +77,7 @@ def test_a_simulation_follows_a_pulse_that_jumps():
         },
     )
     times = np.linspace(0, 1.0, 21)
-    motion = jb.Sawtooth(A, T, START).motion("z")
+    motion = jb.inputs.Sawtooth(A, T, START).motion("z")
     run = jb.simulate(model, times, motion={"base": motion}, initial="rest", rtol=1e-10)
     base = np.asarray(jax.vmap(motion)(times))[:, 2]
     s, end = np.clip(times - START, 0, T), w * T
@@ -92,9 +92,9 @@ def test_a_simulation_follows_a_pulse_that_jumps():
 @pytest.mark.long
 def test_bad_pulses_are_refused():
     with pytest.raises(jb.JaxbodyError) as raised:
-        jb.HalfSine(np.nan, -1.0, [0, 0])
+        jb.inputs.HalfSine(np.nan, -1.0, [0, 0])
     assert [p.code for p in raised.value.problems] == ["NON_FINITE", "BAD_NUMBER", "BAD_SHAPE"]
     with pytest.raises(jb.JaxbodyError, match=r"rise and fall: are 3 s.*BAD_NUMBER"):
-        jb.Trapezoid(1.0, 2.0, rise=1.5)
+        jb.inputs.Trapezoid(1.0, 2.0, rise=1.5)
     with pytest.raises(jb.JaxbodyError, match=r"samples\.count"):
-        jb.Triangle(1.0, 1.0).samples(count=1.5)
+        jb.inputs.Triangle(1.0, 1.0).samples(count=1.5)

@@ -27,7 +27,7 @@ def felt_and_slope(road, stations):
 
 def felt(distances, heights, stations, footprint):
     return felt_and_slope(
-        jb.Road(distances, heights, speed=1.0, footprint=footprint), jnp.asarray(stations)
+        jb.inputs.Road(distances, heights, speed=1.0, footprint=footprint), jnp.asarray(stations)
     )
 
 
@@ -115,7 +115,7 @@ def test_a_patch_far_along_a_road_is_felt_to_all_digits(kilometre):
 
 def test_a_footprint_may_grow_to_twice_its_length_and_is_never_cut_short(kilometre):
     """Only nearby pieces are evaluated: 16 of 32000 for a patch of 0.2 m and for twice that."""
-    road = jb.Road(*kilometre, speed=1.0, footprint=0.2)
+    road = jb.inputs.Road(*kilometre, speed=1.0, footprint=0.2)
     assert road.window == 16
     for footprint, right in ((0.4, True), (0.6, False), (5.0, False)):
         grown = eqx.tree_at(lambda r: r.footprint, road, jnp.array(footprint))
@@ -131,7 +131,7 @@ def test_a_patch_of_a_tenth_of_a_metre_on_a_piece_of_a_kilometre_too():
 
 def test_a_wheel_rises_with_speed_times_the_slope_of_the_road():
     """Xi = (0, 0, z_f, 0, 0, 0) at position + speed t, and its rate."""
-    road = jb.Road(DISTANCES, HEIGHTS, speed=3.0, position=0.4, footprint=0.3)
+    road = jb.inputs.Road(DISTANCES, HEIGHTS, speed=3.0, position=0.4, footprint=0.3)
     xi, xi_dot = jax.jvp(road, (0.2,), (1.0,))
     z, slope = felt(DISTANCES, HEIGHTS, [1.0], 0.3)
     assert np.abs(xi - np.array([0, 0, z[0], 0, 0, 0])).max() <= 1e-15
@@ -145,7 +145,7 @@ def test_a_wheel_rises_with_speed_times_the_slope_of_the_road():
 def test_a_road_can_be_differentiated_in_its_numbers(footprint, t):
     """Forward = reverse = central differences, in heights, distances, speed, position and
     footprint, alone at speed zero and together."""
-    road = jb.Road(DISTANCES, HEIGHTS, speed=2.0, position=-0.3, footprint=footprint)
+    road = jb.inputs.Road(DISTANCES, HEIGHTS, speed=2.0, position=-0.3, footprint=footprint)
     direction = jax.tree.map(lambda x: jnp.asarray(RNG.normal(size=x.shape)), road)
     if footprint == 0:  # differences would need a negative one
         direction = eqx.tree_at(lambda r: r.footprint, direction, jnp.array(0.0))
@@ -173,7 +173,7 @@ def test_no_footprint_has_finite_derivatives_at_the_points_too():
     """At a kink, at the ends, standing or not: a derivative of one side, never NaN; second
     derivatives as well."""
     for station in (DISTANCES[0], DISTANCES[5], DISTANCES[-1]):
-        road = jb.Road(DISTANCES, HEIGHTS, speed=0.0, position=station)
+        road = jb.inputs.Road(DISTANCES, HEIGHTS, speed=0.0, position=station)
         assert all(
             np.isfinite(x).all()
             for x in jax.tree.leaves((gradient(road, 0.0), curvature(road, station)))
@@ -184,10 +184,10 @@ def test_a_rear_wheel_feels_the_front_wheels_road_a_wheelbase_later():
     speed, wheelbase = 12.5, 2.5
     wheels = {"front": 1.5, "rear": 1.5 - wheelbase}
     front, rear = (
-        jb.Road(DISTANCES, HEIGHTS, speed=speed, position=at, footprint=0.2)
+        jb.inputs.Road(DISTANCES, HEIGHTS, speed=speed, position=at, footprint=0.2)
         for at in wheels.values()
     )
-    later = jb.Delayed(front, wheelbase / speed)
+    later = jb.signals.Delayed(front, wheelbase / speed)
     times = jnp.linspace(-0.5, 1.0, 200)
     feel = jax.jit(lambda motion: jax.vmap(motion)(times))
     assert np.abs(feel(rear)).max() > 0.05
@@ -196,7 +196,7 @@ def test_a_rear_wheel_feels_the_front_wheels_road_a_wheelbase_later():
 
 
 def test_a_kerb_is_a_ramp_between_two_levels():
-    kerb = jb.Road.kerb(0.12, at=4.0, ramp=0.05, speed=2.0, position=1.0)
+    kerb = jb.inputs.Road.kerb(0.12, at=4.0, ramp=0.05, speed=2.0, position=1.0)
     heights = [float(kerb(t)[2]) for t in (0.0, 1.5, 1.5125, 1.525, 9.0)]
     assert np.abs(np.subtract(heights, [0, 0, 0.06, 0.12, 0.12])).max() <= 1e-14
 
@@ -204,7 +204,7 @@ def test_a_kerb_is_a_ramp_between_two_levels():
 @pytest.mark.long
 def test_a_road_is_built_in_a_trace_as_outside():
     def height(h, ramp):
-        return jb.Road([0.0, 1.0, 1.0 + ramp], [0.0, h, 0.0], speed=1.0, footprint=2 * ramp)(
+        return jb.inputs.Road([0.0, 1.0, 1.0 + ramp], [0.0, h, 0.0], speed=1.0, footprint=2 * ramp)(
             jnp.array(0.9)
         )[2]
 
@@ -215,69 +215,74 @@ def test_a_road_is_built_in_a_trace_as_outside():
 
 BAD = {
     "unsorted": (
-        lambda: jb.Road([0, 2, 1], [0, 0, 0], speed=1.0),
+        lambda: jb.inputs.Road([0, 2, 1], [0, 0, 0], speed=1.0),
         "NOT_INCREASING",
         "Road.distances",
         2,
     ),
     "repeated": (
-        lambda: jb.Road([0, 1, 1], [0, 0, 0], speed=1.0),
+        lambda: jb.inputs.Road([0, 1, 1], [0, 0, 0], speed=1.0),
         "NOT_INCREASING",
         "Road.distances",
         2,
     ),
     "no ramp": (
-        lambda: jb.Road.kerb(0.1, at=1.0, ramp=0.0, speed=1.0),
+        lambda: jb.inputs.Road.kerb(0.1, at=1.0, ramp=0.0, speed=1.0),
         "NOT_INCREASING",
         "Road.distances",
         1,
     ),
     "bad ramp": (
-        lambda: jb.Road.kerb(0.1, at=1.0, ramp=None, speed=1.0),
+        lambda: jb.inputs.Road.kerb(0.1, at=1.0, ramp=None, speed=1.0),
         "NOT_A_NUMBER",
         "Road.kerb ramp",
         None,
     ),
-    "one point": (lambda: jb.Road([0], [0], speed=1.0), "BAD_SHAPE", "Road.distances", (1,)),
-    "one number": (lambda: jb.Road(0.0, [0, 0], speed=1.0), "BAD_SHAPE", "Road.distances", ()),
+    "one point": (lambda: jb.inputs.Road([0], [0], speed=1.0), "BAD_SHAPE", "Road.distances", (1,)),
+    "one number": (
+        lambda: jb.inputs.Road(0.0, [0, 0], speed=1.0),
+        "BAD_SHAPE",
+        "Road.distances",
+        (),
+    ),
     "table": (
-        lambda: jb.Road([0, 1], np.zeros((2, 2)), speed=1.0),
+        lambda: jb.inputs.Road([0, 1], np.zeros((2, 2)), speed=1.0),
         "BAD_SHAPE",
         "Road.heights",
         (2, 2),
     ),
     "one height more": (
-        lambda: jb.Road([0, 1], [0, 0, 0], speed=1.0),
+        lambda: jb.inputs.Road([0, 1], [0, 0, 0], speed=1.0),
         "BAD_SHAPE",
         "Road.heights",
         (3,),
     ),
     "NaN height": (
-        lambda: jb.Road([0, 1], [0, np.nan], speed=1.0),
+        lambda: jb.inputs.Road([0, 1], [0, np.nan], speed=1.0),
         "NON_FINITE",
         "Road.heights",
         [0, np.nan],
     ),
     "text": (
-        lambda: jb.Road(["0", "1"], [0, 0], speed=1.0),
+        lambda: jb.inputs.Road(["0", "1"], [0, 0], speed=1.0),
         "NOT_A_NUMBER",
         "Road.distances",
         None,
     ),
     "infinite speed": (
-        lambda: jb.Road([0, 1], [0, 0], speed=np.inf),
+        lambda: jb.inputs.Road([0, 1], [0, 0], speed=np.inf),
         "NON_FINITE",
         "Road.speed",
         np.inf,
     ),
     "two positions": (
-        lambda: jb.Road([0, 1], [0, 0], speed=1, position=[1, 2]),
+        lambda: jb.inputs.Road([0, 1], [0, 0], speed=1, position=[1, 2]),
         "BAD_SHAPE",
         "Road.position",
         (2,),
     ),
     "negative footprint": (
-        lambda: jb.Road([0, 1], [0, 0], speed=1, footprint=-0.1),
+        lambda: jb.inputs.Road([0, 1], [0, 0], speed=1, footprint=-0.1),
         "BAD_FOOTPRINT",
         "Road.footprint",
         -0.1,
@@ -300,7 +305,7 @@ def test_a_bad_road_is_reported_by_name(case):
 @pytest.mark.long
 def test_all_that_is_wrong_with_a_road_is_reported_at_once():
     with pytest.raises(jb.JaxbodyError) as caught:
-        jb.Road([0, 1, 1], [0, 0], speed="fast", footprint=-1.0)
+        jb.inputs.Road([0, 1, 1], [0, 0], speed="fast", footprint=-1.0)
     assert [problem.code for problem in caught.value.problems] == [
         "BAD_SHAPE",
         "NOT_A_NUMBER",

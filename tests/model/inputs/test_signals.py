@@ -34,7 +34,7 @@ def test_a_motion_is_a_signal():
     the formula."""
     motion = jb.Harmonic(frequency=0.7, translation=[0.1, 0, 0.2], rotation=[0, 0.3, 0])
     assert isinstance(motion, jb.signals.Signal) and isinstance(
-        jb.Road([0, 1], [0, 0], speed=1.0), jb.signals.Signal
+        jb.inputs.Road([0, 1], [0, 0], speed=1.0), jb.signals.Signal
     )
     amplitude = np.array([0.1, 0, 0.2, 0, 0.3, 0])
     t = jnp.array(0.37)
@@ -144,7 +144,7 @@ def test_a_line_through_two_points_bends_at_its_ends_alone():
         atol=1e-12,
     )
     np.testing.assert_array_equal(
-        np.unique(jb.Road([1.0, 2.0], [0.0, 0.1], speed=2.0).kinks()), [0.5, 1.0]
+        np.unique(jb.inputs.Road([1.0, 2.0], [0.0, 0.1], speed=2.0).kinks()), [0.5, 1.0]
     )
 
 

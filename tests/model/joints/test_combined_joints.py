@@ -22,7 +22,7 @@ def test_a_mass_on_a_universal_joint_swings_by_the_equations_of_lagrange():
     bob = jb.Body(mass=2.0, com=[0, 0, -l])
     model = jb.Model(
         bodies={"bob": bob},
-        joints={"bob": jb.Universal("world", first="x", second="y")},
+        joints={"bob": jb.joints.Universal("world", first="x", second="y")},
         gravity=[0, 0, -G],
     )
 
@@ -49,7 +49,7 @@ def test_a_shaft_in_a_plain_bearing_falls_along_it_and_spins_on():
     """Each motion by itself: g along the axis, and no moment about it."""
     n, m, offset, about = np.array([0.0, 0.6, 0.8]), 3.0, 0.2, 0.5
     shaft = jb.Body(mass=m, inertia=[about] * 3, com=[offset, 0, 0])
-    at = jb.Cylindrical("world", axis=n)
+    at = jb.joints.Cylindrical("world", axis=n)
     model = jb.Model(bodies={"shaft": shaft}, joints={"shaft": at}, gravity=[0, 0, -G])
     lin = jb.linearize(model, model.reference)
     np.testing.assert_allclose(lin.M, np.diag([m, about + m * offset**2]), atol=1e-15)
@@ -69,7 +69,7 @@ def test_a_puck_moves_in_its_plane_as_a_rigid_body():
     g = np.array([1.0, -2.0])
     model = jb.Model(
         bodies={"puck": puck},
-        joints={"puck": jb.Planar("world", first="x", second="y")},
+        joints={"puck": jb.joints.Planar("world", first="x", second="y")},
         gravity=[*g, -G],
     )
     angle, spin = 0.8, 3.0
@@ -89,20 +89,24 @@ FIRST, SECOND, AT = (
 )
 PLACES = {"puck": [0.5, 0.2, -0.3], "yoke": [1.0, 0.3, 0.2], "shaft": [1.2, 0.8, 0.3]}
 JOINTS = {
-    "puck": jb.Planar("base", first=FIRST, second=SECOND),
-    "yoke": jb.Universal("puck", first=FIRST, second=SECOND, at=AT),
-    "shaft": jb.Cylindrical("yoke", axis=FIRST, at=AT),
+    "puck": jb.joints.Planar("base", first=FIRST, second=SECOND),
+    "yoke": jb.joints.Universal("puck", first=FIRST, second=SECOND, at=AT),
+    "shaft": jb.joints.Cylindrical("yoke", axis=FIRST, at=AT),
 }
 NORMAL = np.cross(FIRST, SECOND)
 CHAINS = {
-    "puck": jb.Composite(
+    "puck": jb.joints.Composite(
         "base",
         ["move", "move", "turn"],
         directions=[FIRST, SECOND, NORMAL],
         points=[PLACES["puck"]] * 3,
     ),
-    "yoke": jb.Composite("puck", ["turn", "turn"], directions=[FIRST, SECOND], points=[AT, AT]),
-    "shaft": jb.Composite("yoke", ["move", "turn"], directions=[FIRST, FIRST], points=[AT, AT]),
+    "yoke": jb.joints.Composite(
+        "puck", ["turn", "turn"], directions=[FIRST, SECOND], points=[AT, AT]
+    ),
+    "shaft": jb.joints.Composite(
+        "yoke", ["move", "turn"], directions=[FIRST, FIRST], points=[AT, AT]
+    ),
 }
 
 
@@ -142,7 +146,8 @@ def test_they_move_as_chains_of_slides_and_hinges():
     }
     runs = [jb.simulate(model, [0.0, 0.2], initial=state, motion=motion) for model in (one, other)]
     read = [
-        jb.measure(run, {name: jb.Reaction(name) for name in ("base", *PLACES)}) for run in runs
+        jb.measure(run, {name: jb.sensors.Reaction(name) for name in ("base", *PLACES)})
+        for run in runs
     ]
     np.testing.assert_allclose(read[0]["base"], read[1]["base"], rtol=1e-9, atol=1e-9)
     for name in PLACES:  # moments are about the point of the joint; those of a chain about O
@@ -168,7 +173,7 @@ def test_derivatives_are_exact_where_angles_are_zero_or_half_turns():
         return acceleration(jb.replace(model, parts), jb.State(x[:n], v)).sum()
 
     value, forward, reverse = (jit_once(g) for g in (f, jax.jacfwd(f), jax.grad(f)))
-    h, own = 1e-5, jb.paths(model)
+    h, own = 1e-5, jb.parameter_paths(model)
     for angle in (0.0, np.pi / 2, np.pi):
         start = jnp.concatenate(
             [np.where(model.layout.turns, angle, 0.0), *(own[field] for field in fields)]
@@ -190,7 +195,9 @@ def test_a_shaft_behind_a_universal_joint_turns_by_the_law_of_hooke():
     joints = {
         "input": jb.Hinge("world", axis="x", at=[0, 0, 0]),
         # its cross, drawn upright
-        "output": jb.Universal("input", first="z", second=np.cross([0, 0, 1], line), at=[0, 0, 0]),
+        "output": jb.joints.Universal(
+            "input", first="z", second=np.cross([0, 0, 1], line), at=[0, 0, 0]
+        ),
     }
     bearing = jb.closures.Hinge(("world", line), ("output", line), axis=line)
     model = jb.Model(
@@ -198,7 +205,7 @@ def test_a_shaft_behind_a_universal_joint_turns_by_the_law_of_hooke():
     )
     turns = np.deg2rad([20.0, 60.0, 89.0])
     for turn in turns:
-        done = jb.assemble(
+        done = jb.suspension.assemble(
             model, start=jb.State(jnp.array([turn, 0.1, -0.1]), jnp.zeros(3)), hold=["input"]
         )
         assert done.ok and done.freedoms == 1
@@ -214,8 +221,8 @@ def test_bad_input():
     with pytest.raises(
         jb.JaxbodyError, match=r"Universal.second: is parallel to the first.*BAD_DIRECTION"
     ):
-        jb.Universal("world", first="x", second=[-2, 0, 0])
+        jb.joints.Universal("world", first="x", second=[-2, 0, 0])
     with pytest.raises(jb.JaxbodyError, match=r"Planar.second.*ZERO_AXIS"):
-        jb.Planar("world", first="x", second=[0, 0, 0])
+        jb.joints.Planar("world", first="x", second=[0, 0, 0])
     with pytest.raises(jb.JaxbodyError, match=r"Cylindrical.axis.*BAD_DIRECTION"):
-        jb.Cylindrical("world", axis="w")
+        jb.joints.Cylindrical("world", axis="w")

@@ -27,15 +27,17 @@ JOINTS = {
     "hinge at": lambda parent: jb.Hinge(parent, axis=AXIS, at=AT),
     "ball": jb.Ball,
     "ball at": lambda parent: jb.Ball(parent, at=AT),
-    "universal": lambda parent: jb.Universal(parent, first=AXIS, second=SECOND),
-    "universal at": lambda parent: jb.Universal(parent, first=AXIS, second=SECOND, at=AT),
-    "cylindrical": lambda parent: jb.Cylindrical(parent, axis=AXIS),
-    "cylindrical at": lambda parent: jb.Cylindrical(parent, axis=AXIS, at=AT),
-    "planar": lambda parent: jb.Planar(parent, first=AXIS, second=SECOND),
+    "universal": lambda parent: jb.joints.Universal(parent, first=AXIS, second=SECOND),
+    "universal at": lambda parent: jb.joints.Universal(parent, first=AXIS, second=SECOND, at=AT),
+    "cylindrical": lambda parent: jb.joints.Cylindrical(parent, axis=AXIS),
+    "cylindrical at": lambda parent: jb.joints.Cylindrical(parent, axis=AXIS, at=AT),
+    "planar": lambda parent: jb.joints.Planar(parent, first=AXIS, second=SECOND),
     "translation": jb.Translation,
-    "half car": jb.HeavePitch,
-    "full car": jb.HeavePitchRoll,
-    "composite": lambda parent: jb.Composite(parent, STEPS, directions=LINES[0], points=LINES[1]),
+    "half car": jb.joints.HeavePitch,
+    "full car": jb.joints.HeavePitchRoll,
+    "composite": lambda parent: jb.joints.Composite(
+        parent, STEPS, directions=LINES[0], points=LINES[1]
+    ),
 }
 NAMES = [
     f"{kind} on {parent}"
@@ -322,7 +324,7 @@ def test_a_direction_may_be_named():
             jb.Guide("world", axis=letter),
             jb.Hinge("world", axis=letter),
             jb.Torsion("a", "b", axis=letter, spring=1.0),
-            jb.Unbalance("a", axis=letter, unbalance=1.0, frequency=1.0),
+            jb.inputs.Unbalance("a", axis=letter, unbalance=1.0, frequency=1.0),
         ):
             np.testing.assert_array_equal(thing.axis, n)
     with pytest.raises(jb.JaxbodyError, match=r"Hinge.axis: is 'w' \(allowed: x y z\)"):

@@ -56,7 +56,7 @@ def formula(
 
 
 def test_published_dynamic_stiffness():
-    found = jb.dynamic_stiffness(jb.laws.Hydraulic(**PUBLISHED), list(TABLE))
+    found = jb.vibration.dynamic_stiffness(jb.laws.Hydraulic(**PUBLISHED), list(TABLE))
     modulus, angle = np.array(list(TABLE.values())).T
     # the table has ten digits of the modulus
     np.testing.assert_allclose(found.magnitude, modulus, rtol=1e-9)
@@ -66,7 +66,9 @@ def test_published_dynamic_stiffness():
 def test_two_chambers():
     f, law = [0.5, 8.0, 14.0, 40.0], {**MOUNT, "gap": 0.0}
     np.testing.assert_allclose(
-        jb.dynamic_stiffness(jb.laws.Hydraulic(**law), f).stiffness, formula(f, **law), rtol=1e-12
+        jb.vibration.dynamic_stiffness(jb.laws.Hydraulic(**law), f).stiffness,
+        formula(f, **law),
+        rtol=1e-12,
     )
 
 
@@ -170,7 +172,7 @@ def test_first_harmonic_at_an_amplitude(f, X, gap):
     re, im = solve_ivp(
         rates, (0, T), [*start, 0, 0], method="DOP853", rtol=1e-11, atol=1e-14, max_step=T / 50
     ).y[2:, -1]
-    found = jb.dynamic_stiffness(jb.laws.Hydraulic(**law), [f], amplitude=X)
+    found = jb.vibration.dynamic_stiffness(jb.laws.Hydraulic(**law), [f], amplitude=X)
     assert int(found.status) == 0
     np.testing.assert_allclose(found.stiffness[0], 2 * f / X * (re + 1j * im), rtol=1e-8)
     if gap > X:
@@ -194,7 +196,7 @@ def test_derivatives_of_the_stiffness_at_an_amplitude():
     @jax.jit
     def curve(x):
         law = jb.laws.Hydraulic(**dict(zip(names, x, strict=True)), lower_stiffness=4e4)
-        K = jb.dynamic_stiffness(law, [8.0, 11.0], amplitude=1e-3)
+        K = jb.vibration.dynamic_stiffness(law, [8.0, 11.0], amplitude=1e-3)
         return jnp.sum(K.magnitude) + 1e5 * jnp.sum(K.loss_angle)
 
     forward, reverse = jax.jacfwd(curve)(x), jax.grad(curve)(x)

@@ -40,7 +40,7 @@ LAWS = {
         laws.Polynomial([100.0, -20.0, 300.0]),
         lambda x: 100 * x - 20 * x**2 + 300 * x**3,
     ),
-    "table": (laws.Table(POINTS, FORCES), PCHIP),
+    "table": (laws.Tabulated(POINTS, FORCES), PCHIP),
     "bilinear": (
         laws.TwoSided(bump=300.0, rebound=900.0),
         lambda x: np.where(x < 0, 300 * x, 900 * x),
@@ -54,9 +54,9 @@ LAWS = {
         lambda x: 100 * x + 800 * x / np.sqrt(1 + (x / 0.2) ** 2),
     ),
     "friction": (laws.Friction(level=40.0, velocity=0.05), lambda x: 40 * x / np.hypot(x, 0.05)),
-    "stop": (laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.05), lambda x: -stop(-x - 0.1)),
+    "stop": (laws.BumpStop(gap=0.1, stiffness=1000.0, engagement=0.05), lambda x: -stop(-x - 0.1)),
     "stop in extension": (
-        laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.05, extension=True),
+        laws.BumpStop(gap=0.1, stiffness=1000.0, engagement=0.05, extension=True),
         lambda x: stop(x - 0.1),
     ),
     "tension only": (laws.TensionOnly(70.0), lambda x: 70 * np.maximum(x, 0)),
@@ -71,7 +71,7 @@ LAWS = {
     "function": (laws.Function(jnp.sinh), np.sinh),
     "of one's own": (Cubic(jnp.array(8.0)), lambda x: 8 * x**3),
     "sum": (
-        laws.Linear(200.0) + laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.05),
+        laws.Linear(200.0) + laws.BumpStop(gap=0.1, stiffness=1000.0, engagement=0.05),
         lambda x: 200 * x - stop(-x - 0.1),
     ),
 }
@@ -189,8 +189,8 @@ def test_energy_and_force_agree_in_their_derivatives_by_the_laws_numbers(case):
     [
         (laws.TwoSided(bump=300.0, rebound=900.0), 0.0, 600.0),
         (laws.TensionOnly(70.0), 0.0, 35.0),
-        (laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.05), -0.1, 0.0),
-        (laws.Stop(gap=0.0, stiffness=1000.0), 0.0, 0.0),
+        (laws.BumpStop(gap=0.1, stiffness=1000.0, engagement=0.05), -0.1, 0.0),
+        (laws.BumpStop(gap=0.0, stiffness=1000.0), 0.0, 0.0),
         (laws.Friction(level=40.0, velocity=0.05), 0.0, 800.0),
         (laws.Digressive(slow=900.0, fast=100.0, knee=0.2), 0.0, 900.0),
     ],
@@ -271,7 +271,7 @@ def test_a_table_from_a_file_is_in_si_units(tmp_path):
         "# damper 7, cold\nvelocity [mm/s], force [kN]\n-500,-1.0\n-100,-0.4\n0,0\n"
         "# rebound\n100,0.9\n500,2.5\n",
     )
-    law = laws.Table.read(path)
+    law = laws.Tabulated.read(path)
     assert law.x.tolist() == [-0.5, -0.1, 0, 0.1, 0.5] and law.forces.tolist() == [
         -1000,
         -400,
@@ -294,7 +294,7 @@ def test_a_table_from_a_file_is_in_si_units(tmp_path):
 )
 def test_files_without_units_or_numbers_are_refused(tmp_path, text, code, message):
     with pytest.raises(jb.JaxbodyError) as refused:
-        laws.Table.read(written(tmp_path, text))
+        laws.Tabulated.read(written(tmp_path, text))
     assert refused.value.code == code
     for word in message.split():
         assert word in str(refused.value)
@@ -302,7 +302,7 @@ def test_files_without_units_or_numbers_are_refused(tmp_path, text, code, messag
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(jb.JaxbodyError, match=r"nowhere.csv.*NO_FILE"):
-        laws.Table.read(tmp_path / "nowhere.csv")
+        laws.Tabulated.read(tmp_path / "nowhere.csv")
 
 
 # Bad input
@@ -316,57 +316,57 @@ BAD = {
         "-2 >= 0 Polynomial",
     ),
     "table falls": (
-        lambda: laws.Table([0, 1, 2, 3], [0, 2, 1, 3]),
+        lambda: laws.Tabulated([0, 1, 2, 3], [0, 2, 1, 3]),
         "TABLE_FALLS",
-        "Table.forces",
+        "Tabulated.forces",
         "from 2 to 1 x = 1 2",
     ),
     "table unsorted": (
-        lambda: laws.Table([0, 2, 1, 3], [0, 1, 2, 3]),
+        lambda: laws.Tabulated([0, 2, 1, 3], [0, 1, 2, 3]),
         "TABLE_UNSORTED",
-        "Table.x",
+        "Tabulated.x",
         "index 2 2 1 increasing",
     ),
     "table repeats": (
-        lambda: laws.Table([0, 1, 1, 3], [0, 1, 2, 3]),
+        lambda: laws.Tabulated([0, 1, 1, 3], [0, 1, 2, 3]),
         "TABLE_DUPLICATE",
-        "Table.x",
+        "Tabulated.x",
         "index 2 1 increasing",
     ),
     "table short": (
-        lambda: laws.Table([0, 1, 2], [0, 1, 2]),
+        lambda: laws.Tabulated([0, 1, 2], [0, 1, 2]),
         "TABLE_SHORT",
-        "Table.x",
+        "Tabulated.x",
         "3 points 4",
     ),
     "table ragged": (
-        lambda: laws.Table([0, 1, 2, 3], [0, 1, 2]),
+        lambda: laws.Tabulated([0, 1, 2, 3], [0, 1, 2]),
         "BAD_SHAPE",
-        "Table.forces",
+        "Tabulated.forces",
         "3 4",
     ),
     "table with a gap": (
-        lambda: laws.Table([0, 1, 2, np.nan], [0, 1, 2, 3]),
+        lambda: laws.Tabulated([0, 1, 2, np.nan], [0, 1, 2, 3]),
         "NON_FINITE",
-        "Table.x",
+        "Tabulated.x",
         "nan finite",
     ),
     "negative gap": (
-        lambda: laws.Stop(gap=-0.01, stiffness=1.0),
+        lambda: laws.BumpStop(gap=-0.01, stiffness=1.0),
         "NEGATIVE",
-        "Stop.gap",
+        "BumpStop.gap",
         "-0.01 m >= 0 free length",
     ),
     "stop without engagement": (
-        lambda: laws.Stop(gap=0.0, stiffness=1.0, engagement=0),
+        lambda: laws.BumpStop(gap=0.0, stiffness=1.0, engagement=0),
         "NOT_POSITIVE",
-        "Stop.engagement",
+        "BumpStop.engagement",
         "0 m > 0",
     ),
     "negative stop": (
-        lambda: laws.Stop(gap=0.0, stiffness=-1.0),
+        lambda: laws.BumpStop(gap=0.0, stiffness=-1.0),
         "NEGATIVE",
-        "Stop.stiffness",
+        "BumpStop.stiffness",
         "-1 N/m",
     ),
     "negative knee": (

@@ -115,8 +115,10 @@ def test_its_modes_are_those_of_a_plain_car_of_the_same_wheel_rates(car, eq):
 @pytest.mark.long
 def test_wheels_of_the_car_have_the_curves_of_a_corner_and_are_symmetric():
     travel = np.array([-0.05, 0.0, 0.04])
-    corner = jb.double_wishbone(radius=DOUBLE_WISHBONE["wheel center"][2]).curves(travel)
-    left, right = (jb.car_on_double_wishbones().curves(wheel, travel) for wheel in ("fl", "fr"))
+    corner = jb.suspension.double_wishbone(radius=DOUBLE_WISHBONE["wheel center"][2]).curves(travel)
+    left, right = (
+        jb.suspension.car_on_double_wishbones().curves(wheel, travel) for wheel in ("fl", "fr")
+    )
     for name in (
         "camber",
         "toe",
@@ -153,18 +155,18 @@ def test_a_hard_point_of_the_car_moves_all_that_has_it_on_both_sides(point):
     tyres theirs."""
     place, end = np.add(DOUBLE_WISHBONE[point], [0.004, -0.003, 0.006]), "rear"
     moved, drawn = (
-        jb.car_on_double_wishbones().moved({f"{end} {point}": place}),
-        jb.car_on_double_wishbones(),
+        jb.suspension.car_on_double_wishbones().moved({f"{end} {point}": place}),
+        jb.suspension.car_on_double_wishbones(),
     )
-    anew = jb.car_on_double_wishbones(rear_points={point: place})
+    anew = jb.suspension.car_on_double_wishbones(rear_points={point: place})
     np.testing.assert_allclose(moved.hard_points[f"{end} {point}"], place, atol=1e-15)
     by_weights, changed = (
         {f"{kind} {wheel}" for kind in ("spring", "tyre") for wheel in WHEELS},
         set(),
     )
     for (path, a), b, c in zip(
-        jb.paths(moved.model).items(),
-        *(jb.paths(car.model).values() for car in (anew, drawn)),
+        jb.parameter_paths(moved.model).items(),
+        *(jb.parameter_paths(car.model).values() for car in (anew, drawn)),
         strict=True,
     ):
         name = path.split(".")[0]
@@ -185,7 +187,7 @@ def test_a_hard_point_of_the_car_moves_all_that_has_it_on_both_sides(point):
 @pytest.mark.long
 def test_loads_and_frequencies_have_derivatives_by_hard_points():
     """Against differences of fourth order, whose error at steps of 1 mm is about (1 mm/0.1 m)^4."""
-    car = jb.car_on_double_wishbones()
+    car = jb.suspension.car_on_double_wishbones()
     x = jnp.concatenate(
         [car.hard_points[name] for name in ("front lower outer", "rear spring upper")]
     )
@@ -208,7 +210,7 @@ def test_loads_and_frequencies_have_derivatives_by_hard_points():
 
 def test_a_car_takes_no_wheel_that_it_has_not():
     with pytest.raises(jb.JaxbodyError, match=r"'lf' is unknown.*UNKNOWN_NAME"):
-        jb.car_on_double_wishbones().curves("lf", 0.0)
+        jb.suspension.car_on_double_wishbones().curves("lf", 0.0)
 
 
 @pytest.mark.long

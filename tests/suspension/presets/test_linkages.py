@@ -49,7 +49,7 @@ def test_under_gravity_the_spring_holds_the_weights():
     heights = []
     for sign in (1, -1):
         moved = jb.State(eq.state.q.at[0].add(sign * rate), eq.state.v)
-        q = jb.assemble(model, start=moved, hold=["crank"]).state.q
+        q = jb.suspension.assemble(model, start=moved, hold=["crank"]).state.q
         angles = (
             turn + sign * rate,
             turn + sign * rate + float(q[1]) + ANGLES[1] - ANGLES[0],

@@ -81,7 +81,7 @@ def test_four_wheels_on_a_road_with_the_delay_of_the_wheelbase():
     car, h, speed = presets.full_car(), 1e-3, 8.0
     at = {"fl": 1.2, "fr": 1.2, "rl": -1.4, "rr": -1.4}
     roads = {
-        name: jb.Road(
+        name: jb.inputs.Road(
             [0, 3, 3.4, 9],
             [0, 0, h * (1 + (name == "fl")), h],
             speed=speed,

@@ -24,7 +24,9 @@ def isolated():
 @pytest.mark.long
 def test_the_stiffness_of_an_isolator_is_the_series(isolated):
     for direction, k in (("x", 1e4), ("z", 4e4)):
-        K = jb.dynamic_stiffness(isolated[0]["isolator 2"], FREQUENCIES, direction=direction)
+        K = jb.vibration.dynamic_stiffness(
+            isolated[0]["isolator 2"], FREQUENCIES, direction=direction
+        )
         np.testing.assert_allclose(K.stiffness, series(S, k), rtol=1e-12)
     angle = np.rad2deg(np.angle(series(2j * np.pi * np.geomspace(1, 200, 100), 1.0)))
     assert angle.min() > 4.9 and angle.max() < 8  # as the docstring says
@@ -35,7 +37,7 @@ def test_transmissibilities_by_hand(isolated):
     """z by itself; x with pitch: the isolators are 0.1 m below the center of mass."""
     inputs = {axis: jb.BaseMotion("floor", axis) for axis in "xz"}
     outputs = {axis: jb.Position("instrument", axis=axis) for axis in "xz"} | {
-        "ry": jb.Rotation("instrument", axis="y")
+        "ry": jb.sensors.Rotation("instrument", axis="y")
     }
     response = jb.frequency_response(isolated[1], FREQUENCIES, inputs, outputs)
     m, J, a, h = 50.0, 50.0 * 0.3**2, 0.3, 0.1

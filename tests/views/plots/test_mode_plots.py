@@ -51,7 +51,7 @@ def test_branches_have_gaps_where_they_were_lost():
         jnp.ones((4, 2)).at[2, 1].set(0.3),
     )
     ax = Figure().subplots()
-    plots.plot_branches(
+    plots.plot_tracked_modes(
         SimpleNamespace(
             values=jnp.arange(4.0),
             frequency=frequency,

@@ -31,7 +31,7 @@ def on_tyres():
         name: jb.Body(mass=40.0, inertia=[1, 1, 1], position=[x, y, 0.3])
         for name, (x, y) in CORNERS.items()
     }
-    joints = {"car": jb.HeavePitchRoll("world")} | dict.fromkeys(
+    joints = {"car": jb.joints.HeavePitchRoll("world")} | dict.fromkeys(
         CORNERS, jb.Guide("world", axis=[0, 0, 1])
     )
     elements = {}

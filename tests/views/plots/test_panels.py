@@ -26,7 +26,7 @@ def response(car):
     lin = jb.linearize(car, car.reference)
     roads = {f"road {wheel}": jb.BaseMotion(f"road {wheel}", "z") for wheel in WHEELS}
     outputs = {name: jb.Position(name, axis="z") for name in ("car", *WHEELS)}
-    outputs |= {f"force {wheel}": jb.LoadCell(f"tyre {wheel}") for wheel in WHEELS}
+    outputs |= {f"force {wheel}": jb.sensors.LoadCell(f"tyre {wheel}") for wheel in WHEELS}
     return jb.frequency_response(lin, jnp.geomspace(0.2, 30.0, 12), roads, outputs)
 
 
@@ -189,4 +189,4 @@ def test_branches_beyond_eight_look_different():
         status=jnp.zeros(3),
         names=names,
     )
-    assert_named_and_distinct(plots.plot_branches(result, ax=Figure().subplots()), 12)
+    assert_named_and_distinct(plots.plot_tracked_modes(result, ax=Figure().subplots()), 12)

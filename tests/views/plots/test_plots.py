@@ -180,7 +180,7 @@ def test_of_two_units_those_of_one_are_drawn_by_their_names(ax):
     read[:, [0, 2, 4]] = np.sin(np.outer(times, [1.0, 2.0, 3.0]))
     fit = fitted(
         jb.Experiment(
-            times, sensors={"plate": jb.ForcePlate("base")}, measured={"plate": read + 0.1}
+            times, sensors={"plate": jb.sensors.ForcePlate("base")}, measured={"plate": read + 0.1}
         ),
         plate=read,
     )
@@ -208,7 +208,9 @@ def test_measured_quaternions_are_drawn_with_the_sign_of_those_fitted_and_their_
     turned = np.stack([np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)], 1)
     read = np.stack([np.cos(angle / 2 + 0.01), 0 * angle, 0 * angle, np.sin(angle / 2 + 0.01)], 1)
     fit = fitted(
-        jb.Experiment(times, sensors={"imu": jb.Orientation("box")}, measured={"imu": -turned}),
+        jb.Experiment(
+            times, sensors={"imu": jb.sensors.Orientation("box")}, measured={"imu": -turned}
+        ),
         imu=read,
     )
     plots.plot_fit(fit, ax=ax)

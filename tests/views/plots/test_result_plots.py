@@ -48,11 +48,12 @@ def test_every_result_has_a_plot():
 
 def test_every_public_function_returns_something_that_is_among_them():
     """By its annotation: a new result class cannot be missed because nothing imports it."""
+    homes = [jb, *(getattr(jb, family) for family in jb._MODULES)]
+    public = [getattr(home, name) for home in homes for name in dir(home)]
     returned = {
-        str(inspect.signature(getattr(jb, name)).return_annotation)
-        for name in jb.__all__
-        if inspect.isfunction(getattr(jb, name))
+        inspect.signature(each).return_annotation for each in public if inspect.isfunction(each)
     }
+    returned = {getattr(each, "__name__", each) for each in returned}
     results = {x.__name__ for x in result_classes()}
     assert len(returned & results) > 25
 
@@ -71,7 +72,9 @@ def test_the_method_is_the_function_with_the_result():
     assert record.plot.__func__ is plots.plot_record and list(
         inspect.signature(record.plot).parameters
     ) == ["channels", "ax"]
-    assert jb.Tuning.plot is plots.plot_tuning and jb.Experiment.plot is plots.plot_measurement
+    assert (
+        jb.design.Tuning.plot is plots.plot_tuning and jb.Experiment.plot is plots.plot_measurement
+    )
     assert picture_of(type("Own", (LinearSystem,), {})).draw is plots.plot_matrix
     with pytest.raises(AttributeError, match="has no plot"):
         Printed.plot  # noqa: B018
@@ -207,7 +210,7 @@ F = np.geomspace(0.5, 20, 30)
 @pytest.mark.long
 def test_the_dynamic_stiffness_of_a_spring_and_damper(lin):
     outputs = {
-        "force": jb.LoadCell("mount"),
+        "force": jb.sensors.LoadCell("mount"),
         "stroke": jb.Elongation("mount"),
         "y": jb.Position("mass", axis="y"),
     }
@@ -242,7 +245,7 @@ def test_a_force_opposed_to_the_motion_of_the_base_is_a_positive_stiffness(lin):
     """The mount pulls the base back: F/u = -(...) at low frequency, whose magnitude and sign are
     those of a mass on the mount."""
     response = jb.frequency_response(
-        lin, F, {"base": jb.BaseMotion("base", "y")}, {"pull": jb.LoadCell("mount")}
+        lin, F, {"base": jb.BaseMotion("base", "y")}, {"pull": jb.sensors.LoadCell("mount")}
     )
     ax = plots.plot_dynamic_stiffness(response, ax=Figure().subplots())
     w = 2 * np.pi * F
@@ -255,7 +258,7 @@ def test_a_force_opposed_to_the_motion_of_the_base_is_a_positive_stiffness(lin):
 def test_a_state_space_has_the_response_of_its_system(lin):
     ports = (
         {"push": jb.PointForce("mass", direction="y")},
-        {"y": jb.Position("mass", axis="y"), "force": jb.LoadCell("mount")},
+        {"y": jb.Position("mass", axis="y"), "force": jb.sensors.LoadCell("mount")},
     )
     ax = plots.plot_state_space(lin.state_space(*ports), frequencies=F, ax=Figure().subplots())
     exact = jb.frequency_response(lin, F, *ports)
@@ -293,7 +296,7 @@ def test_backbones_are_drawn_to_five_percent():
         joints={"bob": jb.Hinge("world", axis=[0, 1, 0])},
         gravity=[0, 0, -9.81],
     )
-    ax = jb.backbones(jb.linearize(pendulum, pendulum.reference)).plot(ax=Figure().subplots())
+    ax = jb.backbone_curves(jb.linearize(pendulum, pendulum.reference)).plot(ax=Figure().subplots())
     a, change = ax.lines[0].get_xydata().T
     np.testing.assert_allclose(change, -100 * a**2 / 16, atol=1e-9)
     assert change[-1] == pytest.approx(-5.0) and (ax.get_xlabel(), ax.get_ylabel()) == (
@@ -324,14 +327,14 @@ def test_load_cases_are_drawn_by_unit():
 def test_spectral_densities_have_a_panel_for_each_unit(lin):
     base, outputs = (
         {"base": jb.BaseMotion("base", "y")},
-        {"y": jb.Position("mass", axis="y"), "pull": jb.LoadCell("mount")},
+        {"y": jb.Position("mass", axis="y"), "pull": jb.sensors.LoadCell("mount")},
     )
     ride = jb.random_response(
         lin,
-        jb.Band(0.5, 20.0),
+        jb.vibration.Band(0.5, 20.0),
         base,
         outputs,
-        {"base": jb.PSD([0.5, 20.0], [1e-6, 1e-6], unit="m2/Hz")},
+        {"base": jb.vibration.PSD([0.5, 20.0], [1e-6, 1e-6], unit="m2/Hz")},
     )
     ax = ride.plot(ax=Figure().subplots())
     assert units(ax.figure) == ["m$^2$/Hz", "N$^2$/Hz"]
@@ -347,14 +350,16 @@ def test_elastic_axes_go_on_the_drawing_of_their_model():
     }
     box = jb.Model(bodies={"box": jb.Body(mass=50.0, inertia=[4, 5, 6])}, elements=legs)
     lin = jb.linearize(box, box.reference)
-    ax = jb.elastic_axes(lin, "box").plot(view="xz", ax=box.plot(view="xz", ax=Figure().subplots()))
+    ax = jb.vibration.elastic_axes(lin, "box").plot(
+        view="xz", ax=box.plot(view="xz", ax=Figure().subplots())
+    )
     drawn = lines(ax)
     np.testing.assert_allclose(drawn["center of stiffness"].get_xydata(), [[0, -0.2]], atol=1e-12)
     (x0, z0), (x1, z1) = drawn["axis 1: 4e+04 N/m"].get_xydata()
     assert z0 == pytest.approx(-0.2) and z1 == pytest.approx(-0.2) and abs(x1 - x0) > 0.1
     assert len(drawn["axis 2: 8e+04 N/m"].get_xydata()) == 1  # along y, at the viewer
     with pytest.raises(jb.JaxbodyError, match="BAD_VIEW"):
-        jb.elastic_axes(lin, "box").plot(view="oblique")
+        jb.vibration.elastic_axes(lin, "box").plot(view="oblique")
 
 
 @pytest.mark.long
