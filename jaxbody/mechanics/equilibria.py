@@ -63,11 +63,11 @@ from jaxbody.model.element_states import relaxed, rest_states
 from jaxbody.model.inputs.loads import Load, loads_of
 from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows, redundant_rows
 from jaxbody.model.joints.element_tables import each_element, outside_law_range
-from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.joints.kinematics import Coordinates, body_poses
 from jaxbody.model.laws.tabulated_laws import has_range
 from jaxbody.model.layouts import Layout
 from jaxbody.model.leaf_paths import of_elements
-from jaxbody.model.models import Model, body_poses
+from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_attached, check_memory, check_precision, check_state
 from jaxbody.model.sizes import drawn_apart, size_of
 from jaxbody.model.states import State

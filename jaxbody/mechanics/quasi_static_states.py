@@ -35,8 +35,9 @@ from jaxbody.model.joints.kinematics import (
     Motions,
     displacements,
     imposed,
+    rest_poses,
 )
-from jaxbody.model.models import Model, at_rest_in, rest_poses
+from jaxbody.model.models import Model, at_rest_in
 from jaxbody.model.preconditions import check_independent, check_precision, check_state
 from jaxbody.model.sizes import size_of
 from jaxbody.model.states import State

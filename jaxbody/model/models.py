@@ -39,8 +39,6 @@ from jaxbody.model.joints.kinematics import (
     drawn_poses,
     jacobian,
 )
-from jaxbody.model.joints.kinematics import body_poses as body_poses  # for mechanics.equilibria
-from jaxbody.model.joints.kinematics import rest_poses as rest_poses  # and quasi_static_states
 from jaxbody.model.laws.laws import Law
 from jaxbody.model.layouts import WORLD, Layout
 from jaxbody.model.model_checks import (
