@@ -10,7 +10,7 @@ from dataclasses import field as attribute
 from typing import TYPE_CHECKING, Any
 
 import jaxbody as jb
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, check_known
 
 if TYPE_CHECKING:
     from jaxbody.files.studies.study_files import Study
@@ -248,8 +248,7 @@ def _tune(study: Study, options: argparse.Namespace) -> Outcome:
             )
         )
     name = options.design or next(iter(study.designs))
-    if name not in study.designs:
-        raise JaxbodyError(unknown(name, "--design", tuple(study.designs)))
+    check_known(name, "--design", study.designs)
     tuning = jb.tune(study.model, **study.designs[name])
     return Outcome(
         [tuning], lambda: jb.plots.plot_tuning(tuning), space=tuning.space, trees={"": tuning.model}

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, import_extra, unknown
+from jaxbody.core.errors import check_known, import_extra
 
 AXES, QUATERNION = list("xyz"), list("wxyz")
 
@@ -62,8 +62,7 @@ def frame_of(data: Any, over: str, where: str) -> Any:
     """Return the variables of a Dataset over one dimension as a DataFrame, as `to_pandas` describes
     it."""
     pandas = import_extra("pandas", where)
-    if over not in data.dims:
-        raise JaxbodyError(unknown(over, where, tuple(map(str, data.dims))))
+    check_known(over, where, data.dims)
     index = [dim for dim in ("sample", over) if dim in data.dims]
     labels = {
         dim: data[dim].values if dim in data.coords else np.arange(size)

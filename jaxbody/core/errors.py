@@ -8,7 +8,7 @@ import enum
 import importlib
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -223,6 +223,12 @@ def error_codes() -> str:
     ALL_NAN               all samples of a record are missing; leave its sensor out, ...
     """
     return "\n".join(f"{code:22}{meaning}; {remedy}" for code, (meaning, remedy) in CODES.items())
+
+
+def check_known(name: Any, where: str, known: Iterable[Any]) -> None:
+    """Raise UNKNOWN_NAME unless a name is one of those that are known."""
+    if name not in (names := tuple(known)):
+        raise JaxbodyError(unknown(name, where, names))
 
 
 def unknown(name: str, where: str, known: tuple[str, ...]) -> Problem:

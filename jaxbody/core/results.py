@@ -17,8 +17,8 @@ from jaxbody.core.errors import (
     JaxbodyError,
     Problem,
     Status,
+    check_known,
     import_extra,
-    unknown,
     warn,
 )
 from jaxbody.core.jax_internals import Tracer
@@ -120,8 +120,7 @@ class OfOutputs(Labeled, Result):
     units: tuple[str, ...] = eqx.field(static=True, kw_only=True)
 
     def __getitem__(self, output: str) -> Any:
-        if output not in self.outputs:
-            raise JaxbodyError(unknown(output, self.word, self.outputs))
+        check_known(output, self.word, self.outputs)
         return part_of(getattr(self, self.main), (..., self.outputs.index(output)))
 
     def labeled(self, kind: str, variables: dict[str, Any], coordinates: Any = ()) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, device_array, indices, module_of
 from jaxbody.core.compilation.compile_options import OPTIMIZED, program_with
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, check_known, unknown
 from jaxbody.core.jax_internals import REST_HAS_DERIVATIVES, jaxpr_as_fun, only_what_is_needed
 from jaxbody.core.results import Result
 from jaxbody.core.workers.batches import batch_of, computed
@@ -38,8 +38,7 @@ class OfQuantities(Result):
     quantities: tuple[str, ...] = eqx.field(static=True, kw_only=True)
 
     def row(self, quantity: str) -> int:
-        if quantity not in self.quantities:
-            raise JaxbodyError(unknown(quantity, type(self).__name__.lower(), self.quantities))
+        check_known(quantity, type(self).__name__.lower(), self.quantities)
         return self.quantities.index(quantity)
 
 

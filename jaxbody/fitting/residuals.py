@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float, Int, as_numpy, device_array, module_of
-from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, Options, program_with
+from jaxbody.core.compilation.compile_options import Options, program_with
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.fitting.experiments.experiments import Experiment, Integration
 from jaxbody.fitting.experiments.measurements import Measurement, small_motions
@@ -27,7 +27,7 @@ from jaxbody.fitting.parameters.spaces import Parameter, Space
 from jaxbody.fitting.parameters.transforms import Positive
 from jaxbody.fitting.statistics.losses import linearized, robust_level, root
 from jaxbody.model.models import Model
-from jaxbody.model.sizes import size_of, take_long
+from jaxbody.model.sizes import options_of_motion, size_of
 from jaxbody.sensors.sensors import Channel
 from jaxbody.vibration.linearizations import Linearization
 
@@ -218,7 +218,7 @@ def _channels(runs: ReadingsAndResiduals) -> list[tuple[str, str]]:
 def options_of(task: Task, *_: Any) -> Options:
     """Return the compiler options of programs that simulate the runs of a task."""
     times = [run.times for run in task.experiments.values() if isinstance(run, Experiment)]
-    return OPTIMIZED if take_long(task.space.model, *times) else QUICK
+    return options_of_motion(task.space.model, *times)
 
 
 @program_with(options_of)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float, as_numpy, is_concrete
+from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, Options
 from jaxbody.geometry.points_and_orientations import IDENTITY, matrix
 from jaxbody.geometry.vectors import to_rank
 from jaxbody.model.elements.bushings import FramePair
@@ -78,15 +79,14 @@ def drawn_apart(model: Model) -> list[str]:
     return descriptions
 
 
-def take_long(model: Model, *times: Float[Array, "*nt"]) -> bool:
-    """Return whether motions at these times [s] take so long that their programs should be
-    optimized; with closures or memory each step takes several times as long."""
+def options_of_motion(model: Model, *times: Float[Array, "*nt"]) -> Options:
+    """Return options of XLA for programs of motions at these times [s]: OPTIMIZED for long ones;
+    with closures or memory each step takes several times as long."""
     if times and (model.closures or model.layout.nz or not is_concrete(times)):
-        return True
+        return OPTIMIZED
     numbers = max(model.layout.nv, FEW_COORDINATES) * sum(t.size for t in times)
-    return numbers > FEW_SAMPLES * FEW_COORDINATES or any(
-        np.ptp(np.asarray(t)) > SHORT for t in times
-    )
+    many = numbers > FEW_SAMPLES * FEW_COORDINATES
+    return OPTIMIZED if many or any(np.ptp(np.asarray(t)) > SHORT for t in times) else QUICK
 
 
 def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import optimistix
 
 from jaxbody.core.arrays import Array, rows_or_nan
-from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
 from jaxbody.mechanics.dynamics import Dynamics
@@ -22,7 +22,7 @@ from jaxbody.model.joints.element_tables import completed, outside_law_range
 from jaxbody.model.joints.kinematics import frames_at_time
 from jaxbody.model.laws.tabulated_laws import has_range
 from jaxbody.model.models import Model
-from jaxbody.model.sizes import take_long
+from jaxbody.model.sizes import options_of_motion
 from jaxbody.motion.canonical_equations import Canonical
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.numerics.adjoints import BlockAdjoint, Driven, Lasting, Projected, Unstarted, Watched
@@ -65,7 +65,7 @@ MOTION, CANONICAL = Driven(_drive, _driven), diffrax.ODETerm(_canonical)
 LOOPS = Driven(_drive, _driven_on_closures, _projected)
 
 
-@program_with(lambda model, times, *_: OPTIMIZED if take_long(model, times) else QUICK)
+@program_with(lambda model, times, *_: options_of_motion(model, times))
 def integrate(
     model,
     times,

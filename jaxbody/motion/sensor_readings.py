@@ -8,14 +8,14 @@ import numpy as np
 
 from jaxbody.core.arguments import check_key, check_kind
 from jaxbody.core.arrays import Array, PRNGKeyArray, as_numpy, concrete
-from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.compilation.compile_options import OPTIMIZED, program_with
 from jaxbody.core.errors import Problems
 from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.kinematics import Motions, frames_at_time
 from jaxbody.model.models import Model
-from jaxbody.model.sizes import take_long
+from jaxbody.model.sizes import options_of_motion
 from jaxbody.model.states import State
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
@@ -115,9 +115,7 @@ def measure(
     return _measured(trajectory, sensors, levels if noisy else {}, key if noisy else None)
 
 
-@program_with(
-    lambda trajectory, *_: OPTIMIZED if take_long(trajectory.model, trajectory.times) else QUICK
-)
+@program_with(lambda trajectory, *_: options_of_motion(trajectory.model, trajectory.times))
 def _measured(
     trajectory: Trajectory,
     sensors: dict[str, Sensor],

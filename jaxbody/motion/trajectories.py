@@ -13,7 +13,7 @@ from equinox import combine, field, is_array, partition
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, part_of, rows_or_nan, time_text
-from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.core.datasets import AXES, QUATERNION, Labeled, dataset, rows_of
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
@@ -39,7 +39,7 @@ from jaxbody.model.joints.element_tables import each_element, inertial_tables, o
 from jaxbody.model.joints.kinematics import Motions, frames_at_time
 from jaxbody.model.leaf_paths import by_name, of_elements
 from jaxbody.model.models import Model
-from jaxbody.model.sizes import size_of, take_long
+from jaxbody.model.sizes import options_of_motion, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import in_float64
@@ -408,9 +408,7 @@ def _support_power(model, motions, t, state, loads):
 
 
 @program_with(
-    lambda function, batch_axes, model, motions, loads, times, *_: (
-        OPTIMIZED if take_long(model, times) else QUICK
-    )
+    lambda function, batch_axes, model, motions, loads, times, *_: options_of_motion(model, times)
 )
 def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
     numbers, rest = partition((model, motions, loads), is_array)

@@ -15,7 +15,7 @@ from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, checked, is_concrete, rows_or_nan
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.datasets import Labeled, dataset
-from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
+from jaxbody.core.errors import JaxbodyError, Problems, Status, check_known, unknown
 from jaxbody.core.results import Result, warn_if_failed, without_derivatives
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import axial, cross, dot, product, rotate
@@ -96,8 +96,7 @@ class SuspensionCurves(Labeled, Result):
     wheel: Wheel
 
     def __getitem__(self, name: str) -> Float[Array, "n"]:
-        if name not in self.curves:
-            raise JaxbodyError(unknown(name, "curves[...]", tuple(self.curves)))
+        check_known(name, "curves[...]", self.curves)
         return self.curves[name]
 
     def report(self) -> str:
@@ -292,8 +291,7 @@ def arguments_of(
     check_precision(where, model)
     drives = drives_of(model, dict(drive), f"{where}.drive")
     frames = model.layout.frames
-    if wheel.on not in frames:
-        raise JaxbodyError(unknown(wheel.on, f"{where}.wheel.on", frames))
+    check_known(wheel.on, f"{where}.wheel.on", frames)
     targets = _targets(drives, over, where)
     steering = steer if steer is not None else (drives[1].name if len(drives) > 1 else None)
     if steering is not None and steering not in drive:

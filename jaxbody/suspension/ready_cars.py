@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import is_concrete
-from jaxbody.core.errors import JaxbodyError, Problems, unknown
+from jaxbody.core.errors import Problems, check_known
 from jaxbody.geometry.closures import Ball as BallClosure
 from jaxbody.geometry.closures import Closure, Rod
 from jaxbody.model.bodies import Body, Support
@@ -68,8 +68,7 @@ class Car(Suspension):
         >>> toe = car.curves("fr", [-0.04, 0.0, 0.04])["toe"]  # doctest: +SKIP
         """
         names = tuple(end + side for end in ENDS for side in SIDES)
-        if wheel not in names:
-            raise JaxbodyError(unknown(wheel, "Car.curves.wheel", names))
+        check_known(wheel, "Car.curves.wheel", names)
         held = {name: f"car.q.{i}" for i, name in enumerate(("heave", "pitch", "roll"))}
         moved = getattr(self, wheel)
         return suspension_curves(

@@ -30,7 +30,7 @@ from jaxbody.core.arrays import (
 )
 from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.core.datasets import Labeled, dataset
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, check_known, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.hessians import configuration_at
@@ -78,8 +78,7 @@ class FrequencyResponse(Labeled, Result):
     def __getitem__(self, pair: tuple[str, str]) -> Complex[Array, "nf"]:
         output, name = pair
         for given, known in ((output, self.outputs), (name, self.inputs)):
-            if given not in known:
-                raise JaxbodyError(unknown(given, "response", known))
+            check_known(given, "response", known)
         return self.values[..., self.outputs.index(output), self.inputs.index(name), :]
 
     def explain(self) -> str:

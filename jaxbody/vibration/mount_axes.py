@@ -14,7 +14,7 @@ from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, shaped
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.datasets import AXES, Labeled, dataset
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, check_known
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import axial, cross, dot, rotate, rotate_back, skew
@@ -203,8 +203,7 @@ def _free(lin: Linearization, body: str, where: str) -> str:
     """Check that a body is free and independent of closures, and return its name. Errors:
     UNKNOWN_NAME, NOT_FREE."""
     layout = lin.model.layout
-    if body not in layout.bodies:
-        raise JaxbodyError(unknown(body, where, layout.bodies))
+    check_known(body, where, layout.bodies)
     if layout.block(body).kind is not Free:
         raise JaxbodyError(
             Problem(

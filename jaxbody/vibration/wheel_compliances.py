@@ -10,7 +10,7 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.errors import JaxbodyError, unknown
+from jaxbody.core.errors import check_known
 from jaxbody.core.results import Result
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import axial, product
@@ -37,8 +37,7 @@ class WheelCompliance(Result):
 
     def __getitem__(self, of: tuple[str, str]) -> Float[Array, ""]:
         for name, known in zip(of, (READINGS, LOADS), strict=True):
-            if name not in known:
-                raise JaxbodyError(unknown(name, "compliance[...]", tuple(known)))
+            check_known(name, "compliance[...]", known)
         return self.values[tuple(READINGS).index(of[0]), tuple(LOADS).index(of[1])]
 
     def _tables(self) -> list[tables.PrintedTable]:
@@ -99,8 +98,7 @@ def wheel_compliance(lin: Linearization, wheel: Wheel) -> WheelCompliance:
     ... )  # mm/kN
     (5.0, 0.0)
     """
-    if wheel.on not in lin.model.layout.bodies:
-        raise JaxbodyError(unknown(wheel.on, "wheel_compliance.wheel.on", lin.model.layout.bodies))
+    check_known(wheel.on, "wheel_compliance.wheel.on", lin.model.layout.bodies)
     return WheelCompliance(_compliance(lin, wheel), lin.status)
 
 

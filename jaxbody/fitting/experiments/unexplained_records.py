@@ -18,13 +18,13 @@ import equinox as eqx
 import numpy as np
 
 from jaxbody.core.arrays import Float, indices
-from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, program_with
+from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.fitting.experiments.experiments import Experiment, Integration
 from jaxbody.fitting.experiments.measurements import Measurement
 from jaxbody.fitting.statistics.autocorrelations import UNLIKELY, whiteness
 from jaxbody.mechanics.quasi_static_states import Rest
 from jaxbody.model.models import Model
-from jaxbody.model.sizes import take_long
+from jaxbody.model.sizes import options_of_motion
 from jaxbody.model.states import State
 
 # rms of residuals relative to the variation of the record; noise of 30 % of the motion leaves 0.29
@@ -220,10 +220,6 @@ def _sizes(
     return np.sqrt(np.where(counts > 0, squares / np.maximum(counts, 1), np.nan))
 
 
-@program_with(
-    lambda model, experiment, integration: (
-        OPTIMIZED if take_long(model, experiment.times) else QUICK
-    )
-)
+@program_with(lambda model, experiment, integration: options_of_motion(model, experiment.times))
 def _readings(model: Model, experiment: Experiment, integration: Integration):
     return experiment.readings(model, integration, None)

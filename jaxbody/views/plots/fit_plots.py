@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, check_known
 from jaxbody.fitting.coverages import Coverage
 from jaxbody.fitting.experiments.measurements import records_of
 from jaxbody.fitting.fit_results import Fit
@@ -335,8 +335,7 @@ def chosen(
 
     Error: UNKNOWN_NAME."""
     run = run or next(iter(fit.experiments))
-    if run not in fit.experiments:
-        raise JaxbodyError(unknown(run, f"{where}.run", tuple(fit.experiments)))
+    check_known(run, f"{where}.run", fit.experiments)
     given = fit.experiments[run]
     names: dict[str, tuple[str, int | None]] = {name: (name, None) for name in given.channels}
     names |= {
@@ -345,8 +344,7 @@ def chosen(
         for i, part in enumerate(channel.parts)
     }
     sensor = sensor or next(iter(names))
-    if sensor not in names:
-        raise JaxbodyError(unknown(sensor, f"{where}.sensor", tuple(names)))
+    check_known(sensor, f"{where}.sensor", names)
     return run, *names[sensor]
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Status, check_known
 from jaxbody.core.tables import counted, without_dust
 from jaxbody.vibration.backbones import Backbones
 from jaxbody.vibration.damped_modes import ComplexModes
@@ -154,8 +154,7 @@ def plot_matrix(lin: LinearSystem, *, matrix: str = "K", ax: Any = None) -> Any:
         for name in ("M", "C", "D", "K", "K_elastic", "K_geometric", "K_gravity", "K_loads", "G")
         if hasattr(lin, name)
     )
-    if matrix not in known:
-        raise JaxbodyError(unknown(matrix, "plot_matrix.matrix", known))
+    check_known(matrix, "plot_matrix.matrix", known)
     A, names = np.asarray(getattr(lin, matrix)), list(lin.coordinates)
     check_single("plot_matrix.lin", A, 2)
     size = np.sqrt(np.abs(np.diag(A)))
