@@ -394,8 +394,8 @@ def lagrangian(
     the paper.
 
     Args:
-        delta: increments Delta of the coordinates, by default 0: of a free body the displacement of
-            its O [m] and a rotation vector [rad]
+        delta: increments Delta of the coordinates, by default 0: for a free body the displacement
+            of its O [m] and a rotation vector [rad]
         delta_dot: Delta', by default the speeds v of the state
         xi: displacements Xi of the supports from their reference poses, by default 0: {support: six
             numbers}, or a row for each support
@@ -425,7 +425,8 @@ def lagrangian(
 
 
 def _R(model: Model, state: State, *small: Array) -> Float[Array, ""]:
-    """Return R for `small`, with the rates z' of this motion held constant in derivatives."""
+    """Return R after the small changes (Delta, Delta', Xi, Xi'), with z' computed for them and
+    treated as a constant in derivatives."""
     return R(model, state, _z_dot(model, state, *jax.lax.stop_gradient(small)), *small)
 
 

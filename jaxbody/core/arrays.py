@@ -159,7 +159,7 @@ def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -
 
 def device_array(value: Any) -> jax.Array:
     """Return the value as a JAX array, float64 or, where x64 is off, float32; numbers are converted
-    without a program."""
+    without compiling a program."""
     return jnp.asarray(
         np.asarray(value, jnp.result_type(float)) if module_of(value) is np else value, float
     )
@@ -184,13 +184,13 @@ def module_of(*x: Any) -> Any:
 
 
 def as_numpy(x: Any) -> Any:
-    """Return x as a NumPy array, with which single operations are no programs to compile; x itself
-    while it is traced."""
+    """Return x as a NumPy array, so that single operations with it are not compiled by JAX; x
+    itself while it is traced."""
     return x if isinstance(x, Tracer) else np.asarray(x)
 
 
 def part_of(x: Array, index: Any) -> Array:
-    """Return x[index] as the same kind of array, without a program for it."""
+    """Return x[index] as the same kind of array, without compiling a program for it."""
     return (
         x[index]
         if isinstance(x, Tracer | np.ndarray)
@@ -229,8 +229,8 @@ def _rows_or_nan_jvp(primals, tangents):
 
 
 def tangent_or_nan(valid: Any, x: Any) -> jax.Array:
-    """Return a tangent where it is valid, else NaN, for rules, which JAX transposes; in reverse
-    mode a slope of zero remains zero."""
+    """Return a tangent x where it is valid, else NaN, for use in custom_jvp rules: JAX can
+    transpose it for reverse mode, where a derivative of zero remains zero."""
 
     def backward(_, slope):
         return jnp.where(valid | (slope == 0), slope, jnp.nan)

@@ -33,7 +33,7 @@ class Labeled(ABC):
 
         Args:
             over: the dimension; None: the main one, such as time or mode. Labels of other
-                dimensions stand in the names of the columns, "position[car, z]". Of a batch,
+                dimensions stand in the names of the columns, "position[car, z]". For a batch,
                 `sample` is the first level of the index.
 
         `attrs["units"]` {column: unit}; "" where there is none. Errors: UNKNOWN_NAME, with the

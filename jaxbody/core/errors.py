@@ -111,8 +111,8 @@ def warn_of(warning: Warning) -> None:
 
 @dataclass
 class Problems:
-    """A list of problems, so that one error has all of them: `with Problems() as problems:` raises
-    it at its end."""
+    """A list of the problems of a call, reported together: `with Problems() as problems:` raises
+    one error with all of them at the end of the block."""
 
     collected: list[Problem] = field(default_factory=list)
 

@@ -38,7 +38,7 @@ def minimize_by_ipopt(
     n, m = len(u), len(limits[0])
 
     class Callback(casadi.Callback):
-        """A function of dense matrices."""
+        """The base class of functions that CasADi calls, with dense matrices of the given sizes."""
 
         def __init__(self, name: str, given: Sizes, returned: Sizes, options: Any):
             casadi.Callback.__init__(self)

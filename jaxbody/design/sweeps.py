@@ -301,7 +301,8 @@ def _extremes(columns: dict[str, Any], rows: PointsOf, count: int) -> dict[str, 
 
 
 def _quantities_of(evaluate: Evaluate, paths: list[str]) -> Callable[..., Any]:
-    """Return the function (model, values of the paths for several models) -> their quantities."""
+    """Return a function of a model and, for each path, its values in several variants of the model;
+    it returns the quantities of all variants."""
 
     def of_one(model, *values):
         return evaluated(evaluate, replace(model, dict(zip(paths, values, strict=True))))

@@ -91,7 +91,8 @@ class EntryBuilder(ABC):
         """Return what the entry states, built by constructors; problems are collected."""
 
     def check_known(self, names: Iterable[str], known: Collection[str], *parts: str) -> None:
-        """Check that all `names`, keys below `parts` of the path, are among the `known` ones."""
+        """Add a problem for each of the `names` that is not among the `known` ones; `parts` are the
+        keys from the entry to the names."""
         for name in names:
             if name not in known:
                 self.builder.unknown(name, known, (*self.path, *parts, name))
@@ -189,8 +190,8 @@ class Builder:
     def checked(
         self, values: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]
     ) -> Any:
-        """Return values that the check of the document left unchanged, in SI; None with
-        problems."""
+        """Check values that the check of the document left, because they depend on a class of the
+        user's own, and return them in SI; None with problems."""
         before = len(self.problems.collected)
         values = self.check.value(values, node, path, words)
         return values if len(self.problems.collected) == before else None

@@ -165,7 +165,7 @@ class Scan:
             self.next()
 
     def statements(self) -> None:
-        """Scan the headings and keys of a TOML text."""
+        """Scan a TOML text, and record the line of each heading and key in the document."""
         table: EntryPath = ()
         while self.token.kind != "end":
             self.skip_lines()

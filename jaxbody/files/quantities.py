@@ -56,8 +56,8 @@ class UnitSystem:
         return self.length**m * mass**kg * self.time**s * self.angle**rad
 
     def states(self, unit: str) -> bool:
-        """Return whether the system defines the unit of a number without a unit whose SI unit is
-        `unit`."""
+        """Return whether a quantity with the SI unit `unit` may be written without a unit: False if
+        its unit in this system contains the derived unit of mass or force."""
         dimension = units.parse(unit, "unit").dimension
         if "kg" in unit or dimension == units.ACCELERATION:
             return self.derived != "mass"

@@ -398,8 +398,8 @@ def _placed(
 
 
 def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray:
-    """Return the limit of its domain that each u is near, as a word, if moving closer to this limit
-    does not affect the readings; "" for the others."""
+    """Return for each component of u the limit of the domain that its parameter is close to, "zero"
+    or "one", if moving closer to this limit does not affect the readings; otherwise ""."""
     ends = task.space.ended(u)
     _, S, Vt, _ = decomposed(J)
     size = max(np.linalg.norm(r), S.max()) or 1.0

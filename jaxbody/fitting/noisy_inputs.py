@@ -108,7 +108,8 @@ def _smooth(record: Any) -> Any:
 
 
 def _slow(y: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "n *k"]:
-    """Return y - (-1)^(ORDER/2) delta^ORDER y/2^ORDER; the ends are unchanged."""
+    """Return the low-frequency part of samples y, y - (-1)^(ORDER/2) delta^ORDER y/2^ORDER, with
+    delta the central difference; the samples at the ends are unchanged."""
     half, y = ORDER // 2, y.copy()
     y[half:-half] -= (-1) ** half * np.diff(y, ORDER, axis=0) / 2**ORDER
     return y

@@ -176,7 +176,8 @@ def _place(fit: Fit, path: str) -> tuple[int, Any, str]:
 
 
 def _value(form, k: int, u) -> float:
-    """Return number k of a leaf whose u are all `u`, without a compiled program."""
+    """Return number k of a parameter if all its transformed variables have the value u; without
+    compiling a program."""
     return float(form.numbers(np.full(form.size, u))[0][k])
 
 

@@ -123,7 +123,8 @@ class Evaluations:
         return self._last_triangle[1]
 
     def replace_function(self, function: Callable, floor: float) -> None:
-        """Continue with another function."""
+        """Replace the function to be minimized and start a new round: the best point so far is
+        discarded, counts and history are kept."""
         self.rounds.append(self.count)
         self.function, self.floor, self.best, self._least, self._last = (
             function,
@@ -395,10 +396,12 @@ def _minimize(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Arra
 
 @program_with(options_of)
 def solve(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
-    """Return the result of `_minimize`, as one program with its derivative, also inside jit and
-    vmap.
+    """Return the result of `_minimize` as one program with a derivative, also inside jit and
+    vmap: the derivative of the optimum u,
 
-    H du = -dg for the change dg of the gradient of the cost at fixed u, with the exact Hessian H of
+        H du = -dg
+
+    for the change dg of the gradient of the cost at fixed u, with the exact Hessian H of
     the cost."""
     numbers, rest = eqx.partition(method, eqx.is_array)
     arrays, static = eqx.partition(task, eqx.is_array)

@@ -335,7 +335,7 @@ def as_slide(x: Float[Array, "n"]) -> Pose:
 
 
 def _turn(A: Pose, B: Pose, rest: Pose) -> Float[Array, "3 3"]:
-    """Return R, in the axes of A."""
+    """Return the rotation of B relative to A since the reference pose, in the axes of A."""
     return product(product(A.R.T, B.R), rest.R.T)
 
 

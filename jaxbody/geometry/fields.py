@@ -129,8 +129,8 @@ def kind_of(owner: Any, name: str, words: dict[str, str] | None = None) -> Kind:
 
 
 def words_for(owner: Any, name: str, words: dict[str, str]) -> dict[str, str]:
-    """Return the words of units for the object in an owner's field: those of the owner and those of
-    the field."""
+    """Return {word: unit} for the object in the field `name` of `owner`: the words that apply to
+    the owner, and those that the field defines."""
     return {
         **words,
         **{word: resolved(text, owner, words) for word, text in _stated(owner, name)[1].items()},
@@ -144,7 +144,8 @@ def kind_along(root: Any, keys: tuple[Any, ...]) -> Kind:
 
 
 def words_along(root: Any, keys: tuple[Any, ...]) -> dict[str, str]:
-    """Return the words that apply to the object at a path of JAX keys from a root."""
+    """Return {word: unit} for the words that formulas of units may contain, such as "force", in the
+    object at a path of JAX keys from a root."""
     return _along(root, keys)[1]
 
 

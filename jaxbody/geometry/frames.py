@@ -75,7 +75,7 @@ class Frame(Pose):
         return Pose(self.p, self.R)
 
     def at_time(self, t: Float[Array, ""], state: Any = None) -> Instant:
-        """Return the frame or table at time t, with the state of the model."""
+        """Return the frame, or table of frames, with the time t [s] and the state of the model."""
         return Instant(self.p, self.R, self.v, self.w, t, state)
 
 

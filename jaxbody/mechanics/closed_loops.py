@@ -85,8 +85,8 @@ class ClosedLoops(JointedBodies):
         return self.solved(t, q, v)[:3]
 
     def solved(self, t, q, v):
-        """Return v', the instant with the accelerations at v' = 0, the velocities of the bodies per
-        unit of each speed, and [M J'; J 0]."""
+        """Return v', the frames at time t with the accelerations that they have for v' = 0, the
+        velocities of the bodies per unit of each component of v, and [M J'; J 0]."""
         now, axes = self._bias(t, q, v)
         J = jacobian(self.model.layout, now, *axes)
         saddle = self._saddle(now, q, J)
@@ -163,7 +163,8 @@ class ClosedLoops(JointedBodies):
         return jnp.zeros((len(now.p), 6), now.p.dtype).at[ends].add(each)
 
     def _saddle(self, frames: Frame, q: Float[Array, "nq"], J: tuple[Array, Array]) -> SaddlePoint:
-        """Return [M J'; J 0] from the velocities of the bodies per unit of each speed."""
+        """Return the system [M J'; J 0]; `J` here: the velocities of the bodies per unit of each
+        component of v."""
         return saddle_point(
             self.inertia(frames, *J)[0], self._slopes(frames, q, J), rank(self.model)
         )
@@ -197,7 +198,7 @@ class ClosedLoops(JointedBodies):
         )
 
     def slopes(self, t: Float[Array, ""], state: State) -> Float[Array, "n nv"]:
-        """Return dc/dDelta by increments in meters."""
+        """Return dc/dDelta, for increments in meters."""
         supports = self.coordinates.supports_moving(self.motions, t)
         frames, axes = self.coordinates.frames_and_axes(state.q, state.v, supports)
         return (

@@ -1,4 +1,4 @@
-"""The conditions c(q) = 0 of all closures of a model, and the configurations that fulfil them
+"""The conditions c(q) = 0 of all closures of a model, and the configurations that fulfill them
 together with other conditions.
 
 A configuration is found by Gauss-Newton steps
@@ -111,9 +111,9 @@ def solve(
     start: Float[Array, "nq"],
     held: np.ndarray | None = None,
 ):
-    """Return (q, largest |F| over the size of the model) with F(model, values, q) = 0, found from
-    `start` with the least movement where freedoms are left. `held`: True for the coordinates that
-    must not move."""
+    """Return (q, largest |F| over the size of the model) with F(model, values, q) = 0; of several
+    solutions, the one near `start` that needs the least movement. `held`: True for the coordinates
+    that must not move."""
     q = near(conditions, model, values, _searched(conditions, held, model, values, start), held)
     return q, _largest(conditions(model, values, q)) / size_of(model)
 
@@ -126,7 +126,7 @@ def near(
     held: np.ndarray | None = None,
 ) -> Float[Array, "nq"]:
     """Return q with F = 0 as a differentiable function of the model and the values, from a q that
-    fulfils F = 0 for these values."""
+    fulfills F = 0 for these values."""
     inverse = jax.lax.stop_gradient(
         _inverse(conditions, held, *jax.lax.stop_gradient((model, values, q)))
     )

@@ -318,8 +318,8 @@ class JointedBodies(Dynamics):
         return mass + parts[0], momenta + parts[1]
 
     def _bias(self, t, q, v):
-        """Return the instant at v' = 0, at which accelerations are the derivatives of the
-        velocities along the motion, and the axes."""
+        """Return the frames at time t, with the accelerations that they have for v' = 0, and the
+        axes."""
 
         def moving(t, q):
             frames, axes = self.coordinates.frames_and_axes(

@@ -95,7 +95,7 @@ class Equilibrium(Labeled, Result):
     `stable`, `negative` (number of negative eigenvalues of K), `steps`, and by name `elongations`,
     `forces` of the elements and `reactions` of the supports.
 
-    Of a model with closures, `closure_reactions` are the forces of closures, `redundant` the
+    For a model with closures, `closure_reactions` are the forces of closures, `redundant` the
     conditions that others imply.
 
     `status` is OK, or NOT_CONVERGED, UNSTABLE, SINGULAR_K, TABLE_RANGE, NO_EQUILIBRIUM,
@@ -361,7 +361,7 @@ def equilibrium(
             is `descended`.
         max_steps: largest number of steps of the search.
 
-    With closures the search starts from the nearest configuration that fulfils them and stays
+    With closures the search starts from the nearest configuration that fulfills them and stays
     on them,
 
         dV/dDelta + J' lambda = Q,   c = 0,
@@ -409,8 +409,8 @@ def at_rest(status: Int[Array, "*n"]) -> Bool[Array, "*n"]:
 
 
 def of_position(eq: Equilibrium) -> tuple[Any, ...]:
-    """Return the parts of an equilibrium that follow from the configuration where the search ended,
-    except the residual."""
+    """Return the parts of an equilibrium, other than the residual, that depend on the configuration
+    at which the search ended."""
     return (
         eq.state,
         eq.energy,

@@ -3,7 +3,7 @@ are raised from zero.
 
 Descent is Newton's method with a shift lambda that makes K + lambda I positive definite, so that
 every step lowers the potential energy. Increments are nondimensional, with rotations times a
-length. A model with closures is first moved to the nearest configuration that fulfils them, and
+length. A model with closures is first moved to the nearest configuration that fulfills them, and
 stays on them in all steps.
 """
 

@@ -40,7 +40,7 @@ SINGULAR = 1e-7
 class ClosureForces(eqx.Module):
     """The forces of all conditions: `reactions` [N, N m], NaN where they are not unique;
     `multipliers`, of least norm; J' lambda `on_coordinates`; and minus the force and moment
-    `on_supports`. `slopes`: J by increments in meters; `gaps`: c [m]; `smallest`: the smallest
+    `on_supports`. `slopes`: J for increments in meters; `gaps`: c [m]; `smallest`: the smallest
     singular value of J that belongs to an independent condition, relative to the largest."""
 
     reactions: Float[Array, "n"]

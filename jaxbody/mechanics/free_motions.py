@@ -30,7 +30,7 @@ UNIQUE = 1e-6
 
 
 class FreeMotions(NamedTuple):
-    """J and J^+ at a configuration."""
+    """The Jacobian J of the closures and its pseudoinverse J^+ at a configuration."""
 
     J: Float[Array, "n nv"]
     inverse: Float[Array, "nv n"]
@@ -46,12 +46,13 @@ class FreeMotions(NamedTuple):
         return 1 - jnp.sum(self.inverse.T * self.J, 1) < UNIQUE
 
     def multipliers(self, r: Float[Array, "nv"]) -> Float[Array, "n"]:
-        """Return lambda = -(J^+)' r."""
+        """Return the multipliers lambda = -(J^+)' r, with r = dV/dDelta - Q, scaled
+        as J is."""
         return -self.inverse.T @ r
 
     def stiffness(self, H: Float[Array, "nv nv"]) -> Float[Array, "nv nv"]:
-        """Return P H P, with the largest stiffness across the free motions, so that these
-        directions are neither free nor unstable."""
+        """Return P H P plus the largest entry of H in the directions that closures prevent, so that
+        these directions count as stiff."""
         P = self.projector
         K, unit = P.T @ H @ P, jnp.max(jnp.abs(H), initial=0.0)
         return K + jnp.where(unit > 0, unit, 1.0) * (jnp.eye(len(P), dtype=P.dtype) - P)
@@ -105,7 +106,7 @@ def on_closures(
 def moved(
     coordinates: Coordinates, q: Float[Array, "nq"], delta: Float[Array, "nv"]
 ) -> Float[Array, "nq"]:
-    """Return q (+) Delta, moved to the nearest configuration that fulfils the closures."""
+    """Return q (+) Delta, moved to the nearest configuration that fulfills the closures."""
     q = coordinates.retract(q, delta)
     return closed(coordinates, q) if coordinates.model.closures else q
 
@@ -221,8 +222,8 @@ def dependent_motions(
     r: Float[Array, "nv"],
     independent: tuple[int, ...],
 ) -> DependentMotions:
-    """Return the dependent motions at q for these independent coordinates, where r = dV/dDelta -
-    Q."""
+    """Return how the dependent coordinates follow the independent ones and the supports at q, where
+    r = dV/dDelta - Q."""
     scale, nv = scale_at(coordinates.model), coordinates.model.layout.nv
     own = np.array(independent, int)
     others = np.setdiff1d(np.arange(nv), own)

@@ -53,9 +53,10 @@ Square = Float[Array, "n n"]
 
 
 class Configuration(eqx.Module):
-    """A model with its bodies at q and its supports in their reference poses: the table of frames;
-    for each column of (Delta, Xi), or of Delta alone if `base` is False, the rotation of its own
-    frame per unit of it; and J, the motion of each frame, None if it is the identity."""
+    """A model with its bodies at q and its supports in their reference poses. `frames`: all frames;
+    `turns`: for each component of (Delta, Xi), or of Delta alone if `base` is False, the rotation
+    per unit that it gives the frame whose coordinate it is; `J`: the displacement and rotation of
+    every frame per unit of each component, None if all bodies are free."""
 
     model: Model
     q: Float[Array, "nq"]

@@ -34,8 +34,8 @@ class InnerRows(NamedTuple):
 
 
 def inner_rows(at: Configuration) -> InnerRows:
-    """Return the blocks at a configuration of a model whose coordinates of elements, or those with
-    mass, are apart."""
+    """Return the blocks at a configuration of a model in which coordinates of elements (all, or
+    those with mass) are coordinates of the system, see `apart` and `settled`."""
     twists, parts, layout = frame_twists(at), [], at.model.layout
 
     def of(element, *frames):
@@ -101,8 +101,8 @@ def slow_matrices(M: Square, K: Square, nv: int) -> tuple[Square, Square]:
 
 
 def whole_matrices(at: Configuration) -> tuple[tuple[Float[Array, "m m"], ...], Float[Array, "n"]]:
-    """Return M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi), where y are apart in the model of
-    the configuration."""
+    """Return M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi), where the coordinates y of
+    elements are coordinates of the system in the model of the configuration."""
     nv, ny = at.model.layout.nv, len(at.model.layout.inner)
     _, slope, stiffness = expansion(at)
     whole = mass(at), damping(at), stiffness

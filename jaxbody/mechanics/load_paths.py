@@ -52,8 +52,8 @@ class AppliedLoads(eqx.Module):
     gravity: Float[Array, "*cases 3"]
 
     def each(self, function, *more):
-        """Return function(loads, ...) for each row of the weights, of the changes of gravity and of
-        `more`."""
+        """Return function(loads, *more) for each load case: for each row of the weights, of the
+        changes of gravity and of the arrays `more`."""
 
         def one(weights, gravity, *more):
             return function(AppliedLoads(self.loads, weights, gravity), *more)
@@ -62,8 +62,8 @@ class AppliedLoads(eqx.Module):
 
 
 def alike(loads: Sequence[Load]) -> tuple[tuple[Load, ...], list[list[int]]]:
-    """Return groups of alike loads, each stacked into one, and the indices of the loads in each
-    group."""
+    """Return groups of loads of the same structure, each stacked into one load, and the indices of
+    the loads in each group."""
     groups: dict[Any, list[int]] = {}
     for i, load in enumerate(loads):
         numbers, structure = jax.tree.flatten(load)
@@ -75,7 +75,7 @@ def alike(loads: Sequence[Load]) -> tuple[tuple[Load, ...], list[list[int]]]:
 
 
 def summed(function: Callable, load: Load, weight: Float[Array, "*k"]) -> Any:
-    """Return function(load, weight), summed over alike loads."""
+    """Return function(load, weight), summed over the loads of a stack."""
     if weight.ndim == 0:
         return function(load, weight)
     return jax.tree.map(lambda x: jnp.sum(x, 0), jax.vmap(function)(load, weight))
@@ -97,7 +97,8 @@ def with_gravity(model: Model, change: Float[Array, "3"]) -> Model:
 def with_load_gravity(
     at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
 ) -> Configuration:
-    """Return the configuration with a fraction `factor` of the change of gravity."""
+    """Return the configuration with the fraction `factor` of the change of gravity in `applied`
+    added to the gravity of its model."""
     return dataclasses.replace(at, model=with_gravity(at.model, factor * applied.gravity))
 
 

@@ -6,7 +6,7 @@ from them.
 
 With more springs than equations the change has least norm (pseudo-inverse); forces that no free
 length can balance are the residual. Coordinates that may move are additional unknowns. With
-closures the pose is the nearest one that fulfils them, P dV/dDelta = 0 takes the place of
+closures the pose is the nearest one that fulfills them, P dV/dDelta = 0 takes the place of
 dV/dDelta = 0, with P on the motions that closures leave free (free_motions), and the other
 coordinates follow those that may move.
 """
@@ -130,7 +130,7 @@ def preload(
         moving: names or patterns of `model.layout.coordinates` that may change too, such as the
             height of a wheel on a given tyre; by default none.
 
-    With closures the pose is the nearest that fulfils them; where some coordinates may move, the
+    With closures the pose is the nearest that fulfills them; where some coordinates may move, the
     others follow with the least movement.
 
     Use `preload(...).model`, whose equilibrium is at `preload(...).state`; `equilibrium` shows
@@ -267,7 +267,7 @@ def _preload(
 def _closed(
     coordinates: Coordinates, q: Float[Array, "nq"], held: np.ndarray | None
 ) -> Float[Array, "nq"]:
-    """Return the configuration next to q that fulfils the closures; q for a model without
+    """Return the configuration next to q that fulfills the closures; q for a model without
     closures."""
     return (
         closed_on(coordinates, drawn(coordinates), coordinates.supports.at_rest(), q, held)

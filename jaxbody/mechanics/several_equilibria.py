@@ -104,7 +104,7 @@ def find_equilibria(
             of rotations is 2 `spread` rad.
         key: random key of the configurations; by default jax.random.key(0).
 
-    With closures each search starts from the nearest configuration that fulfils them, on whichever
+    With closures each search starts from the nearest configuration that fulfills them, on whichever
     branch of the mechanism that is, and stays on them; positions in which closures are dependent
     are left out.
 

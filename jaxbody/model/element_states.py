@@ -129,15 +129,16 @@ def holding(model: Any, z: Z) -> Any:
 
 
 def apart(model: Any, z: Z, z_dot: Z | None = None) -> Any:
-    """Return the model about a rest with the states z, for small motions in which coordinates of
-    elements are coordinates of the system; massless ones have the rates z_dot, by default 0."""
+    """Return the model about a state of rest with the element states z, for small motions in which
+    coordinates of elements are coordinates of the system; massless ones have the rates z_dot, by
+    default 0."""
     return _bound(model, Apart, z, jnp.zeros_like(z) if z_dot is None else z_dot)
 
 
 def settled(model: Any, z: Z) -> Any:
-    """Return the model about a rest with the states z, for slow small motions: massless coordinates
-    are relaxed, hysteretic states follow by their tangents, and coordinates with mass are
-    coordinates of the system."""
+    """Return the model about a state of rest with the element states z, for slow small motions:
+    massless coordinates are relaxed, hysteretic states follow by their tangents, and coordinates
+    with mass are coordinates of the system."""
     return _bound(
         model,
         lambda law, z: Relaxed(law, z) if law.has_rows and not law.inertial else Apart(law, z),
@@ -154,8 +155,9 @@ def relaxed(model: Any, z: Z | None = None) -> Any:
 
 
 def resisting(model: Any, z: Z) -> Any:
-    """Return the model about a rest with the states z, for small static displacements: coordinates
-    of elements are relaxed, hysteretic states follow by their tangents."""
+    """Return the model about a state of rest with the element states z, for small static
+    displacements: coordinates of elements are relaxed, hysteretic states follow by their
+    tangents."""
     return _bound(model, lambda law, z: Relaxed(law, z) if law.has_rows else Apart(law, z), z)
 
 

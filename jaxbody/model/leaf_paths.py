@@ -192,7 +192,7 @@ def write(tree: Any, values: dict[Leaf, Any]) -> Any:
 
 
 def by_array(leaves: Iterable[Leaf]) -> dict[int, list[Leaf]]:
-    """Group leaves by the index of their array."""
+    """Return {index of an array: the leaves whose numbers it holds}."""
     groups: dict[int, list[Leaf]] = {}
     for leaf in leaves:
         groups.setdefault(leaf.array, []).append(leaf)
@@ -384,8 +384,9 @@ def _with_parts(model: Model, values: dict[str, Any]) -> Model:
 
 
 def _block(value: Any, rows: tuple[int, ...] | int, axis: int | None) -> Any:
-    """Return the rows of a value with these indices, or one value repeated in so many rows, with
-    the rows along `axis`; if `axis` is None, the array has no rows."""
+    """Return the numbers to write into an array, with its rows along `axis`: the rows of `value`
+    with the indices `rows`, or, if `rows` is a number, `value` repeated in that many rows. If
+    `axis` is None the array has no rows, and the numbers are those of one leaf."""
     xp = module_of(value)
     if axis is None:
         return value if isinstance(rows, int) else value[rows[0]]

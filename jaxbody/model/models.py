@@ -379,8 +379,8 @@ def independent_speeds(model: Model) -> tuple[int, ...] | None:
 def _closure_slopes(
     model: Model, delta: Float[Array, "nv"]
 ) -> tuple[Float[Array, "n nv"], Float[Array, ""]]:
-    """Return dc/dDelta of all closures by increments in meters, in a pose displaced from the
-    reference pose by `delta` in meters; and the largest |c| over the largest distance of a
+    """Return dc/dDelta of all closures, for increments in meters, in a pose displaced from the
+    reference pose by `delta` in meters; and the largest |c| over the largest coordinate of a
     point."""
     layout, coordinates = model.layout, Coordinates(model)
     points = [jnp.ravel(x) for table in model.closures for x in table.rows.points]

@@ -99,7 +99,7 @@ def simulate(
         loads: {name: load} on bodies; by default none.
         initial: a State, or "rest": in equilibrium on the supports in their poses and motion at
             times[0], without loads; by default the reference pose at rest. With closures the motion
-            starts from the nearest state that fulfils them.
+            starts from the nearest state that fulfills them.
         rtol: ten times the relative local error allowed in any component, so that samples between
             steps also meet it; at least 1.5e-4 in float32. The absolute error is rtol/100 times
             the size of the model (for velocities, times its fastest frequency, roughly), or
@@ -506,7 +506,8 @@ def check_covered(times, functions: list[tuple[str, Any]], problems: Problems) -
 
 
 class EquationsOfMotion(eqx.Module):
-    """f(t, state, model) with the motions and loads of `equations_of_motion`."""
+    """The function f(t, state, model) that `equations_of_motion` returns, with its motions and
+    loads."""
 
     motions: Motions
     loads: tuple[Load, ...]

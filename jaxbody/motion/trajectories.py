@@ -53,7 +53,7 @@ class Trajectory(Labeled, Result):
 
     `status`: MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED if the integration ended early, with
     NaN in later samples; SINGULAR_CLOSURE if it ended where closures become dependent, NOT_CLOSED
-    if no initial state fulfils them; TABLE_RANGE if a motion left the table of a law.
+    if no initial state fulfills them; TABLE_RANGE if a motion left the table of a law.
     `statistics`: accepted and rejected steps. `closing`: distance of the given initial state from
     the closures. Quantities by name and `summary()` are computed when they are read; printing
     computes nothing."""
@@ -205,8 +205,8 @@ class Trajectory(Labeled, Result):
         return "; ".join(filter(None, (changing, usual)))
 
     def _accelerations(self) -> str:
-        """Name what is not finite where all forces and motions are finite: the accelerations or the
-        state."""
+        """Describe which quantity is not finite although all forces and motions are: the
+        accelerations, if a coordinate has no inertia, otherwise the state."""
         layout, q = self.model.layout, self.end[1].q
         massless = massless_motions(layout, matrices(self.model, State(q, np.zeros(layout.nv)))[0])
         return (

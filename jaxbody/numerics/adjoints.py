@@ -27,12 +27,13 @@ POINTS = 13  # at which a look checks a step between its ends, besides samples
 
 
 class Driven(diffrax.ODETerm):
-    """y' = driven(u, y, args) with u = drive(t, args), the part that depends on time alone.
+    """The term y' = driven(u, y, args) with u = drive(t, args), the part that depends on time only.
 
     `BlockAdjoint` computes u for all stages of a step at once. Both functions are traced once for
     each shape, also where diffeqsolve needs only their shapes; give functions of a module.
-    `project`: project(u, y, at_y, args), the state next to y that fulfils conditions which
-    solutions fulfil, with what `driven` then returns besides y'; None without such conditions."""
+    `project`: a function (u, y, at_y, args) -> the state nearest to y that fulfills the
+    constraints; `driven` then returns (y', at_y), with at_y the values at y that the projection
+    needs; None without constraints."""
 
     drive: Callable[[Any, Any], Any]
     driven: Callable[[Any, Any, Any], Any]
@@ -51,7 +52,7 @@ class Driven(diffrax.ODETerm):
         )
 
     def projected(self, t, y, args):
-        """Return the state next to y at the time t that fulfils the conditions."""
+        """Return the state nearest to y that fulfills the constraints at the time t."""
         u = self.drive(t, args)
         return self.project(u, y, self.driven(u, y, args)[1], args)  # pyright: ignore[reportOptionalCall]
 
@@ -109,9 +110,9 @@ def _of_solver(name: str) -> Any:
 
 
 class Wrapped(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
-    """The base of solvers that change the steps of the user's. One around the other would be too
-    deep for diffrax, which gives the tolerances of the controller to an implicit solver inside
-    one."""
+    """The base class of solvers that wrap the user's solver and change its steps. They must not be
+    nested: diffrax passes the tolerances of the controller to an implicit solver through one
+    wrapper only."""
 
     solver: diffrax.AbstractSolver  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -127,9 +128,9 @@ class Wrapped(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
     func = _of_solver("func")
 
     def projected_step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
-        """Make a step that ends at P(y1), with P of a `Driven` term that has one.
+        """Make a step that ends at P(y1), where P is the projection of a `Driven` term, if any.
 
-        Its error is what is left after the projection, P(y1) - P(y1 - error), and the rate at the
+        Its error is what remains after the projection, P(y1) - P(y1 - error), and the rate at the
         start of a step is evaluated again."""
         if getattr(within(terms), "project", None) is None:
             return self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
@@ -151,22 +152,23 @@ class Wrapped(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
 
 
 class Projected(Wrapped):
-    """A solver whose steps end projected."""
+    """A solver that projects the state after each step onto the constraints."""
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
         return self.projected_step(terms, t0, t1, y0, args, solver_state, made_jump)
 
 
 class Watched(Wrapped):
-    """A solver whose steps end projected, with looks along them, as in `BlockAdjoint`.
+    """A solver that projects the state after each step onto the constraints, and checks the step
+    between its ends, as `BlockAdjoint` does.
 
-    After a step with an error far below the tolerance, the next one's interpolation is evaluated
-    at points between its ends and at the sample times, otherwise in its middle alone, where half
+    After a step with an error far below the tolerance, the interpolation of the next one is checked
+    at points between its ends and at the sample times, otherwise in its middle only, where half
     the digits suffice:
 
         defect = h (f(t, y(t)) - y'(t))
 
-    A step with a larger defect has an infinite error, so that any controller refuses it."""
+    A step whose defect is too large gets an infinite error, so that any controller rejects it."""
 
     times: Float[Array, "nt"]
     rtol: Any

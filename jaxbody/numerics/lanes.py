@@ -259,7 +259,8 @@ def _pushed(
 
 
 def _batch(args, axes, *, jaxpr, reversible, lanes, name):
-    """Compute a batch in lanes, or else by jax.vmap, which follows changes of JAX."""
+    """Compute a batch in lanes, or by jax.vmap if lanes do not apply or fail with this version of
+    JAX. Return results and the axis of the batch in each."""
     why = _no_lanes()
     try:
         if not why:

@@ -90,13 +90,15 @@ def _polynomials(solver: diffrax.AbstractERK, b: np.ndarray) -> np.ndarray:
 
 
 class InitialValueProblem(NamedTuple):
-    """y' = rate(u, y, arguments) with u = drive(t, arguments), the part that depends on time alone.
+    """The problem y' = rate(u, y, arguments), with u = drive(t, arguments), the part that depends
+    on time alone, and a method to solve it.
 
-    `project`: project(u, y, at_y, arguments), the state next to y that fulfils conditions which a
-    solution fulfils, with what `rate` then returns at y besides y'; None without such conditions.
-    `control`: a diffrax.PIDController that states tolerances, smallest step and limits of step
-    control; None for constant steps; `first`: the first or the constant step; `max_steps`: most
-    steps; `kinks`: ascending times of kinks of the rate, at which steps end."""
+    `project`: a function (u, y, at_y, arguments) -> the state nearest to y that fulfills the
+    constraints; `rate` then returns (y', at_y), with at_y the values at y that the projection
+    needs; None without constraints. `control`: a diffrax.PIDController with tolerances, smallest
+    step and limits of step control; None for constant steps; `first`: the first or the constant
+    step; `max_steps`: the largest number of steps; `kinks`: ascending times of kinks of the rate,
+    at which steps end."""
 
     drive: Callable[[Array, Any], Any]
     rate: Callable[[Any, Array, Any], Array]
@@ -116,8 +118,8 @@ def rate(problem: InitialValueProblem, arguments, t, y):
 
 class Step(NamedTuple):
     """The state after a step and its rate, and the k_i; with a projection P also P(y1) - y1, and
-    P(y1) - P(y1 - error), what is left of the error after it. `seen`: h times the rates at the
-    points of a look."""
+    P(y1) - P(y1 - error), the error that remains after it. `seen`: h times the rates at the points
+    between the ends where a step is checked."""
 
     y: Float[Array, "ny"]
     f: Float[Array, "ny"]
@@ -128,8 +130,8 @@ class Step(NamedTuple):
 
 
 class Look(NamedTuple):
-    """A look along a step: the points theta at which its defect is evaluated, and the states there;
-    `on`: whether there is one, in place of a step."""
+    """A look: a check of a step between its ends. `theta`: the points at which its defect is
+    evaluated; `y`: the states there; `on`: True for a look, False for an ordinary step."""
 
     on: Bool[Array, ""]
     theta: Float[Array, "n"]
@@ -146,7 +148,7 @@ def step(
     trial: Bool[Array, ""] | None = None,
     look: Look | None = None,
 ) -> Step:
-    """Make a step of length h, or look along one that was made.
+    """Make a step of length h, or evaluate the rates for a look (see Look) at the step made before.
 
     Args:
         problem: the problem.
@@ -157,7 +159,7 @@ def step(
         h: length [s].
         trial: whether it is a trial step, of two stages only: k_1 = h f(t, y) and the rate a little
             later; None: steps of a constant or known length, without a trial.
-        look: where to look instead; None: nowhere.
+        look: the points of a look, if one is due in place of a step; None: never.
 
     A separate function for a trial step would compile the rate twice. For the same reason the
     projection, with the rate there, is one more stage, and a look is a step whose stages are at its
@@ -167,7 +169,8 @@ def step(
     stages = len(method.A) + 1
 
     def place(stage, i):
-        """Return the state of a stage, or the point of a look, which needs no derivative."""
+        """Return the state at which stage i evaluates the rate: `stage`, or, during a look, that at
+        its point i, without derivatives."""
         return (
             stage
             if look is None
@@ -245,9 +248,9 @@ def step(
 
 
 def error_ratio(problem: InitialValueProblem, y, made: Step) -> Float[Array, ""]:
-    """Return a step's error over its tolerance, or, if that is larger, the difference of its last
-    two stages over half the digits: both are at its end, and the last one is in the polynomial, but
-    not in the error."""
+    """Return a step's error over its tolerance, or, if that is larger, the difference between its
+    last two stages over tolerance/sqrt(rtol), half the digits. Both stages are at the end of the
+    step; the polynomial depends on the last one, the error estimate does not."""
     method, error = (
         problem.method,
         jnp.abs(_sum(problem.method.E, made.k) if made.error is None else made.error),
@@ -260,7 +263,7 @@ def error_ratio(problem: InitialValueProblem, y, made: Step) -> Float[Array, ""]
 
 
 def change_ratio(problem: InitialValueProblem, y, made: Step) -> Float[Array, ""]:
-    """Return a step's change of the state over half the digits."""
+    """Return a step's change of the state over tolerance/sqrt(rtol), half the digits."""
     return problem.control.norm(
         jnp.sqrt(problem.control.rtol) * (made.y - y) / _tolerance(problem, y, made.y)
     )
@@ -269,8 +272,8 @@ def change_ratio(problem: InitialValueProblem, y, made: Step) -> Float[Array, ""
 def defects(
     problem: InitialValueProblem, y, made: Step, look: Look, c: Float[Array, "m ny"]
 ) -> Float[Array, "n"]:
-    """Return the defects of a step from y with the polynomial c at the points of a look along it,
-    over their allowed values; zero without a look."""
+    """Return the defects of a step from y with the polynomial c at the points of a look, over
+    their allowed values; zero without a look."""
 
     def seen():
         scale = DEFECT * _tolerance(problem, y, made.y)
@@ -353,8 +356,9 @@ def row_at(x: Array, i: Array) -> Array:
 
 
 class Course(NamedTuple):
-    """The state of step control: next step length, the longest that is taken without a look, the
-    shortest that an error has required, numbers of accepted and rejected steps, status."""
+    """The state of step control: length of the next step, longest step that is accepted without a
+    check between its ends, shortest step that an error has required, numbers of accepted and
+    rejected steps, status."""
 
     h: Float[Array, ""]
     unseen: Float[Array, ""]
@@ -365,10 +369,11 @@ class Course(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """A step whose error is small, and along which is looked before it is taken.
+    """A step with a small error, which is checked at points between its ends before it is accepted.
 
-    `at`: where the next look is, EVENLY or at the user's samples from this one on; `seen`: theta up
-    to which the samples are checked; `h`: length; `c`: polynomial of the step."""
+    `at`: the points of the next check, either EVENLY spaced or the user's samples from the one with
+    this index; `seen`: theta up to which the samples have been checked; `h`: length; `c`:
+    coefficients of the polynomial of the step."""
 
     at: Int[Array, ""]
     seen: Float[Array, ""]
@@ -377,7 +382,7 @@ class Ahead(NamedTuple):
 
 
 def look_along(problem: InitialValueProblem, ahead: Ahead, tau, past: Float[Array, "nt"]) -> Look:
-    """Return the points of the next look along a step."""
+    """Return the points between the ends of a step at which it is checked next."""
     ahead, tau = lax.stop_gradient((ahead, tau))
     on = ahead.at != NOT_LOOKING
     # a look has as many points as a step has rates
@@ -410,12 +415,13 @@ def controlled(
     change,
     defects,
 ):
-    """Return whether a step is taken, the course after it, and where the next look along it is if
-    it is not yet taken.
+    """Return whether a step is accepted, the state of step control after it, and the points of the
+    next look (see Look) if it is not accepted yet.
 
-    The error determines the length of the next step. A step after a quiet one, whose error says
-    nothing about it, or a step much longer than the shortest of the run, is made again. It is taken
-    if its defect was small in all looks, and otherwise shortened to the part where it was small."""
+    The error determines the length of the next step. A step needs looks if it follows a step whose
+    error gave no information about it, or if it is much longer than the shortest of the run. It is
+    accepted if its defect was small in all looks, and otherwise shortened to the part where it was
+    small."""
     rules, h = problem.control, ahead.h
     good = error <= 1
     least = jnp.minimum(ROUNDED * jnp.finfo(h.dtype).eps / rules.rtol, LEAST_ERROR)

@@ -109,10 +109,11 @@ def _eliminated(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n
 
 
 def independent_rows(matrix: np.ndarray, *, enough: float = 1.0) -> list[int]:
-    """Return the rows of a matrix of which the others are sums, in the order of elimination.
+    """Return the indices of independent rows of a matrix, of which all other rows are linear
+    combinations, in the order of elimination.
 
-    Each time it is the last one that is not shorter than `enough` of the longest, after the parts
-    along those before are taken off."""
+    Each step projects all rows onto the space orthogonal to the rows chosen before, and chooses the
+    last one whose length is at least `enough` times the largest."""
     rest, chosen, longest = np.array(matrix), [], 0.0
     for _ in range(min(rest.shape)):
         sizes = np.linalg.norm(rest, axis=1)
@@ -128,9 +129,9 @@ def independent_rows(matrix: np.ndarray, *, enough: float = 1.0) -> list[int]:
 
 
 class SaddlePoint(NamedTuple):
-    """[M J'; J 0] with symmetric positive definite M, ready to be solved.
+    """The factored matrix [M J'; J 0], with symmetric positive definite M.
 
-    Rows of J that follow from others do no harm: J has `rank` independent ones, found by
+    Some rows of J may be linear combinations of others: J has `rank` independent ones, found by
     orthonormalizing its rows in the metric of M^-1, the longest remaining first. `inverse`: M^-1,
     and `of_rows`: S with A S A = A for A = J M^-1 J', both constants; derivatives are those of the
     solution."""

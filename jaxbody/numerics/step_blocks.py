@@ -105,8 +105,8 @@ def solve(
 def solve_both_ways(
     given: tuple[Any, Float[Array, "ny"], Float[Array, "nt"]], *, problem: InitialValueProblem
 ) -> Solution:
-    """Return `solve` of given = (arguments, y0, times); differentiable in reverse mode, in forward
-    mode, which solves twice, and in forward mode over either."""
+    """Return the solution, as `solve` does, for given = (arguments, y0, times); differentiable in
+    reverse mode, in forward mode, which solves twice, and in forward mode over either."""
     return _march(problem, *given, keep=False)[0]
 
 
@@ -260,7 +260,8 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
     ahead = Ahead(none + NOT_LOOKING, zero, zero, lax.stop_gradient(c))
 
     def running(begun, course):
-        """Return whether samples up to the end remain: one step may reach over many windows."""
+        """Return whether samples before the end of the block are still to be computed; one step may
+        cover several windows of samples."""
         return begun.filled < jnp.where(course.code == Status.OK.value, end, begun.tau)
 
     def block(carry):

@@ -106,7 +106,7 @@ any_of_batch: Callable[[Bool[Array, "*n"]], Bool[Array, "*n"]] = _any_p.bind
 # A reducer that XLA does not recognize: it passes large reductions to a library, whose calls keep a
 # loop from being compiled whole. It must still be a sum, as XLA merges sums of sums.
 def plain_sum(x: Array, axes: tuple) -> Array:
-    """Return the sum over axes, never by a call of a library."""
+    """Return the sum over axes, compiled without a call to an external library."""
     return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
 
 

@@ -38,7 +38,7 @@ def at_rate(
     t: np.ndarray, rate: float, where: str, problems: Problems, notes: list[str]
 ) -> np.ndarray:
     """Return increasing times, each moved to the nearest t_0 + k/rate. Error: RATE_MISMATCH if the
-    rate differs from that of the times, or a time is nearest to the k of another row."""
+    rate differs from that of the times, or if a time is nearest to a k that is not its own."""
     steps = np.round((t - t[0]) * rate)
     own = sampling_of(t).rate
     wrong = np.flatnonzero(np.diff(steps) != counts_of(t))

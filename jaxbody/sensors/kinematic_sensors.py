@@ -135,8 +135,8 @@ class KinematicOfPoint(KinematicVector):
 
 
 class Position(KinematicOfPoint):
-    """Position [m] of a point of a body or support, in world axes; as an output of responses its
-    displacement from equilibrium.
+    """Position [m] of a point of a body or support, in world axes; as an output of responses,
+    its displacement from equilibrium.
 
     Args:
         on: name of the body or support
@@ -215,7 +215,7 @@ class Acceleration(KinematicOfPoint):
 
 class Rotation(Kinematic):
     """Rotation vector [rad] of a body or support from its reference pose, below half a turn; as an
-    output of responses that from equilibrium.
+    output of responses, the rotation from equilibrium.
 
     Args:
         on: name of the body or support

@@ -325,7 +325,7 @@ class Sensor(Described, Channel):
     def transduced(
         self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]
     ) -> Float[Array, "nt *r"]:
-        """Return the record of a measured quantity x after the chain."""
+        """Return the record of a measured quantity x after delay, lag, gain and bias."""
         if self.delay is not None:
             x = self.delayed(times, x)
         if self.lag is not None:

@@ -35,8 +35,8 @@ from jaxbody.records.sampling_checks import even_samples
 def checked_samples(
     record: Any, unit: str, where: str, problems: Problems
 ) -> tuple[Any, Any] | None:
-    """Return the values of a record with one channel in this unit, or of (times, values), and the
-    step between samples [s]; None if there are none, with a problem added. Errors: WRONG_KIND,
+    """Return the values of a record's only channel in `unit`, or of a pair (times, values), and the
+    step between samples [s]; None, with a problem added, if they are invalid. Errors: WRONG_KIND,
     WRONG_DIMENSION, GAPS, NOT_UNIFORM, BAD_SHAPE, NON_FINITE."""
     known = len(problems.collected)
     if isinstance(record, Record):
@@ -90,9 +90,9 @@ EXACT, BETWEEN = 1e-9, 2e-3
 
 
 class Peak(NamedTuple):
-    """Peaks at samples, two for each oscillator: the first of those that differ by EXACT at most,
-    and the first of those that differ by BETWEEN at most. `value`, index of the `sample`, and
-    `state`: r less `c h phi2` times the acceleration there."""
+    """Peaks of the sampled responses, two for each oscillator: the first sample that differs from
+    the largest by at most the fraction EXACT, and the first that differs by at most BETWEEN.
+    `value`, index of the `sample`, and `state`: r less `c h phi2` times the acceleration there."""
 
     value: Float[Array, "2 n"]
     sample: Array
@@ -154,7 +154,7 @@ def free_peaks(
     r: Complex[jax.Array, "n"], s: Complex[jax.Array, "n"], side: str
 ) -> Float[Array, "n"]:
     """Return the largest |Im(r e^(s t))|, Im or -Im, by `side`, for t >= 0: that at t = 0, or at
-    the first two times at which Im(s r e^(s t)) = 0. Derivatives take the time of the peak as
+    the first two times at which Im(s r e^(s t)) = 0. Derivatives treat the time of the peak as
     constant."""
     half = jax.lax.stop_gradient(jnp.pi / s.imag)
     first = jnp.mod(-jnp.angle(jax.lax.stop_gradient(s * r)), jnp.pi) * half / jnp.pi
@@ -279,8 +279,8 @@ def _refined(
     the response there.
 
     The peak is in the step into which the response grows, where its rate is zero: by Newton's
-    method, or bisection where that leaves the bracket. Derivatives take the time of the peak as
-    constant, as the derivative of a maximum does not depend on that of its time."""
+    method, or bisection where that leaves the bracket. Derivatives treat the time of the peak
+    as constant, as the derivative of a maximum does not depend on that of its time."""
     k, h = peak.sample, jnp.asarray(h, a.dtype)
     now = a[k].astype(s.dtype)
     r = peak.state + steps(s, c, h)[2] * now

@@ -69,7 +69,7 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
 
     @property
     def pseudo_acceleration(self) -> Float[Array, "nz nf"]:
-        """w^2 max|x| [m/s2]."""
+        """The pseudo-acceleration w^2 max|x| [m/s2]."""
         if self.kind == "absolute" or self.side != "maximax":
             raise JaxbodyError(
                 Problem(

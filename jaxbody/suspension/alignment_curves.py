@@ -78,9 +78,9 @@ FREE = 1e-6
 
 
 class SuspensionCurves(Labeled, Result):
-    """Curves of a suspension: `curves["camber"]` (n,) over the driven readings `over` {name: (n,)},
-    `slopes["travel"]["camber"]` their derivatives by a driven reading, in SI units (rad, m, N/m).
-    See `suspension_curves`.
+    """Curves of a suspension, in SI units (rad, m, N/m): `curves["camber"]` (n,) over the driven
+    readings (prescribed values) `over` {name: (n,)}, and `slopes["travel"]["camber"]`, their
+    derivatives with respect to a driven reading. See `suspension_curves`.
 
     `status` (n,): NOT_CLOSED beyond reach, with NaN in all curves. `q` (n, nq):
     the configurations."""
@@ -100,8 +100,8 @@ class SuspensionCurves(Labeled, Result):
         return self.curves[name]
 
     def report(self) -> str:
-        """Return the number of rows of each status, and the driven readings of the last row before
-        the first one that is beyond reach."""
+        """Return the number of rows of each status, and the driven readings of the last row that
+        the suspension can reach."""
         text = super().report()
         if not is_concrete(self.status) or np.asarray(self.ok).all():
             return text
@@ -378,8 +378,8 @@ def _check_determined(
 
 @program
 def _slopes_at_reference(model: Model, drives: tuple[Drive, ...], wheel: Wheel):
-    """Return the slopes of all conditions, of the closures alone, and of the wheel's center and
-    axis at the assembled reference, by increments in meters."""
+    """Return the Jacobians of all conditions, of the closures alone, and of the wheel's center and
+    axis in the assembled reference pose, with respect to increments in meters."""
     q = model.reference.q
     chart, scale, size = Chart(model), scale_of(model, size_of(model))[None], size_of(model)
     row = model.layout.frame(wheel.on)
@@ -505,5 +505,5 @@ def _read(
 
 
 def _twist(pose: Pose, slopes: Pose, i: int):
-    """Return angular velocity and velocity of the origin per unit of driven reading i."""
+    """Return angular velocity and velocity of the origin per unit rate of driven reading i."""
     return axial(product(slopes.R[..., i], pose.R.T)), slopes.p[..., i]

@@ -61,8 +61,9 @@ from jaxbody.suspension.wheels import Wheel
 
 class Assembly(Result):
     """An assembled configuration: `state` at rest, `gaps` of the conditions [m] before and after,
-    `slopes` of the conditions by increments in meters, `freedoms` that remain, `redundant`
-    conditions, which follow from others. `status`: NOT_CLOSED. See `assemble`."""
+    `slopes`, their derivatives with respect to increments in meters, the number of `freedoms` that
+    remain, `redundant` conditions, which follow from others. `status`: NOT_CLOSED. See `assemble`.
+    """
 
     model: Model
     state: State
@@ -193,7 +194,8 @@ REACHED = 1e-9  # largest residual of a reached position, relative to the size o
 
 
 class Drive(eqx.Module):
-    """A driven reading of a name: a sensor, or the place of a coordinate in q."""
+    """A driven reading, a quantity whose values are prescribed: the reading of `sensor`, or, if
+    that is None, the number in q with the index `coordinate`."""
 
     name: str = eqx.field(static=True)
     coordinate: int | None = eqx.field(static=True)
@@ -205,8 +207,8 @@ class Drive(eqx.Module):
 
 
 def drives_of(model: Model, given: dict[str, Any], where: str) -> tuple[Drive, ...]:
-    """Return the drives of {name: sensor, "body.q", or a wheel for the rise of its center}. Errors:
-    UNKNOWN_NAME, BAD_SHAPE, WRONG_KIND."""
+    """Return the drives from {name: a sensor, "body.q" for a coordinate, or a wheel for the rise of
+    its center}. Errors: UNKNOWN_NAME, BAD_SHAPE, WRONG_KIND."""
     given = {
         name: Position(by.on, by.center, axis="z") if isinstance(by, Wheel) else by
         for name, by in given.items()
@@ -299,8 +301,8 @@ NEGATIVE = 1e-9  # eigenvalues below minus this fraction of the largest are nega
 
 
 class Resting(NamedTuple):
-    """q, the multipliers mu over the stiffness k [m], and the inverse of the slopes of
-    the equations."""
+    """An iterate of the search: q, the multipliers divided by the stiffness k, mu [m], and the
+    inverse of the Jacobian of the equations."""
 
     q: Float[Array, "nq"]
     mu: Float[Array, "n"]
@@ -308,8 +310,8 @@ class Resting(NamedTuple):
 
 
 class RestingSystem(NamedTuple):
-    """A system in equilibrium: a model with driven readings and loads, and the stiffness k by which
-    forces are divided."""
+    """The equations of static equilibrium of a model under loads, with driven readings
+    (`drives`); forces are divided by a stiffness k, so that all residuals are in meters."""
 
     model: Model
     loads: tuple[Load, ...]
@@ -328,7 +330,8 @@ class RestingSystem(NamedTuple):
         )
 
     def equations(self, target: Float[Array, "nd"], at: Resting) -> Float[Array, "m"]:
-        """Return the residuals ((dV/dDelta - Q)/k + C_q' mu, C), by increments in meters."""
+        """Return the residuals ((dV/dDelta - Q)/k + C_q' mu, C), with derivatives with respect to
+        increments in meters."""
         model = relaxed(self.model)
         coordinates, zero = Coordinates(model), jnp.zeros(model.layout.nv, at.q.dtype)
         frames, axes = coordinates.frames_and_axes(at.q, zero, coordinates.supports.at_rest())
@@ -347,7 +350,7 @@ class RestingSystem(NamedTuple):
     def with_slopes(
         self, target: Float[Array, "nd"], at: Resting
     ) -> tuple[Float[Array, "m"], Float[Array, "m m"]]:
-        """Return the residuals and their slopes [H C_q'; C_q 0]."""
+        """Return the residuals and their Jacobian [H C_q'; C_q 0]."""
 
         slopes, values = jax.jacfwd(
             with_value(lambda step: self.equations(target, self.moved(at, step))), has_aux=True

@@ -39,7 +39,7 @@ def _located(points: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class Suspension(eqx.Module):
-    """A model drawn by hard points, such as a `Corner` or an `Axle`.
+    """The model of a suspension, defined by hard points, such as a `Corner` or an `Axle`.
 
     Args:
         model: in the design position
@@ -74,7 +74,7 @@ class Suspension(eqx.Module):
 
     @property
     def wheels(self) -> tuple[Wheel, ...]:
-        """Its wheels."""
+        """The wheels of the suspension."""
         return ()
 
     def moved(self: S, places: Mapping[str, Any]) -> S:
@@ -132,9 +132,9 @@ class Corner(Suspension):
         return (self.wheel,)
 
     def curves(self, travel: Any, steering: Any = 0.0) -> SuspensionCurves:
-        """Compute curves over travel, the rise of the center of the wheel [m], and steering [m, or
-        rad of a coordinate that turns], each one number or as many as the other has; see
-        `suspension_curves`.
+        """Compute the curves of the suspension over `travel`, the rise of the wheel's center [m],
+        and `steering`, the coordinate that steers [m or rad]: each a number or a row, rows of equal
+        lengths; see `suspension_curves`.
 
         >>> corner = jb.suspension.double_wishbone()
         >>> toe = corner.curves([-0.04, 0.0, 0.04])["toe"]  # doctest: +SKIP
@@ -148,8 +148,8 @@ class Corner(Suspension):
 
     @property
     def drive(self) -> dict[str, Any]:
-        """The driven readings of its curves: "travel", the rise of the center of the wheel,
-        and "steering"."""
+        """The driven readings, which are prescribed along the curves: "travel", the rise of the
+        wheel's center, and "steering"."""
         return {"travel": self.wheel, "steering": self.steering}
 
 

@@ -83,9 +83,9 @@ def solved(
 
 
 def _eliminated(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]:
-    """Return the map b -> D^-1 b or its transpose, from one elimination. In the coordinates of the
-    real modes no pivoting is needed: D is diagonal except for damping, and no entry of C exceeds
-    the mean of two on its diagonal."""
+    """Return the function (b, transposed) -> D^-1 b, or D^-T b, from one elimination. In the
+    coordinates of the real modes no pivoting is needed: D is diagonal except for damping, and no
+    entry of C exceeds the mean of two on its diagonal."""
     if A.massless:
         return _eliminated_with_branches(A, s)
     if (n := len(A.M)) > LARGEST_UNROLLED:
@@ -152,8 +152,8 @@ def _product(
 def _modal_sum(
     A: DynamicMatrices, s
 ) -> tuple[Callable[[jax.Array, bool], jax.Array], Bool[Array, ""]]:
-    """Return the map b -> D^-1 b or its transpose, D^-1 = left diag(1/(s - pole)) right, and
-    whether the modes are a basis."""
+    """Return the function (b, transposed) -> D^-1 b, or D^-T b, by superposition of modes, D^-1 =
+    left diag(1/(s - pole)) right, and whether it is accurate: the modes must be a basis."""
     n = len(A.M) - A.massless
     K = A.K if A.H is None else A.K + 1j * A.H
     matrix, forces = first_order(A.M, A.C, K, n) if A.massless else (companion(A.M, A.C, K), None)

@@ -201,8 +201,8 @@ def _linear(coefficient: Any) -> laws.Law:
 
 
 def _bound(spring: laws.Law | None, make) -> Any:
-    """Return the spring with each law with memory replaced by make(law, i, j), where its states are
-    those from i to below j."""
+    """Return the spring with each law with memory replaced by make(law, i, j), with its states at
+    the indices from i to j - 1."""
     counts = [len(law.states) for law in law_states.memories(spring)]
     places = itertools.pairwise(itertools.accumulate(counts, initial=0))
 
@@ -236,7 +236,7 @@ def _stiffness(
 
 def _deformation_of(at_rest, preload):
     """Return the deformation under a static force, by Newton's method with a bounded step, and
-    whether it carries the force."""
+    whether it converged, so that the spring force equals the given one."""
     frozen, wanted = jax.lax.stop_gradient((at_rest, preload))
 
     def step(law, e, force):

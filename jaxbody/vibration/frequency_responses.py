@@ -49,8 +49,8 @@ METHODS = ("direct", "modal")
 
 
 class FrequencyResponse(Labeled, Result):
-    """`values` (outputs, inputs, frequencies), complex: amplitude of each output per unit of an
-    input exp(i 2 pi f t).
+    """Frequency responses: complex `values` (outputs, inputs, frequencies), the amplitude of each
+    output per unit of an input exp(i 2 pi f t).
 
     `response["seat", "road"]` is one pair over `frequencies` [Hz]; `magnitude`, and `phase` [rad],
     unwrapped over the frequencies. From a displacement of a support to a displacement, the

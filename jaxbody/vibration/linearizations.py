@@ -65,9 +65,9 @@ HEADINGS = UNITS | dict.fromkeys(("C", "G"), "N s/m, ...")
 
 
 class LinearSystem(Labeled, Result):
-    """M Delta'' + D Delta' + K Delta = 0 of small motions about `state`, with D = C about a state
-    at rest; modes, poles, responses and state spaces are computed from it. `coordinates`: names of
-    the rows; `basis`: velocities of the bodies per unit of each."""
+    """The equations of small motions about `state`, M Delta'' + D Delta' + K Delta = 0, with D = C
+    about a state at rest; modes, poles, responses and state spaces are computed from it.
+    `coordinates`: names of the rows; `basis`: velocities of the bodies per unit of each."""
 
     index = "coordinate"
     M: Float[Array, "nv nv"]
@@ -230,8 +230,8 @@ class Linearization(LinearSystem):
 
     @property
     def held(self) -> Model:
-        """The model with its laws with memory as in the matrices: relaxed if `slow`, otherwise with
-        coordinates of their own."""
+        """The model as the matrices describe it: its laws with memory are relaxed if `slow`,
+        otherwise they have coordinates of their own."""
         return (settled if self.slow else apart)(self.model, self.state.z)
 
     @property
@@ -265,13 +265,14 @@ class Linearization(LinearSystem):
 
     @property
     def K_elastic(self) -> Float[Array, "nv nv"]:
-        """sum of V''(e) de de over the elements, with those coordinates of elements held that have
-        rows."""
+        """The elastic part of K, the sum of V''(e) de de over the elements; their coordinates that
+        have rows of their own are held fixed."""
         return sum(self.K_elastic_by_element.values(), self._zero)
 
     @property
     def K_geometric(self) -> Float[Array, "nv nv"]:
-        """sum of V'(e) d2e over the elements: the stiffness due to tension."""
+        """The geometric part of K, the sum of V'(e) d2e over the elements: the stiffness due to
+        their tension."""
         return sum(self.K_geometric_by_element.values(), self._zero)
 
     @property
@@ -281,8 +282,8 @@ class Linearization(LinearSystem):
 
     @property
     def K_loads(self) -> Float[Array, "nv nv"]:
-        """-dQ/dDelta of the loads of the equilibrium; not symmetric where they have
-        no potential."""
+        """The part of K due to the loads of the equilibrium, -dQ/dDelta; not symmetric where they
+        have no potential."""
         return -self.reduced(_load_stiffness(self.model, self.state, self.loads))
 
     @property
@@ -382,12 +383,12 @@ def check_system(
 def linearize(
     model: Model, at: Equilibrium | State, *, method: str = "structured"
 ) -> Linearization:
-    """Compute M, C, K and their blocks that couple to the supports, at an equilibrium or any state,
-    with the supports at their reference poses.
+    """Compute M, C, K and the blocks for the motion of the supports, at an equilibrium or any other
+    state, with the supports in their reference poses.
 
-    Of a model with closures the rows are those of independent coordinates, chosen in its reference
-    pose; the others follow, Delta = N Delta_i + S Xi, and every matrix is T' H T, T = [[N, S], [0,
-    1]], with H of K the Hessian of V + lambda c.
+    For a model with closures, rows and columns are those of independent coordinates, chosen in its
+    reference pose; the others follow, Delta = N Delta_i + S Xi, and every matrix is T' H T, T =
+    [[N, S], [0, 1]]; for K, H is the Hessian of V + lambda c.
 
     Loads of the equilibrium are included: K = d2V/dDelta2 - dQ/dDelta. The status of a failed
     equilibrium is kept; it is STALE, with a warning, if numbers of the model have changed so that

@@ -218,8 +218,9 @@ def _random_response(
 
 
 def _beside_resonances(lin: Linearization, f: Float[Array, "nf"]) -> Float[Array, "_"]:
-    """Return two frequencies beside each free vibration in the band, NEAR it and twice as far;
-    first all of the first kind."""
+    """Return frequencies [Hz] slightly above each resonance in the band: first all those above it
+    by the fraction NEAR, then all those by 2 NEAR. A resonance outside the band gives the nearer
+    limit of the band, twice."""
     nv = lin.M.shape[-1]
     own = jax.tree.map(lambda A: A[:nv, :nv], DynamicMatrices(*lin.whole, None, lin.massless))
     # without the conjugates

@@ -40,8 +40,8 @@ class RoadRoughness(eqx.Module):
 
     @classmethod
     def iso(cls, road_class: str) -> RoadRoughness:
-        """Return the geometric mean of a class, A (smooth) to H: 16e-6 m3 for A, each four times
-        the previous one. Error: BAD_CLASS."""
+        """Return the roughness of a road class, A (smooth) to H, at the geometric mean of its
+        limits: 16e-6 m3 for A, and four times as much for each next one. Error: BAD_CLASS."""
         if road_class not in tuple(CLASSES):
             raise JaxbodyError(
                 Problem(
@@ -66,7 +66,7 @@ class RoadRoughness(eqx.Module):
         )
 
     def __call__(self, n: Float[Array, "k"]) -> Float[Array, "k"]:
-        """Return Gd(n) [m3] at n [cycle/m]."""
+        """Return the density of displacement Gd(n) [m3] at spatial frequencies n [cycle/m]."""
         return self.level * (n / REFERENCE) ** -self.exponent
 
 

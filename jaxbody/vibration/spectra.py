@@ -115,7 +115,8 @@ class Density(Spectrum):
 
     @abstractmethod
     def at(self, x: Float[Array, "nf"]) -> Float[Array, "nf"]:
-        """Return the density in its own unit, at frequencies x in the measure of that unit."""
+        """Return the density in the unit in which it is stated, at frequencies x in the measure of
+        frequency of that unit: Hz, rad/s, cycle/m or rad/m."""
 
     def __call__(self, f):
         rate = (2 * jnp.pi if self.per.startswith("rad") else 1.0) / (
@@ -125,8 +126,8 @@ class Density(Spectrum):
 
 
 class PowerLaw(Density):
-    """S(x) = level (x/reference)^-exponent, with the frequency x as in the unit (Hz, rad/s, cycle/m
-    or rad/m): exponent 0 is white noise, 2 a road.
+    """A power spectral density S(x) = level (x/reference)^-exponent, with the frequency x as in the
+    unit (Hz, rad/s, cycle/m or rad/m): exponent 0 is white noise, 2 a road.
 
     Args:
         level: S at the reference frequency [unit]

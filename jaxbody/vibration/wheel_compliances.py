@@ -55,7 +55,7 @@ class WheelCompliance(Result):
 
 
 def wheel_compliance(lin: Linearization, wheel: Wheel) -> WheelCompliance:
-    """Compute how camber, toe and the center of a wheel change by loads, to first order about an
+    """Compute how camber, toe and the center of a wheel change under loads, to first order about an
     equilibrium.
 
         dr/dF = G K^-1 J',   G = dr/dDelta,

@@ -132,16 +132,16 @@ class View(Printed):
         webbrowser.open(Path(file.name).as_uri())
 
     def serve(self, *, port: int = 0, browser: bool = True) -> LiveView:
-        """Show it live in a browser, drawn by this process: sliders change mode, amplitude and
-        phase of modes while they vibrate, or the time of a motion. A file from `save` has only the
-        slider of time.
+        """Show the view live in a browser; this process computes the pictures. Sliders change the
+        mode, its amplitude and its phase while it vibrates, or the time of a motion. A file from
+        `save` has only the slider for time.
 
         Args:
             port: port of the server, which is reachable from this machine only; 0 takes a free one.
             browser: whether to open it in a browser; its `url` is printed with it.
 
-        `stop()` ends it; at the end of a script, `wait()` keeps it until Ctrl+C. Errors:
-        BAD_NUMBER, MISSING_EXTRA."""
+        Return the live view: `stop()` ends it; at the end of a script, `wait()` keeps it running
+        until Ctrl+C. Errors: BAD_NUMBER, MISSING_EXTRA."""
         with Problems() as problems:
             port = whole_number(port, "View.serve port", problems, least=0)
         live = LiveView(self.animation, self.camera, self.names, self.vibration, port)

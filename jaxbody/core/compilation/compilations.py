@@ -73,7 +73,7 @@ class CompileTimes:
         return sum(sum(times) for *times, _ in self.programs.values())
 
     def heard(self, event: str, seconds: float = 0.0, **data: str) -> None:
-        """Record an event of JAX.
+        """Record an event of compilation that JAX reports, and its duration in seconds.
 
         Only traces that become programs are counted. The trace of an inner function is part
         of that of the outer function; a program that is compiled and run during a trace is
@@ -245,8 +245,8 @@ class Compilations:
 
 
 def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, Any]:
-    """Return {place in the arguments: (shape, type) of an array, any other leaf itself, or the
-    structure of an argument}."""
+    """Describe arguments: return {path of a leaf: (shape, type) of an array, or any other leaf
+    itself}, and the tree structure of each argument under "the structure of <parameter>"."""
     places: dict[str, Any] = {}
     for name, arg in zip(parameters, args, strict=False):
         leaves, structure = jax.tree_util.tree_flatten_with_path(arg)

@@ -31,8 +31,8 @@ class Remainder:
 def separated(tree: Any) -> tuple[list[Any], Any, tuple[tuple[type, Any] | None, ...]]:
     """Split a tree into its arrays, its structure and its other leaves.
 
-    Other leaves stand with their types, as 1, 1.0 and True are equal; None stands in place of
-    arrays."""
+    Other leaves are listed with their types, because 1, 1.0 and True are equal, with None in place
+    of each array."""
     leaves, structure = jax.tree.flatten(tree)
     others = tuple(None if isinstance(leaf, ARRAYS) else (type(leaf), leaf) for leaf in leaves)
     return [leaf for leaf in leaves if isinstance(leaf, ARRAYS)], structure, others
@@ -131,8 +131,8 @@ def _compiled(
     options: Options | Callable[..., Options],
     compilations: Compilations | None = None,
 ) -> Any:
-    """Return the function, compiled once for each structure of its arguments with all in it that is
-    no array.
+    """Return the function, compiled once for each structure of its arguments and each set of
+    values in them that are not arrays.
 
     jax.jit takes arrays alone: the function is compiled as one of the arrays in its arguments,
     which returns the arrays of its result. What else is in a result is known when it is traced.

@@ -17,7 +17,7 @@ def late_names(
     renamed: dict[str, str] | None = None,
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package whose names are imported at their
-    first use; its stub says the same to editors and type checkers.
+    first use; its stub lists the same names for editors and type checkers.
 
     Args:
         package: "jaxbody.model.laws"

@@ -105,8 +105,8 @@ def computed_here(
     """Yield the results of function(tree, *rows), `width` rows at a time in order, computed in this
     process.
 
-    Arguments are those of `batch_of`. The program is that of workers, but not sent as data: the
-    numbers are the same, and callbacks are possible."""
+    Arguments are those of `batch_of`. The program is the one that workers run, so that the numbers
+    are the same; it is not serialized, so that it may contain callbacks."""
     apart, shared, rest = arrays_apart(function, tree)
     one, width = rows(0, 1), min(width, count)
 

@@ -100,9 +100,9 @@ def spring_of(
 ) -> Element | str:
     """Return the spring and damper of one of a body's joints, or the reason why there is none.
 
-    The angle of a turn follows from the poses only if it is the body's only turn, the coordinate of
-    a slide only if the body does not turn: from the displacement d on the parent, q_i = n*_i . d,
-    where n*_i . n_j is 1 for i = j, else 0.
+    The angle of a hinge follows from the poses only if no other joint of the body allows rotation,
+    the coordinate of a slide only if no joint does: q_i = n*_i . d, with d the displacement
+    relative to the parent, and n*_i . n_j = 1 for i = j, else 0.
     """
     at = (parent, on_parent.point(joint.at)), (body, joint.at)
     others_turn = any(other.kind != "slide" and other is not joint for other in joints)

@@ -145,7 +145,7 @@ class CompiledReader(FramesOfFile):
         )
 
     def leave_out_effects(self) -> None:
-        """List as left out what has an effect in MuJoCo and none in the model."""
+        """List, as left out, properties that have an effect in MuJoCo but none in the model."""
         effects = {
             "contact of geoms": (self.geom_contype != 0) | (self.geom_conaffinity != 0),
             "fluidshape of geoms": self.geom_fluid.any(-1),

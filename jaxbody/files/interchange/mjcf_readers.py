@@ -171,7 +171,7 @@ class MjcfReader(FramesOfFile):
         return place_of(a, self.degrees, self.sequence)
 
     def world(self) -> None:
-        """Collect all frames, with their joints and parts."""
+        """Read the bodies of the file: collect all frames, with their joints and masses."""
         if len(self.sequence) != 3 or set(self.sequence.lower()) - set("xyz"):
             raise JaxbodyError(
                 Problem(
@@ -343,7 +343,7 @@ class MjcfReader(FramesOfFile):
     def leave_out_attributes(
         self, a: Attributes, where: str, known: tuple[str, ...], owners: str
     ) -> None:
-        """List as left out the attributes that have an effect in MuJoCo and none in the model."""
+        """List, as left out, attributes that have an effect in MuJoCo but none in the model."""
         for name, value in a.values.items():
             if (
                 name == "range"

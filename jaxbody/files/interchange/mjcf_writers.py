@@ -186,8 +186,9 @@ class MjcfWriter:
         )
 
     def lines(self, name: str, joint: Joint, place: Place) -> list[tuple[str, Any, np.ndarray]]:
-        """Return the kind, axis (None for a free or ball joint) and point of each MJCF joint that
-        makes up `joint`, in the axes of the body; `place`: of the body on its parent."""
+        """Return the MJCF joints that make up `joint`: kind, axis (None for a free or ball joint)
+        and point of each, in the axes of the body. `place` is the pose of the body relative to its
+        parent."""
         back = place.inverse()
         at = np.zeros(3) if joint.at is None else back.point(np.asarray(joint.at))
         points: Any = [at] * joint.nv

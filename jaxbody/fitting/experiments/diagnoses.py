@@ -263,8 +263,8 @@ def _wrapped(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, unit: s
 
 
 def _aside(name: str, y: np.ndarray, p: np.ndarray, sensor: Sensor) -> Remarks:
-    """Yield a remark on a record with a constant offset; none for accelerometers, whose records may
-    lack gravity."""
+    """Yield a remark if a record differs from the prediction by a constant offset; none for
+    accelerometers, whose records may lack gravity."""
     off = (y - p)[np.isfinite(y) & np.isfinite(p)]
     if not off.size or isinstance(sensor, Accelerometer):
         return
@@ -307,9 +307,10 @@ def _of_numbers(
 
 
 def _turned(name: str, frequencies: np.ndarray, y: np.ndarray, p: np.ndarray) -> Remarks:
-    """Yield a remark on responses of another derivative, or with phases of another sign. Only
-    phases show the sign: an initial guess has its resonances at other frequencies, so that
-    magnitudes differ."""
+    """Yield a remark if a measured response seems to be another time derivative than the predicted
+    one, such as velocity in place of acceleration, or if its phases have the opposite sign, as in a
+    complex conjugate. The latter is judged without magnitudes, which differ because an initial
+    guess has its resonances at other frequencies."""
     if len(y) < 8 or not (np.abs(y) * np.abs(p)).all():
         return
     power = (

@@ -407,7 +407,7 @@ def _of_record(
 
 
 def _si(unit: str) -> str:
-    """Return the name of a sensor's unit as records spell it; several units stay unchanged."""
+    """Return a sensor's unit as it is written in records; several units stay unchanged."""
     return unit if "," in unit else parse(unit or "1", "unit").si
 
 

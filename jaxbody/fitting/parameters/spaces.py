@@ -175,7 +175,8 @@ class Space(eqx.Module):
         return np.concatenate(x), np.concatenate(slopes)
 
     def ended(self, u: np.ndarray) -> np.ndarray:
-        """Return the limit of its domain that each u is near, as a word; "" for the others."""
+        """Return for each component of u the limit of the domain that its parameter is close to,
+        "zero" or "one", or "" if it is close to none."""
         return np.concatenate([parameter.form.ended(u[own]) for parameter, own in self.parts])
 
 

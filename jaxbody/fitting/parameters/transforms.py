@@ -68,8 +68,8 @@ class Parametrization(eqx.Module):
         return np.full(self.size, -np.inf), np.full(self.size, np.inf)
 
     def ended(self, u: np.ndarray) -> np.ndarray:
-        """Return the limit of the domain that each u is near, as a word: "zero" for a value far
-        below the start; "" for the others."""
+        """Return for each u the limit of the domain that its number is close to, "zero" or "one",
+        or "" if it is close to none; a number far below the initial one is close to zero."""
         return np.full(u.shape, "")
 
 
@@ -79,7 +79,7 @@ class Elementwise(Parametrization):
 
     @abstractmethod
     def inverse(self, x: Any) -> np.ndarray:
-        """Return the u of a value, infinite at the limits of the domain and beyond."""
+        """Return the u that gives the value x; infinite at the limits of the domain and beyond."""
 
     @abstractmethod
     def slope(self, x: np.ndarray) -> np.ndarray:
@@ -92,7 +92,7 @@ class Elementwise(Parametrization):
 
 
 class Positive(Elementwise):
-    """x = x0 exp(u)."""
+    """A positive number x = x0 exp(u)."""
 
     def ended(self, u):
         return np.where(u < -FAR, "zero", "")
@@ -112,7 +112,7 @@ class Positive(Elementwise):
 
 
 class Shifted(Elementwise):
-    """x = x0 + s u, s one number or one for each of x."""
+    """A number of any value, x = x0 + s u, with one scale s, or one for each number in x."""
 
     scale: Float[Array, "..."]
 
@@ -129,7 +129,7 @@ class Shifted(Elementwise):
 
 
 class Fraction(Elementwise):
-    """x = x0 e^u/(1 + x0 (e^u - 1))."""
+    """A number from 0 to 1, x = x0 e^u/(1 + x0 (e^u - 1))."""
 
     def value(self, u):
         return 1 / (1 + (1 / self.start - 1) * module_of(u).exp(-u.reshape(self.start.shape)))
@@ -147,7 +147,7 @@ class Fraction(Elementwise):
 
 
 class Ordered(Parametrization):
-    """x_0 = x0_0 + s u_0, x_i - x_(i-1) = (x0_i - x0_(i-1)) exp(u_i)."""
+    """Increasing numbers: x_0 = x0_0 + s u_0, x_i - x_(i-1) = (x0_i - x0_(i-1)) exp(u_i)."""
 
     scale: Float[Array, ""]
 
@@ -179,7 +179,7 @@ class Ordered(Parametrization):
 
 
 class Definite(Parametrization):
-    """X = L(u) L(u)'."""
+    """A positive definite matrix X = L(u) L(u)', with a triangular matrix L."""
 
     def value(self, u):
         n = self.start.shape[0]
@@ -202,7 +202,8 @@ class Definite(Parametrization):
 
 
 class Inertia(Parametrization):
-    """About the center of mass I = tr(S) 1 - S, with S = sum of m x x' the second moment of mass.
+    """An inertia about the center of mass, I = tr(S) 1 - S, with S = sum of m x x' the second
+    moment of mass.
 
     S is definite if and only if I is the inertia of positive masses (P. Wensing, S. Kim, J.-J.
     Slotine, IEEE Robotics and Automation Letters 3 (2018) 60); its principal moments then satisfy
@@ -219,7 +220,7 @@ class Inertia(Parametrization):
 
 
 class Rotated(Parametrization):
-    """q = exp(u) q0."""
+    """A unit quaternion q = exp(u) q0, with the rotation vector u."""
 
     def value(self, u):
         return rotations.multiply(rotations.exp_quaternion(u), self.start)
@@ -229,7 +230,7 @@ class Rotated(Parametrization):
 
 
 class Direction(Parametrization):
-    """n = (n0 + B u)/|n0 + B u|, for each row of several."""
+    """A unit vector n = (n0 + B u)/|n0 + B u|, or several in rows."""
 
     def value(self, u):
         tilt = tilted if self.start.ndim == 1 else jax.vmap(tilted)

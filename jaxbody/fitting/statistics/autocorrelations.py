@@ -53,7 +53,8 @@ def most_lags(n: int) -> int:
 
 
 def chosen_order(r: np.ndarray) -> int:
-    """Return the order with the smallest n log(variance) + q log(n)."""
+    """Return the order q of the autoregression of residuals r that has the smallest n log(variance)
+    + q log(n), the Bayesian information criterion."""
     n = len(r)
     if most_lags(n) == 0 or not r.any():
         return 0

@@ -41,8 +41,8 @@ class Touching(Element):
         return self.stiffness * ramp_energy(-e, self.engagement)
 
     def dissipation(self, e, e_dot):
-        """Return R = 1/2 c_e e_dot^2 - 1/2 q^2/c_e, with q the part of the damper's pull that would
-        exceed P."""
+        """Return R = 1/2 c_e e_dot^2 - 1/2 q^2/c_e, with q the part of the damper's tension that
+        would exceed the contact's push P, so that the contact never pulls."""
         c, q = self._damper(e, e_dot)
         return 0.5 * c * e_dot**2 - 0.5 * jnp.where(c > 0, q**2 / jnp.where(c > 0, c, 1.0), 0.0)
 

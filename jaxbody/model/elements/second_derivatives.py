@@ -87,7 +87,7 @@ PairBlocks = dict[tuple[int, int], Block]  # for each pair (i, j) of an element'
 
 @singledispatch
 def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, PairBlocks]:
-    """Return gradient and Hessian of V by the displacements of the frames."""
+    """Return gradient and Hessian of V with respect to the displacements of the frames."""
     G, H = potential_derivatives(element, *frames)
     return tuple(jnp.split(G, len(frames))), _blocks(H)
 
@@ -248,13 +248,14 @@ def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Arr
 
 @singledispatch
 def dissipation_hessian(element: Element, *frames: Frame) -> PairBlocks:
-    """Return the Hessian of R by the velocities of the frames, in blocks."""
+    """Return the Hessian of R with respect to the velocities of the frames, one block for each pair
+    of frames."""
     return _blocks(damping_matrix(element, *frames))
 
 
 def damping_matrix(element: Element, *frames: Frame) -> Float[Array, "n n"]:
-    """Return the Hessian of R by the velocities of the frames: J' R'' J, with J the derivative of
-    e_dot by these velocities."""
+    """Return the Hessian of R with respect to the velocities of the frames: J' R'' J, with J the
+    derivative of e_dot with respect to these velocities."""
     e, e_dot = element.rates(*frames)
     n = 6 * len(frames)
 

@@ -64,7 +64,8 @@ class OfFrames(Element):
 
 
 class OwnEnergy(OfFrames):
-    """V(frames) of `Model(energies={...})`: frames have p, R and point(x)."""
+    """A potential energy V(frames) [J] written by the user, in `Model(energies={...})`; frames have
+    p, R and point(x)."""
 
     @staticmethod
     def seen(frame: Frame) -> Any:
@@ -78,8 +79,8 @@ class OwnEnergy(OfFrames):
 
 
 class OwnDissipation(OfFrames):
-    """R(frames) of `Model(dissipations={...})`: frames have p, R, v, w, point(x)
-    and velocity(x)."""
+    """A dissipation function R(frames) [W] written by the user, in `Model(dissipations={...})`;
+    frames have p, R, v, w, point(x) and velocity(x)."""
 
     @staticmethod
     def seen(frame: Frame) -> Any:

@@ -77,7 +77,7 @@ class AtRest(Motion):
 
 
 class Harmonic(Motion):
-    """Xi_i = a_i cos(2 pi f t + p_i).
+    """A harmonic motion of a support, Xi_i = a_i cos(2 pi f t + p_i).
 
     Args:
         frequency: f [Hz], one number or one per component

@@ -23,8 +23,8 @@ class Pulse(Signal):
     """The base class of pulses: amplitude f((t - start)/duration), with f defined from 0 to 1, zero
     before and after.
 
-    Of a pulse [m/s2], `motion(direction)` is the motion with this acceleration, and `samples()` a
-    record of it; `shock_spectrum` takes the pulse itself."""
+    For a pulse of acceleration [m/s2], `motion(direction)` returns the motion with this
+    acceleration, and `samples()` a record of it; `shock_spectrum` accepts the pulse itself."""
 
     amplitude: Float[Array, ""] = field("value", converter=device_array)
     duration: Float[Array, ""] = field("s", "positive", converter=device_array)

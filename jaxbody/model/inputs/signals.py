@@ -154,7 +154,7 @@ class Delayed(Signal):
 
 
 class Constant(Signal):
-    """A constant.
+    """A signal of constant value.
 
     >>> float(jb.signals.Constant(3.0)(jnp.array(1.0)))
     3.0
@@ -170,7 +170,8 @@ class Constant(Signal):
 
 
 class Sine(Signal):
-    """a cos(2 pi f t + p): `amplitude` a, a number or vector, `frequency` f [Hz], `phase` p [rad].
+    """A sinusoid a cos(2 pi f t + p): `amplitude` a, a number or vector, `frequency` f [Hz],
+    `phase` p [rad].
 
     >>> float(jb.signals.Sine(amplitude=2.0, frequency=1.0)(jnp.array(0.0)))
     2.0

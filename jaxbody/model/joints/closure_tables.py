@@ -79,7 +79,7 @@ def gaps_at(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n"
 def gaps_from(
     model: Model, rests: list[Pose], frames: Frame, q: Float[Array, "nq"]
 ) -> Float[Array, "n"]:
-    """Return c of all closures, for given poses as drawn (`rests`, see `drawn`)."""
+    """Return c of all closures, for given relative poses as drawn (`rests`, from `drawn`)."""
     values = each_closure(
         model,
         rests,
@@ -91,8 +91,9 @@ def gaps_from(
 
 
 def drawn(coordinates: Coordinates) -> list[Pose]:
-    """Return the pose of the second frame of each closure on the first as drawn, wherever the
-    supports are now, for each table of closures."""
+    """Return, for each table of closures, the poses of their second frames relative to their first
+    ones when bodies and supports are as drawn: in the poses that the user gave. The present poses
+    of supports have no effect."""
     model = coordinates.model
     coordinates = Coordinates(model)
     poses = drawn_poses(coordinates.supports, coordinates.bodies)
@@ -153,7 +154,7 @@ def slides(layout: Layout, q: Float[Array, "nq"]) -> Pose:
 
 
 def moving_slides(layout: Layout, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Frame:
-    """Return the same poses with their speeds."""
+    """Return the coordinates to which couplings can refer as frames: `slides` with their speeds."""
     speeds = as_slide(v[np.array([j for _, j in layout.coordinate_places.values()], int)]).p
     poses = slides(layout, q)
     return Frame(poses.p, poses.R, speeds, jnp.zeros_like(speeds))

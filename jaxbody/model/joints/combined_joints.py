@@ -24,8 +24,8 @@ STEPS = ("move", "turn")
 
 
 class Composite(Joint):
-    """Several motions without mass between them: q = displacements [m] and angles [rad] from the
-    reference pose, v = q'. Each motion moves the lines of those after it,
+    """A joint of several motions in series, without mass between them: q = displacements [m] and
+    angles [rad] from the reference pose, v = q'. Each motion also moves the axes of those after it,
 
         X = X_parent M_1(q_1) ... M_n(q_n) X_rest
 
@@ -159,8 +159,8 @@ class Series(Joint):
 
 
 class Translation(Series):
-    """Moving without turning: q is the displacement [m] of the body along the parent's x, y and z
-    from the reference pose.
+    """A joint that allows translation only: q is the displacement [m] of the body along the
+    parent's x, y and z from the reference pose.
 
     >>> jb.Translation("base").motions
     ('move along x', 'move along y', 'move along z')
@@ -232,7 +232,7 @@ class Combined(Joint):
 
 class Universal(Combined):
     """A universal joint: two crossed hinges through one point. q = the angles [rad] about `first`,
-    which stays with the parent, and about `second`, which the first turn carries along,
+    which is fixed in the parent, and about `second`, which rotates with the first,
 
         R = R_first(q_1) R_second(q_2) R_rest
 
@@ -283,8 +283,9 @@ class Universal(Combined):
 
 
 class Cylindrical(Combined):
-    """Sliding along a line and turning about it, independently, as a shaft in a plain bearing:
-    q = the displacement [m] and the angle [rad] from the reference pose.
+    """A cylindrical joint, in which the body slides along a line and rotates about it, like a
+    shaft in a plain bearing: q = the displacement [m] and the angle [rad] from the reference
+    pose.
 
     Args:
         parent: `world`, a support or a body
@@ -325,9 +326,9 @@ class Cylindrical(Combined):
 
 
 class Planar(Combined):
-    """Moving in a plane, as on a table: q = the displacements [m] of the body's reference point O
-    along `first` and `second` from the reference pose, and the angle [rad] about the normal first x
-    second through O.
+    """A planar joint, in which the body moves as on a table: q = the displacements [m] of its
+    reference point O along `first` and `second` from the reference pose, and the angle [rad] about
+    the normal first x second through O.
 
     Args:
         parent: `world`, a support or a body

@@ -101,8 +101,8 @@ class Joint(Described, eqx.Module):
 
 
 class Free(Joint):
-    """Six degrees of freedom: q = (position of O, unit quaternion), v = (velocity of O, angular
-    velocity), in the parent's axes.
+    """A free body, with six degrees of freedom: q = (position of O, unit quaternion), v = (velocity
+    of O, angular velocity), in the parent's axes.
 
     >>> jb.Free().parent
     'world'
@@ -135,7 +135,7 @@ class Free(Joint):
 
 
 class Fixed(Joint):
-    """No degree of freedom: the body keeps its reference pose on the parent.
+    """A rigid connection: the body keeps its reference pose relative to the parent.
 
     >>> jb.Fixed("base").nq
     0
@@ -155,8 +155,8 @@ class Fixed(Joint):
 
 
 class Guide(Joint):
-    """Sliding along a straight line: q is the displacement [m] from the reference pose along `axis`
-    (x, y, z or a direction, parent's frame).
+    """A prismatic joint, along which the body slides without rotation: q is the displacement [m]
+    from the reference pose along `axis` (x, y, z or a direction, parent's frame).
 
     >>> jb.Guide("base", axis="z").axis.tolist()
     [0.0, 0.0, 1.0]
@@ -181,9 +181,9 @@ class Guide(Joint):
 
 
 class Hinge(Joint):
-    """Turning about a line: q is the angle [rad] from the reference pose about `axis` (x, y, z or a
-    direction) through the point `at`, both in the parent's frame; without `at`, through the body's
-    reference point O.
+    """A hinge (revolute joint): q is the angle [rad] from the reference pose about `axis` (x, y, z
+    or a direction) through the point `at`, both in the parent's frame; without `at`, through the
+    body's reference point O.
 
     >>> model = jb.Model(
     ...     bodies={"arm": jb.Body(mass=1.0, inertia=[1, 1, 1], com=[1, 0, 0])},
@@ -214,8 +214,8 @@ class Hinge(Joint):
 
 
 class Ball(Joint):
-    """Turning about the point `at` (parent's frame; without it, the body's reference point O).
-    q = unit quaternion of the turn from the reference pose, v = angular velocity, in the
+    """A ball joint at the point `at` (parent's frame; without it, the body's reference point O).
+    q = unit quaternion of the rotation from the reference pose, v = angular velocity, in the
     parent's axes.
 
     >>> jb.Model(
@@ -258,8 +258,8 @@ def turned_about(at, R, rest: Pose) -> Pose:
 
 
 def arms(n: Float[Array, "nv 3"], at, parent: Pose, body: Pose) -> Float[Array, "nv 3"]:
-    """Return the velocity of the body's origin for unit turns about the directions n through
-    `at`."""
+    """Return the velocity of the body's origin per unit of angular velocity about each axis: of
+    direction n through `at`, a point of the parent; None: through the body's origin."""
     if at is None:
         return jnp.zeros_like(n)
     return cross(n, (body.p - parent.point(at))[None])

@@ -108,13 +108,13 @@ class Dahl(Hysteretic):
 
 
 class LuGre(Hysteretic):
-    """Friction of bristles with the mean deflection z, which stick, slide, and drag less the faster
-    they slide (Stribeck),
+    """Friction modeled by bristles with the mean deflection z, which stick or slide; their friction
+    decreases as the speed of sliding grows (Stribeck effect),
 
         F = sigma0 z + sigma1 z' + sigma2 e',   z' = e' - sigma0 |e'| z/g(e'),
         g = Fc + (Fs - Fc) exp(-(e'/vs)^2)
 
-    Of its work sigma0 z^2/2 is stored, the rest lost.
+    The stored energy is sigma0 z^2/2; all other work is dissipated.
 
     Args:
         stiffness: sigma0 of the bristles [N/m]

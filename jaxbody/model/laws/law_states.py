@@ -149,8 +149,8 @@ class Relaxed(Law):
         return self.law.beyond(x)
 
     def viscous(self, x: Number, x_dot: Number) -> Number:
-        """Return the part of the force that depends on a slow rate: the derivative of R(e', dy/de
-        e') by e'."""
+        """Return the part of the force that depends on the rate in slow motions, where y follows e:
+        the derivative of R(e', dy/de e') with respect to e'."""
         if not self.law.has_rows:
             return self.law.restoring_force(x, x_dot, self.z) - self.force(x)
         follows = self.law.configuration(self.law.sensitivity(x))

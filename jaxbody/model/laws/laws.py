@@ -91,7 +91,8 @@ def as_law(value: Any, where: str, problems: Problems) -> Law | None:
 
 
 class Linear(Law):
-    """F = k x,  U = k x^2/2. `coefficient` k, stiffness [N/m] or damping [N s/m]. Error: NEGATIVE.
+    """A linear law: F = k x,  U = k x^2/2. `coefficient` k, stiffness [N/m] or damping [N s/m].
+    Error: NEGATIVE.
 
     >>> float(jb.laws.Linear(200.0).force(jnp.array(0.1)))
     20.0
@@ -112,8 +113,9 @@ class Linear(Law):
 
 
 class Function(Law):
-    """Any JAX function x -> F. Each new function object is compiled again; a Law with array leaves
-    avoids that. The energy is a quadrature with twenty nodes, exact to rounding where F is smooth.
+    """A law given by any JAX function x -> F. Each new function object is compiled again; a Law
+    with array leaves avoids that. The energy is a quadrature with twenty nodes, exact to rounding
+    where F is smooth.
 
     >>> round(float(jb.laws.Function(lambda x: jnp.sinh(x)).potential(jnp.array(1.0))), 12)
     0.543080634815

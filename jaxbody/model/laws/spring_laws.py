@@ -16,8 +16,8 @@ ATMOSPHERE = 101325.0  # Pa
 
 
 class Polynomial(Law):
-    """F = c1 x + c2 x^2 + c3 x^3 + ..., U = c1 x^2/2 + c2 x^3/3 + ... `coefficients` c1, c2, ...
-    [N/m], [N/m2] ... Hardening where c3 > 0.
+    """A polynomial: F = c1 x + c2 x^2 + c3 x^3 + ..., U = c1 x^2/2 + c2 x^3/3 + ... `coefficients`
+    c1, c2, ... [N/m], [N/m2] ... Hardening where c3 > 0.
 
     >>> float(jb.laws.Polynomial([100.0, 0.0, 5.0]).force(jnp.array(2.0)))
     240.0
@@ -212,7 +212,8 @@ def _expm1_over(z):
 
 
 class Digressive(Law):
-    """F = c1 x + (c0 - c1) x/sqrt(1 + (x/x0)^2): slope c0 at rest, c1 at large x, the knee at x0.
+    """A digressive damper: F = c1 x + (c0 - c1) x/sqrt(1 + (x/x0)^2), with the slope c0 at rest, c1
+    at large x, and the knee at x0.
 
     Args:
         slow: c0 [N s/m]

@@ -74,7 +74,7 @@ def four_bar(
     of_rocker = np.arctan2(pin[1], pin[0] - ground)
 
     def bar(length: float, start: tuple[float, float], turned: float) -> Body:
-        """Return a uniform bar from `start`, turned from x by this angle [rad]."""
+        """Return a uniform bar from `start`, at an angle of `turned` [rad] from the x axis."""
         mass, half = density * length, turned / 2
         across, about = mass * length**2 / 12, mass * (SLENDER * length) ** 2 / 2
         return Body(

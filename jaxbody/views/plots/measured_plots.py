@@ -294,8 +294,8 @@ def _compared(
 def _columns(
     channel: Channel, part: int, readings: int, residuals: int
 ) -> tuple[list[int], list[int]]:
-    """Return the columns of readings and of residuals that belong to one part of a sensor, which
-    has one unit."""
+    """Return the column indices of the readings and of the residuals that belong to one part of a
+    sensor: the components with one unit."""
     each = residuals // channel.units
     last = readings if part == channel.units - 1 else (part + 1) * each
     return list(range(part * each, last)), list(range(part * each, (part + 1) * each))

@@ -159,8 +159,8 @@ def plot_equilibria(equilibria: Equilibria, *, ax: Any = None) -> Any:
 
 
 def plot_load_cases(cases: LoadCases, *, of: str = "elements", ax: Any = None) -> Any:
-    """Draw strokes and forces of the elements in every load case, and below them turns and moments
-    of elements that have these; one mark per case.
+    """Draw strokes and forces of the elements in every load case, and below them rotations and
+    moments of elements that have these; one mark per case.
 
     Args:
         cases: the load cases.

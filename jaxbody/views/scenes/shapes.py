@@ -108,7 +108,7 @@ class Shape:
     def sphere(
         cls, radius, *, center=(0, 0, 0), color: str | None = None, opacity: float = 1.0
     ) -> Shape:
-        """Make a ball.
+        """Make a sphere.
 
         Args:
             radius: its radius [m].
