@@ -249,7 +249,7 @@ class Equilibrium(Labeled, Result):
                     "none was found by raising the loads beyond load factor "
                     f"{float(self.load_factor):.4g} of 1, which this state carries; the smallest "
                     "eigenvalue of K, relative to the largest without loads, went from "
-                    f"{smallest[0]:.3g} to {last:.3g} (plots.load_path draws it)"
+                    f"{smallest[0]:.3g} to {last:.3g} (plots.plot_load_path draws it)"
                 )
             case Status.NO_EQUILIBRIUM | Status.LIMIT_POINT:
                 return "none was found by descent; report() says how much of the weights is carried"

@@ -387,7 +387,7 @@ def test_trajectories_have_derivatives_by_points_and_masses():
 
 @pytest.mark.long
 def test_the_derivative_of_the_projection_is_the_implicit_one():
-    """P fulfils c = 0 and M Delta + J' mu = 0: at a closed state its derivative is 1 - M^-1 J' (J
+    """P fulfills c = 0 and M Delta + J' mu = 0: at a closed state its derivative is 1 - M^-1 J' (J
     M^-1 J')^+ J for q, and for v too."""
     model = four_bar()
     loops, zero = ClosedLoops(model, ()), jnp.zeros(())

@@ -94,7 +94,9 @@ def plot_load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
             else ("by descent", "Its load path could not be started.")
         )
         raise JaxbodyError(
-            Problem("NO_PATH", "load_path.eq", f"was computed {how}", eq.path, "a load path", hint)
+            Problem(
+                "NO_PATH", "plot_load_path.eq", f"was computed {how}", eq.path, "a load path", hint
+            )
         )
     ax = axes_or_new(ax, 5.0, 3.4)
     factor, smallest = (np.asarray(x) for x in (eq.path.factor, eq.path.smallest))
