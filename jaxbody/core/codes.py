@@ -142,8 +142,8 @@ IS_DIRECTORY: a path is a directory -> give the path of a file in it
 JITTER: sampling is uneven -> give rate= if it was sampled evenly, or irregular=True
 LEFT_HANDED: three channels match the prediction only when mirrored -> check the signs and the order
     of the axes
-LIMIT_POINT: the load cannot be raised further: the stiffness vanishes there -> see plots.plot_load_path;
-    lower the load
+LIMIT_POINT: the load cannot be raised further: the stiffness vanishes there -> see
+    plots.plot_load_path; lower the load
 LISTED_TWICE: two patterns match the same path -> remove one pattern
 LOOK_ALIKE: two names look alike -> rename one
 LOOP: joints form a closed loop -> replace one joint of the loop by a closure, see jb.closures

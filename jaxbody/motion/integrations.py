@@ -222,8 +222,8 @@ def _check_for_gauss(model: Model) -> None:
 def _in_blocks(
     dynamics: Dynamics, times, tolerances, solver, controller, adjoint, dt0, max_steps
 ) -> dict[str, Any]:
-    """Return the options of diffeqsolve for `BlockAdjoint`, which contain the times and the first step;
-    steps end at kinks of motions and loads."""
+    """Return the options of diffeqsolve for `BlockAdjoint`, which contain the times and the first
+    step; steps end at kinks of motions and loads."""
     if controller is None:
         controller, more = _cut_at_kinks(dynamics, diffrax.PIDController(**tolerances))
         max_steps += more
