@@ -11,11 +11,11 @@ poses along Delta' and Xi'. Delta = 0 with Delta' = v is the state itself.
     motion            d/dt dL/dDelta' - dL/dDelta + dR/dDelta' = Q + H - J' lambda,   c'' = 0,
                       z' = f(e, e', z)
 
-y are the coordinates of elements with memory; | separates the blocks 11, 12 and 22. Q and H are
-the generalized forces of loads and of hysteresis, which have no potential, from their virtual
-power; C and K contain hysteresis by its tangent. c are the conditions of closures, J = dc/dDelta,
-lambda their multipliers, z the states of elements. Faster, structured forms of the same equations
-are in `mechanics`; tests compare them with this file.
+y are the coordinates of elements with memory; | separates the blocks 11, 12 and 22. Q and H are the
+generalized forces of loads and of hysteresis, which have no potential, from their virtual power; C
+and K contain the tangents of hysteresis. c are the conditions of closures, J = dc/dDelta, lambda
+their multipliers, z the states of elements. Faster, structured forms of the same equations are in
+`mechanics`; tests compare them with this file.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from jaxbody.model.preconditions import check_state
 from jaxbody.model.states import State
 from jaxbody.numerics.small_systems import saddle_point
 
-# T, V and R from the frames of a model whose laws with memory hold their states
+# T, V and R as functions of the frames; the laws with memory of the model contain their states z
 
 
 def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
@@ -72,7 +72,8 @@ def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
 
 
 def gravity_energy(model: Model, frames: Frame) -> Float[Array, ""]:
-    """Return the potential energy of the weights [J], the sum of -m g . C over the bodies."""
+    """Return the potential energy of the weights [J], the sum of -m g . C over the bodies, with C
+    the center of mass."""
     bodies = model.bodies.rows
     return -jnp.sum(
         bodies.mass * dot(frames[model.layout.first_body :].point(bodies.com), model.gravity[None])
@@ -88,7 +89,7 @@ def potential(model: Model, frames: Frame) -> Float[Array, ""]:
 
 
 def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
-    """Return R [W], the sum of R(e, e') over the elements."""
+    """Return the dissipation function R [W], the sum of R(e, e') over the elements."""
     return sum(
         (
             jnp.sum(e)
@@ -98,7 +99,7 @@ def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
     )
 
 
-# The same as functions of small motions about a state
+# T, V, R, L, c, Q and H as functions of small motions about a state
 
 
 def frames_at(
@@ -115,22 +116,24 @@ def frames_at(
 
 
 def T(model: Model, state: State, *small: Array) -> Float[Array, ""]:
-    """Return T for `small` = (Delta, Delta', Xi, Xi')."""
+    """Return the kinetic energy T [J] for `small` = (Delta, Delta', Xi, Xi')."""
     return kinetic(holding(model, state.z), frames_at(model, state, *small))
 
 
 def V(model: Model, state: State, *small: Array) -> Float[Array, ""]:
-    """Return V for `small` = (Delta, Delta', Xi, Xi'), of which the rates have no effect."""
+    """Return the potential energy V [J] for `small` = (Delta, Delta', Xi, Xi'), of which the rates
+    have no effect."""
     return potential(holding(model, state.z), frames_at(model, state, *small))
 
 
 def R(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, ""]:
-    """Return R for the rates z' of the element states and `small` = (Delta, Delta', Xi, Xi')."""
+    """Return the dissipation function R [W] for the rates z' of the element states and `small` =
+    (Delta, Delta', Xi, Xi')."""
     return rayleigh(apart(model, state.z, z_dot), frames_at(model, state, *small))
 
 
 def L(model: Model, state: State, *small: Array) -> Float[Array, ""]:
-    """Return T - V for `small` = (Delta, Delta', Xi, Xi'). Source: (12) of the paper."""
+    """Return L = T - V [J] for `small` = (Delta, Delta', Xi, Xi'). Source: (12) of the paper."""
     return T(model, state, *small) - V(model, state, *small)
 
 
@@ -161,8 +164,8 @@ def Q(
 
 
 def H(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, "nv"]:
-    """Return the generalized forces of elements with hysteresis as far as they have no potential: P
-    = -sum of (F - dV/de - dR/de') . e*."""
+    """Return the generalized forces of elements with hysteresis that follow from neither V nor R,
+    from their virtual power P = -sum of (F - dV/de - dR/de') . e*."""
     now, pairs = (
         frames_at(model, state, *small),
         zip(holding(model, state.z).elements, apart(model, state.z, z_dot).elements, strict=True),
@@ -199,8 +202,9 @@ def _by_virtual_power(
 
 
 def _without_potential(element: Any, *frames: Frame) -> Array:
-    """Return F - dV/de - dR/de' of an element, given as the pair (element whose states move, the
-    same element with given rates of its states)."""
+    """Return F - dV/de - dR/de', the part of the force of an element that follows from neither V
+    nor R. `element`: the pair (element with variable states, the same element with given rates of
+    its states)."""
     moving, known = element
     e, e_dot = moving.rates(*frames)
     return (
@@ -223,7 +227,8 @@ def _z_dot(model: Model, state: State, *small: Array) -> Array:
 
 
 def unbalanced(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv"]:
-    """Return dV/dDelta - Q - H at rest, zero at an equilibrium without closures."""
+    """Return the unbalanced generalized forces dV/dDelta - Q - H at rest [N, N m], which are zero
+    at an equilibrium without closures."""
     still, base = jnp.zeros_like(state.v), jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
     here = still, still, base, base
     forces = Q(model, state, loads, jnp.zeros((), still.dtype), *here) + H(
@@ -315,14 +320,14 @@ def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array
     return equations.solve(f, -bend)[0], z_dot, equations
 
 
-# The public functions: with defaults of the arguments, each compiled as a program
+# The public functions, which check their arguments and are compiled
 
 
 def kinetic_energy(
     model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
 ) -> Float[Array, ""]:
-    """Return T at q (+) Delta with the rates Delta', on supports displaced by Xi with the rate Xi'
-    [J]; see `lagrangian`. Source: (10), (11) of the paper.
+    """Return the kinetic energy T [J] at q (+) Delta with the rates Delta', on supports displaced
+    by Xi with the rate Xi'; see `lagrangian`. Source: (10), (11) of the paper.
 
     Args:
         delta: increments Delta of the coordinates [m, rad], by default 0
@@ -343,8 +348,8 @@ def kinetic_energy(
 def potential_energy(
     model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
 ) -> Float[Array, ""]:
-    """Return V at q (+) Delta, on supports displaced by Xi [J]; see `lagrangian`. The rates have no
-    effect. Source: (22), (60) of the paper.
+    """Return the potential energy V [J] at q (+) Delta, on supports displaced by Xi; see
+    `lagrangian`. The rates have no effect. Source: (22), (60) of the paper.
 
     Args:
         delta: increments Delta of the coordinates [m, rad], by default 0
@@ -365,8 +370,8 @@ def potential_energy(
 def dissipation(
     model: Model, state: State, delta=None, delta_dot=None, xi=None, xi_dot=None
 ) -> Float[Array, ""]:
-    """Return R [W], 1/2 c e'^2 for a linear damper; 2 R is the power dissipated by linear dampers.
-    See `lagrangian`.
+    """Return the dissipation function R [W], 1/2 c e'^2 for a linear damper; 2 R is the power that
+    linear dampers dissipate. See `lagrangian`.
 
     Args:
         delta: increments Delta of the coordinates [m, rad], by default 0
@@ -374,8 +379,8 @@ def dissipation(
         xi: displacements Xi of the supports [m, rad], by default 0
         xi_dot: their rates [m/s, rad/s], by default 0
 
-    In derivatives the rates of the states of elements are constant, so that -dR/dDelta' is the
-    force of dampers.
+    Derivatives treat the rates of the element states as constants, so that -dR/dDelta' is the
+    generalized force of the dampers.
 
     >>> model = jb.Model(
     ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0]

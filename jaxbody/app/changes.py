@@ -13,10 +13,12 @@ SECTIONS = ("bodies", "supports", "elements", "closures", "energies", "dissipati
 
 
 def set_value(document: Document, text: str) -> None:
-    """Set an entry by a text, "left.stiffness=30 N/mm": the name of a body, support, element or
-    closure and its entry, or an entry of another section, such as "motion.road.frequency" or
-    "records.run1.file". A name of the first kind may hold * and ?, as in file names: the entry is
-    set in all objects that match and have it. Errors: SYNTAX, UNKNOWN_NAME."""
+    """Set an entry of a document from a text such as "left.stiffness=30 N/mm".
+
+    The path before the equals sign names an entry of a body, support, element or closure, or of
+    another section, such as "motion.road.frequency" or "records.run1.file". The name of a body,
+    support, element or closure may contain * and ?, as in file names: the entry is set in all
+    objects that match and have it. Errors: SYNTAX, UNKNOWN_NAME."""
     path, sign, value = text.partition("=")
     name, *below = path.strip().split(".")
     if not sign or not (below or name == "gravity"):
@@ -66,7 +68,7 @@ def _put(table: Any, below: list[str], value: Any, text: str) -> None:
 
 
 def _value(text: str) -> Any:
-    """Return a text as a TOML value, or unchanged if it is none."""
+    """Return a text parsed as a TOML value, or unchanged if it is not one."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except ValueError:

@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.own_process:
         warnings.showwarning = lambda message, *_, **__: print(
             f"warning: {message}", file=sys.stderr
-        )  # without the line of code that warns
+        )  # without the line of code that issues the warning
     options.typed = shlex.join(["jaxbody", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         return options.run(options)

@@ -33,8 +33,8 @@ PRINTED = (
 
 
 def run(out: Path, seed: int) -> int:
-    """Run the demo (model, modes, motion, fit), with figures in the folder `out`; `seed`: of the
-    measurement noise. Return 0 if the fit agrees with the true stiffnesses, else 1. Error:
+    """Run the demo (model, modes, motion, fit) and write figures to the folder `out`; `seed`: seed
+    of the measurement noise. Return 0 if the fit agrees with the true stiffnesses, else 1. Error:
     NOT_SAVED, before anything is computed."""
     import jax
 
@@ -173,7 +173,8 @@ def model(l: float, m: float, g: float, k: float, kt: float) -> Any:
 
 
 def printed_K_tilde(k: float, kt: float, l: float) -> np.ndarray:
-    """Return K~ as given by (77) in the paper."""
+    """Return the matrix K~ of (77) in the paper: forces and moments on the plate for displacements
+    and rotations of the base [N/m, N, N m]."""
     K = np.zeros((6, 6))
     for i, j, _, entry in PRINTED:
         K[i, j] = k / 4 * entry(kt / k, l)
@@ -202,7 +203,8 @@ def compare_K_tilde(K_tilde: np.ndarray, k: float, kt: float, l: float) -> None:
 
 
 def compare_forces(linear: np.ndarray, exact: np.ndarray, k: float, l: float) -> None:
-    """Print the force due to a displaced base: linear, by the paper's (79), and exact."""
+    """Print the force on the plate due to a displaced base [N, N m]: linear, by the paper's (79),
+    and exact."""
     report(
         "The force due to a base displaced by 10 mm along x and turned by 20 mrad about "
         "z, by jax.grad of V:"

@@ -15,7 +15,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, check_known
 if TYPE_CHECKING:
     from jaxbody.files.studies.study_files import Study
 
-QUANTITIES = {  # sensors of motions along and about axes
+QUANTITIES = {  # sensors of motion along an axis and of rotation about it
     "displacement": ("Position", "Rotation"),
     "velocity": ("Velocity", "AngularVelocity"),
     "acceleration": ("Acceleration", "AngularAcceleration"),
@@ -45,7 +45,7 @@ class Outcome:
     draw: Callable[[], Any] | None = None  # draws the picture that --out saves
     series: Callable[[], Any] | None = None  # table of numbers that --out saves in all formats
     text: Callable[[], Any] | None = None  # table that --out saves as .csv only
-    space: Any = None  # of the free parameters, for --write
+    space: Any = None  # space of the free parameters, for --write
     trees: dict[str, Any] = attribute(default_factory=dict)  # model and experiments to write
     saved: bool = False  # whether the command itself has saved the results
     view: Callable[[], Any] | None = None  # shows the results in three dimensions
@@ -140,7 +140,7 @@ def _random(study: Study, options: argparse.Namespace) -> Outcome:
 def _load_cases(study: Study, options: argparse.Namespace) -> Outcome:
     from jaxbody.app import saved_results
 
-    if not options.case:  # possible in a report
+    if not options.case:  # a report does not require cases
         raise JaxbodyError(
             Problem(
                 "NO_DATA",
@@ -256,8 +256,8 @@ def _tune(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _report(study: Study, options: argparse.Namespace) -> Outcome:
-    """Write a report with a section for each part on the command line, and a response if inputs or
-    outputs are given."""
+    """Write a report with a section for each part named on the command line, and one for the
+    response if inputs or outputs are given."""
     import numpy as np
 
     path, results = options.out or options.file.with_suffix(".html"), {}
@@ -294,7 +294,7 @@ def _linear(study: Study) -> tuple[Any, list[str]]:
 def _ports(
     study: Study, options: argparse.Namespace, kind: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the inputs, motions of supports of this kind, and the outputs, by name."""
+    """Return the inputs, which are support motions of this kind, and the outputs, both by name."""
     return {text: jb.BaseMotion(*_place(text, "--input"), kind=kind) for text in options.input}, {
         text: study.sensors.get(text) or _sensor(text, options.quantity, study.model.element_names)
         for text in options.output

@@ -1,5 +1,5 @@
-"""Update of numbers in a model file: each in its place and in the unit used there. Comments and the
-order of entries are kept."""
+"""Update of numbers in a model file: each is replaced in its entry, in the unit used there.
+Comments and the order of entries are kept."""
 
 import json
 import math
@@ -21,7 +21,7 @@ from jaxbody.files.writers import json_of, numbers_of
 from jaxbody.fitting.parameters.spaces import Space, units_of
 from jaxbody.model.bodies import Body
 
-POINT = "point"  # last key of the path of the point of an end
+POINT = "point"  # last key of the path of an attachment point
 
 
 def update(path: Path, document: Document, space: Space, trees: dict[str, Any]) -> list[str]:
@@ -146,13 +146,13 @@ def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | No
 
 
 def _text(value: np.ndarray, unit: str, factor: float) -> str:
-    """Return numbers given in SI as text with a unit; `factor`: that of the unit to SI."""
+    """Return numbers given in SI as text with a unit; `factor`: the unit in SI units."""
     return f"{', '.join(repr(_number(x, factor)) for x in value.ravel().tolist())} {unit}"
 
 
 def _number(value: float, factor: float) -> float:
-    """Return the number that is read as exactly this value with a unit of this factor, if there is
-    one, else the nearest."""
+    """Return the number whose product with the factor of a unit is exactly `value` (SI), as it is
+    when the file is read; if there is no such number, the nearest."""
     near = value / factor
     around = (near, math.nextafter(near, math.inf), math.nextafter(near, -math.inf))
     return next((x for x in around if times(x, factor) == value), near)

@@ -1,5 +1,5 @@
-"""New model files to edit: a ready model with a motion, sensors, a design and, as comments,
-measured data; or the mounts of a mount table with a body on them."""
+"""New model files to edit: a ready model (`jaxbody.presets`) with a motion, sensors, a design and,
+as comments, measured data; or the mounts of a mount table with a body on them."""
 
 import dataclasses
 import json
@@ -60,8 +60,9 @@ ON_BASE = (
 
 @dataclasses.dataclass(frozen=True)
 class Start:
-    """What the file of a ready model measures, tunes and fits, as TOML text; `initial`: initial
-    state of an experiment without a moving support."""
+    """Parts of the file of a ready model, as TOML text: frequencies, sensors, parameters to fit and
+    a design to tune; `unit`: unit of the measured readings; `initial`: initial state of an
+    experiment without a moving support."""
 
     frequencies: str  # [Hz]
     sensors: str
@@ -291,5 +292,5 @@ def _text_of_model(model: jb.Model) -> str:
 
 
 def toml_key(name: str) -> str:
-    """Return a name as TOML writes it before "="."""
+    """Return a name as a TOML key, in quotes where TOML requires them."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)

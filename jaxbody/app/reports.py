@@ -26,7 +26,7 @@ from jaxbody.vibration.natural_modes import modes
 from jaxbody.views import plots
 from jaxbody.views.plots.plots_of_results import picture_of
 
-Pictures = Iterable[tuple[str, Any]]  # captions and axes; a caption without axes is a note
+Pictures = Iterable[tuple[str, Any]]  # (caption, axes); a caption without axes is printed as a note
 MOST_MODES = 6  # largest number of modes that are drawn
 MOST_RECORDS = 6  # largest number of records of a fit that are drawn
 LARGEST_DRAWING = 300_000  # largest size of a vector drawing [bytes]; others are drawn in pixels

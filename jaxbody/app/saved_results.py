@@ -1,5 +1,5 @@
-"""Results of a command, saved with --out: tables as text, Parquet or netCDF, a picture, or a page
-in three dimensions."""
+"""Results of a command, saved with --out: tables as text, Parquet or netCDF files; a picture; or a
+page with a view in three dimensions."""
 
 import csv
 import io

@@ -62,14 +62,14 @@ def checked_dict(things: Any, where: str, kind: str, problems: Problems) -> dict
 def whole_number(
     value: Any, where: str, problems: Problems, least: int = 1, code: str = "BAD_NUMBER"
 ) -> Any:
-    """Return a whole number, `least` or more; 1e5 counts as whole. Traced numbers are returned
-    unchanged.
+    """Return the value as an int if it is a whole number, `least` or more; 1e5 counts as whole.
+    Otherwise add a problem. Traced numbers are returned unchanged.
 
     Args:
         value: the argument.
         where: its place in the call, for messages.
         problems: collects the problem.
-        least: the least number allowed, which replaces a wrong one; 1 by default.
+        least: the smallest number allowed, returned in place of a wrong one; 1 by default.
         code: code of the problem.
     """
     if isinstance(value, Tracer):
@@ -88,9 +88,10 @@ def whole_number(
 
 
 def positive_number(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER") -> Any:
-    """Return one finite number above zero.
+    """Return the value if it is one finite number above zero.
 
-    None if it is not, with a problem added; a traced number is NaN if it is not."""
+    Otherwise return None, with a problem added. A traced number becomes NaN if it is not above
+    zero."""
     number = checked(value, ((),), where, problems)
     known = None if number is None else concrete(number)
     if known is not None and not known > 0:
@@ -107,7 +108,7 @@ def check_one_of(
     problems: Problems,
     hint: str = "Give one of these.",
 ) -> None:
-    """Check that a word is one of those that are known.
+    """Check that a word is one of the known words.
 
     Args:
         value: the argument.
@@ -161,7 +162,7 @@ def check_key(key: Any, where: str, problems: Problems, needed: str = "") -> Non
 
 
 def warn_of_degrees(angle: Any, where: str) -> None:
-    """Warn UNIT for an angle [rad] of more than one turn."""
+    """Issue the warning UNIT for an angle [rad] of more than one turn, which may be in degrees."""
     known = concrete(angle)
     if known is not None and (largest := float(np.abs(known).max(initial=0.0))) > 2 * np.pi:
         warn(
@@ -192,7 +193,7 @@ def check_kind(
 
 
 def is_own(part: Any) -> bool:
-    """Return whether a module is of a class that the user wrote, or holds a bare function."""
+    """Return whether an equinox module is of a class that the user wrote, or wraps a function."""
     return not type(part).__module__.startswith("jaxbody.") or type(part).__name__.endswith(
         "Function"
     )
@@ -215,7 +216,7 @@ def check_returned(
         shape: the shape that it must return.
         where: its place in the call, for messages.
         problems: collects the problems: NOT_TRACEABLE, FUNCTION_FAILED, BAD_SHAPE.
-        of: an argument, for the hint.
+        of: an example of its argument as text, for the hint.
     """
     returns = "one number" if shape == () else f"{shape[0]} numbers in one array"
     try:

@@ -14,13 +14,14 @@ from jaxtyping import Bool, Complex, Float, Inexact, Int, PRNGKeyArray  # noqa: 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.jax_internals import Tracer
 
-# in annotations: numbers that a user gave stay NumPy's, on no device, until something is computed
+# for annotations: numbers from the user stay NumPy arrays, on no device, until they are used in a
+# computation
 Array = jax.Array | np.ndarray
 
 
 def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
-    """Return a number, list, array or data frame as a float64 NumPy array; as a JAX array where
-    some of it is traced.
+    """Return a number, list, array or data frame as a float64 NumPy array, or as a JAX array if any
+    part of it is traced.
 
     With NumPy, building a model uses no device and does not depend on the x64 switch. Errors:
     COMPLEX, NOT_A_NUMBER."""
@@ -56,8 +57,8 @@ def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
 
 
 def _not_a_number(value: Any, kind: str) -> tuple[str, str]:
-    """Return which element of an array or list is no number, as text, and a hint; `kind` of NumPy's
-    type, "m" or "M" of durations or dates."""
+    """Return text that names the first element of an array or list that is not a number, and a hint
+    for the message. `kind`: the kind of NumPy's type, "m" for durations, "M" for dates."""
     hint = "Give a number, or a list or array of numbers."
     try:
         elements: Any = np.asarray(value, object)
@@ -120,7 +121,7 @@ def checked(
         shapes: the allowed shapes.
         where: its place in the call, for messages.
         problems: collects the problem.
-        hint: what to do about a wrong shape; by default the numbers that it must have.
+        hint: what to do about a wrong shape; by default how many numbers to give.
     """
     array = problems.gather(lambda: float_array(value, where))
     if array is None:
@@ -166,8 +167,8 @@ def device_array(value: Any) -> jax.Array:
 
 
 def functions_as_nodes(tree: Any) -> Any:
-    """Return the tree with each leaf that is a function, such as the activation of a network, as a
-    node that can be called."""
+    """Return the tree with each leaf that is a function, such as the activation of a network,
+    replaced by a pytree node that can be called."""
     return jax.tree.map(lambda leaf: jax.tree_util.Partial(leaf) if callable(leaf) else leaf, tree)
 
 
@@ -209,14 +210,14 @@ def concrete(value: Any) -> np.ndarray | None:
 
 
 def nan_unless(valid: Any, x: Any) -> jax.Array:
-    """Return x; where it is not valid NaN, with NaN as its derivative."""
+    """Return x where `valid` is True, else NaN with NaN as its derivative."""
     return x * jnp.where(valid, jnp.ones((), x.dtype), jnp.nan)
 
 
 @jax.custom_jvp
 def rows_or_nan(valid: Any, x: Any) -> jax.Array:
-    """Return x; where it is not valid NaN, with NaN as its derivative. Derivatives of valid rows
-    remain.
+    """Return x where `valid` is True, else NaN with NaN as its derivative. Derivatives of valid
+    rows remain.
 
     `nan_unless` would lose those in reverse mode, and `jnp.where` has derivatives of zero where x
     is not valid."""
@@ -265,8 +266,8 @@ def of_unit_length(rows: np.ndarray) -> np.ndarray:
 
 
 def time_text(t: Any, times: Any, digits: int = 6) -> str:
-    """Return a time [s] as text with `digits` digits besides those that all `times` share, as Unix
-    times do."""
+    """Return a time [s] as text, with `digits` digits after the leading digits that all `times`
+    have in common, such as those of Unix times."""
     known = np.asarray(times, float)
     known = known[np.isfinite(known)]
     shared = (
@@ -286,7 +287,8 @@ def check_times(
         problems: collects the problem.
         where: its place in the call, for messages.
         minimum: the least number of times.
-        kept: True: they must increase in the given precision; False: as JAX's arrays hold them.
+        kept: True: times must increase in the precision in which they are given; False: also after
+            conversion to JAX's float type, which is float32 where x64 is off.
     """
     times = problems.gather(lambda given=times: time_array(given, where))
     if times is None:

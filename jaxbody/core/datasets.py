@@ -36,8 +36,8 @@ class Labeled(ABC):
                 dimensions stand in the names of the columns, "position[car, z]". For a batch,
                 `sample` is the first level of the index.
 
-        `attrs["units"]` {column: unit}; "" where there is none. Errors: UNKNOWN_NAME, with the
-        dimensions; MISSING_EXTRA."""
+        The result has `attrs["units"]`, {column: unit}, "" for a column without a unit. Errors:
+        UNKNOWN_NAME, with the dimensions; MISSING_EXTRA."""
         import_extra("pandas", "to_pandas")
         return frame_of(self.to_xarray(), over or self.index, f"{type(self).__name__}.to_pandas")
 
@@ -98,13 +98,13 @@ def frame_of(data: Any, over: str, where: str) -> Any:
 
 
 def _unit(data: Any, array: Any, place: dict[str, int]) -> str:
-    """Return the unit of a column. The word `unit` in it stands for the value of the variable
-    `unit` at this place."""
+    """Return the unit of a column. The word `unit` in the units of an array stands for the value of
+    the variable `unit` at this place."""
     stated = array.attrs.get("units", "")
     if "unit" not in stated or "unit" not in data:
         return stated
     own = data["unit"].isel({dim: i for dim, i in place.items() if dim in data["unit"].dims}).values
-    if own.ndim:  # another one in each row
+    if own.ndim:  # the unit differs from row to row
         return stated
     return str(own) if stated == "unit" else stated.replace("unit", f"({own})")
 

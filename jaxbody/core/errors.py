@@ -15,7 +15,8 @@ from typing import Any
 from jaxbody.core.codes import CODES
 from jaxbody.core.progress_lines import clear
 
-# most failed samples that an error lists, and most problems, of which `problems` has all
+# most failed samples, and most problems, in the message of an error; its attribute `problems` has
+# all of them
 MOST_PROBLEMS, MOST_LINES = 20, 10
 EXTRAS = {
     "pandas": "xarray",
@@ -28,7 +29,7 @@ EXTRAS = {
 EXTRAS |= dict.fromkeys(("h5py", "nptdms", "pyarrow", "pyuff"), "files") | dict.fromkeys(
     ("imageio_ffmpeg", "trimesh", "viser"), "view"
 )
-# packages whose lines do not help a user
+# packages whose lines are not shown as the place of a warning
 SKIPPED = {"jaxbody", "equinox", "jax", "jaxtyping", "beartype", "contextlib", "functools"}
 
 
@@ -52,8 +53,8 @@ class Problem:
 
 
 class JaxbodyError(ValueError):
-    """The exception of jaxbody, with all `problems` of a call; the fields of the first are its
-    attributes. `jb.error_codes()` lists codes.
+    """The exception that jaxbody raises, with all `problems` of a call; the fields of the first
+    problem, such as `code`, are also its attributes. `jb.error_codes()` lists all codes.
 
     >>> jb.JaxbodyError(Problem("BAD_MASS", "plate", "has a mass of -3 kg")).code
     'BAD_MASS'
@@ -80,7 +81,7 @@ class JaxbodyError(ValueError):
 
 
 class JaxbodyWarning(UserWarning):
-    """The warning of jaxbody, with its `code`. To turn warnings into errors:
+    """The warning that jaxbody issues, with its `code`. To turn warnings into errors:
     `warnings.simplefilter("error", JaxbodyWarning)`.
 
     >>> jb.JaxbodyWarning("TINY_MASS", "mass of 'bolt' is tiny").code
@@ -226,7 +227,7 @@ def error_codes() -> str:
 
 
 def check_known(name: Any, where: str, known: Iterable[Any]) -> None:
-    """Raise UNKNOWN_NAME unless a name is one of those that are known."""
+    """Raise UNKNOWN_NAME unless a name is one of the known names."""
     if name not in (names := tuple(known)):
         raise JaxbodyError(unknown(name, where, names))
 

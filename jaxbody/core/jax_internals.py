@@ -1,14 +1,14 @@
 """Internal functions of JAX that jaxbody uses, with an alternative where a version lacks them;
 `lanes` has rules for operations by name.
 
-    trace_state_clean             whether a driver is called outside of other programs; without it
-                                  options are left out
+    trace_state_clean             whether a function is called outside of jit, grad and vmap;
+                                  without it compile options are left out
     ClosedJaxpr, Literal          programs and constants in them, which `lanes` rewrites; without
                                   `lanes` all batches are those of jax.vmap
     Primitive, primitive_jvps, primitive_transposes, deflinear2, primitive_batchers,
     register_lowering, lower_fun, core_call_lowering
                                   operations with rules of their own; custom_jvp and custom_vmap
-                                  are the way back, traced more often
+                                  are the alternative, but are traced more often
     Zero, instantiate_zeros       tangents that are known to be zero, in such rules
     dce_jaxpr, dce_rules          removes what results do not need; without them more is computed
 
@@ -43,8 +43,8 @@ __all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "instantiate_zeros"]  # u
 
 
 def outermost() -> bool:
-    """Return whether nothing is traced. False where JAX gives no answer: callers are then slower,
-    but correct."""
+    """Return whether no transformation of JAX (jit, grad, vmap) is tracing. False where JAX gives
+    no answer: callers are then slower, but correct."""
     try:
         from jax._src import core
 
@@ -54,13 +54,13 @@ def outermost() -> bool:
 
 
 def chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
-    """Return those of x that are chosen, in order."""
+    """Return the elements of x for which `which` is True, in order."""
     return [y for y, c in zip(x, which, strict=True) if c]
 
 
 def merged(which: Sequence[bool], given: Sequence[Any], others: Sequence[Any]) -> list[Any]:
-    """Return `given`, one after the other, in the places that are chosen, and `others` in
-    the rest."""
+    """Return a list with the elements of `given`, in order, where `which` is True, and those of
+    `others` elsewhere."""
     own = iter(given)
     return [next(own) if c else x for c, x in zip(which, others, strict=True)]
 
@@ -69,7 +69,7 @@ def merged(which: Sequence[bool], given: Sequence[Any], others: Sequence[Any]) -
 
 
 def jaxpr_as_fun(jaxpr: ClosedJaxpr) -> Callable[..., list[Any]]:
-    """Return the function that runs a program."""
+    """Return the function that runs a program (a jaxpr)."""
     return functools.partial(eval_jaxpr, jaxpr.jaxpr, jaxpr.consts)
 
 
@@ -231,8 +231,8 @@ def shaped(shape: tuple[int, ...], dtype: Any) -> ShapedArray:
 
 
 def without_manual_axes(arrays: Sequence[Any]) -> tuple[Sequence[Any], Callable[[Any], Any]]:
-    """Return the arrays without types that vary over the axes of a mesh, and the function with
-    which a result varies over them again."""
+    """Return the arrays with types that do not vary over the axes of a mesh, and a function that
+    makes the type of a result vary over them again."""
     axes = frozenset().union(*(_varying(jax.typeof(x)) for x in arrays))
     if not axes:
         return arrays, lambda x: x

@@ -1,5 +1,5 @@
-"""Functions that lower packages call and upper ones define, such as what draws a result or
-assembles closed loops. `jaxbody/__init__` registers them by name; they are imported at their first
+"""Functions that lower packages call and upper ones define, such as those that draw a result or
+assemble closed loops. `jaxbody/__init__` registers them by name; they are imported at their first
 use."""
 
 from __future__ import annotations

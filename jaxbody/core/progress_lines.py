@@ -64,7 +64,7 @@ class _Display:
 
 
 _displays: list[_Display] = []  # of all threads that compute; the last one is written
-_lock = threading.Lock()  # of the displays and what they write
+_lock = threading.Lock()  # guards the displays and their output
 _local = threading.local()  # the lines of this thread, outermost first
 
 
@@ -86,7 +86,7 @@ def screen() -> TextIO | None:
 
 @contextmanager
 def working(name: str, progress: bool | None = None) -> Iterator[Line]:
-    """Show a progress line during a `with` block, after five seconds, where progress is None.
+    """Show a progress line during a `with` block, after five seconds, if `progress` is None.
 
     False turns it off; so does True, because reports are then printed on lines of their own."""
     lines = _local.__dict__.setdefault("lines", [])

@@ -54,7 +54,7 @@ class Result(tables.Printed, eqx.Module):
         return self.report() if is_concrete(self.status) and np.any(self.status) else ""
 
     def message(self, details: Callable[[Any], str]) -> str:
-        """Return the same text as `report`, with details by another function than `explain`."""
+        """Return the text of `report`, with the details from `details` in place of `explain`."""
         if not is_concrete(self.status):
             return "traced"
         codes = np.asarray(self.status)
@@ -111,11 +111,11 @@ class Result(tables.Printed, eqx.Module):
 
 
 class OfOutputs(Labeled, Result):
-    """The base class of results with numbers of each of the `outputs`, in its unit;
-    `response["seat"]` is the `main` one."""
+    """The base class of results with values for each of the `outputs`, in its unit.
+    `response["seat"]` is the part for the output "seat" of the attribute whose name is `main`."""
 
     main: ClassVar[str]
-    word: ClassVar[str] = "response"  # for the result, where an output is unknown
+    word: ClassVar[str] = "response"  # what messages about an unknown output call the result
     outputs: tuple[str, ...] = eqx.field(static=True, kw_only=True)
     units: tuple[str, ...] = eqx.field(static=True, kw_only=True)
 
@@ -140,8 +140,8 @@ def finished(
 ) -> AnyResult:
     """Return the result, after a warning if it failed.
 
-    If it is traced there is no warning; its `parts` are then NaN, with NaN as their derivatives,
-    where `found` of its status is False."""
+    If it is traced there is no warning; the numbers in `parts(result)` are then NaN, with NaN as
+    their derivatives, where `found(status)` is False."""
     warn_if_failed(result)
     if is_concrete(result):
         return result

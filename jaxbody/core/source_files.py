@@ -115,8 +115,8 @@ def check_size(
 
 
 def extension_of(path: Path, *known: str, hint: str = "") -> str:
-    """Return the extension of a path in small letters, one of those known, such as ".toml". Error:
-    UNKNOWN_FORMAT."""
+    """Return the extension of a path in lower case, such as ".toml", which must be one of `known`.
+    Error: UNKNOWN_FORMAT."""
     extension = path.suffix.lower()
     if extension not in known:
         raise JaxbodyError(

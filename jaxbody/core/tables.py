@@ -18,7 +18,7 @@ from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.late_binding import handed_down
 
 MOST_ROWS = 400  # of a table that are printed
-ROUND_OFF = 1e-8  # shares below are not printed
+ROUND_OFF = 1e-8  # smaller shares are not printed
 
 
 @dataclass
@@ -33,8 +33,8 @@ class PrintedTable:
 
 
 class PlotMethod:
-    """`plot(*, ax=None, ...)` of a class: the function that draws it, with the object as
-    first argument."""
+    """The method `plot(*, ax=None, ...)` of a class of results: a descriptor that returns the
+    function that draws the object, with the object as its first argument."""
 
     def __get__(self, result: Any, kind: type) -> Callable[..., Any]:
         draw = handed_down("picture_of")(kind).draw
@@ -42,8 +42,8 @@ class PlotMethod:
 
 
 class Printed(ABC):
-    """An object that prints as tables. They are made of its arrays in NumPy, so that no program of
-    JAX runs."""
+    """An object that prints as tables. The tables are made from its arrays in NumPy, so that no
+    program of JAX runs."""
 
     plot = PlotMethod()
 
@@ -52,7 +52,7 @@ class Printed(ABC):
         """Return the tables that are printed."""
 
     def summary(self) -> str:
-        """Return the tables as text, as `print` shows them; where a class says so, with more."""
+        """Return the tables as text, as `print` shows them; some classes add more."""
         return repr(self)
 
     def __repr__(self) -> str:

@@ -44,7 +44,8 @@ class OfQuantities(Result):
 
 @dataclass(eq=False)
 class Program:
-    """All quantities and their derivatives at u, as one compiled program.
+    """All quantities and their derivatives at u, the vector of the free parameters, as one compiled
+    program.
 
     Args:
         space: the free parameters.
@@ -53,7 +54,7 @@ class Program:
         reverse: derivatives by reverse mode; None decides by the number of parameters.
         key: random key for stochastic objectives, otherwise None.
         progress: True prints every evaluation to stderr.
-        line: shows a progress line.
+        line: function that shows a progress line.
     """
 
     space: Space
@@ -107,8 +108,8 @@ class Program:
 def search_by_workers(
     program: Program, searches: list[Search], workers: Any, **options: Any
 ) -> list[Search]:
-    """Return the searches after workers have run them; a search that is lost ends without finite
-    values.
+    """Return the searches after workers have run them; a search whose worker is lost ends without
+    finite values.
 
     options: method, iterations and tolerance, as in `run`."""
     evaluate, reverse, where = program.evaluate, program.reverse, "tune.workers"
@@ -349,7 +350,7 @@ def limits_of(limits: dict[str, Any]) -> NamedLimits:
 
 
 def not_finite(program: Program, searches: Sequence[Search]) -> JaxbodyError:
-    """Return the error for searches none of which could begin: values that are not finite at the
+    """Return the error for the case that no search could begin: values that are not finite at the
     first start, or derivatives that are not finite where values are. Code: NONFINITE_START."""
     labels, rows, first = program.labels(), program.rows, searches[0]
     if any(rows.finite(search.values) for search in searches):

@@ -30,7 +30,7 @@ from jaxbody.design.tuners import tune
 from jaxbody.design.tuning_results import Tuning
 from jaxbody.model.models import Model
 
-SAME, NOTABLE = 1e-6, 1e-3  # differences relative to the range of an objective
+SAME, NOTABLE = 1e-6, 1e-3  # negligible and notable differences, relative to the objective's range
 
 
 class Front(Labeled, Result):

@@ -65,7 +65,7 @@ def minimize_by_ipopt(
             return [slopes[None], jacobian]
 
     class Values(Callback):
-        """f and c."""
+        """The values of f and c at u."""
 
         def eval(self, given):
             f, _, c, _ = at(np.asarray(given[0]).ravel())

@@ -333,8 +333,8 @@ def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Arr
     """Return the stroke [m] of an element, |static| + 3 rms, which is exceeded only 0.3 % of the
     time.
 
-    output: the deformation of the element in a random response; static: its static deformation [m].
-    Error: UNKNOWN_NAME.
+    output: name of the element's deformation in the random response `ride`; static: its static
+    deformation [m]. Error: UNKNOWN_NAME.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> road = {"road": jb.vibration.RoadRoughness.iso("C").at_speed(20.0)}

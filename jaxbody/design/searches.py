@@ -72,8 +72,8 @@ def one_thread() -> threadpool_limits:
 
 @dataclass
 class Search:
-    """One start between bounds, the best `u` reached from it with its `values` and `slopes`, and
-    the `history` of objective and violation.
+    """A search from one `start` between bounds: the best `u` reached, with its `values` and
+    `slopes`, and the `history` of objective and violation.
 
     Its problem is scaled: the objective by its `size` at the start, limited quantities by the sizes
     of their limits."""

@@ -68,7 +68,7 @@ def sweep(
         samples: number of points between low and high; None computes the grid.
         sampler: how scipy.stats.qmc spreads the samples: "sobol" (best with a power of two) or
             "latin" (hypercube).
-        key: scrambles the samples; None takes jax.random.key(0).
+        key: random key that scrambles the samples; None takes jax.random.key(0).
         chunk: number of models evaluated at a time, and with `workers` or `out` sent and stored at
             a time; None takes up to 1024 that fit in 1 GiB, and sends as many as take about two
             seconds.
@@ -77,7 +77,8 @@ def sweep(
             as Dask's `client.get_executor(pure=False)`. The numbers are the same.
         out: path of a Zarr store (needs jaxbody[cluster]), to which each chunk is written when it
             is done. The same call continues an interrupted one. The result is then read from the
-            store as it is used, over `design`, of which the last path varies fastest.
+            store as it is used; its dimension is `design`, along which the last path varies
+            fastest.
         chunks: numbers of the chunks that this call computes, such as range(i, n, k) for job i of
             k, with `chunk` and `out`; None: all.
         progress: None shows progress after five seconds on a terminal or in a notebook, False is

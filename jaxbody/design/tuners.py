@@ -90,16 +90,17 @@ def tune(
         max_iterations: largest number of iterations from each start; the number of steps
             with optax.
         tolerance: tolerance of the objective, relative to its value at the start.
-        reverse: derivatives by reverse mode; None uses forward mode for up to thirty free numbers.
+        reverse: True takes derivatives by reverse mode; None uses forward mode for up to thirty
+            free numbers.
         workers: None, a number of processes, or an executor, as in `sweep`, for several starts with
             a method of SciPy or ipopt; the numbers are the same.
         progress: None shows progress after five seconds, False is silent, True prints every
             evaluation to stderr.
 
     Stiffness, damping and mass vary by factors, orientations by rotations. If limits are violated,
-    the violation is minimized first. A trial that is not finite is a rejected step. Where
-    derivatives do not exist, as with equal natural frequencies, those of a nearby point are used;
-    smooth quantities (`objectives`) avoid this.
+    the violation is minimized first. A step to a design with values that are not finite is
+    rejected. Where derivatives do not exist, as with equal natural frequencies, those of a nearby
+    point are used; smooth quantities (`objectives`) avoid this.
 
     Errors: UNKNOWN_PATH, UNKNOWN_NAME, WRONG_KIND for a key, LISTED_TWICE, NOTHING_FREE,
     TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS,
@@ -267,8 +268,9 @@ def _check_options(method: Any, limits: dict[str, Any], catalogs: dict[int, Any]
 
 
 def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> list[Search]:
-    """Return searches from all combinations of neighboring values in the catalogues. Of more than
-    MOST_NEIGHBORS parameters, only those with two values at about the same distance try both."""
+    """Return searches from all combinations of neighboring values in the catalogues. If there are
+    more than MOST_NEIGHBORS parameters, both values are tried only for those where they are at
+    about the same distance."""
     places = [space.parts[i][1].start for i in catalogs]
     pairs = [
         _neighbors_of(catalog, best.u[at])

@@ -38,7 +38,8 @@ SUDDEN = 0.1  # smallest ratio of a jump to the derivative
 
 
 def discontinuous(g: np.ndarray) -> np.ndarray:
-    """Return whether a derivative jumps between the four points, which are along the first axis."""
+    """Return whether a derivative jumps, from its values g at the four OFFSETS, along the first
+    axis."""
     return np.isfinite(g).all(0) & (
         np.abs((g[2] - g[1]) - (g[3] - g[2]) - (g[1] - g[0])) > SUDDEN * np.abs(g).max(0)
     )

@@ -1,4 +1,4 @@
-"""Files of models, of studies and of others: text to checked SI numbers, to models and back."""
+"""Files of models, studies and other programs: text to checked SI numbers, to models and back."""
 
 from jaxbody.core.compilation.late_imports import late_names
 

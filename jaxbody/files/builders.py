@@ -1,5 +1,5 @@
-"""Builders: make objects of the checked values of a document with their constructors; problems of
-the constructors get the line numbers of the document."""
+"""Builders: make objects from the checked values of a document with their constructors; problems
+that the constructors report get the line numbers of the document."""
 
 from __future__ import annotations
 
@@ -88,7 +88,8 @@ class EntryBuilder(ABC):
 
     @abstractmethod
     def build(self) -> Any:
-        """Return what the entry states, built by constructors; problems are collected."""
+        """Build the object that the entry states, or the arguments of a function; problems are
+        collected."""
 
     def check_known(self, names: Iterable[str], known: Collection[str], *parts: str) -> None:
         """Add a problem for each of the `names` that is not among the `known` ones; `parts` are the
@@ -106,9 +107,9 @@ class Builder:
     ):
         self.document, self.values, self.folder, self.allow = document, values, folder, allow
         self.problems = Problems()
-        # for entries that can be checked only once a class of the user's own is imported
+        # for entries that can be checked only after a user-defined class is imported
         self.check = Check(document, self.problems)
-        self.with_own_joints: set[str] = set()  # bodies with joints of the user's own classes
+        self.with_own_joints: set[str] = set()  # bodies with joints of user-defined classes
         self.records: dict[str, Record | None] = {}  # each is read when first needed
         self.files: list[Path] = []  # paths of curves and records
 
@@ -128,16 +129,16 @@ class Builder:
             return self.problems.gather(lambda: Model(**parts), self.placed_in_model)
 
     def know_coordinates(self, joints: dict[str, Joint | None]) -> None:
-        """Add the units of the coordinates of joints of the user's own classes, once these joints
-        are built."""
+        """Add the units of the coordinates of joints of user-defined classes, once these joints are
+        built."""
         self.with_own_joints, self.check.own_joints = self.check.own_joints, set()
         for body in self.with_own_joints:
             joint = joints[body]
             self.check.coordinates |= by_name(body, joint.block(body).q_units) if joint else {}
 
     def thing(self, values: Any, kind: type | None, path: EntryPath, words: dict[str, str]) -> Any:
-        """Build an object of the class `kind`, or, where this is None, of the class that the entry
-        `type` names. Return None with problems."""
+        """Build an object of the class `kind`, or, if this is None, of the class that the entry
+        `type` names. Return None if there are problems."""
         kind = kind or TYPES.get(values["type"])
         if kind is None:
             kind = self.own(values["type"], path)
@@ -190,8 +191,8 @@ class Builder:
     def checked(
         self, values: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]
     ) -> Any:
-        """Check values that the check of the document left, because they depend on a class of the
-        user's own, and return them in SI; None with problems."""
+        """Check values that were not checked with the document, because they depend on a
+        user-defined class, and return them in SI; return None if there are problems."""
         before = len(self.problems.collected)
         values = self.check.value(values, node, path, words)
         return values if len(self.problems.collected) == before else None
@@ -207,8 +208,8 @@ class Builder:
         return self.thing(value, None, path, words) if isinstance(value, dict) else value
 
     def signal(self, value: Any, path: EntryPath, words: dict[str, str]) -> Any:
-        """Return three numbers, or a signal; a signal of samples is made of a channel of a
-        record."""
+        """Return three numbers, or a signal; a signal of the type "Samples" is made from a channel
+        of a record."""
         if not isinstance(value, dict) or value["type"] != "Samples":
             return self.thing(value, None, path, words) if isinstance(value, dict) else value
         unit = units.parse(words["value"], "signal").dimension
@@ -227,8 +228,8 @@ class Builder:
         )
 
     def of_record(self, value: dict[str, Any], path: EntryPath, make: Any) -> Any:
-        """Return `make(record, value)`, where the entry `record` of `value` names the record; None
-        with problems."""
+        """Return `make(record, value)`, where the entry `record` of `value` names the record;
+        return None if there are problems."""
         record = self.record(value["record"])
         return record and self.gather(path, value["type"], lambda: make(record, value))
 
@@ -255,8 +256,9 @@ class Builder:
         return record if record is None or "part" not in values else record.part(*values["part"])
 
     def _of_column(self, problem: Problem, values: dict[str, Any], path: EntryPath) -> Problem:
-        """Place a problem of reading a record at its line of the document. A missing unit is placed
-        at its column, with a hint of what to write there."""
+        """Return a problem of reading a record with its line of the document as location. For a
+        missing unit this is the line of the column, and the hint says how to state the unit
+        there."""
         names = [name for name in values["channels"] if problem.where.endswith(f"['{name}']")]
         of_time = problem.where.endswith(".times")
         if problem.code != "NO_UNIT" or not (names or of_time):
@@ -320,7 +322,8 @@ class Builder:
         return x
 
     def table(self, values: dict[str, Any], path: EntryPath) -> Any:
-        """Read the measured force curve in a file next to the document; None with problems."""
+        """Read a measured force curve from a file in the folder of the document; return None if
+        there are problems."""
         if "file" not in values or {"x", "forces"} & set(values):
             self.problems.add(
                 "MISSING_ENTRY",
@@ -334,8 +337,8 @@ class Builder:
         return file and self.gather((*path, "file"), "", lambda: Tabulated.read(file))
 
     def beside(self, name: str, path: EntryPath) -> Path | None:
-        """Return the path of a file in the folder of the document; None with a problem for a file
-        elsewhere."""
+        """Return the path of a file in the folder of the document; for a file elsewhere, add a
+        problem and return None."""
         if not (Path(name).is_absolute() or ".." in Path(name).parts):
             self.files.append(self.folder / name)
             return self.files[-1]
@@ -350,7 +353,7 @@ class Builder:
         return None
 
     def quantity(self, value: Any, unit: str, path: EntryPath) -> Any:
-        """Convert numbers to SI whose unit the schema cannot state."""
+        """Convert numbers whose unit the schema cannot state to SI."""
         return in_SI(value, unit, {}, self.check.system, self.document.where(path), self.problems)
 
     def unknown(self, name: str, known: Iterable[str], path: EntryPath) -> None:
@@ -371,7 +374,8 @@ class Builder:
             return self.problems.gather(make, lambda problem: self.placed(problem, path, kind))
 
     def own(self, name: str, path: EntryPath) -> type | None:
-        """Import a class of the user's own from an allowed module; None with a problem."""
+        """Import a user-defined class from an allowed module; if that fails, add a problem and
+        return None."""
         kind = self.own_object(name, path)
         bases = Element | Joint | Closure | Law | Load | Sensor | Signal
         if path[0] in ("energies", "dissipations"):
@@ -390,7 +394,8 @@ class Builder:
         return None
 
     def own_object(self, name: str, path: EntryPath) -> Any:
-        """Import the object "module:name" from an allowed module; None with a problem."""
+        """Import the object "module:name" from an allowed module; if that fails, add a problem and
+        return None."""
         module, _, attribute = name.partition(":")
         where = self.document.where((*path, "type"))
         if module not in self.allow:
@@ -414,7 +419,8 @@ class Builder:
         return named
 
     def placed(self, problem: Problem, path: EntryPath, kind: str) -> Problem:
-        """Place a problem of the constructor of a class `kind` at its line of the document."""
+        """Return a problem that the constructor of the class `kind` reports, with its line of the
+        document as location."""
         rest = problem.where.removeprefix(kind)
         entry = re.match(r"\.(\w+)", rest)
         if entry and (*path, entry[1]) in self.document.lines:
@@ -428,7 +434,8 @@ class Builder:
         )
 
     def placed_in_model(self, problem: Problem) -> Problem:
-        """Place a problem of the constructor of Model at its line of the document."""
+        """Return a problem that the constructor of Model reports, with its line of the document as
+        location."""
         place = PLACE.match(problem.where)
         path = tuple(filter(None, place.groups())) if place else ()
         rest = problem.where[place.end() :] if place else f" {problem.where}"
@@ -445,8 +452,8 @@ def in_words_of_files(text: str) -> str:
 
 
 def _made(kind: type, given: dict[str, Any]) -> Any:
-    """Call a constructor. That of a user's class may check nothing: its numbers are converted to
-    arrays and checked."""
+    """Call a constructor. As that of a user-defined class may check nothing, its numbers are
+    converted to arrays and checked here."""
     if kind in (*TYPES.values(), *CLOSURES, *PLAIN.values()):
         return kind(**given)
     numbers = {each.name for each in arguments_of(kind) if each.role == "number"}

@@ -18,7 +18,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.source_files import check_file, decoded, extension_of
 
 EntryPath = tuple[str | int, ...]  # path of an entry: ("elements", "AB", "a", 1)
-# types in files of earlier drafts, and the words for them now
+# {name of a type in files of earlier versions: its current name}
 EARLIER_TYPES = {"Stop": "BumpStop", "Table": "Tabulated", "Tilt": "Inclinometer"}
 DEEPEST = 20
 LARGEST = 2e7  # default of the largest size of a file [bytes]
@@ -48,7 +48,7 @@ class Document:
     name: str
     values: dict[str, Any]
     lines: dict[EntryPath, int] = field(default_factory=dict)
-    replaced: dict[EntryPath, str] = field(default_factory=dict)  # by `--set`
+    replaced: dict[EntryPath, str] = field(default_factory=dict)  # text of the option `--set`
 
     def where(self, path: EntryPath) -> str:
         """Return the place of an entry as text, such as "engine.toml:41 elements.AB.stiffness". The
@@ -85,7 +85,8 @@ def read_document(path: Path, largest: float = LARGEST) -> Document:
 
 
 def parse_document(text: str, name: str, kind: str = "toml") -> Document:
-    """Parse a text of the kind "toml" or "json"; `name` is the name of its file in messages."""
+    """Parse a text in the format `kind`, "toml" or "json"; `name` is the name of its file in
+    messages."""
     document = Document(name, {})
     text = text.replace("\r\n", "\n")
     with Problems() as problems:
@@ -110,7 +111,7 @@ def parse_document(text: str, name: str, kind: str = "toml") -> Document:
 
 
 def _with_current_types(value: Any) -> Any:
-    """Return a value of a document with the current words for types in it."""
+    """Return a value of a document with earlier names of types replaced by the current ones."""
     if isinstance(value, list):
         return [_with_current_types(each) for each in value]
     if not isinstance(value, dict):

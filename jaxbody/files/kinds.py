@@ -115,9 +115,9 @@ TYPES = {
     for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *PULSES, *LOADS, *INPUTS, *SENSORS, Sine)
 }
 CLOSURE_TYPES = {kind.__name__: kind for kind in CLOSURES}  # some share names with joints
-# objects made of channels of a record
+# objects made from channels of a record
 FROM_RECORDS = {"Sampled": Sampled, "base_motion": base_motion, "Samples": Samples}
-FIELDS: dict[tuple[type, str], str] = {  # fields that have another name than the argument
+FIELDS: dict[tuple[type, str], str] = {  # fields whose names differ from those of the arguments
     (Contact, "distance"): "free_length",
     (PointForce, "direction"): "axis",
 }
@@ -167,8 +167,8 @@ class Argument:
     """An argument of a class in a file, and the name of the field that holds it.
 
     `role`: number, own (number in the unit of a quantity or sensor), end (name and point), law,
-    signal, pulse, direction, of_input (direction, or turn about one), frame, element or coordinate
-    (their names), word, words, whole (integer) or flag (boolean)."""
+    signal, pulse, direction, of_input (direction, or rotation about one), frame, element or
+    coordinate (their names), word, words, whole (integer) or flag (boolean)."""
 
     name: str
     role: str
@@ -185,7 +185,7 @@ class Argument:
 
 
 def class_of(section: str, type_name: Any = None) -> type | None:
-    """Return the class of an object in a section; None for a class of the user's own."""
+    """Return the class of an object in a section; None for a user-defined class."""
     return PLAIN.get(section) or (CLOSURE_TYPES if section == "closures" else TYPES).get(type_name)
 
 

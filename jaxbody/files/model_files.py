@@ -16,9 +16,9 @@ from jaxbody.model.models import Model
 def read_model(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST) -> Model:
     """Read a model from a TOML or JSON file.
 
-    Numbers are texts with a unit, "21 N/mm"; if the file states `units`, numbers without a unit are
-    in that system. Entries have the names of the arguments of the constructors. All problems are
-    reported at once, each with its line. Nothing in the file is executed.
+    Numbers are written as text with a unit, "21 N/mm"; if the file states `units`, numbers without
+    a unit are in that system. Entries have the names of the arguments of the constructors. All
+    problems are reported at once, each with its line. Nothing in the file is executed.
 
     Args:
         path: path of the file, .toml or .json
@@ -55,8 +55,8 @@ def write_model(model: Model, path: Any, *, allow: Sequence[str] = ()) -> None:
     """Write a model to a TOML or JSON file, from which `read_model` reads exactly the same numbers.
 
     Args:
-        model: the model; the file replaces one of the same name
-        path: path of the file, .toml or .json
+        model: the model
+        path: path of the file, .toml or .json; a file of the same name is replaced
         allow: names of your modules whose elements, joints, closures and laws may be written
             by name
 

@@ -1,4 +1,4 @@
-"""Quantities in model files: numbers with a stated unit, to SI; units of the coordinates of joints.
+"""Quantities in model files: conversion of numbers with units to SI; units of joint coordinates.
 
     "21 N/mm"   "-2100, 700, 0 mm"   ["10 mm", "2 cm"]
     and, where the file states a unit system, 21e3
@@ -6,9 +6,9 @@
 Numbers without a unit are in the unit system of the file. If it states none, they are an error,
 unless they are zero or the quantity has no unit. A system may state both mass and force, such as
 "kg" and "N" with "mm": then stiffnesses are in N/mm, inertias in kg mm2. If it states only one of
-them, the unit of the other follows. If that is not kg or N (mm, N, s: tonnes), numbers in it are an
-error, as they are rarely intended; if it is the unit of mass, so are numbers for accelerations,
-such as gravity.
+them, the unit of the other follows. If that is not kg or N (with mm, N and s it is the tonne),
+numbers in it are an error, as they are rarely intended; if it is the unit of mass, so are numbers
+for accelerations, such as gravity.
 """
 
 import math
@@ -143,10 +143,10 @@ def in_SI(
         words: meaning of the words of the unit, such as {"force": "N"}
         system: unit system of numbers without a unit; None: they are an error
         where: place of the value, for messages
-        problems: problems are added to it
+        problems: collection to which problems are added
 
-    Errors: NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER. Warns UNIT for more than a turn
-    in rad."""
+    Errors: NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER. Warning: UNIT for more than one
+    turn in rad."""
     blocks = [[part.strip() for part in row.split(",")] for row in unit.split(";")]
     is_matrix = isinstance(value, list) and any(isinstance(row, list) for row in value)
     if not is_matrix and len(blocks) > 1:
@@ -234,8 +234,8 @@ def _of_number(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
 def _warn_of_degrees(
     numbers: list[float], dimension: units.Dimension, factor: float, where: str
 ) -> None:
-    """Warn UNIT for an angle of more than one turn in rad; angles in degrees are taken as
-    intended."""
+    """Issue the warning UNIT for an angle in rad of more than one turn, which may be meant in
+    degrees; angles stated in degrees are not checked."""
     largest = max(map(abs, numbers))
     if dimension == units.ANGLE and factor == 1.0 and largest > units.TURN:
         warn(
@@ -328,8 +328,8 @@ def words_of_coupling(values: dict[str, Any], units: dict[str, str]) -> dict[str
 
 
 def with_own_joints(values: dict[str, Any]) -> set[str]:
-    """Return the bodies of a document whose joints are of the user's own classes, whose coordinates
-    are not known before these are imported."""
+    """Return the bodies of a document with joints of user-defined classes; the coordinates of these
+    joints are unknown until the classes are imported."""
     return {
         body
         for body, joint in table_of(values, "joints").items()
@@ -343,6 +343,6 @@ def owner(path: Any) -> str:
 
 
 def table_of(values: dict[str, Any], section: str) -> dict[str, Any]:
-    """Return a section of a document; an empty one if it is missing or no table."""
+    """Return a section of a document; an empty one if it is missing or is not a table."""
     table = values.get(section)
     return table if isinstance(table, dict) else {}

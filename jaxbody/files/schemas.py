@@ -85,7 +85,7 @@ def _check_version(document: Document) -> None:
 
 
 class Check:
-    """A walk through the values of a document and the schema."""
+    """Check of the values of a document against the schema, entry by entry."""
 
     def __init__(self, document: Document, problems: Problems):
         self.document, self.problems = document, problems
@@ -222,8 +222,8 @@ class Check:
     def alternative(
         self, value: Any, node: dict[str, Any], path: EntryPath
     ) -> dict[str, Any] | None:
-        """Return the schema that applies to a value, of several alternatives; None with a problem,
-        and for a class of the user's own, which is checked once it is imported."""
+        """Return that of several alternative schemas that applies to a value. Return None if there
+        is a problem, or for a user-defined class, which is checked once it is imported."""
         options = [resolved(option) for option in node["oneOf"]]
         fitting = [option for option in options if accepts(option, value)]
         types = {
@@ -290,5 +290,5 @@ def _types(node: dict[str, Any]) -> list[str]:
 
 def _items(node: dict[str, Any], n: int) -> list[dict[str, Any]]:
     """Return the schemas of n items. Items beyond those that the schema states may be anything; the
-    constructor refuses them."""
+    constructor rejects them."""
     return [*node.get("prefixItems", []), *[node.get("items", ANYTHING)] * n][:n]

@@ -187,7 +187,7 @@ def _same(value: Any, default: Any) -> bool:
 
 
 def json_of(values: Any) -> str:
-    """Return the text of a JSON document, one entry a line."""
+    """Return the text of a JSON document, one entry per line."""
     return json.dumps(values, indent=1, ensure_ascii=False) + "\n"
 
 

@@ -3,7 +3,8 @@ a frequency or a response.
 
     v = G C G',    G = df/du
 
-to first order, with the covariance C of u and Student's t; or by random draws of u.
+v is the variance of a result f to first order, u are the transformed free parameters (`transforms`)
+and C is their covariance; bounds use Student's t. Alternatively, f is evaluated for random u.
 """
 
 from __future__ import annotations
@@ -147,8 +148,9 @@ def confidence_bands(
 
 
 def _drawn(fit: Fit, f: Callable, level: float, samples: int, key):
-    """Return standard deviation, lower and upper quantiles, and which numbers are finite, of f(u)
-    over random draws of u from its normal distribution. Error: UNDETERMINED."""
+    """Evaluate f(u) for random draws of u from its normal distribution. Return standard deviation,
+    lower and upper quantile of each number of f, and which numbers are finite. Error:
+    UNDETERMINED."""
     uncertainty = fit._assessed()
     if uncertainty.rank < len(fit.u):
         raise JaxbodyError(

@@ -1,5 +1,5 @@
-"""Checkpoints of a fit: files with the best parameters u so far, the noise levels, and the name of
-each number."""
+"""Checkpoints of a fit: files with the best transformed parameters u so far, the noise levels, and
+a name for each of these numbers."""
 
 from __future__ import annotations
 

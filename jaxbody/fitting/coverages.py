@@ -3,8 +3,8 @@ records.
 
     minimize |r(u) - r(u*) - e|^2 over u,    e normal and independent
 
-u* are the estimates of a fit. Each replicate has the residuals of a record that u* predicts, with
-new noise e.
+r are the residuals of a fit over the noise, u the transformed parameters (`transforms`), and u* the
+estimates, taken as the true values. Each replicate fits a record simulated with u* and new noise e.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from jaxbody.fitting.searches import solve
 from jaxbody.fitting.statistics.noises import ResidualSeries
 from jaxbody.fitting.statistics.uncertainties import assess, check_level, decomposed
 
-BATCH = 16  # replicates in one program
-CLOSE = 1e-6  # tolerance of the search in a replicate; `assessed` takes one more step
+BATCH = 16  # replicates computed together in one compiled program
+CLOSE = 1e-6  # tolerance of the search of a replicate; `assessed` takes one more step
 
 
 class Coverage(Result):
@@ -88,7 +88,7 @@ class Coverage(Result):
         )
 
     @property
-    @np.errstate(divide="ignore", invalid="ignore")  # of records without noise
+    @np.errstate(divide="ignore", invalid="ignore")  # records without noise have no deviation
     def bias(self) -> Float[np.ndarray, "n"]:
         return (
             (self.u[self.ok].mean(0) - self.truth) / self.deviation
@@ -133,10 +133,11 @@ def interval_coverage(
     """Compute how often the intervals of a fit would contain the true parameters if the model were
     right and its estimates the truth.
 
-    Records are simulated with the estimates and new white noise, of the stated level or else that
-    of the residuals. They are fitted from the estimates by the Levenberg-Marquardt method, with
-    noise levels and intervals estimated as in `fit`. Intervals that are too narrow, because the
-    problem is nonlinear or samples are few, contain the true value less often than `level`.
+    Records are simulated with the estimates and new white noise; its level is the stated one, or
+    else that of the residuals. Each record is fitted by the Levenberg-Marquardt method, which
+    starts from the estimates; noise levels and intervals are estimated as in `fit`. Intervals that
+    are too narrow, because the problem is nonlinear or samples are few, contain the true value less
+    often than `level`.
 
     Args:
         fit: the result of `fit`, with status OK.
@@ -157,8 +158,8 @@ def interval_coverage(
 
     Errors: UNDETERMINED for a fit with another status than OK, BAD_OPTION for one with a robust
     loss, TRACED, BAD_NUMBER, BAD_LEVEL, WRONG_KIND for a key, BAD_CHUNK, BAD_WORKERS, NOT_SENT,
-    OTHER_WORKER, OTHER_STORE, NOT_SAVED. Warns of replicates that do not converge, LOST and
-    INTERRUPTED; they do not count.
+    OTHER_WORKER, OTHER_STORE, NOT_SAVED. Warns of replicates that do not converge, are LOST or are
+    INTERRUPTED; these are not counted.
 
     >>> spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
     >>> model = jb.Model(
@@ -246,8 +247,8 @@ def interval_coverage(
 def _batch(
     fit: Fit, crew: Any, *, level: float, keys: np.ndarray, kind: Any, max_steps: int
 ) -> Any:
-    """Return the batch of replicates: a program fits them, NumPy computes their intervals in the
-    same process."""
+    """Return the batch of all replicates, for `crew` to compute: a compiled program fits them, and
+    NumPy computes their intervals in the same process."""
     records, space = records_of(fit.task.experiments), fit.task.space
     stated = {
         record.name: record.group.rsplit(" ", 1)[0]
@@ -338,10 +339,11 @@ def assessed(
     stated: dict[str, bool],
     level: float,
 ) -> dict[str, np.ndarray]:
-    """Compute estimates and intervals of replicates, in a worker process.
+    """Fit replicates by `program`, in a worker process; return {"u": estimates, "lower" and
+    "upper": ends of their intervals, "end": status}.
 
-    As in a fit, each group of records whose noise is not stated is weighted by its residuals; one
-    more step is taken with these weights."""
+    As in a fit, each group of records without stated noise is weighted by the inverse rms of its
+    residuals; one more Gauss-Newton step is taken with these weights."""
     ended = program(shared, rows)
     groups = _groups([record for record in records if not stated[record.name]])
     estimates = []

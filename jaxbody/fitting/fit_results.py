@@ -21,23 +21,24 @@ from jaxbody.fitting.statistics.uncertainties import Uncertainty, check_level
 from jaxbody.model.models import Model
 from jaxbody.suspension.suspensions import Suspension
 
-LEVEL = 0.95  # of the printed intervals
-FLAT = 1e-9  # slope of a number, relative to the largest slope of its leaf, that counts as zero
+LEVEL = 0.95  # confidence level of the printed intervals
+FLAT = 1e-9  # derivative of a number, relative to the largest in its leaf, that counts as zero
 
 
 class Fit(Labeled, Result):
     """Result of a fit: estimates, their uncertainty, residuals.
 
-    `model` and `experiments` contain the estimates, and `suspension` if one was fitted. By path:
-    `estimates`, `standard_errors` (infinite where the data do not determine a parameter),
-    `intervals(level)` and their `degrees_of_freedom`. `unidentified` lists combinations of
-    parameters that the data do not determine, `at_bound` the parameters at a bound. `covariance`
-    and `limits` are those of u, `singular_values` those of the Jacobian with scaled columns.
-    `predicted` {run: {sensor: array}}; `noise` {run: {sensor: rms residual}}, for a pose two
-    numbers, in meters and radians; `correlation`, the lag-one correlation of the residuals; `cost`
-    1/2 r'r; `history`, the cost of every evaluation; `rounds`, the evaluations after which the
-    noise was estimated again; `failed`, the number of trials that could not be simulated;
-    `remarks`, remedies.
+    `model` and `experiments` are those given, with the estimates in them; so is `suspension` if one
+    was fitted. Dictionaries by path, in SI units: `estimates`, `standard_errors` (infinite where
+    the data do not determine a parameter), `intervals(level)` and their `degrees_of_freedom`.
+    `unidentified` lists combinations of parameters that the data do not determine, `at_bound` the
+    parameters at a bound. `u` are the transformed parameters, zero at the initial guess;
+    `covariance` and `limits` (bounds) refer to u, `singular_values` to the Jacobian with scaled
+    columns. `predicted`: {run: {sensor: array}}; `noise`: {run: {sensor: rms residual}}, for a pose
+    two numbers, in meters and radians; `correlation`: lag-one correlation of the residuals; `cost`:
+    1/2 r'r; `history`: cost of every evaluation; `rounds`: evaluations after which the noise was
+    estimated again; `failed`: number of trials that could not be simulated; `remarks`: suggested
+    remedies.
 
     `status`: OK, FAR_OFF, NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED, AT_BOUND, NOISY_INPUT or
     INTERRUPTED. A batch keeps its leading axes; a fit inside jit or vmap has no standard errors.
@@ -75,7 +76,7 @@ class Fit(Labeled, Result):
 
     @property
     def estimates(self) -> dict[str, Array]:
-        """{path: value}."""
+        """Estimated values {path: value}, in SI units."""
         arrays = {"": arrays_of(self.model, self.suspension)} | {
             run: jax.tree.leaves(tree) for run, tree in self.experiments.items()
         }
@@ -99,7 +100,7 @@ class Fit(Labeled, Result):
 
     @property
     def standard_errors(self) -> dict[str, np.ndarray]:
-        """{path: standard error}, infinite where the data do not determine it."""
+        """Standard errors {path: array}, infinite where the data do not determine a parameter."""
         errors = self._assessed().standard_errors
         return {
             path: np.where(unknown, np.inf, errors[path])
@@ -138,8 +139,8 @@ class Fit(Labeled, Result):
 
     @property
     def degrees_of_freedom(self) -> dict[str, np.ndarray]:
-        """{path: degrees of freedom} of Student's t in the intervals: few for few samples or for
-        noise that is correlated over many samples."""
+        """Degrees of freedom {path: array} of Student's t in the intervals: few for few samples or
+        for noise that is correlated over many samples."""
         return freedoms_of(self.task.space, self._assessed())
 
     @property
@@ -152,8 +153,8 @@ class Fit(Labeled, Result):
 
     @property
     def unidentified(self) -> list[str]:
-        """Combinations of parameters that do not change the readings: "AB.stiffness up with
-        CD.stiffness down"."""
+        """Combinations of parameters whose change does not change the readings: "AB.stiffness up
+        with CD.stiffness down"."""
         return self._assessed().words
 
     @property

@@ -1,7 +1,9 @@
 """Fits of parameters to measurements: least squares with exact derivatives, by SciPy, optax or
 optimistix.
 
-r = (reading(u) - measured)/noise,    minimize 1/2 r'r over u
+    r = (reading(u) - measured)/noise,    minimize 1/2 r'r over u
+
+u are the free parameters, transformed to be zero at the initial guess (`transforms`).
 """
 
 from __future__ import annotations
@@ -58,10 +60,10 @@ from jaxbody.model.preconditions import check_precision
 from jaxbody.motion.simulations import check_steps
 from jaxbody.suspension.suspensions import Suspension
 
-# largest effect with which a parameter counts as ended at the limit of its domain, relative to the
-# residuals or the largest effect of any direction
+# effect on the residuals up to which a parameter near a limit of its domain counts as at the limit,
+# relative to the residuals or the largest effect of any direction of u
 SMALL = 1e-3
-ZERO = 2 * RANK  # the same for the part of its effect that other parameters cannot have
+ZERO = 2 * RANK  # the same for the part of the effect that other parameters cannot reproduce
 SHORT = 0.25  # shortest record, relative to the first natural period
 # largest number of times that the noise of each channel is estimated and the fit repeated
 ROUNDS = 5
@@ -90,8 +92,8 @@ def fit(
     """Estimate free parameters from measurements by least squares.
 
     Args:
-        model: the initial guess; the hard points of a `Suspension` are parameters by their names,
-            free=["lower outer"], in meters.
+        model: the initial guess; the hard points of a `Suspension`, in meters, can be freed by
+            their names, as in free=["lower outer"].
         experiments: {name: Experiment, MeasuredResponse, MeasuredModes, MeasuredStiffness
             or MeasuredCurves}.
         free: paths or patterns, of the model ("*.stiffness", "plate.mass", "AB.a") or of an
@@ -123,9 +125,9 @@ def fit(
     residuals and the fit is repeated. A trial that cannot be simulated is a rejected step. Ctrl-C
     ends the fit with the best estimates so far and status INTERRUPTED.
 
-    Constant steps are several times faster for many experiments in one batch, or for an input with
-    kinks at samples that coincide with steps. They do not control the error: compare with a
-    shorter dt0.
+    Constant integration steps are several times faster for many experiments in one batch, or for an
+    input with kinks at samples that coincide with steps. They do not control the error: compare
+    with a shorter dt0.
 
     Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART,
     BAD_TIE, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, BAD_DELAY,
@@ -137,8 +139,8 @@ def fit(
 
     Status FAR_OFF: the fitted model does not explain a record. Residuals exceed half of its
     variation and are not white noise, or the record agrees with the prediction only with another
-    sign, unit or channel; the report lists what `diagnose` finds. Of a search that did not converge
-    only the latter is FAR_OFF.
+    sign, unit or channel; the report lists what `diagnose` finds. A search that did not converge
+    has this status only in the second case.
 
     Status NOISY_INPUT: noise in the record of an imposed motion or load acts as a force that the
     model does not have, so that estimates are biased and intervals too narrow.
@@ -382,7 +384,7 @@ def _unexplained(
     ]
     other_than_offset = [
         [error for error in faults(errors) if error[0] != "OFFSET"] for errors in (start, fitted)
-    ]  # a unit makes one, too
+    ]  # a wrong unit causes an offset, too
     likely = next(
         filter(None, (*other_than_offset, faults(start), faults(fitted), start, fitted)), []
     )
@@ -393,7 +395,8 @@ def _unexplained(
 def _placed(
     space: Space, u: Float[Array, "n"]
 ) -> tuple[Model | Suspension, dict[str, Measurement], dict[str, Array]]:
-    """Return model or suspension and runs at u, and d values/du of each parameter."""
+    """Return the model or suspension and the runs at u, and the derivatives of the values of each
+    parameter with respect to u."""
     return *space.designed(u), jax.jacfwd(space.values)(u)
 
 

@@ -1,5 +1,5 @@
-"""Confidence intervals of estimates: Student's t in the coordinate u of a parameter, mapped to its
-values so that these stay physically possible.
+"""Confidence intervals of estimates: Student's t for the transformed parameter u, mapped to values
+of the parameter so that these stay physically possible.
 
     value(u - t s) to value(u + t s),    s the standard error of u, t the quantile for the degrees
                                          of freedom of s
@@ -46,8 +46,8 @@ def interval_of_u(u: np.ndarray, uncertainty: Uncertainty, level: float) -> Inte
 def intervals_of(
     space: Space, u: np.ndarray, values: dict[str, Any], uncertainty: Uncertainty, level: float
 ) -> dict[str, Interval]:
-    """Return {path: (lower, upper)}, arrays of the shape of the leaf; for the elements of a matrix
-    or a direction from their standard errors."""
+    """Return {path: (lower, upper)}, arrays of the shape of the leaf. Intervals of the elements of
+    a matrix or a direction are computed from their own standard errors."""
     low, high = interval_of_u(u, uncertainty, level)
     intervals = {}
     for (parameter, own), G in zip(space.parts, uncertainty.slopes, strict=True):

@@ -34,7 +34,7 @@ SAME = 1e-3
 # largest difference of costs (negative log-likelihoods) at which another optimum explains the data
 # about as well
 CLOSE = 2.0
-BATCH = 16  # starts in one program
+BATCH = 16  # starts computed together in one compiled program
 
 
 class Multistart(Result):
@@ -97,9 +97,9 @@ def multistart(
 ) -> Multistart:
     """Fit from several initial guesses, to find the global optimum and any other optima.
 
-    `fit` runs from the values of the model, then the Levenberg-Marquardt method from `starts` Sobol
-    points, with the noise estimated by the first fit, and last `fit` from the best result, if it is
-    another optimum. Only the first and last fits enforce the bounds.
+    The first fit starts from the values of the model. The Levenberg-Marquardt method then starts
+    from `starts` Sobol points, with the noise estimated by the first fit. If its best result is
+    another optimum, a last fit starts there. Only the first and last fits enforce the bounds.
 
     Args:
         model, experiments, free: as in `fit`.
@@ -151,7 +151,7 @@ def multistart(
         positive_number(spread, "multistart.spread", problems)
         chunks = checked_chunks("multistart", workers, out, chunks, problems, fixed=True)
     with working("multistart", progress) as line:
-        # about an optimum that may not be the best
+        # its warnings are about an optimum that may not be the best
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             first = fit(model, experiments, free=free, bounds=bounds, progress=progress, **options)
@@ -218,8 +218,8 @@ Ends = tuple[np.ndarray, ...]  # u, status and cost at the ends of searches
 def _searched_by_workers(
     task: Task, points: np.ndarray, max_steps: int, workers: Any, out: Any, chunks: Any, line: Line
 ) -> Ends:
-    """Return u, status and cost at the ends of all searches; searches that were not made have the
-    status LOST or INTERRUPTED."""
+    """Return u, status and cost at the ends of all searches; searches that were not carried out
+    have the status LOST or INTERRUPTED."""
     with crew_of(workers, "multistart.workers") as crew:
         batch = batch_of(**_search(task, points, max_steps), where="multistart", crew=crew)
         results, status = gathered(
@@ -237,8 +237,8 @@ def _searched_by_workers(
 
 
 def _search(task: Task, points: np.ndarray, max_steps: int) -> dict[str, Any]:
-    """Return the arguments of a batch of searches from these points, which gives u, status and cost
-    at the end of each."""
+    """Return the arguments of a batch of searches from these points; the batch gives u, status and
+    cost at the end of each search."""
 
     def search(task, points):
         def one(start):

@@ -1,13 +1,14 @@
-"""Noise in records of imposed motions and loads, which acts on the model alone: the measured
-readings do not follow the fast part of the record.
+"""Detection of noise in the records of imposed motions and loads: such noise appears in the
+predictions but not in the measured readings.
 
     h = prediction - prediction with smoothed records,    b = h'r/h'h
 
-r are the residuals, predicted minus measured; of both r and h second differences in time are taken.
-A motion that was really imposed is contained in the measured readings too, so that the fit leaves
-nothing like h in r: b = 0. Noise of the record is contained in the prediction alone: b = 1, a
-little more because smoothing leaves a part of it. It acts as a force that the model does not have,
-and least squares reduces its effect: estimates are biased, in long records by many standard errors.
+r are the residuals, predicted minus measured; r and h are second differences in time. If the fast
+part of the record was really imposed, it appears in the measured readings too, so that the
+residuals do not contain h: b = 0. If it is noise, it appears in the prediction alone: b = 1, or a
+little more because smoothing does not remove all of it. The noise acts as a force on the model but
+not on the real system, and least squares reduces its effect: estimates are biased, in long records
+by many standard errors.
 """
 
 from __future__ import annotations
@@ -25,13 +26,14 @@ from jaxbody.model.inputs.motions import Sampled
 from jaxbody.model.inputs.samples import curvatures, integrals
 from jaxbody.model.inputs.signals import Samples
 
-# of the differences that smoothing removes: sin^6(w h/2) of a wave, all of it at the highest
-# frequency, 0.02 at a third of it
+# order of the differences in time that are subtracted to smooth: with a sampling interval h, they
+# remove the share sin^6(w h/2) of a wave of angular frequency w: 1 at the highest frequency, 0.02
+# at a third of it
 ORDER = 6
-# limits of b for noise; errors of the model give any b, because sixth differences of slow motions
-# are small
+# range of b that indicates noise; errors of the model give any b, because sixth differences of slow
+# motions are small
 LEAST, MOST = 0.5, 3.0
-UNLIKELY = 1e-3  # probability that residuals without such noise are as similar to h in any run
+UNLIKELY = 1e-3  # probability of a false alarm in any run
 
 
 def noisy_inputs(task: Task, u: Float[Array, "n"], runs: ReadingsAndResiduals) -> list[str]:
@@ -53,7 +55,7 @@ def noisy_inputs(task: Task, u: Float[Array, "n"], runs: ReadingsAndResiduals) -
         name: _smoothed(experiments[name]) if name in driven else run
         for name, run in task.experiments.items()
     }
-    # the Jacobian is not needed, but this program is compiled
+    # the Jacobian is not needed, but this program is already compiled
     other = residual_and_jacobian(eqx.tree_at(lambda t: t.space.runs, task, smoothed), u)[2]
     limit, noisy = -ndtri(UNLIKELY / len(driven)), []
     for name in driven:
@@ -94,8 +96,8 @@ def _smoothed(experiment: Experiment) -> Experiment:
 
 
 def _smooth(record: Any) -> Any:
-    """Return the record without its fast part; if it was made from accelerations, from smoothed
-    accelerations."""
+    """Return the record without its fast part; a record that was integrated from accelerations is
+    integrated again from smoothed accelerations."""
     if isinstance(record, Sampled) and record.rough:
         t, x, m = (np.asarray(part) for part in (record.times, record.values, record.curvatures))
         y = _slow(m)

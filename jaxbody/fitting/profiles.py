@@ -3,9 +3,9 @@ from it, which may be skewed.
 
     tau(u) = sign(u - u0) sqrt(2 (cost(u) - cost(u0))/kappa),    |tau| <= t
 
-cost(u) is the least cost with this u fixed. With kappa = h s^2, where h is the curvature of the
-cost and s the standard error, tau is (u - u0)/s near the optimum for any noise model. t is the
-quantile of Student's t.
+u is the transformed parameter, u0 its estimate, and cost(u) the least cost with this u fixed. With
+kappa = h s^2, where h is the curvature of the cost and s the standard error, tau is (u - u0)/s near
+the optimum for any noise model. t is the quantile of Student's t.
 Source: D. Bates and D. Watts, Nonlinear Regression Analysis (1988), section 6.1.
 """
 
@@ -27,7 +27,7 @@ from jaxbody.fitting.residuals import residual_and_jacobian
 from jaxbody.fitting.searches import AT_BOUND, Evaluations, by_scipy
 from jaxbody.fitting.statistics.uncertainties import check_level, quantile
 
-STEPS = 4  # from the optimum to each end of the interval
+STEPS = 4  # intended number of steps from the optimum to each end of the interval
 GROWTH = 3.0  # largest ratio of a step to the one before
 ROBUST_STEP = 0.1  # step of differences for the curvature of a robust loss, in standard errors
 MAX_POINTS = 20  # on each side
@@ -176,14 +176,14 @@ def _place(fit: Fit, path: str) -> tuple[int, Any, str]:
 
 
 def _value(form, k: int, u) -> float:
-    """Return number k of a parameter if all its transformed variables have the value u; without
+    """Return number k of a parameter whose transformed variables all have the value u, without
     compiling a program."""
     return float(form.numbers(np.full(form.size, u))[0][k])
 
 
 class _ProfileSearch:
-    """Points along u_i from the optimum. The search for the other parameters begins at an
-    extrapolation of the last two points."""
+    """Search for points of the profile at increasing distances of u_i from its optimum. At each
+    point, the search for the other parameters starts from an extrapolation of the last two."""
 
     def __init__(self, fit: Fit, i: int, level: float):
         self.fit, self.i, uncertainty = fit, i, fit._assessed()

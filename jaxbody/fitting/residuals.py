@@ -1,5 +1,5 @@
-"""Residuals of all measurements over their noise as a function of the free parameters u, their
-Jacobian by colors, and estimates of the noise.
+"""Residuals of all measurements, divided by their noise, as a function of the transformed free
+parameters u; their Jacobian by colors; estimates of the noise.
 
     r(u) = (reading(u) - measured)/noise
 
@@ -78,7 +78,7 @@ def _parts(parameter: Parameter, run: Measurement) -> int:
 EXACT = 100
 # smallest effect of a parameter that is more than round-off, relative to integration errors
 LEAST_EFFECT = 1e-6
-VISIBLE = 10.0  # effect of a recommended start, relative to integration errors
+VISIBLE = 10.0  # effect of the start that TINY_START recommends, relative to integration errors
 # relative change of the ratio of two noise levels above which the fit is repeated
 PROPORTION = 0.01
 
@@ -103,7 +103,7 @@ class Task(eqx.Module):
 
     @property
     def priors(self) -> dict[str, tuple[Array, Array]]:
-        """{path: (mean, standard deviation)}."""
+        """Priors of the parameters, {path: (mean, standard deviation)}."""
         return {
             parameter.path: parameter.prior
             for parameter in self.space.parameters
@@ -172,8 +172,8 @@ class Task(eqx.Module):
         return self.losses(self.runs(u))
 
     def losses(self, runs: ReadingsAndResiduals) -> Float[Array, "m"]:
-        """Return all residuals in one vector, with the loss applied: sorted by name as jit sorts
-        dicts, those of priors last."""
+        """Return all residuals in one vector, with the loss applied: in order of the names, as jit
+        sorts dicts; those of priors are last."""
         r = jnp.concatenate(
             [
                 root(runs[run][1][name].ravel(), None if run == PRIORS else self.loss)
@@ -253,7 +253,7 @@ def shared_structure(experiments: dict[str, Measurement]) -> list[list[str]]:
     return list(groups.values())
 
 
-# of a channel without samples, or without residuals
+# a channel without samples has the rms 0/0
 @np.errstate(divide="ignore", invalid="ignore")
 def rms(channel: Channel, residuals: list, present: list) -> Array:
     """Return the root mean square over all records of a channel, one number for each of its
@@ -328,7 +328,7 @@ def residuals_of_means(experiments: dict[str, Measurement]) -> Levels:
     def of(experiment: Measurement, name: str) -> Array:
         measured = as_numpy(experiment.measured[name])
         xp, count = module_of(measured), (measured == measured).sum(0).astype(measured.dtype)
-        # a mean of nothing would warn
+        # the mean of an empty record would cause a warning
         mean = xp.nansum(measured, 0) / xp.where(count > 0, count, 1.0)
         return experiment.channels[name].residual(xp.broadcast_to(mean, measured.shape), measured)
 
@@ -370,7 +370,7 @@ def rms_residuals(task: Task, runs: ReadingsAndResiduals) -> Levels:
 
 
 def floor(task: Task) -> float:
-    """Return the norm of a column of the Jacobian up to which it is only integration error: an
+    """Return the norm up to which a column of the Jacobian contains only integration error: an
     error of rtol times the size of the model in every residual."""
     counts_and_levels = [
         (e.measured[name].size, task.noise[run][name])
@@ -382,7 +382,7 @@ def floor(task: Task) -> float:
 
 
 def integration_error(task: Task) -> float:
-    """Return an integration error of rtol times the size of the model."""
+    """Return the expected integration error, rtol times the size of the model [m]."""
     return float(task.integration.rtol) * float(size_of(task.space.model))
 
 
@@ -426,8 +426,8 @@ def check_start(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> None
 
 
 def _check_effects(task: Task, u: np.ndarray, silent: np.ndarray) -> None:
-    """Check that no positive parameter starts so small that integration errors hide its effect,
-    which grows with it. Error: TINY_START, with a size that was found to have an effect."""
+    """Check that no positive parameter starts so small that integration errors hide its effect.
+    Error: TINY_START, which recommends a larger start that has an effect."""
     space, hidden = task.space, floor(task)
     units = [
         unit

@@ -32,7 +32,7 @@ from jaxbody.fitting.residuals import (
 )
 from jaxbody.fitting.statistics.uncertainties import decomposed
 
-NEAR = 1e-4  # largest Gauss-Newton step in u from which Gauss-Newton steps finish the search
+NEAR = 1e-4  # length of the Gauss-Newton step in u below which such steps finish the search
 # norm of the part of the residual that the parameters can still reduce, relative to the whole
 CONVERGED = 1e-9
 SHORTER = 0.9  # largest ratio of a Gauss-Newton step to the step before it
@@ -48,7 +48,7 @@ FARTHEST = 0.7  # largest change of u for one unit of y: a factor of two for a p
 MAX_RESTARTS = 100
 MAX_INNER = 80
 PATIENCE = 25  # evaluations without an improvement
-FAILED = 1e6  # cost of a trial that cannot be simulated, where the expected decrease is 1/2
+FAILED = 1e6  # cost of a trial that cannot be simulated; the expected decrease is 1/2
 
 Bounds = tuple[np.ndarray, np.ndarray]
 
@@ -96,7 +96,7 @@ class Evaluations:
         with jax.disable_jit(False):
             r, J, auxiliary = self.function(device_array(u))
         r, J = np.asarray(r), np.asarray(J)
-        # a search would follow round-off
+        # without this, a search would follow round-off
         J = np.where(np.linalg.norm(J, axis=0) <= self.floor, 0.0, J)
         failed = not (np.isfinite(r).all() and np.isfinite(J).all())
         r = np.full_like(r, np.nan) if failed else r
@@ -249,8 +249,8 @@ def whitened(
 
 
 class WhitenedCoordinates(NamedTuple):
-    """u = origin + unwhiten y; costs are counted from |r0|^2/2 at the origin, in units
-    of size^2."""
+    """Whitened coordinates y, with u = origin + unwhiten y. Costs are relative to |r0|^2/2, the
+    cost at the origin, and in units of size^2."""
 
     origin: Float[Array, "n"]
     unwhiten: Float[Array, "n m"]
@@ -258,7 +258,8 @@ class WhitenedCoordinates(NamedTuple):
     size: Float[Array, ""]
 
     def value_and_gradient(self, r, J) -> tuple[Array, Array]:
-        """Return the cost, by (r - r0)'(r + r0)/2 without cancellation, and its gradient W'J'r."""
+        """Return the cost, computed as (r - r0)'(r + r0)/2 to avoid cancellation, and its gradient
+        W'J'r with W = `unwhiten`."""
         xp = module_of(r)
         failed = ~(xp.isfinite(r).all() & xp.isfinite(J).all())
         value, gradient = (
@@ -320,7 +321,7 @@ def by_optax(evaluate: Evaluations, task: Task, u, optimizer: Any) -> tuple[np.n
             return gauss_newton(evaluate, u, True, task.space.bounds)
         if evaluate.exhausted or reach < 1e-6:
             break
-        # of the distance to the linearized optimum that is one unit of y
+        # share of the distance to the linearized optimum that corresponds to one unit of y
         fraction = reach * min(1.0, FARTHEST / step)
         size = fraction * np.linalg.norm(projected)
         at = WhitenedCoordinates(u, V * (size / S), r0, np.asarray(size))

@@ -1,12 +1,12 @@
-"""Multiple shooting: a long or chaotic record is cut into segments, whose initial states are fitted
-too until the segments are continuous.
+"""Multiple shooting: a long or chaotic record is cut into segments, and their initial states are
+fitted together with the parameters until the segments are continuous.
 
     minimize 1/2 sum ((reading - measured)/noise)^2
              + 1/2 sum ((end of segment k - start of segment k+1)/(slack scale))^2
 
-The slack decreases to SLACKS[-1]. Within a segment the effect of a parameter error grows little, so
-the cost has few minima; once the segments are continuous, they are one simulation. Source:
-H. G. Bock, Recent advances in parameter identification techniques for O.D.E., Progress in
+The slack decreases to SLACKS[-1]. Within a short segment the effect of a parameter error grows
+little, so the cost has few minima; continuous segments are equal to one long simulation.
+Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E., Progress in
 Scientific Computing 2 (1983) 95.
 """
 
@@ -92,8 +92,8 @@ class Segments(Measurement):
         return {**self.whole.named(), "nodes": self.nodes}
 
     def moved_rows(self, path, channel):
-        """Return which rows depend on which initial states: readings in a segment on its own, a gap
-        on those of both its segments."""
+        """Return which rows depend on which initial states: readings depend on the initial state of
+        their segment, a gap on those of the segments on both sides."""
         depend_on_past = any(
             sensor.delay is not None or sensor.lag is not None
             for sensor in self.whole.sensors.values()
@@ -173,8 +173,8 @@ def multiple_shooting(
 
     Args:
         model, experiments, free: as in `fit`; the experiments are records in time.
-        segments: number of segments of each record, so large that a simulated motion stays near the
-            measured one within each.
+        segments: number of segments of each record, so large that the simulated motion stays near
+            the measured one within each segment.
         options: other options of `fit`.
 
     The initial states of the segments are fitted together with the parameters; the gaps between
@@ -221,7 +221,7 @@ def multiple_shooting(
         )
     patterns = [free] if isinstance(free, str) else list(free)
     with warnings.catch_warnings(), working("multiple shooting", options.get("progress")) as line:
-        warnings.simplefilter("ignore", JaxbodyWarning)  # of intermediate fits
+        warnings.simplefilter("ignore", JaxbodyWarning)  # those of intermediate fits
         line("initial states of the segments")
         joint: Any = None
         cut: dict[str, Any] = {

@@ -27,17 +27,18 @@ from jaxbody.fitting.parameters.spaces import Space
 from jaxbody.fitting.residuals import Levels, Task, options_of, residuals_of_means
 from jaxbody.fitting.statistics.autocorrelations import Whiteness, whiteness
 
-WHITE = 0.01  # p-value from which residuals are reported as white
+WHITE = 0.01  # p-value above which residuals are reported as white
 
 
 class Validation(Result):
-    """Residuals of a fitted model by component of each channel, as "run.channel[0]".
+    """Result of `validate`: residuals of a fitted model for each component of each channel.
 
-    `nrmse`; `rms` of the residuals in the unit of the channel; `excess`, its ratio to the noise
-    estimated by the fit; and `whiteness`, None for short records and for measurements that are no
-    time series. `experiments` contains the runs, `predicted` and `residuals` are {run: {channel:
-    array}}. `status` is NONFINITE if a run cannot be simulated with the fitted model; `failed`
-    gives the reasons."""
+    By component, such as "run.channel[0]": `nrmse`; `rms` of the residuals in the unit of the
+    channel; `excess`, the ratio of this rms to the noise estimated by the fit; and `whiteness`, a
+    test for white noise, None for short records and for measurements that are not time series.
+    `experiments` contains the runs, `predicted` and `residuals` are {run: {channel: array}}.
+    `status` is NONFINITE if a run cannot be simulated with the fitted model; `failed` gives the
+    reasons."""
 
     experiments: dict[str, Measurement]
     nrmse: dict[str, float]

@@ -1,15 +1,15 @@
 """Closures: joints and rods that close loops, as conditions c(X_A, X_B) = 0 on the poses of two
 frames, and couplings of two coordinates.
 
-The joints of a model form a tree; a closure joins two of its frames once more. With the points a
-and b, each in its own frame, and the rotation R of B on A from the reference pose, both in the axes
-of A:
+The joints of a model form a tree; a closure is an additional connection between two of its frames.
+With the points a and b, each in its own frame, and the rotation R of B on A from the reference
+pose, both in the axes of A:
 
     d = R_A' (x_b - x_a)
     R = R_A' R_B R_0',   R_0 = R_A' R_B in the reference pose
 
-so that in the reference pose as it is drawn R = 1, and the points need not meet: `assemble` moves
-them together.
+In the reference pose, as it is drawn, R is the identity and the points need not coincide:
+`assemble` moves them together.
 """
 
 import copy
@@ -65,7 +65,8 @@ class Closure(eqx.Module):
     @abstractmethod
     def gap(self, A: Pose, B: Pose, rest: Pose) -> Float[Array, "rows"]:
         """Return c, zero where the loop is closed: lengths [m], or sines of angles where a
-        description begins with "turn"; `rest` is the pose of B on A in the reference poses."""
+        description begins with "turn"; `rest` is the pose of B relative to A in the reference
+        pose."""
 
     def offset(self, A: Pose, B: Pose) -> Float[Array, "3"]:
         """Return d, from a to b in the axes of A."""
@@ -85,7 +86,7 @@ class AlongAxis(Closure):
 
 
 class Ball(Closure):
-    """The points a and b coincide: d = 0.
+    """A ball joint (spherical joint): points a and b coincide, d = 0.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
@@ -107,8 +108,8 @@ class Ball(Closure):
 
 
 class Hinge(AlongAxis):
-    """The points a and b coincide, and B turns on A about n alone: d = 0 and t . R n = 0 for the
-    two directions t across n.
+    """A hinge (revolute joint): points a and b coincide, and B turns relative to A about n only,
+    with d = 0 and t . R n = 0 for the two directions t across n.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
@@ -129,8 +130,8 @@ class Hinge(AlongAxis):
 
 
 class Guide(AlongAxis):
-    """B slides on A along n and does not turn: t . d = 0 for the two directions t across n,
-    and R = 1.
+    """A guide (prismatic joint): B slides on A along n and does not turn, with t . d = 0 for the
+    two directions t across n, and R = 1.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
@@ -150,8 +151,8 @@ class Guide(AlongAxis):
 
 
 class Inline(AlongAxis):
-    """The point b of B slides along the line through a of A, as the top of a strut does: t . d = 0
-    for the two directions t across n.
+    """A point on a line: the point b of B slides along the line through a of A in the direction n,
+    as the top of a strut does, with t . d = 0 for the two directions t across n.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
@@ -171,7 +172,8 @@ class Inline(AlongAxis):
 
 
 class Weld(Closure):
-    """B is fixed on A, turned as in the reference pose, with b at a: d = 0 and R = 1.
+    """A rigid connection: B is fixed on A with b at a and with the orientation of the reference
+    pose, with d = 0 and R = 1.
 
     Args:
         a, b: (name of a body, a support or `world`, point in its frame [m])
@@ -199,8 +201,8 @@ class Rod(Closure):
         a, b: (name of a body, a support or `world`, point in its frame [m])
         length: L [m]; None: the distance of the points in the reference pose
 
-    Errors: NOT_POSITIVE, BAD_END, SELF_SPRING, BAD_SHAPE, NON_FINITE; of the model ZERO_LENGTH
-    where that distance is zero.
+    Errors: NOT_POSITIVE, BAD_END, SELF_SPRING, BAD_SHAPE, NON_FINITE; when the model is built,
+    ZERO_LENGTH if that distance is zero.
 
     >>> jb.closures.Rod(("rack", [0, 0.2, 0]), ("upright", [0.15, 0, 0])).rows
     ('length',)
@@ -238,8 +240,8 @@ class Equation(Closure):
         function: from two poses to a number or a row of numbers
         between: the names of the two frames
 
-    Errors: BAD_END, SELF_SPRING; of the model NON_FINITE where the condition has no finite slopes
-    in the reference pose, as |x| at 0.
+    Errors: BAD_END, SELF_SPRING; when the model is built, NON_FINITE if the condition has no finite
+    derivatives in the reference pose, such as |x| at 0.
 
     A point at a distance of 2 m from another:
 
@@ -267,14 +269,14 @@ class Equation(Closure):
 
 
 class Coupling(Closure):
-    """A coordinate of a joint as a function of another, such as those of a rack and its pinion or
-    of two gears: x - f(y) = 0.
+    """A coupling of two joint coordinates, such as those of a rack and its pinion or of two gears:
+    x - f(y) = 0.
 
     Coordinates count from the reference pose, turns of any number included. They are named as in
     `suspension_curves`: "rack.q" for the one of a joint, "nut.q.0", "nut.q.1" for those of a joint
     with several (not the numbers of a quaternion). The forces act along the coordinates, between a
-    body and what carries it, as those of a drive in the joint: they are part of the reaction of the
-    joint.
+    body and the body or support that carries it, as the force of a drive in the joint does. They
+    are part of the reaction of the joint.
 
     Args:
         of: x, such as "rack.q"

@@ -13,9 +13,9 @@ from jaxbody.core import tables
 from jaxbody.core.jax_internals import Tracer
 from jaxbody.geometry.fields import kind_of, units_of, words_for
 
-MOST_NUMBERS = 7  # printed in a row; a longer one prints its range
-# printed text of another object, such as a network; a longer one is replaced by its number
-# of numbers
+MOST_NUMBERS = 7  # most numbers printed of a row; of a longer row the range is printed
+# longest text printed for another object, such as a network [characters]; in place of a longer one
+# the count of its numbers is printed
 LONGEST = 80
 MATRICES = ("definite", "symmetric", "inertia")
 
@@ -31,8 +31,9 @@ class Described:
         return self._described({})
 
     def _described(self, words: dict[str, str]) -> str:
-        """Return the text, with the words of units from the object that contains this one."""
-        # of a dataclass derived from this
+        """Return the text. `words`: {word: unit} for formulas of units such as "force/argument",
+        from the object that contains this one."""
+        # `self` is a dataclass derived from this class
         of_class = fields(self)  # pyright: ignore[reportArgumentType]
         values = {each.name: (getattr(self, each.name, None), each.default) for each in of_class}
         shown = {

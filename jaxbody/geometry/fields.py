@@ -30,8 +30,8 @@ DOMAINS = (
     "configuration",
     "speeds",
 )
-# as text, with the default code of the error; "symmetric" is "definite" without a condition
-# on signs
+# limit as text and default code of the error of each domain; "symmetric" is "definite" without a
+# condition on signs
 LIMITS = {
     "nonnegative": (">= 0", "NEGATIVE"),
     "positive": ("> 0", "NOT_POSITIVE"),
@@ -119,8 +119,8 @@ def field(
 
 
 def kind_of(owner: Any, name: str, words: dict[str, str] | None = None) -> Kind:
-    """Return the kind of an owner's field, with the words from the object that contains the
-    owner."""
+    """Return the kind of the field `name` of `owner`; `words`: {word: unit} for formulas of units,
+    from the object that contains the owner."""
     kind, _ = _stated(owner, name)
     domain, _, flag = kind.domain.partition(" unless ")
     if flag and getattr(owner, flag):

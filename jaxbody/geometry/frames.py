@@ -18,8 +18,8 @@ Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]
 
 
 class Pose(eqx.Module):
-    """Position p of a frame's origin and orientation R, frame to world; leading axes are rows of
-    a table."""
+    """The pose of a frame: position p of its origin in world axes [m] and rotation matrix R, frame
+    to world; leading axes are the rows of a table of frames."""
 
     p: Float[Array, "*n 3"]
     R: Float[Array, "*n 3 3"]
@@ -32,7 +32,7 @@ class Pose(eqx.Module):
         return self.p + rotate(self.R, a_B)
 
     def __matmul__(self, other: Pose) -> Pose:
-        """Return the pose in the world of `other`, which is given in this frame."""
+        """Return the pose, in world axes, of `other`, which is given relative to this frame."""
         return Pose(self.point(other.p), product(self.R, other.R))
 
     def inverse(self) -> Pose:
@@ -53,7 +53,8 @@ class Pose(eqx.Module):
 
 
 class Frame(Pose):
-    """A pose with its motion: velocity v of the origin and angular velocity w, in world axes."""
+    """A pose with its motion: velocity v of the origin [m/s] and angular velocity w [rad/s], in
+    world axes."""
 
     v: Float[Array, "*n 3"]
     w: Float[Array, "*n 3"]
@@ -81,10 +82,10 @@ class Frame(Pose):
 
 class Instant(Frame):
     """The frames of a model, or one of them, at time t [s], with the state of the model: the input
-    of loads and sensors. If sensors need them, also the accelerations a of the origins, the angular
-    accelerations alpha, and the force F and moment M about the origin, in world axes: for world and
-    supports those of bodies and elements on them, for a body those that it and all bodies carried
-    by it exert on its joint."""
+    of loads and sensors. If sensors need them, it has also the accelerations a of the origins, the
+    angular accelerations alpha, and the force F and moment M about the origin, in world axes: for
+    the world and supports those exerted by the bodies and elements attached to them, for a body
+    those that it and all bodies carried by it exert on its joint."""
 
     t: Float[Array, ""]
     state: Any = None
@@ -126,7 +127,7 @@ def _rows(x: Array, rows: Any) -> Array:
 
 
 def stack(frames: list[Frame]) -> Frame:
-    """Return one table with the rows of several."""
+    """Return one table of frames with the rows of several tables."""
     if len(frames) == 1:
         return frames[0]
     return Frame(

@@ -3,8 +3,8 @@ zero rotation.
 
 A rotation vector is phi, theta = |phi|; a quaternion is (w, x, y, z). Near theta = 0 every
 coefficient is a power series in theta^2, because `where(theta < tiny, 1, sin(theta) / theta)`
-has wrong second derivatives for rotations of 1e-11 to 1e-8. All are jitted for the reason given
-in geometry/vectors.py.
+has wrong second derivatives for rotations of 1e-11 to 1e-8. All functions are jitted, for the
+reason given in geometry/vectors.py.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ COTC = [b / factorial(2 * n + 2) for n, b in enumerate(BERNOULLI)]
 
 
 def _branches(x: Array, limit: float = 1.0) -> tuple[Array, Array, Array, Array]:
-    """Return where x = t^2 is below the limit, so that a power series is used; x there, else 0; and
-    x and t elsewhere, else 1."""
+    """Return, for x = t^2: whether x is below the limit, so that a power series is used; x if it
+    is, else 0; and x and t if it is not, else 1."""
     small = x < limit
     far = jnp.where(small, 1.0, x)
     return small, jnp.where(small, x, 0.0), far, jnp.sqrt(far)

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 
 from jaxbody.core.arrays import Array, Float
 
-# below, the fifth power of 1/sqrt x in higher derivatives would overflow, and inf * 0 is NaN
+# squared length that counts as zero: below it the fifth power of 1/sqrt x in higher derivatives
+# would overflow, and inf * 0 is NaN
 NOTHING = 1e-80
 
 
@@ -59,8 +60,8 @@ def product(A: Float[Array, "*#n 3 3"], B: Float[Array, "*#n 3 3"]) -> Float[Arr
 
 @jax.jit
 def axial(A: Float[Array, "3 3"]) -> Float[Array, "3"]:
-    """Return a of the skew part [a] of a matrix: for a rotation, its axis times the sine of its
-    angle."""
+    """Return the vector a of the skew part [a] of a matrix: for a rotation, its axis times the sine
+    of its angle."""
     return jnp.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]]) / 2
 
 

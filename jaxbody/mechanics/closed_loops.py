@@ -215,7 +215,7 @@ class ClosedLoops(JointedBodies):
     def _rates(
         self, frames: Frame, q: Float[Array, "nq"], v: Float[Array, "nv"]
     ) -> Float[Array, "n"]:
-        """Return c'."""
+        """Return c', the rates of the conditions of all closures."""
         return jnp.concatenate(
             each_closure(
                 self.model,
@@ -242,7 +242,7 @@ class ClosedLoops(JointedBodies):
         )
 
     def projected(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
-        """Return P(t, y)."""
+        """Return the projection P(t, y) of the state onto the closures."""
         q, v, _ = self.model.layout.split(y)
         frames, axes = self.coordinates.frames_and_axes(
             q, v, self.coordinates.supports_moving(self.motions, t)
@@ -254,8 +254,8 @@ class ClosedLoops(JointedBodies):
     def closer(
         self, t: Float[Array, ""], y: Float[Array, "ny"], saddle: SaddlePoint
     ) -> Float[Array, "ny"]:
-        """Return P(t, y) with the equations [M J'; J 0] of y; NaN where the steps do not converge
-        to the closures."""
+        """Return the projection P(t, y), computed with the equations `saddle`, [M J'; J 0] at y;
+        NaN where the steps do not converge to the closures."""
         q, v, z = self.model.layout.split(y)
         supports, still = self.coordinates.supports_moving(self.motions, t), jnp.zeros_like(v)
 
@@ -280,7 +280,7 @@ class ClosedLoops(JointedBodies):
         return jnp.where(closing.left > CLOSED, Status.NOT_CLOSED.value, code)
 
     def begun(self, t: Float[Array, ""], state: State) -> tuple[State, Closing]:
-        """Return the state on the closures next to the given one, and the distance of the given one
+        """Return the nearest state that fulfills the closures, and the distance of the given state
         from them."""
         supports = self.coordinates.supports_moving(self.motions, t)
         before = gaps_from(

@@ -5,11 +5,11 @@ A configuration is found by Gauss-Newton steps
 
     q <- q (+) -F_q^+ F(q)
 
-with the least squares inverse F_q^+, so that redundant conditions, such as those out of the plane
-of a planar linkage, do no harm. These steps are differentiated one by one, because the result
-depends on the whole movement where freedoms are left. They are followed by a few steps with a fixed
-inverse, the last one; each of these makes the derivatives of one more order exact, in forward and
-reverse mode.
+with the least squares inverse F_q^+, which allows redundant conditions, such as those out of the
+plane of a planar linkage. These steps are differentiated one by one, because the result depends on
+all of them where degrees of freedom remain. They are followed by a few steps in which the last
+inverse is kept; each of these makes the derivatives of one more order exact, in forward and reverse
+mode.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Arra
 
 
 def closed(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
-    """Return the configuration next to q in which all closures are fulfilled, or where the search
-    for it ended."""
+    """Return the configuration nearest to q in which all closures are fulfilled; where the search
+    fails, the configuration at which it ended."""
     return _searched(
         lambda _, coordinates, q: gaps_at(coordinates, q), None, coordinates.model, coordinates, q
     )
@@ -65,8 +65,8 @@ def closed_on(
     q: Float[Array, "nq"],
     held: np.ndarray | None = None,
 ) -> Float[Array, "nq"]:
-    """Return the configuration next to q in which all closures are fulfilled on moved supports, by
-    a fixed number of steps that are differentiated with respect to q and the model. `rests`: the
+    """Return the configuration nearest to q in which all closures are fulfilled on moved supports,
+    by a fixed number of steps that are differentiated with respect to q and the model. `rests`: the
     relative poses of the closures as drawn; `held`: True for the coordinates that must not move."""
 
     def conditions(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
@@ -79,9 +79,10 @@ def closed_on(
 
 
 def assembled_reference(model: Model) -> State:
-    """Return the state of rest next to the drawn one in which all closures are fulfilled, with
-    memory relaxed; it has derivatives with respect to every point and length. Where the search
-    fails, the state is NaN if it is traced; otherwise a warning NOT_CLOSED is issued."""
+    """Return the state at rest nearest to the drawn one in which all closures are fulfilled and
+    elements with memory are relaxed; it has derivatives with respect to every point and length.
+    Where the search fails, the state is NaN if it is traced; otherwise a warning NOT_CLOSED is
+    issued."""
     state, reached = _assembled(model)
     if not is_concrete(state):
         return jax.tree.map(lambda x: nan_unless(reached, x), state)

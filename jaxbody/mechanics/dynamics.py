@@ -185,7 +185,7 @@ class Dynamics(eqx.Module):
         return state, None
 
     def projected(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
-        """Return the state on the closures next to y, as y."""
+        """Return y, moved to the nearest state that fulfills the closures."""
         return y
 
     def ended(self, code: Array, t: Float[Array, ""], state: State, closing: Any) -> Array:
@@ -256,7 +256,7 @@ class Dynamics(eqx.Module):
     def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
         """Return force [N] and moment about its origin [N m] that the bodies and elements exert on
         each support, in world axes."""
-        # a model with memory must hold its z here
+        # for elements with memory, the model must already contain their states z (see `holding`)
         now, first = self.instant(t, State(q, v), reactions=True), self.model.layout.first_body
         assert now.F is not None and now.M is not None
         return now.F[1:first], now.M[1:first]
@@ -288,8 +288,8 @@ class JointedBodies(Dynamics):
         return self._solve(t, q, v)[0]
 
     def _solve(self, t, q, v):
-        """Return v', the instant with the accelerations at v' = 0, and the velocities of the bodies
-        per unit of each speed."""
+        """Return v', the frames with the accelerations that they have for v' = 0, and the
+        velocities of the bodies per unit of each speed."""
         now, axes = self._bias(t, q, v)
         J = jacobian(self.model.layout, now, *axes)
         return solve_spd(self.inertia(now, *J)[0], generalized(*J, *self._net(now))), now, J
@@ -319,7 +319,7 @@ class JointedBodies(Dynamics):
 
     def _bias(self, t, q, v):
         """Return the frames at time t, with the accelerations that they have for v' = 0, and the
-        axes."""
+        axes of the coordinates."""
 
         def moving(t, q):
             frames, axes = self.coordinates.frames_and_axes(
@@ -525,8 +525,8 @@ def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
 
 
 def accelerated(model: Model, now: Instant, table: KindTable, function) -> Any:
-    """Return function(element, (A, B, ...), their derivatives in time) of the elements of one
-    table, for the accelerations of the frames."""
+    """Return function(element, its frames (A, B, ...), their derivatives in time) for each element
+    of one table, at the accelerations in `now`."""
     ends = (
         tuple(frames[rows] for rows in end_rows(model, table)) for frames in (now, now.changes())
     )

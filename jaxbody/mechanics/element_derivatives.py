@@ -25,7 +25,7 @@ from jaxbody.model.states import State
 
 class ElementDerivatives(NamedTuple):
     """Derivatives of the k deformations e of each of ne elements: J = de/d(Delta, Xi), V''(e) and
-    R''(e, e_dot). For energies written by the user e are the displacements and rotations of their
+    R''(e, e_dot). For energies written by the user, e are the displacements and rotations of their
     frames."""
 
     J: Float[Array, "ne k n"]

@@ -3,8 +3,8 @@ derivatives by the implicit function theorem.
 
     dV/dDelta = 0,    dq/dp = -K^-1 d2V/dDelta dp
 
-With closures c = 0 it is dV/dDelta + J' lambda = 0, J = dc/dDelta; stability is that of the motions
-they leave free (free_motions).
+With closures c = 0 the condition is dV/dDelta + J' lambda = 0, J = dc/dDelta, and stability
+concerns the motions that the closures leave free (free_motions).
 
 The search is by descent. Loads, which may have no potential, are then raised step by
 step (load_paths); where that cannot start, because K is singular without them, the search descends
@@ -82,7 +82,8 @@ NOT_AT_REST = (  # no linearization about such a state
     Status.NOT_CLOSED,
     Status.SINGULAR_CLOSURE,
 )
-# displacement, in sizes of the model, and rotation [rad] of a body far from where it is drawn
+# displacement, in sizes of the model, and rotation [rad] from its drawn pose above which a body is
+# reported as far from it
 FAR, TURNED = 0.3, np.deg2rad(30)
 DESCENDED = (
     "by descent of the potential of the loads, which cannot be raised step by step because K is "
@@ -467,7 +468,7 @@ def equilibrium_at(
     )
     state = State(q, zero, rest_states(model, frames.pose()) if model.layout.nz else None)
     singular = search.singular
-    # their states are held in K, but not in a motion
+    # K is computed with the states of hysteretic elements fixed; in a motion they vary
     if any("hysteretic" in block.roles for block in model.layout.blocks):
         singular &= eigenvalue_signs(resisting_stiffness(given, jax.lax.stop_gradient(state)))[1]
     status = jnp.select(

@@ -149,12 +149,13 @@ def eigenvalue_signs(
     return jax.lax.cond(~definite, counted, lambda: none)
 
 
-# distance from the start, in sizes of the model, beyond which the model falls without limit
+# distance from the start, in sizes of the model, beyond which the energy is assumed to have no
+# minimum, as of a model that falls
 RUNAWAY = 20
 AT_REST = (Status.OK, Status.TABLE_RANGE)  # stable and isolated: a motion may start there
 LOADABLE = (*AT_REST, Status.SINGULAR_K)  # loads may be raised from there
-# least ratio of eigenvalues of K at the start of a path; with cubic springs alone a search ends at
-# a ratio of 1e-9
+# least ratio of the smallest to the largest eigenvalue of K at the start of a path; with cubic
+# springs alone a search ends at a ratio of 1e-9
 SOFTEST = 1e-7
 # error of K, relative to its norm, at the end of a path, where it is K of the last iterate
 ITERATED = 1e-10

@@ -21,10 +21,14 @@ from jaxbody.model.joints.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 
-# times ahead, relative to the time since the first sample or, if that is shorter, to a second
+# times after a state at which it is checked, relative to the time since the first sample or, if
+# that is shorter, to a second
 AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
-DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)  # distances, relative to the size of the model
-NEAR = 1e-2  # relative to the free length; for angles the cosine of half the angle: 179 degrees
+# distances at which a search is checked along the negative gradient, relative to the model's size
+DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)
+# distance within which a force counts as at its jump: a length relative to the free length; for
+# angles the cosine of half the angle (179 degrees)
+NEAR = 1e-2
 BEND = 0.5  # relative difference allowed between the chord of two samples and the tangent at either
 
 
@@ -186,8 +190,8 @@ def _finite(
 
 
 def force_jump_at(model: Model, motions: Motions, t: Array, state: State) -> str:
-    """Name the elements at a jump of their force, of zero length or turned by half a turn; return
-    "" if there are none."""
+    """Name the elements at a jump of their force, which are springs of zero length and elements
+    turned by half a turn; return "" if there are none."""
     sample = jax.tree.map(lambda x: np.asarray(x)[None], (t, state))
     near = [np.linalg.norm(x[0], axis=-1) < NEAR for x, _ in _away(model, motions, *sample)]
     return "; ".join(

@@ -39,9 +39,10 @@ SINGULAR = 1e-7
 
 class ClosureForces(eqx.Module):
     """The forces of all conditions: `reactions` [N, N m], NaN where they are not unique;
-    `multipliers`, of least norm; J' lambda `on_coordinates`; and minus the force and moment
-    `on_supports`. `slopes`: J for increments in meters; `gaps`: c [m]; `smallest`: the smallest
-    singular value of J that belongs to an independent condition, relative to the largest."""
+    `multipliers`: lambda, of least norm; `on_coordinates`: J' lambda; `on_supports`: minus the
+    force and moment on each support. `slopes`: J for increments in meters; `gaps`: c [m];
+    `smallest`: the smallest singular value of J that belongs to an independent condition, relative
+    to the largest."""
 
     reactions: Float[Array, "n"]
     multipliers: Float[Array, "n"]
@@ -205,7 +206,8 @@ def along_and_about(model: Model, name: str, numbers: Any) -> tuple[Any, Any]:
 
 
 def _without_dust(numbers: dict[str, Any]) -> dict[str, Any]:
-    """Return the numbers, with zero for rounding errors relative to the largest."""
+    """Return the numbers, with those set to zero that are rounding errors relative to the
+    largest."""
     every = jax.tree.leaves(numbers)
     largest = (
         max((np.abs(x).max(initial=0.0) for x in every), default=0.0) if is_concrete(every) else 0.0

@@ -5,8 +5,8 @@ J = dc/dDelta and r = dV/dDelta - Q:
     lambda = -(J^+)' r     the multipliers, with which r + J' lambda = 0 at rest
     H = K + d2(lambda c)   second derivatives along the closures: those of V on them are P H P
 
-in scaled increments, in meters. J^+ is the least squares inverse: redundant conditions do no harm,
-and the multipliers of conditions that share a force have the least norm.
+in scaled increments, in meters. J^+ is the least squares inverse, which allows redundant
+conditions; the multipliers of conditions that share a force have the least norm.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def scale_at(model: Model) -> Float[Array, "nv"]:
 def scaled_slopes(
     coordinates: Coordinates, q: Float[Array, "nq"], scale: Float[Array, "nv"]
 ) -> Float[Array, "n nv"]:
-    """Return J = dc/dDelta by scaled increments."""
+    """Return J = dc/dDelta with respect to scaled increments."""
     return values_and_slopes(coordinates, lambda q: gaps_at(coordinates, q), q)[1] * scale[None]
 
 
@@ -144,7 +144,8 @@ def implied_change(
 
 
 def slopes_by_supports(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n nxi"]:
-    """Return dc/dXi."""
+    """Return dc/dXi, the derivatives of the conditions with respect to displacements of the
+    supports."""
     layout = coordinates.model.layout
     zero = jnp.zeros((len(layout.supports), 6), q.dtype)
     J = jax.jacfwd(lambda xi: _gaps_displaced(coordinates, q, xi))(zero)
@@ -166,7 +167,7 @@ def speeds_on_closures(
     """Return the speeds of all coordinates with J v = 0 from the independent ones, `own`, as a
     function of q with derivatives of any order:
 
-    J_d v_d = -J_i v_i,   by (J_d' J_d)^-1 J_d', as repeated conditions agree"""
+    J_d v_d = -J_i v_i,   solved by (J_d' J_d)^-1 J_d', as redundant conditions are consistent"""
     model = coordinates.model
     scale, independent = scale_at(model), np.array(model.independent, int)
     others = np.setdiff1d(np.arange(len(scale)), independent)
@@ -181,17 +182,17 @@ def speeds_on_closures(
 def constraint_force(
     coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]
 ) -> Float[Array, "nv"]:
-    """Return J' lambda."""
+    """Return J' lambda, the generalized forces of the closures' multipliers."""
     return jax.grad(
         lambda delta: multipliers @ gaps_at(coordinates, coordinates.retract(q, delta))
     )(jnp.zeros(coordinates.model.layout.nv, q.dtype))
 
 
 class DependentMotions(eqx.Module):
-    """How the dependent coordinates follow: N, all coordinates per unit of the independent ones, S,
-    per unit of the supports' Xi, the multipliers lambda, `reaction` lambda dc/dXi, and `smallest`,
-    the smallest singular value of J_d relative to the largest, zero where the independent
-    coordinates do not determine the others."""
+    """The motion of dependent coordinates: `N`, the changes of all coordinates per unit of the
+    independent ones; `S`, those per unit of the supports' Xi; the multipliers lambda; `reaction`,
+    lambda dc/dXi; and `smallest`, the smallest singular value of J_d relative to the largest; it is
+    zero where the independent coordinates do not determine the others."""
 
     N: Float[Array, "nv nf"]
     S: Float[Array, "nv nxi"]
@@ -200,8 +201,8 @@ class DependentMotions(eqx.Module):
     smallest: Float[Array, ""]
 
     def of(self, H: Float[Array, "n n"], inner: int = 0) -> Float[Array, "m m"]:
-        """Return T' H T of a matrix H of (Delta, y, Xi), or of Delta alone, with `inner`
-        coordinates y of elements."""
+        """Return the matrix T' H T of the independent coordinates, for a matrix H of (Delta, y, Xi)
+        or of Delta alone, with `inner` coordinates y of elements."""
         nv = len(self.N)
         if len(H) == nv:
             return self.N.T @ H @ self.N
@@ -209,7 +210,8 @@ class DependentMotions(eqx.Module):
         return T.T @ H @ T
 
     def whole(self, inner: int, nxi: int) -> Float[Array, "n m"]:
-        """Return T of (Delta, y, Xi), which is N, 1 and S in blocks."""
+        """Return T, with (Delta, y, Xi) = T (independent Delta, y, Xi); its blocks are N, 1 and
+        S."""
         (nv, nf), dtype = self.N.shape, self.N.dtype
         own = jnp.eye(inner + nxi, dtype=dtype)
         top = [self.N, jnp.zeros((nv, inner), dtype), self.S[:, :nxi]]

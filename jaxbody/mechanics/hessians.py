@@ -9,8 +9,9 @@ of all frames:
     K         J' H J + G d2 delta/dx dx,
     where for x_i nearer to the root than x_j, n_i the axis about which x_i turns,
               d2 delta/dx_i dx_j = (n_i x J_j, n_i x J_j / 2) for displacement and rotation;
-              (ij + ji)/2 for the turns of one joint
-              that act together; of turns in series, the earlier one is nearer to the root
+              the mean of both orders of i and j for rotations
+              of one joint that act together; of rotations in series, the first one is nearer
+              to the root
     M         J' (inertias) J, and those of the elements that have inertia
     C         J' (R'' of the elements) J
 

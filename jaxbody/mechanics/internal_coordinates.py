@@ -2,10 +2,10 @@
 and T in (Delta, y, Xi).
 
     K_yy = V_yy,   K_yx = V_ye de/dx,   C_yy = R_yy,   C_yx = R_ye de/dx,   M_yy = T_yy,   M_yx = 0,
-    x of (Delta, Xi)
+    x = (Delta, Xi)
 
 Coordinates with mass come first, then those without, whose T_yy is 0. In slow motions y follows x
-by K_yy y + K_yx x = 0: their matrices are T' H T with x -> (x, y) = T x.
+by K_yy y + K_yx x = 0, so that (x, y) = T x, and a matrix H becomes T' H T.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def inserted(
 
 
 def following(K: Square, nv: int, ny: int) -> Float[Array, "n m"]:
-    """Return T, with which y follows slow motions of (Delta, Xi)."""
+    """Return T, with (Delta, y, Xi) = T (Delta, Xi) in slow motions."""
     own, x = slice(nv, nv + ny), jnp.concatenate([jnp.arange(nv), jnp.arange(nv + ny, len(K))])
     one = jnp.eye(len(x), dtype=K.dtype)
     return jnp.concatenate([one[:nv], -jnp.linalg.solve(K[own, own], K[own][:, x]), one[nv:]])

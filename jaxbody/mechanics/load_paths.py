@@ -3,9 +3,9 @@ at each step.
 
     dV/dDelta = lambda Q,   K = d2V/dDelta2 - lambda dQ/dDelta,   lambda from 0 to 1
 
-Q is the generalized force of the loads in the chart. A step is taken if Newton's method converges,
-with K positive definite at every iteration, so that the path stays on the stable branch of the
-unloaded equilibrium; otherwise the step is divided by four.
+Q is the generalized force of the loads with respect to Delta. A step is taken if Newton's method
+converges, with K positive definite at every iteration, so that the path stays on the stable branch
+of the unloaded equilibrium; otherwise the step is divided by four.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from jaxbody.model.models import Model
 from jaxbody.model.sizes import scaled
 from jaxbody.numerics.precisions import NEWTON, reachable
 
-# steps of lambda: the first one, the smallest one, their largest number
+# steps of lambda: the first step, the smallest step, and the largest number of steps
 FIRST, LEAST, MOST = 0.25, 1e-5, 64
 ITERATIONS = 10  # most iterations of Newton's method within a step
 CONVERGED = 1e-10  # size of the last step of Newton's method, relative to that of the model
@@ -44,8 +44,8 @@ SINGULAR = 1e-10
 class AppliedLoads(eqx.Module):
     """The loads raised with lambda: each load at time 0, times its weight, and a change of gravity.
 
-    Alike loads, of one class on one body, may be one entry of `loads` whose numbers have a further
-    axis, with a row of weights, so that they are traced once."""
+    Loads of one class on one body may be stacked into one entry of `loads`, whose numbers have a
+    further axis, with a row of weights, so that they are traced once."""
 
     loads: tuple[Load, ...]
     weights: Float[Array, "n"] | tuple[Float[Array, "..."], ...]
@@ -156,7 +156,7 @@ def tangent(
 
 
 def dead_forces(at: Configuration, applied: AppliedLoads) -> DeadForces:
-    """Return the contribution of the loads at time 0; NaN where one of them is not dead."""
+    """Return the dead forces of the loads at time 0; NaN where a load is not a dead force."""
     layout, t = at.model.layout, jnp.zeros((), at.q.dtype)
     V, G, Q = (
         t,
@@ -200,7 +200,7 @@ def follow_load_path(
     """Return (q, K, lambda, path, whether K turns negative ahead) at the end of the path from the
     unloaded equilibrium q.
 
-    One loop, whose body is one iteration of Newton's method, so that K is compiled once."""
+    The body of the only loop is one iteration of Newton's method, so that K is compiled once."""
     n, dtype = len(scale), q.dtype
     converged, shift, zero_stiffness = (
         reachable(CONVERGED, dtype, NEWTON),

@@ -7,8 +7,8 @@ from them.
 With more springs than equations the change has least norm (pseudo-inverse); forces that no free
 length can balance are the residual. Coordinates that may move are additional unknowns. With
 closures the pose is the nearest one that fulfills them, P dV/dDelta = 0 takes the place of
-dV/dDelta = 0, with P on the motions that closures leave free (free_motions), and the other
-coordinates follow those that may move.
+dV/dDelta = 0, with the projector P onto the motions that closures leave free (free_motions), and
+the other coordinates follow those that may move.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Preload(Result):
     springs), their `changes`, the `model` with them.
 
     `state` is the pose, `moved` {coordinate: change [m, rad]} of its coordinates that may move,
-    `residual` the unbalanced forces [N, N m]. `status` UNBALANCED where these are not zero,
+    `residual` the unbalanced forces [N, N m]. `status` is UNBALANCED where these are not zero,
     NEGATIVE_LENGTH where a length would have to be negative, NOT_CLOSED where closures stay open;
     `gap` is the largest gap, relative to the size of the model. With closures the residual is along
     the motions that they leave free."""

@@ -117,10 +117,10 @@ def excitation(
         F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of
                                                          the paper
 
-    With closures it is in the independent coordinates of `linearize`, which are held while the
-    others follow; NaN where the loops do not close. Coordinates of elements with memory are
-    held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force depends
-    on the path.
+    With closures the force is given in the independent coordinates of `linearize`, which are held
+    while the others follow; NaN where the loops do not close. Coordinates of elements with memory
+    are held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force
+    depends on the path.
 
     Errors: UNKNOWN_NAME for a support, BAD_SHAPE, CLOSED_LOOPS for a model with closures built from
     traced numbers.

@@ -32,7 +32,8 @@ from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_attached, check_memory, check_precision
 from jaxbody.model.sizes import scale_of, scaled, size_of
 
-SAME = 1e-9  # difference of energy, relative to their spread, within which two may be the same
+# difference of energy, relative to the range of energies, below which two solutions may be the same
+SAME = 1e-9
 DESCENT_STEPS, NEWTON_STEPS = 200, 60
 
 

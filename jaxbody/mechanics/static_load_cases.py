@@ -70,11 +70,11 @@ class LoadCase(eqx.Module):
 class LoadCases(Labeled, Result):
     """Results of load cases, relative to the equilibrium without them, `unloaded`.
 
-    By body `displacements` of its origin [m] and `rotations` (vectors [rad]), in world axes,
-    (cases, 3); by element `strokes`, the changes of its deformation [m], and `forces`, the total
-    [N] (six of a bushing), (cases, ...); `state`; and for each case `status`, `load_factor` and
-    `descended` (as in an Equilibrium) and `by_joints`, whether joints alone carry it, so that
-    nothing moves."""
+    For each body: `displacements` of its origin [m] and `rotations` (vectors [rad]), in world axes,
+    (cases, 3). For each element: `strokes`, the changes of its deformation [m], and `forces`, the
+    total [N] (six for a bushing), (cases, ...). `state`; and for each case `status`, `load_factor`
+    and `descended` (as in an Equilibrium) and `by_joints`, True where joints alone carry the load,
+    so that nothing moves."""
 
     index = "case"
     status: Int[Array, "nc"]

@@ -15,7 +15,7 @@ from jaxbody.geometry.fields import field, nan_outside, take
 from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, matrix
 
 EPS = np.finfo(np.float64).eps
-# of (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) in the matrix
+# indices in (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) of the entries of the matrix
 PLACES_OF_SIX = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 
 
@@ -26,8 +26,8 @@ class Body(Described, eqx.Module):
         mass: [kg]
         inertia: about the center of mass in body axes [kg m2]: three principal moments, six numbers
             (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries of the matrix, signs included) or the 3 x 3
-            matrix; default: a point mass. For motion in the xy plane [I/2, I/2, I], a flat body, as
-            the first two have no effect
+            matrix; default: a point mass. In a model that moves in the xy plane only the moment I
+            about z has an effect; [I/2, I/2, I] is then suitable (a flat body)
         com: the center of mass in body coordinates [m]
         position: position of the reference point O in the reference pose, where the search for
             equilibrium starts [m]
@@ -107,8 +107,8 @@ class Body(Described, eqx.Module):
 
 
 class Support(Described, eqx.Module):
-    """A frame whose motion is imposed, relative to its reference pose: `position` [m] and
-    `orientation` (as for a body).
+    """A frame whose motion is imposed. `position` [m] and `orientation` (as for a body) are its
+    reference pose, from which the motion is measured.
 
     >>> jb.Support(position=[0, -1, 0]).position.tolist()
     [0.0, -1.0, 0.0]
@@ -124,8 +124,9 @@ class Support(Described, eqx.Module):
 
 
 def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
-    """Return the symmetric part of the 3 x 3 matrix. Its round-off is compared with the inertia
-    about the reference point, I + m (c'c - c c'), from which users often compute it."""
+    """Return a body's inertia as a symmetric 3 x 3 matrix [kg m2]. The round-off allowed in its
+    check is relative to the inertia about the reference point, I + m (c'c - c c'), from which users
+    often compute it."""
     where = "Body.inertia"
     array = checked(
         value,
@@ -152,8 +153,8 @@ def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
 
 
 def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Problems) -> None:
-    """Check a matrix of inertia, up to its round-off [kg m2]. Errors: NOT_SYMMETRIC, NOT_POSITIVE,
-    TRIANGLE."""
+    """Check an inertia matrix [kg m2], within a tolerance of `round_off` [kg m2]. Errors:
+    NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE."""
     trace = np.trace(known)
     difference = known - known.T
     moments = np.linalg.eigvalsh((known + known.T) / 2)
@@ -205,7 +206,7 @@ def _is_valid(I: np.ndarray, round_off: float) -> bool:
 
 
 def _matrix_of(array):
-    """Return the 3 x 3 matrix of three, six or nine numbers."""
+    """Return the 3 x 3 inertia matrix given by three, six or nine numbers."""
     if array.shape == (3,):
         return array * np.eye(3)
     return array if array.shape == (3, 3) else array[PLACES_OF_SIX]

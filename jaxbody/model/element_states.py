@@ -1,7 +1,8 @@
 """Elements with memory: their states, and models whose laws with memory are evaluated in given
 states, table by table.
 
-The states of one table are contiguous in z, in the order of its rows.
+The states of one table are contiguous in z, in the order of its rows. Coordinates of elements are
+relaxed where they are in equilibrium at the present deformation of the element.
 """
 
 from __future__ import annotations
@@ -129,16 +130,16 @@ def holding(model: Any, z: Z) -> Any:
 
 
 def apart(model: Any, z: Z, z_dot: Z | None = None) -> Any:
-    """Return the model about a state of rest with the element states z, for small motions in which
-    coordinates of elements are coordinates of the system; massless ones have the rates z_dot, by
-    default 0."""
+    """Return the model for small motions about a state of rest with the element states z. The
+    coordinates of elements are unknowns of the system, like those of joints; the massless ones have
+    the rates z_dot, by default 0."""
     return _bound(model, Apart, z, jnp.zeros_like(z) if z_dot is None else z_dot)
 
 
 def settled(model: Any, z: Z) -> Any:
-    """Return the model about a state of rest with the element states z, for slow small motions:
-    massless coordinates are relaxed, hysteretic states follow by their tangents, and coordinates
-    with mass are coordinates of the system."""
+    """Return the model for slow small motions about a state of rest with the element states z:
+    massless coordinates are relaxed, hysteretic states change linearly with the deformation (by
+    their tangents), and coordinates with mass are unknowns of the system."""
     return _bound(
         model,
         lambda law, z: Relaxed(law, z) if law.has_rows and not law.inertial else Apart(law, z),
@@ -155,9 +156,9 @@ def relaxed(model: Any, z: Z | None = None) -> Any:
 
 
 def resisting(model: Any, z: Z) -> Any:
-    """Return the model about a state of rest with the element states z, for small static
-    displacements: coordinates of elements are relaxed, hysteretic states follow by their
-    tangents."""
+    """Return the model for small static displacements from a state of rest with the element states
+    z: coordinates of elements are relaxed, and hysteretic states change linearly with the
+    deformation (by their tangents)."""
     return _bound(model, lambda law, z: Relaxed(law, z) if law.has_rows else Apart(law, z), z)
 
 

@@ -30,11 +30,11 @@ class CoordinateBlock:
     motions: tuple[str, ...]  # a description of each speed
     q_units: tuple[str, ...]
     v_units: tuple[str, ...]
-    quaternion: bool = False  # whether the last four numbers of q are one
+    quaternion: bool = False  # whether the last four numbers of q are a quaternion
     states: tuple[str, ...] = ()  # a description of each state in z
     z_units: tuple[str, ...] = ()
-    # "massless" or "inertial" of a coordinate, with a row in M, C and K; "rate" of an inertial
-    # one; or "hysteretic"
+    # role of each state: a coordinate with a row in M, C and K, "massless" or "inertial"; the
+    # "rate" of an inertial coordinate; or "hysteretic"
     roles: tuple[str, ...] = ()
     arguments: tuple[str, ...] = ()  # the unit of the deformation that each state follows
 
@@ -210,12 +210,12 @@ class Layout:
 
     @cached_property
     def turns(self) -> np.ndarray:
-        """(nv,): True for speeds in rad/s."""
+        """Array (nv,): True for speeds in rad/s."""
         return np.array([unit != "m/s" for unit in self.v_units], dtype=bool)
 
     @cached_property
     def angular(self) -> np.ndarray:
-        """(nq,): True for angles and for the four numbers of a quaternion, which describe
+        """Array (nq,): True for angles and for the four numbers of a quaternion, which describe
         three rotations."""
         return np.array([unit != "m" for unit in self.q_units], dtype=bool)
 
@@ -255,7 +255,7 @@ class Layout:
 
     @cached_property
     def follows_angles(self) -> np.ndarray:
-        """(nz,): True for states that follow an angle."""
+        """Array (nz,): True for states that follow an angle."""
         return np.array(
             [unit == "rad" for block in self.blocks for unit in block.arguments], dtype=bool
         )
@@ -291,7 +291,8 @@ class Layout:
 
     @cached_property
     def carries(self) -> np.ndarray:
-        """(frames, frames): 1 where the first frame carries the second by joints or is the same."""
+        """Matrix (frames, frames): 1 where the first frame carries the second by joints or is
+        the same."""
         mask = np.zeros((len(self.frames), len(self.frames)))
         for row, chain in enumerate(self.chains.values()):
             mask[[self.frame(name) for name in chain], row] = 1

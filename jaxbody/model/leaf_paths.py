@@ -1,5 +1,5 @@
 """Paths: every number of a model or an experiment by name, with wildcards, to read and to
-replace it.
+replace them.
 
 A path is a name and a field, "AB.stiffness", "plate.mass", "AB.a"; `*`, `?` and `[...]` match as in
 file names. Paths of an experiment are "run1.initial.v", "run1.base.frequency" (the motion of a
@@ -328,8 +328,9 @@ def _with_traced(
     leaves: tuple[Leaf, ...],
     places: tuple[tuple[Any, ...] | None, ...],
 ) -> Any:
-    """Replace rows of an array by blocks, of which some are traced and have places in the given
-    values; it is one program if they are batches outside of a `jit`."""
+    """Return the array with its rows at `leaves` replaced by blocks, some of which are traced
+    values with their rows and axis in `places`. Outside of a `jit` this is compiled as one
+    program."""
     first = leaves[0]
     made = [
         x if place is None else _traced_rows(x, first.rank, *place)
@@ -399,7 +400,8 @@ def _block(value: Any, rows: tuple[int, ...] | int, axis: int | None) -> Any:
 def _traced_rows(
     value: Any, rank: int, rows: tuple[int, ...] | int, axis: int | None, domain: str
 ) -> Any:
-    """Do the same as `_block` and `_made` for a traced value."""
+    """Return the numbers of a traced value to write, as `_block` does, normalized or NaN outside of
+    their domain, as their values cannot be checked."""
     block = _block(value, rows, axis)
     if domain in ("direction", "rotation"):
         return block / jnp.linalg.norm(block, axis=-1, keepdims=True)

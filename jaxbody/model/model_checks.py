@@ -120,8 +120,8 @@ def check_links(problems: Problems, bodies, supports, elements, joints, closures
 
 
 def counted(problems: Problems, name: str, closure: Closure, layout: Layout) -> Closure:
-    """Return the closure, if it is a coupling with the unit of its coordinates. Error:
-    UNKNOWN_NAME."""
+    """Return the closure; if it is a coupling, a copy that knows the unit of its first coordinate.
+    Error: UNKNOWN_NAME."""
     if not isinstance(closure, Coupling):
         return closure
     known = layout.coordinate_places

@@ -63,9 +63,9 @@ KINDS = {
     "closures": Closure,
 }
 OWN_FUNCTIONS = {"energies": OwnEnergy, "dissipations": OwnDissipation}
-CLOSED = 1e-6  # relative to the largest distance of a point: loops that are open by less are closed
+CLOSED = 1e-6  # relative to the largest distance of a point: a loop with a smaller gap is closed
 DISPLACED = 0.3  # relative to that distance, or in rad: how far to go from a singular position
-# relative to the largest pivot: of coordinates above it, the last is the dependent one
+# relative to the largest pivot: of the coordinates with larger pivots, the last is dependent
 NEARLY_LARGEST = 0.5
 
 
@@ -86,9 +86,10 @@ class Model(tables.Printed, eqx.Module):
         dissipations: {name: R(frames) [W]}, likewise, of frames with v, w and velocity(x) besides
 
     `model["AB"]` is the element, body, support or closure of that name, `model.joint("arm")` a
-    body's joint, `model.reference` the state at rest in the reference pose: as it is drawn, or,
-    where closures are drawn open, assembled by the least movement. A derivative with respect to a
-    model is a model. All problems of an input are reported in one error.
+    body's joint, `model.reference` the state at rest in the reference pose: as drawn (with the
+    position and orientation given for each body) or, where closures are open as drawn, assembled by
+    the least movement. A derivative with respect to a model is a model. All problems of an input
+    are reported in one error.
 
     >>> model = jb.Model(
     ...     bodies={"plate": jb.Body(mass=3.0, inertia=[0.3, 0.9, 1.2])},

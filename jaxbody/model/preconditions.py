@@ -17,7 +17,7 @@ from jaxbody.model.models import Model, refuse_batch
 from jaxbody.model.states import State
 
 MOST_MEMORY = 8e9  # bytes that the matrices of a model may take
-PER_ELEMENT = 2000  # bytes: 1400 were measured with 10 000 springs
+PER_ELEMENT = 2000  # bytes for each element: 1400 were measured with 10 000 springs
 # bytes for each number of a matrix: 33 were measured with 300 coordinates and 200 frequencies
 PER_FREQUENCY = 40
 _warned_of_float32 = False
@@ -98,7 +98,7 @@ def check_moves(where: str, model: Model) -> None:
 
 def check_memory(where: str, model: Model, frequencies: int = 0) -> None:
     """Check the memory for about ten matrices of all coordinates, for the contributions of all
-    elements, and for complex matrices at so many frequencies. Error: TOO_LARGE."""
+    elements, and for complex matrices at `frequencies` frequencies. Error: TOO_LARGE."""
     coordinates, elements = model.layout.nv, sum(len(table.names) for table in model.elements)
     needed = 10 * 8 * coordinates**2 + PER_ELEMENT * elements
     at_frequencies = PER_FREQUENCY * frequencies * coordinates**2

@@ -17,9 +17,9 @@ from jaxbody.model.elements.bushings import FramePair
 from jaxbody.model.elements.torsions import Torsion
 from jaxbody.model.models import Model
 
-# up to so many samples and coordinates, and seconds, a motion is not long
+# limits up to which a motion is not long: numbers of samples and of coordinates, duration [s]
 FEW_SAMPLES, FEW_COORDINATES, SHORT = 1000, 6, 30.0
-# above these, relative to the size and in degrees, the two frames of a mount are drawn apart
+# distance, relative to the size, and angle [degrees] above which the frames of a mount differ
 APART, TURNED = 0.05, 5.0
 
 
@@ -43,7 +43,7 @@ def size_of(model: Model, otherwise: Any = 1.0) -> Float[Array, ""]:
     )
     return xp.asarray(
         xp.sqrt(xp.where(near > 0, near, xp.where(far > 0, far, otherwise**2)))
-    )  # with a derivative where points lie at origins
+    )  # differentiable where all points lie at origins
 
 
 def drawn_apart(model: Model) -> list[str]:
@@ -80,7 +80,7 @@ def drawn_apart(model: Model) -> list[str]:
 
 
 def options_of_motion(model: Model, *times: Float[Array, "*nt"]) -> Options:
-    """Return options of XLA for programs of motions at these times [s]: OPTIMIZED for long ones;
+    """Return the XLA compiler options for a simulation at these times [s]: OPTIMIZED for long ones;
     with closures or memory each step takes several times as long."""
     if times and (model.closures or model.layout.nz or not is_concrete(times)):
         return OPTIMIZED

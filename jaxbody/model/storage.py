@@ -61,8 +61,8 @@ class KindTable(eqx.Module):
         return with_link(jax.tree.unflatten(treedef, picked), self.links[i])
 
     def _no_node(self, name: str) -> Problem:
-        """Return the problem of a row whose leaves are not arrays, as when equinox.tree_at calls
-        the user's function."""
+        """Return the problem of an attempt to replace a row by equinox.tree_at, which can replace
+        whole arrays only."""
         paths = [
             jax.tree_util.keystr(keys, simple=True, separator=".")
             for keys, _ in jax.tree_util.tree_leaves_with_path(self.rows)
@@ -116,7 +116,7 @@ def tabulate_by_structure(things: dict[str, Any], key=lambda name: None) -> tupl
 def with_link(module: Any, link: Any) -> Any:
     """Return a copy with another link, which is static, so that `eqx.tree_at` cannot replace it."""
     copy = object.__new__(type(module))
-    # its own attributes only: those of the class would change the tree structure
+    # only attributes of the object: copies of class attributes would change the tree structure
     for name, value in vars(module).items():
         object.__setattr__(copy, name, link if name in ("between", "parent") else value)
     return copy

@@ -71,7 +71,7 @@ class Canonical(eqx.Module):
         return self.dynamics.coordinates.supports_moving(self.dynamics.motions, t)
 
     def _lift(self, q: Float[Array, "nq"], Q: Float[Array, "nv"]) -> Float[Array, "nq"]:
-        """Return forces or momenta that act on q' from those that act on v, Q: B (B' B)^-1 Q, with
-        q' = B v; B' B is diagonal, 1/4 q . q for a quaternion."""
+        """Return generalized forces or momenta conjugate to q' from those conjugate to v, Q:
+        B (B' B)^-1 Q, with q' = B v; B' B is diagonal, 1/4 q . q for a quaternion."""
         rate = self.dynamics.coordinates.rate
         return rate(q, Q / self.dynamics.coordinates.rate_transposed(q, rate(q, jnp.ones_like(Q))))

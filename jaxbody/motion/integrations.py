@@ -32,7 +32,9 @@ from jaxbody.numerics.runge_kutta_steps import TRIAL, first_length
 
 # least local error; below it steps in float32 become shorter without a gain in accuracy
 FINEST = {"float64": 0.0, "float32": 1.5e-5}
-SAFETY = 0.1  # local error over rtol: the order between the ends of a step is lower than at them
+# allowed local error over rtol; below 1 because interpolation within a step is of lower order than
+# the results at its ends
+SAFETY = 0.1
 CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
 STATUSES = (
     (diffrax.RESULTS.successful, Status.OK),

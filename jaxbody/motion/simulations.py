@@ -54,12 +54,14 @@ from jaxbody.numerics.eigenproblems import companion
 from jaxbody.numerics.gauss_collocations import Gauss
 
 MAX_STEPS = 100_000  # or PER_SAMPLE times the number of samples, if that is more
-# steps per sample for a recorded input with noise in every sample at rtol 1e-8, with rejected ones
+# steps per sample, rejected ones included, for a recorded input with noise in every sample at rtol
+# 1e-8
 PER_SAMPLE = 30
-# number of rejected steps, and their ratio to accepted ones, that may come from a jump of a force,
-# which costs 18 at rtol 1e-3, 30 to 90 by default
+# number of rejected steps, and their ratio to accepted ones, from which a jump of a force is
+# suspected; a jump costs 18 rejected steps at rtol 1e-3, 30 to 90 by default
 MANY, OFTEN = 15, 0.15
-# distance of an attached body from all supports, in sizes of the model, of an unstable motion
+# distance of an attached body from all supports, in sizes of the model, above which a motion is
+# reported as diverged
 FAR = 1e6
 # gap of an initial state, relative to the size of the model or to the largest speed, above which it
 # is moved onto the closures with a warning
@@ -91,8 +93,8 @@ def simulate(
     equations: str = "structured",
 ) -> Trajectory:
     """Integrate the motion from `initial` at times[0], sampled at `times` [s], which may be far
-    from zero, as Unix times: steps are counted from times[0], and motions and loads are evaluated
-    by `after(times[0])`.
+    from zero, such as Unix times: the integration counts time from times[0], and evaluates motions
+    and loads by their method `after(times[0])`.
 
     Args:
         motion: {support: motion}; a support without an entry is at rest.
@@ -111,7 +113,7 @@ def simulate(
         adjoint: a diffrax adjoint; by default jb.BlockAdjoint(), with which forward and reverse
             mode work, and forward over reverse. For few parameters diffrax.ForwardMode() is faster;
             with a `solver` forward mode requires it, or jb.BlockAdjoint().
-        dt0: the first step, or the constant step [s]; by default chosen.
+        dt0: the first step, or the constant step [s]; by default chosen automatically.
         max_steps: the largest number of steps; by default 100,000, or 30 for each sample if that
             is more.
         equations: "structured", or "lagrange": those of L = T - V and R by JAX's derivatives, as

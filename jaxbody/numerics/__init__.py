@@ -1,2 +1,2 @@
-"""Computing without physics: batches in lanes, eigenproblems, blocks of Runge-Kutta steps,
-Gauss collocation."""
+"""Numerical methods without mechanics: batches in lanes, eigenproblems, blocks of Runge-Kutta
+steps, Gauss collocation."""

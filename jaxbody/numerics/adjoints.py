@@ -23,17 +23,17 @@ from jaxbody.numerics.precisions import reachable
 from jaxbody.numerics.runge_kutta_steps import DEFECT, QUIET, InitialValueProblem, method_of
 
 RESULTS = diffrax.RESULTS
-POINTS = 13  # at which a look checks a step between its ends, besides samples
+POINTS = 13  # between the ends of a step at which it is checked, besides samples
 
 
 class Driven(diffrax.ODETerm):
     """The term y' = driven(u, y, args) with u = drive(t, args), the part that depends on time only.
 
     `BlockAdjoint` computes u for all stages of a step at once. Both functions are traced once for
-    each shape, also where diffeqsolve needs only their shapes; give functions of a module.
-    `project`: a function (u, y, at_y, args) -> the state nearest to y that fulfills the
-    constraints; `driven` then returns (y', at_y), with at_y the values at y that the projection
-    needs; None without constraints."""
+    each shape, also where diffeqsolve needs only their shapes; give functions that are defined
+    once, in a module. `project`: a function (u, y, at_y, args) -> the state nearest to y that
+    fulfills the constraints; `driven` then returns (y', at_y), with at_y the values at y that the
+    projection needs; None without constraints."""
 
     drive: Callable[[Any, Any], Any]
     driven: Callable[[Any, Any, Any], Any]
@@ -82,8 +82,9 @@ class Unstarted(diffrax.AbstractStepSizeController):
 
 
 class Lasting(diffrax.AbstractAdaptiveStepSizeController):
-    """diffrax.PIDController(rtol, atol, norm) with a shortest step. An integration ends there only
-    if that step is refused: a step that was short because a kink cut it may grow."""
+    """A step size controller: diffrax.PIDController(rtol, atol, norm) with a shortest step. The
+    integration ends only if a step is rejected and the next one would be shorter than that; a step
+    that is short because it ends at a kink may be followed by longer ones."""
 
     rtol: Any
     atol: Any
@@ -237,7 +238,7 @@ class BlockAdjoint(diffrax.AbstractAdjoint):
         next h = safety h error^(-1/order), within its limits
         defect = norm((h f(t + theta h, y(t + theta h)) - sum_i p_i'(theta) k_i)
                       /(atol + rtol |y|)),
-        small along steps after quiet ones
+        checked in steps that follow one with a very small error
 
     f is the vector field of the term, a, b, c, e and p are those of the solver. A block keeps the
     polynomials of its steps and computes the samples between them at its end. Reverse mode keeps
@@ -249,18 +250,18 @@ class BlockAdjoint(diffrax.AbstractAdjoint):
             those of saveat. diffrax checks these while the program runs, by calls of the host, and
             JAX never stores a program that calls the host.
         first: the first or the constant step, in place of dt0 for the same reason; by default dt0
-            or, without it, chosen.
-        forward_only: True for forward mode only, as by diffrax.ForwardMode(), at less cost.
+            or, if that is None, a length computed from the rates at the start.
+        forward_only: True for forward mode only, as with diffrax.ForwardMode(), at less cost.
 
     Solvers are explicit Runge-Kutta methods of diffrax, such as Dopri8, Tsit5 or Heun;
     stepsize_controller is ConstantStepSize() or PIDController(rtol, atol), also with a norm,
     safety and limits, and in ClipStepSizeController(step_ts=...); saveat may have t0, t1, ts and
-    fn. Samples after an early end are NaN. `stats["status"]` is a jb.Status, which differs for
-    NONFINITE and DT_MIN.
+    fn. Samples after an early end are NaN. `stats["status"]` is a jb.Status, which distinguishes
+    NONFINITE from DT_MIN.
 
     Errors, all at once: WRONG_KIND for a solver, controller, saveat, event or progress meter that
-    blocks do not know, and for max_steps=None; TOO_LARGE for derivatives that would reserve more
-    than 8 GB for max_steps.
+    is not supported, and for max_steps=None; TOO_LARGE for derivatives that would reserve more than
+    8 GB for max_steps.
 
     >>> import diffrax, jax, jax.numpy as jnp
     >>> def end(k):
@@ -372,8 +373,8 @@ def within(terms: Any) -> Any:
 
 
 def _field(terms, t0, y0, unravel, args) -> Callable[[Array, Array, Any], Array]:
-    """Return the vector field as a function of vectors; arrays in its closure become its own, which
-    can have derivatives."""
+    """Return the vector field as a function of vectors. Arrays in its closure become leaves of the
+    function, so that derivatives with respect to them exist."""
 
     def field(t, y, args):
         return ravel_pytree(

@@ -8,11 +8,11 @@ derivative does not exist.
 
 The sums omit i in the same cluster (coincident eigenvalues) as j. Functions of the space of a
 cluster only (sums of its eigenvalues, energies, responses) thus have correct derivatives. A single
-branch has one derivative to each side: the eigenvalues of phi_i' (dK - w^2 dM) phi_j, i and j in
-the cluster, in order (degenerate perturbation theory). Forward mode gives the derivative along the
-requested direction. Reverse mode is linear and cannot give it: the result is NaN unless all
-branches of a cluster have equal cotangents. Source: A. P. Seyranian, E. Lund, N. Olhoff, Structural
-Optimization 8 (1994) 207.
+eigenvalue of a cluster (a branch) has one derivative to each side: the eigenvalues of phi_i' (dK -
+w^2 dM) phi_j, i and j in the cluster, in order (degenerate perturbation theory). Forward mode gives
+the derivative along the requested direction. Reverse mode is linear and cannot give it: the result
+is NaN unless all branches of a cluster have equal cotangents. Source: A. P. Seyranian, E. Lund, N.
+Olhoff, Structural Optimization 8 (1994) 207.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from jaxbody.core.jax_internals import Zero, new_operation, with_tangent
 from jaxbody.numerics.lanes import in_lanes
 
 CLUSTERED = 1e-6  # relative distance of eigenvalues below which they belong to one cluster
-# relative difference of cotangents within a cluster that counts as none: that of its frequencies is
-# up to CLUSTERED
+# relative difference below which cotangents within a cluster count as equal; its eigenvalues differ
+# by up to CLUSTERED
 ALIKE = 1e-5
 ZERO = 1e-12  # eigenvalues, relative to the largest, that count as zero
 WITH_EIG = ("cpu", "gpu")  # devices for which JAX has eig
@@ -64,8 +64,8 @@ def averaged(x: Float[Array, "*m n"], cluster: Int[Array, "n"]) -> Float[Array, 
 def linear_one_way(
     name: str, forward: Callable[..., Any], backward: Callable[..., Any], again: Any = None
 ) -> Callable[..., Array]:
-    """Make a function of a tangent and of known arrays with its own transpose; all functions take
-    leading axes of batches.
+    """Make a function of a tangent and of known arrays that has its own transpose; all functions
+    accept leading axes of batches.
 
     A custom rule of JAX would transpose `forward`, which here need not be linear, and cannot
     inspect a cotangent.
@@ -143,7 +143,8 @@ def _nan_if_shared(x: Array, cluster: Array) -> Array:
 
 
 def _second(W: Array, cluster: Array) -> Array:
-    """Return the change of a slope: NaN in a cluster, unless nothing changes there."""
+    """Return the derivatives of the slopes of eigenvalues, the diagonal of W: NaN in a cluster,
+    unless W is zero there."""
     still = jnp.sum(jnp.where(together(cluster), jnp.abs(W), 0.0), -1) == 0
     return jnp.where(_alone(cluster) | still, jnp.diagonal(W, axis1=-2, axis2=-1), jnp.nan)
 
@@ -155,7 +156,7 @@ second_cotangent = linear_one_way("branch_second_cotangent", _nan_if_shared, _na
 slopes = linear_one_way("branch_slopes", _one_sided, _if_alike, again=second)
 
 
-# the cotangent; its own derivative is NaN in a cluster
+# returns the cotangent unchanged; its derivative is NaN in a cluster
 only_alone = with_tangent(lambda change, cotangent, cluster: second_cotangent(change, cluster))
 
 
@@ -178,7 +179,8 @@ def _if_of_the_space(cotangent: Array, shapes: Array, cluster: Array) -> Array:
 shape_changes = linear_one_way("shape_changes", _unless_shared, _if_of_the_space)
 
 
-# the shapes of (shapes, cluster); a single shape of a cluster has no derivative (NaN)
+# a function of (shapes, cluster) that returns the shapes; a single shape of a cluster has no
+# derivative (NaN)
 refused_in_clusters = with_tangent(shape_changes)
 
 
@@ -192,7 +194,7 @@ def natural(
     Normalized to phi' M phi = 1, the largest component positive."""
     A, L = in_lanes(_standard)(K, M)
     values = in_lanes(lambda A: jnp.linalg.eigvalsh(A, symmetrize_input=False), lanes=SWEPT)(A)
-    # apart from the values: LAPACK is slow in a batch, and XLA drops it where no shapes are used
+    # separate from the values: LAPACK is slow in a batch, and XLA drops it where no shapes are used
     _, vectors = jnp.linalg.eigh(A, symmetrize_input=False)
     shapes = jax.lax.linalg.triangular_solve(
         L, vectors, left_side=True, lower=True, transpose_a=True
@@ -238,8 +240,8 @@ PARALLEL = 1e-9
 
 
 def coincide(one: Complex[Array, "n"], other: Complex[Array, "n"]) -> Bool[Array, "n n"]:
-    """Return whether two poles coincide; rounding splits a double pole with a single vector by the
-    square root of the relative rounding error."""
+    """Return, for each pair of poles, whether they coincide. Rounding splits a double pole with a
+    single eigenvector by the square root of the relative rounding error."""
     top = jnp.max(jnp.abs(one), initial=0.0)
     size = jnp.maximum(jnp.abs(one)[:, None], jnp.abs(other)[None])
     return jnp.abs(one[:, None] - other[None]) <= CLUSTERED * size + CLUSTERED / 10 * top * (
@@ -362,7 +364,8 @@ def _poles_jvp(primals, tangents):
     return (s, X), (ds, X @ jnp.where(same, 0.0, W / gap))
 
 
-# the vectors of (vectors, cluster); those of a cluster have no derivatives (NaN)
+# a function of (vectors, cluster) that returns the vectors; those of a cluster have no derivatives
+# (NaN)
 refused_if_shared = with_tangent(
     lambda changes, vectors, cluster: jax.vmap(second_cotangent, (0, None))(changes, cluster)
 )

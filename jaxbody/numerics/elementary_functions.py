@@ -31,8 +31,8 @@ C = [
 
 
 def root(x: Float[Array, "*n"], degree: int = 2) -> Float[Array, "*n"]:
-    """Return the square root, or that of another degree, with the derivative zero at zero; zero
-    below."""
+    """Return the square root of x, or the root of another degree; zero, with a derivative of zero,
+    for x <= 0."""
     positive = x > 0
     known = jnp.where(positive, x, 1.0)
     known = jnp.sqrt(known) if degree == 2 else known ** (1 / degree)

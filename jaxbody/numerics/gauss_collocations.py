@@ -13,10 +13,10 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import JaxbodyError, Problem
 
 MOST_ITERATIONS = 100
-# changes compared four iterations apart: positions and velocities alternate, in mixed units every
-# other change is larger
+# number of changes that are kept: each is compared with the one four iterations before, because
+# positions and velocities alternate and in mixed units every other change is larger
 LOOKED_BACK = 5
-CONTRACTED = 1e-6  # largest ratio of the last change to the first
+CONTRACTED = 1e-6  # largest ratio of the last change to the first that counts as converged
 SQRT3, SQRT15 = 3**0.5, 15**0.5
 GAUSS = {
     1: ([[1 / 2]], [1.0], [1 / 2]),

@@ -171,7 +171,7 @@ APART = {
     "sort",
     "stop_gradient",
     "triangular_solve",
-}  # left to jax.vmap, which is fast for them, or as they are rare
+}  # left to jax.vmap, because it is fast for them or they are rare
 
 
 def _no_lanes() -> str:
@@ -183,7 +183,8 @@ def _no_lanes() -> str:
 def in_lanes(
     function: Callable, *, reversible: bool = False, lanes: int = LANES, name: str = ""
 ) -> Callable[..., Any]:
-    """Return the function, rewritten in a batch for chunks on the last axis.
+    """Return the function in a form whose batches are computed in chunks, with the members of a
+    chunk on the last axis.
 
     Args:
         function: a function from arrays to arrays
@@ -244,8 +245,8 @@ def _jvp(primals, tangents, *, jaxpr, reversible, lanes, name):
 def _pushed(
     function: Callable, moved: list[bool], smooth: list[bool]
 ) -> Callable[[list, list], tuple[list, list]]:
-    """Return a function of (arguments, tangents of those that are `moved`) with (results, tangents
-    of those that are `smooth`)."""
+    """Return a function of (arguments, tangents of the arguments that are `moved`) that returns
+    (results, tangents of the results that are `smooth`, of a floating type)."""
 
     def pushed(primals, tangents):
         def of_moved(*x):
@@ -412,7 +413,7 @@ class Lanes:
                     *x, **p | {"dimension_numbers": axes, "slice_sizes": (*p["slice_sizes"], n)}
                 )
             ]
-        # vectors by LAPACK; XLA drops them where they are not used
+        # eigenvectors by LAPACK; XLA drops them where they are not used
         if name == "eigh" and x[0].ndim == 3 and jnp.issubdtype(x[0].dtype, jnp.floating):
             traced = jax.make_jaxpr(eigenvalues)(jax.ShapeDtypeStruct(x[0].shape[:-1], x[0].dtype))
             return [self._by_vmap(eqn, on, x)[0], *self.run(traced, on, x)]
@@ -438,8 +439,8 @@ class Lanes:
         return [a if r else a[..., 0] for a, r in zip(out, reach_of(eqn, on), strict=True)]
 
     def _with_own_rule(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
-        """Evaluate an operation with a custom derivative, which is used, in lanes, where the batch
-        is differentiated."""
+        """Evaluate an operation with a rule of its own for the derivative; if the batch is
+        differentiated, that rule is applied, in lanes."""
         outs = [v.aval for v in eqn.outvars]
         moved, smooth = (
             [jnp.issubdtype(aval.dtype, jnp.inexact) for aval in avals]
@@ -468,7 +469,7 @@ class Lanes:
         return call(*x)
 
     def _cond(self, eqn, on, x):
-        """Evaluate both branches, that of True only where a lane takes it."""
+        """Evaluate both branches; that of True only if at least one lane takes it."""
 
         def result(branch):
             return self.run(branch, on[1:], x[1:], [True] * len(eqn.outvars))

@@ -16,7 +16,8 @@ def reachable(tolerance: float, dtype: np.dtype, roundings: int = 32) -> float:
 
 
 def in_float64(dtype: np.dtype) -> str:
-    """Return advice where float32 may be too coarse; "" in float64."""
+    """Return the advice, for a message, to compute in float64 if `dtype` is float32; ""
+    otherwise."""
     return (
         'compute in float64: jax.config.update("jax_enable_x64", True) before building the model'
         if dtype == np.float32

@@ -6,10 +6,10 @@ control of steps.
     y(t + theta h) = y + sum_i p_i(theta) k_i,  p_i a polynomial without a constant
     defect at theta = h f(t + theta h, y(t + theta h)) - sum_i p_i'(theta) k_i
 
-What acts at the stages of a step is in its error; what acts between them is in its defect. A look
-along a step that was made evaluates its defect at some points.
-The coefficients are those of a solver of diffrax; by default Dopri8 (Prince, Dormand, J. Comp.
-Appl. Math. 7 (1981) 67).
+The error depends on the rates at the stages of a step only; a short pulse of force between them
+shows in the defect. A look is a check of a step between its ends: it evaluates the defect at some
+points. The coefficients are those of a solver of diffrax; by default Dopri8 (Prince, Dormand, J.
+Comp. Appl. Math. 7 (1981) 67).
 """
 
 from __future__ import annotations
@@ -33,20 +33,23 @@ from jaxbody.numerics.xla_workarounds import any_of_batch
 DEGREE = 6  # highest of the polynomial between the ends of a step
 # length of the trial step, relative to the whole time; it gives the first rate and the first step
 TRIAL = 1e-6
-# errors by round-off, in eps of the state; smaller errors do not lengthen the next step further,
+# error due to round-off, in eps of the state: smaller errors do not lengthen the next step further;
+# over the tolerance it counts as LEAST_ERROR at most
 ROUNDED = 100.0
-LEAST_ERROR = 1e-3  # nor do errors below this where tolerances are near round-off
-# error over its tolerance; a step with less, or that changes hardly anything, gives no information
-# about the next one, and that is looked along before it is taken
+LEAST_ERROR = 1e-3
+# error over its tolerance below which a step is quiet: such a step, or one in which the state
+# hardly changes, gives no information about the next step, which is therefore checked between its
+# ends before it is accepted
 QUIET = 0.02
-# unless both are cut at kinks and equally long, as those from sample to sample of a record
+# largest length of the next step, over that of a quiet step that ended at a kink, for which it
+# needs no such check: steps from sample to sample of a record are equally long
 LONGER = 1.01
-# a step this many times longer than the shortest that an error has required is looked along, too:
-# what happened once may happen again
+# a step this many times longer than the shortest that an error has required is checked between its
+# ends too: a pulse that occurred once may occur again
 SHARP = 100.0
-NOT_LOOKING, EVENLY = -2, -1  # values of `Ahead.at` other than numbers of samples
-DEFECT = 1e3  # largest that is allowed, over the tolerance of the error
-ZERO = 1e-12  # coefficients of that polynomial below this are round-off
+NOT_LOOKING, EVENLY = -2, -1  # values of `Ahead.at` other than indices of samples
+DEFECT = 1e3  # largest defect that is allowed, over the tolerance of the error
+ZERO = 1e-12  # coefficients of the polynomial below this are round-off
 
 
 class Method:
@@ -69,7 +72,7 @@ class Method:
         self.order: Any = solver.order(diffrax.ODETerm(lambda t, y, args: y))
 
 
-method_of = functools.cache(Method)  # for a solver of diffrax, worked out once
+method_of = functools.cache(Method)  # computed once for each solver of diffrax
 
 
 def _polynomials(solver: diffrax.AbstractERK, b: np.ndarray) -> np.ndarray:
@@ -234,7 +237,7 @@ def step(
     if trial is None:
         carry, _ = lax.scan(one, carry, rows)
     else:
-        # unsigned, as each row would check whether i is negative
+        # unsigned, so that reading a row needs no check whether i is negative
         last = jnp.where(trial, np.uint32(2), np.uint32(len(A)))
         carry = lax.fori_loop(
             np.uint32(0),
@@ -310,7 +313,7 @@ def _sum(a, k: Float[Array, "n ny"]) -> Float[Array, "ny"]:
 def polynomial(method: Method, y, made: Step) -> Float[Array, "n ny"]:
     """Return c_0, c_1 ... of the state c_0 + c_1 theta + ... in the step.
 
-    Where it ends projected, theta^2 (3 - 2 theta) (P(y1) - y1) is added."""
+    If the step ends with a projection P, theta^2 (3 - 2 theta) (P(y1) - y1) is added."""
     c = [y, *(_sum(p, made.k) for p in method.P)]
     if made.moved is not None:
         c += [jnp.zeros_like(y)] * (4 - len(c))
@@ -321,9 +324,9 @@ def polynomial(method: Method, y, made: Step) -> Float[Array, "n ny"]:
 def first_length(control: Any, order: int, y0, f0, f1, dt, end) -> Float[Array, ""]:
     """Return the first step's length [s], from the rates f0 at the start and f1 dt later.
 
-    Of each component of y0 at least as much counts as has equal tolerances, atol/rtol: a start that
-    is zero up to rounding gives no information about the step. Source: Hairer, Norsett, Wanner,
-    Solving Ordinary Differential Equations I, II.4."""
+    Each component of y0 counts as at least atol/rtol, the size at which the absolute and relative
+    tolerances are equal: a start that is zero up to rounding gives no information about the step.
+    Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.4."""
     scale = control.atol + control.rtol * jnp.abs(y0)
     d0, d1, d2 = (
         control.norm(x / scale)
@@ -341,7 +344,8 @@ def first_length(control: Any, order: int, y0, f0, f1, dt, end) -> Float[Array, 
 
 
 def root(order: int, x: Array) -> Array:
-    """Return the root of the degree of a method's order; roots of roots are faster than a power."""
+    """Return x^(1/order) for the order of a method; for order 8 by three square roots, which are
+    faster than a power."""
     if order == 8:
         return jnp.sqrt(jnp.sqrt(jnp.sqrt(x)))
     return x ** (1 / order)

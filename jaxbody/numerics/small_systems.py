@@ -12,9 +12,9 @@ from jax import lax
 from jaxbody.core.arrays import Array, Bool, Float
 
 LARGEST_UNROLLED = 30
-DEPENDENT = 1e-8  # length of remaining rows, over the longest, that count as dependent
-# length of rows over the longest, after the parts along the others are taken off: shorter ones are
-# not solved for
+DEPENDENT = 1e-8  # length over that of the longest row below which the remaining rows are dependent
+# length of a row over the longest, after its components along the other rows are removed; shorter
+# rows are not solved for
 SHORTEST = 1e-8
 
 
@@ -133,8 +133,8 @@ class SaddlePoint(NamedTuple):
 
     Some rows of J may be linear combinations of others: J has `rank` independent ones, found by
     orthonormalizing its rows in the metric of M^-1, the longest remaining first. `inverse`: M^-1,
-    and `of_rows`: S with A S A = A for A = J M^-1 J', both constants; derivatives are those of the
-    solution."""
+    and `of_rows`: S with A S A = A for A = J M^-1 J', both constant in derivatives, which follow
+    from the equations that the solution fulfills."""
 
     M: Float[Array, "n n"]
     J: Float[Array, "m n"]

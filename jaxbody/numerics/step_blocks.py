@@ -7,7 +7,7 @@ memory grows with the number of blocks. Both modes treat step lengths as constan
 member has its own steps; constant steps are the same for all, and functions of time alone are then
 computed once. Adaptive steps end at the kinks of motions and loads, because a polynomial of high
 degree cannot cross them. Where a problem has a projection P, steps end at P(y1), and the error is
-what is left of it after P.
+what remains of it after the projection.
 """
 
 from __future__ import annotations
@@ -53,18 +53,18 @@ from jaxbody.numerics.runge_kutta_steps import (
 )
 from jaxbody.numerics.xla_workarounds import any_of_batch, carried
 
-BLOCK = 128  # steps, at most
+BLOCK = 128  # most steps in a block
 MOST_KEPT = 8e9  # bytes that a derivative may reserve
 WINDOW = 1024  # samples computed together, at most
 # members of a batch in a chunk: loops over 32 or fewer are unrolled before they can become
 # vector instructions
 LANES = 40
-NEAR = 1e-12  # distance of kinks, relative to the whole time, below which they are one
+NEAR = 1e-12  # distance of kinks, relative to the whole time, below which they count as one
 
 
 class Steps(NamedTuple):
-    """Steps: start after t0, length, polynomial c_0 + c_1 theta + ...; the length is zero in rows
-    without a step."""
+    """Steps, one in each row: time from t0 to the start [s], length [s], coefficients of the
+    polynomial c_0 + c_1 theta + ...; the length is zero in rows without a step."""
 
     start: Float[Array, "*n"]
     h: Float[Array, "*n"]
@@ -72,8 +72,8 @@ class Steps(NamedTuple):
 
 
 class Begun(NamedTuple):
-    """The start of a block: time tau after t0, state and its rate, the step before it, the window
-    of samples, and the time up to which that window is filled."""
+    """The start of a block: time tau after t0 [s], state and its rate, the step before it, index of
+    the window of samples, and the time up to which that window is filled."""
 
     tau: Float[Array, ""]
     y: Float[Array, "ny"]
@@ -84,8 +84,8 @@ class Begun(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Samples, NaN after an early end; last time after t0, last state, and state of
-    step control."""
+    """A solution: the samples, NaN after an early end; the last time, counted from t0 [s]; the last
+    state; and the state of step control."""
 
     samples: Float[Array, "nt ny"]
     tau: Float[Array, ""]
@@ -152,7 +152,7 @@ def _backward(
     arguments, y0, times = given
     begun, lengths, n = kept
     varied, fixed = partition(arguments, is_inexact_array)
-    # the first sample is y0, and of no block
+    # the first sample is y0, and belongs to no block
     of_windows = _windows(of_samples.at[0].set(0.0), jnp.zeros((1, len(y0)), y0.dtype))
 
     def back(carry):
@@ -244,7 +244,7 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
     course = Course(TRIAL * end, zero, zero + jnp.inf, none, none, jnp.full((), Status.OK.value))
     # for few samples few steps are kept
     size = BLOCK if keep else min(max(len(times) // 8, 16), BLOCK)
-    # full ones, one that ends each window, and the last ones
+    # full blocks, one that ends each window, and the last ones
     blocks = problem.max_steps // BLOCK + len(reach) + 2 if keep else 0
     of_block = (begun, jnp.zeros(BLOCK, y0.dtype))
     _check_memory(
@@ -273,7 +273,7 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
         )
         values, fill = _sampled(times, begun, steps, tau)
         out = _put(out, begun.window, jnp.where(fill[:, None], values, row_at(out, begun.window)))
-        if keep:  # members of a batch that look while others step may need more blocks
+        if keep:  # members that check a step while others take one may need more blocks
             short = running(begun._replace(tau=tau), course) & (n + 1 >= blocks)
             course = course._replace(code=jnp.where(short, Status.MAX_STEPS.value, course.code))
             kept = jax.tree.map(
@@ -450,7 +450,8 @@ def _last(steps: Steps) -> Steps:
 
 
 def _windows(x: Float[Array, "nt *k"], more: Array | None = None) -> Float[jax.Array, "n w *k"]:
-    """Return rows in windows, filled with the last row or with `more`."""
+    """Return the rows divided into windows of equal length; the last window is filled up with the
+    last row, or with `more`."""
     w = min(WINDOW, len(x))
     n = -(-len(x) // w)
     x = jnp.concatenate(
@@ -484,8 +485,8 @@ def linear_with_transpose(
         moved: arrays in which it is linear.
         like: arrays of the shapes and types of the results.
 
-    Neither function may hold arrays. Only the one that is needed is traced; both can be
-    differentiated again."""
+    Neither function may have arrays in its closure. Only the one that is needed is traced; both can
+    be differentiated again."""
     given, tree = jax.tree.flatten((known, moved))
     n, known_tree = len(jax.tree.leaves(known)), jax.tree.structure(known)
 

@@ -70,8 +70,8 @@ def _tridiagonal(A: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array
 
 
 def _diagonalized(d: Float[Array, "n"], e: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Return d when e has vanished. All matrices of a batch are swept until the last of them has
-    converged."""
+    """Return d, the eigenvalues, after sweeps until e vanishes. All matrices of a batch are swept
+    until the last of them has converged."""
     n = len(d)
 
     def settled(d, e):

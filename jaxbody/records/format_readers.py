@@ -57,7 +57,9 @@ DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3  # HDF5's numbers of its filters
 def read_columns(
     path: Any, wanted: list[Asked], *, format: str | None = None, largest: float = 1e9, **text: Any
 ) -> Contents:
-    """Read the requested columns of a file, under the names of the request.
+    """Read the columns `wanted` of a file, by name or number, and return them under these names.
+    `largest`: the largest size of the file and of its numbers [bytes]; `text`: options of
+    `read_text`.
 
     Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT,
     WRONG_FORMAT, MISSING_EXTRA, UNREADABLE, UNKNOWN_CHANNEL, NOT_A_NUMBER, EXTERNAL_DATA and

@@ -25,7 +25,7 @@ TEXT = {16: 1, 17: 2, 18: 4}
 MATRIX, COMPRESSED = 14, 15
 KNOWN = {*NUMBERS, *TEXT, MATRIX, COMPRESSED}
 CELL, STRUCT, OBJECT, CHARS, SPARSE, DEEPEST = 1, 2, 3, 4, 5, 20
-ELEMENT = 16  # memory of an element without its data (object, name, shape), in numbers of 8 bytes
+ELEMENT = 16  # memory of an element without its data (object, name, shape), in units of 8 bytes
 
 
 def read_matlab(
@@ -124,7 +124,7 @@ def _elements(data: bytes, order: str, name: str, largest: float) -> list[tuple[
 
 def _check_matrix(content: bytes, order: str, depth: int, name: str, largest: float) -> int:
     """Check flags, dimensions, name and the parts of a matrix; return the memory that they take, in
-    numbers of 8 bytes."""
+    units of 8 bytes."""
     if not content:
         return ELEMENT  # an empty cell
     if depth > DEEPEST:

@@ -27,8 +27,8 @@ class Record(Labeled, tables.Printed):
         times: in `time_unit`; None: from `rate`, the first sample at 0
         channels: {name: (values, unit)}
         time_unit: unit of the times
-        rate: sampling rate [Hz]; times that are given too are moved to whole steps of it, by half a
-            step and 0.1 % of the rate at most
+        rate: sampling rate [Hz]; if times are given too, they are moved to whole steps of it, by
+            half a step at most; their own rate may differ by 0.1 % at most
         highest: the highest frequency of interest [Hz], compared with the rate; None: no comparison
         irregular: accept jitter above 5 % of a step and more than 5 % of missing samples
         drop_duplicates: leave out rows that repeat the previous one

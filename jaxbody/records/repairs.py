@@ -20,7 +20,7 @@ def without_duplicates(
     t: np.ndarray, given: dict[str, Any], name: str, notes: list[str]
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Return times and channels without rows that equal the previous one in time and values.
-    Repeated times with other values stay, and are an error of `check_sampling`."""
+    Repeated times with different values remain, and are an error of `check_sampling`."""
     same = np.diff(t) == 0
     for x, _ in given.values():
         rows = x.reshape(len(x), -1)
@@ -38,7 +38,8 @@ def at_rate(
     t: np.ndarray, rate: float, where: str, problems: Problems, notes: list[str]
 ) -> np.ndarray:
     """Return increasing times, each moved to the nearest t_0 + k/rate. Error: RATE_MISMATCH if the
-    rate differs from that of the times, or if a time is nearest to a k that is not its own."""
+    rate differs from that of the times, or if the number of steps between neighboring times is not
+    that of `counts_of`."""
     steps = np.round((t - t[0]) * rate)
     own = sampling_of(t).rate
     wrong = np.flatnonzero(np.diff(steps) != counts_of(t))

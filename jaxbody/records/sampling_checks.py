@@ -13,20 +13,20 @@ from jaxbody.core.arrays import check_times, checked, concrete, float_array, tim
 from jaxbody.core.errors import Problems, warn
 
 EQUAL = 1e-6  # largest difference between equal steps, relative to them
-# largest ratio of the last digit of times to their step: above one half, a missing time would
-# not show
+# largest ratio of the last digit of times to their step: above one half, a missing time could not
+# be detected
 COARSEST = 1 / 3
 IRREGULAR = 0.05  # largest ratio of jitter to step, and of missing to all samples
 MANY_MISSING = 0.2
-AT_THE_RAILS = 0.01  # ratio of samples at the largest or smallest number to all
+AT_THE_RAILS = 0.01  # largest share of samples at an extreme value without the warning SATURATED
 RUN = 4  # consecutive equal samples that count as saturated
 USUAL_RATES = (2.0, 1e7)  # Hz
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """Mean step between neighbors [s], rms deviation of the steps from whole multiples of it [s],
-    and number of missing samples."""
+    """The sampling of a record: mean step between neighboring samples [s], rms deviation of the
+    steps from whole multiples of it [s], and number of missing samples."""
 
     step: float
     jitter: float
@@ -82,8 +82,9 @@ def evenly_spaced(times: np.ndarray) -> bool:
 def even_samples(
     times: Any, values: Any, where: tuple[str, str], problems: Problems
 ) -> tuple[Any, Any]:
-    """Return values, one for each of evenly spaced times, and the time step [s]; None and 1 if they
-    are not, with a problem added. Errors: those of times, NOT_UNIFORM, BAD_SHAPE, NON_FINITE."""
+    """Return values, one for each of evenly spaced times, and the mean time step [s]. Problems are
+    added if the times or values are not valid; the values are then None if they are wrong, and the
+    step is 1 if the times are. Errors: those of times, NOT_UNIFORM, BAD_SHAPE, NON_FINITE."""
     t = check_times(times, problems, where[0], minimum=2, kept=True)
     known = None if t is None else concrete(t)
     if known is not None and not evenly_spaced(known):
@@ -195,8 +196,8 @@ def check_values(
 
 
 def warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -> None:
-    """Warn DEAD for a channel that does not change, SATURATED for one that stays at its largest or
-    smallest number."""
+    """Issue the warning DEAD for a channel that does not change, SATURATED for one that stays at
+    its largest or smallest value."""
     for k, x in enumerate(rows.T):
         name = where + (f"[{k}]" if rows.shape[1] > 1 else "")
         here = x[np.isfinite(x)]
@@ -242,7 +243,7 @@ def _turns(x: np.ndarray, i: int, j: int) -> bool:
 
 
 def _check_unit(rows: np.ndarray, unit: units.Unit, where: str) -> None:
-    """Warn UNIT for numbers that suggest a unit other than the stated one."""
+    """Issue the warning UNIT for numbers that suggest a unit other than the stated one."""
     largest = float(np.nanmax(np.abs(rows))) if np.isfinite(rows).any() else 0.0
     if unit.dimension == units.ANGLE and unit.factor == 1.0 and largest > 2 * np.pi:
         warn("UNIT", f"{where} reaches {largest:.4g} rad, more than a turn; is it in degrees?")

@@ -23,8 +23,9 @@ AXES = {
     "s": ({units.TIME: 1.0}, ("s", "ms", "us")),
     "Hz": ({units.RATE: 1.0, units.ANGULAR_RATE: 1 / units.TURN}, ("Hz", "kHz")),
 }
-Asked = str | int  # a name or its number
-# from all names in the file and their aliases: {requested name: name in the file}
+Asked = str | int  # name of a column, or its number
+# a function of all names in the file and their aliases that returns {requested name: name in the
+# file}
 Pick = Callable[..., dict[Asked, str]]
 MAGIC = {
     b"\x89HDF": "hdf5", b"PAR1": "parquet", b"TDSm": "tdms", b"MDF ": "mdf", b"MATLAB": "mat",

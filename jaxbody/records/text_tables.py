@@ -1,5 +1,5 @@
-"""Tables of numbers in text files: lines of equal length below a line of names, read as they are or
-refused with the number of the line.
+"""Tables of numbers in text files: lines with equal numbers of cells below a line of names, read as
+they are or rejected with the number of the line.
 
 Names and units are taken from the lines before the numbers, "acc [g]" or a line of units below the
 names; skipped lines are in the notes. Nothing is guessed about the numbers: a decimal comma, a
@@ -400,7 +400,7 @@ def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], lis
 
 
 def _opening(head: str) -> int:
-    """Return the position of the bracket that is closed at the end; -1 if there is none."""
+    """Return the position of the bracket that the last character closes; -1 if there is none."""
     opens = {"]": "[", ")": "("}.get(head[-1:])
     depth = 0
     for at in range(len(head) - 1, -1, -1) if opens else ():

@@ -156,7 +156,7 @@ def read_uff_responses(path: Any, wanted: list[str], largest: float) -> dict[str
     path = Path(path)
     kind_of(path, "uff", largest)
     with reader_errors(path, "uff"):
-        # responses first, named as if they were alone
+        # frequency responses first, with the names that they would have without the others
         sets = sorted(sets_of(path), key=lambda s: int(s["func_type"]) != 4)
         count = sum(int(s["func_type"]) == 4 for s in sets)
         names = [f"{_uff_place(s, 'rsp')}/{_uff_place(s, 'ref')}" for s in sets]

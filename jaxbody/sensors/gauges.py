@@ -84,8 +84,8 @@ class Displacement(Gauge):
 
 
 class StringPotentiometer(Gauge):
-    """Distance |AB| [m] between two points, as read by a wire from one to the other; at zero length
-    its derivatives are zero.
+    """Distance |AB| [m] between two points, as measured by a wire from one to the other; at zero
+    length its derivatives are zero.
 
     `a` and `b` are each (name, point). `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
     Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_LENGTH in the reference pose, BAD_SHAPE,
@@ -209,9 +209,9 @@ class LaserVibrometer(LaserLine):
     Args:
         on: name of the body or support
         point: position in body axes [m]
-        axis: of the beam; x, y, z or a direction, in world axes
+        axis: direction of the beam, in world axes: x, y, z or a vector
         origin: a point of the beam, in world axes [m]
-        normal: of the plane surface through `point`; x, y, z or a direction, in body axes
+        normal: normal of the plane surface through `point`, in body axes: x, y, z or a vector
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
     Errors: ZERO_AXIS, NO_SURFACE, GRAZING, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_LAG.

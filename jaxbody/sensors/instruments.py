@@ -191,7 +191,7 @@ class OfElement(Components):
     0 to 2 along and 3 to 5 about the axes of its end a."""
 
     shape = ()
-    units_of_parts: ClassVar[tuple[str, str]]  # along and about an axis
+    units_of_parts: ClassVar[tuple[str, str]]  # for components along and about an axis
 
     @property
     def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -243,8 +243,8 @@ class Elongation(OfElement):
 
 
 class LoadCell(OfElement):
-    """The force in an element [N], tension positive, its damper and its inertia included; the
-    moment [N m] of a Torsion. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
+    """The force in an element [N], tension positive, including those of its damper and its inertia;
+    the moment [N m] of a Torsion. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
 
     A bushing needs a `component`: 0 to 2 for the forces [N], 3 to 5 for the moments [N m] that
     oppose its deformation, in the axes of its end a: positive where its end b is displaced along
@@ -329,9 +329,9 @@ class ForcePlate(WrenchSensor):
 
 
 class Reaction(WrenchSensor):
-    """Force [N] and moment [N m] of a joint on the body that it carries, in the axes of its
-    parent, or of everything attached to a support on it, in world axes: six numbers, or
-    `component` 0 to 5.
+    """Force [N] and moment [N m] that a joint exerts on the body that it carries, in the axes of
+    the joint's parent; or that everything attached to a support exerts on it, in world axes. Six
+    numbers, or `component` 0 to 5.
 
         F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;
         M the sum of their moments about the joint

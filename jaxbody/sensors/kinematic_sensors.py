@@ -1,8 +1,9 @@
 """The motion of a point or of a body, without an instrument: position, velocity, acceleration;
 rotation, angular velocity and acceleration.
 
-With p, v, a those of the point and R, w, alpha those of its body, relative to B and in the axes of
-B; r = p - p_B, u = v - v_B - w_B x r:
+p, v, a are position, velocity and acceleration of the point; R, w, alpha are orientation, angular
+velocity and angular acceleration of its body; those of the reference body B have an index B. The
+readings relative to B are, in the axes of B, with r = p - p_B and u = v - v_B - w_B x r:
 
     position               R_B' r
     velocity               R_B' u
@@ -101,7 +102,7 @@ class Kinematic(Sensor):
 
 class KinematicVector(Kinematic):
     """The base class of kinematic sensors whose reading is a vector: `relative` returns it in world
-    axes for the frames in two rows."""
+    axes, for frame `row` relative to frame `other`."""
 
     __init__ = Kinematic.__init__
 
@@ -179,11 +180,11 @@ class Velocity(KinematicOfPoint):
 
 
 class Acceleration(KinematicOfPoint):
-    """Acceleration [m/s2] of a point of a body or support, d2p/dt2, without gravity, as used for
-    comfort values. An Accelerometer reads the specific force in its own axes, which contains
+    """Acceleration [m/s2] of a point of a body or support, d2p/dt2, without gravity, as used to
+    assess ride comfort. An Accelerometer reads the specific force in its own axes, which contains
     gravity.
 
-    Its arguments and errors are those of Position. A stone that falls:
+    Its arguments and errors are those of Position. A falling stone:
 
     >>> guide = jb.Guide("world", axis=[0, 0, 1])
     >>> model = jb.Model(

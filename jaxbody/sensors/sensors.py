@@ -34,7 +34,7 @@ class Channel(eqx.Module):
 
     shape: eqx.AbstractClassVar[tuple[int, ...]]
     unit: eqx.AbstractClassVar[str]
-    # a time series: neighbors may be correlated, and there are enough samples to estimate the noise
+    # True for a time series: neighbors may be correlated, and samples suffice to estimate the noise
     series: ClassVar[bool] = True
     # names of the groups of components, where there are several units
     parts: ClassVar[tuple[str, ...]] = ()
@@ -94,10 +94,10 @@ class Channel(eqx.Module):
         return self.unit.count(",") + 1
 
 
-POINTS = 12  # samples of the polynomial
-# fractions of a cell at which the integral of the lag samples x
+POINTS = 12  # number of samples that the polynomial interpolates
+# nodes of the quadrature of x in the lag's solution, as fractions of a cell
 NODES = (1 - np.cos(np.pi * np.arange(6) / 5)) / 2
-# h/T below which moments come from their series, and its terms: 3^28/28! < 1e-16
+# h/T below which moments come from their series, and the number of its terms: 3^28/28! < 1e-16
 SERIES, TERMS = 3.0, 28
 
 
@@ -315,8 +315,9 @@ class Sensor(Described, Channel):
     def change(
         self, model: Model, frames: Instant, rest: Instant, at_rest: Model
     ) -> Float[Array, "*s"]:
-        """Return the residual from a reading at rest, whose derivatives are the rows of an output
-        of responses. `model` and `at_rest` contain the states of their elements."""
+        """Return the reading minus that at rest, in the form of a residual; its derivatives are the
+        rows of an output of responses. `model` and `at_rest` contain the states of their
+        elements."""
         readings = self.reading(model, frames), self.reading(at_rest, rest)
         return self.residual(
             *(x if self.bias is None else self.disturbed(x, self.bias) for x in readings)

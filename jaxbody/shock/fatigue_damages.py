@@ -36,7 +36,7 @@ from jaxbody.records.records import Record
 from jaxbody.shock.peak_factors import moments
 from jaxbody.vibration.random_responses import RandomResponse
 
-RANGES = {"range": 1.0, "amplitude": 2.0}  # ranges over what a curve states
+RANGES = {"range": 1.0, "amplitude": 2.0}  # ratio of a range to the level that a curve states
 
 
 class SNCurve(eqx.Module):
@@ -140,7 +140,7 @@ def fatigue_damage(
 ) -> FatigueDamage:
     """Compute the fatigue damage of outputs of a random response, or of channels of a record.
 
-    The damage by a response is differentiable with respect to the model, the spectra and the
+    The damage of a response is differentiable with respect to the model, the spectra and the
     curves. Counting of rainflow cycles has no derivative. Half cycles count half.
 
     Args:

@@ -1,16 +1,16 @@
 """Floor spectra: the response spectrum of an acceleration of a model, for equipment on it, from
 records or directly from a spectrum.
 
-From a record: the spectrum of the exact history of the small motion. Directly, for the mode j of
-the model and equipment of w and zeta,
+From a record: the response spectrum of the exact history of the small motion. Directly from a
+spectrum A: for mode j of the model and equipment of frequency w and damping ratio zeta,
 
     B_j = sqrt(((w/w_j)^2 A(f_j, zeta_j))^2 + A(f, zeta)^2)
           /sqrt((1 - (w/w_j)^2)^2 + 4 (zeta + zeta_j)^2 (w/w_j)^2)
 
-times its reading of the output, combined by squares over modes and excitations. It is exact
-for soft and for rigid equipment, and an estimate near resonance. Source: Y. Yasui et al.,
-Proc. SMiRT-12 (1993), K13/1, as given by P. Vukobratovic, P. Fajfar, Bull. Earthquake Eng.
-14 (2016) 1683.
+times the reading of the output per unit of the mode, combined by squares over modes and
+excitations. It is exact for soft and for rigid equipment, and an estimate near resonance. Source:
+Y. Yasui et al., Proc. SMiRT-12 (1993), K13/1, as given by P. Vukobratovic, P. Fajfar, Bull.
+Earthquake Eng. 14 (2016) 1683.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def floor_spectrum(
         modal_damping: damping ratios of the model's modes, one for all or one for each; default:
             those of the model's dampers.
 
-    Errors: those of `spectrum_response` and `shock_spectrum`, BAD_UNIT for an output that is no
+    Errors: those of `spectrum_response` and `shock_spectrum`, BAD_UNIT for an output that is not an
     acceleration, BAD_OPTION for records of different times, or records with spectra.
 
     >>> spring = jb.Spring(

@@ -1,10 +1,10 @@
-"""Records whose response spectrum is a given one: a sum of cosines under an envelope, its
-amplitudes and phases fitted by derivatives.
+"""Records with a given response spectrum: sums of cosines under an envelope, with amplitudes and
+phases fitted by exact derivatives.
 
     a(t) = P envelope(t) sum_k exp(b_k) cos(2 pi f_k t + p_k)
 
-P is linear: it takes away what would leave a velocity or a displacement at the end. The residuals
-are log(reached/target); with fewer of them than unknowns, each step of Levenberg and Marquardt is
+P is a linear projection, after which velocity and displacement are zero at the end. The residuals
+are log(reached/target); since they are fewer than the unknowns, each Levenberg-Marquardt step is
 the smallest change of b and p that removes their linear part.
 """
 
@@ -32,7 +32,7 @@ from jaxbody.shock.shock_spectra import weights_of
 from jaxbody.vibration.frequency_responses import check_frequencies
 
 LINES = 3  # cosines for each frequency of the spectrum
-# frequencies by default, up to 33 Hz, from this number of periods in the record on
+# default frequencies: their number, the highest [Hz], and periods of the lowest in the record
 TARGETS, HIGHEST, PERIODS = 80, 33.0, 4.0
 SAMPLES = 8  # in a period of the highest frequency
 RISE, FALL = 0.15, 0.55  # of the duration, where the envelope reaches 1 and begins to fall
@@ -136,7 +136,7 @@ def spectrum_compatible_record(
     same place when it begins and when it ends.
 
     The record is a sum of cosines of random phases under an envelope that rises, is constant and
-    falls; amplitudes and phases are fitted by derivatives of the continuous peaks of
+    falls; amplitudes and phases are fitted with exact derivatives of the continuous peaks of
     pseudo-acceleration. Another key gives another record.
 
     Args:
@@ -151,8 +151,8 @@ def spectrum_compatible_record(
 
     Errors, all at once: WRONG_KIND, NO_KEY, BAD_NUMBER, BAD_FREQUENCY, NOT_COVERED, LOW_RATE for a
     rate below four in a period of the highest frequency, TOO_SHORT, NOT_A_FRACTION; warns
-    NOT_CONVERGED. Source: L. Al Atik, N. Abrahamson, Earthquake Spectra 26 (2010) 601, whose
-    adjustments are wavelets.
+    NOT_CONVERGED. Source: L. Al Atik, N. Abrahamson, Earthquake Spectra 26 (2010) 601, who adjust a
+    record by wavelets instead.
 
     >>> quake = jb.shock.spectrum_compatible_record(
     ...     jb.shock.Eurocode8(2.0, "B"),
@@ -266,7 +266,7 @@ class _Problem:
             )
             ** 2
         )
-        # of a in straight lines: velocity and displacement at the end
+        # velocity and displacement at the end per sample of a, linear between samples
         ends = np.stack([np.full(len(times), h), h * (T - times)])
         ends[:, 0], ends[:, -1] = (h / 2, h * T / 2 - h**2 / 6), (h / 2, h**2 / 6)
         self.ends, self.correction = ends, np.linalg.solve((ends * self.envelope) @ ends.T, ends)

@@ -1,5 +1,5 @@
-"""Oscillators under an acceleration of straight lines between equally spaced samples: their peaks
-and histories by an exact recurrence.
+"""Peaks and histories of oscillators by a recurrence that is exact for an acceleration in straight
+lines between equally spaced samples.
 
 With x'' + 2 zeta w x' + w^2 x = -a and the pole s = -zeta w + i w sqrt(1 - zeta^2), the complex
 state r' = s r - c a gives
@@ -8,13 +8,13 @@ state r' = s r - c a gives
             x'                    c = s/Im(s)
             x'' + a               c = s^2/Im(s)
 
-and, for any complex c, any sum of them. Over a step h, with z = s h,
+and with any other complex c a linear combination of these. Over a step h, with z = s h,
 
     r_{k+1} = e^z r_k - c h ((phi1 - phi2) a_k + phi2 a_{k+1}),   phi1 = (e^z - 1)/z,
     phi2 = (e^z - 1 - z)/z^2
 
-Source: N. C. Nigam, P. C. Jennings, Bull. Seismol. Soc. Am. 59 (1969) 909, whose recurrence of x
-and x' this is.
+Source: N. C. Nigam, P. C. Jennings, Bull. Seismol. Soc. Am. 59 (1969) 909, who state this
+recurrence for x and x'.
 """
 
 from __future__ import annotations
@@ -83,9 +83,10 @@ SIDES = ("maximax", "positive", "negative")
 UNROLLED = 4  # steps in one pass of the loop; on a CPU faster than 1, 2, 3, 6 and 8
 SMALL = 0.5  # |z| below which the functions phi are power series
 TERMS = 14
-ROUNDING = 1e-9  # of a time, relative to the step
-REFINED = 10  # steps of Newton's rule, or halvings of a bracket
-# relative differences of equal peaks: of rounding; of points of which one is nearer to its peak
+ROUNDING = 1e-9  # rounding error of a time, relative to the step
+REFINED = 10  # steps of Newton's method, or halvings of a bracket
+# relative differences up to which peaks count as equal: by rounding; between samples, of which one
+# may be nearer to its peak than the other
 EXACT, BETWEEN = 1e-9, 2e-3
 
 
@@ -201,8 +202,8 @@ def influences(
 def history(
     a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "m n"]
 ) -> Float[Array, "nt m"]:
-    """Return at the samples the sums over the oscillators of Im(c r), with the states r of unit
-    weight."""
+    """Return the sums over the oscillators of Im(c r) at the samples, with r the states for the
+    weight c = 1."""
     e, before, after = steps(s, jnp.ones_like(s), h)
     drive, a = e * after + before, a.astype(s.dtype)
 
@@ -222,7 +223,7 @@ def _largest(
     """Return the peak at the samples, with its sample and state if `with_state`, and the state r at
     the last sample."""
     e, before, after = steps(s, c, h)
-    drive = e * after + before  # of w = r - after a, whose step needs one acceleration
+    drive = e * after + before  # factor of a in the step of w = r - after a
     er, ei, dr, di, own = e.real, e.imag, drive.real, drive.imag, after.imag
     start, zero = (
         (r0.real - after.real * a[0], r0.imag - own * a[0]),
@@ -265,8 +266,8 @@ def _largest(
 def _first_of_equal(
     a, h, s, c, side: str, peak: Peak
 ) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
-    """Return value, time and sign of the larger of both peaks, or of the first one where they are
-    equal: with any damping the first one is larger."""
+    """Return value, time and sign of the larger of the two peaks, or of the first one where they
+    are equal: with any damping the first one is larger."""
     both = jax.vmap(lambda one: _refined(a, h, s, c, side, one))(peak)
     earlier = both[0][1] >= both[0][0] * (1 - EXACT)
     return tuple(jnp.where(earlier, x[1], x[0]) for x in both)  # pyright: ignore[reportReturnType]

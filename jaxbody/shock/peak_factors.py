@@ -118,10 +118,10 @@ HALVINGS = 60
 
 
 class PeakFactors(OfOutputs):
-    """Peak factors of outputs. Of each output the peak `factor`, its standard `deviation` (NaN for
-    a given probability) and the `maximum` = factor rms in its unit; `peaks["seat"]` is the maximum
-    of one output. `rate` [1/s] of zero crossings in both directions, and the `bandwidth` delta, 0
-    for a sine."""
+    """Peak factors of outputs. For each output: the peak `factor`, its standard `deviation` (NaN
+    for a given probability) and the `maximum` = factor rms in its unit; `peaks["seat"]` is the
+    maximum of one output. `rate` [1/s] of zero crossings in both directions, and the `bandwidth`
+    delta, 0 for a sine."""
 
     index, main, word = "output", "maximum", "peaks"
     factor: Float[Array, "ny"]
@@ -177,8 +177,8 @@ def peak_factor(
     formula: str = "Der Kiureghian",
     probability: float | None = None,
 ) -> PeakFactors:
-    """Compute the expected largest magnitude of each output of a random response in a time, over
-    its rms, and the maximum itself.
+    """Compute the expected largest magnitude of each output of a random response within a duration,
+    as a multiple of its rms and in its unit.
 
     The response is taken as stationary and Gaussian with mean zero. The result is differentiable
     with respect to the model, the spectra and the duration.
@@ -309,7 +309,7 @@ def quantile(
     )
     a = (low + high) / 2
     slope = jax.jvp(lambda a: _vanmarcke(a, *fixed), (a,), (jnp.ones_like(a),))[1]
-    # the value is a; by the last term it has the derivatives of the root
+    # the value is a; the last term is about zero and adds the derivatives of the root
     return a - (_vanmarcke(a, rate * T, delta) - p) / slope
 
 

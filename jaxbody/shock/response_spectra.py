@@ -1,6 +1,6 @@
-"""Response spectra, the largest response of oscillators to one base acceleration over frequency and
-damping ratio: their base class, and design spectra of earthquakes, through points and by the
-parameters of Eurocode 8 and ASCE 7."""
+"""Response spectra, the largest response of oscillators to a base acceleration as a function of
+their frequency and damping ratio: the base class, and design spectra of earthquakes, given by
+points or by the parameters of Eurocode 8 or ASCE 7."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxbody.core.arrays import Array, Float, checked, device_array, float_array
 from jaxbody.core.errors import Problems
 from jaxbody.core.units import GRAVITY
 
-ROUNDING = 1e-9  # relative, of frequencies at the ends of what a spectrum covers
+ROUNDING = 1e-9  # relative, of frequencies at the ends of a spectrum's range
 
 
 class ResponseSpectrum(tables.Printed, eqx.Module):
@@ -278,22 +278,22 @@ class Eurocode8(ResponseSpectrum):
 
 class ASCE7(ResponseSpectrum):
     """The design response spectrum of ASCE 7, with T = 1/frequency, T_0 = 0.2 S_D1/S_DS,
-    T_S = S_D1/S_DS and B of the damping ratio:
+    T_S = S_D1/S_DS and a factor B that depends on the damping ratio:
 
         S_DS (0.4 + 0.6 T/T_0)    T < T_0
         S_DS                      T_0 <= T <= T_S
         S_D1/T                    T_S < T <= T_L
         S_D1 T_L/T^2              T > T_L
 
-    S_DS and S_D1 over B, S_a at T = 0 as for 5 %.
+    Here S_DS and S_D1 are divided by B, except in the value at T = 0, which is that for 5 %.
 
     Args:
         short: S_DS, acceleration at short periods [g]
         one_second: S_D1, acceleration at 1 s [g]
         long_period: T_L [s]
 
-    Errors: BAD_NUMBER. Source: ASCE 7-16, 11.4.6; B by its table 17.5-1, in straight lines between
-    its rows.
+    Errors: BAD_NUMBER. Source: ASCE 7-16, 11.4.6; B by its table 17.5-1, interpolated linearly
+    between its rows.
 
     >>> spectrum = jb.shock.ASCE7(short=1.0, one_second=0.6)
     >>> [round(float(x) / 9.80665, 9) for x in (spectrum(4.0), spectrum(0.5), spectrum.rigid())]

@@ -1,5 +1,5 @@
-"""Shock response spectra of records: the peaks of oscillators of many frequencies and dampings on a
-base with this acceleration."""
+"""Shock response spectra of records: the peaks of oscillators of many frequencies and damping
+ratios on a base with the recorded acceleration."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ PARTS = {
     "both": ", also in the free vibration after it",
 }
 PULSE_STEPS = 2000  # straight lines in a pulse, from which a half sine deviates by (pi/2000)^2/8
-SHORTEST = 1e-9  # part of a pulse between two corners at the same place
+SHORTEST = 1e-9  # fraction of a pulse taken between two coinciding corners
 # rad between the points among which a continuous peak is looked for, and points in a step; the
 # largest of them is too low by 0.13 % where the oscillator determines the curvature of the
 # response, and by an h^2/(128 x) where a slow one follows the record
@@ -46,8 +46,8 @@ SLOWEST = {"samples": 0.25, "continuous": 0.5}
 
 
 class ShockSpectrum(Labeled, ResponseSpectrum, Result):
-    """`values` (damping ratios, frequencies), in `unit`, at `damping` and `frequencies` [Hz];
-    `kind`, `side`, `peaks` and `part` are the options of `shock_spectrum`.
+    """A shock response spectrum: `values` (damping ratios, frequencies), in `unit`, at `damping`
+    and `frequencies` [Hz]; `kind`, `side`, `peaks` and `part` are the options of `shock_spectrum`.
 
     `spectrum(f, zeta)` is the pseudo-acceleration [m/s2], interpolated linearly between logarithms
     of frequency and value, and between damping ratios. Error: BAD_KIND for a spectrum of absolute
@@ -165,7 +165,7 @@ def shock_spectrum(
 
     The recurrence is exact for such lines, and so is the free vibration after them. The spectrum is
     differentiable with respect to accelerations and damping ratios, and with peaks="samples" also
-    to frequencies. A pulse may jump, and needs no samples and no zeros after it.
+    with respect to frequencies. A pulse may jump, and needs no samples and no zeros after it.
 
     Args:
         record: a Record with one acceleration, (times, accelerations) [s, m/s2], evenly spaced, or

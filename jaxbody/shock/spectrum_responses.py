@@ -1,5 +1,5 @@
-"""Maxima of outputs by response spectra: what a base acceleration excites of each mode and of what
-modes leave out, the peaks of both, and their combination over modes and directions.
+"""Maxima of outputs from response spectra: the peaks, under a base acceleration, of each mode and
+of the part that the modes leave out, and their combination over modes and directions.
 
 With Xi'' = e a(t), S = K^-1 K~ and y = Delta - S Xi, modes phi (phi' M phi = 1) and y = sum
 phi_j q_j,
@@ -9,10 +9,10 @@ phi_j q_j,
 
     output = sum_j Gamma_j (Y0 phi_j x_j + Y1 phi_j x_j' + Y2 phi_j (x_j'' + a)) + g a
 
-where x_j is the displacement of an oscillator of w_j and zeta_j on this base, and g what the modes
-leave out of the acceleration of the rest. The quasi-static motion S Xi of the supports itself,
-which strains nothing where they move as one body, is not part of it. For outputs
-alpha x + beta x' + gamma (x'' + a) of a mode the peak is
+where x_j is the displacement of an oscillator of w_j and zeta_j on this base, and g the part of an
+acceleration output that the modes leave out. The quasi-static motion S Xi, which strains nothing if
+the supports move as one body, is not included. For outputs alpha x + beta x' + gamma (x'' + a) of a
+mode the peak is
 
     of a spectrum A     |alpha - w^2 gamma + i w (beta - 2 zeta w gamma)| A(w, zeta)/w^2
     of a record         that of the exact history
@@ -20,14 +20,14 @@ alpha x + beta x' + gamma (x'' + a) of a mode the peak is
 and what modes above the highest frequency leave out (missing mass) follows the base acceleration as
 a rigid body does. Peaks of modes, whose times are unknown, are combined by
 
-    SRSS       R^2 = sum_j R_j^2,   modes of one frequency are one mode, R_j their sum
+    SRSS       R^2 = sum_j R_j^2,   coinciding modes count as one, with R_j their sum
     CQC        R^2 = sum_ij rho_ij R_i R_j,   r = w_i/w_j,
                rho_ij = 8 sqrt(z_i z_j) (r z_i + z_j) r^1.5
                         /((1 - r^2)^2 + 4 z_i z_j r (1 + r^2) + 4 (z_i^2 + z_j^2) r^2)
     absolute   R = sum_j |R_j|, an upper bound
 
 rho_ij is the correlation of the displacements of two oscillators under one white noise. Source:
-A. K. Chopra, Dynamics of Structures (2012), 13.1 and 13.2, in whose words M S - M~ is the mass
+A. K. Chopra, Dynamics of Structures (2012), 13.1 and 13.2, where (M S - M~) e is called the mass
 matrix times the influence vector; A. Der Kiureghian, Earthquake Eng. Struct. Dyn. 9 (1981) 419;
 E. L. Wilson, A. Der Kiureghian, E. P. Bayo, same volume, 187.
 """
@@ -445,8 +445,8 @@ def checked_ratios(given: Any, lin: Linearization, where: str, problems: Problem
 
 
 def checked_spectra(bases: list[Excitation], where: str, problems: Problems) -> tuple[Any, ...]:
-    """Check what excites each base and return its spectrum or the samples of its record. Errors:
-    WRONG_KIND and those of records."""
+    """Check the excitation of each base and return its spectrum or the samples of its record.
+    Errors: WRONG_KIND and those of records."""
     spectra = []
     for base in bases:
         given, place = base.spectrum, f"{where} '{base.name}'"

@@ -42,7 +42,7 @@ from jaxbody.suspension.assemblies import (
 )
 from jaxbody.suspension.wheels import Wheel
 
-# of printed curves, by the words with which their names begin
+# order of printed curves, by the words with which their names begin
 ORDER = (
     "camber",
     "toe",
@@ -61,7 +61,7 @@ ORDER = (
 )
 # unit and factor with which numbers are printed
 PRINTED = {"rad": ("deg", 180 / np.pi), "m": ("mm", 1e3), "N/m": ("N/mm", 1e-3)}
-# of curves that are neither lengths [m] nor motion ratios
+# units of the curves that are neither lengths [m] nor motion ratios
 UNITS = {
     "camber": "rad",
     "toe": "rad",
@@ -72,7 +72,7 @@ UNITS = {
     "wheel force": "N",
     "wheel rate": "N/m",
 }
-MOST_COLUMNS = 6  # of curves in a printed table
+MOST_COLUMNS = 6  # most curves in a printed table
 # largest movement of the wheel while all driven readings are held, relative to the model's size
 FREE = 1e-6
 
@@ -82,8 +82,8 @@ class SuspensionCurves(Labeled, Result):
     readings (prescribed values) `over` {name: (n,)}, and `slopes["travel"]["camber"]`, their
     derivatives with respect to a driven reading. See `suspension_curves`.
 
-    `status` (n,): NOT_CLOSED beyond reach, with NaN in all curves. `q` (n, nq):
-    the configurations."""
+    `status` (n,): NOT_CLOSED where the suspension cannot reach the readings, with NaN in all
+    curves. `q` (n, nq): the configurations."""
 
     index = "row"
     over: dict[str, Float[Array, "n"]]
@@ -176,9 +176,9 @@ def suspension_curves(
 
         c(q) = 0,   r_i(q) - r_i(q_0) = x_i
 
-    Angles and places of the wheel and of its steering axis are those of ISO 8855
+    Angles and positions of the wheel and of its steering axis are those of ISO 8855
     (suspension/wheels.py). With l(x) the elongation of a spring, V the energy of all elements, and
-    v = dC/dx the velocity of the point of the upright at the contact C, by the travel x:
+    v = dC/dx the velocity of the point of the upright at the contact C per unit of the travel x:
 
         motion ratio   dl/dx; the length of an element between two points
         wheel force    dV/dx, upward at the wheel
@@ -191,24 +191,24 @@ def suspension_curves(
         model: a model with closures, x forward, y to the left, z up; its supports are at rest
         drive: {name: sensor of one number, such as Position("upright", point, axis="z"), or
             "rack.q", or a wheel for the rise of its center}, the travel first
-        over: {name: values}, changes from the assembled reference [m or rad]; a single number holds
-            a reading
+        over: {name: values}, changes from the assembled reference [m or rad]; a single number keeps
+            a reading constant
         wheel: the wheel
         steer: the name of the drive that steers; None: the second one. Where the wheel has no
             kingpin, its steering axis is the screw axis of the motion by this drive, with the
             others held
-        equilibrium: whether what closures and readings leave free is in equilibrium, as in a model
-            of bushings (`jb.suspension.compliant`)
+        equilibrium: whether the coordinates that closures and readings leave free are in
+            equilibrium, as in a model with bushings (`jb.suspension.compliant`)
         loads: {name: load} of this equilibrium, such as a side force at the wheel; by default none
 
     The curves can be part of an objective of `tune` or of your own loss function: they have exact
-    derivatives with respect to all numbers of the model, up to the fourth order including those by
-    the travel in ratios, rates and slopes.
+    derivatives with respect to all numbers of the model, up to the fourth order, including those
+    with respect to the travel in ratios, rates and slopes.
 
     Errors: UNDRIVEN where the wheel can move while all readings are held, unless in equilibrium, or
     a drive moves nothing; UNKNOWN_NAME, UNKNOWN_BODY for a load, BAD_OPTION for loads without
-    equilibrium or that without elements, BAD_SHAPE, NON_FINITE; warns NOT_CLOSED where a value is
-    beyond reach, UNSTABLE where the energy has no minimum.
+    `equilibrium`, or `equilibrium` of a model without elements, BAD_SHAPE, NON_FINITE; warns
+    NOT_CLOSED where a value is beyond reach, UNSTABLE where the energy has no minimum.
 
     Source: ISO 8855 for signs; the screw axis of a twist (w, v) passes through w x v/|w|^2.
 
@@ -287,7 +287,7 @@ def arguments_of(
     resting: bool = False,
 ):
     """Return the arguments of `suspension_curves` after checks: model, drives, targets, wheel, name
-    of the drive that steers. `resting`: whether the rest is in equilibrium."""
+    of the drive that steers. `resting`: whether the free coordinates are in equilibrium."""
     check_precision(where, model)
     drives = drives_of(model, dict(drive), f"{where}.drive")
     frames = model.layout.frames
@@ -477,7 +477,7 @@ def _read(
     wheel: Wheel, side: Array, steer: int | None, placed: Any, slopes: Any, model: Model
 ) -> dict[str, Array]:
     """Return all curves at one set of driven readings, from what `_placed` returns and its
-    derivatives by the readings."""
+    derivatives with respect to the readings."""
     (pose, e, _), (turning, e_slopes, V_slopes), single = placed, slopes, springs_of(model)
     center, C = pose.point(wheel.center), wheel.contact(pose)
     curves = wheel.alignment(pose, side)

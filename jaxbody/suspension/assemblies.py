@@ -4,14 +4,14 @@ driven positions, in which some readings have prescribed values too.
     c(q) = 0,   r_i(q) - r_i(q_0) = x_i
 
 q_0 is the assembled reference. A reading r is a sensor with one number, or a coordinate, "rack.q".
-In equilibrium, what closures and driven readings leave free is at rest under its elements, weights
-and loads.
+In a calculation with equilibrium, the coordinates that closures and driven readings leave free are
+in static equilibrium under elements, weights and loads.
 
     C(q) = 0: closures and readings,   dV/dDelta - Q + C_q' mu = 0
 
-mu are the forces of closures and drives. Newton steps in (q, mu), whose equations of the forces are
-divided by a stiffness k, so that all are in meters; a few more with the last inverse, held fixed,
-are differentiated as they are (mechanics/constraints.py).
+mu are the forces of closures and drives. The equations are solved by Newton steps in (q, mu), with
+those of the forces divided by a stiffness k, so that all are in meters. A few more steps, in which
+the last inverse is kept, are differentiated directly (mechanics/constraints.py).
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = 
         c(q) = 0,   q <- q (+) -J^+ c(q),   J = dc/dDelta
 
     The state is an exact function of the model's numbers and of the start: it has derivatives in
-    both modes, up to the fourth.
+    forward and reverse mode, up to the fourth order.
 
     Args:
         model: a model with closures; its drawn poses may be rough
@@ -400,7 +400,7 @@ def resting_positions(
         at = jax.tree.map(lambda new, old: jnp.where(reached, new, old), at, last)
         values = jnp.linalg.eigvalsh((A + A.T) / 2)
         rank = jnp.sum(jnp.linalg.svdvals(A[nv:]) > RANK)
-        # at a minimum, as many as there are independent conditions
+        # at a minimum as many are negative as there are independent conditions
         negative = jnp.sum(values < -NEGATIVE * jnp.max(jnp.abs(values)))
         stable = jnp.where(negative > rank, Status.UNSTABLE, Status.OK)
         return at, (at, jnp.where(reached, stable, Status.NOT_CLOSED))

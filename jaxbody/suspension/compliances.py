@@ -1,9 +1,9 @@
 """Compliant joints: a model in which some joints and closures are bushings at the same place, so
-that one drawing has both kinematics.
+that one drawing serves for ideal and for compliant joints.
 
 A bushing has the stiffness of the compliance in axes of the joint: z along its axis, x across it,
-where it has one; else the axes of its parent. It is relaxed in the reference pose where that is
-drawn closed.
+where it has one; else the axes of its parent. It is relaxed in the reference pose if the closure is
+fulfilled there.
 """
 
 from __future__ import annotations
@@ -59,9 +59,10 @@ def compliant(model: Model, compliances: Mapping[str, Compliance]) -> Model:
     increasing stiffness it approaches the model with ideal joints.
 
     A closure keeps its name, as an element. The joint of a body becomes the element "<body> joint",
-    and the body is free; bodies carried by it stay on it. Directions in which the ideal joint moves
-    are free only if the stiffness there is 0, as about z of a hinge or along z of a guide. A search
-    for equilibrium far from the drawing starts best from that of the ideal joints.
+    and the body is free; bodies that it carries stay attached to it. Directions in which the ideal
+    joint moves are free only if the stiffness there is 0, as about z of a hinge or along z of a
+    guide. A search for an equilibrium far from the drawn pose should start from the equilibrium of
+    the model with ideal joints.
 
     Args:
         model: the model with ideal joints

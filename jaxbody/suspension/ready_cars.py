@@ -1,5 +1,5 @@
-"""A car on four double wishbones by its hard points: fourteen bodies, two closures at each wheel,
-in equilibrium as it is drawn."""
+"""A car on four double wishbones, defined by its hard points: fourteen bodies, two closures at each
+wheel, in equilibrium as it is drawn."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from jaxbody.suspension.suspensions import (
 from jaxbody.suspension.wheels import Wheel
 
 G = 9.81
-ENGAGEMENT = 1e-3  # m, over which a tyre's stiffness builds up
+ENGAGEMENT = 1e-3  # m, compression over which a tyre's stiffness builds up
 # kg m2
 ARM_INERTIA, UPRIGHT_INERTIA, RACK_INERTIA = (0.08, 0.02, 0.1), (0.6, 1.0, 0.6), (0.1, 0.01, 0.1)
 ENDS, SIDES = ("f", "r"), {"l": 1.0, "r": -1.0}
@@ -41,8 +41,8 @@ ENDS, SIDES = ("f", "r"), {"l": 1.0, "r": -1.0}
 
 class Car(Suspension):
     """A car on double wishbones: `model`, in the design position; `fl`, `fr`, `rl` and `rr`, its
-    wheels; hard points as of a `Suspension`, "front lower outer" and "rear lower outer" for those
-    of left wheels; the right wheels are their mirror images.
+    wheels; hard points as in a `Suspension`, such as "front lower outer" and "rear lower outer",
+    are those of left wheels; the right wheels are their mirror images.
 
     >>> car = jb.suspension.car_on_double_wishbones()
     >>> car.moved({"rear tie rod inner": [0.05, 0.2, 0.26]}).model["rr tie rod"].a[1:].tolist()
@@ -257,8 +257,8 @@ class _Drawn(NamedTuple):
 
     @property
     def centers(self) -> dict[str, Any]:
-        """{body: its center of mass}: of an arm midway between its outer point and the middle of
-        its hinge."""
+        """{body: its center of mass}; that of an arm is midway between its outer point and the
+        middle of its hinge."""
 
         def of_arm(level: str) -> Any:
             front, rear, outer = (
@@ -317,11 +317,11 @@ class _Drawn(NamedTuple):
         upper = xp.cross(n["upper"], at["upper outer"] - at["upper inner front"])
         up, out = at["upper outer"] - at["lower outer"], at["tie rod outer"] - at["lower outer"]
         rod = at["tie rod outer"] - at["tie rod inner"]
-        # w x up - rate upper
+        # coefficients of the unknowns in w x up - rate upper, at the upper ball
         of_ball = xp.concatenate([xp.cross(np.eye(3), up).T, -upper[:, None]], 1)
         of_rod = xp.concatenate([xp.cross(out, rod), np.zeros(1)])  # rod . (w x out)
         right = xp.concatenate([-lower, -(rod @ lower)[None]])
-        # w of the upright, rate of the upper arm
+        # the unknowns: w of the upright, rate of the upper arm
         solved = xp.linalg.solve(xp.concatenate([of_ball, of_rod[None]]), right)
         return {
             "lower arm": (n["lower"], at["lower inner front"], np.zeros(3)),
@@ -330,8 +330,8 @@ class _Drawn(NamedTuple):
         }
 
     def spring_tension(self, load: Any, gravity: Any) -> Any:
-        """Return the tension [N] of the spring that carries the wheel load N, for which the power
-        of all forces is zero while the suspension moves on the car at rest:
+        """Return the tension T [N] of the spring that carries the wheel load N, from the condition
+        that the power of all forces is zero while the suspension moves on the car at rest:
 
         N v_hub - sum m g v_com - T l' = 0"""
         if is_concrete(gravity) and gravity == 0:

@@ -5,7 +5,7 @@ three trailing links and a Panhard rod.
 A hard point is given once, in the axes of the car, x forward, y to the left, z up [m], with the
 wheel in its design position; all bodies have these axes and this origin there. Right wheels have
 points with negative y. The functions can be part of a compiled function of the points, so that
-curves have derivatives by each of them.
+curves have derivatives with respect to each of them.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ FIVE_LINK = {
     "spring upper": (-0.02, 0.52, 0.62),
 }
 LINKS = ("lower front", "lower rear", "upper front", "upper rear")
-LARGEST = 20  # m, between hard points of one suspension
+LARGEST = 20  # m, largest distance between hard points of one suspension
 ACROSS = ("tie rod inner",)  # points that may be on the other side of the car
 
 
@@ -211,7 +211,8 @@ def double_wishbone(
     Args:
         hard_points: {name: place [m]} of those that differ from the source; the names are those of
             `DOUBLE_WISHBONE` beside this function
-        stiffness, force: of the spring [N/m], and its compression in the design position [N]
+        stiffness, force: stiffness of the spring [N/m], and its compressive force in the design
+            position [N]
         radius: loaded radius of the wheel [m]
 
     Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT. Source: hard points of the public
@@ -254,7 +255,8 @@ def macpherson(
     Args:
         hard_points: {name: place [m]} of those that differ from the source; the names are those of
             `MACPHERSON` beside this function
-        stiffness, force: of the spring [N/m], and its compression in the design position [N]
+        stiffness, force: stiffness of the spring [N/m], and its compressive force in the design
+            position [N]
         radius: loaded radius of the wheel [m]
 
     Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT. Source: hard points of the public
@@ -281,13 +283,14 @@ def five_link(
     hard_points: Points | None = None, *, stiffness=30e3, force=4000.0, radius=0.3
 ) -> Corner:
     """Return a wheel on four links and a tie rod to a rack, with a spring on the upright. The links
-    have no mass. The upright turns about no fixed line: the steering axis of the curves is the
-    screw axis of steering.
+    have no mass. The upright has no fixed steering axis: curves use the screw axis of its steering
+    motion.
 
     Args:
         hard_points: {name: place [m]} of those that differ; the names are those of `FIVE_LINK`
             beside this function
-        stiffness, force: of the spring [N/m], and its compression in the design position [N]
+        stiffness, force: stiffness of the spring [N/m], and its compressive force in the design
+            position [N]
         radius: loaded radius of the wheel [m]
 
     Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT.
@@ -477,7 +480,7 @@ SOLID_AXLE = {
     "left wheel center": (0.0, 0.75, 0.31),
     "right wheel center": (0.0, -0.75, 0.31),
 }
-RODS = {  # of the axle: their points on the car and on the axle
+RODS = {  # {rod of the solid axle: (its point on the car, its point on the axle)}
     f"{name} link": (f"{name} link front", f"{name} link rear")
     for name in ("left lower", "right lower", "upper")
 } | {"Panhard rod": ("Panhard rod body", "Panhard rod axle")}
@@ -485,7 +488,7 @@ RODS = {  # of the axle: their points on the car and on the axle
 
 class Axle(Suspension):
     """A suspension of both wheels: `model`, in the design position, whose body "axle" has the axes
-    and the origin of the car; `left` and `right`, its wheels; hard points as of a `Suspension`.
+    and the origin of the car; `left` and `right`, its wheels; hard points as in a `Suspension`.
 
     >>> axle = jb.suspension.solid_axle()
     >>> axle.model.closure_names
@@ -501,8 +504,9 @@ class Axle(Suspension):
 
     def curves(self, left: Any, right: Any) -> SuspensionCurves:
         """Compute curves of the left wheel over the rise of the centers of both [m], each one
-        number or as many as the other has; see `suspension_curves`. Derivatives "left" are those by
-        this wheel alone while the other is held; the sum of both is that by the bounce of the axle.
+        number or as many as the other has; see `suspension_curves`. The derivatives "left" are with
+        respect to the rise of this wheel while the other is held; the sum of both is the derivative
+        with respect to the bounce of the axle.
 
         >>> axle = jb.suspension.solid_axle()
         >>> camber = axle.curves([-0.03, 0.0, 0.03], [0.03, 0.0, -0.03])["camber"]  # doctest: +SKIP
@@ -532,13 +536,14 @@ def solid_axle(
             beside this function
         mass, inertia: of the axle with its wheels [kg, kg m2], about its center of mass midway
             between the wheels
-        stiffness, force: of each spring [N/m], and its compression in the design position [N]
+        stiffness, force: stiffness of each spring [N/m], and its compressive force in the design
+            position [N]
         radius: loaded radius of the wheels [m]
 
     Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE, UNIT.
 
-    The axle has two freedoms, bounce and roll: with one wheel up by 3 cm and the other down, it
-    leans by 6 cm in its track of 1.5 m.
+    The axle has two degrees of freedom, bounce and roll: with one wheel up by 3 cm and the other
+    down, it leans by 6 cm in its track of 1.5 m.
 
     >>> curves = jb.suspension.solid_axle().curves(0.03, -0.03)
     >>> round(float(jnp.sin(-curves["camber"][0])), 6)  # of the left wheel

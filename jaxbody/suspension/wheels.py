@@ -83,7 +83,8 @@ class Wheel(eqx.Module):
         return pose.point(self.center) + self.radius * down / jnp.sqrt(dot(down, down))
 
     def alignment(self, pose: Pose, s: Float[Array, ""]) -> dict[str, Array]:
-        """Return angles [rad] and places [m] that need no steering axis."""
+        """Return the angles [rad] and positions [m] of the wheel that do not depend on the steering
+        axis."""
         a, center, C = rotate(pose.R, self.axis), pose.point(self.center), self.contact(pose)
         return (
             {"camber": -jnp.arctan2(a[2], s * a[1]), "toe": jnp.arctan2(a[0], s * a[1])}

@@ -1,13 +1,13 @@
-"""Range of the linear model: the curvature of each mode's backbone, frequency over amplitude, by
-Lindstedt and Poincaré.
+"""Range of validity of the linear model: the curvature of each mode's backbone curve, frequency
+over amplitude, by the method of Lindstedt and Poincaré.
 
-With x the chart about the equilibrium, L = T - V and K phi = w^2 M phi, the periodic motion that
-tends to the mode for small a is
+With x the coordinates about the equilibrium, L = T - V and K phi = w^2 M phi, the periodic motion
+that tends to the mode for small a is
 
     x = a phi cos(s) + a^2 (c0 + c2 cos(2 s)) + O(a^3),   s = w (1 + gamma a^2) t
 
-It makes the average of L over s stationary (Whitham). At order a^4 this is A + B0' c0 + B2'
-c2 - c0' K c0/2 - c2' (K - 4 w^2 M) c2/4,
+It makes the average of L over s stationary (Whitham). At order a^4 this average is
+A + B0' c0 + B2' c2 - c0' K c0/2 - c2' (K - 4 w^2 M) c2/4,
 
     A  = w^2 T2/16 - V4/64                     V3, V4, T1, T2: derivatives of V and T along the
                                                motion at constant speeds phi
@@ -19,12 +19,13 @@ so that K c0 = B0, (K - 4 w^2 M) c2 = 2 B2, and with m = phi' M phi
 
     gamma = -2 (2 A + B0' c0 + B2' c2)/(w^2 m)
 
-With closures x are the independent coordinates, on which the others follow: v = N(q) u at each
-point of a motion at constant speeds u. (B0 and B2 are (w^2 d - g)/4 and (4 w^2 p - w^2 d - g)/8
-with d the gradient of phi' M(x) phi, p the derivative of M(x) phi along phi; t = d/2 + p and
-b = p - d/2.) Straight lines x = a u of the chart are motions at constant speeds u; all derivatives
-are taken along them. For x'' + w^2 x + alpha x^2 + beta x^3 = 0, gamma is 3 beta/(8 w^2) - 5
-alpha^2/(12 w^4). Source: Nayfeh and Mook, Nonlinear Oscillations (1979), 2.3.
+In a model with closures, x are the independent coordinates, which the others follow: v = N(q) u at
+each point of a motion at constant speeds u. (B0 and B2 are (w^2 d - g)/4 and
+(4 w^2 p - w^2 d - g)/8 with d the gradient of phi' M(x) phi, p the derivative of M(x) phi along
+phi; t = d/2 + p and b = p - d/2.) Straight lines x = a u of these coordinates are motions at
+constant speeds u; all derivatives are taken along them. For x'' + w^2 x + alpha x^2 + beta x^3 = 0,
+gamma is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4). Source: Nayfeh and Mook, Nonlinear Oscillations
+(1979), 2.3.
 """
 
 from __future__ import annotations
@@ -59,13 +60,13 @@ from jaxbody.vibration.natural_modes import modes_of
 
 # relative distance of w_j^2 from 4 w^2 below which mode j resonates with the second harmonic
 RESONANT = 1e-3
-COUPLED = 1e-9  # nondimensional force on a mode, above rounding, that excites it
+COUPLED = 1e-9  # smallest nondimensional force that excites a mode, above rounding
 AT_REST = 1e-6  # largest distance from the equilibrium, relative to the size of the model
 
 
 class Backbones(Labeled, Result):
-    """The backbone of each mode, ascending: w(a) = w (1 + gamma a^2), a the amplitude of the mode's
-    largest component, m or rad.
+    """The backbone curve of each mode, by ascending frequency: w(a) = w (1 + gamma a^2), with the
+    amplitude a of the mode's largest component in m or rad.
 
     `frequency` [Hz] of small motions; `shapes` (columns phi, the largest component 1) by
     `coordinates`, with closures the independent ones; `largest`, the index of that component
@@ -100,8 +101,8 @@ class Backbones(Labeled, Result):
         return self.layout.turns[np.array(self.independent, int)]
 
     def at(self, amplitude: Any) -> Float[Array, "nv"]:
-        """Return the frequencies [Hz] at amplitudes a (one for all modes or one for each), to
-        second order."""
+        """Return the frequencies [Hz] at amplitudes a [m or rad] (one for all modes or one for
+        each), to second order."""
         return self.frequency * (1 + self.curvature * jnp.asarray(amplitude) ** 2)
 
     def force_within(self, percent: float) -> Float[Array, "nv"]:
@@ -257,7 +258,7 @@ def _backbones(lin: Linearization) -> Backbones:
         least = COUPLED * square * jnp.sqrt(m) / (size * scale[i])
         drifts = jnp.any(rigid & (jnp.abs(shapes.T @ B0) > least))
         resonates = jnp.any(doubled & (jnp.abs(shapes.T @ B2) > least))
-        # the state is an equilibrium
+        # near: whether the state is an equilibrium
         near = jnp.max(jnp.abs(solve(K, rigid, force)) / scale) <= AT_REST * size
         return phi, value, gamma, c0, c2, jnp.sum(phi * (K @ phi)), V3, V4, near, drifts, resonates
 
@@ -376,8 +377,8 @@ def _stiffening(
 
 
 def _inertia(straight: Straight, q: Float[Array, "nq"], phi: Float[Array, "nf"]):
-    """Return T2, t = grad T1 and b, by Newton and Euler: b is the virtual power of the rates of
-    momentum and angular momentum of each body, and of the inertial forces of elements."""
+    """Return T2, t = grad T1 and b, by the Newton-Euler equations: b is the virtual power of the
+    rates of momentum and angular momentum of each body, and of the inertial forces of elements."""
     model = straight.coordinates.model
     bodies = model.bodies.rows
 

@@ -1,10 +1,10 @@
 """Human response to vibration: the frequency weightings of ISO 2631 and the vibration dose value,
 for spectral densities and signals.
 
-With w_i = 2 pi f_i a weighting is the product of a Butterworth high-pass (f1) and low-pass (f2) of
+With w_i = 2 pi f_i, a weighting is the product of a Butterworth high-pass (f1) and low-pass (f2) of
 second order, a transition from acceleration to velocity (1 + s/w3)/(1 + s/(Q4 w4) + (s/w4)^2), and
-a step K (1 + s/(Q5 w5) + (s/w5)^2)/(1 + s/(Q6 w6) + (s/w6)^2) (w5/w6)^2. Parameters: ISO
-8041:2005, table 3.
+a step K (1 + s/(Q5 w5) + (s/w5)^2)/(1 + s/(Q6 w6) + (s/w6)^2) (w5/w6)^2. Parameters: ISO 8041:2005,
+table 3.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ HINT = (
     "Wk is for z, Wd for x and y, Wb for z in trains, Wc for seat backs, We for rotation, Wj for "
     "recumbent heads, Wf for motion sickness."
 )
-DECAY_PERIODS = 3.2  # of the high-pass, in which its transient decays to less than 1e-6
+DECAY_PERIODS = 3.2  # periods of the high-pass in which its transient decays below 1e-6
 
 
 class WeightedSignal(Result):
@@ -105,8 +105,8 @@ def frequency_weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
 
 
 def weighted_response(response: RandomResponse, weights: dict[str, str]) -> RandomResponse:
-    """Weight accelerations of a random response, {output: "Wk", or another `frequency_weighting`}:
-    densities times |W|^2, weighted rms.
+    """Apply frequency weightings W to accelerations of a random response; return it with densities
+    times |W|^2 and the weighted rms. `weights`: {output: "Wk", or another `frequency_weighting`}.
 
     Other outputs are omitted. Errors: UNKNOWN_NAME, BAD_WEIGHTING, BAD_UNIT for an output that is
     not an acceleration (angular for We, else linear). Source: ISO 2631-1:1997.

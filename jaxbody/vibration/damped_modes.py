@@ -31,9 +31,9 @@ from jaxbody.vibration.linearizations import Linearization, LinearSystem, check_
 from jaxbody.vibration.natural_modes import ModalResult
 from jaxbody.vibration.spins import SpinLinearization
 
-# relative to the largest pole: the root of rounding, the error of a double pole at zero
+# largest pole that counts as zero, relative to the largest pole: the error of a double pole at zero
 REST = 1e-7
-# imaginary parts relative to the pole, and to the largest, that are rounding
+# imaginary parts that count as rounding, relative to the pole and to the largest pole
 SPLIT, SPLIT_AT_REST = 1e-9, 1e-13
 GROWS = 1e-9  # relative to the largest pole: larger real parts are not rounding
 
@@ -47,11 +47,11 @@ class ComplexModes(ModalResult):
     `natural_frequency` [Hz], |s1 s2|^(1/2)/(2 pi); `damping_ratio` zeta = -(s1 + s2)/(2 |s1
     s2|^(1/2)), above 1 where overdamped; `decay_rate` -Re s [1/s] of the slower pole; `shapes`
     (columns, complex) of the first pole, u* M u = 1, the component of largest modulus real and
-    positive; of elements with memory without their massless coordinates. These have single real
-    poles, `relaxations` [1/s], the slowest first, one for each: the real poles with the largest
-    part of their energy in them. `cluster`: equal numbers for modes whose poles coincide
-    (derivatives as in `modes`). `status`: UNSTABLE if a mode grows, SINGULAR_K if one has a pole at
-    zero; SINGULAR_M, NONFINITE as in `modes`."""
+    positive; massless coordinates of elements with memory have no rows. Each of these coordinates
+    has one single real pole, in `relaxations` [1/s], the slowest first: the real poles with the
+    largest share of energy in massless coordinates. `cluster`: equal numbers for modes whose poles
+    coincide (derivatives as in `modes`). `status`: UNSTABLE if a mode grows, SINGULAR_K if one has
+    a pole at zero; SINGULAR_M, NONFINITE as in `modes`."""
 
     natural_frequency: Float[Array, "n"]
     decay_rate: Float[Array, "n"]
@@ -110,8 +110,8 @@ def complex_modes(
     D need not be symmetric. On the CPU the results of single poles are differentiable, and sums
     over coinciding poles; at a double pole with one shape, as at critical damping, the derivative
     is infinite and given as NaN. Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE,
-    SINGULAR_K, and of the status of `lin`. Source: D. J. Inman, Vibration with Control (2006), 3.4
-    and 4.
+    SINGULAR_K, or with the status of `lin` if that is not OK. Source: D. J. Inman, Vibration with
+    Control (2006), 3.4 and 4.
 
     >>> model = jb.Model(
     ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
@@ -140,7 +140,7 @@ def complex_modes(
 
 @program
 def _complex_modes(lin: LinearSystem) -> ComplexModes:
-    # nondimensional; results do not depend on it
+    # nondimensional matrices; the results do not depend on the scaling
     n, unit = lin.nv, jax.lax.stop_gradient(lin.scale)
     M, D, K = (scaled(X, unit) for X in (lin.M, lin.D, lin.K))
     finite, massless = (
@@ -158,7 +158,7 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
     )
     stiffness = A[n:, :n]
     if lin.massless:
-        # rounding makes pairs of equal real poles, such as those of equal branches
+        # rounding turns equal real poles, such as those of equal branches, into complex pairs
         seen = jax.lax.stop_gradient(s)
         rounding = SPLIT * jnp.abs(seen) + reachable(SPLIT_AT_REST, fastest.dtype, 256) * fastest
         s = jax.lax.complex(
@@ -187,7 +187,7 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
     natural = jnp.where(product > 0, w, jnp.where(rigid, 0.0, jnp.nan)) / (2 * jnp.pi)
     ratio = jnp.where(product > 0, -(one + other).real / (2 * w), jnp.nan)
     own_status = jnp.select(
-        # a change of the spin is a motion that nothing resists
+        # about a spin, one mode has zero frequency: a change of the spin angle or speed
         [
             ~finite,
             massless,
@@ -304,15 +304,15 @@ def _turned(shapes: Complex[Array, "nv n"]) -> Complex[Array, "nv n"]:
 
 
 def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
-    """Compute the direction of whirl of each mode about the axis of the spin: 1 forward (with the
-    spin) on circles, -1 backward, 0 along lines.
+    """Compute the direction of whirl of each mode about the axis of the spin: 1 for forward whirl
+    on circles (with the spin), -1 for backward whirl, 0 for motion along straight lines.
 
         2 sum (m (a x b) + J (alpha x beta)) . n
         /sum (m (a . a + b . b) + J (alpha . alpha + beta . beta)),
         J = tr(inertia)/2
 
     for motions a cos(w t) + b sin(w t) of the centers of mass and alpha cos + beta sin of the
-    rotations, across the axis n of the fastest body.
+    rotations, perpendicular to the axis n of the fastest spinning body.
 
     A hanging, spinning top:
 

@@ -18,11 +18,11 @@ from jaxbody.core.compilation.compile_options import OPTIMIZED, QUICK, Options
 from jaxbody.numerics.eigenproblems import companion, eig, first_order, natural
 from jaxbody.numerics.precisions import reachable
 
-# coordinates; beyond them LAPACK at each frequency costs less than compiling this elimination
+# number of coordinates above which LAPACK costs less than compiling this elimination
 LARGEST_UNROLLED = 16
 # real part of an eigenvalue, relative to the largest eigenvalue, above which it is not rounding
 GROWS = 1e-6
-MANY = 1e6  # frequencies times n^3, whose solution takes milliseconds
+MANY = 1e6  # frequencies times n^3, above which the solution takes milliseconds
 # relative error of the inverse of the modes, above which the modal sum is inaccurate
 INVERTED = 1e-7
 
@@ -111,8 +111,8 @@ def _by_lapack(D: Complex[Array, "n n nf"]) -> Callable[[jax.Array, bool], jax.A
 
 
 def _eliminated_with_branches(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]:
-    """Return the same map where there are massless coordinates: with K_yy U = C_yy U diag(r) and U'
-    C_yy U = 1, these are eliminated first, one by one,
+    """Return the map b -> D^-1 b or its transpose for a system with massless coordinates y, which
+    are eliminated first, one by one: with K_yy U = C_yy U diag(r) and U' C_yy U = 1,
 
     D_yy^-1 = U diag(1/(r + s)) U',    D_dd - sum of g g'/(r + s) over the branches,
     g = U' (K_yd + s C_yd)"""
@@ -157,7 +157,7 @@ def _modal_sum(
     n = len(A.M) - A.massless
     K = A.K if A.H is None else A.K + 1j * A.H
     matrix, forces = first_order(A.M, A.C, K, n) if A.massless else (companion(A.M, A.C, K), None)
-    # of frequency, so that displacements and rates have the same scale
+    # scale of frequency, so that displacements and rates have the same size
     unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n : 2 * n, :n])))
     scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit), jnp.ones(A.massless)]).astype(
         matrix.dtype

@@ -1,5 +1,5 @@
-"""Dynamic stiffness of an element: the force under a harmonic deformation about a preload, as
-mounts are measured.
+"""Dynamic stiffness of an element: the force under a harmonic deformation about a preload, as in
+tests of mounts.
 
     small amplitude     K(w) = dF/de at rest + i w dF/de'
                                - (V_ey + i w R_ey) (V_yy + i w R_yy - w^2 T_yy)^-1 (V_ye + i w R_ye)
@@ -7,8 +7,9 @@ mounts are measured.
 
 y are coordinates of the element. The steady state with amplitude is periodic, z(T) = z(0), which
 Newton's method solves over one period of classical Runge-Kutta steps; its derivatives are those of
-an implicit function. Half of the steps are even, half are where the rates bend most: at kinks,
-which cost a step its order, such as that of |z| in hysteresis or the end of a gap.
+an implicit function. Half of the steps have equal lengths; the others are concentrated where the
+rates have kinks, which reduce the order of accuracy of a step, such as that of |z| in hysteresis or
+the end of a gap.
 """
 
 from __future__ import annotations
@@ -35,18 +36,18 @@ from jaxbody.model.laws.law_states import Apart, Held, Relaxed, with_states
 from jaxbody.model.laws.memory_laws import Memory
 from jaxbody.vibration.frequency_responses import check_frequencies
 
-STEPS = 1000  # of Runge-Kutta in a period that are even, and of those at kinks
-PERIODS, NEWTON = 3, 6  # before Newton's method, and its steps
-STABLE = 2.5  # longest step times rate of a state
+STEPS = 1000  # Runge-Kutta steps of equal length in a period, and number of those at kinks
+PERIODS, NEWTON = 3, 6  # periods integrated before Newton's method, and its steps
+STABLE = 2.5  # largest product of a step and the relaxation rate of a state
 SEARCH = 60  # steps of the search for the deformation of a preload
 ROUNDING = 1e-9  # change of the periodic state in the last step, relative to the state
 
 
 class DynamicStiffness(Labeled, Result):
-    """The complex `stiffness` (nf,) of an element at `frequencies` [Hz]: `magnitude` and
-    `loss_angle` [rad], storage and loss stiffness.
+    """The complex `stiffness` (nf,) of an element in its `unit` at `frequencies` [Hz]: `magnitude`
+    and `loss_angle` [rad], storage and loss stiffness.
 
-    `deformation` [m, rad] is that of the preload. `status` NOT_CONVERGED, with NaN, where no
+    `deformation` [m, rad] is that under the preload. `status` NOT_CONVERGED, with NaN, where no
     deformation carries the preload, no steady state was found, or a state relaxes in less than
     about a thousandth of a period (then the small-amplitude stiffness is exact)."""
 
@@ -320,7 +321,7 @@ def _large(spring, damper, e0, z0, w, X):
     if len(z0):
         slopes = jax.lax.stop_gradient(closure(z, times))
         z = jax.lax.stop_gradient(z - jnp.linalg.solve(slopes, period(frozen, z, times)[0][0] - z))
-        # zero, with the derivative of the periodic state
+        # its value is zero; it adds the derivative of the periodic state
         change = jnp.linalg.solve(slopes, period(given, z, times)[0][0] - z)
         rate = jax.vmap(lambda t: _fastest(jax.jacfwd(lambda z: rates(frozen, t, z)[0])(z)))(
             even[: -1 : STEPS // 8]
@@ -336,9 +337,10 @@ def _large(spring, damper, e0, z0, w, X):
 
 
 def _graded(even: Float[Array, "n"], rates: Float[Array, "m k"]) -> Float[Array, "_"]:
-    """Return the ends of twice as many steps as the even ones: half of them even, half in
-    proportion to the second differences of the rates, relative to the largest rate. Each half
-    period has the same number of steps, so that the deformation turns back at the end of a step."""
+    """Return the end times of twice as many steps as in `even`: half of them of equal length, half
+    distributed in proportion to the second differences of the rates, relative to the largest rate.
+    Each half period has the same number of steps, so that the deformation turns back at the end of
+    a step."""
     size = jnp.max(jnp.abs(rates), 0)
     around = jnp.concatenate([rates[-1:], rates, rates[:1]])
     bend = jnp.sum(jnp.abs(jnp.diff(around, 2, axis=0)) / jnp.where(size > 0, size, 1.0), 1)
@@ -355,8 +357,8 @@ def _graded(even: Float[Array, "n"], rates: Float[Array, "m k"]) -> Float[Array,
 
 
 def _fastest(A: Float[Array, "n n"]) -> Float[Array, ""]:
-    """Return about the largest modulus of the eigenvalues, |A^32|^(1/32), as rows of coordinates
-    and of their rates have different units."""
+    """Return an estimate of the largest modulus of the eigenvalues, |A^32|^(1/32): unlike a norm of
+    A, it hardly depends on the different units of coordinates and rates."""
     for _ in range(5):
         A = A @ A
     return jnp.max(jnp.abs(A)) ** (1 / 32)

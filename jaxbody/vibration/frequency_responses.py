@@ -229,9 +229,9 @@ def damped(
     modal_damping: Any,
     where: str,
 ) -> tuple[Linearization, Float[Array, "ne"] | None]:
-    """Return the system with modal damping, and the loss factors of its elements. No damping is
-    added to a system with rows of elements with memory, which have their own. Errors: MEMORY and
-    those of the checks of both."""
+    """Return the system with modal damping, and the loss factors of its elements. Errors: MEMORY if
+    either is given for a system with rows of elements with memory, which have their own damping,
+    and those of the checks of both."""
     eta = check_loss_factors(loss_factor, lin.model, f"{where}.loss_factor")
     with Problems() as problems:
         for name, given in {"loss_factor": loss_factor, "modal_damping": modal_damping}.items():

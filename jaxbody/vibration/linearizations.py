@@ -59,7 +59,7 @@ UNITS = {
     "G": "N s/m, N s, N m s",
     "K": "N/m, N, N m",
 }
-NEARLY_CLOSED = 1e-6  # of the size of the model
+NEARLY_CLOSED = 1e-6  # largest error of closures, relative to the size of the model
 SINGULAR_CLOSURES = 1e-7  # smallest singular value of J_d, relative to the largest
 HEADINGS = UNITS | dict.fromkeys(("C", "G"), "N s/m, ...")
 
@@ -77,14 +77,14 @@ class LinearSystem(Labeled, Result):
     state: State
     model: Model
     basis: Basis
-    # of a model with closures
+    # for a model with closures, otherwise None
     dependent: DependentMotions | None = eqx.field(default=None, kw_only=True)
     printed: ClassVar[tuple[str, ...]] = ("M", "C", "K")  # the matrices that are printed
-    exported: ClassVar[tuple[str, ...]] = ()  # those of a dataset
+    exported: ClassVar[tuple[str, ...]] = ()  # the matrices in a dataset
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """The names of the rows of M, C, K: those of Delta, then those of coordinates of elements,
+        """The names of the rows of M, C, K: those of Delta, then the coordinates of elements, those
         with mass first."""
         layout = self.model.layout
         return tuple(layout.coordinates[i] for i in self.independent) + layout.inner[: self.inner]
@@ -187,13 +187,13 @@ class Linearization(LinearSystem):
     and `base_coordinates`.
 
     Coordinates y of elements with memory have rows after those of Delta: first those with mass,
-    then massless ones, with M = 0; `condensed` and `instantaneous` are without massless ones.
-    Hysteretic states have no rows: to first order they are springs, and their losses are of higher
-    order.
+    then massless ones, with M = 0; `condensed` and `instantaneous` are the systems without the
+    massless ones. Hysteretic states have no rows: to first order hysteretic elements are springs,
+    and their losses are of higher order.
 
     The chart: Delta of a free body is the displacement of its O and a rotation vector, in world
     axes; for other joints, their coordinates, in axes of the parent. Away from equilibrium K
-    depends on the chart; its split depends on it everywhere."""
+    depends on the chart; its parts (elastic, geometric, ...) do everywhere."""
 
     M_tilde: Float[Array, "nv nxi"]
     C_tilde: Float[Array, "nv nxi"]
@@ -202,7 +202,7 @@ class Linearization(LinearSystem):
     C_bb: Float[Array, "nxi nxi"]
     K_bb: Float[Array, "nxi nxi"]
     loads: tuple[Load, ...]
-    # whether massless coordinates follow, and so have no rows
+    # whether massless coordinates follow slow motions statically, and so have no rows
     slow: bool = eqx.field(static=True, default=False)
     exported = tuple(
         f"{name}{block}" for name in ("M", "C", "K") for block in ("", "_tilde", "_bb")
@@ -221,7 +221,8 @@ class Linearization(LinearSystem):
         )
 
     def reduced(self, H: Float[Array, "*m nv nv"]) -> Float[Array, "*m nf nf"]:
-        """Return N' H N: a matrix in the model's coordinates, in those of the system."""
+        """Return N' H N, which is the matrix H of the model's coordinates in those of the
+        system."""
         return (
             H
             if self.dependent is None
@@ -236,8 +237,8 @@ class Linearization(LinearSystem):
 
     @property
     def condensed(self) -> Linearization:
-        """The system without rows of massless coordinates, which follow slow motions: T' H T of M,
-        C and K, K_yy y + K_yx x = 0."""
+        """The system without rows of massless coordinates y, which follow slow motions statically,
+        K_yy y + K_yx x = 0: the matrices T' H T for M, C and K."""
         return _condensed(self) if self.massless else self
 
     @property
@@ -301,8 +302,7 @@ class Linearization(LinearSystem):
         return self._by_element(split_stiffness(self.held, self.state)[1])
 
     def _by_element(self, matrices: Any) -> dict[str, Float[Array, "nv nv"]]:
-        """Return {element: matrix} of matrices of the elements, in the coordinates of the
-        system."""
+        """Return {element: its matrix in the coordinates of the system}."""
         names = tuple(table.names for table in self.model.elements)
         return by_name(names, [self.reduced(H) for H in matrices])
 

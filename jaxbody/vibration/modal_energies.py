@@ -28,13 +28,13 @@ from jaxbody.vibration.mode_names import AXES, direction_names, mark_note, mode_
 from jaxbody.vibration.natural_modes import modes_of, without_inner_rows
 
 LEAST_LOSS = 1e-12  # relative to the largest loss of a mode, below which a mode has no dissipation
-SEPARATION = 1e-8  # of coinciding frequencies: above rounding, below the tolerance of clusters
-MOST_MODES = 12  # of a table
+SEPARATION = 1e-8  # relative, of coinciding modes: above rounding, below the tolerance of clusters
+MOST_MODES = 12  # in a table
 
 
 class ModeEnergies(Labeled, Result):
-    """Shares in percent, a column for each mode, ascending. Modes of coinciding frequencies each
-    have the mean over their space.
+    """Shares of the energies of each mode in percent, a column for each mode, by ascending
+    frequency. Modes of coinciding frequencies each have the mean over the space of their shapes.
 
     `kinetic` {body: (6, n)}: translation of the center of mass and rotation, in world axes;
     `inertia` {name: (n,)}: of elements with inertia, such as inerters, and of coordinates of
@@ -105,8 +105,8 @@ class ModeEnergies(Labeled, Result):
     def names(self) -> tuple[str, ...]:
         """Names of the modes: the body and direction with most of the kinetic energy, without that
         of inerters, and its share; several bodies if they share it, in phase or in opposition; or
-        the coordinate of an element with mass that has more. "~" marks frequencies that nearly
-        coincide."""
+        the coordinate of an element with mass, if its share is larger. "~" marks frequencies that
+        nearly coincide."""
         shares, layout = np.asarray(self.kinetic_shares), self.model.layout
         inner = {
             name: np.asarray(self.inertia[name]) for name in layout.inner[: len(layout.inertial)]
@@ -217,9 +217,9 @@ def mode_energies(
         stiffness: stiffness of elements with memory, as in `modes`.
         allow_float32: True to compute in float32; by default that is an error.
 
-    Where frequencies coincide, energies are averaged over their space, because this average has
-    derivatives and single shapes do not. Errors: WRONG_KIND, BAD_DIRECTION, FLOAT32 unless
-    `allow_float32`; warns as `modes` does.
+    Where frequencies coincide, energies are averaged over the space of the shapes, because this
+    average has derivatives and single shapes do not. Errors: WRONG_KIND, BAD_DIRECTION, FLOAT32
+    unless `allow_float32`; warns as `modes` does.
 
     >>> model = jb.Model(
     ...     bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},

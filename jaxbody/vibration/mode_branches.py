@@ -1,5 +1,5 @@
-"""Modes compared, by the modal assurance criterion, and followed along a parameter, including
-through crossings.
+"""Comparison of modes by the modal assurance criterion (MAC), and tracking of modes along a
+parameter, including through crossings.
 
 MAC_ij = |x_i* W y_j|^2/((x_i* W x_i) (y_j* W y_j)),   1 for the same shape, 0 for shapes that are
                                                        orthogonal in W
@@ -29,11 +29,12 @@ from jaxbody.vibration.mode_names import mark_note
 from jaxbody.vibration.natural_modes import Modes, modes
 from jaxbody.vibration.spins import SpinLinearization
 
-LEAST_MAC = 0.8  # below it a mode may differ from that at the value before
+LEAST_MAC = 0.8  # MAC below which a mode may not be that at the previous value
 
 
 class Branches(Labeled, Result):
-    """Modes along a parameter, each column one mode; their frequencies ascend at the first value.
+    """Modes tracked along a parameter, each column one mode; their frequencies ascend at the first
+    of the `values` of the parameter.
 
     `frequency` [Hz] (damped about a spin), `damping_ratio`, `shapes` (value, coordinate, mode),
     `order`: the index of each among the ascending modes, `mac` of each with the same mode at the
@@ -207,7 +208,7 @@ def _track(
 ) -> Branches:
     n = at_values.frequency.shape[1]
     frozen = jax.lax.stop_gradient((at_values.shapes, M))
-    if at_values.model.closures:  # of which M has the independent coordinates
+    if at_values.model.closures:  # M is in the independent coordinates
         layout = at_values.model.layout
         own = np.append(
             np.array(at_values.model.independent, int), np.arange(layout.nv, len(layout.with_mass))

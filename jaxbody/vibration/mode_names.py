@@ -1,8 +1,9 @@
 """Names of modes: the bodies and the direction with most of their kinetic energy, and whether
 several move in phase or in opposition.
 
-The shares of a body in the energy of the shape phi, of its center of mass and its rotation, in
-world axes: conj(v_i) (M_b v)_i/(phi* M phi), v its velocities along phi.
+The shares of a body's translation and rotation in the kinetic energy of the shape phi, in world
+axes, are conj(v_i) (M_b v)_i/(phi* M phi), with v the velocity of its center of mass and its
+angular velocity along phi.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from jaxbody.mechanics.hessians import Configuration, inertias
 from jaxbody.model.models import Model
 
 AXES = "xyz"
-# relative to the largest share: another body above it in the same direction is named too
+# share, relative to the largest one, above which another body in the same direction is named too
 ALIKE = 0.5
 MOST_NAMED = 4  # bodies; if more move alike they are counted
 IN_PHASE = 0.7  # least |cosine of the phase| between two bodies that are in phase or in opposition
 TIED = 1e-6  # relative difference of shares, below which the first is taken as the largest
 # squared norm of a shape normal to the others of its cluster, below which it is rounding
 PARALLEL = 1e-12
-NEAR = 1e-3  # relative difference of frequencies that are marked
+NEAR = 1e-3  # relative difference of frequencies below which they are marked
 MARK = " ~"
 MARK_NOTE = (
     f"~ frequencies within {100 * NEAR:g} % of each other: "
@@ -37,8 +38,8 @@ MARK_NOTE = (
 class Basis(eqx.Module):
     """Velocities and momenta of the bodies per unit of each speed of a linear system: `velocities`
     of the centers of mass and angular velocities of the bodies, in world axes, and the
-    corresponding `momenta`. M is the sum over the bodies of velocities' momenta, and the part of
-    elements with inertia."""
+    corresponding `momenta`. M is the sum over the bodies of the products velocities' momenta, plus
+    the part of elements with inertia."""
 
     velocities: Float[Array, "*b nb 6 nv"]
     momenta: Float[Array, "*b nb 6 nv"]

@@ -1,5 +1,5 @@
 """Natural frequencies and modes of small motions, K phi = w^2 M phi, and modal damping: a damping
-ratio for each, of the motion relative to the quasi-static response to the supports.
+ratio for each mode, which damps the motion relative to the quasi-static response to the supports.
 
 With phi' M phi = 1 and x = Delta - K^-1 K~ Xi, each mode dissipates the power
 2 zeta w (phi' M x')^2, which adds to C, C~ and C_bb
@@ -129,18 +129,18 @@ class ModalResult(Labeled, Result):
 
 
 class Modes(ModalResult):
-    """Natural modes, ascending: `frequency` [Hz], `shapes` (columns, phi' M phi = 1, largest
-    component positive), `damping_ratio`, `eigenvalues` w^2 [rad2/s2], `cluster`, equal numbers for
-    coinciding frequencies, and `names`, by the body and direction with most kinetic energy. For a
-    negative eigenvalue the frequency is NaN and the status UNSTABLE; for a zero eigenvalue the
-    frequency is 0 and the status SINGULAR_K. All are NaN where a coordinate has no inertia
-    (SINGULAR_M; `M` is the mass matrix) or a matrix is not finite (NONFINITE).
+    """Natural modes, by ascending frequency: `frequency` [Hz], `shapes` (columns, phi' M phi = 1,
+    largest component positive), `damping_ratio`, `eigenvalues` w^2 [rad2/s2], `cluster`, equal
+    numbers for coinciding frequencies, and `names`, by the body and direction with most kinetic
+    energy. For a negative eigenvalue the frequency is NaN and the status UNSTABLE; for a zero
+    eigenvalue the frequency is 0 and the status SINGULAR_K. All are NaN where a coordinate has no
+    inertia (SINGULAR_M; `M` is the mass matrix) or a matrix is not finite (NONFINITE).
 
-    Modes of coinciding frequencies have only a space: `shapes` are a basis of it, and each mode has
-    the mean of the damping ratios. A single frequency of a cluster has one-sided derivatives:
-    `jax.jvp` and `jacfwd` give the one in the requested direction, `jax.grad` gives NaN, as for
-    functions of a single shape. Sums over a cluster and functions of its space have derivatives in
-    both modes; second derivatives exist for single modes."""
+    Of modes of coinciding frequencies only the space of their shapes is unique: `shapes` are a
+    basis of it, and each mode has the mean of the damping ratios. A single frequency of a cluster
+    has one-sided derivatives: `jax.jvp` and `jacfwd` give the one in the requested direction,
+    `jax.grad` gives NaN, as for functions of a single shape. Sums over a cluster and functions of
+    its space have derivatives in both modes; second derivatives exist for single modes."""
 
     eigenvalues: Float[Array, "n"]
 
@@ -223,7 +223,7 @@ def without_inner_rows(lin: Linearization, stiffness: str, where: str) -> Linear
 def _modes(lin: Linearization) -> Modes:
     frequency, shapes, damping_ratio, eigenvalues, cluster, status = modes_of(lin)
     shapes = lin.expanded(refused_in_clusters(shapes, cluster))
-    if lin.dependent is not None:  # the largest of all coordinates is positive
+    if lin.dependent is not None:  # make the largest of all coordinates positive
         shapes = shapes * jnp.sign(
             jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), 0)[None], 0)
         )
@@ -303,8 +303,8 @@ def _added(lin: Linearization, ratios: Float[Array, "nv"]) -> tuple[Array, ...]:
     zeta = averaged(ratios, cluster)
     fixed, phi = jax.lax.stop_gradient((values, shapes))
     shared = together(cluster) & (jnp.sum(together(cluster), 0) > 1)[None]
-    # zero, with the derivative of phi' K phi - w^2 phi' M phi within a cluster, which that of its
-    # eigenvalues lacks
+    # its value is zero; it adds the derivative of phi' K phi - w^2 phi' M phi within a cluster,
+    # which the derivatives of its eigenvalues lack
     coupling = jnp.where(shared, phi.T @ (lin.K @ phi) - phi.T @ (lin.M @ phi) * fixed[None], 0.0)
     coupling = coupling - jax.lax.stop_gradient(coupling)
 

@@ -2,11 +2,11 @@
 supports are Xi = X u, forces enter as F u, and sensors read, to first order, y = Y0 x + Y1 x' + Y2
 x'' + G u.
 
-About rest each frame is displaced by J x and has the velocity J x' and the acceleration J x'', J
-its twists, so that the rows of a sensor are the derivatives of its reading along these. Three kinds
-have them in closed form: kinematic sensors by the twists themselves, a LoadCell by V'' J and R'' J
-of its element, a Reaction on a support by the rows of K, C and M of its motion. The chain of a
-sensor multiplies its response by
+About rest each frame is displaced by J x and has the velocity J x' and the acceleration J x'',
+where J are its twists per unit of x, so that the rows of a sensor are the derivatives of its
+reading along these. Three kinds of sensor have rows in closed form: kinematic sensors by the twists
+themselves, a LoadCell by V'' J and R'' J of its element, a Reaction on a support by the rows of K,
+C and M of its motion. The signal chain of a sensor multiplies its response by
 
     gain exp(-s delay)/(1 + s lag)
 """
@@ -42,9 +42,9 @@ from jaxbody.sensors.sensors import Sensor
 
 class Ports(eqx.Module):
     """The matrices of inputs and outputs. `orders`: for each input the order of the derivative of
-    Xi that it is (0 for forces); `chains`: gain, delay and lag of outputs; `elements`: for each
-    output the index of the element whose force it is; `reactions`: the index of the component of Xi
-    whose reaction it is; -1 for others."""
+    Xi that it prescribes (0 for displacements and forces); `chains`: gain, delay and lag of
+    outputs; `elements`: for each output the index of the element whose force it is; `reactions`:
+    the index of the component of Xi whose reaction it is; -1 for others."""
 
     F: Float[Array, "n nu"]
     X: Float[Array, "nxi nu"]

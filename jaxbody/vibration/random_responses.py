@@ -33,16 +33,16 @@ from jaxbody.vibration.spectra import Band, CrossPSD, Spectrum, check_spectra, t
 
 # relative change of an rms when every other frequency is left out: nearly four times the error
 COARSE = 0.03
-NEAR = 1e-6  # of a resonance: from here to twice as far an undamped peak falls to a fourth
+NEAR = 1e-6  # relative distance from a resonance; at twice it an undamped peak is a quarter
 
 
 class RandomResponse(OfOutputs):
     """One-sided power spectral densities `psd` (outputs, frequencies), per hertz, of outputs in
-    their `units`, over `frequencies` [Hz], and `rms` over these. `response["seat"]` is the rms of
-    one. `status` COARSE if an rms changes by more than 3 % when every other frequency is left out,
-    UNDAMPED if the inputs excite a resonance without damping in the band (the rms of outputs that
-    contain it is infinite), NOT_POSITIVE if the coherences are contradictory, or that of the
-    frequency response."""
+    their `units`, over `frequencies` [Hz], and the `rms` of each output over these.
+    `response["seat"]` is the rms of one. `status` COARSE if an rms changes by more than 3 % when
+    every other frequency is left out, UNDAMPED if the inputs excite a resonance without damping in
+    the band (the rms of outputs that contain it is infinite), NOT_POSITIVE if the coherences are
+    contradictory, or that of the frequency response."""
 
     index, main = "frequency", "rms"
     frequencies: Float[Array, "nf"]

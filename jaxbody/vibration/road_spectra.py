@@ -41,7 +41,8 @@ class RoadRoughness(eqx.Module):
     @classmethod
     def iso(cls, road_class: str) -> RoadRoughness:
         """Return the roughness of a road class, A (smooth) to H, at the geometric mean of its
-        limits: 16e-6 m3 for A, and four times as much for each next one. Error: BAD_CLASS."""
+        limits: 16e-6 m3 for A, and four times as much for each following class. Error:
+        BAD_CLASS."""
         if road_class not in tuple(CLASSES):
             raise JaxbodyError(
                 Problem(

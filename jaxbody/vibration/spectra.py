@@ -1,8 +1,8 @@
 """Power spectral densities with their units, correlated inputs, and frequency bands for integrals.
 
-Inside, all are one-sided and per hertz: the variance of a signal is int_0^inf S(f) df. A
-density per rad/s is multiplied by 2 pi; one per cycle/m is divided by the speed; a two-sided
-one is doubled.
+Internally, all densities are one-sided and per hertz: the variance of a signal is
+int_0^inf S(f) df. A density per rad/s is multiplied by 2 pi; one per cycle/m is divided by the
+speed; a two-sided one is doubled.
 """
 
 from __future__ import annotations
@@ -253,8 +253,8 @@ class PSD(Density):
 
 
 class CrossPSD(eqx.Module):
-    """Correlated inputs, S_ij = coherence_ij sqrt(S_i S_j) exp(-i 2 pi f (d_i - d_j)), by the names
-    of the inputs.
+    """Spectral densities of correlated inputs, S_ij = coherence_ij sqrt(S_i S_j) exp(-i 2 pi f
+    (d_i - d_j)), by the names of the inputs.
 
     Args:
         spectra: {input: Spectrum}
@@ -280,7 +280,7 @@ class CrossPSD(eqx.Module):
     spectra: dict[str, Spectrum]
     delays: dict[str, Array]
     levels: tuple[Array, ...]
-    # of inputs, and a function or the index in `levels`
+    # indices of two inputs, and their coherence: a function, or the index in `levels`
     pairs: tuple[tuple[int, int, Any], ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
 
@@ -371,8 +371,8 @@ class CrossPSD(eqx.Module):
 class Band(eqx.Module):
     """A band from `low` to `high` [Hz], with `points` at equal steps of the logarithm and weights
     for integrals, whose error for a smooth function decreases with the fourth power of the step;
-    where a density jumps it is up to half a step of the jump: divide the band there. Errors:
-    EMPTY_BAND, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE.
+    where a density jumps, the error is up to half a step times the jump: divide the band there.
+    Errors: EMPTY_BAND, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE.
 
     >>> band = jb.vibration.Band(1.0, 100.0)
     >>> round(float(jnp.sum(band.weights / band.frequencies**2)), 9)
@@ -418,7 +418,7 @@ class Band(eqx.Module):
         xp = module_of(low, high)
         step = xp.log(high / low) / (n - 1)
         frequencies = low * xp.exp(step * np.arange(n, dtype=float))
-        ends = np.array([3 / 8, 7 / 6, 23 / 24])  # Gregory's, of the third order
+        ends = np.array([3 / 8, 7 / 6, 23 / 24])  # Gregory's rule of the third order
 
         def weights(count):
             w = np.ones(count)

@@ -45,7 +45,7 @@ from jaxbody.vibration.mode_names import basis_of
 
 # change of speeds and of matrices, relative to their terms, below which it is round-off
 STEADY = 1e-8
-# rad of spin at which the matrices must be the same; no two in a simple ratio
+# angles of spin [rad] at which the matrices must be the same; no two have a simple ratio
 ALONG = (0.7, 1.9, 4.1)
 
 
@@ -82,7 +82,7 @@ class SpinLinearization(LinearSystem):
 
 
 def linearize_spin(model: Model, at: State) -> SpinLinearization:
-    """Compute mass, damping, gyroscopic and stiffness matrix of small motions about a steady
+    """Compute the mass, damping, gyroscopic and stiffness matrices of small motions about a steady
     motion, such as that of a rotor, with the supports at rest.
 
         M delta'' + (C + G) delta' + K delta = 0
@@ -137,7 +137,7 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     size = size_of(model)
     all_scales = scale_of(model, size)
     scale = all_scales[own]
-    # rad/s, of translations in sizes of the model
+    # largest speed [rad/s], for translations in sizes of the model per second
     fastest = jnp.max(jnp.abs(state.v / all_scales) / size, initial=0.0)
     period = jnp.where(fastest > 0, 1 / jnp.where(fastest > 0, fastest, 1.0), 0.0)
 

@@ -52,7 +52,7 @@ class StateSpace(Result):
 
 def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
     """Compute the state space of a Linearization; see `Linearization.state_space`."""
-    # needs all sensors, which a linearization does not
+    # imported here because it imports all sensors, which a linearization does not need
     from jaxbody.vibration.ports import check_ports, port_matrices
 
     (u, ins, u_units), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "state_space")
@@ -101,11 +101,11 @@ def _state_space(lin: Any, ports: Any):
                                                                             u = Xi':  g = 0,
                                                                             h = M^-1 M~"""
     orders, nv, ny, m = ports.orders, lin.nv, lin.massless, len(ports.orders)
-    # the k-th derivative of Xi of input j is a state
+    # pairs (k, j): the k-th derivative of Xi of input j is a state
     integrated = [(k, j) for k in (0, 1) for j in range(m) if orders[j] > k]
     moving = 2 * nv + ny
     n = moving + len(integrated)
-    # of the states p, r and w, those of Xi, and of u, u', u''
+    # unit rows of the states p, r, w and Xi, and of u, u', u''
     rows = np.eye(n + 3 * m, dtype=lin.M.dtype)
     p, r, w, u, du, ddu = (
         rows[:nv],

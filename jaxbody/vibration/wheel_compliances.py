@@ -1,5 +1,5 @@
-"""Compliance of a wheel: how its angles and its place change by a force at the contact or at the
-center, on a suspension in equilibrium."""
+"""Compliance of a wheel: how its angles and its position change under a force at the contact or at
+the center, on a suspension in equilibrium."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ LOADS = {
 
 
 class WheelCompliance(Result):
-    """The compliance of a wheel: `compliance["toe", "force y"]` [rad/N], see `wheel_compliance`;
-    `values` (readings, loads): all of them."""
+    """The compliance of a wheel: `compliance["toe", "force y"]` [rad/N] is the change of one
+    reading per unit of one load of `wheel_compliance`; `values` (readings, loads): all of them."""
 
     values: Float[Array, "readings loads"]
     status: Int[Array, ""]
@@ -113,7 +113,7 @@ def _compliance(lin: Linearization, wheel: Wheel) -> Float[Array, "readings load
     zero = jnp.zeros(model.layout.nv, q.dtype)
     pose = pose_at(zero)
     side = wheel.side(pose)
-    contact = pose.R.T @ (wheel.contact(pose) - pose.p)  # the point of the body that is there
+    contact = pose.R.T @ (wheel.contact(pose) - pose.p)  # the point at the contact, in body axes
 
     def read(delta: Array) -> Array:
         alignment = wheel.alignment(pose_at(delta), side)

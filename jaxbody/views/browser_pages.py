@@ -1,4 +1,4 @@
-"""An animation as one HTML file that plays in any browser without network, by viser's player."""
+"""An animation as one HTML file that plays in any browser offline, with viser's player."""
 
 import contextlib
 import io
@@ -13,16 +13,15 @@ from jaxbody.views.plots.canvases import rgb
 from jaxbody.views.scenes.animations import Animation, DrawnPart
 from jaxbody.views.scenes.meshes import Mesh
 
-# relative to the size of the model: positions are rounded to about this, which makes the
-# file smaller
+# rounding step of positions, relative to the size of the model; rounding makes the file smaller
 STEP = 2.0**-21
-STEP_OF_TURN = 2.0**-20  # of quaternions, likewise
-TRAIL = 2.5  # pixels
+STEP_OF_TURN = 2.0**-20  # rounding step of the components of quaternions
+TRAIL = 2.5  # width of the line of a trail [pixels]
 
 
 def page_of(animation: Animation, camera: Camera, *, names: bool = True) -> str:
-    """Return the HTML text of an animation that plays by itself, with a time slider, speed and the
-    tree of its parts. Error: MISSING_EXTRA."""
+    """Return the HTML text of an animation that plays by itself, with controls for time and speed
+    and a tree of its parts. Error: MISSING_EXTRA."""
     server = server_at(0)
     try:
         stage = Stage(server, animation, camera, names)
@@ -38,7 +37,7 @@ def page_of(animation: Animation, camera: Camera, *, names: bool = True) -> str:
 
 
 def server_at(port: int) -> Any:
-    """Start a server of viser that is reachable from this machine only; port 0 takes a free one.
+    """Start a viser server that is reachable from this machine only; port 0 takes a free port.
     Error: MISSING_EXTRA."""
     viser = import_extra("viser", "view")
     with silent():
@@ -46,13 +45,13 @@ def server_at(port: int) -> Any:
 
 
 def silent() -> Any:
-    """Return a context manager that suppresses the announcements of the server."""
+    """Return a context manager that suppresses the messages that the server prints."""
     return contextlib.redirect_stdout(io.StringIO())
 
 
 class Stage:
-    """The parts of an animation in the scene of a server. `show(i)` moves them to frame i and sends
-    only what changes."""
+    """The parts of an animation as objects in the scene of a viser server. `show(i)` moves them to
+    frame i and sends only the changes to the browser."""
 
     def __init__(self, server: Any, animation: Animation, camera: Camera, names: bool):
         scene = self.scene = server.scene
@@ -80,7 +79,7 @@ class Stage:
                 position=tuple(at),
                 font_screen_scale=0.9,
                 anchor="bottom-center" if label.kind == "title" else "bottom-left",
-                # those are many; they are switched on in the tree of the scene
+                # there are many of these; the user switches them on in the tree of the scene
                 visible=label.kind != "element",
             )
         for trail in animation.trails:
@@ -142,8 +141,8 @@ class Stage:
 
 
 def _places(part: DrawnPart, step: float) -> dict[str, np.ndarray]:
-    """Return {property of a handle: its values in all frames}, rounded, with quaternions whose sign
-    does not change from frame to frame."""
+    """Return {property of a handle: its values in all frames}, rounded; the signs of quaternions
+    are chosen so that they vary continuously."""
     q = Rotation.from_matrix(part.R).as_quat()[:, [3, 0, 1, 2]]
     sign = np.where(np.sum(q[1:] * q[:-1], -1) < 0, -1.0, 1.0)
     q[1:] *= np.cumprod(sign)[:, None]

@@ -7,31 +7,31 @@ import numpy as np
 
 from jaxbody.views.scenes.animations import Animation
 
-ANGLE = np.deg2rad(28.0)  # of view, vertical
+ANGLE = np.deg2rad(28.0)  # vertical angle of view [rad]
 ASPECT = 1.5  # width over height of the picture for which the distance is chosen
 FILLED = 0.93  # share of the picture that is used
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera at `position` that looks at `target`; the columns of `axes` point right, up and
-    toward it."""
+    """A camera at `position` that looks at `target`, both in world axes [m]; the columns of `axes`
+    point right, up and from the target to the camera."""
 
     position: np.ndarray
     target: np.ndarray
     axes: np.ndarray
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return picture coordinates (n, 2), relative to the distance of the picture's plane, and
-        depths (n,) [m]."""
+        """Return coordinates (n, 2) to the right and up in a picture plane at distance 1 from the
+        camera, and depths (n,) [m]."""
         x = (points - self.position) @ self.axes
         depth = -x[:, 2]
         return x[:, :2] / np.where(depth > 0, depth, np.nan)[:, None], depth
 
 
 def camera_for(animation: Animation, direction: np.ndarray | None = None) -> Camera:
-    """Return the camera for an animation. `direction`: from the scene to the camera, in world axes;
-    None chooses it."""
+    """Return the camera for an animation. `direction`: direction from the scene to the camera, in
+    world axes; None takes that of the animation."""
     up, right = animation.up, animation.right
     front = np.cross(right, up)
     aside, above = np.deg2rad(animation.seen_from)

@@ -1,5 +1,5 @@
-"""Frames of an animation as pictures: meshes in perspective, triangles to pixels in NumPy, with
-names and paths by matplotlib. No display is needed."""
+"""Frames of an animation as pictures: meshes in perspective, rasterized with NumPy, and names and
+trails drawn by matplotlib. No display is needed."""
 
 from typing import Any
 
@@ -11,8 +11,8 @@ from jaxbody.views.plots.canvases import GRAY, INK, Label, annotate, rgb
 from jaxbody.views.scenes.animations import Animation, DrawnPart, NameLabel
 from jaxbody.views.scenes.meshes import Mesh
 
-MOST = 3_000_000  # pixels that are tried at once
-# of triangles: pixel, nearness, and number of the triangle
+MOST = 3_000_000  # largest number of pixels that are tested at once
+# pixels in triangles: index of the pixel, 1/depth, and index of the triangle
 Fragments = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -40,8 +40,8 @@ class Raster:
     def blend(
         self, corners: np.ndarray, depths: np.ndarray, colors: np.ndarray, opacity: np.ndarray
     ) -> None:
-        """Draw translucent triangles of opacity (f,) over the picture; of several in a pixel only
-        the nearest counts."""
+        """Draw translucent triangles of opacity (f,) over the picture; where several overlap, only
+        the nearest one is drawn."""
         pixel, nearness, owner = self._fragments(corners, depths)
         top = self.nearest.copy()
         np.maximum.at(top, pixel, nearness)
@@ -57,7 +57,7 @@ class Raster:
         return self.colors.reshape(self.height, self.width, 3)[::-1]
 
     def _fragments(self, corners: np.ndarray, depths: np.ndarray) -> Fragments:
-        """Return the pixels whose centers are inside of triangles."""
+        """Return the fragments of triangles: the pixels whose centers are inside them."""
         fragments: list[Fragments] = []
         size = np.array([self.width, self.height])
         low = np.clip(np.floor(corners.min(1)), 0, size).astype(int)
@@ -84,9 +84,9 @@ class Raster:
         `step` wide and high."""
         dy, dx = (x.ravel() for x in np.mgrid[:step, :step])
         x, y = np.stack([dx, dy]).astype(np.float32) + 0.5
-        corner = (corners - low[:, None]).astype(np.float32)  # small numbers: no digits are lost
+        corner = (corners - low[:, None]).astype(np.float32)  # small, so float32 is accurate
         areas = []
-        # twice the area of the triangle of these corners and the pixel
+        # twice the area of the triangle with these two corners and the center of the pixel
         for one, other in ((1, 2), (2, 0), (0, 1)):
             d, at = corner[:, other] - corner[:, one], corner[:, one]
             areas.append(
@@ -109,16 +109,16 @@ class Raster:
 
 
 LIGHT_FROM = np.array([-0.40, 0.80, 0.45])  # right, up, toward the camera
-DARKEST, BRIGHTEST = 0.45, 1.08  # of a face turned away from the light, and of one turned to it
+DARKEST, BRIGHTEST = 0.45, 1.08  # brightness of faces turned away from the light and to it
 EDGE, DARK = 0.9, 0.55  # width of the lines along edges [points], and their brightness
 FINE = 0.1  # longest edge of a triangle, relative to the size of the model: larger ones are divided
 NEAR = 0.05  # least depth, relative to the distance of the camera
 OVER = 0.004  # how much nearer lines along edges are drawn, relative to the size
-SOLID = 0.75  # opacity from which a part is opaque here
+SOLID = 0.75  # least opacity of a part that is drawn as opaque
 MARGIN = 0.05  # around the drawing, relative to its longer side; more where names need it
-WIDTH, TALLEST = 720, 560  # pixels
-DPI, FINER = 100, 2  # of a picture; how much finer it is drawn
-MOST_NAMED = 7  # elements that have names in a picture
+WIDTH, TALLEST = 720, 560  # default width and largest default height of a picture [pixels]
+DPI, FINER = 100, 2  # resolution of a picture, and by which factor it is drawn finer
+MOST_NAMED = 7  # largest number of elements whose names are written in a picture
 RATIOS = 0.7, 1.9  # least and largest width over height
 
 
@@ -197,7 +197,7 @@ class Painter:
             self.names = self._written_names()
 
     def picture(self, i: int) -> np.ndarray:
-        """Return the pixels of frame i, which is drawn finer and then reduced."""
+        """Return the pixels of frame i, drawn with more pixels and then reduced."""
         self.background.set_data(self._drawn(i))
         trails = self.animation.trails
         drawn = slice(0, i + 1) if self.animation.moves else slice(None)

@@ -12,14 +12,14 @@ from jaxbody.views.cameras import Camera
 from jaxbody.views.plots.poses import SWING
 from jaxbody.views.scenes.animations import Animation
 
-STILL = 0.1  # s between looks at the controls while nothing plays
+STILL = 0.1  # time between checks of the controls while nothing plays [s]
 SPEEDS = (0.1, 3.0)
 
 
 class Vibration(NamedTuple):
-    """Modes that are drawn: a function of (numbers of the modes, amplitude, phase) that returns the
-    animation, the largest number of a mode, and the initial numbers, amplitude [m] and phase
-    [rad]."""
+    """The modes that a live view draws: `drawn(numbers, amplitude, phase)` returns their animation;
+    `numbers` of the modes, `amplitude` [m] and `phase` [rad] are the initial values, `most` is the
+    largest number of a mode."""
 
     drawn: Callable[[Sequence[int], float | None, float], Animation]
     numbers: tuple[int, ...]

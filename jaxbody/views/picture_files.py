@@ -16,10 +16,10 @@ from jaxbody.views.plots.canvases import rgb
 from jaxbody.views.scenes.animations import Animation
 
 RATES = {".gif": 20, ".mp4": 30}  # frames per second of playing
-MOST = 600  # frames
-LOOKED_AT = 6  # pictures whose colors a GIF may use
-NEARLY_WHITE = 248  # of 255: colors from there on are white
-SWATCH = 16  # height of the strip of shades of each part in the sheet whose colors it uses [pixels]
+MOST = 600  # largest number of frames
+LOOKED_AT = 6  # number of frames from which the palette of a GIF is chosen
+NEARLY_WHITE = 248  # of 255: a color whose three components are at least this becomes white
+SWATCH = 16  # height of the strip with shades of one part's color, for the choice of the palette
 
 
 def save_png(path: Path, painter: Painter, frame: int) -> None:
@@ -50,8 +50,8 @@ def save_gif(path: Path, painter: Painter) -> None:
 
 
 def _palette(images: list[Any], animation: Animation) -> Any:
-    """Return a picture with the 256 colors of a GIF: white, and colors of these pictures, with
-    those of small parts."""
+    """Return a picture whose palette holds the 256 colors of a GIF: white and colors of these
+    pictures, including those of small parts."""
     width, height = images[0].size
     colors = sorted({part.color for part in animation.parts})
     sheet = Image.new("RGB", (width, height * len(images) + SWATCH * len(colors)))

@@ -36,9 +36,9 @@ from jaxbody.views.scenes.scenes import animation_of, side_by_side, with_ground
 from jaxbody.views.scenes.shapes import Shape
 
 FORMATS = (".html", ".png", ".gif", ".mp4")
-HEIGHT = 480  # pixels in a notebook
-RATE, MOST = 25, 1500  # frames per second of playing, and in all
-# seconds of playing at which the speed is that of the motion; of a shorter motion
+HEIGHT = 480  # height of a view in a notebook [pixels]
+RATE, MOST = 25, 1500  # frames per second of playing, and largest number of frames
+# durations between which a motion plays in real time; playing time of a shorter motion [s]
 SHORTEST, LONGEST, USUAL = 2.0, 60.0, 5.0
 VIEWED = (Model, Equilibrium, Trajectory, SuspensionCurves, ModalResult)
 
@@ -74,8 +74,8 @@ class View(Printed):
         return page_of(self.animation, self.camera, names=self.names)
 
     def save(self, path: Any, *, at: float = 0.0, width: int | None = None) -> Path:
-        """Write a file and return its path: .html plays in any browser without network, .gif and
-        .mp4 move, .png is one frame.
+        """Write a file and return its path: .html plays in any browser offline, .gif and .mp4 are
+        animations, .png is one frame.
 
         Args:
             path: path of the file, which replaces a file of the same name.
@@ -119,8 +119,8 @@ class View(Printed):
         return ax
 
     def show(self) -> None:
-        """Show it inline in a notebook, or from a script in a browser, from a temporary file.
-        Error: MISSING_EXTRA."""
+        """Show the view inline in a notebook; from a script, write it to a temporary HTML file and
+        open that in a browser. Error: MISSING_EXTRA."""
         ipython: Any = sys.modules.get("IPython")
         if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
             ipython.display.display(self)
@@ -202,24 +202,25 @@ def view(
     supports and roads that move.
 
     No options are needed: a body is drawn as the hull of its attached points and of its inertia, a
-    spring as a coil of its length, a tyre with its radius; up is against gravity. Only poses are
-    computed.
+    spring as a coil of its length, a tyre with its radius; gravity points down. Only poses are
+    computed, and forces if these are drawn.
 
     Args:
         what: a model, an equilibrium, a trajectory, modes (natural or complex), the curves of a
             suspension, which moves over its travel, a tuning (the model before and after), or
             {name: any of these}, side by side.
-        shapes: {body or support: jb.views.Shape, or several}, in place of the default ones; they
-            never enter the physics.
+        shapes: {body or support: jb.views.Shape, or several}, in place of the default ones; they do
+            not affect mass and inertia.
         at: the state in which a model is drawn, or about which modes vibrate: a State, an
             equilibrium or a linearization; None takes the reference pose.
-        number: number of the mode, from 1, or several, side by side.
+        number: number of the mode, from 1; several are drawn side by side.
         amplitude: largest displacement of a drawn mode [m]; None takes an eighth of the model's
             size.
         phase: phase of a mode in the first frame [rad].
         forces: whether arrows show the forces of elements on bodies along a trajectory, all to one
             scale.
-        trails: names of bodies, or {name: (body, point in its axes)}, whose paths are drawn.
+        trails: points whose paths are drawn: names of bodies for their origins, or {name: (body,
+            point in its axes [m])}.
         speed: seconds of a motion per second of playing; None takes 1, but plays a motion shorter
             than 2 s in about 5 s and a long one in at most 60 s.
         names: whether names are written.
@@ -324,8 +325,8 @@ def view(
 
 
 def _named(what: Any, problems: Problems) -> dict[str, Any]:
-    """Return {name: viewed model or result}; a single one has the name "", and a tuning is two
-    models."""
+    """Return {name: viewed model or result}; a single one has the name "", and a tuning becomes two
+    models, before and after."""
     if isinstance(what, Tuning):
         return {"before": what.space.model, "after": what.model}
     given = (
@@ -395,7 +396,7 @@ def _shapes(shapes: Any, models: list[Model], problems: Problems) -> dict[str, t
 def _trails(
     trails: Any, models: list[Model], problems: Problems
 ) -> list[tuple[str, str, np.ndarray]]:
-    """Return (name, frame, point) of each trail."""
+    """Return (name, frame, point in its axes [m]) of each trail."""
     known = tuple(
         name
         for name in models[0].layout.frames

@@ -33,7 +33,7 @@ REMEDIES = {
     ),
 }
 
-PHASES = {  # of compilation, in the order of JAX
+PHASES = {  # phases of a compilation, in the order in which JAX runs them
     "/jax/core/compile/jaxpr_trace_duration": 0,
     "/jax/core/compile/jaxpr_to_mlir_module_duration": 1,
     "/jax/core/compile/backend_compile_duration": 2,
@@ -56,12 +56,12 @@ class CompileTimes:
     0
     """
 
-    # when each trace began and ended
+    # {function: (begin, end) of each trace [s]} of functions that are not compiled yet
     traced: dict[str, list[tuple[float, float]]] = field(default_factory=dict, repr=False)
     programs: dict[str, tuple[float, float, float, int]] = field(default_factory=dict)
     cached: int = 0
     left_to_vmap: dict[str, str] = field(default_factory=dict)
-    # spans of time in `programs`, none in another
+    # spans of time that are counted in `programs`, none of which lies in another
     counted: list[tuple[float, float]] = field(default_factory=list, repr=False)
 
     @property
@@ -163,7 +163,8 @@ _listeners: list[Callable[..., None]] = []  # are called as listener(event, seco
 def _listen() -> None:
     """Pass the events of JAX on to all `_listeners`, from the first call on.
 
-    Older versions of JAX cannot remove a listener, so that one serves for all."""
+    Older versions of JAX cannot remove a listener, so that a single one is registered for all
+    uses."""
 
     def heard(*event: Any, **data: Any) -> None:
         for listener in [*_listeners]:
@@ -174,7 +175,7 @@ def _listen() -> None:
     _listeners.append(_add_seconds)
 
 
-# {driver that is called: seconds that JAX spends on its compilation}
+# {driver (see compile_options) that is being called: seconds that JAX has spent on its compilation}
 _called: dict[str, float] = {}
 
 
@@ -197,7 +198,7 @@ class Compilations:
 
     @contextmanager
     def watched(self, args: tuple[Any, ...]) -> Iterator[None]:
-        """Watch a call with these arguments for a compilation.
+        """Observe whether a call with these arguments, the `with` block, compiles the function.
 
         Warns SLOW_COMPILATION if it takes more than a minute; warns RECOMPILED, once, if the
         function is compiled again and again because one thing changes."""

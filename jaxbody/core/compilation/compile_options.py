@@ -29,7 +29,7 @@ class Remainder:
 
 
 def separated(tree: Any) -> tuple[list[Any], Any, tuple[tuple[type, Any] | None, ...]]:
-    """Split a tree into its arrays, its structure and its other leaves.
+    """Return the arrays of a tree, its structure and its other leaves.
 
     Other leaves are listed with their types, because 1, 1.0 and True are equal, with None in place
     of each array."""
@@ -47,8 +47,8 @@ def joined(arrays: Sequence[Any], structure: Any, others: Sequence[Any]) -> Any:
 
 
 def without_weak_type(x: Any) -> Any:
-    """Return x with its type fixed: that of a Python number would depend on what x is combined
-    with."""
+    """Return x with a fixed type: the (weak) type of a Python number would depend on the array with
+    which x is combined."""
     return jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x
 
 
@@ -62,18 +62,18 @@ HAS_EMITTERS = tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 11)
 OPTIMIZED: Options = ((EMITTERS, False),) if HAS_EMITTERS else ()
 WIDE: Options = (
     *(((EMITTERS, True),) if HAS_EMITTERS else ()),
-    # in bits, 512 for all that the processor has; XLA's default is 256. Loops over a thousand
-    # numbers or so run in two thirds of the time
+    # width of vector instructions [bits]: 512 uses the full width of the processor, XLA's default
+    # is 256. Loops over about a thousand numbers run in two thirds of the time
     ("xla_cpu_prefer_vector_width", 512),
 )
 # compiles in half the time of OPTIMIZED; programs take up to three times as long
 QUICK: Options = (
     *OPTIMIZED,
     ("xla_backend_optimization_level", 0),
-    # parts of a program that LLVM compiles one by one, for which so little work does not pay
+    # number of parts that LLVM compiles in parallel: one, because the work is too little for more
     ("xla_cpu_parallel_codegen_split_count", 1),
 )
-STRUCTURES = 4096  # of arguments, for which a function keeps programs
+STRUCTURES = 4096  # most structures of arguments for which a function keeps programs
 
 
 def jit(function: F) -> F:
@@ -82,7 +82,7 @@ def jit(function: F) -> F:
 
     Arrays and Python floats, anywhere in the arguments, are arguments of the program, so that new
     values compile nothing; all else (names, functions, integers) is fixed in it. Results may hold
-    anything. Put it around whatever you differentiate, batch or repeat:
+    anything. Apply it to the outermost function, after jax.grad or jax.vmap:
 
         first = lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
         slopes = jb.jit(jax.grad(first))
@@ -121,7 +121,8 @@ def program_with(options: Options | Callable[..., Options]) -> Callable[[F], F]:
     """Return a decorator that compiles a driver with these options of XLA.
 
     They may be a function of the driver's arguments, which chooses options from their shapes.
-    Inside another program, a derivative or a batch there are none: JAX takes no options there."""
+    Inside another program, a derivative or a batch they are not used, because JAX takes no options
+    there."""
 
     return lambda function: _compiled(function, options, Compilations(function))
 
@@ -134,14 +135,15 @@ def _compiled(
     """Return the function, compiled once for each structure of its arguments and each set of
     values in them that are not arrays.
 
-    jax.jit takes arrays alone: the function is compiled as one of the arrays in its arguments,
-    which returns the arrays of its result. What else is in a result is known when it is traced.
+    jax.jit accepts arrays only: what is compiled is a function of the arrays in the arguments that
+    returns the arrays in the result. The other parts of a result are known when it is traced.
 
     Args:
         function: the function, whose results may hold anything.
-        options: of XLA, for calls outside of other programs; or a function of the arguments.
-        compilations: notes the compilations of calls outside of other programs; None for a function
-            of a user, which may depend on devices.
+        options: options of XLA, for calls outside of other programs; or a function of the arguments
+            that returns them.
+        compilations: the record of compilations by calls outside of other programs; None for a
+            function of a user, which may depend on devices.
     """
 
     @functools.lru_cache(STRUCTURES)
@@ -150,7 +152,7 @@ def _compiled(
             given, shown = without_manual_axes(arrays) if compilations else (arrays, lambda x: x)
             args, named = joined(given, structure, others)
             results, *rest = separated(function(*args, **named))
-            # batches lose weak types, and what takes the result would be traced again
+            # batches lose weak types, and functions of the result would be traced again
             return [without_weak_type(shown(x)) for x in results], Remainder(rest)
 
         traced.__name__ = getattr(function, "__name__", type(function).__name__)

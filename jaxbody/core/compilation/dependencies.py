@@ -13,7 +13,7 @@ CALLS = {
 
 
 def reach(jaxpr: ClosedJaxpr, on: list[bool]) -> list[bool]:
-    """Return which results of a program depend on those arguments that are `on`."""
+    """Return which results of a program depend on those arguments for which `on` is True."""
     known = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
     for eqn in jaxpr.jaxpr.eqns:
         given = [not isinstance(x, Literal) and known.get(x, False) for x in eqn.invars]
@@ -22,7 +22,8 @@ def reach(jaxpr: ClosedJaxpr, on: list[bool]) -> list[bool]:
 
 
 def reach_of(eqn, on: list[bool]) -> list[bool]:
-    """Return which results of one operation depend on those of its arguments that are `on`."""
+    """Return which results of one operation depend on those of its arguments for which `on` is
+    True."""
     name, p = eqn.primitive.name, eqn.params
     if name in CALLS:
         return reach(p[CALLS[name]], on)
@@ -41,8 +42,8 @@ def reach_of(eqn, on: list[bool]) -> list[bool]:
 
 
 def reach_of_while(p, on: list[bool]) -> tuple[bool, list[bool]]:
-    """Return whether the condition of a while loop depends on those arguments that are `on`, and
-    which of its carried values do."""
+    """Return whether the condition of a while loop depends on those arguments for which `on` is
+    True, and which of its carried values do."""
     a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
     carry = fixpoint(p["body_jaxpr"], on[a:b], on[b:], [])
     return reach(p["cond_jaxpr"], on[:a] + carry)[0], carry
@@ -64,7 +65,8 @@ def parts_of_scan(eqn) -> tuple[int, int]:
 def fixpoint(
     body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list[bool]
 ) -> list[bool]:
-    """Return which carried values of a loop depend on what is `on` after any number of steps."""
+    """Return which carried values of a loop depend, after any number of steps, on the values that
+    are `on` (True in `consts`, `carry` and `xs`)."""
     while True:
         after = [a or b for a, b in zip(carry, reach(body, consts + carry + xs), strict=False)]
         if after == carry:

@@ -15,11 +15,11 @@ def keep_programs(folder: str | os.PathLike | None = None) -> Path:
     """Let JAX keep its compiled programs on disk, for later processes, and return the folder.
 
     Args:
-        folder: a folder of your own that no other user may read or write, made if there is none; by
-            default `jaxbody` in your cache folder (XDG_CACHE_HOME or ~/.cache).
+        folder: a folder of your own that no other user may read or write, created if it does not
+            exist; by default `jaxbody` in your cache folder (XDG_CACHE_HOME or ~/.cache).
 
-    This is JAX's persistent cache, for programs of any size and time of compilation. Where JAX has
-    a folder already (JAX_COMPILATION_CACHE_DIR), that one stays. A later process traces its
+    This is JAX's persistent cache, for programs of any size and time of compilation. If JAX has a
+    folder already (JAX_COMPILATION_CACHE_DIR), that one is used. A later process traces its
     functions again, which is the greater part of the time, but compiles only those that have
     changed. Call it before the first computation; the command `jaxbody` does.
 

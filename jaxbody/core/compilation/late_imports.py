@@ -1,6 +1,6 @@
-"""Names of a package that are imported from its modules at their first use: importing all takes
-three times as long as importing those that a simulation needs, and a model has one or two of the
-laws of forces."""
+"""Names of a package that are imported from its modules at their first use: importing all of them
+takes three times as long as importing those that a simulation needs, and a model uses only one or
+two of the force laws."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def late_names(
     first use; its stub lists the same names for editors and type checkers.
 
     Args:
-        package: "jaxbody.model.laws"
+        package: name of the package, such as "jaxbody.model.laws"
         names: {module in the package: public names}
         modules: {public name of a module: module}
-        renamed: {name that was public: place of its successor in the package}
+        renamed: {former public name: place of its successor in the package}
     """
     places = {name: (module, name) for module, those in names.items() for name in those}
     modules = modules or {}
@@ -40,7 +40,8 @@ def late_names(
         return thing
 
     def successor(name: str) -> str:
-        """Return where a name that was public stands today, for the message."""
+        """Return the present place of a former public name, for the message; "" if there is
+        none."""
         place = (renamed or {}).get(name) or next(
             (f"{each}.{name}" for each in modules if name in __getattr__(each).__all__), ""
         )

@@ -1,8 +1,8 @@
 """Values as plain text and arrays, and back: names, numbers and tuples of them, never code.
 
 Classes and functions are written by name. Only those of jaxbody and of the libraries that it uses
-are known, as their source is that of an installed version. Other values have no text: the error
-`Unnamed` describes them."""
+are known, because their source belongs to an installed version. Other values have no text: the
+error `Unnamed` describes them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LIBRARIES = ("jaxbody", "diffrax", "equinox", "jax", "lineax", "optimistix")
 
 
 class Unnamed(Exception):
-    """The error of a value that has no text, with a description of it."""
+    """The error for a value that cannot be written as text, with a description of the value."""
 
 
 def text_of(value: Any, arrays: list[Any] | None = None, allow: Sequence[str] = ()) -> str:
@@ -31,17 +31,17 @@ def text_of(value: Any, arrays: list[Any] | None = None, allow: Sequence[str] = 
 
     Args:
         value: the value.
-        arrays: a list to which its arrays are added, whose places in it the text has; None: arrays
-            have no text.
-        allow: modules whose classes have names too.
+        arrays: a list to which the arrays of the value are added; the text states their places in
+            it. None: a value with arrays is an error.
+        allow: names of other modules whose classes and functions may be written.
 
     Error: Unnamed."""
     return json.dumps(_Writer(arrays, allow).encoded(value), separators=(",", ":"))
 
 
 def value_of(text: str, arrays: Sequence[Any] = (), allow: Sequence[str] = ()) -> Any:
-    """Return the value of a text, with these arrays. Error: ValueError where the text is not that
-    of a value."""
+    """Return the value that `text_of` has written as this text, with these arrays. Error:
+    ValueError if the text does not describe a value."""
     try:
         return _Reader(arrays, allow).decoded(json.loads(text))
     except (AttributeError, ImportError, IndexError, KeyError, RuntimeError, TypeError) as error:
@@ -80,7 +80,7 @@ class _Writer:
         return [self.encoded(item) for item in items]
 
     def array(self, x: Any) -> Any:
-        """Return the place of an array among the others."""
+        """Return the place of an array in the list of arrays, to which it is added."""
         if self.arrays is None or isinstance(x, Tracer) or x.dtype.kind not in "biufc":
             return _refused(x)
         place = next((i for i, other in enumerate(self.arrays) if other is x), len(self.arrays))
@@ -92,11 +92,12 @@ class _Writer:
         names = _fields(kind)
         if names is not None:
             fields = {name: self.encoded(getattr(x, name)) for name in names if hasattr(x, name)}
-            # of a module; equinox before 0.13.3 keeps them in the order of a set
+            # of an equinox module; versions before 0.13.3 keep them in the order of a set
             if "wrapper_fields" in fields:
                 fields["wrapper_fields"][1:] = sorted(fields["wrapper_fields"][1:], key=json.dumps)
             return ["object", self.name(kind), *map(list, fields.items())]
-        # an object that stands for a missing value has the name of a variable
+        # an object that stands for a missing value is written by the name of the variable that
+        # holds it
         home = "equinox._module._module" if kind is object else kind.__module__
         names = (
             [name for name, one in vars(sys.modules[home]).items() if one is x]
@@ -106,7 +107,8 @@ class _Writer:
         return ["name", f"{home}:{names[0]}"] if names else _refused(x)
 
     def name(self, thing: Any) -> str:
-        """Return "module:name" of a class or function that can be found by it."""
+        """Return "module:name" of a class or function that can be imported by this name. Error:
+        Unnamed."""
         module, name = getattr(thing, "__module__", None) or "", getattr(thing, "__qualname__", "")
         if module == "builtins" and isinstance(thing, type):
             return f"builtins:{name}"
@@ -118,7 +120,7 @@ class _Writer:
 
 
 def _fields(kind: type) -> tuple[str, ...] | None:
-    """Return the names of the values of which an object of a class consists; None if unknown."""
+    """Return the names of the fields of a class; None if unknown."""
     if issubclass(kind, tuple):
         return getattr(kind, "_fields", None)
     if dataclasses.is_dataclass(kind):
@@ -152,7 +154,7 @@ def _refused(x: Any) -> Any:
 
 @dataclasses.dataclass
 class _Reader:
-    """Reads the values of such lists."""
+    """Reads the values from the lists that `_Writer` makes."""
 
     arrays: Sequence[Any]
     allow: Sequence[str]

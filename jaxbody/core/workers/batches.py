@@ -34,14 +34,14 @@ from jaxbody.core.workers.executors import Crew, check_workers
 BUSY = 2.0  # time for which a chunk should keep a worker busy [s]
 FEWEST = 16  # chunks in a batch, so that workers end at about the same time
 LARGEST = 2**26  # results of a chunk [bytes]
-TRIED = 4  # rows of a trial, over the width, from which the time of a row follows
+TRIED = 4  # number of rows in a trial that measures the time of a row, over the width
 
 Report = Callable[[int, int], None]  # rows that are done, workers
 
 
 @dataclasses.dataclass(frozen=True)
 class ChunkedBatch:
-    """`count` rows and the program that computes them, in chunks of `size`."""
+    """A batch: `count` rows and the program that computes them, in chunks of `size` rows."""
 
     program: ChunkProgram
     shared: list[np.ndarray]
@@ -82,12 +82,13 @@ def arrays_apart(
     return apart, shared, (structure, tuple(jax.tree.leaves(rest)))
 
 
-# {function of which programs are made: {key: program}}, as long as the function lives
+# {function that programs compute: {key: program}}, as long as the function exists
 programs: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
 
 
 def kept_by(owner: Any, key: Any, make: Callable[[], Any]) -> Any:
-    """Return the result of `make`, which is called once for each key as long as the owner lives."""
+    """Return the result of `make`, which is called once for each key as long as the owner
+    exists."""
     return kept(programs.setdefault(owner, {}), key, make)
 
 
@@ -155,7 +156,7 @@ def checked_chunks(
         out: path of a store, or None.
         chunks: numbers of chunks, or None.
         problems: collects the problems: BAD_WORKERS, MISSING_EXTRA, WRONG_KIND, BAD_CHUNK.
-        fixed: whether all calls have chunks of the same size.
+        fixed: whether chunks have the same size in all calls.
     """
     problems.gather(lambda: check_workers(workers, f"{where}.workers"))
     if out is not None and not isinstance(out, str | os.PathLike):
@@ -214,7 +215,8 @@ def batch_of(
         width: number of rows that are computed at a time.
         where: the place in the call, for messages.
         crew: the workers.
-        owner, place: the function of which `function` is made, and what else it depends on.
+        owner, place: the function from which `function` is made, and other values on which it
+            depends.
         memory: temporary memory that these rows may take [bytes]; where they need more, fewer are
             computed at a time. A chunk then has as many rows as keep a worker busy for BUSY, which
             is measured. By default a chunk has `width` rows.
@@ -246,8 +248,9 @@ def _sized(
     memory: float | None,
     where: str,
 ) -> ChunkedBatch:
-    """Return the batch with as many rows in a program as memory allows, and in a chunk as keep a
-    worker busy, as a trial shows; `memory` None: one program, one chunk."""
+    """Return the batch with as many rows in a program as memory allows, and as many in a chunk as
+    keep a worker busy, both measured by a trial. If `memory` is None, a chunk has the rows of one
+    program."""
 
     def tried(batch: ChunkedBatch) -> ComputedChunk | FailedChunk:
         trial = batch.program, batch.shared, batch.rows(0, min(TRIED * batch.size, batch.count))
@@ -311,14 +314,14 @@ def store_of(
     dimension: str,
     any_size: bool = False,
 ) -> ChunkStore:
-    """Return the store of a batch, which keeps its rows, too.
+    """Return the store on disk for the results of a batch and for its rows, the inputs.
 
     Args:
         batch: the batch.
         out: path of the store.
-        plan: identifies the rows.
+        plan: {word: text or number} that identifies the rows.
         inputs: names of the arrays of the rows.
-        dimension: name of a row, such as "design".
+        dimension: name of the dimension over the rows, such as "design".
         any_size: whether an existing store may have chunks of another size.
 
     Errors: those of `ChunkStore`."""
@@ -352,7 +355,8 @@ def gathered(
     chunks: Iterable[int] | None = None,
     **of_store: Any,
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return all results in memory, NaN where there are none, and the status of each row.
+    """Return all results in memory, NaN (zero for integers) where there are none, and the status of
+    each row.
 
     Args:
         batch: the batch.
@@ -399,9 +403,9 @@ def stored(
     """Compute those of the `chunks` that the store lacks, and write each with its rows when it is
     finished.
 
-    Those that were lost before are tried once more, last. Ctrl-C ends it. Warns INTERRUPTED, LOST.
-    Errors: those of `dispatched`, NOT_SAVED."""
-    # rows that are sent and not written yet, kept as it may be costly to make them again
+    Chunks that were lost before are tried once more, after the others. Ctrl-C ends the computation.
+    Warns INTERRUPTED, LOST. Errors: those of `dispatched`, NOT_SAVED."""
+    # rows that are sent and not written yet, kept because it may be expensive to make them again
     made: dict[tuple[int, int], list[np.ndarray]] = {}
 
     def rows(first: int, last: int) -> list[np.ndarray]:

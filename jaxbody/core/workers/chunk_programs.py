@@ -29,13 +29,13 @@ from jax.sharding import AxisType, PartitionSpec
 from jaxbody.core.compilation.compile_options import OPTIMIZED
 from jaxbody.core.errors import JaxbodyError, Problem
 
-KEPT = 16  # most programs in a worker, and of one function in its caller
+KEPT = 16  # most programs kept in a worker, and for one function in its caller
 WORD = r'(?:"(?:[^"\\]|\\.)*"|[^()"])*'
 CUSTOM_CALL = re.compile(r"stablehlo\.custom_call @(\w+)")
-# lines of the source, in the text of a program
+# references to lines of the source, in the text of a program
 LOCATION = re.compile(rf"^#loc.*\n| loc\({WORD}(?:\({WORD}\))?\)", re.M)
 
-# because with jaxlib 0.10 two programs with LAPACK in one process may wait for each other for ever
+# because with jaxlib 0.10 two programs with LAPACK in one process may wait for each other forever
 one_at_a_time = threading.Lock()
 
 Types = dict[str, tuple[tuple[int, ...], str]]  # {name: shape and type of an array}
@@ -262,8 +262,8 @@ def _compiled(program: ChunkProgram) -> LoadedProgram:
 
 @dataclass(frozen=True)
 class ComputedChunk:
-    """Results of a chunk, name of its worker, time of the computation without loading of the
-    program [s], and temporary memory of the program [bytes]."""
+    """A finished chunk: its results, name of its worker, time of the computation without loading of
+    the program [s], and temporary memory of the program [bytes]."""
 
     results: dict[str, np.ndarray]
     worker: str
@@ -273,8 +273,9 @@ class ComputedChunk:
 
 @dataclass(frozen=True)
 class FailedChunk:
-    """The reason why a chunk has no results; `refused` if its worker cannot compute any chunk. It
-    is not an exception, as some exceptions cannot be sent."""
+    """The failure of a chunk: the reason why it has no results, and in `refused` the problem if its
+    worker cannot compute any chunk. It is not an exception, because some exceptions cannot be
+    sent."""
 
     message: str
     refused: Problem | None = None

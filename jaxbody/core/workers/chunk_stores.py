@@ -8,7 +8,7 @@
               status/lost/7    chunk 7 has no results: its rows are LOST
 
 Chunks are written by the caller, several at a time if each has its own chunks: no file is written
-by two, so there are no locks.
+by two of them, so that no locks are needed.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ class ChunkStore:
     """A store of the results of a batch on disk.
 
     Args:
-        path: its folder, made if there is none.
+        path: its folder, created if it does not exist.
         plan: {word: text or number} that identifies the call.
         inputs, results: {name: (shape of a row, type)} of the inputs and of the results.
         dimension: name of the dimension over the rows.
         count: number of rows.
         size: number of rows in a chunk; an existing store keeps its own if `any_size`.
-        any_size: whether the call leaves the size open.
+        any_size: whether an existing store may have another size of chunks.
 
     Errors: OTHER_STORE, NOT_SAVED, BAD_NAME, MISSING_EXTRA."""
 
@@ -109,8 +109,8 @@ class ChunkStore:
         self.arrays = {name: root[name] for name in [*arrays, STATUS]}
 
     def _make(self, plan: dict[str, Any], arrays: Types) -> None:
-        """Make the store elsewhere and rename it: of several processes that do so one succeeds, and
-        each sees a complete store."""
+        """Create the store under another name and rename it: if several processes do so, one of
+        them succeeds, and all find a complete store."""
         new = self.path.with_name(f"{self.path.name}.{secrets.token_hex(4)}.new")
         with ExitStack() as stack, self._writing():
             stack.callback(shutil.rmtree, new, ignore_errors=True)
@@ -194,8 +194,8 @@ class ChunkStore:
                 mark.unlink(missing_ok=True)
 
     def read(self, names: Iterable[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return arrays of all rows in memory, NaN or zero where there is nothing, and the status
-        of each row."""
+        """Return arrays of all rows in memory, NaN or zero where results are missing, and the
+        status of each row."""
         return {name: self.arrays[name][:] for name in names}, self.arrays[STATUS][:].astype(int)
 
     def _writing(self) -> AbstractContextManager[None]:

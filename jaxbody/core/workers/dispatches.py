@@ -2,8 +2,8 @@
 again; one that fails three times is given up.
 
 A chunk that fails twice, by an error or with its worker, is sent a third time when no other is
-under way. If it ends every process that computes it, the other chunks of these processes are lost
-with them, and would otherwise be given up too."""
+under way. Otherwise a chunk that ends every process that computes it would cause other chunks,
+which are lost with these processes, to be given up too."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxbody.core.workers.executors import Crew
 
 TWICE = 2  # failures after which a chunk is sent alone
 MOST_ALONE = 8  # chunks that wait to be sent alone
-# most chunks given up, and most executors made again, before anything is computed
+# most chunks given up, and most broken executors replaced, before anything is computed
 MOST_FIRST, MOST_RENEWALS = 4, 20
 
 

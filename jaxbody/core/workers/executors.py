@@ -24,7 +24,7 @@ FEWEST = 4  # chunks that are sent before any has come back
 
 
 class ThisProcess(Executor):
-    """An executor that computes at once, in this process."""
+    """An executor that computes in this process, during the call of `submit`."""
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -58,8 +58,8 @@ class Crew:
         self.seen: set[str] = set()  # workers that have answered
 
     def room(self, sent: int) -> bool:
-        """Return whether another chunk may be sent: enough to keep all workers busy, few enough to
-        need little memory."""
+        """Return whether another chunk may be sent when `sent` chunks are not finished: the limit
+        keeps all workers busy and needs little memory."""
         return sent < (self.most or 4 * max(FEWEST, len(self.seen)))
 
     def renew(self, where: str) -> None:

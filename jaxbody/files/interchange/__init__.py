@@ -1,1 +1,1 @@
-"""Files of others: data sheets of mounts, models of MuJoCo, linear systems for MATLAB."""
+"""Files of other programs: data sheets of mounts, models of MuJoCo, linear systems for MATLAB."""

@@ -35,7 +35,7 @@ def lines_of(
     """Return the place ("mounts.csv:3") of each row of a table, and its words and numbers in SI by
     column; `things` is the plural noun for rows in messages.
 
-    Errors: those of text files and of headings; problems of lines are added."""
+    Errors: those of text files and of headings; problems of lines are added to `problems`."""
     check_file(path, largest)
     text = decoded(path.read_bytes(), path.name, "utf-8")
     rows = [
@@ -197,7 +197,7 @@ def read_mounts(
 
     x, y, z are the position of the mount in world axes, in the reference pose; kx, ky, kz and cx,
     cy, cz its stiffness and damping along its axes, krx ... and crx ... about them; rx, ry, rz
-    [deg] turn its axes from those of the world, first about z, then y, then x. Columns may be in
+    [deg] rotate its axes from those of the world, first about z, then y, then x. Columns may be in
     any order; columns other than name, x, y, z, kx, ky, kz may be missing, and their cells empty,
     which means zero. A unit is in the heading, or next to the number, "21 N/mm". The command
     `jaxbody new --mounts mounts.csv` prints a model file with these mounts.

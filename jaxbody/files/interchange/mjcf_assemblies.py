@@ -187,8 +187,8 @@ class FramesOfFile(ABC):
         joints: list[JointOfBody],
         own: Body | None,
     ) -> tuple[str, Place]:
-        """Add a body of the file at a `place` on its `owner`. Return the frame of the model that it
-        becomes, or is a part of, and its place on that frame."""
+        """Add a body of the file at the pose `place` on the frame `owner`. Return the frame of the
+        model that it becomes, or is a part of, and its place on that frame."""
         carrier = self.carried.get(owner)
         if joints or carrier is None or not carrier.moves or (own and carrier.parts):
             in_world = carrier.place @ place if carrier else place
@@ -205,7 +205,7 @@ class FramesOfFile(ABC):
 
     def name_of(self, name: str, default: str, taken: Any, where: str) -> str:
         """Return a name that a model accepts and that is not `taken`; if it differs from the name
-        in the file, it is listed as left out."""
+        in the file, the latter is listed as left out."""
         allowed = "".join("_" if letter in ".*?[]" else letter for letter in name or default)
         while allowed in taken or allowed == WORLD:
             allowed += "_" if name else " 2"

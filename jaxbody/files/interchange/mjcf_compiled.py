@@ -1,4 +1,5 @@
-"""MJCF and URDF by MuJoCo's own compiler: a model from the arrays of MuJoCo's compiled model."""
+"""MJCF and URDF files compiled by MuJoCo itself: a model from the arrays of MuJoCo's compiled
+model."""
 
 import importlib.util
 import subprocess
@@ -25,9 +26,9 @@ SITE = 3  # MuJoCo's number for a site in the path of a tendon
 
 
 def compiled(path: Path, document: MjcfDocument) -> tuple[dict[str, np.ndarray] | None, str | None]:
-    """Return the arrays of MuJoCo's compiled model and None; without MuJoCo, or if it rejects the
-    file, None and its message. MuJoCo would read any file that this one names: a file that names
-    files outside its folder is not compiled."""
+    """Return the arrays of MuJoCo's compiled model and None. Return None and a message if the file
+    is not compiled, or None twice if MuJoCo is not installed. As MuJoCo reads any file that is
+    named in it, a file that names files outside its folder is not compiled."""
     if importlib.util.find_spec("mujoco") is None:
         return None, None
     outside = [
@@ -90,7 +91,7 @@ class CompiledReader(FramesOfFile):
             (KIND.get(each.tag, each.tag), each.attributes.get("name")): each.where
             for each in document.root.within()
         }
-        # frame of the model of each body, and the place of the body on it
+        # for each body of MuJoCo, the frame of the model and the place of the body on it
         self.places: list[tuple[str, Place]] = [(WORLD, ORIGIN)]
 
     def __getattr__(self, name: str) -> Any:

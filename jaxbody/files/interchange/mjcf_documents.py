@@ -17,7 +17,7 @@ from jaxbody.core.source_files import check_file
 
 DEEPEST = 200
 
-MAIN = "main"  # the class of elements that state none
+MAIN = "main"  # the default class of elements that state none
 ALIASES = {"spatial": "tendon", "fixed": "tendon"}  # names of tags in default classes
 
 
@@ -43,8 +43,8 @@ class Node:
 
 @dataclass
 class MjcfDocument:
-    """A file with those that it includes: its root, and the default attributes of each class by the
-    tags of elements."""
+    """An MJCF or URDF file with the files that it includes: its `root` element, and `classes`,
+    {class: {tag of elements: default attributes}}."""
 
     root: Node
     classes: dict[str, dict[str, dict[str, str]]]
@@ -194,8 +194,8 @@ def _include(node: Node, folder: Path, largest: float, read: set[Path]) -> None:
 
 
 def _parsed(path: Path, largest: float) -> Node:
-    """Return the root element of a file. Document types, and so entities, are refused before
-    anything is expanded."""
+    """Return the root element of a file. Document types, and with them entities, are rejected
+    before anything is expanded."""
     check_file(path, largest)
     parser, root = expat.ParserCreate(), Node("", {}, path.name)
     around = [root]

@@ -49,12 +49,13 @@ ORIGIN = Place(np.zeros(3), np.array(IDENTITY))
 
 
 def about(n: np.ndarray, angle: float) -> np.ndarray:
-    """Return the quaternion of a turn by `angle` [rad] about a direction `n` of any length."""
+    """Return the quaternion of a rotation by `angle` [rad] about a direction `n` of any length."""
     return np.array([np.cos(angle / 2), *(np.sin(angle / 2) * n / np.linalg.norm(n))])
 
 
 def from_z_to(direction: np.ndarray) -> np.ndarray:
-    """Return the quaternion of the shortest turn from the z axis to a direction of any length."""
+    """Return the quaternion of the smallest rotation from the z axis to a direction of any
+    length."""
     z = direction / np.linalg.norm(direction)
     n = np.array([-z[1], z[0], 0.0])  # e_z x z
     return about(n if n.any() else np.array([1.0, 0, 0]), np.arctan2(np.linalg.norm(n), z[2]))
@@ -131,8 +132,8 @@ def _orientation(a: Attributes, name: str, degrees: bool, sequence: str) -> np.n
 
 
 def _turned(angles: np.ndarray, sequence: str) -> np.ndarray:
-    """Return the quaternion of successive turns [rad] about axes that turn with the frame (small
-    letters) or are fixed (capitals)."""
+    """Return the quaternion of successive rotations [rad] about axes that rotate with the frame
+    (lower-case letters) or are fixed (capitals)."""
     q = ORIGIN.q
     for letter, angle in zip(sequence, angles, strict=True):
         turn = about(np.eye(3)["xyz".index(letter.lower())], angle)
@@ -177,7 +178,7 @@ def solid(a: Attributes, place: Place) -> Body | None:
 
 def _half_sizes(a: Attributes, kind: str) -> np.ndarray | None:
     """Return the radius and half lengths [m] of a shape; with `fromto`, the half length is that of
-    the line. None with a problem."""
+    the line. If the sizes are wrong, add a problem and return None."""
     size = a.row("size")
     if "fromto" in a and kind != "sphere":
         half = np.linalg.norm(np.diff(a.row("fromto", np.zeros(6), (6,)).reshape(2, 3), axis=0)) / 2
@@ -202,8 +203,8 @@ def _sphere(r):
 
 
 def _capsule(r, h):
-    """Return volume and squared radii of gyration of a cylinder of length 2 h between two half
-    spheres, whose share of the mass is 4 r / (4 r + 6 h)."""
+    """Return volume and squared radii of gyration of a cylinder of radius r and length 2 h with a
+    half sphere at each end; the share of the two half spheres in the mass is 4 r / (4 r + 6 h)."""
     ends, length = 4 * r / (4 * r + 6 * h), 2 * h
     across = (1 - ends) * (3 * r**2 + length**2) / 12 + ends * (
         2 / 5 * r**2 + length * (3 * r + 2 * length) / 8

@@ -67,7 +67,7 @@ BY_MUJOCO = "MuJoCo's own compiler reads it: pip install 'jaxbody[mujoco]'."
 
 
 class LeftOut(NamedTuple):
-    """Something of an MJCF file that is not in the model: `where` it occurs first, what it is, and
+    """A feature of an MJCF file that is not in the model: `where` it occurs first, what it is, and
     how many times it occurs."""
 
     where: str
@@ -98,7 +98,7 @@ def read_mjcf(path: Any, *, largest: float = LARGEST) -> MjcfModel:
     If the package mujoco is installed (`jaxbody[mujoco]`), the file is compiled by MuJoCo in a
     separate process, which also computes the masses of meshes; it reads no file outside the folder
     of this one. Without mujoco, and for a file that MuJoCo rejects (for example, because meshes are
-    missing), jaxbody reads MJCF itself, and refuses unknown elements in bodies.
+    missing), jaxbody reads MJCF itself, and rejects unknown elements in bodies.
 
     A body with joints becomes a body: one joint becomes a Free, Ball, Hinge or Guide, several
     become a Composite. A body without joints becomes a support if it is attached to the world;

@@ -43,8 +43,8 @@ def write_mjcf(model: Model, path: Any) -> None:
     that dampers need.
 
     Args:
-        model: the model; the file replaces one of the same name
-        path: path of the file, .xml
+        model: the model
+        path: path of the file, .xml; a file of the same name is replaced
 
     Errors, all at once: WRONG_KIND for elements, laws and joints that MJCF does not have,
     NOT_POSITIVE for a moving body without inertia, UNKNOWN_FORMAT, BAD_SHAPE for a batch of models,
@@ -310,8 +310,8 @@ class MjcfWriter:
 def _twists(
     element: Torsion, kinds: tuple[str, ...], N: np.ndarray, C: np.ndarray
 ) -> list[tuple[float, float, float]] | None:
-    """Return the springs of a torsion on a joint with one turn about its axis, where e = +-q + c -
-    e0; None if the joint has another form."""
+    """Return the joint springs equivalent to a torsion on a joint with a single rotation about its
+    axis, whose deformation is e = +-q + c - e0; None for other joints."""
     turns, n, (k, c) = (
         [i for i, kind in enumerate(kinds) if kind != "slide"],
         np.asarray(element.axis),
@@ -338,8 +338,9 @@ def _twists(
 def _slides(
     element: Bushing, N: np.ndarray, p: np.ndarray
 ) -> list[tuple[float, float, float]] | None:
-    """Return the springs of a bushing on slides only, V = 1/2 (p + N q)' K (p + N q); None if this
-    couples the coordinates q."""
+    """Return the joint springs equivalent to a bushing on a joint of slides only, with N the axes
+    of the slides and the energy 1/2 (p + N q)' K (p + N q); None if this couples the coordinates
+    q."""
     K, C = (
         np.diag(x) if x.ndim == 1 else x[:3, :3]
         for x in map(np.asarray, (element.stiffness, element.damping))
@@ -359,8 +360,8 @@ def _slides(
 
 
 def _ball(element: Bushing) -> list[tuple[float, float, float]] | None:
-    """Return the spring of a bushing on a ball joint, whose stiffness must be the same about all
-    axes; None for others, and with damping, which differs at large turns."""
+    """Return the joint spring equivalent to a bushing on a ball joint, whose stiffness must be the
+    same about all axes; None for others, and with damping, which differs at large rotations."""
     if element.stiffness.shape == (3,):
         return None
     K = np.asarray(element.stiffness)[3:, 3:]

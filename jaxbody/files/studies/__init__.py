@@ -1,2 +1,2 @@
 """Studies in files: a model with motions, loads, sensors, experiments and designs; the schema of
-all that a file may hold."""
+all entries of a file."""

@@ -16,7 +16,7 @@ from jaxbody.files.studies.design_quantities import (
 )
 from jaxbody.model.leaf_paths import Leaf, leaves_of, matching
 
-OF_TABLE = ("type", "unit")  # entries of a quantity that are no arguments of its function
+OF_TABLE = ("type", "unit")  # entries of a quantity that are not arguments of its function
 
 
 class DesignBuilder(EntryBuilder):

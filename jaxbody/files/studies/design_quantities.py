@@ -57,7 +57,7 @@ class Design:
 @dataclass(frozen=True)
 class Quantity:
     """A kind of quantity: a function of a Design and of the entries that a file states with it; its
-    SI unit, "" if that depends on the entries; whether it needs roads."""
+    SI unit, "" if that depends on the entries; and whether it needs roads."""
 
     of: Callable[..., Any]
     unit: str = ""
@@ -70,12 +70,12 @@ class Quantity:
 
 
 def value(at: Design, path: str) -> Array:
-    """Return a number of the model."""
+    """Return the number of the model with this path."""
     return parameter_paths(at.model, path)[path]
 
 
 def frequency(at: Design, mode: int) -> Array:
-    """Return a natural frequency."""
+    """Return the natural frequency of a mode [Hz]."""
     return at.modes.frequency[mode - 1]
 
 
@@ -85,36 +85,37 @@ def damping_ratio(at: Design, mode: int) -> Array:
 
 
 def deflection(at: Design, element: str) -> Array:
-    """Return the elongation of a spring at rest."""
+    """Return the elongation of a spring at equilibrium [m]."""
     return at.equilibrium.elongations[element]
 
 
 def coupling_of_modes(at: Design) -> Array:
-    """Return how far modes move several bodies or directions: 0 for not at all."""
+    """Return a measure of the coupling of modes: 0 if each mode moves one body in one direction
+    only."""
     return objectives.coupling_of_modes(at.linearization)
 
 
 def band_intrusion(at: Design, band: list[float]) -> Array:
-    """Return a penalty on natural frequencies in a band."""
+    """Return a penalty on natural frequencies in a band [Hz]."""
     return objectives.band_intrusion(at.modes.frequency, (band[0], band[1]))
 
 
 def rms(at: Design, sensor: str) -> Array:
-    """Return the rms of what a sensor reads on the roads."""
+    """Return the rms value of the reading of a sensor on the roads."""
     return at.ride[sensor]
 
 
 def stroke(at: Design, sensor: str) -> Array:
-    """Return three times the rms of an elongation on the roads."""
+    """Return three times the rms value of an elongation on the roads [m]."""
     return objectives.stroke(at.ride, sensor)
 
 
 def comfort(at: Design, weights: dict[str, str]) -> Array:
-    """Return the vibration total value of accelerations on the roads, by ISO 2631-1."""
+    """Return the vibration total value of accelerations on the roads [m/s2], by ISO 2631-1."""
     return objectives.comfort(at.ride, weights)
 
 
-# by the names of their functions
+# {name of the function: its quantity}
 QUANTITIES = {
     each.of.__name__: each
     for each in (

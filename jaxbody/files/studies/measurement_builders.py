@@ -29,7 +29,8 @@ class MeasurementBuilder(EntryBuilder):
     """Builder of measured modes or responses from their entry in a document."""
 
     def build(self) -> MeasuredModes | MeasuredResponse | None:
-        """Return the measured modes or responses, by the type of the entry; None with problems."""
+        """Return the measured modes or responses, by the type of the entry; None if there are
+        problems."""
         known = {"MeasuredModes": self.modes, "MeasuredResponse": self.response}
         kind = self.values["type"]
         if kind in known:
@@ -230,7 +231,7 @@ class MeasurementBuilder(EntryBuilder):
 
     @cached_property
     def columns(self) -> Any:
-        """The columns of the file that the entry names; None if they cannot be read."""
+        """Columns of the file that the entry names; None if they cannot be read."""
         if "file" not in self.values:
             self.add("MISSING_ENTRY", "names columns, but no 'file'", limit='file = "measured.csv"')
             return None

@@ -191,7 +191,7 @@ def write_schema() -> None:
 
 
 def _of_record(name: str, kind: Any) -> dict[str, Any]:
-    """Return the schema of an object that is made of channels of a record."""
+    """Return the schema of an object that is made from channels of a record."""
     texts = texts_of(base_motion)
     channels = {
         "Sampled": ("translation", "rotation"),

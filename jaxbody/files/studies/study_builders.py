@@ -144,7 +144,7 @@ class StudyBuilder:
             }
         if "leave_out" in values:
             given["leave_out"] = values["leave_out"]
-        # with problems in its parts, the constructor would report their consequences
+        # if its parts have problems, the constructor would only report their consequences
         if (
             record is None
             or set(chosen) - set(sensors)
@@ -197,8 +197,8 @@ class StudyBuilder:
         path: EntryPath,
         failed: Collection[str] = (),
     ) -> None:
-        """Check that the free paths are parameters, except paths that may refer to `failed`
-        experiments."""
+        """Check that the free paths are parameters, except paths that may refer to experiments that
+        could not be built, `failed`."""
         free = given.get("free", [])
         paths = [free] if isinstance(free, str) else free
         checked = [each for each in paths if not _about(each, failed)]
@@ -213,8 +213,8 @@ class StudyBuilder:
     def of_parameters(
         self, given: dict[str, Any], leaves: list[Leaf], path: EntryPath
     ) -> dict[str, Any]:
-        """Return numbers in SI by the path or pattern of parameters, in whose units they are
-        stated."""
+        """Return {path or pattern of parameters: numbers in SI}; the document states the numbers in
+        the units of the parameters."""
         rows = {"configuration": self.model.layout.q_units, "speeds": self.model.layout.v_units}
         numbers = {}
         for pattern, value in given.items():

@@ -78,7 +78,7 @@ class Study(Printed):
 
 
 def _listed(free: Any) -> list[str]:
-    """Return paths as a list, also if they are one path."""
+    """Return paths as a list; a single path becomes a list of one."""
     return [free] if isinstance(free, str) else list(free)
 
 

@@ -60,7 +60,7 @@ OF_MODES = {
     1 / (2 * np.pi): "is it in Hz instead of rad/s?",
     60.0: "is it per minute?",
 }
-TURNS = {"360 degrees": 360.0, "2 pi": 2 * np.pi}  # at which a wrapped angle restarts
+TURNS = {"360 degrees": 360.0, "2 pi": 2 * np.pi}  # size of the jump of a wrapped angle
 # largest difference of a jump from one turn, and largest jump of its prediction, in turns
 TURN = 0.3
 # smallest offset of a record that is reported, relative to the residual without it; it must also
@@ -72,7 +72,7 @@ OFFSETS = {
 }
 ROUNDED = 1e-9  # offset, relative to the record, below which it is round-off
 OWN = ("WRAPPED", "GAIN_FACTOR")  # errors that explain an offset or a low correlation
-FAULTS = (  # errors with which a fit cannot be right
+FAULTS = (  # errors that make a fit wrong
     "GAIN_FACTOR",
     "WRAPPED",
     "SWAPPED",
@@ -97,8 +97,8 @@ SIGNIFICANT = 4.0  # smallest delay that is reported, in standard errors
 # reported, unless the rest is white noise
 EXPLAINED = 0.5
 
-EARTH = (9.7, 9.9)  # m/s2
-BETTER = 0.7  # relative cost below which another arrangement of channels or axes is reported
+EARTH = (9.7, 9.9)  # range of the gravity of the Earth [m/s2]
+BETTER = 0.7  # cost ratio below which exchanged channels or reflected axes are reported
 
 
 Remarks = Iterator[tuple[str, str]]  # (code, message)
@@ -241,12 +241,13 @@ def likely_errors(
 
 
 def faults(errors: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return the errors that no fit can make up for, those with a code in FAULTS."""
+    """Return the errors that no fit can compensate, those with a code in FAULTS."""
     return [error for error in errors if error[0] in FAULTS]
 
 
 def _wrapped(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, unit: str) -> Remarks:
-    """Yield a remark on an angle that restarts after each turn."""
+    """Yield a remark on a measured angle that jumps by a whole turn where its prediction does
+    not."""
     valid = np.flatnonzero(np.isfinite(y) & np.isfinite(p))
     for label, turn in TURNS.items() if unit == "rad" else ():
         steps = np.abs(np.diff(y[valid])) / turn
@@ -283,7 +284,8 @@ def _of_numbers(
     run: str, measurement: Measurement, readings: dict[str, np.ndarray]
 ) -> tuple[list[Compared], list[tuple[str, str]]]:
     """Compare measurements that are not records in time with their predictions: responses, modes,
-    stiffnesses and curves, which vary about zero. Return the same as `likely_errors`."""
+    stiffnesses and curves, which vary about zero. Return comparisons and likely errors as in
+    `likely_errors`."""
     compared, words = [], []
     for name in measurement.channels:
         y, p = np.asarray(measurement.measured[name]), readings[name]
@@ -371,8 +373,8 @@ def _fit(columns: list[np.ndarray], y: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: float) -> Compared:
-    """Estimate gain g and delay d of y relative to p by iterated linear fits y ~ c0 + g (p - d
-    p')."""
+    """Estimate gain g and delay d of the record y relative to the prediction p by iterated linear
+    fits y ~ c0 + g (p - d p'), with the derivative p' in time."""
     from scipy.interpolate import CubicSpline
 
     valid = np.isfinite(y) & np.isfinite(p)
@@ -416,7 +418,8 @@ def _remarks(c: Compared, factors: dict[float, str] = FACTORS) -> Remarks:
 
 
 def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, Sensor]]) -> Remarks:
-    """Yield remarks on pairs of channels of one unit that fit better when exchanged."""
+    """Yield remarks on pairs of channels with the same unit that agree better with the predictions
+    when exchanged."""
     for (a, (y, p, first)), (b, (z, q, second)) in itertools.combinations(channels.items(), 2):
         valid = np.isfinite(y) & np.isfinite(z)
         if first.unit != second.unit or not valid.any():
@@ -457,11 +460,12 @@ def _mirrored(run: str, experiment: Experiment, readings: dict[str, np.ndarray])
 
 
 def _unrelated(channels: dict[str, Any], arranged: list[tuple[str, str]], step: float) -> Remarks:
-    """Yield remarks on channels that hardly follow their prediction, with what they follow instead;
-    none for channels named in the remarks `arranged`.
+    """Yield remarks on channels that hardly follow their prediction, and on the prediction that
+    they do follow: that of another channel, or their own at another time. Channels named in the
+    remarks `arranged` are skipped.
 
-    A record of a small motion in strong noise has a low correlation too; its difference from the
-    prediction is then white noise."""
+    A record of a small motion in strong noise also has a low correlation, but its difference from
+    the prediction is white noise; it is skipped too."""
     without_means = {name: centered(y, p) for name, (y, p, _) in channels.items()}
     for name, (y, p, valid) in without_means.items():
         test, r = whiteness((y - p)[valid]), correlation(y, p)

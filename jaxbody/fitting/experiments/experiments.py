@@ -41,7 +41,7 @@ from jaxbody.records.sampling_checks import warn_of_rails
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
 
 MANY_MISSING = 0.2  # share of missing samples of a record above which a warning is issued
-MAX_STEPS = 10_000  # of a run of a fit, or as many for each sample as in `simulate`
+MAX_STEPS = 10_000  # integration steps of a run of a fit; more for many samples, as in `simulate`
 
 
 class Integration(eqx.Module):
@@ -407,12 +407,12 @@ def _of_record(
 
 
 def _si(unit: str) -> str:
-    """Return a sensor's unit as it is written in records; several units stay unchanged."""
+    """Return a sensor's unit in the spelling of a `Record`; a list of units stays unchanged."""
     return unit if "," in unit else parse(unit or "1", "unit").si
 
 
 def _kept(leave_out: Any, times, problems: Problems):
-    """Return which samples are used, those after `leave_out` seconds; None for all."""
+    """Return which samples are used: those after the first `leave_out` seconds; None if all are."""
     duration = None if times is None or not is_concrete(times) else float(times[-1] - times[0])
     valid = (
         isinstance(leave_out, int | float | np.number)

@@ -1,5 +1,5 @@
-"""Measured small motions for fits: frequency responses, complex numbers from named inputs to named
-outputs, and natural frequencies, damping ratios and mode shapes of a modal test."""
+"""Measured small motions for fits: complex frequency responses between named inputs and named
+outputs; natural frequencies, damping ratios and mode shapes of a modal test."""
 
 from __future__ import annotations
 

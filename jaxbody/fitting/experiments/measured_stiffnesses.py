@@ -1,5 +1,5 @@
-"""Measured dynamic stiffness of an element for fits: magnitude and loss angle by frequency, as a
-mount's data sheet gives them."""
+"""Measured dynamic stiffness of an element for fits: magnitude and loss angle by frequency, as in
+the data sheet of a mount."""
 
 from __future__ import annotations
 

@@ -28,10 +28,10 @@ class MeasuredCurves(Measurement):
 
     Args:
         wheel: the wheel, in the frame of its body.
-        drive: {name: wheel, sensor or "rack.q"}, as in `suspension_curves`; a wheel means the rise
-            of its center.
-        over: {name: values (n,), or one number}: changes of the driven readings from the design
-            position [m or rad].
+        drive: {name: wheel, sensor or "rack.q"}: the quantities that the rig prescribes, as in
+            `suspension_curves`; a wheel stands for the rise of its center.
+        over: {name: values (n,), or one number}: values of these quantities in each row, as changes
+            from the design position [m or rad].
         measured: {curve: (n,)} in SI units, angles in rad, by the names of `suspension_curves`:
             "toe", "camber", "wheel x"; NaN for rows to leave out.
         noise: standard deviations {curve: one number or one for each row}; by default estimated

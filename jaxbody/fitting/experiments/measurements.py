@@ -34,8 +34,8 @@ class Measurement(eqx.Module):
 
     @abstractmethod
     def readings(self, model: Any, integration: Any, lin: Any) -> dict[str, Array]:
-        """Return the predictions {channel: array like `measured`}, NaN where the model has none.
-        `lin`: linearization of the model if `linear`."""
+        """Return the predictions {channel: array like `measured`}, NaN where the model predicts no
+        value. `lin`: linearization of the model, for measurements with `linear`."""
 
     def residual(self, name: str, reading: Array) -> Array:
         """Return reading minus measured value of a channel, zero for missing samples."""
@@ -50,12 +50,13 @@ class Measurement(eqx.Module):
         return {}
 
     def on(self, before: Any, after: Any) -> Any:
-        """Return the measurement after the hard points of a suspension have moved."""
+        """Return the measurement for the suspension `after`, whose hard points have moved from
+        those of the suspension `before`."""
         return self
 
     def scale_of(self, path: str, unit: str) -> Any:
-        """Return the scale s of a number of this measurement in its transform x0 + s u; None for
-        the size of the number itself."""
+        """Return the scale s of a parameter of this measurement in its transform x0 + s u; None if
+        its initial size is to be used as the scale."""
 
     def moved_rows(self, path: str, channel: str) -> Array | None:
         """Return which rows of a channel depend on each part of a leaf of this measurement,

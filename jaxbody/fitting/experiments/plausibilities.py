@@ -28,15 +28,17 @@ from jaxbody.model.states import State
 from jaxbody.suspension.suspensions import Suspension
 from jaxbody.vibration.linearizations import Linearization, linearize
 
-GYRATION = (0.02, 5.0)  # relative to the distance of the farthest attachment point
-FREQUENCIES = (0.01, 1e5)  # Hz
-SAG = (1e-9, 1.0)  # relative to the size of the model
+# usual ranges
+GYRATION = (0.02, 5.0)  # radius of gyration over the distance of the farthest attachment point
+FREQUENCIES = (0.01, 1e5)  # first natural frequency [Hz]
+SAG = (1e-9, 1.0)  # displacement under gravity over the size of the model
 # SAG for the first mode of a model without gravity, which may be perpendicular to gravity
 SOFT = (1e-9, 5.0)
-DENSITY = (0.01, 1e5)  # kg/m3
-EARTH = (9.7, 9.9)  # m/s2
-STEPS = (1e-6, 0.5)  # relative to the period of the first mode
-MOST_STEPS = 200  # of the search for the equilibrium
+DENSITY = (0.01, 1e5)  # mass of all bodies over the cube of the size of the model [kg/m3]
+EARTH = (9.7, 9.9)  # gravity [m/s2]
+STEPS = (1e-6, 0.5)  # sampling step over the period of the first mode
+
+MOST_STEPS = 200  # largest number of steps of the search for the equilibrium
 ZERO = 1e-9  # eigenvalue relative to the largest that counts as zero
 
 
@@ -74,7 +76,8 @@ def plausibility(
 
     Also reported are mounts whose two frames are drawn more than a twentieth of the size apart, or
     turned by more than 5 degrees; torsions whose axes differ at the two ends; and an equilibrium
-    0.3 of the size or 30 degrees from the drawn pose, as for a pendulum that is drawn sideways.
+    more than 0.3 of the size or 30 degrees from the drawn pose, as for a pendulum that is drawn
+    sideways.
 
     Warns GYRATION, DENSITY, FREQUENCY, SAG, GRAVITY (neither zero nor 9.7 to 9.9 m/s2), TIME_UNIT,
     DRAWN_APART, FAR_FROM_DRAWN, FLOAT32. Errors: X64_CHANGED.

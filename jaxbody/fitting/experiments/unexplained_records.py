@@ -3,10 +3,11 @@ variation, or the prediction begins far from the first samples.
 
     rms(y - p) > UNEXPLAINED rms(y - mean y)
 
-for one component of a channel, unless its residuals may be noise: as large as stated, or white and
-not correlated with the prediction, as in a noisy record of a small motion. Frequency responses,
-modes and curves vary about zero, not about their mean. Remedies for a wrong beginning are a start
-at rest, or leaving out the initial transient.
+y is the record and p the prediction of one component of a channel. Residuals that may be noise are
+not reported: those as large as the stated noise, or white and not correlated with the prediction,
+as in a noisy record of a small motion. Frequency responses, modes and curves vary about zero, not
+about their mean. Remedies for a wrong beginning are a start at rest, or leaving out the initial
+transient.
 """
 
 from __future__ import annotations
@@ -34,15 +35,17 @@ SMALL = 0.1
 SHORT = 2.0  # as UNEXPLAINED, for records that are too short to tell noise from motion
 STATED = 2.0  # residuals relative to the stated noise, up to which they are noise
 
-SIGNIFICANT = 4.0  # correlation of residuals and prediction, in standard errors
+SIGNIFICANT = 4.0  # smallest correlation of residuals and prediction, in standard errors
 # residuals beyond so many standard deviations do not count where a robust loss was chosen
 OUTLIERS = 5.0
 
 
 class Component(NamedTuple):
-    """Residuals of one component of a channel, or of real and imaginary part together: r = p - y of
-    the fit, v of a prediction without motion; `noise` as stated, zero if it is not; `in_time`: True
-    for a record in time."""
+    """Residuals of one component of a channel, or of real and imaginary part together.
+
+    `r`: residuals p - y of the fit; `v`: residuals of a constant prediction, the mean of a record
+    in time, else zero; `noise`: stated noise, zero if none is stated; `in_time`: True for a record
+    in time."""
 
     name: str
     unit: str
@@ -127,8 +130,8 @@ def _components(run: str, name: str, experiment: Measurement, r: np.ndarray) -> 
 
 
 def _related(r: np.ndarray, p: np.ndarray) -> bool:
-    """Return whether residuals r follow a prediction p more than noise does, rho sqrt(n) >
-    SIGNIFICANT."""
+    """Return whether residuals r are more correlated with a prediction p than noise would be,
+    |rho| sqrt(n) > SIGNIFICANT, with the correlation rho of n samples."""
     p = p - np.mean(p)
     return bool(abs(p @ r) > SIGNIFICANT * np.sqrt((p @ p) * (r @ r) / len(r)))
 

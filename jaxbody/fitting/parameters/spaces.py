@@ -50,9 +50,9 @@ from jaxbody.suspension.suspensions import Suspension
 class Parameter(eqx.Module):
     """A free parameter.
 
-    `places`: (owner, leaf) of the leaves that it sets, several if they are tied by `factors`; the
-    owner is a run, or "" for the model or its suspension. `form`: its value as a function of its u;
-    `low` and `high`: bounds of these u; `prior`: mean and standard deviation."""
+    `places`: pairs (owner, leaf) of the leaves that it sets; several leaves are tied by `factors`.
+    The owner is a run, or "" for the model or its suspension. `form`: its value as a function of
+    its u; `low` and `high`: bounds of these u; `prior`: mean and standard deviation."""
 
     places: tuple[tuple[str, Leaf], ...] = eqx.field(static=True)
     factors: tuple[Factor, ...] = eqx.field(static=True)
@@ -176,7 +176,7 @@ class Space(eqx.Module):
 
     def ended(self, u: np.ndarray) -> np.ndarray:
         """Return for each component of u the limit of the domain that its parameter is close to,
-        "zero" or "one", or "" if it is close to none."""
+        "zero" or "one"; "" if it is close to neither."""
         return np.concatenate([parameter.form.ended(u[own]) for parameter, own in self.parts])
 
 
@@ -261,7 +261,7 @@ def space_of(
             problems,
             absent,
         )
-        if problems.collected:  # bounds of what is not free would be unknown, too
+        if problems.collected:  # bounds of these paths would be reported, too
             bounds, priors = {}, {}
         leaves, size, parameters = [leaf for tie in selected for leaf in tie], size_of(model), []
         bounded, expected = (
@@ -327,7 +327,8 @@ def _by_leaf(
 
 
 def _of_run(form: Shifted, scale: Any) -> Shifted:
-    """Return x0 + s u with the scale s of an instrument; the form itself if there is none."""
+    """Return x0 + s u with the scale s that a measurement gives for one of its parameters; the form
+    itself if it gives none."""
     return (
         form
         if scale is None

@@ -40,9 +40,9 @@ def ties(
     problems: Problems,
     absent: dict[str, str] | None = None,
 ) -> list[Tie]:
-    """Return the free parameters as {leaf: factor}. Each leaf of a path or pattern is one; all
-    leaves of "a = b" or "a = b * factor" are one together, where the factor is a number or a list
-    of numbers.
+    """Return the free parameters as {leaf: factor}. Each leaf that a path or pattern names is one
+    parameter; all leaves of "a = b" or "a = b * factor" together are one parameter, where the
+    factor is a number or a list of numbers.
 
     Args:
         leaves: all leaves that paths may name.

@@ -30,7 +30,7 @@ from jaxbody.model.joints.kinematics import Chart
 from jaxbody.model.leaf_paths import Leaf
 from jaxbody.model.models import Model
 
-FAR = 5.0  # in u: less than a hundredth of the start, which counts as zero if it has no effect
+FAR = 5.0  # u < -FAR is less than a hundredth of the start: zero if it has no effect
 ROUNDING = 1e-15  # value relative to its start, below which it is zero, at a bound of zero
 # smallest u of a step in a row: 1e-11 of its start, so that rounding makes no two numbers equal
 LEAST = -25.0
@@ -69,7 +69,7 @@ class Parametrization(eqx.Module):
 
     def ended(self, u: np.ndarray) -> np.ndarray:
         """Return for each u the limit of the domain that its number is close to, "zero" or "one",
-        or "" if it is close to none; a number far below the initial one is close to zero."""
+        or "" if it is close to neither; a number far below the initial one is close to zero."""
         return np.full(u.shape, "")
 
 

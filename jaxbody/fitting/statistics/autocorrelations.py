@@ -27,7 +27,7 @@ class Autoregression(NamedTuple):
 
 
 def products(r: np.ndarray, most: int) -> np.ndarray:
-    """Return the sums of r_t r_(t+k), k = 0 ... `most`."""
+    """Return the sums over t of r_t r_(t+k), for the lags k = 0 ... `most`."""
     return np.array([r[k:] @ r[: len(r) - k] for k in range(most + 1)])
 
 
@@ -80,7 +80,7 @@ def autocovariances(process: Autoregression, n: int) -> np.ndarray:
     first = np.linalg.solve(A, np.append(variance, np.zeros(q)))
     if q == 0 or n <= q + 1:
         return np.append(first, np.zeros(n))[:n]
-    from scipy.signal import lfilter, lfiltic  # slow to import, and white noise does without
+    from scipy.signal import lfilter, lfiltic  # slow to import, not needed for white noise
 
     b, a = np.ones(1), np.append(1.0, -phi)
     return np.append(first, lfilter(b, a, np.zeros(n - q - 1), zi=lfiltic(b, a, first[:0:-1]))[0])
@@ -133,8 +133,8 @@ def correlation(y: np.ndarray, p: np.ndarray) -> float:
 
 
 def best_shift(y: np.ndarray, p: np.ndarray) -> tuple[int, float]:
-    """Return by how many samples a record is later than its prediction for the largest correlation,
-    up to half the record, and this correlation."""
+    """Return the number of samples, up to half the record, by which a record is later than its
+    prediction where their correlation is largest, and this correlation."""
     from scipy.signal import correlate, correlation_lags
 
     lags = correlation_lags(len(y), len(p))

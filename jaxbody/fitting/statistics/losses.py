@@ -35,7 +35,7 @@ def check_loss(loss: str | None, where: str) -> None:
 
 
 def root(r: Float[Array, "*m"], loss: str | None) -> Float[Array, "*m"]:
-    """Return sign(r) sqrt(2 rho(r))."""
+    """Return residuals with the loss applied, sign(r) sqrt(2 rho(r)); r itself without a loss."""
     if loss is None:
         return r
     z = (r / LOSSES[loss]) ** 2

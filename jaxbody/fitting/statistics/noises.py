@@ -97,7 +97,7 @@ class _Piece:
 
     @cached_property
     def overlaps(self) -> np.ndarray:
-        """sum_t Q_t . Q_(t+l), l = 0 ... n - 1."""
+        """Sums over t of the scalar products Q_t . Q_(t+l), for the lags l = 0 ... n - 1."""
         return np.fft.irfft((np.abs(self.waves) ** 2).sum(1), 2 * self.n)[: self.n]
 
     def covariance(self, process: Autoregression) -> np.ndarray:

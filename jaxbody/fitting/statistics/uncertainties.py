@@ -6,9 +6,10 @@ descriptions of what the data do not determine.
 M is the covariance of Q'e (`noises`); for white noise of one level it is s^2 I with
 s^2 = r'r/(samples - parameters).
 An estimated variance v has 2 v^2/var(v) degrees of freedom (F. E. Satterthwaite, Biometrics
-Bull. 2 (1946) 110); intervals use Student's t with this number. Directions of u with a negligible
-singular value do not change the readings. Parameters that such a direction changes have no standard
-error, nor has a parameter at its bound; the others are estimated with it fixed.
+Bull. 2 (1946) 110); intervals use Student's t with this number.
+Directions of u with a negligible singular value do not change the readings. Parameters that such a
+direction changes have no standard error. A parameter at its bound has none either; the others are
+estimated with it fixed there.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class Uncertainty(eqx.Module):
 
     `covariance`: covariance of u; `white_covariance`: the same for white noise; `parts`: changes of
     the covariance for standard errors of the noise estimates; `singular_values`, `rank`, `null`:
-    singular values of the scaled Jacobian, their number without zeros, and null directions, which
+    singular values of the scaled Jacobian, the number that are not zero, and null directions, which
     `words` describes; `ineffective`: parameters without effect on the data. `whiteness`: test of
     the residuals of each record; `orders`: orders of the autoregressions; `correlation`: pooled
     correlation of residuals at lag one; `pairs`: correlations between records. `at_bounds` {index
@@ -174,7 +175,7 @@ def _spread(
 
 def decomposed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return U, S, V' of J = U S V' with a square V', and which of S differ from zero."""
-    # fewer residuals than parameters leave directions unknown too
+    # with fewer residuals than parameters, some directions are not determined
     few = np.zeros((max(J.shape[1] - J.shape[0], 0), J.shape[1]))
     U, S, Vt = np.linalg.svd(np.concatenate([J, few]), full_matrices=False)
     return U[: len(J)], S, Vt, RANK * S.max(initial=0.0) < S
@@ -286,8 +287,9 @@ def _at_bounds(
 
 
 def in_words(null: np.ndarray, labels: list[str], ineffective: list[str]) -> list[str]:
-    """Describe null directions, "AB.stiffness up with CD.stiffness down", with few parameters in
-    each, by elimination. Of components that are equal up to round-off the first is the pivot."""
+    """Describe null directions, as "AB.stiffness up with CD.stiffness down". Elimination finds
+    directions with few parameters in each; if components are equal up to round-off, the first is
+    the pivot."""
     words = [f"{label} has no effect on the data" for label in ineffective]
     moving = [i for i, label in enumerate(labels) if label not in ineffective]
     for row in _echelon(null[moving].T):

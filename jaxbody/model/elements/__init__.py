@@ -1,1 +1,1 @@
-"""Springs, bushings, torsion and contact: a deformation e(poses), V(e) and R(e, e_dot)."""
+"""Springs, bushings, torsion and contact: a deformation e, energy V(e), dissipation R(e, e_dot)."""

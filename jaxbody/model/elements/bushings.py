@@ -68,7 +68,7 @@ class Bushing(FramePair):
     """A linear bushing between a frame at a on one body and a frame at b on another.
 
         V = 1/2 e' K e,   R = 1/2 e_dot' C e_dot,
-        e = log(X_A^-1 X_B) = (translation, rotation vector), axes of the frame at a
+        e = log(X_A^-1 X_B) = (translation, rotation vector), in the axes of the frame at a
 
     The bushing is relaxed where the two frames coincide. e is the logarithm of SE(3): exchanging
     the ends changes only its sign.
@@ -143,7 +143,8 @@ class Bushing(FramePair):
 
 
 def _second(value: Any, where: str, problems: Problems) -> Any:
-    """Return the unit quaternion of an orientation, or None if it follows from the drawing."""
+    """Return the unit quaternion of the second frame's orientation, or None if none is given and it
+    follows from the reference poses."""
     return None if value is None else as_quaternion(value, where, problems)
 
 
@@ -173,7 +174,7 @@ class Mount(FramePair, LawForces):  # pyright: ignore[reportIncompatibleMethodOv
     its six deformations,
 
         V = sum U_i(e_i),   R = 1/2 sum c_i e_i'^2 + what laws with memory add,
-        e as of a Bushing, axes of the frame at a
+        e as for a Bushing, in the axes of the frame at a
 
     It is relaxed where the two frames coincide, unless a law has a force at zero.
 
@@ -183,8 +184,8 @@ class Mount(FramePair, LawForces):  # pyright: ignore[reportIncompatibleMethodOv
             functions; None: no force
         rx, ry, rz: laws about the axes [rad -> N m], stiffnesses [N m/rad] or functions; None:
             no moment
-        damping: c of the six directions [N s/m, N m s/rad]; three numbers for those along the
-            axes; None: no damper
+        damping: c, six coefficients along and about the axes [N s/m, N m s/rad], or three along
+            them; None: no damper
         orientation: orientation of the frame at a in its body
         orientation_b: orientation of the frame at b in its body; None: that with which the two
             frames coincide as the model is drawn
@@ -298,7 +299,7 @@ class Mount(FramePair, LawForces):  # pyright: ignore[reportIncompatibleMethodOv
 
 
 def _damping(value: Any, problems: Problems) -> Any:
-    """Return the coefficients of the six directions."""
+    """Return the damping coefficients along and about the three axes."""
     array = checked(
         np.zeros(6) if value is None else value,
         ((3,), (6,)),

@@ -114,7 +114,7 @@ class Tyre(Touching):
 
 
 class Contact(Touching, LineElement):
-    """A stop between two points, or two balls: it pushes them apart while they are nearer than a
+    """A stop between two points, or two spheres: it pushes them apart while they are nearer than a
     distance, e = |AB| - distance.
 
     Args:

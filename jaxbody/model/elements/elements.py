@@ -1,5 +1,5 @@
-"""The base class of elements: deformation e(A, B) between two or more frames, V(e), R(e, e_dot)
-and, of some, T(e, e_dot).
+"""The base class of elements: deformation e(A, B, ...) of two or more frames, potential energy
+V(e), dissipation function R(e, e_dot) and, for some elements, kinetic energy T(e, e_dot).
 
 Forces and stiffness are derivatives of these. Points and orientations at an end are in the frame of
 the body or support of that end.
@@ -62,7 +62,7 @@ class Element(Described, eqx.Module):
 
     between: tuple[str, ...] = eqx.field(static=True)
     size: ClassVar[int] = 1  # number of components of the deformation
-    # where its force jumps: code, description of the place, remedy
+    # where the force jumps: code of the warning, description of the place, remedy
     jump: ClassVar[tuple[str, str, str] | None] = None
     a: Float[Array, "3"] = field("m")
     b: Float[Array, "3"] = field("m")
@@ -172,8 +172,8 @@ class Element(Described, eqx.Module):
         )
 
     def wrenches(self, *frames: Frame) -> tuple[Wrench, ...]:
-        """Return the wrench on each frame: minus the derivatives of V and R by its displacement and
-        velocity."""
+        """Return the wrench on each frame: minus the derivatives of V and R with respect to its
+        displacement and velocity."""
         return self._pulled_back(self.force(*frames), frames)
 
     def inertial_wrenches(
@@ -186,9 +186,9 @@ class Element(Described, eqx.Module):
     def _pulled_back(
         self, force: Float[Array, "*m"], frames: tuple[Frame, ...]
     ) -> tuple[Wrench, ...]:
-        """Return the force and moment on each frame of the force -`force` along e, by the
-        transposed slopes of e. A moment is the sum of the cross products of the columns of R with
-        their slopes."""
+        """Return the force and moment on each frame that have the virtual power -`force` . e_dot,
+        from the transposed derivative of e. A moment is the sum of the cross products of the
+        columns of R with the derivatives with respect to them."""
         _, pull_back = jax.vjp(self.deformation, *(f.pose() for f in frames))
         return tuple(
             (slope.p, cross(f.R.T, slope.R.T).sum(0))
@@ -200,8 +200,8 @@ class LineElement(Element):
     """The base class of elements along the line from the point a of one body to the point b of
     another: e = |AB| - l0.
 
-    The tension is split, T(L) = k0 L + rest, so that the force k0 d + rest d/L has the right
-    derivatives at d = 0 where the rest vanishes there.
+    The tension is split, T(L) = k0 L + rest, with d the vector from a to b and L = |d|. The force
+    k0 d + rest d/L then has the right derivatives at d = 0 if the rest is zero there.
     """
 
     free_length: Float[Array, ""] = field(
@@ -220,7 +220,7 @@ class LineElement(Element):
     def split(
         self, L: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-        """Return k0, the rest of the tension, and the derivative of the rest by L."""
+        """Return k0, the rest of the tension, and its derivative with respect to L."""
 
     @abstractmethod
     def damper_tension(self, e: Float[Array, ""], e_dot: Float[Array, ""]) -> Float[Array, ""]:
@@ -232,12 +232,13 @@ class LineElement(Element):
         return False
 
     def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        """Return the elongation s = |AB| - l0 (31), with derivatives of zero at |AB| = 0."""
+        """Return the elongation s = |AB| - l0, (31) of the paper; its derivatives are zero at
+        |AB| = 0."""
         return length_and_direction(B.point(self.b) - A.point(self.a))[0] - self.free_length
 
     def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        """Return AB over the free length, or 1 if the force at zero length is zero, because it does
-        not jump then."""
+        """Return the vector AB over the free length; or 1 if the force at zero length is zero, as
+        there is no jump then."""
         _, rest, _ = self.split(jnp.zeros_like(self.free_length))
         jumps = (self.free_length > 0) & (rest != 0)
         return jnp.where(
@@ -287,8 +288,8 @@ def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[A
 
 
 def check_signs(element: Any, allow_negative: bool, problems: Problems) -> None:
-    """Check that stiffness and damping are in their domains; negative values are a problem or,
-    where allowed, a warning."""
+    """Check the signs of stiffness and damping: negative values are a problem or, where allowed, a
+    warning."""
     names = [
         each.name
         for each in fields(element)

@@ -26,8 +26,8 @@ from jaxbody.geometry.vectors import (
 from jaxbody.model.elements.bushings import FramePair
 from jaxbody.model.elements.elements import Element, LineElement, length_and_direction, turned
 
-DeformationSlopes = tuple[Float[Array, "*rows 6"], ...]  # of each frame of an element
-# Positions and signs in a block: of h, of Q, and of the components of x and y
+DeformationSlopes = tuple[Float[Array, "*rows 6"], ...]  # de/d(displacement of each frame)
+# Matrices that place h, Q and the components of x and y, with their signs, in a 6 x 6 block
 SKEW = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)  # [e_x], [e_y], [e_z]
 UPPER_LEFT, LOWER_RIGHT = (
     np.kron(np.diag([1.0, 0.0]), np.eye(3)),
@@ -40,8 +40,8 @@ LOWER_LEFT, UPPER_RIGHT = (
 
 
 class Block(NamedTuple):
-    """A block of a Hessian in the displacements of two frames, P + [[h I, -[y]], [[x], Q]], whose
-    parts are summed separately."""
+    """A block of a Hessian with respect to the displacements of two frames (translation, rotation),
+    P + [[h I, -[y]], [[x], Q]], whose parts are summed separately."""
 
     P: Float[Array, "*n 6 6"] | None = None
     h: Float[Array, "*n"] | None = None
@@ -172,8 +172,8 @@ def _(bushing: FramePair, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBl
 def _in_relative_motion(
     bushing: FramePair, theta: Float[Array, "3"], t: Float[Array, "3"]
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
-    """Return gradient and Hessian of V in (tau, psi), for e = (J t, theta), J = 1 - [theta]/2 + c
-    [theta]^2, c a function of x = |theta|^2.
+    """Return gradient and Hessian of V with respect to (tau, psi), for e = (J t, theta),
+    J = 1 - [theta]/2 + c [theta]^2, c a function of x = |theta|^2.
 
     With eta = J psi the changes are d theta = eta, d2 theta = N(psi) eta, du = J tau + N(t) eta,
     d2u = 2 N(tau) eta + N(t) d2 theta + D2J(t)[eta, eta], where N(y) eta is the derivative of J y
@@ -222,9 +222,8 @@ def _in_relative_motion(
 
 
 def _states_held(force, e: Array) -> Any:
-    """Return force(e). In its derivatives by parameters the states of laws with hysteresis are
-    constant; they change only with e, as in `law_states.Apart` wherever a force is differentiated
-    directly."""
+    """Return force(e), so that its derivatives with respect to parameters keep the states of
+    hysteretic laws constant: these states change only with e, as `law_states.Apart` defines."""
     return jax.jvp(force, (e,), (jnp.ones_like(e),))[0]
 
 
@@ -239,7 +238,8 @@ def _with_derivatives(function, x: Array) -> tuple[Array, Array, Array]:
 
 
 def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """Return the Hessian of force . exp([phi]) arm in phi: (f a' + a f')/2 - (f . a) I."""
+    """Return the Hessian of force . exp([phi]) arm with respect to phi at 0: (f a' + a f')/2 -
+    (f . a) I."""
     outer = force[..., :, None] * arm[..., None, :]
     return (outer + jnp.swapaxes(outer, -1, -2)) / 2 - dot(force, arm)[..., None, None] * to_rank(
         np.eye(3, dtype=arm.dtype), outer.ndim

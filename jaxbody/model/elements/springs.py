@@ -195,12 +195,13 @@ class Inerter(Element):
 
         T = 1/2 b (d|AB|/dt)^2,   force = b d2|AB|/dt2, positive where it pulls the points together
 
-    It has no mass, exerts no force at rest and is used beside springs and dampers. It adds to T, M,
-    M~ and M_bb. In a model with an inerter the mass matrix depends on the configuration, so that
-    free bodies too are integrated as bodies on joints.
+    It has no mass, exerts no force at rest and is used in parallel with springs and dampers. It
+    adds to the kinetic energy and to the mass matrices M, M~ and M_bb of `linearize`. It makes the
+    mass matrix depend on the configuration, so that free bodies too are integrated as bodies on
+    joints.
 
     Args:
-        a, b: (name of a body, a support or `world`, point in its frame [m]), apart from each other
+        a, b: (name of a body, a support or `world`, point in its frame [m]), at different places
         inertance: b [kg]
 
     Errors: NEGATIVE, SELF_SPRING, ZERO_LENGTH in the reference pose, BAD_SHAPE, NON_FINITE.

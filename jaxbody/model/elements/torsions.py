@@ -1,4 +1,4 @@
-"""Torsion springs at hinges and balls, and the anti-roll bar of an axle."""
+"""Torsion springs at hinges and ball joints, and the anti-roll bar of an axle."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class Torsion(LawForces):
         spring: a law [rad -> N m], with or without memory, a stiffness [N m/rad] or a
             function; None: no spring
         damper: a law without memory [rad/s -> N m], a damping [N m s/rad] or a function
-        free_angle: e0 [rad]; it is zero if the spring is relaxed where the axes of the two
-            frames coincide
-        orientation: orientation of these axes in A
-        orientation_b: orientation of these axes in B
+        free_angle: e0 [rad], the rotation at which the spring is relaxed; 0: where the axes of
+            the two frames coincide
+        orientation: orientation of the first frame's axes in A
+        orientation_b: orientation of the second frame's axes in B
 
     Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, MEMORY, those
     of the laws.
@@ -105,7 +105,7 @@ class AntiRollBar(LawForces):
     Args:
         left, right: (name of the wheel, point of its drop link)
         body: name of the body that carries the bar, or (name, point)
-        axis: upwards; x, y, z or a direction, in body axes
+        axis: the upward direction; x, y, z or a direction, in body axes
         spring: a law, with or without memory, or the stiffness at the wheels [N/m]: torsional
             stiffness of the bar over the square of its lever arm
         damper: a law without memory, as a function of the rate, or a damping [N s/m]

@@ -38,7 +38,7 @@ class OfFrames(Element):
 
     def __init__(self, function: Any, reads: tuple[str, ...]):
         self.function, self.reads = function, reads
-        self.a = self.b = cast(Any, None)  # it is attached nowhere
+        self.a = self.b = cast(Any, None)  # it has no points of attachment
         self.between = reads if len(reads) > 1 else (WORLD, *reads)
 
     @property
@@ -123,7 +123,7 @@ def own_functions(
     given: dict[str, Any],
     drawn: dict[str, DrawnAt],
 ) -> dict[str, Any]:
-    """Return elements for functions written by the user, by name; each function is traced once to
+    """Return {name: element} for functions written by the user; each function is traced once to
     find the frames that it reads.
 
     Errors: WRONG_KIND, NOT_A_NUMBER, NOT_TRACEABLE, FUNCTION_FAILED, BAD_SHAPE,

@@ -34,7 +34,7 @@ NAMES = ("x", "y", "z", "about x", "about y", "about z")
 
 class Recovered(Result):
     """A base motion from its accelerations: `motion` (a Motion); `removed` (n, 6), the part removed
-    from the accelerations [m/s2] and rates [rad/s] at `times`; `words`, its description."""
+    from the accelerations [m/s2] and rates [rad/s] at `times`; `words`, a description of it."""
 
     motion: Sampled
     times: Float[Array, "n"]
@@ -96,12 +96,12 @@ def base_motion(
 
     The base is in its reference pose on average. The same polynomial is removed from the rates, and
     one of the next degree from the accelerations, because a drifting angle tilts gravity. A base
-    that turns on, such as a car on a bend, needs degree=None, as its mean rate is no bias, and may
-    come up to a whole turn.
+    that keeps turning, such as a car in a bend, needs degree=None, as its mean rate is no bias; it
+    may turn by up to a whole turn.
 
     Errors, all at once: UNKNOWN_CHANNEL, WRONG_DIMENSION, BAD_SHAPE, GAPS, BAD_OPTION,
-    NO_GRAVITY, BAD_AXES, ORIENTATION_JUMP. Warns BASE_JUMP, GRAVITY where the median of what the
-    accelerometer reads is far from -gravity, and TURNS where the rates that are removed amount to
+    NO_GRAVITY, BAD_AXES, ORIENTATION_JUMP. Warns BASE_JUMP, GRAVITY where the median reading of
+    the accelerometer is far from -gravity, and TURNS where the integral of the removed rates is
     more than 30 degrees.
 
     >>> times = jnp.arange(2000) / 100
@@ -280,7 +280,7 @@ def _slow(t: np.ndarray, degree: int | None, cutoff: float | None) -> np.ndarray
 
 
 def _least(basis: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return least-squares coefficients, with scaled columns."""
+    """Return the least-squares coefficients of x in the columns of `basis`, which are scaled."""
     scale = np.linalg.norm(basis, axis=0)
     return np.linalg.lstsq(basis / scale, x, rcond=1e-13)[0] / scale[:, None]
 
@@ -307,7 +307,7 @@ def _turned(t: np.ndarray, w: np.ndarray, slow: np.ndarray) -> tuple[np.ndarray,
     basis = np.hstack([np.ones((len(t), 1)), integrals(t, slow)[0]])
     drift, start = np.zeros_like(w), np.zeros(3)
     if slow.shape[1]:
-        for i in range(4):  # first as for small turns, whose order has no effect
+        for i in range(4):  # first for small rotations, whose order has no effect
             c = _least(basis, _integrated_turns(t, w - drift, start) if i else integrals(t, w)[0])
             drift, start = drift + slow @ c[1:], start - c[0]
     return _integrated_turns(t, w - drift, start), drift
@@ -346,8 +346,8 @@ def _warn_of_turns(t: np.ndarray, drift: np.ndarray) -> None:
 
 
 def _warn_of_gravity(where: str, reading: np.ndarray, gravity: np.ndarray) -> None:
-    """Warn GRAVITY if the median of the specific force, in world axes, is far from -gravity, that
-    of a base that moves about one place."""
+    """Warn GRAVITY if the median of the specific force, in world axes, is far from -gravity, its
+    value for a base that stays about one place."""
     g, size = np.linalg.norm(gravity), np.linalg.norm(reading)
     if g and np.linalg.norm(reading + gravity) > g / 2:
         if size < g / 2:
@@ -372,7 +372,8 @@ def _warn_of_gravity(where: str, reading: np.ndarray, gravity: np.ndarray) -> No
 
 
 def _swing(times: np.ndarray, turn: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """Return the acceleration of R r [m/s2] at the samples, from a spline through the rotations."""
+    """Return the acceleration [m/s2] of the vector R r at the samples, for rotation vectors `turn`
+    through which a spline is laid."""
     motion = Sampled(times, rotation=turn)
     second = jax.jacfwd(jax.jacfwd(lambda t: rotations.exp(motion(t)[3:]) @ jnp.asarray(r)))
     return np.asarray(jax.jit(jax.vmap(second))(device_array(times)))

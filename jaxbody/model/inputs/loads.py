@@ -49,14 +49,14 @@ class Load(Described, eqx.Module):
     def __init_subclass__(cls, **kwargs: Any):
         super().__init_subclass__(**kwargs)
         if "at_point" in vars(cls) and "after" not in vars(cls):
-            cls.after = Load.after  # as that of a base class is for the formula of that class
+            cls.after = Load.after  # an inherited `after` would use the base class's formula
 
     def after(self, t0: Float[Array, ""]) -> Load:
         """Return the load at the time t0 + t, with its signals shifted by `Signal.after`."""
         return _Later(self.on, self.point, self, t0)
 
     def signals(self) -> tuple[Signal, ...]:
-        """Return the functions of time (signals) that it contains."""
+        """Return the signals (functions of time) among the fields of the load."""
         return tuple(part for part in vars(self).values() if isinstance(part, Signal))
 
     def dead_force(self, t: Float[Array, ""]) -> Float[Array, "3"]:
@@ -72,7 +72,7 @@ class Load(Described, eqx.Module):
 
 
 class _Later(Load):
-    """A load at the time t0 + t."""
+    """A load shifted in time: at the time t it is `load` at the time t0 + t."""
 
     load: Load = field()
     t0: Float[Array, ""] = field("s")
@@ -151,7 +151,7 @@ class Unbalance(Load):
 
     Args:
         on: the body, or (body, point of the shaft)
-        axis: of the shaft; x, y, z or a direction, in body axes
+        axis: direction of the shaft; x, y, z or a direction, in body axes
         unbalance: u [kg m]
         frequency: f at t = 0 [Hz]
         run_up: rate r of the frequency [Hz/s]
@@ -213,7 +213,7 @@ class EngineTorque(Load):
 
     Args:
         on: the body
-        axis: n, of the crank; x, y, z or a direction, in body axes
+        axis: n, direction of the crankshaft; x, y, z or a direction, in body axes
         frequency: f of the crank [Hz] (3000 rpm: 50)
         orders: o_i, such as 2, 4, 6 for a four-cylinder four-stroke engine
         amplitudes: T_i [N m]
@@ -273,7 +273,7 @@ class EngineTorque(Load):
 
 
 def _place(on: Any, kind: str, problems: Problems):
-    """Return body and point of a name or a (name, point)."""
+    """Return the name of the body and the point, given as a name or as (name, point)."""
     (name,), (point,) = ends((on,), kind, problems, points=False)
     return name, point
 

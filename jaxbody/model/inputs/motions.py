@@ -46,14 +46,14 @@ from jaxbody.model.inputs.signals import (
 )
 from jaxbody.numerics.elementary_functions import sincos
 
-JUMP = 20  # standard deviations of the steps from sample to sample
+JUMP = 20  # size of a jump, in standard deviations of the steps from sample to sample
 LARGEST_TURN = np.deg2rad(30)  # from sample to sample
 
 
 class Motion(Signal):
     """An imposed motion: `motion(t)` is Xi = (xi, phi), translation [m] and rotation vector [rad]
-    in world axes. It is a signal of six numbers with this chart. Any signal of six numbers, or
-    function that returns them, can be given as a motion.
+    in world axes. A motion is a signal with six numbers of this meaning; any such signal, or
+    function of time that returns the six numbers, can be given in its place.
 
     >>> (jb.Harmonic(frequency=1.0, translation=[0.1, 0, 0]) + jb.inputs.AtRest())(
     ...     jnp.array(0.0)
@@ -63,7 +63,7 @@ class Motion(Signal):
 
 
 class AtRest(Motion):
-    """Xi = 0.
+    """No motion, Xi = 0: the support stays in its reference pose.
 
     >>> jb.inputs.AtRest()(jnp.array(1.0)).tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -142,10 +142,10 @@ class Harmonic(Motion):
 
 
 class Sampled(Motion):
-    """A C2 cubic spline through samples of translation [m] and rotation vectors [rad] (or unit
-    quaternions w, x, y, z) at times [s].
+    """A motion by a C2 cubic spline through samples of translation [m] and rotation vectors [rad]
+    (or unit quaternions w, x, y, z) at times [s].
 
-    Between samples h = t_{i+1} - t_i apart, with a = (t_{i+1} - t)/h and b = (t - t_i)/h, values y
+    Between two samples, with h = t_{i+1} - t_i, a = (t_{i+1} - t)/h and b = (t - t_i)/h, values y
     and second derivatives m,
 
         Xi(t) = a y_i + b y_{i+1} + h^2/6 ((a^3 - a) m_i + (b^3 - b) m_{i+1}).
@@ -240,8 +240,8 @@ def check_motion(motion: Signal, where: str, problems: Problems) -> None:
 
 
 def _known(motion: Signal) -> bool:
-    """Return whether a motion, or each part of a sum or a delay, is one of this package, which are
-    checked when they are made."""
+    """Return whether a motion, or each part of a sum or a delayed motion, belongs to this package;
+    such motions have been checked when they were made."""
     parts = (
         motion.terms
         if isinstance(motion, SignalSum)
@@ -352,8 +352,9 @@ def _continuous(samples, problems: Problems, where: str):
 
 @jax.jit
 def unwound(phi: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """Return rotation vectors of the same rotations, each up to whole turns about its axis, nearest
-    to the one before. A zero rotation takes the axis of the one before."""
+    """Return vectors of the same rotations without jumps: whole turns about its axis are added to
+    each vector so that it is nearest to the one before. A zero rotation takes the axis of the one
+    before."""
 
     def follow(previous, phi):
         along = jnp.where(jnp.any(phi != 0), phi, previous)

@@ -20,8 +20,8 @@ from jaxbody.model.inputs.signals import Signal
 
 
 class Pulse(Signal):
-    """The base class of pulses: amplitude f((t - start)/duration), with f defined from 0 to 1, zero
-    before and after.
+    """The base class of pulses: the value at time t is amplitude f(u) with u = (t - start)/duration
+    from 0 to 1, zero before and after.
 
     For a pulse of acceleration [m/s2], `motion(direction)` returns the motion with this
     acceleration, and `samples()` a record of it; `shock_spectrum` accepts the pulse itself."""
@@ -45,7 +45,7 @@ class Pulse(Signal):
         """Return f at u from 0 to 1, its integral from 0 to u, and the integral of that."""
 
     def corners(self) -> tuple[Any, ...]:
-        """Return the u from 0 to 1 at which f is not smooth."""
+        """Return the values of u from 0 to 1 at which f is not smooth."""
         return 0.0, 1.0
 
     def __call__(self, t):
@@ -73,8 +73,9 @@ class Pulse(Signal):
         ratio (2 pi f h)^2/6: `shock_spectrum` of the pulse itself is exact.
 
         Args:
-            count: steps in the pulse.
-            lengths: whole length, of pulse and free vibration, in lengths of the pulse."""
+            count: number of steps in the pulse
+            lengths: duration of the record, pulse and free vibration after it, in multiples of the
+                pulse's duration"""
         with Problems() as problems:
             count = whole_number(count, "samples.count", problems, 4)
             lengths = whole_number(lengths, "samples.lengths", problems)
@@ -137,9 +138,9 @@ class HalfSine(Pulse):
     """A half-sine pulse, A sin(pi u) with u = (t - start)/duration from 0 to 1.
 
     Args:
-        amplitude: A, of a motion [m/s2]
-        duration: [s]
-        start: [s]
+        amplitude: A [m/s2] if the pulse is an acceleration
+        duration: duration of the pulse [s]
+        start: time at which it begins [s]
 
     Errors: BAD_NUMBER, BAD_SHAPE, NON_FINITE. Source: IEC 60068-2-27.
 
@@ -159,8 +160,8 @@ class HalfSine(Pulse):
 
 
 class Sawtooth(Pulse):
-    """A terminal-peak sawtooth, A u with u = (t - start)/duration from 0 to 1: it ends with a jump
-    from A to zero.
+    """A terminal-peak sawtooth pulse, A u with u = (t - start)/duration from 0 to 1: it ends with
+    a jump from A to zero.
 
     Args: as HalfSine. Errors: BAD_NUMBER, BAD_SHAPE, NON_FINITE. Source: IEC 60068-2-27.
 
@@ -176,7 +177,7 @@ class Sawtooth(Pulse):
 
 
 class Triangle(Pulse):
-    """A symmetric triangle, from zero to A at half the duration and back.
+    """A symmetric triangular pulse, from zero to A at half the duration and back.
 
     Args: as HalfSine. Errors: BAD_NUMBER, BAD_SHAPE, NON_FINITE.
 
@@ -193,12 +194,13 @@ class Triangle(Pulse):
 
 
 class Trapezoid(Pulse):
-    """A trapezoid: it rises to A in the time `rise`, stays, and falls to zero in the time `fall`.
+    """A trapezoidal pulse: it rises to A in the time `rise`, stays constant, and falls to zero in
+    the time `fall`.
 
     Args:
         amplitude, duration, start: as HalfSine
-        rise: [s]; None: a tenth of the duration, the longest of IEC 60068-2-27
-        fall: [s]; None: as long as the rise
+        rise: time to rise [s]; None: a tenth of the duration, the longest of IEC 60068-2-27
+        fall: time to fall [s]; None: as long as the rise
 
     Errors: BAD_NUMBER, also where rise and fall are longer than the pulse, BAD_SHAPE, NON_FINITE.
     Source: IEC 60068-2-27.

@@ -16,7 +16,7 @@ from jaxbody.geometry.fields import field, take
 from jaxbody.model.inputs.motions import Motion
 from jaxbody.model.inputs.samples import kinks_between_lines
 
-FEWEST = 16  # pieces of a profile in the window
+FEWEST = 16  # least number of pieces of a profile that are summed (see `_window`)
 
 
 class Road(Motion):
@@ -80,7 +80,7 @@ class Road(Motion):
 
     @classmethod
     def kerb(cls, height, *, at, ramp, speed, position=0.0, footprint=0.0) -> Road:
-        """Return a level road with one step on a straight ramp.
+        """Return a level road with one step, which is a straight ramp from one height to the other.
 
         Args:
             height: height of the step [m], negative downwards
@@ -128,7 +128,7 @@ class Road(Motion):
         rear = jax.lax.stop_gradient(s - half)
         behind = jnp.searchsorted(self.distances, rear, side="right", method="scan_unrolled") - 1
         first = jnp.clip(behind, 0, last - self.window).astype(int)
-        # by index: a slice with a variable start copies the whole profile in a loop
+        # by indices: a slice with a variable start would copy the whole profile in a loop
         points, z = (x[first + np.arange(self.window + 1)] for x in (self.distances, self.heights))
         d = points - s
         edges = jnp.clip(d, -half, half)
@@ -153,7 +153,7 @@ def _window(distances, footprint) -> int:
 
 
 def _points(value, where: str, problems: Problems, n: int | None = None) -> Any:
-    """Return a row of n finite numbers, or of two or more if n is None."""
+    """Return n finite numbers, or two or more if n is None; a problem is added if they are not."""
     numbers = problems.gather(lambda: float_array(value, where))
     if numbers is None:
         return None

@@ -1,5 +1,5 @@
 """Functions through samples in time: checked rows, straight lines and cubic splines between them,
-integrals of broken lines, and where records have kinks or begin to act."""
+integrals of piecewise linear functions, and where records have kinks or become active."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, concrete, float_array, module_of
 from jaxbody.core.errors import Problems
 
-# relative to the largest change of slope, or curvature: a record with less is straight
+# relative to the largest change of slope, or curvature: smaller ones count as none
 STRAIGHT = 1e-9
-FEW_SAMPLES = 4  # in the shortest half of a record
-# relative to the range of a record: a spline is smooth where its third derivative adds less
+FEW_SAMPLES = 4  # least number in a half of a record that is halved repeatedly
+# relative to the range of a record: a spline is smooth where jumps of its third derivative add less
 FINE = 1e-6
-UNEVEN = 16  # a parabola through zero differs by 9 from one half to the other
+UNEVEN = 16  # ratio of the largest curvatures of two halves; a parabola through zero has 9
 
 
 def checked_rows(
@@ -26,7 +26,7 @@ def checked_rows(
     """Return finite numbers, one row for each of n times, or for any number of times if n is None;
     None if they are not, with a problem added.
 
-    `widths` of a row: a number, "k" for any number, None for a single number that is no row."""
+    `widths` of a row: a number, "k" for any number, None for one number instead of a row."""
     array = problems.gather(lambda: float_array(value, where))
     if array is None:
         return None
@@ -144,7 +144,7 @@ def kinks_between_cubics(
 
 def changes_of_activity(t: Float[Array, "n"], curvature: Float[Array, "n *k"]) -> Float[Array, "_"]:
     """Return the samples at which a smooth record becomes far more or far less active; inf in place
-    of the others. A step that ends there cannot miss a shock that follows quiet.
+    of the others. An integration step that ends there cannot miss a shock after a quiet part.
 
     The record is halved, each half again, and so on down to a few samples: the sample in the middle
     is returned if the largest curvatures of its two sides differ by more than the factor UNEVEN.

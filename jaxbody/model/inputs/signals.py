@@ -1,5 +1,5 @@
-"""Signals: numbers or vectors as functions of time, with sums and delays; of a load, an instrument
-or, six of them, a motion."""
+"""Signals: numbers or vectors as functions of time, with sums and delays. Loads and instruments
+contain signals; a motion is a signal of six numbers."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Signal(Described, eqx.Module):
     def __init_subclass__(cls, **kwargs: Any):
         super().__init_subclass__(**kwargs)
         if "__call__" in vars(cls) and "after" not in vars(cls):
-            cls.after = Signal.after  # as that of a base class is for the formula of that class
+            cls.after = Signal.after  # an inherited `after` would use the base class's formula
 
     def after(self, t0: Float[Array, ""]) -> Signal:
         """Return signal(t0 + t) as a function of t, for integrations: t0 + t is rounded, by 2e-7 s
@@ -80,12 +80,12 @@ class Signal(Described, eqx.Module):
         return Delayed(self, -t0)
 
     def covers(self) -> tuple[Any, Any]:
-        """Return the first and last time [s] at which it is known."""
+        """Return the first and last time [s] at which the signal is known."""
         return -np.inf, np.inf
 
     def kinks(self) -> Array | None:
-        """Return the times [s] at which it is not smooth, or begins or ceases to act, where
-        integration steps end; None if there are none. Times of inf stand for no kink."""
+        """Return the times [s] at which the signal is not smooth, or begins or ceases to act;
+        integration steps end there. None if there are none; times of inf stand for no kink."""
 
     def __add__(self, other: Signal | Callable[[Array], Array]) -> SignalSum:
         return SignalSum((self, function_of_time(other)))
@@ -99,8 +99,8 @@ class Signal(Described, eqx.Module):
 
 
 class SignalSum(Signal):
-    """The sum of its terms, which are numbers or vectors of one size; of motions: translations and
-    rotation vectors add."""
+    """The sum of several signals, `terms`, which are numbers or vectors of one size. In a sum of
+    motions the translations are added, and so are the rotation vectors."""
 
     terms: tuple[Signal, ...] = field()
 
@@ -123,8 +123,8 @@ class SignalSum(Signal):
 
 
 class Delayed(Signal):
-    """signal(t - delay): the same signal `delay` [s] later, such as the motion of a rear wheel that
-    follows the front wheel on the same road.
+    """A delayed signal, signal(t - delay): the same signal `delay` [s] later, such as the motion of
+    a rear wheel that follows the front wheel on the same road.
 
     >>> motion = jb.signals.Delayed(jb.Harmonic(frequency=2.0, translation=[0.01, 0, 0]), 0.25)
     >>> motion(jnp.array(0.25)).tolist()[0]
@@ -260,8 +260,8 @@ class Samples(Signal):
 
 
 class Function(Signal):
-    """Any JAX function of time. Each new function object is compiled again; a Signal with array
-    leaves avoids that.
+    """A signal given by any JAX function of time. A new function object makes programs compile
+    again; a user-defined Signal with array fields avoids that.
 
     >>> jb.signals.Function(lambda t: 3.0 * t)(0.5)
     1.5
@@ -274,7 +274,7 @@ class Function(Signal):
 
 
 def turned(frequency: Any, t: Any) -> Array:
-    """Return the angle 2 pi f t [rad] without whole turns."""
+    """Return the angle 2 pi f t [rad] without its whole turns, for a frequency f [Hz]."""
     return 2 * jnp.pi * (frequency * t - jnp.floor(frequency * t))
 
 

@@ -18,20 +18,20 @@ from jaxbody.model.inputs.samples import kinks_between_cubics
 from jaxbody.model.inputs.signals import Signal
 
 AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-MOST = 100_000  # intervals
+MOST = 100_000  # largest number of intervals
 
 
 class Spline(Motion):
-    """Xi(t) = sum_j B_j(t) values_j . directions, with B_j the cubic B-splines on equal intervals
-    from `start` to `stop` [s]. It is C2 for any values, and each value acts over four intervals
-    only. In a fit, "run1.base.values" may be free, for a base whose motion was measured poorly or
-    not at all. `values` (m, k) has a column [m or rad] for each direction. Times before start or
-    after stop are an error.
+    """An imposed motion by a spline, Xi(t) = sum_j B_j(t) values_j . directions, with B_j the cubic
+    B-splines on equal intervals from `start` to `stop` [s]. It is C2 for any values, and each value
+    acts over four intervals only. In a fit, "run1.base.values" may be free, for a base whose motion
+    was measured poorly or not at all. `values` (m, k) has a column [m or rad] for each direction.
+    Times before start or after stop are an error.
 
     Args:
         start, stop: first and last time [s]
-        interval: [s], about a third of the shortest period of interest; there must be fewer
-            coefficients than samples
+        interval: length of an interval [s], about a third of the shortest period of interest;
+            there must be fewer coefficients than samples
         along: directions of translation, rows of three, in world axes
         about: axes of rotation, rows of three, in world axes
         like: motion that the initial values fit by least squares; None: they are zero
@@ -164,7 +164,7 @@ def _rows(value: Any, where: str, problems: Problems) -> np.ndarray:
 
 @eqx.filter_jit
 def _design(spline: Spline, times: Float[Array, "n"]) -> Float[Array, "n m"]:
-    """Return B_j at the times."""
+    """Return the B-splines B_j at the times [s], one row for each time."""
 
     def row(t):
         i, weights = spline._weights(t)
@@ -174,7 +174,8 @@ def _design(spline: Spline, times: Float[Array, "n"]) -> Float[Array, "n m"]:
 
 
 def _near(spline: Spline, motion: Signal) -> Array:
-    """Return the values that fit the motion by least squares at four times per interval."""
+    """Return the values with which the spline fits the motion by least squares, at four times for
+    each value."""
     times = jnp.linspace(spline.start, spline.stop, 4 * spline.values.shape[0])
     targets = np.asarray(jax.jit(jax.vmap(motion))(times))
     components = np.linalg.lstsq(np.asarray(spline.directions).T, targets.T, rcond=None)[0].T

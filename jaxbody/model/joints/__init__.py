@@ -1,4 +1,4 @@
-"""Joints of every kind: the base class; slides and turns about one line, several or in series."""
+"""Joints of every kind: the base class, single joints (such as hinges) and combined ones."""
 
 from jaxbody.core.compilation.late_imports import late_names
 

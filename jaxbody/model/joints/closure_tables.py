@@ -21,7 +21,7 @@ from jaxbody.model.sizes import size_of
 from jaxbody.model.storage import KindTable
 from jaxbody.numerics.small_systems import independent_rows
 
-Tables = tuple[Any, ...]  # with a row for each frame or coordinate
+Tables = tuple[Any, ...]  # each with a row for each frame or coordinate
 
 
 def names_of_rows(model: Model) -> tuple[str, ...]:
@@ -53,7 +53,7 @@ def rank(model: Model) -> int:
 
 
 def turning_rows(model: Model) -> np.ndarray:
-    """Return (n,): True for conditions on angles."""
+    """Return an array (n,), True for conditions on angles."""
     return np.array(
         [turns for table in model.closures for _ in table.names for turns in _turning(table)], bool
     )
@@ -110,9 +110,9 @@ def each_closure(
     of_frames: Tables,
     of_coordinates: Tables,
 ) -> list[Any]:
-    """Return function(closure, pose as drawn, (row for A, row for B), ...), with a pair of rows for
-    each table, of all conditions in meters, one array for each table of closures. The tables are
-    `of_frames` or, for couplings, `of_coordinates`."""
+    """Return for each table of closures an array with the results of function(closure, pose as
+    drawn, (row for A, row for B), ...), in which conditions on angles are scaled to meters. There
+    is a pair of rows for each of the tables `of_frames` or, for couplings, `of_coordinates`."""
     size, results = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
     for table, rest in zip(model.closures, rests, strict=True):
         unit = jnp.where(_turning(table), size, 1.0)[None]

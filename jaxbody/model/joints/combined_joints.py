@@ -1,5 +1,5 @@
-"""Joints of several slides and turns: composite ones, motions in series along and about the axes of
-the parent, and universal joints, cylindrical joints and planes."""
+"""Joints with several translations and rotations: composite joints, motions in series along and
+about the axes of the parent, and universal, cylindrical and planar joints."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -34,8 +34,8 @@ class Composite(Joint):
         steps: "move" or "turn" for each motion
         directions: a row for each motion: the direction along which it moves, or about which it
             turns, in the parent's frame, in the reference pose
-        points: a row for each motion: a point of the line about which it turns, likewise [m];
-            without effect for one that moves
+        points: a row for each motion: a point of the line about which it turns, in the parent's
+            frame, in the reference pose [m]; without effect for a "move"
 
     Errors: UNKNOWN_NAME, BAD_SHAPE, ZERO_AXIS, NON_FINITE. A puck on a table:
 
@@ -99,7 +99,8 @@ class Composite(Joint):
         return tuple(step == "turn" for step in self.steps)
 
     def _after_each(self, q: Float[Array, "n"]) -> list[Pose]:
-        """Return the poses 1, M_1, M_1 M_2, ..."""
+        """Return the products 1, M_1, M_1 M_2, ... of the motions, as poses in the parent's
+        frame."""
         poses = [Pose(jnp.zeros(3, q.dtype), jnp.eye(3, dtype=q.dtype))]
         for n, at, turn, x in zip(self.directions, self.points, self.turns, q, strict=True):
             if turn:
@@ -171,9 +172,9 @@ class Translation(Series):
 
 
 class HeavePitch(Series):
-    """A half car: q = (heave [m] along the parent's z, pitch [rad] about its y) from the reference
-    pose, with the rotation about the body's reference point O. With x forward and z up, a positive
-    pitch lowers the front.
+    """The joint of a half-car model: q = (heave [m] along the parent's z, pitch [rad] about its y)
+    from the reference pose, with the rotation about the body's reference point O. With x forward
+    and z up, a positive pitch lowers the front.
 
     >>> jb.joints.HeavePitch("world").motions
     ('move along z', 'turn about y')
@@ -184,10 +185,10 @@ class HeavePitch(Series):
 
 
 class HeavePitchRoll(Series):
-    """A full car: q = (heave [m] along the parent's z, pitch [rad] about its y, roll [rad] about
-    the x axis turned by the pitch) from the reference pose, with the rotations about the body's
-    reference point O. With x forward, y to the left and z up (ISO 8855), a positive pitch lowers
-    the front and a positive roll the right.
+    """The joint of a full-car model: q = (heave [m] along the parent's z, pitch [rad] about its y,
+    roll [rad] about the x axis turned by the pitch) from the reference pose, with the rotations
+    about the body's reference point O. With x forward, y to the left and z up (ISO 8855), a
+    positive pitch lowers the front and a positive roll the right.
 
     >>> jb.joints.HeavePitchRoll("world").motions
     ('move along z', 'turn about y', 'turn about x')

@@ -78,11 +78,11 @@ class Joint(Described, eqx.Module):
         )
 
     def rest(self, rest: Pose) -> Float[Array, "nq"]:
-        """Return the coordinates of the reference pose `rest` on the parent."""
+        """Return the coordinates q at which the body has the pose `rest` relative to its parent."""
         return jnp.zeros(self.nq, rest.p.dtype)
 
     def retract(self, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
-        """Return q (+) delta."""
+        """Return q (+) delta: the coordinates q after the increments delta, one for each speed."""
         return q + delta
 
     def rate(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nq"]:
@@ -101,8 +101,8 @@ class Joint(Described, eqx.Module):
 
 
 class Free(Joint):
-    """A free body, with six degrees of freedom: q = (position of O, unit quaternion), v = (velocity
-    of O, angular velocity), in the parent's axes.
+    """The joint of a free body, with six degrees of freedom: q = (position of O [m], unit
+    quaternion), v = (velocity of O [m/s], angular velocity [rad/s]), in the parent's axes.
 
     >>> jb.Free().parent
     'world'
@@ -258,8 +258,8 @@ def turned_about(at, R, rest: Pose) -> Pose:
 
 
 def arms(n: Float[Array, "nv 3"], at, parent: Pose, body: Pose) -> Float[Array, "nv 3"]:
-    """Return the velocity of the body's origin per unit of angular velocity about each axis: of
-    direction n through `at`, a point of the parent; None: through the body's origin."""
+    """Return the velocity of the body's origin per unit of angular velocity about each of the axes
+    with directions n through the point `at` of the parent; None: through the body's origin."""
     if at is None:
         return jnp.zeros_like(n)
     return cross(n, (body.p - parent.point(at))[None])

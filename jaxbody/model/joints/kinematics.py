@@ -39,7 +39,8 @@ def rest_poses(model: Any, supports: Pose, bodies: Pose) -> Pose:
 
 
 def at_rest_in(model: Any, rest: Pose) -> State:
-    """Return the state in which bodies are at rest in these poses relative to their parents."""
+    """Return the state at rest in which the bodies have the poses `rest` relative to their
+    parents."""
     layout, each = model.layout, jax.vmap(lambda joint, pose: joint.rest(pose))
     q = layout.joined(
         [
@@ -128,8 +129,8 @@ class Coordinates(Chart):
         return State(q, jnp.zeros(self.model.layout.nv, q.dtype), rest_states(self.model, poses))
 
     def supports_at(self, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
-        """Return the frames of the supports displaced by Xi from their reference poses, with the
-        rate Xi'."""
+        """Return the frames of the supports, displaced by Xi [m, rad] from their reference poses
+        and moving with the rate Xi'."""
         pose = self.supports.displaced(xi)
         return Frame(
             pose.p, pose.R, xi_dot[:, :3], rotate(rotations.left_jacobian(xi[:, 3:]), xi_dot[:, 3:])
@@ -184,8 +185,8 @@ def imposed(
 
 
 def displacements(model: Any, given: Any, where: str, problems: Problems) -> Float[Array, "ns 6"]:
-    """Return Xi of the supports, or its rate, from {support: six numbers}, 0 for omitted supports,
-    or from a row for each support. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
+    """Return Xi of the supports [m, rad], or its rate, given as {support: six numbers}, 0 for
+    omitted supports, or as a row for each support. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
     names = model.layout.supports
     if not isinstance(given, dict):
         return shaped(given, (len(names), 6), where, problems)

@@ -15,7 +15,7 @@ FORCES = (units.FORCE, units.MOMENT)
 
 
 def read_columns(path: Path, *, largest: float, **text: Any) -> list[Any]:
-    """Read two columns of a text file, in SI units."""
+    """Read two columns of a text file of at most `largest` bytes; return them in SI units."""
     check_file(path, largest)
     contents = read_text(path.read_bytes(), path.name, **text)
     with Problems() as problems:

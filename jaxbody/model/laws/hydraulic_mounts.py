@@ -15,9 +15,9 @@ from jaxbody.model.laws.memory_laws import Inertial
 
 
 class Hydraulic(Inertial):
-    """A hydraulic mount: rubber kr, cr beside a fluid column of mass m between the upper chamber k1
-    and the lower chamber k2. With y, the displacement of the fluid reduced to that of the mount,
-    and x = e - y less the free play of the decoupler, |e - y| <= gap:
+    """A hydraulic mount: rubber kr, cr in parallel with a fluid column of mass m between the upper
+    chamber k1 and the lower chamber k2. y is the displacement of the fluid, reduced to that of the
+    mount, and x is e - y less the free play of the decoupler, |e - y| <= gap:
 
         F = kr e + cr e' + k1 x,   m y'' + c y' + q |y'| y' + k2 y = k1 x,
         x = e - y - clip(e - y, -gap, gap)

@@ -17,9 +17,9 @@ class BoucWen(Hysteretic):
 
         z' = alpha e' - beta (gamma |e'| |z|^(n-1) z + delta e' |z|^n)
 
-    Its slope at z = 0 is alpha; for gamma + delta > 0 it grows to z = (alpha/(beta
-    (gamma + delta)))^(1/n). Of its work z^2/(2 alpha) is stored, the rest, that of gamma and
-    delta, is lost; it is never negative if gamma >= |delta|.
+    Its slope at z = 0 is alpha; for gamma + delta > 0 the limit of z under increasing deformation
+    is (alpha/(beta (gamma + delta)))^(1/n). The stored energy is z^2/(2 alpha); the rest of the
+    work, due to gamma and delta, is dissipated and never negative if gamma >= |delta|.
 
     Args:
         alpha: stiffness at z = 0 [N/m]
@@ -73,7 +73,7 @@ class Dahl(Hysteretic):
 
         z' = sigma e' |1 - s|^i sign(1 - s),   s = z sign(e')/Fc
 
-    Of its work z^2/(2 sigma) is stored, the rest lost.
+    The stored energy is z^2/(2 sigma); all other work is dissipated.
 
     Args:
         stiffness: sigma, the slope at z = 0 [N/m]

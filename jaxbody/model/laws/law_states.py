@@ -1,5 +1,5 @@
 """Laws with memory in given states z, which elements evaluate like any other law: in a motion,
-about a rest, or at rest; and sums over the laws of an element."""
+in small motions about a state of rest, or at rest; and sums over the laws of an element."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class InState(Law):
     """The base class of laws with memory in a given state z."""
 
     law: Any = field()  # a Memory
-    z: Any = field()  # States, or in a tree of axes their axis
+    z: Any = field()  # States, or one number for them in a tree of axes or ranks
 
     def potential(self, x):
         return self.law.energy(x, self.law.configuration(self.z))
@@ -33,7 +33,7 @@ class InState(Law):
         return self.law.beyond(x)
 
     def kinetic(self) -> Number:
-        """Return T of the states."""
+        """Return the kinetic energy T [J] of the states."""
         return self.law.kinetic(self.z)
 
     @abstractmethod
@@ -42,7 +42,7 @@ class InState(Law):
 
     @abstractmethod
     def dissipation(self, x: Number, x_dot: Number) -> Number:
-        """Return R; 0 for a hysteretic law, whose force has no such potential."""
+        """Return R [W]; 0 for a hysteretic law, whose force has no such potential."""
 
 
 class Held(InState):
@@ -74,15 +74,15 @@ class Held(InState):
 
 
 class Apart(InState):
-    """A law with memory about a state of rest, for small motions: its coordinates are coordinates
-    of the system; those without mass have the rates z_dot. Hysteretic states follow the deformation
-    by their tangents."""
+    """A law with memory in small motions about a state of rest: its coordinates are unknowns of the
+    system; those without mass have the rates z_dot. Hysteretic states change linearly with the
+    deformation, by their tangents."""
 
     z_dot: Any = field(default=None)  # of coordinates without mass
 
     @property
     def rates(self) -> States:
-        """y' of its coordinates."""
+        """The rates y' of its coordinates."""
         return self.law.rates(self.z) if self.law.inertial else self.z_dot
 
     def potential(self, x):
@@ -127,11 +127,11 @@ class Apart(InState):
 
 
 class Relaxed(Law):
-    """A law with memory at rest: coordinates are relaxed at the deformation; hysteretic states are
-    z."""
+    """A law with memory at rest: its coordinates are in equilibrium at the given deformation
+    (relaxed); its hysteretic states are z."""
 
     law: Any = field()  # a Memory
-    z: Any = field()  # States, or in a tree of axes their axis
+    z: Any = field()  # States, or one number for them in a tree of axes or ranks
 
     def state(self, x: Number) -> States:
         """Return z at rest."""
@@ -161,7 +161,7 @@ class Relaxed(Law):
 
 @jax.custom_jvp
 def _tangent_potential(law: Hysteretic, x: Number, z: States) -> Number:
-    """Return the stored energy; its derivative in x is the tangent force."""
+    """Return the stored energy; its derivative with respect to x is the tangent force."""
     return law.energy(x, z)
 
 
@@ -174,7 +174,8 @@ def _tangent_potential_jvp(primals, tangents):
 
 @jax.custom_jvp
 def _tangent_force(law: Hysteretic, x: Number, z: States) -> Number:
-    """Return F(x, 0, z); in its derivatives a change of x changes z too, by df/de'."""
+    """Return F(x, 0, z); its derivative with respect to x includes the change of z with x,
+    df/de'."""
     return law.static_force(x, z)
 
 
@@ -189,7 +190,8 @@ def _tangent_force_jvp(primals, tangents):
 
 @jax.custom_jvp
 def _rate_potential(law: Hysteretic, x: Number, x_dot: Number, z: States) -> Number:
-    """Return zero; its derivative in the rate is the part of the force that depends on the rate."""
+    """Return zero; its derivative with respect to the rate is the part of the force that depends on
+    the rate."""
     return jnp.zeros_like(x)
 
 

@@ -1,9 +1,9 @@
-"""Force laws F(x) of one variable: elongation of a spring [m], U its energy, or rate of a damper
-[m/s], U its dissipation potential.
+"""Force laws F(x) of one variable: x is the elongation of a spring [m] and U its energy, or x is
+the rate of a damper [m/s] and U its dissipation potential.
 
     F(x) = dU/dx,   U(0) = 0
 
-A law defines one of the two; the other is its derivative, or its integral by Gauss-Legendre
+A law defines F or U; the other is its derivative, or its integral by Gauss-Legendre
 quadrature. Tension is positive: in compression x < 0 and F < 0. All coefficients are arrays and can
 be free in a fit. Laws can be added. Torsion elements use the same laws in rad and N m. Laws with
 memory: `memory_laws`.
@@ -25,7 +25,7 @@ from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field, in_domain, kind_of, take
 
 Number = Float[Array, ""]
-POINTS = 20  # of Gauss's quadrature of a force
+POINTS = 20  # of the Gauss-Legendre quadrature of a force
 
 
 class Law(Described, eqx.Module):
@@ -113,9 +113,9 @@ class Linear(Law):
 
 
 class Function(Law):
-    """A law given by any JAX function x -> F. Each new function object is compiled again; a Law
-    with array leaves avoids that. The energy is a quadrature with twenty nodes, exact to rounding
-    where F is smooth.
+    """A law given by any JAX function x -> F. A new function object makes programs compile again;
+    a user-defined Law with array fields avoids that. The energy is integrated by a quadrature with
+    twenty nodes, exact to rounding where F is smooth.
 
     >>> round(float(jb.laws.Function(lambda x: jnp.sinh(x)).potential(jnp.array(1.0))), 12)
     0.543080634815

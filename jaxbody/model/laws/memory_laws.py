@@ -22,7 +22,7 @@ from jaxbody.model.laws.laws import Law, Number
 
 States = Float[Array, "nz"]
 ITERATIONS = 50  # of Newton's method for coordinates at rest
-CONVERGED = 1e-13  # its last step, relative to the coordinates
+CONVERGED = 1e-13  # size of Newton's last step, relative to the coordinates
 
 
 class Memory(Law):
@@ -39,8 +39,8 @@ class Memory(Law):
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """What each state is: "massless", a coordinate without mass; "inertial", one with mass;
-        "rate" of such; or "hysteretic"."""
+        """The role of each state: "massless", a coordinate without mass; "inertial", a coordinate
+        with mass; "rate", the rate of one with mass; or "hysteretic"."""
         return ("massless" if self.has_rows else "hysteretic",) * len(self.states)
 
     def configuration(self, z: States) -> States:
@@ -109,8 +109,8 @@ class InnerCoordinates(Memory):
         return jax.grad(self.dissipation)(jnp.asarray(e_dot, y_dot.dtype), y_dot)
 
     def relaxed(self, e: Number) -> States:
-        """Return y at rest, dV/dy = 0, by Newton's method; the last two steps carry its
-        derivatives, which are exact up to the third."""
+        """Return y at rest, dV/dy = 0, by Newton's method. Derivatives are taken through the last
+        two steps and are exact up to the third."""
 
         def step(law, e, y):
             return y - _solved(jax.hessian(law.energy, 1)(e, y), jax.grad(law.energy, 1)(e, y))
@@ -185,8 +185,8 @@ class Inertial(InnerCoordinates):
 
     A user-defined law defines `states` and `state_units`, first of the coordinates and then of
     their rates, `energy` V(e, y), `dissipation` R(e', y') and `kinetic_energy` T(y'), quadratic
-    and definite. In a linearization each y has a row in M, C and K. A mass on a spring, carried
-    by the deformation:
+    and definite. In a linearization each y has a row in M, C and K. A mass on a spring whose
+    other end moves with the deformation:
 
     >>> class Absorber(jb.laws.Inertial):
     ...     stiffness: jax.Array = jb.field("force/argument", "positive")
@@ -252,8 +252,8 @@ class Hysteretic(Memory):
     A user-defined law defines `states`, `state_units`, `rate` and `restoring_force`; `energy`, the
     part of the work of F that is stored, is zero by default. At rest z is constant, so an
     equilibrium has the z of its initial guess, by default zero. A linearization has its tangent at
-    rest in K, dF/de + dF/dz df/de', and no row for z: to first order it is a spring, and its
-    losses, which grow with the square of the amplitude or less, are in simulations only.
+    rest in K, dF/de + dF/dz df/de', and no row for z: to first order it is a spring. Its losses,
+    due to forces of second or higher order in the amplitude, appear only in simulations.
 
     >>> class Elastoplastic(jb.laws.Hysteretic):
     ...     stiffness: jax.Array = jb.field("force/argument", "positive")

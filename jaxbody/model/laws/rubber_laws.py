@@ -1,4 +1,4 @@
-"""Laws of rubber: branches of a spring and a dashpot in series, any number of them beside
+"""Laws of rubber: branches of a spring and a dashpot in series, any number of them in parallel with
 a spring."""
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ from jaxbody.model.laws.memory_laws import Viscoelastic
 
 
 class Maxwell(Viscoelastic):
-    """A spring k and a dashpot c = k tau in series, y the displacement of the dashpot:
+    """A Maxwell branch: a spring k and a dashpot c = k tau in series. With y, the displacement of
+    the dashpot:
 
         F = k (e - y),   y' = (e - y)/tau,   V = k (e - y)^2/2,   R = k tau y'^2/2,
-        stiffness k i w tau/(1 + i w tau)
+        dynamic stiffness k i w tau/(1 + i w tau)
 
-    Beside a spring it is the standard linear solid; several of them are a Prony series. tau -> 0 at
-    constant c is a damper c, tau -> infinity at constant k a spring k.
+    In parallel with a spring it is the standard linear solid; several branches in parallel are a
+    Prony series. tau -> 0 at constant c is a damper c, tau -> infinity at constant k a spring k.
 
     Args:
         stiffness: k of the branch, which it adds at high frequencies [N/m]

@@ -59,7 +59,7 @@ class BumpStop(Law):
     The force has no kink, and its slope at d = 0 is 0.
 
     Args:
-        gap: [m]
+        gap: travel before contact [m]
         stiffness: k [N/m]
         engagement: w, over which the stiffness builds up [m]
         extension: a stop against extension; False: against compression
@@ -142,8 +142,8 @@ class TensionOnly(Law):
 class AirSpring(Law):
     """An air spring with a polytropic gas: F = A (p_a - p0 (1 + x/h)^-n).
 
-    The stiffness at x = 0 is n p0 A/h. The force is NaN for x <= -h, which results report.
-    `AirSpring.carrying(load, ...)` is one that carries a load at x = 0.
+    The stiffness at x = 0 is n p0 A/h. For x <= -h the force is NaN, and results report it.
+    `AirSpring.carrying(load, ...)` returns a spring that carries a load at x = 0.
 
     Args:
         pressure: absolute, p0 at x = 0 [Pa]
@@ -193,7 +193,8 @@ class AirSpring(Law):
         )
 
     def potential(self, x):
-        """Return A (p_a x - p0 h (1 - (1 + x/h)^(1-n))/(n - 1)), with the logarithm at n = 1."""
+        """Return A (p_a x - p0 h (1 - (1 + x/h)^(1-n))/(n - 1)) [J]; at n = 1 its limit, with
+        log(1 + x/h)."""
         y = jnp.log1p(x / self.height)
         return self.area * (
             self.ambient * x
@@ -244,8 +245,8 @@ class Digressive(Law):
 
 
 class Friction(Law):
-    """Dry friction, regularized: F = F0 x/sqrt(x^2 + v0^2), 71 % of F0 at the velocity v0,
-    99.5 % at 10 v0. It creeps instead of sticking.
+    """Dry friction, regularized: F = F0 x/sqrt(x^2 + v0^2), which is 71 % of F0 at the velocity
+    v0, 99.5 % at 10 v0. Under a load below F0 it creeps instead of sticking.
 
     `level` F0 [N], `velocity` v0 [m/s]. Errors: NEGATIVE, NOT_POSITIVE for the velocity.
 

@@ -16,9 +16,9 @@ from jaxbody.model.laws.laws import Law, row_of_numbers
 
 
 class Tabulated(Law):
-    """Interpolation of measured points by monotone cubics (Fritsch, Carlson, SIAM J. Numer.
-    Anal. 17 (1980) 238, slopes of Fritsch and Butland): between x_i and x_{i+1}, h apart,
-    with u = (x - x_i)/h,
+    """A law that interpolates measured points by monotone cubics (Fritsch, Carlson, SIAM J. Numer.
+    Anal. 17 (1980) 238, slopes of Fritsch and Butland): between x_i and x_{i+1}, with
+    h = x_{i+1} - x_i and u = (x - x_i)/h,
 
         F = (1 + 2u)(1 - u)^2 F_i + u^2 (3 - 2u) F_{i+1} + h u (1 - u)^2 m_i - h u^2 (1 - u) m_{i+1}
 

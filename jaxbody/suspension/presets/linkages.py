@@ -36,8 +36,8 @@ def four_bar(
 
     Args:
         crank, coupler, rocker, ground: lengths between hinges [m]
-        angle: of the crank from x in the reference pose [deg]; the pin is above the line from the
-            crank's end to the hinge of the rocker
+        angle: angle of the crank from x in the reference pose [deg]; the pin is above the line from
+            the crank's end to the hinge of the rocker
         density: mass per length of the bars [kg/m]
         stiffness: of the torsion spring between world and crank, relaxed in the reference pose
             [N m/rad]
@@ -56,7 +56,7 @@ def four_bar(
     end = crank * np.array([np.cos(turn), np.sin(turn)])  # of the crank
     between = np.array([ground, 0.0]) - end
     distance = np.hypot(*between)
-    # at the end of the crank, of the triangle with the rocker
+    # of the angle at the end of the crank, in the triangle of coupler, rocker and the line between
     cosine = (distance**2 + coupler**2 - rocker**2) / (2 * distance * coupler)
     if not abs(cosine) <= 1:
         raise JaxbodyError(

@@ -556,7 +556,7 @@ def rubber_isolators(
     gravity=0.0,
 ) -> Model:
     """Return an `instrument` on four equal rubber isolators at (+-ax, +-ay, -az) from its center,
-    on the support `floor`. In every direction, each is a Prony series,
+    on the support `floor`. In every direction the dynamic stiffness of each is a Prony series,
 
         K(i w) = k (1 + sum g_j i w tau_j/(1 + i w tau_j)),
         F(t) = k e (1 + sum g_j exp(-t/tau_j)) after a step e

@@ -1,6 +1,6 @@
 """Plots with matplotlib: each function draws into `ax`, or a new figure, and returns the axes; it
-shows no window and changes no settings. `result.plot()` draws a result by the function of its
-class, in `jaxbody.views.plots.plots_of_results`."""
+shows no window and changes no settings. `result.plot()` draws a result with the function for its
+class, from `jaxbody.views.plots.plots_of_results`."""
 
 from jaxbody.views.plots.design_plots import plot_front, plot_tolerances, plot_tornado, plot_tuning
 from jaxbody.views.plots.fit_plots import (

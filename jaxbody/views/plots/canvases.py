@@ -8,16 +8,16 @@ import numpy as np
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 
-# Each four in a row differ in luminance, so that they survive gray print, and all differ in the
-# eyes of the color-blind
+# Any four successive colors differ in luminance and thus in gray print; the color-blind can
+# distinguish all of them
 COLORS = ("#1871bc", "#e0803a", "#8e0523", "#dbb72d", "#09663e", "#8470f1", "#292a6d", "#3db5ad")
 GRAY, LIGHT, INK = "#8a8f98", "#dfe4ea", "#2b2f36"
 DASHES = ("-", (0, (6, 1.5)), (0, (3, 1, 1, 1)), (0, (1, 1)))  # one for each four lines
 MARKERS = "osD^vP*X"  # of series of marks
-NAME = 0.165  # in, height of a line of a legend
+NAME = 0.165  # height of a line of a legend [in]
 DARK = 0.5  # brightness of a cell below which its number is white
-ROOM = 50  # letters of names side by side below axes of usual width
-WIDTH, HEIGHT = 0.62, 1.3  # of a letter, relative to the font size
+ROOM = 50  # number of letters that fit side by side below axes of usual width
+WIDTH, HEIGHT = 0.62, 1.3  # size of a letter, relative to the font size
 # points, trial distances from an object to the edge of its label
 RINGS = (4.0, 8.0, 13.0, 20.0, 30.0, 42.0, 56.0)
 ANGLES = np.deg2rad(np.arange(0, 360, 22.5))
@@ -44,7 +44,7 @@ def tidy(ax: Any) -> None:
 
 
 def axes_below(ax: Any, *heights: float, share: bool = True) -> list[Any]:
-    """Split the area of `ax`, add axes below it and return these.
+    """Split the area of `ax`, add axes below it and return the added ones.
 
     Args:
         ax: axes that keep the top part of their area.
@@ -122,7 +122,7 @@ def panels_of_marks(ax: Any, panels: dict[str, dict[str, Any]], names: tuple[str
     every = [ax, *axes_below(ax, *[1.0] * (len(panels) - 1))]
     for axes, (label, series) in zip(every, panels.items(), strict=True):
         for i, (name, values) in enumerate(series.items()):
-            # equal numbers stand side by side
+            # marks of equal numbers are drawn side by side
             offset = 0.5 * ((i + 0.5) / len(series) - 0.5)
             mark = {"marker": MARKERS[i % len(MARKERS)], "color": COLORS[i % len(COLORS)]}
             axes.plot(np.arange(len(names)) + offset, values, ls="none", ms=5, label=name, **mark)
@@ -286,7 +286,7 @@ class Label(NamedTuple):
 
 
 def annotate(ax: Any, labels: list[Label]) -> None:
-    """Write labels where they cover least of what is already drawn and written in the axes."""
+    """Write labels where they cover as little as possible of what the axes already contain."""
     from matplotlib.patheffects import withStroke
 
     if not labels:

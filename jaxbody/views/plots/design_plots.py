@@ -15,8 +15,8 @@ MOST_BARS = 15
 
 
 def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
-    """Draw the objective at every finite trial of the best start: filled circles where all limits
-    are met, open circles elsewhere.
+    """Draw the objective at every trial of the best start that has a finite value: filled circles
+    where all limits are met, open circles elsewhere.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):
@@ -54,8 +54,8 @@ def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
 
 
 def plot_front(front: Front, *, ax: Any = None) -> Any:
-    """Draw a Pareto front: of two objectives as a line through the designs, of three as points
-    whose color shows the third objective.
+    """Draw a Pareto front: two objectives as a line through the designs, three as points whose
+    color shows the third objective.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):

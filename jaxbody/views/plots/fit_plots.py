@@ -255,10 +255,11 @@ def plot_multistart(result: Multistart, *, ax: Any = None) -> Any:
 
 
 def plot_profile_likelihood(profile: Profile, *, ax: Any = None) -> Any:
-    """Draw the signed root tau of a likelihood profile over its parameter, with the confidence
-    interval, in which tau is between the dashed lines.
+    """Draw tau, the signed square root of the normalized increase of the cost in a likelihood
+    profile, over the parameter, with the confidence interval, in which tau is between the dashed
+    lines.
 
-    tau is a straight line if the likelihood is that of a normal distribution.
+    The curve is a straight line if the likelihood is that of a normal distribution.
 
     >>> model = jb.Model(
     ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
@@ -296,13 +297,13 @@ def plot_profile_likelihood(profile: Profile, *, ax: Any = None) -> Any:
         ),
     )
     ax.title.set_fontsize(9)
-    ax.xaxis.get_major_locator().set_params(nbins=5)  # long numbers
+    ax.xaxis.get_major_locator().set_params(nbins=5)  # few ticks, as the numbers are long
     return ax
 
 
 def plot_interval_coverage(result: Coverage, *, ax: Any = None) -> Any:
-    """Draw the share of replicates whose intervals contain the true value, for each parameter, and
-    the confidence level with two standard errors of such a share."""
+    """Draw for each parameter the share of replicates whose confidence intervals contain the true
+    value [%], and the confidence level with a band of two standard errors of the share."""
     count = len(result.parameters)
     ax = axes_or_new(ax, 6.0, 1.4 + 0.32 * count)
     at, level, error = (

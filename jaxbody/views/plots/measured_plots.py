@@ -33,20 +33,20 @@ from jaxbody.views.plots.canvases import (
 from jaxbody.views.plots.fit_plots import chosen, linearized, records_about
 from jaxbody.views.plots.response_plots import degrees, hertz
 
-BAND = 0.95  # level of the bands
-FEW = 400  # samples up to which markers are large
+BAND = 0.95  # confidence level of the bands
+FEW = 400  # largest number of samples with large markers
 LETTERS = {"force": "F", "moment": "M"}
 WIDE = 10.0  # ratio of the largest to the smallest frequency from which on the axis is logarithmic
-MARKS = 12  # values up to which bands are marks with bars
+MARKS = 12  # largest number of values that are drawn as marks with bars
 KEYS = 3  # colors shown in a legend entry that stands for several lines
 
 
 def plot_fit(fit: Fit, *, run: str | None = None, sensor: str | None = None, ax: Any = None) -> Any:
     """Draw the measured points of one sensor and the fitted model's line through them.
 
-    Records and modes have their residuals below, with bands for 95 % of the noise (pale) and for
-    the uncertainty of the fitted line (dark). Frequency responses have their magnitudes above and
-    their phases below, without bands. Error: UNKNOWN_NAME.
+    Residuals of records and modes are below, with bands for 95 % of the noise (pale) and for the
+    uncertainty of the fitted line (dark). Frequency responses are drawn as magnitudes above and
+    phases below, without bands. Error: UNKNOWN_NAME.
 
     Args:
         fit: the fit.
@@ -90,9 +90,9 @@ def plot_validation(
     """Draw the measured points of each sensor of a validation run and the line that the fitted
     model predicts, with residuals below.
 
-    The title of each panel is the fit: 100 % without a residual, 0 % if the mean of the record is
-    as good. Frequency responses have their magnitudes above and their phases below. Error:
-    UNKNOWN_NAME.
+    The title of each panel states the fit: 100 % if all residuals are zero, 0 % if the mean of the
+    record would predict it as well. Frequency responses are drawn as magnitudes above and phases
+    below. Error: UNKNOWN_NAME.
 
     Args:
         validation: the validation.
@@ -482,7 +482,7 @@ def plot_confidence_bands(
         xlabel, ylabel: labels of the axes, with units.
         ax: axes to draw into; None makes a new figure.
 
-    Error: BAD_SHAPE if x has not one number for each value.
+    Error: BAD_SHAPE if x does not have one number for each value.
 
     >>> model = jb.Model(
     ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},

@@ -31,9 +31,9 @@ from jaxbody.views.plots.model_plots import look_along
 
 KINDS = {"kinetic": "kinetic energy", "strain": "strain energy", "dissipation": "dissipation"}
 RATIOS = (0.05, 0.1, 0.2, 0.5)  # damping ratios whose lines are drawn
-PERCENT = 5.0  # change of frequency up to which a backbone is drawn
+PERCENT = 5.0  # largest change of frequency to which a backbone is drawn [%]
 CURVE = np.linspace(0, 1, 50)
-# percent; rows in which all modes have less would print as zeros and are left out
+# percent; rows with less in all modes would be written as zeros and are left out
 LEAST_SHOWN = 0.05
 
 
@@ -270,7 +270,7 @@ def plot_backbone_curves(backbones: Backbones, *, ax: Any = None) -> Any:
     """Draw the change of each natural frequency [%] over the amplitude of the mode's largest
     component, up to 5 %.
 
-    Modes with a largest component in rad have a panel of their own. Modes without a backbone are
+    Modes whose largest component is in rad have a panel of their own. Modes without a backbone are
     left out; those whose frequency does not change extend to the largest amplitude of the others.
 
     >>> bob = jb.Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
@@ -398,7 +398,7 @@ def _draw_axes(
         ax.set_title(title, fontsize=9)
     for i, (name, point, direction) in enumerate(lines):
         ends = np.array([point - half * direction, point + half * direction]) @ look.T
-        seen = np.linalg.norm(ends[1] - ends[0]) > 0.1 * half  # else it points to the viewer
+        seen = np.linalg.norm(ends[1] - ends[0]) > 0.1 * half  # else it points toward the viewer
         mark = (
             {"ls": DASHES[i]}
             if seen

@@ -99,8 +99,8 @@ def draw_mode(
     view: str | None = None,
     ax: Any = None,
 ) -> Any:
-    """Draw one mode in both extreme positions over the state at rest, with its name; the amplitude
-    is an eighth of the model's size.
+    """Draw one mode: the model in both extreme positions, over the model at rest. The title names
+    the mode; the amplitude is an eighth of the model's size.
 
     A complex mode is drawn at the instant at which its largest component is extreme.
 
@@ -131,7 +131,7 @@ def draw_mode(
     largest = (
         max(np.abs(points[name] - rest.points[name]).max() for name in model.layout.bodies) / trial
     )
-    # if nothing is attached away from O, the rotation limits the amplitude
+    # if all points are at origins of bodies, the rotation limits the amplitude
     largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
     extremes = [moved(sign * size * SWING / largest) for sign in (-1, 1)]
     look = projection(view, model, [rest, *extremes])

@@ -66,8 +66,8 @@ def plot_trajectory(
 def plot_forces(
     trajectory: Trajectory, *, elements: tuple[str, ...] | None = None, ax: Any = None
 ) -> Any:
-    """Draw forces of the elements [N] over time, dampers included: the tension of each spring; of
-    each bushing the three forces that oppose its deformation along its axes.
+    """Draw forces of the elements [N] over time, dampers included: the tension of each spring, and
+    the three forces of each bushing that oppose its deformation along its axes.
 
     The moments [N m] of torsion springs and bushings are below. elements: names; None takes all.
     Error: UNKNOWN_NAME.
@@ -103,9 +103,9 @@ def plot_energies(trajectory: Trajectory, *, ax: Any = None) -> Any:
 
         kinetic + potential + dissipated - work of the supports - work of the loads = constant
 
-    The potential energy counts from the first sample. Dissipated energy and work are integrals of
-    `powers`, by a cubic spline through the samples: the sum is not constant if the samples do not
-    resolve the motion or the integration is not accurate.
+    The potential energy is relative to its value at the first sample. Dissipated energy and work
+    are integrals of `powers`, by a cubic spline through the samples: the sum is not constant if the
+    samples do not resolve the motion or the integration is not accurate.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> motion = {"road": jb.Harmonic(frequency=1.0, translation=[0, 0, 0.01])}
@@ -255,7 +255,7 @@ def plot_force_strokes(
             samples.
         ax: axes to draw into; None makes a new figure.
 
-    Errors: UNKNOWN_NAME; NO_DATA if less than two samples are after `start`.
+    Errors: UNKNOWN_NAME; NO_DATA if fewer than two samples are after `start`.
 
     >>> motion = {"road": jb.Harmonic(frequency=1.0, translation=[0, 0, 0.01])}
     >>> ax = jb.plots.plot_force_strokes(
@@ -332,8 +332,8 @@ def _curves(
 
 
 def stroke_and_force(model: Model, names: Iterable[str]) -> tuple[str, str]:
-    """Return the labels of deformations and forces: elongation and tension, or neutral words if
-    some of the elements, such as bushings, deform along several axes."""
+    """Return the labels of deformations and forces: elongation and tension, or deformation and
+    force if some of the elements, such as bushings, deform along several axes."""
     if all(model[name].size == 1 for name in names):
         return "elongation [m]", "force, tension positive [N]"
     return "deformation [m]", "force opposing\nthe deformation [N]"
@@ -342,8 +342,8 @@ def stroke_and_force(model: Model, names: Iterable[str]) -> tuple[str, str]:
 def forces_and_moments(
     model: Model, values: dict[str, Any], about: str = " about"
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return component histories of elements by name, first those in N or m, then those in N m or
-    rad.
+    """Return time histories of components by name: first the forces or displacements [N or m], then
+    the moments or rotations [N m or rad].
 
     Args:
         model: the model of the elements.

@@ -59,7 +59,7 @@ CAPTIONS: dict[Callable[..., Any], str] = {
 }
 
 
-# by the class of what a function draws, its first argument
+# {class of the first argument of a function, which it draws: its picture}
 PICTURES = {
     next(iter(get_type_hints(draw).values())): Picture(draw, caption)
     for draw, caption in CAPTIONS.items()

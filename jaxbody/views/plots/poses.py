@@ -37,7 +37,7 @@ class PoseSequence:
     # {element: forces (n, ends, 3) on each of its ends, world axes [N]}
     forces: dict[str, np.ndarray] = field(default_factory=dict)
     roads: dict[str, Road] = field(default_factory=dict)  # {support: road under it}
-    wheel: Wheel | None = None  # drawn in addition to those of tyres
+    wheel: Wheel | None = None  # wheel of a suspension, drawn in addition to those of tyres
 
     def pose(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (n, 3) and orientations (n, 3, 3) of a frame."""
@@ -88,8 +88,9 @@ def placed_closures(model: Model) -> list[tuple[str, Closure]]:
 
 
 def displaced_poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return origins and orientations at q (+) Delta for each row of Delta, with closures fulfilled
-    and supports in their reference poses."""
+    """Return origins and orientations in the configurations q (+) Delta, where each row of `deltas`
+    is a displacement Delta from q, with closures fulfilled and supports in their reference
+    poses."""
     return poses_of(model, _moved(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype)))
 
 

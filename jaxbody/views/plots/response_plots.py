@@ -27,7 +27,7 @@ from jaxbody.views.plots.canvases import (
 
 STEPS = (1e-3, 0.01, 0.1, 0.5, 1, 2, 5, 10, 15, 30, 45, 90, 180, 360, 720)  # degrees between ticks
 MOST_TICKS = 5
-MANY = 16  # lines up to which the legend fits beside a plot of normal width
+MANY = 16  # largest number of lines whose legend fits beside a plot of normal width
 
 
 def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> Any:
@@ -77,8 +77,8 @@ def plot_element_stiffness(stiffness: DynamicStiffness, *, ax: Any = None) -> An
 
 
 def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any:
-    """Draw dimensionless magnitudes over frequency, of motion over motion or force over force; the
-    region above 1 is shaded.
+    """Draw the magnitudes of dimensionless responses, motion over motion or force over force, over
+    frequency; the region above 1 is shaded.
 
     Error: BAD_UNIT if no output has the unit of an input.
 
@@ -138,9 +138,9 @@ def plot_dynamic_stiffness(
     Args:
         response: a frequency response with forces and displacements.
         pairs: {label: (force, displacement)}, each an input or output; for two outputs their ratio
-            under the first input to which the displacement responds. None takes each output in m of
-            an input in N, and each output in N of an input in m, whose sign is changed if the force
-            is opposed to the displacement.
+            under the first input to which the displacement responds. None takes all pairs of an
+            output in m and an input in N, and of an output in N and an input in m; the sign of the
+            latter is changed if the force is opposed to the displacement.
         ax: axes to draw into; None makes a new figure.
 
     Errors: UNKNOWN_NAME; BAD_UNIT if nothing is a force over a displacement, or a moment over an
@@ -181,7 +181,7 @@ def plot_dynamic_stiffness(
     return _over_frequency(ax, f[f > 0], panels, "dynamic stiffness", "loss angle", plain=True)
 
 
-# with the size of the unit in SI
+# {SI units of a force and a displacement: (unit in the plot, its size in SI)}
 STIFFNESS_UNITS = {("N", "m"): ("N/mm", 1e3), ("N m", "rad"): ("N m/rad", 1.0)}
 
 
@@ -199,8 +199,9 @@ def _over_frequency(
     Args:
         ax: axes whose area the panels share.
         f: frequencies [Hz].
-        panels: {unit: {name: (magnitudes, angles [rad], look)}}. A look of None is that of the next
-            line; a panel with the name "" has no legend.
+        panels: {unit: {name: (magnitudes, angles [rad], look)}}, where `look` holds matplotlib's
+            properties of the line, such as its color; None takes those of the next `style`. A panel
+            with a line named "" has no legend.
         what: name of the magnitudes.
         angle: name of the angles.
         plain: whether ticks of the magnitudes are plain numbers, as in `plain_numbers`.
@@ -221,8 +222,8 @@ def _over_frequency(
 
 
 def plot_weighted_signal(signal: WeightedSignal, *, ax: Any = None) -> Any:
-    """Draw the weighted acceleration over time with its rms, and below it the vibration dose value
-    accumulated since the start.
+    """Draw the frequency-weighted acceleration over time with its rms value, and below it the
+    vibration dose value accumulated since the start.
 
     >>> jb.plots.plot_weighted_signal(
     ...     jb.vibration.weighted_signal(jnp.arange(400) / 400, jnp.sin(jnp.arange(400)), "Wk")
@@ -246,8 +247,8 @@ def plot_weighted_signal(signal: WeightedSignal, *, ax: Any = None) -> Any:
 
 
 def _stiffnesses(response: FrequencyResponse) -> dict[str, tuple[tuple[str, str], np.ndarray]]:
-    """Return {label: (units, dynamic stiffness)} of each output over an input that is a stiffness
-    or a compliance."""
+    """Return {label: (units, dynamic stiffness)} of each pair of output and input whose ratio is a
+    stiffness or a compliance."""
     stiffnesses = {}
     for i, j, name in _pairs(response):
         units, values = (
@@ -433,8 +434,8 @@ def hertz(ax: Any, f: np.ndarray) -> None:
 
 
 def degrees(ax: Any, what: str) -> None:
-    """Label an axis of angles in degrees, with ticks at parts of a turn; call it when all is
-    drawn."""
+    """Label an axis of angles in degrees, with ticks at fractions of 360 degrees; call it when all
+    lines are drawn."""
     from matplotlib.ticker import MultipleLocator
 
     ax.set_ylabel(f"{what} [degrees]")

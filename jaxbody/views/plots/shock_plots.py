@@ -22,12 +22,12 @@ from jaxbody.views.plots.canvases import (
 )
 from jaxbody.views.plots.response_plots import hertz, lines_over_frequency, plain_numbers
 
-LEAST_SHARE = 1e-3  # of a mode that is drawn
+LEAST_SHARE = 1e-3  # least share of a mode that is drawn
 
 
 def plot_shock_spectrum(spectrum: ShockSpectrum, *, ax: Any = None) -> Any:
-    """Draw the spectrum over natural frequency on logarithmic scales, with a line for each damping
-    ratio."""
+    """Draw a shock spectrum over natural frequency on logarithmic scales, with a line for each
+    damping ratio."""
     check_single("plot_shock_spectrum.spectrum", spectrum.frequencies, 1)
     f, values = np.asarray(spectrum.frequencies), np.asarray(spectrum.values)
     order = np.argsort(f)
@@ -61,8 +61,8 @@ def plot_response_spectrum(
 
 
 def plot_spectrum_compatible_record(quake: MatchedRecord, *, ax: Any = None) -> Any:
-    """Draw acceleration, velocity and displacement over time, and below them the reached spectrum
-    with its target."""
+    """Draw acceleration, velocity and displacement over time, and below them the spectrum of the
+    record with the target spectrum."""
     panels = {
         "acceleration [m/s2]": quake.acceleration,
         "velocity [m/s]": quake.velocity,
@@ -122,7 +122,7 @@ def plot_spectrum_response(response: SpectrumResponse, *, ax: Any = None) -> Any
 
 def plot_peak_factors(peaks: PeakFactors, *, ax: Any = None) -> Any:
     """Draw the peak factors of outputs with their standard deviations; the labels of the outputs
-    have their maxima."""
+    state their maxima."""
     check_single("plot_peak_factors.peaks", peaks.factor, 1)
     ax, y = axes_or_new(ax, 7.0, 1.3 + 0.4 * len(peaks.outputs)), np.arange(len(peaks.outputs))
     spread = np.nan_to_num(np.asarray(peaks.deviation))
@@ -143,7 +143,8 @@ def plot_peak_factors(peaks: PeakFactors, *, ax: Any = None) -> Any:
 
 
 def plot_fatigue_damage(damage: FatigueDamage, *, ax: Any = None) -> Any:
-    """Draw the damage of outputs on a logarithmic scale; they fail at 1."""
+    """Draw the fatigue damage of each output on a logarithmic scale; a damage of 1 means
+    failure."""
     check_single("plot_fatigue_damage.damage", damage.damage, 1)
     ax, values = axes_or_new(ax, 7.0, 1.3 + 0.4 * len(damage.outputs)), np.asarray(damage.damage)
     y, positive = np.arange(len(values)), values[values > 0]

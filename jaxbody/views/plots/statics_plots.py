@@ -28,8 +28,8 @@ from jaxbody.views.plots.canvases import (
 from jaxbody.views.plots.model_plots import draw_model
 from jaxbody.views.plots.motion_plots import components, forces_and_moments, stroke_and_force
 
-WIDTH = 60  # letters of a line of a title
-# of the largest number of a panel: components with less in all cases are left out
+WIDTH = 60  # letters in a line of a title
+# relative to the largest number of a panel: components below this in all cases are left out
 NEGLIGIBLE = 1e-9
 
 
@@ -74,8 +74,8 @@ def draw_assembly(
 
 
 def plot_load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
-    """Draw the smallest eigenvalue of K, relative to the largest without loads, over the load
-    factor; it is zero at a limit point.
+    """Draw the smallest eigenvalue of the stiffness matrix K, relative to the largest without
+    loads, over the load factor; it is zero at a limit point.
 
     eq: an equilibrium under loads. Error: NO_PATH if it has no load path.
 

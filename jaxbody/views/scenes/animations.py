@@ -17,7 +17,7 @@ class DrawnPart:
     """A mesh of one color. `p` (n, 3), `R` (n, 3, 3) and `scale` (n, 3) place it in each frame, or
     in all frames if n is 1: x = p + R (scale * vertex)."""
 
-    path: tuple[str, ...]  # group, name, and what of it: ("elements", "AB", "coil")
+    path: tuple[str, ...]  # group, name, and part of it: ("elements", "AB", "coil")
     mesh: Mesh
     color: str
     p: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
@@ -54,7 +54,7 @@ class NameLabel:
 
 @dataclass(frozen=True)
 class Trail:
-    """The path (n, 3) of a point."""
+    """The path (n, 3) of a point in world axes [m]."""
 
     path: tuple[str, ...]
     points: np.ndarray
@@ -65,7 +65,7 @@ class Trail:
 class Animation:
     """Drawn parts and the times at which they are shown: `seconds` of playing of each frame with
     the text of its `clock`; the directions that point `up` and `right` in the view, in world axes,
-    and a length of the model [m]."""
+    and the `size` of the model [m]."""
 
     seconds: np.ndarray
     clock: tuple[str, ...]
@@ -75,7 +75,7 @@ class Animation:
     up: np.ndarray
     right: np.ndarray
     size: float
-    # degrees to the right of the plane of `right` and `up`, and above the horizontal
+    # direction to the camera: degrees to the right of the front view, and above the horizontal
     seen_from: tuple[float, float] = (32.0, 24.0)
     title: str = ""
     notes: tuple[str, ...] = ()  # scales of arrows and of the grid
@@ -86,7 +86,7 @@ class Animation:
 
     @property
     def pauses(self) -> np.ndarray:
-        """How long each frame is shown [s]; the last as long as the one before."""
+        """Time for which each frame is shown [s]; the last one as long as the one before."""
         steps = np.diff(self.seconds)
         return np.append(steps, steps[-1:]) if self.moves else np.zeros(1)
 
@@ -157,8 +157,8 @@ def rod(
     end: np.ndarray,
     opacity: float = 1.0,
 ) -> DrawnPart:
-    """Return a part of unit length along z, placed from one point (n, 3) to another in each
-    frame."""
+    """Return a part that extends from one point (n, 3) to another in each frame; its mesh has
+    length 1 along z."""
     start, end = np.broadcast_arrays(start, end)
     R, length = axes_along_lines(end - start)
     return DrawnPart(

@@ -26,8 +26,8 @@ PIN, CENTER = 0.008, 0.016
 def parts_of_bodies(
     sequence: PoseSequence, size: float, shapes: Mapping[str, tuple[Shape, ...]], opacity: float
 ) -> tuple[list[DrawnPart], list[NameLabel]]:
-    """Return the solid of each body, the ends of elements on it and its center of mass, and the
-    labels with its name."""
+    """Return the parts of each body, namely its solid, the ends of elements on it and its center of
+    mass, and the labels with the names."""
     model, parts, labels = sequence.model, [], []
     own = points_of_frames(sequence)
     for i, name in enumerate(model.layout.bodies):
@@ -72,7 +72,7 @@ def parts_of_bodies(
 def _center_of_mass(
     name: str, com: np.ndarray, size: float, p: np.ndarray, R: np.ndarray, reach: float
 ) -> list[DrawnPart]:
-    """Return the usual sign of a center of mass, a ball of eight octants, alternately black and
+    """Return the usual symbol of a center of mass, a ball of eight octants, alternately black and
     white. `reach`: largest distance of a point of the body from it [m]."""
     ball = sphere(CENTER * size, 16).placed(com)
     middles = ball.vertices[ball.faces].mean(1) - com
@@ -92,7 +92,7 @@ def parts_of_supports(
     sequence: PoseSequence, size: float, up: np.ndarray, shapes: Mapping[str, tuple[Shape, ...]]
 ) -> tuple[list[DrawnPart], list[NameLabel]]:
     """Return the parts and labels of supports: a slab under points in a horizontal plane, a board
-    behind a flat model, and a foot at the end of each line element."""
+    behind a flat model, and a small plate at the end of each line element."""
     model, parts, labels = sequence.model, [], []
     own = points_of_frames(sequence)
     board = _board(sequence, size, up) if len(model.layout.supports) == 1 else None
@@ -133,8 +133,8 @@ def parts_of_supports(
 
 
 def parts_of_joints(sequence: PoseSequence, size: float) -> Iterator[DrawnPart]:
-    """Yield pins of hinges with their axes, balls, and rails of guides, on the frame of the
-    parent."""
+    """Yield the drawn parts of joints: pins of hinges with their axes, balls, and rails of guides,
+    fixed to the frame of the parent."""
     model, r = sequence.model, 0.012 * size
     pin = joined([cylinder(r, -2.2 * r, 2.2 * r), cylinder(0.25 * r, -6 * r, 6 * r, sides=8)])
     rail = cylinder(0.004 * size, -0.1 * size, 0.1 * size, sides=8)
@@ -206,8 +206,8 @@ def up_of(model: Any) -> np.ndarray:
 
 
 def is_flat(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray | None:
-    """Return the horizontal normal of the plane in which all marks of a flat model lie in the first
-    frame, or None for other models."""
+    """Return the horizontal normal of the plane in which all points of a flat model lie in the
+    first frame, or None for other models."""
     places = marks(sequence)[0]
     _, spread, rows = np.linalg.svd(places - places.mean(0), full_matrices=True)
     spread = np.concatenate([spread, np.zeros(3)])[:3]

@@ -1,5 +1,5 @@
 """Closures as drawn parts: rods between their balls, balls, pins of hinges with their axes, rails
-and welds; couplings have no place in space."""
+and welds; couplings have no position in space."""
 
 from typing import Any
 

@@ -32,7 +32,7 @@ from jaxbody.views.scenes.shapes import axes_along
 STEEL, RUBBER, DAMPER, BAR = "#4a525e", "#3a3f47", "#d9a441", COLORS[3]
 # radius of a coil over its length, and its limits relative to the size of the model
 SLENDER, THIN, WIDE = 0.11, 0.010, 0.024
-PITCH = 1.15  # of a coil over its radius
+PITCH = 1.15  # distance of the turns of a coil over its radius
 TUBE = 0.55  # length of a damper's tube over that of the damper in the first frame
 
 
@@ -133,8 +133,8 @@ def _inerter(element: Inerter, name, ends, sequence, size, up) -> list[DrawnPart
 
 @_parts.register(FramePair)
 def _bushing(element: Any, name, ends, sequence, size, up) -> Iterator[DrawnPart]:
-    """Yield a rubber ring on the frame of the second end about a pin on that of the first; of its
-    axes the one nearest to up at rest is the ring's."""
+    """Yield a rubber ring on the frame of the second end about a pin on the frame of the first; the
+    axis of the ring is the bushing axis that is nearest to vertical in the first frame."""
     R_a, R_b = (
         sequence.pose(frame)[1] @ np.asarray(matrix(q))
         for frame, q in zip(
@@ -159,8 +159,8 @@ def _bushing(element: Any, name, ends, sequence, size, up) -> Iterator[DrawnPart
 
 @_parts.register
 def _torsion(element: Torsion, name, ends, sequence, size, up) -> list[DrawnPart]:
-    """Return a flat spiral about the axis on the first frame, with an arm on the second frame at
-    its outer end."""
+    """Return a flat spiral about the axis, fixed to the frame of the first end, and an arm at its
+    outer end, fixed to the frame of the second."""
     R_a, R_b = (sequence.pose(frame)[1] for frame in element.between)
     axes = np.asarray(matrix(element.orientation)) @ axes_along(np.asarray(element.axis, float))
     in_b = R_b[0].T @ R_a[0] @ axes
@@ -176,8 +176,8 @@ def _torsion(element: Torsion, name, ends, sequence, size, up) -> list[DrawnPart
 
 @_parts.register
 def _anti_roll_bar(element: AntiRollBar, name, ends, sequence, size, up) -> Iterator[DrawnPart]:
-    """Yield a bar on the body beside the line between the two wheels at rest, with a lever to each
-    wheel."""
+    """Yield a bar on the body, parallel to the line between the two wheels in the first frame, with
+    a lever to each wheel."""
     left, right, _ = ends
     line, (p, R) = left[0] - right[0], sequence.pose(element.between[2])
     normal = R[0] @ np.asarray(element.axis, float)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 ROUND = 24  # sides of a circle
-SHARP = np.cos(np.deg2rad(35))  # edges between faces that turn more are drawn
+SHARP = np.cos(np.deg2rad(35))  # edges between faces at a larger angle are drawn
 
 
 class Mesh(NamedTuple):

@@ -32,8 +32,8 @@ from jaxbody.views.plots.poses import (
     poses_of,
 )
 
-CYCLE = 40  # frames of a period of a mode
-SECONDS = 2.0  # of a period of a mode as it is played
+CYCLE = 40  # frames in one period of a mode
+SECONDS = 2.0  # playing time of one period of a mode
 TRAVEL = 4.0  # seconds in which the curves of a suspension are played
 
 
@@ -45,7 +45,8 @@ def still(model: Model, state: State | None = None) -> PoseSequence:
 
 
 def along(trajectory: Trajectory, most: int, forces: bool = False) -> PoseSequence:
-    """Return the samples of a motion nearest to equal steps of time, without those after a failure.
+    """Return the poses at those samples of a motion that are nearest to equally spaced times,
+    without samples after a failure.
 
     Args:
         trajectory: the motion.
@@ -146,7 +147,7 @@ def vibrating(
     largest = (
         np.linalg.norm(np.linalg.norm(marks(trials) - marks(rest), axis=-1), axis=0).max() / trial
     )
-    # if nothing is attached away from O, the rotation limits the amplitude
+    # if all points are at origins of bodies, the rotation limits the amplitude
     largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
     factor = (SWING * size if amplitude is None else float(amplitude)) / largest
     steps = np.arange(CYCLE) / CYCLE
@@ -165,9 +166,9 @@ def vibrating(
 
 def over_travel(curves: SuspensionCurves) -> PoseSequence:
     """Return the configurations of a suspension in the order of its curves, in equal steps of time,
-    without those beyond reach.
+    without positions that it cannot reach.
 
-    Error: NONFINITE if none is within reach."""
+    Error: NONFINITE if it can reach none of them."""
     rows = np.flatnonzero(np.asarray(curves.ok))
     if not len(rows):
         raise JaxbodyError(
@@ -195,7 +196,7 @@ def _shown(value: float, unit: str) -> str:
 
 
 def nearest(times: np.ndarray, most: int) -> np.ndarray:
-    """Return the indices of the samples nearest to equal steps of time, at most `most`."""
+    """Return the indices of the samples nearest to equally spaced times, at most `most`."""
     wanted = np.linspace(times[0], times[-1], min(most, len(times)))
     after = np.clip(np.searchsorted(times, wanted), 1, max(len(times) - 1, 1))
     before = after - 1

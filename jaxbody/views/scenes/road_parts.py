@@ -18,12 +18,12 @@ ASPHALT, MARK = "#b9bec7", "#ffffff"
 # tyre's radius
 AHEAD, DASH = 1.5, 0.4
 HUB = 0.28  # radius of the hub of a wheel, over that of the tyre
-MOST_POINTS = 4000  # of a profile
+MOST_POINTS = 4000  # largest number of points of a profile
 
 
 def parts_of_roads(sequence: PoseSequence, size: float) -> list[DrawnPart]:
     """Return wheels for all tyres, a strip of road under each, and the profile under each other
-    support that a Road moves. Wheels one behind the other share a strip."""
+    support that is moved by a Road. Wheels one behind the other share a strip."""
     tyres = _tyres(sequence)
     places = [
         (
@@ -61,8 +61,8 @@ def _tyres(sequence: PoseSequence) -> list[tuple[str, Tyre]]:
 
 
 def hub_of(sequence: PoseSequence, body: str, points: np.ndarray) -> Mesh | None:
-    """Return the hub of the wheel that a body represents, in its axes, or None for a body without a
-    tyre or with points outside of the tyre."""
+    """Return the hub of a body that represents a wheel, in the axes of the body, or None for a body
+    without a tyre or with points outside the tyre."""
     for _, element in _tyres(sequence):
         on, road = element.between
         if on == body:
@@ -78,8 +78,8 @@ def hub_of(sequence: PoseSequence, body: str, points: np.ndarray) -> Mesh | None
 
 
 def _axes_of_road(normal: np.ndarray) -> np.ndarray:
-    """Return the directions forward (x, as of cars), to the left and up as columns, in the frame of
-    a road."""
+    """Return a matrix whose columns are the directions forward (x, as for cars), left and up, in
+    the axes of a road."""
     forward = np.array([1.0, 0, 0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1, 0])
     forward = forward - (forward @ normal) * normal
     forward /= np.linalg.norm(forward)

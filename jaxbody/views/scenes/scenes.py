@@ -25,9 +25,9 @@ from jaxbody.views.scenes.road_parts import parts_of_roads, parts_of_wheel
 from jaxbody.views.scenes.shapes import Shape
 
 SOLID = 0.82  # opacity of a body
-LONGEST = 0.22  # arrow, relative to the size of the model
+LONGEST = 0.22  # length of the longest arrow, relative to the size of the model
 FORCE = COLORS[4]
-# degrees aside and above; aside of several side by side
+# directions to the camera as in `Animation.seen_from`; the first angle for several in a row
 SEEN_FROM, FLAT_SEEN_FROM, IN_A_ROW = (32.0, 24.0), (14.0, 9.0), 16.0
 GAP = 0.35  # between two models side by side, relative to the width of one
 
@@ -144,8 +144,8 @@ def _arrows(sequence: PoseSequence, size: float, scale: float) -> Iterator[Drawn
 
 
 def _names_at_middles(sequence: PoseSequence) -> list[NameLabel]:
-    """Return the labels of elements and of rods; other closures are where bodies have their
-    names."""
+    """Return the labels of elements and of rods at their middles; other closures have none, as they
+    are near the names of bodies."""
     model = sequence.model
     named = [("names of elements", name, model[name]) for name in model.element_names]
     named += [

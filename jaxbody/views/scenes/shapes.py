@@ -1,5 +1,5 @@
 """Shapes of bodies and supports in pictures, given by the user or derived from points, center of
-mass and inertia. They never enter the physics."""
+mass and inertia. They do not affect the model."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from jaxbody.views.scenes.meshes import Mesh, across, box, cylinder, hull, spher
 
 THICK = 0.014  # half the thickness of a plate or rod, relative to the size of the model
 BLOCK = 0.07  # half the edge of the block for a body with a single point
-# of the box of equal mass and inertia: this share of its edges is drawn, so that what is attached
-# stays visible
+# size of the drawn box, relative to the box of equal mass and inertia; it is smaller, so that
+# attached elements stay visible
 INNER = 0.55
-MOST_POINTS = 4  # times the spread of the points: the box is drawn no larger
+MOST_POINTS = 4  # a quarter of this, times the spread of the points, limits half an edge
 
 
 @dataclass(frozen=True)
 class Shape:
-    """The shape of a body or a support in a view, in the axes of its body: made by `Shape.box`,
+    """The shape of a body or a support in a view, in the axes of its body, made by `Shape.box`,
     `cylinder`, `sphere`, `hull` or `file`.
 
     `color` is a color of matplotlib; None takes the default color of the body. `opacity` is between
@@ -56,7 +56,7 @@ class Shape:
             size: its edge lengths along x, y, z [m].
             center: its center, in body axes [m].
             orientation: its orientation in the body.
-            color, opacity: as of every shape.
+            color, opacity: see `Shape`.
 
         Errors: NOT_POSITIVE, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, WRONG_KIND."""
         with Problems() as problems:
@@ -85,7 +85,7 @@ class Shape:
             radius, length: its radius and length [m].
             axis: its direction, in body axes.
             center: its center, in body axes [m].
-            color, opacity: as of every shape.
+            color, opacity: see `Shape`.
 
         Errors: NOT_POSITIVE, ZERO_AXIS, BAD_SHAPE, NON_FINITE, WRONG_KIND."""
         with Problems() as problems:
@@ -113,7 +113,7 @@ class Shape:
         Args:
             radius: its radius [m].
             center: its center, in body axes [m].
-            color, opacity: as of every shape.
+            color, opacity: see `Shape`.
 
         Errors: NOT_POSITIVE, BAD_SHAPE, NON_FINITE, WRONG_KIND."""
         with Problems() as problems:
@@ -173,7 +173,7 @@ class Shape:
             scale: meters per unit of the file, 1e-3 for millimeters.
             center: position of the file's origin, in body axes [m].
             orientation: orientation of the axes of the file in the body.
-            color, opacity: as of every shape.
+            color, opacity: see `Shape`.
 
         Errors: NO_FILE, UNREADABLE, MISSING_EXTRA, NOT_POSITIVE, BAD_SHAPE, NON_FINITE,
         BAD_QUATERNION, WRONG_KIND."""
@@ -221,8 +221,9 @@ def solid_of_body(
 
     Args:
         points: attachments and joints, in body axes (n, 3) [m].
-        com, mass, inertia: of the body, in SI.
-        size: of the model [m], for the thickness and for the block of a body with a single point.
+        com, mass, inertia: center of mass [m], mass [kg] and inertia [kg m2] of the body.
+        size: size of the model [m], for the thickness and for the block of a body with a single
+            point.
     """
     every = np.concatenate([points, com[None]])
     spread = np.linalg.norm(every - com, axis=1).max()
@@ -247,7 +248,7 @@ def _known(x: Any) -> np.ndarray:
 
 
 def _positive(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -> Any:
-    """Return the numbers, checked to be above zero; otherwise ones, with a problem added."""
+    """Return the numbers if all are above zero; otherwise add a problem and return ones."""
     numbers = checked(value, (shape,), where, problems)
     known = None if numbers is None else concrete(numbers)
     if known is not None and not (known > 0).all():
