@@ -65,7 +65,7 @@ def printed(found: list[Block], name: str, *, save: bool = False) -> list[str]:
     """Return what each block prints. A block above a picture leaves a figure of matplotlib, which
     is saved if asked for."""
     names: dict = {"__name__": "__page__"}
-    texts = []
+    texts, options = [], np.get_printoptions()  # which a page may set for itself
     for number, block in enumerate(found):
         out = io.StringIO()
         with contextlib.redirect_stdout(out):
@@ -76,6 +76,7 @@ def printed(found: list[Block], name: str, *, save: bool = False) -> list[str]:
             if save:
                 save_figure(block.picture)
         plt.close("all")
+    np.set_printoptions(**options)
     return texts
 
 
