@@ -86,7 +86,7 @@ def test_every_public_name_has_a_page_with_its_example(pages, site):
             if getattr(inside, name) is not getattr(jb, name, None)
         }
     for name in names:
-        place = f"{name}_class" if name[0].isupper() and name.lower() in names else name
+        place = f"{name}_class" if name != name.lower() and name.lower() in names else name
         page = pages[site / "generated" / "reference" / f"{place}.html"]
         assert "sig-name" in page.text, name
         # the prompt of an example; see the gallery
