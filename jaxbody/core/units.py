@@ -29,6 +29,7 @@ def __dir__():
 
 Dimension = tuple[int, int, int, int, int]
 GRAVITY = 9.80665  # m/s2, standard gravity
+EARTH = (9.7, 9.9)  # m/s2, range of the gravity of the Earth
 POUND = 4.4482216152605  # N
 TURN = 2 * math.pi
 

@@ -24,6 +24,7 @@ from jaxbody.core.arrays import Array, Int, indices, time_text
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
+from jaxbody.core.units import EARTH
 from jaxbody.fitting.experiments.experiments import Experiment
 from jaxbody.fitting.experiments.measurements import (
     Measurement,
@@ -97,7 +98,6 @@ SIGNIFICANT = 4.0  # smallest delay that is reported, in standard errors
 # reported, unless the rest is white noise
 EXPLAINED = 0.5
 
-EARTH = (9.7, 9.9)  # range of the gravity of the Earth [m/s2]
 BETTER = 0.7  # cost ratio below which exchanged channels or reflected axes are reported
 
 

@@ -17,7 +17,7 @@ from jaxbody.core.arrays import Array, Int
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.results import Result
-from jaxbody.core.units import GRAVITY
+from jaxbody.core.units import EARTH, GRAVITY
 from jaxbody.lagrange import potential_energy
 from jaxbody.mechanics.equilibria import equilibrium_of
 from jaxbody.model.joints.kinematics import retract
@@ -35,7 +35,6 @@ SAG = (1e-9, 1.0)  # displacement under gravity over the size of the model
 # SAG for the first mode of a model without gravity, which may be perpendicular to gravity
 SOFT = (1e-9, 5.0)
 DENSITY = (0.01, 1e5)  # mass of all bodies over the cube of the size of the model [kg/m3]
-EARTH = (9.7, 9.9)  # gravity [m/s2]
 STEPS = (1e-6, 0.5)  # sampling step over the period of the first mode
 
 MOST_STEPS = 200  # largest number of steps of the search for the equilibrium
