@@ -233,8 +233,17 @@ class LaserVibrometer(LaserLine):
 
 class LaserDistance(LaserLine):
     """Distance d [m] from the `origin` of a beam fixed in the world, along `axis`, to a plane
-    surface of a body, as read by a triangulation sensor. Arguments and errors: see LaserVibrometer;
-    `origin` and `normal` must be given.
+    surface of a body, as read by a triangulation sensor.
+
+    Args:
+        on: name of the body or support
+        point: a point of the surface in body axes [m]
+        origin: position of the sensor in the world [m], where d is zero
+        axis: direction of the beam in the world, or x, y or z
+        normal: normal of the surface in body axes
+        chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
+
+    Errors: those of LaserVibrometer.
 
     >>> jb.sensors.LaserDistance(
     ...     "plate", [0, 0, 0.1], origin=[0, 0, 1], axis=[0, 0, -1], normal=[0, 0, 1]
