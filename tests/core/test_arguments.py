@@ -310,10 +310,12 @@ def fitted():
 
 KEYED = {
     "measure": lambda fitted, key: jb.measure(simulate(), {"z": PLACE}, noise=1e-3, key=key),
-    "bands": lambda fitted, key: jb.confidence_bands(
+    "confidence_bands": lambda fitted, key: jb.confidence_bands(
         fitted, lambda m: m["s"].stiffness, samples=4, key=key
     ),
-    "coverage": lambda fitted, key: jb.fitting.interval_coverage(fitted, replicates=2, key=key),
+    "interval_coverage": lambda fitted, key: jb.fitting.interval_coverage(
+        fitted, replicates=2, key=key
+    ),
     "tune": lambda fitted, key: tune(key=key, bounds={"s.stiffness": (200.0, 800.0)}, starts=2),
     "sweep": lambda fitted, key: jb.sweep(
         model(), heaviness, {"*.mass": (1.0, 2.0)}, samples=2, key=key

@@ -144,13 +144,13 @@ CALLS = {
         lambda: jb.fitting.multiple_shooting(on_guide(), run(), free=FREE, segments=2),
         "multiple shooting: all segments, slack",
     ),
-    "coverage": (
+    "interval_coverage": (
         lambda: jb.fitting.interval_coverage(jb.fit(on_guide(), run(), free=FREE), replicates=16),
-        "coverage: 16 of 16 replicates",
+        "interval_coverage: 16 of 16 replicates",
     ),
-    "profile": (
+    "profile_likelihood": (
         lambda: jb.profile_likelihood(jb.fit(on_guide(), run(), free=FREE), FREE[0]),
-        "profile: point 1 below the estimate, tau",
+        "profile_likelihood: point 1 below the estimate, tau",
     ),
     "diagnose": (lambda: jb.diagnose(on_guide(), run()), "diagnose: 'run'"),
     "tune": (
