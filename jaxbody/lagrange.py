@@ -34,7 +34,7 @@ from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import axial, dot, rotate, rotate_back
 from jaxbody.model.element_states import apart, holding
 from jaxbody.model.inputs.loads import Load
-from jaxbody.model.joints.closure_tables import gaps, rank
+from jaxbody.model.joints.closure_tables import gaps_displaced, rank
 from jaxbody.model.joints.element_tables import (
     completed,
     each_element,
@@ -140,9 +140,7 @@ def L(model: Model, state: State, *small: Array) -> Float[Array, ""]:
 def c(model: Model, state: State, delta: Array, xi: Array) -> Float[Array, "nc"]:
     """Return the conditions c of all closures at q (+) Delta on supports displaced by Xi [m]."""
     coordinates = Coordinates(model)
-    q = coordinates.retract(state.q, delta)
-    supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
-    return gaps(model, coordinates, coordinates.frames(q, jnp.zeros_like(delta), supports), q)
+    return gaps_displaced(coordinates, coordinates.retract(state.q, delta), xi)
 
 
 def Q(

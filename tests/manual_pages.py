@@ -13,12 +13,13 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from PIL import Image  # of matplotlib's own requirements
 
 DOCS = Path(__file__).parents[1] / "examples" / "docs"
+sys.path.append(str(DOCS.parent / "images"))
+import draw  # noqa: E402
+
 FENCE = re.compile(r"^```(?P<kind>[^\n`]*)\n(?P<text>.*?)^```\n", re.M | re.S)
 PICTURE = re.compile(r"\s*!\[[^\]]*\]\((?P<path>\S*images/pages/\S+\.png)\)")
-COLORS = 64  # a palette of so many keeps a picture small, without a difference that is seen
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
@@ -65,26 +66,19 @@ def printed(found: list[Block], name: str, *, save: bool = False) -> list[str]:
     """Return what each block prints. A block above a picture leaves a figure of matplotlib, which
     is saved if asked for."""
     names: dict = {"__name__": "__page__"}
-    texts, options = [], np.get_printoptions()  # which a page may set for itself
-    for number, block in enumerate(found):
-        out = io.StringIO()
-        with contextlib.redirect_stdout(out):
-            exec(compile(block.code, f"{name}, block {number + 1}", "exec"), names)
-        texts.append(out.getvalue())
-        if block.picture:
-            assert plt.get_fignums(), f"{name}: there is no figure for {block.picture.name}"
-            if save:
-                save_figure(block.picture)
-        plt.close("all")
-    np.set_printoptions(**options)
+    texts = []
+    with np.printoptions():  # which a page may set for itself
+        for number, block in enumerate(found):
+            out = io.StringIO()
+            with contextlib.redirect_stdout(out):
+                exec(compile(block.code, f"{name}, block {number + 1}", "exec"), names)
+            texts.append(out.getvalue())
+            if block.picture:
+                assert plt.get_fignums(), f"{name}: there is no figure for {block.picture.name}"
+                if save:
+                    draw.save(plt.gcf(), block.picture)
+            plt.close("all")
     return texts
-
-
-def save_figure(path: Path) -> None:
-    plt.gcf().savefig(path, dpi=110)
-    with Image.open(path) as image:
-        image.convert("RGB").quantize(COLORS).save(path, optimize=True)
-    print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
 
 
 def assert_same(shown: str, text: str) -> None:

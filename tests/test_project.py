@@ -418,7 +418,7 @@ def test_the_root_has_what_a_first_script_needs():
     assert 70 <= len(EXPORTED) <= 90
 
 
-@pytest.mark.parametrize("package", [jb, jb.laws], ids=["jaxbody", "laws"])
+@pytest.mark.parametrize("package", [jb, jb.laws, jb.plots], ids=["jaxbody", "laws", "plots"])
 def test_an_old_name_is_refused_with_the_new_one(package):
     successor = inspect.getclosurevars(package.__getattr__).nonlocals["successor"]
     renamed = inspect.getclosurevars(successor).nonlocals["renamed"]

@@ -7,12 +7,9 @@ import sys
 from pathlib import Path
 
 import matplotlib
-
-matplotlib.use("Agg")
 from PIL import Image  # of matplotlib's own requirements
 
 HERE = Path(__file__).resolve().parent
-os.chdir(HERE.parent)  # where Jupyter runs them
 COLORS = 64  # a palette of so many keeps a picture small, without a difference that is seen
 
 
@@ -25,9 +22,16 @@ def notebooks() -> list[Path]:
     ]
 
 
-for path in [HERE.parent / f"{name}.py" for name in sys.argv[1:]] or notebooks():
-    picture = HERE / f"{path.stem}.png"
-    runpy.run_path(str(path))["figure"].savefig(picture, dpi=110)
+def save(figure, picture: Path) -> None:
+    """Save a figure of matplotlib with few colors."""
+    figure.savefig(picture, dpi=110)
     with Image.open(picture) as image:
         image.convert("RGB").quantize(COLORS).save(picture, optimize=True)
     print(f"{picture}: {picture.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    matplotlib.use("Agg")
+    os.chdir(HERE.parent)  # where Jupyter runs them
+    for path in [HERE.parent / f"{name}.py" for name in sys.argv[1:]] or notebooks():
+        save(runpy.run_path(str(path))["figure"], HERE / f"{path.stem}.png")

@@ -176,27 +176,32 @@ def _prepare(options: argparse.Namespace) -> None:
 
 def _new(options: argparse.Namespace) -> int:
     """Print the file of a ready model or of a mount table, or list the ready models."""
-    ready = [name for name in dir(jb.presets) if name[0] != "_"]
-    if options.mounts is None and options.model is None:
-        print("Ready models: " + ", ".join(ready))
-        return 0
-    chosen = [name for name in ready if name.startswith(options.model or "")]
-    if options.model in ready:
-        chosen = [options.model]
-    if options.mounts is None and len(chosen) != 1:
-        raise JaxbodyError(unknown(options.model, "new", tuple(ready)))
-    _use_x64()
-    from jaxbody.app import new_files
+    if options.mounts is not None:
+        _use_x64()
+        from jaxbody.app.new_files import text_of_mounts
 
-    if options.mounts is None:
-        print(new_files.text_of(chosen[0]), end="")
-    else:
-        print(new_files.text_of_mounts(options.mounts), end="")
+        print(text_of_mounts(options.mounts), end="")
         print(
             f"Mass, center of mass and inertia are not in {options.mounts.name}: replace the "
             "placeholders in the file.",
             file=sys.stderr,
         )
+        return 0
+    ready = dir(jb.presets)
+    if options.model is None:
+        print("Ready models: " + ", ".join(ready))
+        return 0
+    chosen = (
+        [options.model]
+        if options.model in ready
+        else [name for name in ready if name.startswith(options.model)]
+    )
+    if len(chosen) != 1:
+        raise JaxbodyError(unknown(options.model, "new", tuple(ready)))
+    _use_x64()
+    from jaxbody.app.new_files import text_of
+
+    print(text_of(chosen[0]), end="")
     return 0
 
 
@@ -234,11 +239,12 @@ def _on_file(options: argparse.Namespace) -> int:
         save(outcome, options.out)
         print(f"saved {options.out}")
     ok = all(np.all(getattr(result, "ok", True)) for result in outcome.results)
-    if outcome.space is not None and options.write and not ok:
-        print(f"{options.file} stays as it was, as the status is not ok")
-    elif outcome.space is not None and options.write:
-        from jaxbody.app.file_updates import update
+    if outcome.space is not None and options.write:
+        if ok:
+            from jaxbody.app.file_updates import update
 
-        left = update(options.file, document, outcome.space, outcome.trees)
-        print(f"wrote {options.file}" + (f"; not in it: {', '.join(left)}" if left else ""))
+            left = update(options.file, document, outcome.space, outcome.trees)
+            print(f"wrote {options.file}" + (f"; not in it: {', '.join(left)}" if left else ""))
+        else:
+            print(f"{options.file} stays as it was, as the status is not ok")
     return 0 if ok else 1

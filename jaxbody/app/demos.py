@@ -43,7 +43,6 @@ def run(out: Path, seed: int) -> int:
         with TemporaryFile(dir=out):  # test that the folder can be written to
             pass
 
-    jax.config.update("jax_enable_x64", True)
     import optax
 
     l, m, g, kt = 0.7, 3.0, 9.81, 120.0

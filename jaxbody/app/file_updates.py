@@ -32,7 +32,8 @@ def update(path: Path, document: Document, space: Space, trees: dict[str, Any]) 
     content: Any = tomlkit.parse(text) if is_toml else json.loads(text)
     system = unit_system(document.values.get("units"), "units", Problems())
     for run, leaf in (place for parameter in space.parameters for place in parameter.places):
-        place = (_run_place if run else _place)(document.values, leaf.path)
+        find = _run_place if run else _place
+        place = find(document.values, leaf.path)
         if place is None:
             left.append(leaf.path)
             continue

@@ -111,8 +111,9 @@ def save(outcome: Any, path: Path) -> None:
 
 def _tables(outcome: Any) -> list[PrintedTable]:
     """Return the tables of an outcome."""
-    if outcome.text or outcome.series:
-        return [(outcome.text or outcome.series)()]
+    made = outcome.text or outcome.series
+    if made:
+        return [made()]
     return [
         table
         for result in outcome.results

@@ -228,8 +228,15 @@ def error_codes() -> str:
 
 def check_known(name: Any, where: str, known: Iterable[Any]) -> None:
     """Raise UNKNOWN_NAME unless a name is one of the known names."""
-    if name not in (names := tuple(known)):
-        raise JaxbodyError(unknown(name, where, names))
+    check_all_known((name,), where, known)
+
+
+def check_all_known(names: Iterable[Any], where: str, known: Iterable[Any]) -> None:
+    """Raise one error that lists UNKNOWN_NAME for each unknown name."""
+    known = tuple(known)
+    problems = [unknown(name, where, known) for name in names if name not in known]
+    if problems:
+        raise JaxbodyError(*problems)
 
 
 def unknown(name: str, where: str, known: tuple[str, ...]) -> Problem:

@@ -137,14 +137,13 @@ def new_operation(
     primitive.def_impl(compute)
     primitive.def_abstract_eval(typed or functools.partial(_type_of, compute))
     mlir.register_lowering(primitive, lowered or mlir.lower_fun(compute, multiple_results=several))
-    for rules, rule in (
-        (batching.primitive_batchers, batch),
-        (ad.primitive_jvps, jvp),
-        (ad.primitive_transposes, transpose),
-    ):
-        if rule is not None:
-            rules[primitive] = rule
-    if jvp is None and transpose is not None:
+    if batch is not None:
+        batching.primitive_batchers[primitive] = batch
+    if jvp is not None:
+        ad.primitive_jvps[primitive] = jvp
+    if transpose is not None and jvp is not None:
+        ad.primitive_transposes[primitive] = transpose
+    elif transpose is not None:
         ad.deflinear2(primitive, transpose)
     return primitive
 

@@ -74,7 +74,7 @@ class Result(tables.Printed, eqx.Module):
     def to_pandas(self) -> Any:
         """Return the first of the printed tables as a pandas.DataFrame; `attrs["units"]` {column:
         unit}. Error: MISSING_EXTRA."""
-        table = self._tables()[0]
+        table = tables.in_numpy(self)._tables()[0]
         return frame_of_table(table.columns, table.rows)
 
     def to_xarray(self) -> Any:

@@ -4,6 +4,7 @@ increase of each parameter."""
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -48,18 +49,13 @@ class Sensitivities(OfQuantities):
         )
 
     def _tables(self) -> list[tables.PrintedTable]:
-        rows = [
-            (
-                "" if k else name,
-                "" if k else self.nominal[row],
-                self.parameters[i],
-                self.slopes[row, i],
-                self.low[row, i],
-                self.high[row, i],
-            )
-            for row, name in enumerate(self.quantities)
-            for k, i in enumerate(self.order(name)[:SHOWN])
-        ]
+        rows: list[tuple[Any, ...]] = []
+        for row, name in enumerate(self.quantities):
+            first: tuple[Any, ...] = (name, self.nominal[row])
+            for i in self.order(name)[:SHOWN]:
+                changes = self.slopes[row, i], self.low[row, i], self.high[row, i]
+                rows.append((*first, self.parameters[i], *changes))
+                first = ("", "")
         heads = (
             "quantity",
             "value",

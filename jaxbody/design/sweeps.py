@@ -314,7 +314,8 @@ def _quantities_of(evaluate: Evaluate, paths: list[str]) -> Callable[..., Any]:
 def sweep_dataset(columns: dict[str, Any], quantities: dict[str, Any], *, on_grid: bool) -> Any:
     """Return the dataset of a sweep: each quantity over the axes of the grid, or over `sample`."""
     axes = tuple(columns) if on_grid else ("sample",)
-    lengths = tuple(map(len, columns.values()))[: len(axes)]
+    lengths = tuple(len(values) for values in columns.values())
+    lengths = lengths if on_grid else lengths[:1]  # samples: all columns are of one length
     variables = variables_over(
         axes, {name: x.reshape(*lengths, *x.shape[1:]) for name, x in quantities.items()}
     )

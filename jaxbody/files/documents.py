@@ -106,17 +106,16 @@ def parse_document(text: str, name: str, kind: str = "toml") -> Document:
                 hint="Begin with {.",
             )
         )
-    document.values = _with_current_types(document.values)
     return document
 
 
-def _with_current_types(value: Any) -> Any:
+def with_current_types(value: Any) -> Any:
     """Return a value of a document with earlier names of types replaced by the current ones."""
     if isinstance(value, list):
-        return [_with_current_types(each) for each in value]
+        return [with_current_types(each) for each in value]
     if not isinstance(value, dict):
         return value
-    current = {name: _with_current_types(each) for name, each in value.items()}
+    current = {name: with_current_types(each) for name, each in value.items()}
     if isinstance(current.get("type"), str):
         current["type"] = EARLIER_TYPES.get(current["type"], current["type"])
     return current

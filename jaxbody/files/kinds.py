@@ -199,13 +199,11 @@ def definition_of(section: str, type_name: Any = None) -> str:
 @functools.cache
 def arguments_of(kind: type) -> tuple[Argument, ...]:
     """Return the arguments of a class."""
-    defaults = {
-        each.name: each.default
-        for each in inspect.signature(kind).parameters.values()
-        if each.kind not in (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    }
-    if issubclass(kind, Sensor):
-        defaults |= dict.fromkeys(kind.stages)
+    parameters = inspect.signature(kind).parameters.values()
+    starred = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    defaults = {each.name: each.default for each in parameters if each.kind not in starred}
+    if issubclass(kind, Sensor) and any(each.kind in starred[1:] for each in parameters):
+        defaults |= dict.fromkeys(kind.stages)  # by **chain
     known, texts = {each.name: each for each in fields(kind)}, texts_of(kind)
     arguments = []
     for name, default in defaults.items():

@@ -76,7 +76,8 @@ def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | Non
     stated = SI if stated == "SI" else stated
     given = set(stated) if isinstance(stated, dict) else set()
     missing = {"length", "time", "angle"} - given
-    missing |= set() if given & {"mass", "force"} else {"mass or force"}
+    if not given & {"mass", "force"}:
+        missing |= {"mass or force"}
     others = sorted(given - set(BASE))
     if missing or others:
         messages = [f"has no {' and no '.join(sorted(missing))}"] * bool(missing)

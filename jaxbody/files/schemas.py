@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
-from jaxbody.files.documents import Document, EntryPath
+from jaxbody.files.documents import Document, EntryPath, with_current_types
 from jaxbody.files.quantities import (
     coordinate_units,
     in_SI,
@@ -60,6 +60,7 @@ def checked_values(document: Document) -> dict[str, Any]:
     Errors: FILE_VERSION, UNKNOWN_NAME, UNKNOWN_BODY, MISSING_ENTRY, WRONG_KIND, those
     of quantities."""
     _check_version(document)
+    document.values = with_current_types(document.values)
     with Problems() as problems:
         check = Check(document, problems)
     with problems:

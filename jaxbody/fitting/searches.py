@@ -166,6 +166,8 @@ def by_scipy(evaluate: Evaluations, u, limits: Bounds) -> tuple[np.ndarray, bool
     residual of NaN is a rejected step."""
     from scipy.optimize import least_squares
 
+    # before the next line, which may count an evaluation
+    left = max(evaluate.max_evaluations - evaluate.count, 1)
     # the first trust region then depends on u and not on the noise level
     size = np.linalg.norm(evaluate(u)[0]) or 1.0
 
@@ -185,7 +187,7 @@ def by_scipy(evaluate: Evaluations, u, limits: Bounds) -> tuple[np.ndarray, bool
             jacobian,  # pyright: ignore[reportArgumentType]  SciPy takes functions, too
             limits,
             x_scale="jac", xtol=1e-11, ftol=1e-15, gtol=1e-15,
-            max_nfev=max(evaluate.max_evaluations - evaluate.count, 1),
+            max_nfev=left,
         )  # fmt: skip
     except _NearOptimum as near:
         return gauss_newton(evaluate, near.u, True, limits)

@@ -60,8 +60,7 @@ def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
     change, moment = dynamics.acceleration(t, state.q, state.v), t + ahead
     v = state.v + ahead * jnp.where(jnp.isfinite(change), change, 0.0)
     moved = State(coordinates.retract(state.q, ahead * state.v), v, state.z)
-    supports = coordinates.supports_moving(motions, moment)
-    now = coordinates.frames(moved.q, v, supports).at_time(moment, moved)
+    now = frames_at_time(model, motions, moment, moved)
 
     def numbers(element, *frames):
         e, rate = element.rates(*frames)
@@ -108,8 +107,7 @@ def _changes(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
     )
 
     def forces(t, state):
-        supports = coordinates.supports_moving(motions, t)
-        now = coordinates.frames(state.q, state.v, supports).at_time(t, state)
+        now = frames_at_time(model, motions, t, state)
         accelerations = [
             jnp.sum(model.bodies.rows.mass)
             * jax.jvp(jax.jacfwd(motion), (t,), (jnp.ones_like(t),))[1][:3]
@@ -250,13 +248,15 @@ def _messages(model: Model, moments: list[Any]) -> list[tuple[str, str]]:
     the time as text for these elements, None for others."""
     messages = []
     for table, rows in zip(model.elements, moments, strict=False):
-        code, what, remedy = table.rows.jump or ("", "", "")
         jumping = [
-            f"'{name}' {what}{moment}"
+            (name, moment)
             for name, moment in zip(table.names, rows, strict=True)
             if moment is not None
         ]
-        messages += [(code, f"{', '.join(jumping)}; {remedy}")] if jumping else []
+        if jumping:
+            code, what, remedy = table.rows.jump
+            listed = ", ".join(f"'{name}' {what}{moment}" for name, moment in jumping)
+            messages.append((code, f"{listed}; {remedy}"))
     return messages
 
 

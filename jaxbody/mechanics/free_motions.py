@@ -20,7 +20,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.mechanics.constraints import CLOSED, RANK, closed, how_open, values_and_slopes
-from jaxbody.model.joints.closure_tables import gaps, gaps_at
+from jaxbody.model.joints.closure_tables import gaps_at, gaps_displaced
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import scale_of, scaled, size_of
@@ -148,17 +148,8 @@ def slopes_by_supports(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float
     supports."""
     layout = coordinates.model.layout
     zero = jnp.zeros((len(layout.supports), 6), q.dtype)
-    J = jax.jacfwd(lambda xi: _gaps_displaced(coordinates, q, xi))(zero)
+    J = jax.jacfwd(lambda xi: gaps_displaced(coordinates, q, xi))(zero)
     return J.reshape(len(J), layout.nxi)
-
-
-def _gaps_displaced(
-    coordinates: Coordinates, q: Float[Array, "nq"], xi: Float[Array, "ns 6"]
-) -> Float[Array, "n"]:
-    """Return c at q on supports displaced by Xi."""
-    supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
-    frames = coordinates.frames(q, jnp.zeros(coordinates.model.layout.nv, q.dtype), supports)
-    return gaps(coordinates.model, coordinates, frames, q)
 
 
 def speeds_on_closures(
@@ -263,6 +254,6 @@ def closure_stiffness(
 
     def work(x):
         moved = coordinates.retract(q, x[: layout.nv])
-        return multipliers @ _gaps_displaced(coordinates, moved, x[layout.nv :].reshape(-1, 6))
+        return multipliers @ gaps_displaced(coordinates, moved, x[layout.nv :].reshape(-1, 6))
 
     return jax.hessian(work)(jnp.zeros(layout.nv + layout.nxi, q.dtype))

@@ -33,11 +33,12 @@ from jaxbody.model.joints.element_tables import completed
 from jaxbody.model.joints.kinematics import (
     Coordinates,
     Motions,
+    coordinates_at_rest,
     displacements,
     imposed,
     rest_poses,
 )
-from jaxbody.model.models import Model, at_rest_in
+from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_independent, check_precision, check_state
 from jaxbody.model.sizes import size_of
 from jaxbody.model.states import State
@@ -84,9 +85,8 @@ def _start(coordinates: Coordinates, on_supports: Coordinates):
         return on_supports.reference.q
     moved = on_supports.supports[0] @ coordinates.supports[0].inverse()
     bodies = jax.vmap(lambda pose: moved @ pose)(coordinates.bodies)
-    return at_rest_in(
-        on_supports.model, rest_poses(on_supports.model, on_supports.supports, bodies)
-    ).q
+    model = on_supports.model
+    return coordinates_at_rest(model, rest_poses(model, on_supports.supports, bodies))
 
 
 def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str) -> State | None:

@@ -173,7 +173,8 @@ class Layout:
     def rows_of(self, owners: tuple[str, ...], x: Array, slices: dict[str, slice]) -> Array:
         """Return the numbers of some owners of one kind from a vector with these slices, one row
         for each owner."""
-        return x[np.array([np.r_[slices[name]] for name in owners], dtype=int)]
+        rows = [range(slices[name].start, slices[name].stop) for name in owners]
+        return x[np.array(rows, dtype=int)]
 
     def joined(self, pieces: list[tuple[tuple[str, ...], Array]]) -> Array:
         """Join the rows of groups of owners, [(owners, rows)], in the order of the blocks with

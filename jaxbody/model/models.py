@@ -35,9 +35,9 @@ from jaxbody.model.elements.user_energies import (
 from jaxbody.model.joints.joints import Free, Joint
 from jaxbody.model.joints.kinematics import (
     Coordinates,
-    at_rest_in,
-    drawn_poses,
+    coordinates_at_rest,
     jacobian,
+    poses_of,
 )
 from jaxbody.model.laws.laws import Law
 from jaxbody.model.layouts import WORLD, Layout
@@ -194,13 +194,7 @@ class Model(tables.Printed, eqx.Module):
     @property
     def names(self) -> tuple[str, ...]:
         """All names of bodies, supports, elements, energies, dissipations and closures."""
-        return (
-            self.layout.bodies
-            + self.layout.supports
-            + self.element_names
-            + self.energy_names
-            + self.closure_names
-        )
+        return self.layout.bodies + self.layout.supports + self.owner_names + self.closure_names
 
     @property
     def element_names(self) -> tuple[str, ...]:
@@ -210,6 +204,11 @@ class Model(tables.Printed, eqx.Module):
     def energy_names(self) -> tuple[str, ...]:
         """The names of the energies and dissipations written by the user."""
         return tuple(name for table in self.elements[len(self.attached) :] for name in table.names)
+
+    @property
+    def owner_names(self) -> tuple[str, ...]:
+        """The names of elements, energies and dissipations, in the order of their tables."""
+        return tuple(name for table in self.elements for name in table.names)
 
     @property
     def attached(self) -> tuple[KindTable, ...]:
@@ -335,11 +334,11 @@ def refuse_batch(model: Model, where: str) -> None:
         )
 
 
-def _cell(element: Element, name: str) -> Any:
+def _cell(part: Any, name: str) -> Any:
     """Return a number, whose unit is in the heading, or the text of a law with its numbers and
     units."""
-    value = getattr(element, name)
-    return text_of(element, name) if isinstance(value, Law) else value
+    value = getattr(part, name)
+    return text_of(part, name) if isinstance(value, Law) else value
 
 
 @program
@@ -350,9 +349,15 @@ def drawn_reference(model: Model) -> State:
 
 def pose_at_reference(model: Model, name: str) -> Pose:
     """Return the pose of a body, a support or the world in the reference pose."""
-    coordinates = Coordinates(model)
-    poses = drawn_poses(coordinates.supports, coordinates.bodies)
-    row = model.layout.frame(name)
+    if name == WORLD:
+        dtype = model.gravity.dtype
+        return Pose(jnp.zeros(3, dtype), jnp.eye(3, dtype=dtype))
+    layout = model.layout
+    is_support = name in layout.supports
+    names, table = (
+        (layout.supports, model.supports) if is_support else (layout.bodies, model.bodies)
+    )
+    poses, row = poses_of(table), names.index(name)
     return Pose(poses.p[row], poses.R[row])
 
 
@@ -388,14 +393,14 @@ def _closure_slopes(
     length = jnp.max(jnp.abs(jnp.concatenate(points)), initial=0.0)
     length = jnp.where(length > 0, length, 1.0)
     delta = delta * jnp.where(layout.turns, 1.0, length)
-    q = coordinates.retract(at_rest_in(model, coordinates.rest).q, delta)
+    q = coordinates.retract(coordinates_at_rest(model, coordinates.rest), delta)
     frames, axes = coordinates.frames_and_axes(
         q, jnp.zeros_like(delta), coordinates.supports.at_rest()
     )
     twists = jnp.concatenate(jacobian(layout, frames, *axes), -1)
     still = jnp.zeros((layout.first_body, *twists.shape[1:]), q.dtype)
     poses, twists = frames.pose(), jnp.concatenate([still, twists])
-    drawn = drawn_poses(coordinates.supports, coordinates.bodies)
+    drawn = coordinates.in_world
 
     def ends(table: KindTable):
         """Return the poses of both ends, their twists per unit of each speed, and the pose of the

@@ -80,7 +80,7 @@ def drawn_apart(model: Model) -> list[str]:
 
 
 def options_of_motion(model: Model, *times: Float[Array, "*nt"]) -> Options:
-    """Return the XLA compiler options for a simulation at these times [s]: OPTIMIZED for long ones;
+    """Return the compiler options for a simulation at these times [s]: OPTIMIZED for long ones;
     with closures or memory each step takes several times as long."""
     if times and (model.closures or model.layout.nz or not is_concrete(times)):
         return OPTIMIZED

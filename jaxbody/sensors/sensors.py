@@ -281,8 +281,10 @@ class Sensor(Described, Channel):
         for name, value in chain.items():
             if name not in Chain.__annotations__:
                 raise TypeError(f"{kind} has no argument '{name}'")
+            if value is None:
+                continue
             where, shape = f"{kind}.{name}", shapes.get(name, ())
-            if value is not None and name not in self.stages:
+            if name not in self.stages:
                 problems.add(
                     "BAD_CHAIN",
                     where,
@@ -290,11 +292,11 @@ class Sensor(Described, Channel):
                     value=value,
                     limit=", ".join(self.stages),
                 )
-            elif value is not None:
-                one_or_all = ((), shape) if shape and "gain" in self.stages else (shape,)
-                array = checked(value, one_or_all, where, problems)
-                if array is not None:
-                    setattr(self, name, in_domain(array, kind_of(self, name), where, problems))
+                continue
+            one_or_all = ((), shape) if shape and "gain" in self.stages else (shape,)
+            array = checked(value, one_or_all, where, problems)
+            if array is not None:
+                setattr(self, name, in_domain(array, kind_of(self, name), where, problems))
         if self.start is not None and self.lag is None:
             problems.add(
                 "BAD_CHAIN",

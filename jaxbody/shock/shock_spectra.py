@@ -204,9 +204,9 @@ def shock_spectrum(
         f = problems.gather(lambda: checked_frequencies(frequencies, "shock_spectrum.frequencies"))
         zeta = check_dampings(damping, "shock_spectrum.damping", problems)
         check_one_of(kind, KINDS, "BAD_KIND", "shock_spectrum.kind", problems)
-        options = {"side": (side, SIDES), "peaks": (peaks, PEAKS), "part": (part or "both", PARTS)}
-        for name, (option, known) in options.items():
-            check_one_of(option, known, "BAD_OPTION", f"shock_spectrum.{name}", problems)
+        check_one_of(side, SIDES, "BAD_OPTION", "shock_spectrum.side", problems)
+        check_one_of(peaks, PEAKS, "BAD_OPTION", "shock_spectrum.peaks", problems)
+        check_one_of(part or "both", PARTS, "BAD_OPTION", "shock_spectrum.part", problems)
         if isinstance(samples, tuple) and f is not None and peaks in PEAKS:
             check_record(
                 samples, concrete(f), peaks, "shock_spectrum.record", problems, whole=part is None

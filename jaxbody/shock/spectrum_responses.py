@@ -517,7 +517,7 @@ def check_covered(
                     f"{', '.join(listed)}{', ...' * (wrong.size > 6)}",
                     value=wrong,
                     limit=f"{low:.6g} to {high:.6g} Hz, damping ratios {least:.4g} to {most:.4g}",
-                    hint="Compute it there, give the record itself, state damping=, or "
+                    hint="Compute it there, give the record itself, state modal_damping=, or "
                     "highest= for rigid modes.",
                 )
 

@@ -15,7 +15,7 @@ from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, checked, is_concrete, rows_or_nan
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.datasets import Labeled, dataset
-from jaxbody.core.errors import JaxbodyError, Problems, Status, check_known, unknown
+from jaxbody.core.errors import Problems, Status, check_known, unknown
 from jaxbody.core.results import Result, warn_if_failed, without_derivatives
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import axial, cross, dot, product, rotate
@@ -294,8 +294,8 @@ def arguments_of(
     check_known(wheel.on, f"{where}.wheel.on", frames)
     targets = _targets(drives, over, where)
     steering = steer if steer is not None else (drives[1].name if len(drives) > 1 else None)
-    if steering is not None and steering not in drive:
-        raise JaxbodyError(unknown(steering, f"{where}.steer", tuple(drive)))
+    if steering is not None:
+        check_known(steering, f"{where}.steer", drive)
     if is_concrete(model):
         _check_determined(model, drives, wheel, where, resting)
     return model, drives, targets, wheel, steering

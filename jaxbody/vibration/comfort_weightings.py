@@ -127,7 +127,7 @@ def weighted_response(response: RandomResponse, weights: dict[str, str]) -> Rand
             if output not in response.outputs:
                 problems.collected.append(unknown(output, "weighted_response", response.outputs))
                 continue
-            where = f"weighted[{output!r}]"
+            where = f"weighted_response[{output!r}]"
             check_one_of(name, WEIGHTINGS, "BAD_WEIGHTING", where, problems, HINT)
             unit = response.units[response.outputs.index(output)]
             if unit != _unit(name):

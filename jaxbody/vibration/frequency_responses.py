@@ -320,7 +320,7 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
     UNKNOWN_NAME, BAD_SHAPE, NEGATIVE."""
     if given is None:
         return None
-    names = model.element_names + model.energy_names
+    names = model.owner_names
     factors = given if isinstance(given, dict) else dict.fromkeys(names, given)
     with Problems() as problems:
         problems.collected += [unknown(name, where, names) for name in factors if name not in names]

@@ -78,7 +78,7 @@ class ModeEnergies(Labeled, Result):
     def owners(self) -> tuple[str, ...]:
         """The names of elements and of the user's own energies, in the order of strain and
         dissipation."""
-        return self.model.element_names + self.model.energy_names
+        return self.model.owner_names
 
     @property
     def strain(self) -> dict[str, Float[Array, "n"]]:
@@ -336,7 +336,7 @@ def _energies_of_inner(at: Configuration, whole: Float[Array, "n m"]):
     x, y = whole[: layout.nv], whole[layout.nv :]
     k, n = len(y), layout.nv
     owners = [block.owner for block in layout.blocks for _ in block.states]
-    names = at.model.element_names + at.model.energy_names
+    names = at.model.owner_names
     of_elements = np.array(
         [[owners[i] == name for i in layout.inertial] for name in names], whole.dtype
     )

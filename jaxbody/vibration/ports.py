@@ -197,8 +197,16 @@ def rows_of(
             unit"""
     model, zero = lin.model, jnp.zeros(len(F), F.dtype)
 
-    reads_elements = any(isinstance(sensor, LoadCell) for sensor in sensors)
-    elements = _by_name(model, at) if reads_elements else {}
+    def reads_element(sensor: Sensor) -> bool:
+        """Return whether the rows of a sensor are those of the derivatives of its element."""
+        of_force = isinstance(sensor, LoadCell)
+        return of_force and not (lin.inner or sensor.needs_accelerations(model))
+
+    elements = _by_name(model, at) if any(map(reads_element, sensors)) else {}
+    held = None  # force on the supports
+    if any(reads_matrices(sensor, model) for sensor in sensors):
+        held = slope(at)[model.layout.nv :]
+        held = held if lin.dependent is None else held + lin.dependent.reaction
 
     def in_closed_form(sensor: Sensor) -> _Rows | None:
         """Return the rows of a sensor that need no derivatives of its reading; None if there are
@@ -207,7 +215,7 @@ def rows_of(
             moved = sensor.rows(model, at.frames, twists).reshape(len(F), -1).T
             Y = jnp.zeros((3, *moved.shape), F.dtype).at[sensor.order].set(moved)
             return _Rows(Y, jnp.zeros((len(moved), F.shape[1]), F.dtype))
-        if isinstance(sensor, LoadCell) and not (lin.inner or sensor.needs_accelerations(model)):
+        if isinstance(sensor, LoadCell) and reads_element(sensor):
             i, derivatives = elements[sensor.on]
             k = sensor.component or 0
             J = (
@@ -217,7 +225,7 @@ def rows_of(
             )
             Y = jnp.stack([derivatives.stiffness[k] @ J, derivatives.damping[k] @ J, zero])[:, None]
             return _Rows(Y, jnp.zeros((1, F.shape[1]), F.dtype), (i,))
-        return _reaction_rows(lin, at, sensor, F) if reads_matrices(sensor, model) else None
+        return _reaction_rows(lin, held, sensor, F) if reads_matrices(sensor, model) else None
 
     known = [in_closed_form(sensor) for sensor in sensors]
     others = [sensor for sensor, row in zip(sensors, known, strict=True) if row is None]
@@ -245,7 +253,7 @@ def _by_name(model: Model, at: Configuration) -> dict[str, tuple[int, ElementDer
         for derivatives in element_derivatives(at)
         for i in range(len(derivatives.J))
     ]
-    return dict(zip(model.element_names + model.energy_names, enumerate(rows), strict=True))
+    return dict(zip(model.owner_names, enumerate(rows), strict=True))
 
 
 def _read_rows(
@@ -304,18 +312,16 @@ def _read_rows(
     ]
 
 
-def _reaction_rows(lin: Any, at: Configuration, sensor: Any, F: Float[Array, "n nu"]) -> _Rows:
-    """Return minus the rows of K, C and M of a support's motion, and the forces on it. To the rows
-    of a moment m, phi x m/2 is added: the moment equals dV/dphi only at the rotation vector phi =
-    0; in general m = J(phi)^-T dV/dphi."""
+def _reaction_rows(lin: Any, held: Any, sensor: Any, F: Float[Array, "n nu"]) -> _Rows:
+    """Return minus the rows of K, C and M of a support's motion, and the forces on it; `held`:
+    forces and moments on all supports in the configuration. To the rows of a moment m, phi x m/2 is
+    added: the moment equals dV/dphi only at the rotation vector phi = 0; in general m = J(phi)^-T
+    dV/dphi."""
     nv, first = lin.M.shape[-1], 6 * lin.model.layout.supports.index(sensor.on)
     places = (
         tuple(range(first, first + 6)) if sensor.component is None else (first + sensor.component,)
     )
     own = nv + np.array(places)
-    held = slope(at)[lin.model.layout.nv :]
-    if lin.dependent is not None:
-        held = held + lin.dependent.reaction
     turned = (
         jnp.zeros((6, len(F)), F.dtype)
         .at[3:, nv + first + 3 : nv + first + 6]

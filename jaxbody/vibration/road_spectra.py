@@ -104,7 +104,7 @@ def road_profile(
                 f"is a {type(road).__name__}",
                 road,
                 "RoadRoughness",
-                'Give Unevenness.iso("C").',
+                'Give RoadRoughness.iso("C").',
             )
         )
     with Problems() as problems:

@@ -305,10 +305,10 @@ class CrossPSD(eqx.Module):
                 )
                 for name in self.names
             }
-        levels, pairs = [], []
+        levels, pairs, seen = [], [], set()
         for (one, other), value in of_pairs.items():
             where = f"CrossPSD.coherence[{(one, other)}]"
-            if one == other or (other, one) in list(of_pairs)[: len(pairs)]:
+            if one == other or (other, one) in seen:
                 problems.add(
                     "BAD_PAIR",
                     where,
@@ -319,6 +319,7 @@ class CrossPSD(eqx.Module):
                     limit="two inputs, each pair once",
                     hint="Leave it out.",
                 )
+            seen.add((one, other))
             index = value if callable(value) else len(levels)
             if not callable(value):
                 levels.append(device_array(scalar(value, where, problems)))

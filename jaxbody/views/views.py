@@ -308,7 +308,7 @@ def view(
                 speed=pace or 1.0,
                 shapes=own_shapes,
                 trails=marks,
-                longest_force=largest or None,
+                longest_force=largest or 1.0,
             )
             for name, sequence in sequences.items()
         }

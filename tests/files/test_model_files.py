@@ -23,6 +23,7 @@ from jaxbody.files.kinds import (
     PULSES,
     SENSORS,
     TYPES,
+    arguments_of,
 )
 from jaxbody.files.schemas import SCHEMA_FILE
 from jaxbody.files.studies.schema_sections import schema
@@ -336,6 +337,18 @@ def test_types_of_earlier_drafts_are_read(tmp_path):
     assert text.count('"Stop"') == text.count('"Table"') == 1
     old, new = (jb.read_model(engine(tmp_path, each)) for each in (text, ENGINE))
     same_to_the_bit(old, new)
+
+
+def test_stages_are_arguments_of_sensors_that_take_them():
+    class Plain(jb.sensors.Sensor):
+        def __init__(self, on):
+            super().__init__(on)
+
+        def reading(self, model, frames):
+            return frames.t
+
+    assert [argument.name for argument in arguments_of(Plain)] == ["on"]
+    assert {"gain", "lag"} <= {argument.name for argument in arguments_of(jb.Position)}
 
 
 def test_all_problems_are_in_one_error(tmp_path):

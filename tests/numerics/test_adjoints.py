@@ -1,4 +1,4 @@
-"""Blocks as an adjoint of diffrax for systems that are not jaxbody's, against diffrax's own loop
+"""BlockAdjoint on systems that are not of jaxbody, against diffrax's own loop
 with the same steps and in every mode."""
 
 import diffrax
@@ -293,7 +293,7 @@ def test_parts_of_a_driven_term_are_found_within_what_diffrax_makes_of_it():
 )
 def test_what_blocks_do_not_know_is_refused_by_name(given):
     field, args, y0, end = SYSTEMS["Lotka-Volterra"]
-    with pytest.raises(jb.JaxbodyError, match=rf"Blocks\.{next(iter(given))}.*WRONG_KIND"):
+    with pytest.raises(jb.JaxbodyError, match=rf"BlockAdjoint\.{next(iter(given))}.*WRONG_KIND"):
         path(field, args, y0, end, adjoint=jb.BlockAdjoint(), **given)
 
 

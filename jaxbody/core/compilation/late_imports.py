@@ -4,7 +4,7 @@ two of the force laws."""
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -40,12 +40,14 @@ def late_names(
         return thing
 
     def successor(name: str) -> str:
-        """Return the present place of a former public name, for the message; "" if there is
-        none."""
+        """Return the present place of a former public name, for the message; "" if there is none.
+        Python asks for submodules, and inspection for private names, in the same way."""
+        if name[0] == "_" or importlib.util.find_spec(f"{package}.{name}"):
+            return ""
         place = (renamed or {}).get(name) or next(
             (f"{each}.{name}" for each in modules if name in __getattr__(each).__all__), ""
         )
-        return f"; use {package}.{place}" if place and name[0] != "_" else ""
+        return f"; use {package}.{place}" if place else ""
 
     public = sorted([*places, *modules])
     return __getattr__, lambda: public, public

@@ -96,8 +96,9 @@ def dispatched(
                 chunk, answer = sent.pop(future), _answer(future)
                 if isinstance(answer, ComputedChunk):
                     crew.seen.add(answer.worker)
-                if isinstance(answer, ComputedChunk) or given_up(chunk, answer):
-                    yield chunk, answer
+                elif not given_up(chunk, answer):
+                    continue
+                yield chunk, answer
             if broken:
                 renewals = 0 if crew.seen else renewals + 1
                 if renewals > MOST_RENEWALS:

@@ -58,39 +58,35 @@ def write_mjcf(model: Model, path: Any) -> None:
     """
     path = Path(path)
     extension_of(path, ".xml")
-    for refused, problem in (
-        (
-            bool(model.closures),
+    if model.closures:
+        raise JaxbodyError(
             Problem(
                 "CLOSED_LOOPS",
                 "write_mjcf.model",
                 f"has closures ({', '.join(model.closure_names)})",
                 limit="no closures",
                 hint="It takes trees of joints; stiff bushings may close loops.",
-            ),
-        ),
-        (
-            not is_concrete(model),
+            )
+        )
+    if not is_concrete(model):
+        raise JaxbodyError(
             Problem(
                 "TRACED",
                 "write_mjcf",
                 "cannot be called inside jit, vmap or grad",
                 hint="Write the result of the program.",
-            ),
-        ),
-        (
-            model.gravity.ndim > 1,
+            )
+        )
+    if model.gravity.ndim > 1:
+        raise JaxbodyError(
             Problem(
                 "BAD_SHAPE",
                 "write_mjcf",
                 f"is a batch of {len(model.gravity)} models",
                 limit="one model",
                 hint="Write one of them: jax.tree.map(lambda x: x[0], models).",
-            ),
-        ),
-    ):
-        if refused:
-            raise JaxbodyError(problem)
+            )
+        )
     root = MjcfWriter(model).root()
     ElementTree.indent(root)
     with writing(path):
@@ -135,8 +131,8 @@ class MjcfWriter:
                 self.refuse(name, f"has the type {type(element).__name__}", TENDONS)
         if len(tendons):
             root.append(tendons)
-        with self.problems:
-            return root
+        self.problems.raise_if_any()
+        return root
 
     def refuse(self, element: str, message: str, hint: str) -> None:
         self.problems.add(
@@ -159,8 +155,10 @@ class MjcfWriter:
             return
         for i, (kind, axis, at) in enumerate(self.lines(name, joint, place)):
             given = {"name": f"{name} {i + 1}" if i else name, "type": kind}
-            given |= {} if axis is None else {"axis": _row(axis)}
-            given |= {} if kind == "free" else {"pos": _row(at)}
+            if axis is not None:
+                given["axis"] = _row(axis)
+            if kind != "free":
+                given["pos"] = _row(at)
             self.steps[name].append(ElementTree.SubElement(node, "joint", given))
         body = self.model[name]
         moments = np.linalg.eigvalsh(body.inertia)

@@ -29,7 +29,7 @@ class DesignBuilder(EntryBuilder):
         leaves = leaves_of(self.model)
         kinds = {name: self.kind(values, name) for name, values in stated.items()}
         self.check_known(limits, stated, "limits")
-        if self.values["minimize"] not in stated:
+        if self.values["minimize"] not in {*stated, *limits}:  # of limits they are known by now
             self.builder.unknown(self.values["minimize"], stated, (*self.path, "minimize"))
         self.check_known(roads, self.model.layout.supports, "roads")
         known = {name: kind for name, kind in kinds.items() if kind is not None}

@@ -40,11 +40,11 @@ class MeasurementBuilder(EntryBuilder):
 
     def modes(self) -> MeasuredModes | None:
         """Build the result of a modal test."""
-        given = {
-            name: self.numbers(self.values[name], UNITS[name], name)
-            if name in UNITS
-            else self.values[name]
-            for name in (*UNITS, "number", "pairing", "noise")
+        plain = ("number", "pairing", "noise")
+        given = {name: self.values[name] for name in plain if name in self.values}
+        given |= {
+            name: self.numbers(self.values[name], unit, name)
+            for name, unit in UNITS.items()
             if name in self.values
         }
         given["sensors"] = {

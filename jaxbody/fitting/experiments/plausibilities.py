@@ -95,18 +95,20 @@ def plausibility(
     """
     model = model.model if isinstance(model, Suspension) else model
     check_precision("plausibility", model)
-    size = float(size_of(model))
-    first, sag = (float(x) for x in _scales(linearize(model, model.reference)))
-    g = float(np.linalg.norm(model.gravity))
-    soft = GRAVITY / (2 * np.pi * first) ** 2 / size if not g and first > 0 else np.nan
-    steps = {
-        name: float(np.median(np.diff(run.times)))
-        for name, run in (experiments or {}).items()
-        if len(np.atleast_1d(getattr(run, "times", ()))) > 1
-    }
-    # code, quantity, value (NaN to leave it out), unit, usual range, remark
-    quantities = [
-        (
+    numbers: dict[str, tuple[float, str, str]] = {}
+    words: list[tuple[str, str]] = []
+
+    def note(
+        code: str, quantity: str, value: float, unit: str, usual: tuple[float, float], remark: str
+    ) -> None:
+        low, high = usual
+        numbers[quantity] = (value, unit, f"{low:g} to {high:g}")
+        if not low <= value <= high:
+            stated = f"{quantity} is {value:.4g} {unit}".rstrip()
+            words.append((code, f"{stated}, not {low:g} to {high:g}: {remark}"))
+
+    for name, ratio in _gyration_ratios(model).items():
+        note(
             "GYRATION",
             f"radius of gyration of '{name}' over its extent",
             ratio,
@@ -114,63 +116,45 @@ def plausibility(
             GYRATION,
             "is the inertia in kg m2, about the center of mass, and are the points in meters?",
         )
-        for name, ratio in _gyration_ratios(model).items()
-    ]
-    quantities += [
-        (
-            "DENSITY",
-            "mass over the cube of the size of the model",
-            float(np.sum(model.bodies.rows.mass)) / size**3,
-            "kg/m3",
-            DENSITY,
-            "are masses in kg and points in meters?",
-        ),
-        (
+    size = float(size_of(model))
+    note(
+        "DENSITY",
+        "mass over the cube of the size of the model",
+        float(np.sum(model.bodies.rows.mass)) / size**3,
+        "kg/m3",
+        DENSITY,
+        "are masses in kg and points in meters?",
+    )
+    first, sag = (float(x) for x in _scales(linearize(model, model.reference)))
+    if np.isfinite(first):
+        note(
             "FREQUENCY",
             "first natural frequency",
             first,
             "Hz",
             FREQUENCIES,
             "are stiffnesses in N/m and masses in kg?",
-        ),
-        ("GRAVITY", "gravity", g or np.nan, "m/s2", EARTH, "is it in m/s2?"),
-        (
-            "SAG",
-            "sag under gravity over the size of the model",
-            sag or np.nan,
-            "",
-            SAG,
-            "are stiffnesses in N/m and points in meters?",
-        ),
-        (
-            "SAG",
-            "sag along the first mode, were there gravity, over the size of the model",
-            soft,
-            "",
-            SOFT,
-            "are stiffnesses in N/m and points in meters?",
-        ),
-    ]
-    quantities += [
-        (
-            "TIME_UNIT",
-            f"step of '{name}' over the first period",
-            first * step,
-            "",
-            STEPS,
-            "are its times in seconds?",
         )
-        for name, step in steps.items()
-    ]
-    numbers: dict[str, tuple[float, str, str]] = {}
-    words: list[tuple[str, str]] = []
-    for code, quantity, value, unit, (low, high), remark in quantities:
-        if np.isnan(value):
-            continue
-        numbers[quantity] = (value, unit, f"{low:g} to {high:g}")
-        if not low <= value <= high:
-            stated = f"{quantity} is {value:.4g} {unit}".rstrip()
-            words.append((code, f"{stated}, not {low:g} to {high:g}: {remark}"))
+    g = float(np.linalg.norm(model.gravity))
+    if g:
+        note("GRAVITY", "gravity", g, "m/s2", EARTH, "is it in m/s2?")
+    remark = "are stiffnesses in N/m and points in meters?"
+    if np.isfinite(sag) and sag:
+        note("SAG", "sag under gravity over the size of the model", sag, "", SAG, remark)
+    if not g and first > 0:
+        soft = GRAVITY / (2 * np.pi * first) ** 2 / size
+        quantity = "sag along the first mode, were there gravity, over the size of the model"
+        note("SAG", quantity, soft, "", SOFT, remark)
+    for name, run in (experiments or {}).items():
+        if np.isfinite(first) and len(np.atleast_1d(getattr(run, "times", ()))) > 1:
+            note(
+                "TIME_UNIT",
+                f"step of '{name}' over the first period",
+                first * float(np.median(np.diff(run.times))),
+                "",
+                STEPS,
+                "are its times in seconds?",
+            )
     words += [("DRAWN_APART", message) for message in drawn_apart(model)]
     if model.layout.nv and not unattached(model):
         far = equilibrium_of(model, None, MOST_STEPS, None).far

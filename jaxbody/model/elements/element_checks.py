@@ -41,7 +41,7 @@ def unknown_frame(name: str, where: str, known: tuple[str, ...], what: str) -> P
         problem,
         code="UNKNOWN_BODY",
         message=f"{what} {problem.message}",
-        limit="a body" if what == "body" else "a body, a support or world",
+        limit="a body, a support or world" if "world" in known else "a body",
     )
 
 

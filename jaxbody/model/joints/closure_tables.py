@@ -14,7 +14,7 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry.closures import Coupling, as_slide
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.model.element_states import end_rows
-from jaxbody.model.joints.kinematics import Coordinates, drawn_poses
+from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.layouts import Layout
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import size_of
@@ -76,6 +76,15 @@ def gaps_at(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n"
     return gaps(coordinates.model, coordinates, coordinates.at_rest(q), q)
 
 
+def gaps_displaced(
+    coordinates: Coordinates, q: Float[Array, "nq"], xi: Float[Array, "ns 6"]
+) -> Float[Array, "n"]:
+    """Return c at q on supports displaced by Xi."""
+    supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
+    frames = coordinates.frames(q, jnp.zeros(coordinates.model.layout.nv, q.dtype), supports)
+    return gaps(coordinates.model, coordinates, frames, q)
+
+
 def gaps_from(
     model: Model, rests: list[Pose], frames: Frame, q: Float[Array, "nq"]
 ) -> Float[Array, "n"]:
@@ -96,7 +105,7 @@ def drawn(coordinates: Coordinates) -> list[Pose]:
     of supports have no effect."""
     model = coordinates.model
     coordinates = Coordinates(model)
-    poses = drawn_poses(coordinates.supports, coordinates.bodies)
+    poses = coordinates.in_world
     return [
         A.inverse() @ B
         for A, B in (_ends(poses, end_rows(model, table)) for table in model.closures)

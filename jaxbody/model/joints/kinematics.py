@@ -38,25 +38,25 @@ def rest_poses(model: Any, supports: Pose, bodies: Pose) -> Pose:
     return poses[places(model.layout.parents, model.layout.frames)].inverse() @ bodies
 
 
-def at_rest_in(model: Any, rest: Pose) -> State:
-    """Return the state at rest in which the bodies have the poses `rest` relative to their
+def coordinates_at_rest(model: Any, rest: Pose) -> Float[Array, "nq"]:
+    """Return the coordinates with which the bodies have the poses `rest` relative to their
     parents."""
     layout, each = model.layout, jax.vmap(lambda joint, pose: joint.rest(pose))
-    q = layout.joined(
+    return layout.joined(
         [
             (table.names, each(table.rows, rest[places(table.names, layout.bodies)]))
             for table in model.joints
         ]
     )
-    return State(q, jnp.zeros(layout.nv, q.dtype))
 
 
 def body_poses(model: Any) -> Pose:
     """Return the poses of the bodies in the reference pose."""
-    return _poses(model.bodies)
+    return poses_of(model.bodies)
 
 
-def _poses(table: KindTable) -> Pose:
+def poses_of(table: KindTable) -> Pose:
+    """Return the poses of bodies or supports as they are drawn."""
     return Pose(table.rows.position, rotations.matrix(table.rows.orientation))
 
 
@@ -117,16 +117,21 @@ class Coordinates(Chart):
 
     def __init__(self, model: Any):
         self.model = model
-        self.supports, self.bodies = _poses(model.supports), body_poses(model)
+        self.supports, self.bodies = poses_of(model.supports), body_poses(model)
         self.rest = rest_poses(model, self.supports, self.bodies)
 
     @property
     def reference(self) -> State:
         """The state of rest in the reference pose as it is drawn; elements with memory are
         relaxed."""
-        q = at_rest_in(self.model, self.rest).q
-        poses = drawn_poses(self.supports, self.bodies)
-        return State(q, jnp.zeros(self.model.layout.nv, q.dtype), rest_states(self.model, poses))
+        layout, q = self.model.layout, coordinates_at_rest(self.model, self.rest)
+        z = rest_states(self.model, self.in_world) if layout.nz else None
+        return State(q, jnp.zeros(layout.nv, q.dtype), z)
+
+    @property
+    def in_world(self) -> Pose:
+        """The poses of all frames as they are drawn, in the order world, supports, bodies."""
+        return drawn_poses(self.supports, self.bodies)
 
     def supports_at(self, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
         """Return the frames of the supports, displaced by Xi [m, rad] from their reference poses

@@ -12,6 +12,7 @@ memory: `memory_laws`.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -22,7 +23,7 @@ import numpy as np
 from jaxbody.core.arrays import Array, Bool, Float, checked, functions_as_nodes
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import field, in_domain, kind_of, take
+from jaxbody.geometry.fields import field, take
 
 Number = Float[Array, ""]
 POINTS = 20  # of the Gauss-Legendre quadrature of a force
@@ -85,9 +86,7 @@ def as_law(value: Any, where: str, problems: Problems) -> Law | None:
     number = checked(value, ((),), where, problems, "Give a law, a number or a function x -> F.")
     if number is None:
         return None
-    law = Linear(0.0)
-    number = in_domain(number, kind_of(law, "coefficient"), where, problems)
-    return eqx.tree_at(lambda law: law.coefficient, law, number)
+    return problems.gather(lambda: Linear(number), lambda problem: replace(problem, where=where))
 
 
 class Linear(Law):

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxbody.core.arrays import is_concrete
-from jaxbody.core.errors import JaxbodyError, Problem, unknown
+from jaxbody.core.errors import JaxbodyError, Problem
 
 # Any four successive colors differ in luminance and thus in gray print; the color-blind can
 # distinguish all of them
@@ -265,13 +265,6 @@ def check_single(where: str, values: Any, ndim: int) -> None:
                 hint="Draw one of them: jax.tree.map(lambda x: x[0], results).",
             )
         )
-
-
-def check_known(names: tuple[str, ...], known: tuple[str, ...], where: str) -> None:
-    """Raise one error that lists UNKNOWN_NAME for each unknown name."""
-    problems = [unknown(name, where, known) for name in names if name not in known]
-    if problems:
-        raise JaxbodyError(*problems)
 
 
 class Label(NamedTuple):

@@ -514,7 +514,7 @@ def plot_confidence_bands(
         raise JaxbodyError(
             Problem(
                 "BAD_SHAPE",
-                "plot_bands.x",
+                "plot_confidence_bands.x",
                 f"has {len(at)} numbers",
                 x,
                 f"{len(value)}, one for each value",

@@ -116,7 +116,7 @@ def plot_tracked_modes(branches: Branches, *, parameter: str = "parameter", ax: 
     ... ]
     ['1: body bounce 86 %', '2: body about y 86 %']
     """
-    check_single("plot_branches.branches", branches.frequency, 2)
+    check_single("plot_tracked_modes.branches", branches.frequency, 2)
     ax = axes_or_new(ax, 6.0, 4.0)
     values, ended = np.asarray(branches.values), np.asarray(branches.status) == Status.LOST_BRANCH
     for i, (name, frequency) in enumerate(
@@ -284,7 +284,7 @@ def plot_backbone_curves(backbones: Backbones, *, ax: Any = None) -> Any:
     ... ).get_xlabel()
     'amplitude [rad]'
     """
-    check_single("plot_backbones.backbones", backbones.frequency, 1)
+    check_single("plot_backbone_curves.backbones", backbones.frequency, 1)
     curvature = np.asarray(backbones.curvature)
     largest, known = np.asarray(backbones.largest), np.isfinite(curvature)
     reach = np.asarray(backbones.frequency_within(PERCENT))

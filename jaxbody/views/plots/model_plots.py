@@ -1,12 +1,11 @@
 """Plots of models and their modes: bodies as outlines around their attachment points, springs as
 zigzags, supports hatched."""
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.errors import JaxbodyError, Problem, check_all_known
 from jaxbody.core.tables import without_dust
 from jaxbody.geometry.closures import Guide as GuideClosure
 from jaxbody.geometry.closures import Inline
@@ -30,13 +29,13 @@ from jaxbody.views.plots.canvases import (
     Label,
     annotate,
     axes_or_new,
-    check_known,
 )
 from jaxbody.views.plots.poses import (
     SWING,
     PoseSequence,
     check_number,
     displaced_poses,
+    named_rows,
     placed_closures,
     poses_of,
 )
@@ -79,7 +78,7 @@ def draw_model(
     state = model.reference if state is None else state
     check_state(model, state, "draw_model.state")
     given, supports = displaced or {}, model.layout.supports
-    check_known(tuple(given), supports, "draw_model.displaced")
+    check_all_known(given, "draw_model.displaced", supports)
     xi = np.reshape([given.get(name, np.zeros(6)) for name in supports], (-1, 6))
     scene = Scene(PoseSequence(model, np.zeros(1), *poses_of(model, state.q[None], xi)))
     look = projection(view, model, [scene])
@@ -160,8 +159,8 @@ class Scene:
     def __init__(self, poses: PoseSequence):
         self.poses, self.model = poses, poses.model
         model, layout = self.model, self.model.layout
-        self.ends = self._ends(name for table in model.attached for name in table.names)
-        self.joined = self._ends(name for name, _ in placed_closures(model))
+        elements, closures = dict(named_rows(model.attached)), dict(placed_closures(model))
+        self.ends, self.joined = self._ends(elements), self._ends(closures)
         self.centers = {name: poses.points(name, model[name].com)[0] for name in layout.bodies}
         # position and parent of each body's joint
         self.pivots: dict[str, tuple[np.ndarray, str]] = {}
@@ -171,8 +170,8 @@ class Scene:
                 place = (name, np.zeros(3)) if at is None else (parent, at)
                 self.pivots[name] = poses.points(*place)[0], parent
         attached = list(self.centers.items())
-        for name, ends in (self.ends | self.joined).items():
-            attached += zip(model[name].between, ends, strict=False)
+        for name, thing in (elements | closures).items():
+            attached += zip(thing.between, (self.ends | self.joined)[name], strict=False)
         for name, (at, parent) in self.pivots.items():
             attached += [(name, at), (parent, at)]
         self.points = {
@@ -182,9 +181,9 @@ class Scene:
             for name in layout.frames
         }
 
-    def _ends(self, names: Iterable[str]) -> dict[str, list[np.ndarray]]:
+    def _ends(self, things: dict[str, Any]) -> dict[str, list[np.ndarray]]:
         """Return world positions of the first two ends of elements or closures."""
-        return {name: [end[0] for end in self.poses.ends(self.model[name])[:2]] for name in names}
+        return {name: [end[0] for end in self.poses.ends(x)[:2]] for name, x in things.items()}
 
     def direction(self, frame: str, axis: Any) -> np.ndarray:
         """Return an axis of a frame in world axes."""

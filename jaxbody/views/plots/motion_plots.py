@@ -5,10 +5,9 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from jaxbody.core.arrays import time_text
-from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.errors import JaxbodyError, Problem, check_all_known
 from jaxbody.model.elements.torsions import Torsion
 from jaxbody.model.models import Model
 from jaxbody.motion.trajectories import Trajectory
@@ -16,7 +15,6 @@ from jaxbody.views.plots.canvases import (
     INK,
     axes_below,
     axes_or_new,
-    check_known,
     check_single,
     legend,
     panels_of_lines,
@@ -48,7 +46,7 @@ def plot_trajectory(
     check_single("plot_trajectory.trajectory", trajectory.times, 1)
     layout, poses = trajectory.model.layout, trajectory.poses
     names = bodies or (*layout.bodies, *layout.supports)
-    check_known(names, tuple(poses), "plot_trajectory.bodies")
+    check_all_known(names, "plot_trajectory.bodies", poses)
     moves, turns = {}, {}
     for name in names:
         p, R = np.asarray(poses[name].p), np.asarray(poses[name].R)
@@ -88,7 +86,7 @@ def plot_forces(
     check_single("plot_forces.trajectory", trajectory.times, 1)
     forces = trajectory.forces
     names = elements or tuple(forces)
-    check_known(names, tuple(forces), "plot_forces.elements")
+    check_all_known(names, "plot_forces.elements", forces)
     pulls, moments = forces_and_moments(trajectory.model, {name: forces[name] for name in names})
     moments = {name: moment for name, moment in moments.items() if np.any(moment)}
     panels = {stroke_and_force(trajectory.model, names)[1]: pulls, "moment [N m]": moments}
@@ -194,7 +192,7 @@ def plot_phases(
         _values(trajectory),
         np.asarray(trajectory.state.v),
     )
-    check_known(coordinates or (), layout.coordinates, "plot_phases.coordinates")
+    check_all_known(coordinates or (), "plot_phases.coordinates", layout.coordinates)
     panels = {}
     for (xlabel, ylabel), turn in (
         (("displacement [m]", "velocity [m/s]"), False),
@@ -268,7 +266,7 @@ def plot_force_strokes(
     """
     check_single("plot_force_strokes.trajectory", trajectory.times, 1)
     model, times = trajectory.model, np.asarray(trajectory.times)
-    check_known(elements or (), model.element_names, "plot_force_strokes.elements")
+    check_all_known(elements or (), "plot_force_strokes.elements", model.element_names)
     shown = times >= (times[0] if start is None else start)
     if shown.sum() < 2:
         raise JaxbodyError(
@@ -384,6 +382,8 @@ def _moving(lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _matrices(quaternions: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
     out, good = np.full((len(quaternions), 3, 3), np.nan), np.isfinite(quaternions).all(1)
     out[good] = Rotation.from_quat(quaternions[good][:, [1, 2, 3, 0]]).as_matrix()
     return out
@@ -392,6 +392,8 @@ def _matrices(quaternions: np.ndarray) -> np.ndarray:
 def _turns(R: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Return rotation vectors of R (n, 3, 3) relative to an orientation (quaternion w, x, y, z), in
     world axes, unwrapped through full turns."""
+    from scipy.spatial.transform import Rotation
+
     good = np.isfinite(R).all((1, 2))
     out = np.full((len(R), 3), np.nan)
     if good.any():

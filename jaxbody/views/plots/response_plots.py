@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.errors import JaxbodyError, Problem, check_all_known
 from jaxbody.vibration.comfort_weightings import WeightedSignal
 from jaxbody.vibration.dynamic_stiffnesses import DynamicStiffness
 from jaxbody.vibration.frequency_responses import FrequencyResponse
@@ -17,7 +17,6 @@ from jaxbody.views.plots.canvases import (
     LIGHT,
     axes_below,
     axes_or_new,
-    check_known,
     check_single,
     legend,
     panels_of_lines,
@@ -269,11 +268,8 @@ def _stiffnesses(response: FrequencyResponse) -> dict[str, tuple[tuple[str, str]
 def _ratios(
     response: FrequencyResponse, pairs: dict[str, tuple[str, str]]
 ) -> dict[str, tuple[tuple[str, str], np.ndarray]]:
-    check_known(
-        tuple(name for pair in pairs.values() for name in pair),
-        response.outputs + response.inputs,
-        "plot_dynamic_stiffness.pairs",
-    )
+    names = [name for pair in pairs.values() for name in pair]
+    check_all_known(names, "plot_dynamic_stiffness.pairs", response.outputs + response.inputs)
     values, ratios = np.asarray(response.values), {}
     for label, pair in pairs.items():
         inputs = [response.inputs.index(name) for name in pair if name in response.inputs]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.errors import JaxbodyError, Problem, check_all_known
 from jaxbody.mechanics.equilibria import Equilibrium
 from jaxbody.mechanics.preloads import Preload
 from jaxbody.mechanics.several_equilibria import Equilibria
@@ -19,7 +19,6 @@ from jaxbody.views.plots.canvases import (
     GRAY,
     axes_below,
     axes_or_new,
-    check_known,
     check_single,
     legend,
     panels_of_lines,
@@ -258,7 +257,7 @@ def plot_suspension_curves(
     >>> ax = curves.plot(of=["camber", "toe"])  # doctest: +SKIP
     """
     check_single("plot_suspension_curves.curves", curves.status, 1)
-    check_known(tuple(of), tuple(curves.curves), "plot_suspension_curves.of")
+    check_all_known(of, "plot_suspension_curves.of", curves.curves)
     panels: dict[str, dict[str, Any]] = {}
     for name in of:
         unit, what = {

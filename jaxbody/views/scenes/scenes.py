@@ -38,7 +38,7 @@ def animation_of(
     speed: float = 1.0,
     shapes: Mapping[str, tuple[Shape, ...]] | None = None,
     trails: Sequence[tuple[str, str, np.ndarray]] = (),
-    longest_force: float | None = None,
+    longest_force: float = 1.0,
 ) -> Animation:
     """Return the animation of a sequence of poses.
 
@@ -47,7 +47,7 @@ def animation_of(
         speed: seconds of the sequence per second of playing.
         shapes: {body or support: its shapes} in place of the default ones.
         trails: (name, frame, point in its axes) of points whose paths are drawn.
-        longest_force: the force [N] of the longest arrow; None takes 1 N.
+        longest_force: the force [N] of the longest arrow.
     """
     size, up, shapes = size_of_sequence(sequence), up_of(sequence.model), shapes or {}
     bodies, names = parts_of_bodies(sequence, size, shapes, SOLID)
@@ -63,7 +63,7 @@ def animation_of(
     ]
     notes = []
     if sequence.forces:
-        scale = LONGEST * size / (longest_force or 1.0)
+        scale = LONGEST * size / longest_force
         parts += _arrows(sequence, size, scale)
         notes.append(f"arrows: {LONGEST * size / scale:.3g} N are {LONGEST * size:.3g} m long")
     names += more_names + _names_at_middles(sequence)
