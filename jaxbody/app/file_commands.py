@@ -10,16 +10,24 @@ from dataclasses import field as attribute
 from typing import TYPE_CHECKING, Any
 
 import jaxbody as jb
+from jaxbody.app.command_options import (
+    BAND,
+    DESIGN,
+    FREE,
+    OF_MOTION,
+    OF_RESPONSE,
+    OF_STEPS,
+    QUANTITIES,
+    WRITE,
+    above_zero,
+    case_option,
+    ports_options,
+)
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, check_known
 
 if TYPE_CHECKING:
     from jaxbody.files.studies.study_files import Study
 
-QUANTITIES = {  # sensors of motion along an axis and of rotation about it
-    "displacement": ("Position", "Rotation"),
-    "velocity": ("Velocity", "AngularVelocity"),
-    "acceleration": ("Acceleration", "AngularAcceleration"),
-}
 FLAT = (".csv", ".parquet", ".nc", ".png", ".svg", ".pdf")
 IN_SPACE = (*FLAT, ".html")  # a page in three dimensions
 
@@ -325,134 +333,6 @@ def _sensor(text: str, quantity: str, elements: tuple[str, ...]) -> Any:
     return getattr(jb, sensor)(name, **axis)
 
 
-def _case(text: str) -> tuple[str, list[float]]:
-    """Parse a load case, "bump=0,0,3", into its name and acceleration [g]."""
-    name, sign, numbers = text.partition("=")
-    acceleration = [float(number) for number in numbers.split(",")]
-    if not (name and sign and len(acceleration) == 3):
-        raise ValueError
-    return name, acceleration
-
-
-def _above_zero(text: str) -> float:
-    if not 0 < float(text) < float("inf"):
-        raise ValueError
-    return float(text)
-
-
-def _band(text: str) -> tuple[float, float]:
-    low, _, high = text.partition(":")
-    if not 0 < float(low) < float(high):
-        raise ValueError
-    return float(low), float(high)
-
-
-_case.__name__ = "name and three numbers, bump=0,0,3,"
-_above_zero.__name__ = "number above zero,"
-_band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of argparse
-
-
-def _ports_options(required: bool) -> tuple[Any, ...]:
-    several: dict[str, Any] = {"action": "append", "required": required, "default": []}
-    directions = "support and x, y, z, rx, ry or rz"
-    places = "body and direction, element, or sensor of the file"
-    return (
-        (("--input",), several | {"metavar": "SUPPORT.z", "help": directions}),
-        (("--output",), several | {"metavar": "BODY.z", "help": places}),
-        (
-            ("--quantity",),
-            {
-                "choices": list(QUANTITIES),
-                "default": "displacement",
-                "help": "of the output (default: displacement)",
-            },
-        ),
-    )
-
-
-def _case_option(required: bool) -> tuple[Any, ...]:
-    named: dict[str, Any] = {"type": _case, "action": "append", "required": required, "default": []}
-    return ("--case",), named | {"metavar": "NAME=X,Y,Z", "help": "acceleration of a load case [g]"}
-
-
-BAND = (
-    ("--frequencies",),
-    {
-        "type": _band,
-        "default": (0.1, 50.0),
-        "metavar": "LOW:HIGH",
-        "help": "[Hz] (default: 0.1:50)",
-    },
-)
-OF_RESPONSE = (
-    BAND,
-    (
-        ("--points",),
-        {
-            "type": int,
-            "default": 400,
-            "metavar": "N",
-            "help": "number of frequencies (default: 400)",
-        },
-    ),
-    (
-        ("--kind",),
-        {
-            "choices": list(QUANTITIES),
-            "default": "displacement",
-            "help": "of the input (default: displacement)",
-        },
-    ),
-)
-OF_MOTION = (
-    (
-        ("--duration",),
-        {"type": _above_zero, "default": 5.0, "metavar": "T", "help": "[s] (default: 5)"},
-    ),
-    (
-        ("--interval",),
-        {
-            "type": _above_zero,
-            "default": 0.01,
-            "metavar": "DT",
-            "help": "between samples [s] (default: 0.01)",
-        },
-    ),
-)
-OF_STEPS = (
-    (
-        ("--rtol",),
-        {
-            "type": _above_zero,
-            "metavar": "R",
-            "help": "tolerance of the integration (default: 1e-8)",
-        },
-    ),
-    (
-        ("--max-steps",),
-        {
-            "type": int,
-            "metavar": "N",
-            "help": "largest number of its steps (default: by the number of samples)",
-        },
-    ),
-)
-FREE = (
-    ("--free",),
-    {
-        "action": "append",
-        "metavar": "PATH",
-        "help": "parameter or pattern (default: those of [fit])",
-    },
-)
-DESIGN = (("--design",), {"metavar": "NAME", "help": "design of the file (default: its first one)"})
-WRITE = (
-    ("--write",),
-    {
-        "action": "store_true",
-        "help": "write the values into the file, in the units that stand there",
-    },
-)
 PARTS: dict[str, Callable[[Any, argparse.Namespace], dict[str, Any]]] = {
     "model": lambda study, options: {"Model": study.model},
     "equilibrium": lambda study, options: {"Equilibrium": jb.equilibrium(study.model)},
@@ -516,7 +396,7 @@ COMMANDS = {
         "suspension.damping='1.5 N s/mm' --out psd.png",
         _random,
         (
-            *_ports_options(True),
+            *ports_options(True),
             BAND,
             (
                 ("--road",),
@@ -525,7 +405,7 @@ COMMANDS = {
             (
                 ("--speed",),
                 {
-                    "type": _above_zero,
+                    "type": above_zero,
                     "default": 20.0,
                     "metavar": "V",
                     "help": "[m/s] (default: 20)",
@@ -537,7 +417,7 @@ COMMANDS = {
         "displacements, strokes and forces under steady accelerations of the whole",
         "jaxbody load-cases engine.toml --case braking=-1,0,0 --case bump=0,0,3 --out cases.csv",
         _load_cases,
-        (_case_option(True),),
+        (case_option(True),),
     ),
     "simulate": Command(
         "the nonlinear motion on supports that move, from rest on them",
@@ -561,11 +441,11 @@ COMMANDS = {
                 },
             ),
             (("--title",), {"metavar": "TEXT", "help": "title (default: the name of the file)"}),
-            *_ports_options(False),
+            *ports_options(False),
             *OF_RESPONSE,
             *OF_MOTION,
             *OF_STEPS,
-            _case_option(False),
+            case_option(False),
             FREE,
             DESIGN,
         ),
@@ -591,6 +471,6 @@ COMMANDS = {
         "jaxbody response car.toml --input road.z --output body.z --frequencies "
         "0.5:20 --out response.png",
         _response,
-        (*_ports_options(True), *OF_RESPONSE),
+        (*ports_options(True), *OF_RESPONSE),
     ),
 }
