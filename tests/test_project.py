@@ -65,7 +65,7 @@ INSIDE = {  # packages within packages and the files beside them, from the groun
     "suspension": ("suspension", "suspension.presets"),
     "fitting": ("fitting.statistics", "fitting.parameters", "fitting.experiments", "fitting"),
     "files": ("files", "files.studies", "files.interchange"),
-    "views": ("views.plots", "views.scenes", "views"),
+    "views": ("views.scenes", "views.plots", "views"),
 }
 MUTUAL = {"model.joints"}  # belongs to the place around it: it has a base class that `model` needs
 PLACES = [place for package in ORDER for place in INSIDE.get(package, (package,))]

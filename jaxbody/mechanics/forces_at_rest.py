@@ -171,7 +171,7 @@ def element_rows(
 
 
 def labeled_elements(
-    model: Any,
+    model: Model,
     index: tuple[str, ...],
     words: tuple[str, str],
     deformations: dict[str, Array],

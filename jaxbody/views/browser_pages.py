@@ -2,26 +2,70 @@
 
 import contextlib
 import io
+import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxbody.core.errors import import_extra
-from jaxbody.views.cameras import ANGLE, Camera
-from jaxbody.views.plots.canvases import rgb
 from jaxbody.views.scenes.animations import Animation, DrawnPart
+from jaxbody.views.scenes.cameras import ANGLE, Camera
+from jaxbody.views.scenes.colors import INK, rgb
 from jaxbody.views.scenes.meshes import Mesh
 
 # rounding step of positions, relative to the size of the model; rounding makes the file smaller
 STEP = 2.0**-21
 STEP_OF_TURN = 2.0**-20  # rounding step of the components of quaternions
+MARK = '__VISER_EMBED_DATA__="'  # what precedes the recording in viser's page
 TRAIL = 2.5  # width of the line of a trail [pixels]
 
 
-def page_of(animation: Animation, camera: Camera, *, names: bool = True) -> str:
-    """Return the HTML text of an animation that plays by itself, with controls for time and speed
-    and a tree of its parts. Error: MISSING_EXTRA."""
+# script and style that are added to the head of viser's page: the recording that was chosen in the
+# menu replaces the first, and the number of seconds of playing is hidden, as the scene has a clock
+HEAD = """<style>.mantine-NumberInput-root {{display: none}}
+#shown {{position: fixed; left: 12px; top: 10px; z-index: 2; font: 13px/1.4 sans-serif;
+color: {ink}; white-space: pre-line; pointer-events: none; max-width: calc(100% - 24px)}}
+#shown select {{display: block; font: inherit; max-width: 100%; margin-bottom: 4px;
+pointer-events: auto}}</style>
+<script>const recordings = {recordings},
+  named = recordings.findIndex(x => "jaxbody " + x.title === window.name),
+  chosen = named < 0 ? {first} : named;
+window.__VISER_EMBED_DATA__ = recordings[chosen].data || window.__VISER_EMBED_DATA__;
+addEventListener("DOMContentLoaded", () => {{
+  const shown = document.createElement("div"), menu = document.createElement("select");
+  shown.id = "shown";
+  recordings.forEach(x => menu.add(new Option(x.title)));
+  menu.selectedIndex = chosen;
+  menu.onchange = () => {{ window.name = "jaxbody " + menu.value; location.reload(); }};
+  shown.append(recordings.length > 1 ? menu : recordings[0].title + "\\n");
+  shown.append(recordings[chosen].notes);
+  document.body.append(shown);
+}});</script></head>"""
+
+
+def page_of(
+    animations: Sequence[Animation], camera: Camera, first: int = 0, *, names: bool = True
+) -> str:
+    """Return the HTML text of an animation that plays by itself, with its title and notes, controls
+    for time and speed and a tree of its parts. Several have a menu of their titles, at first
+    `first`. Error: MISSING_EXTRA."""
+    pages = [_page(animation, camera, names) for animation in animations]
+    recordings = [
+        {
+            "title": animation.title.replace("\n", "; "),
+            "notes": "\n".join(animation.notes),
+            "data": page.split(MARK)[1].split('"')[0] if i != first else "",
+        }
+        for i, (animation, page) in enumerate(zip(animations, pages, strict=True))
+    ]
+    text = json.dumps(recordings).replace("<", "\\u003c")
+    return pages[first].replace("</head>", HEAD.format(ink=INK, recordings=text, first=first), 1)
+
+
+def _page(animation: Animation, camera: Camera, names: bool) -> str:
+    """Return viser's page of one animation."""
     server = server_at(0)
     try:
         stage = Stage(server, animation, camera, names)

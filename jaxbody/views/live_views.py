@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxbody.views.browser_pages import Stage, server_at, silent
-from jaxbody.views.cameras import Camera
-from jaxbody.views.plots.poses import SWING
 from jaxbody.views.scenes.animations import Animation
+from jaxbody.views.scenes.cameras import Camera
+from jaxbody.views.scenes.poses import SWING
 
 STILL = 0.1  # time between checks of the controls while nothing plays [s]
 SPEEDS = (0.1, 3.0)
@@ -46,7 +46,7 @@ class LiveView:
         self.stage = Stage(self.server, animation, camera, names)
         self.stage.show(0)
         gui = self.server.gui
-        self.title = gui.add_markdown(_lines(animation.title))
+        self.title = gui.add_markdown(_lines(animation.caption))
         self.controls: dict[str, Any] = {}
         if animation.moves:
             self.controls["play"] = gui.add_checkbox("play", True)
@@ -61,9 +61,8 @@ class LiveView:
             threading.Thread(target=self._play, daemon=True).start()
 
     def _add_vibration(self, gui: Any, vibration: Vibration) -> None:
-        usual = SWING * self.animation.size
-        amplitude, phase = vibration.amplitude or usual, np.rad2deg(vibration.phase) % 360
-        most = 2 * max(amplitude, usual)
+        amplitude, phase = self.animation.amplitude, np.rad2deg(vibration.phase) % 360
+        most = 2 * max(amplitude, SWING * self.animation.size)
         if len(vibration.numbers) == 1 and vibration.most > 1:
             self.controls["mode"] = gui.add_slider(
                 "mode", 1, vibration.most, 1, vibration.numbers[0]
@@ -87,7 +86,7 @@ class LiveView:
                 numbers, self.controls["amplitude"].value, float(phase)
             )
             self.stage.take(self.animation)
-            self.title.content = _lines(self.animation.title)
+            self.title.content = _lines(self.animation.caption)
             self.show(self.frame if self.controls["play"].value else 0)
 
     def _at_time(self, _: Any) -> None:

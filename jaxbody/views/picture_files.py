@@ -11,9 +11,9 @@ from PIL import Image
 from jaxbody.core.errors import import_extra
 from jaxbody.core.progress_lines import working
 from jaxbody.core.source_files import writing
-from jaxbody.views.drawn_frames import BRIGHTEST, DARKEST, Painter
-from jaxbody.views.plots.canvases import rgb
 from jaxbody.views.scenes.animations import Animation
+from jaxbody.views.scenes.colors import rgb
+from jaxbody.views.scenes.drawn_frames import BRIGHTEST, DARKEST, Painter
 
 RATES = {".gif": 20, ".mp4": 30}  # frames per second of playing
 MOST = 600  # largest number of frames

@@ -5,6 +5,7 @@ import sys
 import tempfile
 import webbrowser
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -25,13 +26,13 @@ from jaxbody.suspension.alignment_curves import SuspensionCurves
 from jaxbody.vibration.linearizations import LinearSystem
 from jaxbody.vibration.natural_modes import ModalResult
 from jaxbody.views.browser_pages import page_of
-from jaxbody.views.cameras import Camera, camera_for
-from jaxbody.views.drawn_frames import Painter
 from jaxbody.views.live_views import LiveView, Vibration
 from jaxbody.views.picture_files import save_gif, save_mp4, save_png
-from jaxbody.views.plots.poses import PoseSequence
 from jaxbody.views.scenes.animations import Animation
+from jaxbody.views.scenes.cameras import Camera, camera_for
+from jaxbody.views.scenes.drawn_frames import Painter
 from jaxbody.views.scenes.pose_sequences import along, over_travel, still, vibrating
+from jaxbody.views.scenes.poses import PoseSequence
 from jaxbody.views.scenes.scenes import animation_of, side_by_side, with_ground
 from jaxbody.views.scenes.shapes import Shape
 
@@ -40,6 +41,7 @@ HEIGHT = 480  # height of a view in a notebook [pixels]
 RATE, MOST = 25, 1500  # frames per second of playing, and largest number of frames
 # durations between which a motion plays in real time; playing time of a shorter motion [s]
 SHORTEST, LONGEST, USUAL = 2.0, 60.0, 5.0
+MOST_MODES = 24  # largest number of modes in the menu of an HTML file
 VIEWED = (Model, Equilibrium, Trajectory, SuspensionCurves, ModalResult)
 
 
@@ -71,7 +73,14 @@ class View(Printed):
 
     def to_html(self) -> str:
         """Return the text of one HTML file that needs no network. Error: MISSING_EXTRA."""
-        return page_of(self.animation, self.camera, names=self.names)
+        animations, shown, vibration = [self.animation], 0, self.vibration
+        if vibration is not None and len(vibration.numbers) == 1:
+            last, shown = min(vibration.most, MOST_MODES), vibration.numbers[0] - 1
+            animations = [
+                vibration.drawn((k,), vibration.amplitude, vibration.phase)
+                for k in range(1, max(last, shown + 1) + 1)
+            ]
+        return page_of(animations, self.camera, shown, names=self.names)
 
     def save(self, path: Any, *, at: float = 0.0, width: int | None = None) -> Path:
         """Write a file and return its path: .html plays in any browser offline, .gif and .mp4 are
@@ -169,13 +178,7 @@ class View(Printed):
             if group
         ]
         seconds = float(self.animation.seconds[-1])
-        pace = (
-            ""
-            if self.speed is None
-            else f" at {self.speed:g} times the speed of the motion"
-            if self.speed != 1
-            else " in real time"
-        )
+        pace = " in real time" if self.speed == 1 else ""
         played = (
             f"{counted(len(self.animation.seconds), 'frame')}, {seconds:.3g} s{pace}"
             if self.animation.moves
@@ -194,6 +197,7 @@ def view(
     phase: float = 0.0,
     forces: bool = False,
     trails: Mapping[str, Any] | Sequence[str] = (),
+    magnify: float = 1.0,
     speed: float | None = None,
     names: bool = True,
     direction: Any = None,
@@ -211,16 +215,19 @@ def view(
             {name: any of these}, side by side.
         shapes: {body or support: jb.views.Shape, or several}, in place of the default ones; they do
             not affect mass and inertia.
-        at: the state in which a model is drawn, or about which modes vibrate: a State, an
-            equilibrium or a linearization; None takes the reference pose.
-        number: number of the mode, from 1; several are drawn side by side.
+        at: the state in which a model is drawn, about which modes vibrate, or from which
+            displacements are magnified: a State, an equilibrium or a linearization; None takes the
+            reference pose, or the first sample of a trajectory.
+        number: number of the mode, from 1, with a menu of the others in an HTML file; several are
+            drawn side by side.
         amplitude: largest displacement of a drawn mode [m]; None takes an eighth of the model's
-            size.
+            size, or less where the ends of an element would part.
         phase: phase of a mode in the first frame [rad].
         forces: whether arrows show the forces of elements on bodies along a trajectory, all to one
             scale.
         trails: points whose paths are drawn: names of bodies for their origins, or {name: (body,
             point in its axes [m])}.
+        magnify: factor by which the displacements of a trajectory are drawn larger.
         speed: seconds of a motion per second of playing; None takes 1, but plays a motion shorter
             than 2 s in about 5 s and a long one in at most 60 s.
         names: whether names are written.
@@ -262,7 +269,7 @@ def view(
                 limit="> 0",
                 hint="Give such as [1, -2, 1].",
             )
-        for name, value in (("amplitude", amplitude), ("speed", speed)):
+        for name, value in (("amplitude", amplitude), ("magnify", magnify), ("speed", speed)):
             if value is not None:
                 positive_number(value, f"view.{name}", problems)
         turn: Any = checked(phase, ((),), "view.phase", problems)
@@ -281,9 +288,8 @@ def view(
                     if thing.times.ndim == 1
                     else 1.0
                 )
-                sequences[name] = along(
-                    thing, int(np.clip(round(duration * RATE), 2, MOST)), forces
-                )
+                most = int(np.clip(round(duration * RATE), 2, MOST))
+                sequences[name] = along(thing, most, forces, magnify, state)
             elif isinstance(thing, ModalResult):
                 for k in numbers:
                     label = f"{name}, mode {k}".removeprefix(", ") if len(numbers) > 1 else name
@@ -321,6 +327,10 @@ def view(
     vibration = (
         Vibration(drawn, tuple(numbers), min(modes), amplitude, float(turn)) if modes else None
     )
+    if pace not in (None, 1.0):
+        animation = replace(
+            animation, notes=(*animation.notes, f"{pace:g} times the speed of the motion")
+        )
     return View(animation, camera_for(animation, seen_from), names, pace, vibration)
 
 

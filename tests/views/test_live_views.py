@@ -71,7 +71,7 @@ def test_the_sliders_change_mode_amplitude_and_phase(live, modes):
         np.testing.assert_allclose(live.animation.part(*path).p, expected.part(*path).p, atol=1e-12)
         # rounded for the page
         np.testing.assert_allclose(places(live)[1], expected.part(*path).p[0], atol=1e-5)
-    assert "mode 1," in live.title.content
+    assert "mode 1:" in live.title.content
 
 
 @pytest.mark.long

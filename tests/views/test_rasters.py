@@ -4,7 +4,7 @@ between neighbors."""
 import numpy as np
 import pytest
 
-from jaxbody.views.drawn_frames import Raster
+from jaxbody.views.scenes.drawn_frames import Raster
 
 RED, BLUE = np.array([[1.0, 0, 0]]), np.array([[0, 0, 1.0]])
 

@@ -91,6 +91,37 @@ def test_the_tree_of_a_page_has_the_names_of_the_model(page):
     } >= {"plate", "base", "AB"}
 
 
+@pytest.fixture(scope="module")
+def page_of_modes(tmp_path_factory):
+    modes = jb.modes(jb.linearize(plate(), plate().reference))
+    folder = tmp_path_factory.mktemp("modes")
+    return jb.view(modes, number=2).save(folder / "modes.html"), modes
+
+
+def test_a_page_of_modes_has_all_with_their_numbers_and_frequencies(page_of_modes):
+    path, modes = page_of_modes
+    listed = json.loads(re.search(r"const recordings = (\[.*\])", path.read_text())[1])
+    for i, (recording, frequency) in enumerate(zip(listed, modes.frequency, strict=True)):
+        assert recording["title"].startswith(f"mode {i + 1}: {float(frequency):.4g} Hz")
+        assert "largest displacement" in recording["notes"]
+    assert [bool(recording["data"]) for recording in listed] == [True, False] + 4 * [True]
+    assert path.stat().st_size < 2e6
+
+
+@pytest.mark.long
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
+def test_the_menu_of_a_page_changes_the_mode(page_of_modes, tmp_path):
+    path, modes = page_of_modes
+    with opened(path, tmp_path / "profile") as shown:
+        menu = "document.querySelector('#shown select')"
+        shown.wait_for(f"{menu}?.value.startsWith('mode 2:')")
+        first = shown.drawn()
+        shown.value(f"{menu}.selectedIndex = 4; {menu}.onchange()")
+        shown.wait_for(f"{menu}?.value.startsWith('mode 5: {float(modes.frequency[4]):.4g} Hz')")
+        assert difference(first, shown.drawn()) > 1e-3
+        assert shown.errors == []
+
+
 def test_a_name_with_a_slash_is_no_level_of_the_tree():
     spring = jb.Spring(("a/b", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=1.0)
     view = jb.view(jb.Model(bodies={"a/b": jb.Body(1.0, [1, 1, 1])}, elements={"s": spring}))
@@ -216,7 +247,7 @@ def test_a_picture_has_the_colors_of_what_it_shows(half, tmp_path):
 def test_names_in_a_picture_do_not_overprint():
     from matplotlib.text import Text
 
-    from jaxbody.views.drawn_frames import Painter
+    from jaxbody.views.scenes.drawn_frames import Painter
 
     for name in ("full_car", "half_car", "engine_on_mounts", "stewart_table"):
         view = jb.view(getattr(jb.presets, name)())

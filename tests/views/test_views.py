@@ -10,7 +10,7 @@ from random_models import models
 from scipy.spatial import Delaunay
 
 import jaxbody as jb
-from jaxbody.views.plots.canvases import COLORS
+from jaxbody.views.scenes.colors import COLORS
 from jaxbody.views.scenes.pose_sequences import still
 from jaxbody.views.scenes.scenes import animation_of
 
@@ -488,3 +488,70 @@ def test_colors_are_those_of_the_plots_and_up_is_against_gravity():
     assert (view.camera.position - view.camera.target)[2] > 0
     outline, _ = view.camera.project(view.animation.outline())
     assert np.isfinite(outline).all() and np.abs(outline[:, 1]).max() < np.tan(np.deg2rad(14))
+
+
+def mount_gaps(view, model):
+    """{mount: largest distance of the drawn pin from where it was at rest on the rubber ring}."""
+    gaps = {}
+    for name in model.element_names:
+        pin, rubber = (view.animation.part("elements", name, word) for word in ("pin", "rubber"))
+        at_rest = _place_at_rest(model, name)
+        gaps[name] = np.linalg.norm(pin.p - rubber.p - at_rest, axis=-1).max()
+    return gaps
+
+
+def _place_at_rest(model, name):
+    mount = model[name]
+    places = [
+        np.asarray(model[frame].position) + np.asarray(point)
+        if frame != "world"
+        else np.asarray(point)
+        for frame, point in zip(mount.between, mount.points, strict=True)
+    ]
+    return places[0] - places[1]
+
+
+def test_a_drawn_mode_keeps_bushings_together():
+    """Every pin stays within its rubber ring, whose radius is read from the drawn ring, and one
+    comes near its edge; a given amplitude is drawn as it is."""
+    model = jb.presets.engine_on_mounts()
+    modes = jb.modes(jb.linearize(model, model.reference))
+    for number in range(1, 7):
+        view = jb.view(modes, number=number)
+        ring = np.abs(
+            view.animation.part("elements", "mount 1", "rubber").mesh.vertices[:, :2]
+        ).max()
+        gaps = mount_gaps(view, model)
+        assert 0.7 * ring < max(gaps.values()) < 0.9 * ring
+        limited = max(gaps, key=gaps.get)
+        assert f"limited by {limited}" in view.animation.caption
+    torn = jb.view(modes, number=1, amplitude=0.1)
+    assert max(mount_gaps(torn, model).values()) > 2 * ring
+    assert "largest displacement 0.1 m" in torn.animation.caption
+
+
+def test_a_motion_is_magnified_from_its_first_sample(motion):
+    """The displacement of the plate is three times that of the trajectory, supports included, and
+    springs still end on their bodies."""
+    view = jb.view(motion, magnify=3.0)
+    rows = [int(np.argmin(np.abs(np.asarray(motion.times) - t))) for t in view.animation.seconds]
+    real = np.asarray(motion.poses["plate"].p)
+    drawn = view.animation.part("bodies", "plate", "solid")
+    np.testing.assert_allclose(drawn.p - real[0], 3 * (real[rows] - real[0]), atol=1e-9)
+    turned = np.arctan2(drawn.R[:, 1, 0], drawn.R[:, 0, 0])
+    R = np.asarray(motion.poses["plate"].R)[rows]
+    np.testing.assert_allclose(turned, 3 * np.arctan2(R[:, 1, 0], R[:, 0, 0]), atol=1e-9)
+    base = view.animation.part("supports", "base", "board").p
+    moved = np.asarray(motion.poses["base"].p)[rows] - np.array([0, -4 * L, 0])
+    np.testing.assert_allclose(base, np.array([0, -4 * L, 0]) + 3 * moved, atol=1e-9)
+    coil = view.animation.part("elements", "AB", "coil")
+    np.testing.assert_allclose(coil.p, drawn.p + drawn.R @ [-3 * L, L, 0], atol=1e-9)
+    assert "displacements magnified 3 times" in view.animation.caption
+
+
+def test_names_are_below_what_they_name():
+    """So that a browser hides both together."""
+    for name in ("full_car", "engine_on_mounts"):
+        animation = jb.view(getattr(jb.presets, name)()).animation
+        drawn = {part.path[:2] for part in animation.parts}
+        assert {label.path[:2] for label in animation.labels} <= drawn | {("supports", "frame")}

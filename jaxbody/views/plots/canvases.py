@@ -1,29 +1,19 @@
 """Axes, panels, colors and legends that all plots share. matplotlib is imported when something
 is drawn."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.views.scenes.colors import COLORS, GRAY, INK, rgb
 
-# Any four successive colors differ in luminance and thus in gray print; the color-blind can
-# distinguish all of them
-COLORS = ("#1871bc", "#e0803a", "#8e0523", "#dbb72d", "#09663e", "#8470f1", "#292a6d", "#3db5ad")
-GRAY, LIGHT, INK = "#8a8f98", "#dfe4ea", "#2b2f36"
 DASHES = ("-", (0, (6, 1.5)), (0, (3, 1, 1, 1)), (0, (1, 1)))  # one for each four lines
 MARKERS = "osD^vP*X"  # of series of marks
 NAME = 0.165  # height of a line of a legend [in]
 DARK = 0.5  # brightness of a cell below which its number is white
 ROOM = 50  # number of letters that fit side by side below axes of usual width
-WIDTH, HEIGHT = 0.62, 1.3  # size of a letter, relative to the font size
-# points, trial distances from an object to the edge of its label
-RINGS = (4.0, 8.0, 13.0, 20.0, 30.0, 42.0, 56.0)
-ANGLES = np.deg2rad(np.arange(0, 360, 22.5))
-STEP = 2.5  # points, distance of the sample points along drawn lines
-CLEAR = 3.0  # points, clearance between a label and a line or another label
-FAR = 16.0  # points, distance beyond which a thin line leads to the label
 
 
 def axes_or_new(ax: Any, width: float, height: float) -> Any:
@@ -195,11 +185,6 @@ def slanted(ax: Any) -> None:
         text.set(rotation=40, ha="right", rotation_mode="anchor")
 
 
-def rgb(color: str) -> tuple[int, ...]:
-    """Return red, green and blue of "#rrggbb", from 0 to 255."""
-    return tuple(bytes.fromhex(color[1:]))
-
-
 def pale(color: str) -> str:
     """Return the color "#rrggbb" mixed half and half with white. It is opaque, so that overlapping
     points do not get darker."""
@@ -226,6 +211,7 @@ def legend(ax: Any, count: int, **options: Any) -> None:
             "ncols": -(-count // rows),
             "frameon": False,
             "fontsize": 8,
+            "title_fontsize": 8,
             "handlelength": 2.4,
             "columnspacing": 1.0,
         }
@@ -265,99 +251,3 @@ def check_single(where: str, values: Any, ndim: int) -> None:
                 hint="Draw one of them: jax.tree.map(lambda x: x[0], results).",
             )
         )
-
-
-class Label(NamedTuple):
-    """A name to be written: position of the named object and preferred direction from there, both
-    in data coordinates; font size [points] and color."""
-
-    name: str
-    at: np.ndarray
-    toward: np.ndarray
-    size: float
-    color: str
-
-
-def annotate(ax: Any, labels: list[Label]) -> None:
-    """Write labels where they cover as little as possible of what the axes already contain."""
-    from matplotlib.patheffects import withStroke
-
-    if not labels:
-        return
-    scale = 72 / ax.figure.dpi
-    covered = np.concatenate(
-        [_points_along(scale * ax.transData.transform(shape)) for shape in _drawn(ax)]
-    ).T
-    taken = scale * np.array(
-        [[*box.min, *box.max] for box in (text.get_window_extent() for text in ax.texts)]
-    ).reshape(-1, 4)
-    for label in labels:
-        at = scale * ax.transData.transform(label.at)
-        half = 0.5 * label.size * np.array([WIDTH * len(label.name), HEIGHT])
-        offsets, reach, costs = _places(label.toward, half)
-        low, high = at + offsets - half, at + offsets + half
-        (left, bottom), (right, top) = low.T[..., None] - CLEAR, high.T[..., None] + CLEAR
-        costs = costs + 20 * np.sum(
-            (taken[:, 2] > left)
-            & (taken[:, 0] < right)
-            & (taken[:, 3] > bottom)
-            & (taken[:, 1] < top),
-            -1,
-        )
-        x, y = covered[
-            :, (abs(covered - at[:, None]) < RINGS[-1] + CLEAR + 2 * half[:, None]).all(0)
-        ]  # points near enough to be covered by a label
-        costs = costs + np.sum((x > left) & (x < right) & (y > bottom) & (y < top), -1)
-        best = int(np.argmin(costs))
-        taken = np.concatenate([taken, [[*low[best], *high[best]]]])
-        leader = (
-            {"arrowstyle": "-", "lw": 0.5, "color": GRAY, "shrinkA": 0, "shrinkB": 1}
-            if reach[best] > FAR
-            else None
-        )
-        ax.annotate(
-            label.name,
-            label.at,
-            xytext=offsets[best],
-            textcoords="offset points",
-            fontsize=label.size,
-            color=label.color,
-            ha="center",
-            va="center",
-            zorder=7,
-            arrowprops=leader,
-            path_effects=[withStroke(linewidth=2, foreground="white")],
-        )
-
-
-def _drawn(ax: Any) -> list[np.ndarray]:
-    """Return the points of all lines and outlines of the axes, in data coordinates."""
-    lines = [line.get_xydata() for line in ax.lines]
-    return lines + [
-        shape
-        for patch in ax.patches
-        for shape in patch.get_path().to_polygons(patch.get_patch_transform(), closed_only=False)
-    ]
-
-
-def _points_along(line: np.ndarray) -> np.ndarray:
-    """Return points at equal distances along a line, `STEP` apart."""
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at = np.arange(0.0, s[-1] + STEP, STEP)
-    return np.stack([np.interp(at, s, x) for x in line.T], -1)
-
-
-def _places(toward: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return trial offsets of the center of a label of half size `half`, their distances from the
-    object [points] and their costs.
-
-    The cost grows with the distance and with the angle from the direction `toward`."""
-    reach, turn = (
-        x.ravel()
-        for x in np.meshgrid(RINGS, ANGLES + np.arctan2(toward[1], toward[0]), indexing="ij")
-    )
-    direction = np.stack([np.cos(turn), np.sin(turn)], -1)
-    away = 1 - direction @ toward / (np.linalg.norm(toward) or 1.0)
-    # from the center to the edge of the label, in this direction
-    edge = np.min(half / np.maximum(np.abs(direction), 1e-9), -1)
-    return (reach + edge)[:, None] * direction, reach, 0.15 * reach + away

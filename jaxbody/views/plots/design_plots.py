@@ -9,7 +9,8 @@ from jaxbody.design.fronts import Front
 from jaxbody.design.sensitivity_analyses import Sensitivities
 from jaxbody.design.tolerance_analyses import Tolerances
 from jaxbody.design.tuning_results import Tuning
-from jaxbody.views.plots.canvases import COLORS, GRAY, INK, LIGHT, axes_or_new, legend
+from jaxbody.views.plots.canvases import axes_or_new, legend
+from jaxbody.views.scenes.colors import COLORS, GRAY, INK, LIGHT
 
 MOST_BARS = 15
 

@@ -16,17 +16,8 @@ from jaxbody.fitting.residuals import residual_and_jacobian
 from jaxbody.fitting.statistics.autocorrelations import FEWEST, most_lags, products
 from jaxbody.fitting.statistics.noises import ResidualSeries
 from jaxbody.fitting.validations import Validation
-from jaxbody.views.plots.canvases import (
-    COLORS,
-    GRAY,
-    INK,
-    LIGHT,
-    axes_below,
-    axes_or_new,
-    heat_map,
-    legend,
-    with_unit,
-)
+from jaxbody.views.plots.canvases import axes_below, axes_or_new, heat_map, legend, with_unit
+from jaxbody.views.scenes.colors import COLORS, GRAY, INK, LIGHT
 
 COMPLEX = ("real", "imaginary")
 

@@ -17,9 +17,6 @@ from jaxbody.model.inputs.base_motions import NAMES, Recovered
 from jaxbody.records.records import Record
 from jaxbody.sensors.sensors import Channel
 from jaxbody.views.plots.canvases import (
-    COLORS,
-    INK,
-    LIGHT,
     axes_below,
     axes_or_new,
     check_single,
@@ -32,6 +29,7 @@ from jaxbody.views.plots.canvases import (
 )
 from jaxbody.views.plots.fit_plots import chosen, linearized, records_about
 from jaxbody.views.plots.response_plots import degrees, hertz
+from jaxbody.views.scenes.colors import COLORS, INK, LIGHT
 
 BAND = 0.95  # confidence level of the bands
 FEW = 400  # largest number of samples with large markers

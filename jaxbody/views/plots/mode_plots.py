@@ -15,11 +15,7 @@ from jaxbody.vibration.mode_branches import LEAST_MAC, Branches
 from jaxbody.vibration.mount_axes import ElasticAxes, TorqueRollAxis
 from jaxbody.vibration.natural_modes import Modes
 from jaxbody.views.plots.canvases import (
-    COLORS,
     DASHES,
-    GRAY,
-    INK,
-    LIGHT,
     axes_below,
     axes_or_new,
     check_single,
@@ -28,6 +24,7 @@ from jaxbody.views.plots.canvases import (
     style,
 )
 from jaxbody.views.plots.model_plots import look_along
+from jaxbody.views.scenes.colors import COLORS, GRAY, INK, LIGHT
 
 KINDS = {"kinetic": "kinetic energy", "strain": "strain energy", "dissipation": "dissipation"}
 RATIOS = (0.05, 0.1, 0.2, 0.5)  # damping ratios whose lines are drawn

@@ -1,19 +1,12 @@
-"""Plots of models and their modes: bodies as outlines around their attachment points, springs as
-zigzags, supports hatched."""
+"""Pictures of models and their modes in axes of matplotlib: the parts of `jb.view` in parallel
+projection, to scale."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, check_all_known
-from jaxbody.core.tables import without_dust
-from jaxbody.geometry.closures import Guide as GuideClosure
-from jaxbody.geometry.closures import Inline
-from jaxbody.model.elements.contacts import Tyre
-from jaxbody.model.elements.elements import LineElement
-from jaxbody.model.elements.springs import Inerter
-from jaxbody.model.joints.joints import Guide
-from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_state
 from jaxbody.model.states import State
@@ -21,27 +14,21 @@ from jaxbody.vibration.damped_modes import ComplexModes
 from jaxbody.vibration.linearizations import Linearization
 from jaxbody.vibration.natural_modes import Modes
 from jaxbody.vibration.spins import SpinLinearization
-from jaxbody.views.plots.canvases import (
-    COLORS,
-    GRAY,
-    INK,
-    LIGHT,
-    Label,
-    annotate,
-    axes_or_new,
-)
-from jaxbody.views.plots.poses import (
-    SWING,
-    PoseSequence,
-    check_number,
-    displaced_poses,
-    named_rows,
-    placed_closures,
-    poses_of,
-)
-from jaxbody.views.plots.symbols import AXES, frame_axes, ground_at, zigzag_path
+from jaxbody.views.plots.canvases import axes_or_new
+from jaxbody.views.scenes.animations import Animation
+from jaxbody.views.scenes.body_parts import FLAT
+from jaxbody.views.scenes.cameras import camera_for, parallel_camera
+from jaxbody.views.scenes.colors import GRAY
+from jaxbody.views.scenes.drawn_frames import FINER, Renderer, write_names
+from jaxbody.views.scenes.pose_sequences import marks, still, vibrating
+from jaxbody.views.scenes.poses import PoseSequence, poses_of
+from jaxbody.views.scenes.scenes import animation_of
 
-RIM = 8.0  # points, width of the rounded rim of an outline
+AXES = "xyz"
+FIXED = ("supports", "roads")  # groups of parts that a mode does not move
+PALE = 0.25  # opacity of the model at rest under a mode
+MARGIN = 0.06  # around the drawing, relative to its longer side
+SLIM = 0.35  # smallest ratio of the sides of the frame
 
 
 def draw_model(
@@ -53,14 +40,14 @@ def draw_model(
     names: bool = True,
     ax: Any = None,
 ) -> Any:
-    """Draw the model; tyres are circles with their radius.
+    """Draw the model as `jb.view` does, in parallel projection.
 
     Args:
         model, state: the model and its state; None draws the reference pose.
         displaced: {support: Xi}, displacements of supports [m, rad].
         view: the axes that point right and up, such as "xy", or "oblique". With None, gravity
             points down, and the view is oblique unless the model is flat.
-        names: whether to write the names of bodies and elements.
+        names: whether to write the names of bodies, supports and elements.
         ax: axes to draw into; None makes a new figure.
 
     >>> model = jb.Model(
@@ -80,13 +67,11 @@ def draw_model(
     given, supports = displaced or {}, model.layout.supports
     check_all_known(given, "draw_model.displaced", supports)
     xi = np.reshape([given.get(name, np.zeros(6)) for name in supports], (-1, 6))
-    scene = Scene(PoseSequence(model, np.zeros(1), *poses_of(model, state.q[None], xi)))
-    look = projection(view, model, [scene])
-    ax = _axes(ax, [scene], look)
-    _draw(ax, scene, look, scene.size(look))
-    frame_axes(ax, look, scene.size(look))
+    sequence = PoseSequence(model, np.zeros(1), *poses_of(model, state.q[None], xi))
+    animation = animation_of(sequence)
+    ax, renderer = _drawn(animation, sequence, view, ax)
     if names:
-        annotate(ax, _names(scene, look))
+        write_names(ax, renderer, [*animation.labels])
     return ax
 
 
@@ -98,8 +83,8 @@ def draw_mode(
     view: str | None = None,
     ax: Any = None,
 ) -> Any:
-    """Draw one mode: the model in both extreme positions, over the model at rest. The title names
-    the mode; the amplitude is an eighth of the model's size.
+    """Draw one mode: the model in an extreme position, over the model at rest, pale. The title has
+    number, frequency, damping ratio and kinetic energies; the amplitude is that of `jb.view`.
 
     A complex mode is drawn at the instant at which its largest component is extreme.
 
@@ -113,111 +98,58 @@ def draw_mode(
 
     >>> lin = jb.linearize(jb.presets.quarter_car(), jb.presets.quarter_car().reference)
     >>> jb.plots.draw_mode(lin, jb.modes(lin), 2).get_title().splitlines()
-    ['mode 2: 8.796 Hz', 'wheel bounce 100 %']
+    ['mode 2: 8.796 Hz', 'kinetic energy: wheel bounce 100 %']
     """
-    model = lin.model
-    check_number(modes, number, "draw_mode.number")
-    shape = np.real(np.asarray(modes.shapes)[: model.layout.nv, number - 1])
-
-    def moved(factor: float) -> Scene:
-        poses = displaced_poses(model, lin.state.q, factor * shape[None])
-        return Scene(PoseSequence(model, np.zeros(1), *poses))
-
-    rest = moved(0.0)
-    size = rest.size(np.eye(3))
-    trial = 1e-6 * size / np.abs(shape).max()
-    points = moved(trial).points
-    largest = (
-        max(np.abs(points[name] - rest.points[name]).max() for name in model.layout.bodies) / trial
+    sequence = vibrating(modes, number, lin.state, None, 0.0)
+    first = replace(sequence, times=np.zeros(1), p=sequence.p[:1], R=sequence.R[:1])
+    rest = still(lin.model, lin.state)
+    at_rest = animation_of(rest)
+    ghosts = tuple(
+        part
+        if part.path[0] in FIXED
+        else replace(part, color=GRAY, opacity=PALE, over=-at_rest.size)
+        for part in at_rest.parts
     )
-    # if all points are at origins of bodies, the rotation limits the amplitude
-    largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
-    extremes = [moved(sign * size * SWING / largest) for sign in (-1, 1)]
-    look = projection(view, model, [rest, *extremes])
-    ax = _axes(ax, [rest, *extremes], look)
-    _draw(ax, rest, look, size, color=LIGHT, edge=GRAY, springs=GRAY, alpha=0.5)
-    for scene, color in zip(extremes, COLORS, strict=False):
-        _draw(
-            ax, scene, look, size, color=color, edge=color, springs=color, alpha=0.3, ground=False
-        )
-    frequency, ratio = (
-        float(x[number - 1])
-        for x in (np.asarray(modes.frequency), without_dust(modes.damping_ratio, 1.0))
-    )
-    title = f"mode {number}: {frequency:.4g} Hz" + (
-        f", damping ratio {ratio:.2g}" if ratio > 0 else ""
-    )
-    ax.set_title(f"{title}\n{modes.names[number - 1]}", fontsize=9)
-    frame_axes(ax, look, size)
+    moved = tuple(part for part in animation_of(first).parts if part.path[0] not in FIXED)
+    ax, _ = _drawn(replace(at_rest, parts=ghosts + moved), rest, view, ax)
+    ax.set_title(sequence.title, fontsize=9)
     return ax
 
 
-class Scene:
-    """A model in one pose, the first of a sequence: world positions of the points attached to each
-    frame."""
+def _drawn(animation: Animation, sequence: PoseSequence, view: str | None, ax: Any) -> Any:
+    """Draw the first frame of an animation into axes, in parallel projection and without its
+    background, and return them with the renderer.
 
-    def __init__(self, poses: PoseSequence):
-        self.poses, self.model = poses, poses.model
-        model, layout = self.model, self.model.layout
-        elements, closures = dict(named_rows(model.attached)), dict(placed_closures(model))
-        self.ends, self.joined = self._ends(elements), self._ends(closures)
-        self.centers = {name: poses.points(name, model[name].com)[0] for name in layout.bodies}
-        # position and parent of each body's joint
-        self.pivots: dict[str, tuple[np.ndarray, str]] = {}
-        for name, parent in zip(layout.bodies, layout.parents, strict=True):
-            if layout.block(name).nv < 6:
-                at = model.joint(name).at
-                place = (name, np.zeros(3)) if at is None else (parent, at)
-                self.pivots[name] = poses.points(*place)[0], parent
-        attached = list(self.centers.items())
-        for name, thing in (elements | closures).items():
-            attached += zip(thing.between, (self.ends | self.joined)[name], strict=False)
-        for name, (at, parent) in self.pivots.items():
-            attached += [(name, at), (parent, at)]
-        self.points = {
-            name: np.array(
-                [at for frame, at in attached if frame == name] or poses.points(name, np.zeros(3))
-            )
-            for name in layout.frames
-        }
-
-    def _ends(self, things: dict[str, Any]) -> dict[str, list[np.ndarray]]:
-        """Return world positions of the first two ends of elements or closures."""
-        return {name: [end[0] for end in self.poses.ends(x)[:2]] for name, x in things.items()}
-
-    def direction(self, frame: str, axis: Any) -> np.ndarray:
-        """Return an axis of a frame in world axes."""
-        return self.poses.pose(frame)[1][0] @ np.asarray(axis)
-
-    def all_points(self) -> np.ndarray:
-        return np.concatenate(
-            [
-                rows
-                for name, rows in self.points.items()
-                if name != WORLD or len(self.ends) + len(self.joined) + len(self.pivots)
-            ]
-        )
-
-    def size(self, look: np.ndarray) -> float:
-        """Return the longer side of the box around all points in this view [m]."""
-        return float(np.ptp(self.all_points() @ look.T, axis=0).max()) or 1.0
-
-
-def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarray:
-    """Return the matrix (2, 3) from world coordinates to coordinates to the right and up in the
-    drawing."""
+    Args:
+        animation: what is drawn.
+        sequence: its poses.
+        view: as in `draw_model`.
+        ax: axes to draw into; None makes a new figure.
+    """
+    parts = tuple(part for part in animation.parts if not part.below)
+    animation, right, up = replace(animation, parts=parts), animation.right, animation.up
     if view is not None and view != "oblique":
-        return look_along(view)
-    spread = np.ptp(np.concatenate([scene.all_points() for scene in scenes]), axis=0)
-    weight = np.abs(np.asarray(model.gravity))
-    up = int(np.argmax(weight)) if weight.any() else int(np.argsort(spread)[1])
-    rest = [i for i in range(3) if i != up]
-    right = rest[0] if spread[rest[0]] >= 0.5 * spread[rest[1]] else rest[1]
-    away = 3 - up - right
-    look = np.eye(3)[[right, up]]
-    if view == "oblique" or spread[away] > 1e-6 * spread.max():
-        look[:, away] = (-0.45, -0.28) if (right, up) in ((0, 1), (1, 2), (2, 0)) else (0.45, 0.28)
-    return look
+        right, up = look_along(view)
+    axes = np.stack([right, up, np.cross(right, up)], -1)
+    if view == "oblique" or (
+        view is None and np.ptp(marks(sequence)[0] @ axes[:, 2]) > FLAT * animation.size
+    ):
+        axes = camera_for(animation).axes
+    renderer = Renderer(animation, parallel_camera(animation, axes))
+    flat, _ = renderer.camera.project(animation.outline())
+    low, high = flat.min(0), flat.max(0)
+    width, height = high - low
+    ratio = float(np.clip((height + 0.1 * width) / (width + 0.1 * height), 0.25, 2.0))
+    ax = axes_or_new(ax, *((6.4, 1.0 + 5.2 * ratio) if ratio < 1 else (1.4 + 5.0 / ratio, 5.8)))
+    fine = FINER * max(ax.get_window_extent().size) / max(width, height)
+    size = int(np.ceil(fine * height)), int(np.ceil(fine * width))
+    raster = renderer.raster(0, low, width, size)
+    alpha = np.where(raster.covered, 255, 0).astype(np.uint8)
+    pixels = np.dstack([raster.picture(), alpha.reshape(size)[::-1]])
+    extent = (low[0], high[0], low[1], low[1] + size[0] / size[1] * width)
+    ax.imshow(pixels, extent=extent, interpolation="antialiased", zorder=2)
+    frame_axes(ax, axes[:, :2].T, animation.size)
+    return ax, renderer
 
 
 def look_along(view: str) -> np.ndarray:
@@ -237,220 +169,59 @@ def look_along(view: str) -> np.ndarray:
     return np.eye(3)[[AXES.index(axis) for axis in view]]
 
 
-def _axes(ax: Any, scenes: list[Scene], look: np.ndarray) -> Any:
-    """Return the given axes, or those of a new figure with the proportions of the drawing."""
-    width, height = (
-        np.ptp(np.concatenate([scene.all_points() for scene in scenes]) @ look.T, axis=0) + 1e-9
-    )
-    ratio = np.clip((height + 0.1 * width) / (width + 0.1 * height), 0.25, 2.0)
-    return axes_or_new(ax, *((6.4, 1.0 + 5.2 * ratio) if ratio < 1 else (1.4 + 5.0 / ratio, 5.8)))
-
-
-def _draw(
-    ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, alpha=1.0, ground=True
-) -> None:
-    layout = scene.model.layout
-    for i, name in enumerate(layout.bodies):
-        _outline(
-            ax,
-            scene.points[name] @ look.T,
-            size,
-            color or COLORS[i % len(COLORS)],
-            edge,
-            alpha if color else 0.35,
-            color is not None,
-        )
-        if color is None:
-            ax.plot(
-                *(scene.centers[name] @ look.T), "o", ms=6, mfc="white", mec=INK, mew=1.0, zorder=6
-            )
-    for table in scene.model.attached:
-        if isinstance(table.rows, Tyre):
-            _wheels(ax, scene, table, look, size, edge, alpha, ground)
-            continue
-        zigzag, slim = (
-            isinstance(table.rows, LineElement),
-            isinstance(table.rows, LineElement | Inerter),
-        )
-        for name, link in zip(table.names, table.links, strict=True):
-            A, B = (end @ look.T for end in scene.ends[name])
-            path = zigzag_path(A, B, 0.022 * size) if zigzag else np.array([A, B])
-            ax.plot(
-                *path.T,
-                color=springs,
-                lw=1.1 if slim else 3.0,
-                alpha=alpha,
-                solid_joinstyle="round",
-                zorder=4,
-            )
-            ax.plot(
-                *np.array([A, B]).T,
-                "." if slim else "s",
-                color=springs,
-                ms=4,
-                alpha=alpha,
-                zorder=5,
-            )
-            if isinstance(table.rows, Inerter):
-                ax.plot(
-                    *((A + B) / 2),
-                    "o",
-                    mfc="white",
-                    mec=springs,
-                    mew=1.6,
-                    ms=9,
-                    alpha=alpha,
-                    zorder=5,
-                )  # the flywheel
-            for end, here, there in zip(link[:2], (A, B), (B, A), strict=True):
-                if ground and end not in layout.bodies:
-                    ground_at(ax, here, here - there, 0.035 * size)
-    _closures(ax, scene, look, size, edge, alpha, ground)
-    for name, (at, parent) in scene.pivots.items():
-        pivot, joint = at @ look.T, scene.model.joint(name)
-        if isinstance(joint, Guide):
-            along = scene.direction(parent, joint.axis) @ look.T * 0.12 * size
-            ax.plot(*np.array([pivot - along, pivot + along]).T, "-.", color=GRAY, lw=0.9, zorder=1)
-        elif not joint.in_series:
-            ax.plot(*pivot, "o", ms=6, mfc="white", mec=edge, mew=1.2, alpha=alpha, zorder=6)
-            if ground and parent not in layout.bodies:
-                ground_at(
-                    ax, pivot - np.array([0, 0.02 * size]), np.array([0.0, -1.0]), 0.035 * size
-                )
-
-
-def _closures(ax, scene: Scene, look, size, edge, alpha, ground) -> None:
-    """Draw rods as lines between two balls, guides and lines in which a point slides as dash-dotted
-    lines, and other closures as pins."""
-    layout = scene.model.layout
-    for name, ends in scene.joined.items():
-        closure, (A, B) = scene.model[name], (end @ look.T for end in ends)
-        if isinstance(closure, GuideClosure | Inline):
-            axis = scene.direction(closure.between[0], closure.axis) @ look.T
-            reach = 0.12 * size + np.linalg.norm(B - A)
-            ax.plot(
-                *np.array([A - reach * axis, A + reach * axis]).T,
-                "-.",
-                color=GRAY,
-                lw=0.9,
-                zorder=1,
-                gid=f"line of {name}",
-            )
-            ax.plot(*B, "o", ms=5, mfc=edge, mec=edge, alpha=alpha, zorder=6)
-        else:
-            path = np.array([A, B])
-            ax.plot(
-                *path.T,
-                "-",
-                marker="o",
-                color=edge,
-                lw=1.8,
-                ms=6,
-                mfc="white",
-                mew=1.2,
-                alpha=alpha,
-                zorder=5,
-                gid=name,
-            )
-        for end, here, there in zip(closure.between, (A, B), (B, A), strict=True):
-            if ground and end not in layout.bodies and (here != there).any():
-                ground_at(ax, here, here - there, 0.035 * size)
-
-
-def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
-    """Draw tyres as circles about the hubs, with the ground below if the view shows the road's
-    normal."""
-    from matplotlib.patches import Circle
-
-    for name in table.names:
-        tyre, (hub, road) = scene.model[name], (end @ look.T for end in scene.ends[name])
-        up = scene.direction(tyre.between[1], tyre.axis) @ look.T
-        if up.any():
-            ax.add_patch(
-                Circle(hub, tyre.radius, fill=False, edgecolor=edge, lw=1.6, alpha=alpha, zorder=1)
-            )
-            if ground:
-                ground_at(ax, road, -up, 0.035 * size)
-
-
-def _names(scene: Scene, look) -> list[Label]:
-    """Return the labels of bodies at their centers of mass and of elements at their middles."""
-    labels = [
-        Label(name, at @ look.T, np.array([1.0, 1.0]), 9, INK) for name, at in scene.centers.items()
-    ]
-    for name, ends in scene.ends.items():
-        A, B = (end @ look.T for end in ends)
-        labels.append(
-            Label(
-                name,
-                (A + B) / 2,
-                np.array([abs((B - A)[1]), -(B - A)[0] * np.sign((B - A)[1] or 1.0)]),
-                8,
-                GRAY,
-            )
-        )
-    return labels
-
-
-def _outline(ax, seen, size, fill, edge, alpha, ghost) -> None:
-    """Draw the convex hull of the points with a rounded rim, or a disk for a single point."""
-    from matplotlib.colors import to_rgba
-    from matplotlib.patches import Circle, Polygon
-
-    hull = _hull(seen, 1e-9 * size)
-    if len(hull) == 1:
-        ax.add_patch(
-            Circle(
-                hull[0],
-                0.035 * size,
-                facecolor=to_rgba(fill, alpha),
-                edgecolor=edge,
-                lw=1.2,
-                zorder=2,
-            )
-        )
-    elif ghost:
-        ax.add_patch(
-            Polygon(
-                hull,
-                closed=True,
-                facecolor=to_rgba(fill, alpha),
-                edgecolor=edge,
-                lw=1.6,
-                joinstyle="round",
-                zorder=3,
-            )
-        )
+def frame_axes(ax, look, size: float) -> None:
+    """Set the limits of the axes and label them in meters; an oblique view shows the three world
+    axes instead, because its scale depends on the direction."""
+    right, up = (int(np.argmax(row)) for row in look)
+    if np.allclose(look, np.eye(3)[[right, up]]):
+        ax.set(xlabel=f"{AXES[right]} [m]", ylabel=f"{AXES[up]} [m]")
     else:
-        pale = tuple(1 - 0.35 * (1 - c) for c in to_rgba(fill)[:3])
-        for color, width in ((edge, RIM), (pale, RIM - 2.2)):
-            rim = {"lw": width, "zorder": 2, "snap": False}
-            if len(hull) == 2:
-                ax.plot(*hull.T, color=color, solid_capstyle="round", **rim)
-            else:
-                ax.add_patch(
-                    Polygon(
-                        hull,
-                        closed=True,
-                        facecolor=color,
-                        edgecolor=color,
-                        joinstyle="round",
-                        **rim,
-                    )
-                )
+        _triad(ax, look, size)
+        ax.set_axis_off()
+    (x0, y0), (x1, y1) = ax.dataLim.get_points()
+    width, height = np.array([x1 - x0, y1 - y0]) + 2 * MARGIN * max(x1 - x0, y1 - y0)
+    width, height = max(width, SLIM * height), max(height, SLIM * width)
+    ax.set(
+        xlim=((x0 + x1 - width) / 2, (x0 + x1 + width) / 2),
+        ylim=((y0 + y1 - height) / 2, (y0 + y1 + height) / 2),
+        adjustable="box",
+        aspect="equal",
+    )
+    ax.apply_aspect()
 
 
-def _hull(points: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return the convex hull of points in the plane, counterclockwise; for points on a line its
-    ends."""
-    from scipy.spatial import ConvexHull
-
-    points = points[np.lexsort(points.T[::-1])]
-    points = points[
-        np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > tolerance])
-    ]
-    if len(points) < 3:
-        return points
-    if np.linalg.svd(points - points.mean(0), compute_uv=False)[1] <= tolerance:
-        return points[[0, -1]]
-    return points[ConvexHull(points).vertices]
+def _triad(ax, look, size: float) -> None:
+    """Draw the projected world axes at the lower left, with their length written below."""
+    length = 10.0 ** np.floor(np.log10(size / 7))
+    length *= max(k for k in (1, 2, 5) if k * length <= size / 7)
+    low = ax.dataLim.get_points()[0]
+    origin = (
+        low
+        - length * (look * (look > 0)).sum(1) * [1.3, 0]
+        - length * (look * (look < 0)).sum(1) * [1, 1] * [0, 1]
+    )
+    for name, direction in zip(AXES, look.T, strict=True):
+        ax.plot(
+            *np.array([origin, origin + length * direction]).T,
+            color=GRAY,
+            lw=1.2,
+            gid=f"axis {name}",
+        )
+        ax.text(
+            *(origin + 1.25 * length * direction),
+            name,
+            fontsize=8,
+            color=GRAY,
+            ha="center",
+            va="center",
+        )
+    ax.annotate(
+        f"{length:g} m",
+        origin + np.array([0, 1.25 * length * min(look[1].min(), 0.0)]),
+        xytext=(0, -14),
+        textcoords="offset points",
+        fontsize=8,
+        color=GRAY,
+        ha="left",
+        va="center",
+    )

@@ -12,7 +12,6 @@ from jaxbody.model.elements.torsions import Torsion
 from jaxbody.model.models import Model
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.views.plots.canvases import (
-    INK,
     axes_below,
     axes_or_new,
     check_single,
@@ -20,6 +19,8 @@ from jaxbody.views.plots.canvases import (
     panels_of_lines,
     style,
 )
+from jaxbody.views.scenes.colors import INK
+from jaxbody.views.scenes.poses import coordinate_changes, turns
 
 
 def plot_trajectory(
@@ -47,13 +48,13 @@ def plot_trajectory(
     layout, poses = trajectory.model.layout, trajectory.poses
     names = bodies or (*layout.bodies, *layout.supports)
     check_all_known(names, "plot_trajectory.bodies", poses)
-    moves, turns = {}, {}
+    moves, rotations = {}, {}
     for name in names:
         p, R = np.asarray(poses[name].p), np.asarray(poses[name].R)
         start = trajectory.model[name]
         moves |= components({name: p - np.asarray(start.position)})
-        turns |= components({name: _turns(R, np.asarray(start.orientation))}, " about")
-    panels = {"displacement [m]": _moving(moves), "turn [rad]": _moving(turns)}
+        rotations |= components({name: turns(R, np.asarray(start.orientation))}, " about")
+    panels = {"displacement [m]": _moving(moves), "turn [rad]": _moving(rotations)}
     panels = {label: lines for label, lines in panels.items() if lines} or {"displacement [m]": {}}
     dashed = tuple(f"{name} " for name in layout.supports)
     return panels_of_lines(
@@ -64,8 +65,9 @@ def plot_trajectory(
 def plot_forces(
     trajectory: Trajectory, *, elements: tuple[str, ...] | None = None, ax: Any = None
 ) -> Any:
-    """Draw forces of the elements [N] over time, dampers included: the tension of each spring, and
-    the three forces of each bushing that oppose its deformation along its axes.
+    """Draw the dynamic parts of the forces of the elements [N] over time, dampers included: the
+    tension of each spring, and the three forces of each bushing that oppose its deformation along
+    its axes, all about the mean over the samples, which is in the legend.
 
     The moments [N m] of torsion springs and bushings are below. elements: names; None takes all.
     Error: UNKNOWN_NAME.
@@ -81,7 +83,7 @@ def plot_forces(
     ... )
     >>> ax = jb.plots.plot_forces(jb.simulate(oscillator, jnp.linspace(0, 1, 11)))
     >>> ax.get_ylabel(), [line.get_label() for line in ax.lines]
-    ('force, tension positive [N]', ['s'])
+    ('dynamic force, tension positive [N]', ['s'])
     """
     check_single("plot_forces.trajectory", trajectory.times, 1)
     forces = trajectory.forces
@@ -91,9 +93,22 @@ def plot_forces(
     moments = {name: moment for name, moment in moments.items() if np.any(moment)}
     panels = {stroke_and_force(trajectory.model, names)[1]: pulls, "moment [N m]": moments}
     panels = {label: lines for label, lines in panels.items() if lines}
-    return panels_of_lines(
-        axes_or_new(ax, 7.0, 0.6 + 2.4 * len(panels)), trajectory.times, panels, "time [s]"
-    )
+    means = {
+        label: {name: np.nanmean(values) for name, values in lines.items()}
+        for label, lines in panels.items()
+    }
+    dynamic = {
+        f"dynamic {label}": {name: values - means[label][name] for name, values in lines.items()}
+        for label, lines in panels.items()
+    }
+    ax = axes_or_new(ax, 7.0, 0.6 + 2.4 * len(panels))
+    known = len(ax.figure.axes)
+    panels_of_lines(ax, trajectory.times, dynamic, "time [s]")
+    for axes, (label, values) in zip([ax, *ax.figure.axes[known:]], means.items(), strict=False):
+        unit = label.partition("[")[2].rstrip("]")
+        for text, (name, mean) in zip(axes.get_legend().get_texts(), values.items(), strict=True):
+            text.set_text(f"{name}, mean {mean:.4g} {unit}")
+    return ax
 
 
 def plot_energies(trajectory: Trajectory, *, ax: Any = None) -> Any:
@@ -187,11 +202,9 @@ def plot_phases(
     ('turn [rad]', 'rate of turn [rad/s]', ['bob turn about its hinge', 'start'])
     """
     check_single("plot_phases.trajectory", trajectory.times, 1)
-    layout, values, rates = (
-        trajectory.model.layout,
-        _values(trajectory),
-        np.asarray(trajectory.state.v),
-    )
+    model, rates = trajectory.model, np.asarray(trajectory.state.v)
+    layout = model.layout
+    values = coordinate_changes(layout, trajectory.state.q, model.reference.q)
     check_all_known(coordinates or (), "plot_phases.coordinates", layout.coordinates)
     panels = {}
     for (xlabel, ylabel), turn in (
@@ -213,24 +226,6 @@ def plot_phases(
                 name: (x, rates[:, layout.coordinates.index(name)]) for name, x in shown.items()
             }
     return _curves(ax, panels, start=True)
-
-
-def _values(trajectory: Trajectory) -> np.ndarray:
-    """Return coordinates (nt, nv) relative to the reference pose, with rotation vectors for
-    quaternions."""
-    layout, q, rest = (
-        trajectory.model.layout,
-        np.asarray(trajectory.state.q),
-        np.asarray(trajectory.model.reference.q),
-    )
-    columns = []
-    for block in layout.joints:
-        own, start = q[:, layout.q_slices[block.owner]], rest[layout.q_slices[block.owner]]
-        if block.quaternion:
-            columns += [own[:, :-4] - start[:-4], _turns(_matrices(own[:, -4:]), start[-4:])]
-        else:
-            columns.append(own - start)
-    return np.concatenate(columns, 1)
 
 
 def plot_force_strokes(
@@ -379,32 +374,3 @@ def _moving(lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         for name, values in lines.items()
         if widths[name] > 1e-6 * max(widths.values()) and widths[name] > 1e-12
     }
-
-
-def _matrices(quaternions: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    out, good = np.full((len(quaternions), 3, 3), np.nan), np.isfinite(quaternions).all(1)
-    out[good] = Rotation.from_quat(quaternions[good][:, [1, 2, 3, 0]]).as_matrix()
-    return out
-
-
-def _turns(R: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Return rotation vectors of R (n, 3, 3) relative to an orientation (quaternion w, x, y, z), in
-    world axes, unwrapped through full turns."""
-    from scipy.spatial.transform import Rotation
-
-    good = np.isfinite(R).all((1, 2))
-    out = np.full((len(R), 3), np.nan)
-    if good.any():
-        out[good] = (
-            Rotation.from_matrix(R[good]) * Rotation.from_quat(start[[1, 2, 3, 0]]).inv()
-        ).as_rotvec()
-    for i in range(1, len(out)):
-        angle = np.linalg.norm(out[i])
-        if np.isfinite(angle) and angle > 0:
-            out[i] *= (
-                1
-                + 2 * np.pi * np.round((out[i - 1] @ out[i] / angle - angle) / (2 * np.pi)) / angle
-            )
-    return out

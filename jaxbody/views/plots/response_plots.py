@@ -11,10 +11,7 @@ from jaxbody.vibration.frequency_responses import FrequencyResponse
 from jaxbody.vibration.random_responses import RandomResponse
 from jaxbody.vibration.state_spaces import StateSpace
 from jaxbody.views.plots.canvases import (
-    COLORS,
     DASHES,
-    GRAY,
-    LIGHT,
     axes_below,
     axes_or_new,
     check_single,
@@ -23,6 +20,7 @@ from jaxbody.views.plots.canvases import (
     style,
     with_unit,
 )
+from jaxbody.views.scenes.colors import COLORS, GRAY, LIGHT
 
 STEPS = (1e-3, 0.01, 0.1, 0.5, 1, 2, 5, 10, 15, 30, 45, 90, 180, 360, 720)  # degrees between ticks
 MOST_TICKS = 5
@@ -31,7 +29,7 @@ MANY = 16  # largest number of lines whose legend fits beside a plot of normal w
 
 def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> Any:
     """Draw magnitudes over frequency, both on logarithmic scales, one panel per unit, with the
-    phases below; return the top axes.
+    phases below; return the top axes. The legend has the inputs.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> inputs, outputs = (
@@ -54,7 +52,7 @@ def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> A
         unit = response.unit(response.outputs[i], response.inputs[j])
         panels.setdefault(unit, {})[name] = size[i, j], phase[i, j], look(response, i, j)
     ax = axes_or_new(ax, 7.0 if len(pairs) <= MANY else 9.0, 2.2 + 2.2 * len(panels))
-    return _over_frequency(ax, f, panels, "magnitude", "phase")
+    return _over_frequency(ax, f, panels, "magnitude", "phase", _input(response))
 
 
 def plot_element_stiffness(stiffness: DynamicStiffness, *, ax: Any = None) -> Any:
@@ -120,7 +118,7 @@ def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any
     ax.axhline(1.0, color=GRAY, lw=0.8)
     ax.set(ylabel="transmissibility [-]", ylim=(None, max(2.0, 2 * top)))
     hertz(ax, f)
-    legend(ax, len(ratios))
+    legend(ax, len(ratios), title=_input(response))
     return ax
 
 
@@ -190,6 +188,7 @@ def _over_frequency(
     panels: dict[str, dict[str, tuple[Any, Any, Any]]],
     what: str,
     angle: str,
+    title: str | None = None,
     *,
     plain: bool = False,
 ) -> Any:
@@ -203,6 +202,7 @@ def _over_frequency(
             with a line named "" has no legend.
         what: name of the magnitudes.
         angle: name of the angles.
+        title: title of the legends.
         plain: whether ticks of the magnitudes are plain numbers, as in `plain_numbers`.
     """
     *others, below = axes_below(ax, *[1.0] * (len(panels) - 1), 0.55)
@@ -214,7 +214,7 @@ def _over_frequency(
         axes.set_ylabel(with_unit(what, unit))
         if plain:
             plain_numbers(axes, np.concatenate([size for size, *_ in lines.values()]))
-        legend(axes, len(lines) if all(lines) else 0)
+        legend(axes, len(lines) if all(lines) else 0, title=title)
     hertz(below, f)
     degrees(below, angle)
     return ax
@@ -397,6 +397,11 @@ def _pairs(response: FrequencyResponse) -> list[tuple[int, int, str]]:
     return [
         (i, j, name) for i, j, name in pairs if not size[i, j] <= 1e-12 * size[i].max()
     ] or pairs
+
+
+def _input(response: FrequencyResponse) -> str | None:
+    """Return the title of a legend that names a single input; of several, each line names its."""
+    return f"input: {response.inputs[0]}" if len(response.inputs) == 1 else None
 
 
 def look(response: FrequencyResponse, i: int, j: int) -> dict[str, Any]:

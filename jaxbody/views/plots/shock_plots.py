@@ -11,16 +11,9 @@ from jaxbody.shock.peak_factors import PeakFactors
 from jaxbody.shock.response_spectra import ResponseSpectrum
 from jaxbody.shock.shock_spectra import ShockSpectrum
 from jaxbody.shock.spectrum_responses import SpectrumResponse
-from jaxbody.views.plots.canvases import (
-    COLORS,
-    GRAY,
-    axes_below,
-    axes_or_new,
-    check_single,
-    legend,
-    with_unit,
-)
+from jaxbody.views.plots.canvases import axes_below, axes_or_new, check_single, legend, with_unit
 from jaxbody.views.plots.response_plots import hertz, lines_over_frequency, plain_numbers
+from jaxbody.views.scenes.colors import COLORS, GRAY
 
 LEAST_SHARE = 1e-3  # least share of a mode that is drawn
 

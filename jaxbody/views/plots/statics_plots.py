@@ -15,8 +15,6 @@ from jaxbody.mechanics.static_load_cases import LoadCases
 from jaxbody.suspension.alignment_curves import SuspensionCurves
 from jaxbody.suspension.assemblies import Assembly
 from jaxbody.views.plots.canvases import (
-    COLORS,
-    GRAY,
     axes_below,
     axes_or_new,
     check_single,
@@ -26,6 +24,7 @@ from jaxbody.views.plots.canvases import (
 )
 from jaxbody.views.plots.model_plots import draw_model
 from jaxbody.views.plots.motion_plots import components, forces_and_moments, stroke_and_force
+from jaxbody.views.scenes.colors import COLORS, GRAY
 
 WIDTH = 60  # letters in a line of a title
 # relative to the largest number of a panel: components below this in all cases are left out

@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from jaxbody.views.plots.canvases import GRAY
+from jaxbody.views.scenes.colors import GRAY
 from jaxbody.views.scenes.meshes import Mesh, axes_along_lines
 
 
@@ -78,7 +78,13 @@ class Animation:
     # direction to the camera: degrees to the right of the front view, and above the horizontal
     seen_from: tuple[float, float] = (32.0, 24.0)
     title: str = ""
-    notes: tuple[str, ...] = ()  # scales of arrows and of the grid
+    notes: tuple[str, ...] = ()  # scales of motions, arrows and the grid
+    amplitude: float = 0.0  # largest displacement of a mode [m]
+
+    @property
+    def caption(self) -> str:
+        """Title and notes, one a line."""
+        return "\n".join(filter(None, (self.title, *self.notes)))
 
     @property
     def moves(self) -> bool:

@@ -10,11 +10,11 @@ from jaxbody.model.joints.combined_joints import Combined, Composite, Planar
 from jaxbody.model.joints.joints import Ball, Guide, Hinge
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.storage import KindTable
-from jaxbody.views.plots.canvases import COLORS, GRAY, INK, LIGHT
-from jaxbody.views.plots.poses import PoseSequence, attaching, named_rows
 from jaxbody.views.scenes.animations import DrawnPart, NameLabel
+from jaxbody.views.scenes.colors import COLORS, GRAY, INK, LIGHT
 from jaxbody.views.scenes.meshes import Mesh, box, cylinder, hull, joined, ribbon, sphere
 from jaxbody.views.scenes.pose_sequences import marks, places_of
+from jaxbody.views.scenes.poses import PoseSequence, attaching, named_rows
 from jaxbody.views.scenes.road_parts import hub_of
 from jaxbody.views.scenes.shapes import THICK, Shape, axes_along, solid_of_body
 
@@ -65,7 +65,7 @@ def parts_of_bodies(
             (np.linalg.norm(vertices - com, axis=1).max() for vertices in solids), default=0.0
         )
         parts += _center_of_mass(name, com, size, p, R, reach)
-        labels.append(NameLabel(("names", name), name, sequence.points(name, com), INK))
+        labels.append(NameLabel(("bodies", name, "name"), name, sequence.points(name, com), INK))
     return parts, labels
 
 
@@ -127,7 +127,13 @@ def parts_of_supports(
         if len(points) and not _carries_tyre(sequence, name):
             lowest = points[np.argmin(points @ R[0].T @ up)]
             labels.append(
-                NameLabel(("names", name), name, sequence.points(name, lowest), GRAY, "support")
+                NameLabel(
+                    ("supports", name, "name"),
+                    name,
+                    sequence.points(name, lowest),
+                    GRAY,
+                    "support",
+                )
             )
     return parts, labels
 

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from jaxbody.geometry.closures import AlongAxis, Ball, Closure, Hinge, Inline, Weld
-from jaxbody.views.plots.canvases import COLORS, GRAY, INK
-from jaxbody.views.plots.poses import PoseSequence, placed_closures
 from jaxbody.views.scenes.animations import DrawnPart, rod
+from jaxbody.views.scenes.colors import COLORS, GRAY, INK
 from jaxbody.views.scenes.meshes import box, cylinder, joined, sphere
+from jaxbody.views.scenes.poses import PoseSequence, placed_closures
 from jaxbody.views.scenes.shapes import axes_along
 
 ROD = COLORS[3]

@@ -13,9 +13,8 @@ from jaxbody.model.elements.contacts import Contact, Tyre
 from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.elements.springs import Inerter, Spring, SpringDamper
 from jaxbody.model.elements.torsions import AntiRollBar, Torsion
-from jaxbody.views.plots.canvases import COLORS, GRAY
-from jaxbody.views.plots.poses import PoseSequence, named_rows
 from jaxbody.views.scenes.animations import DrawnPart, rod
+from jaxbody.views.scenes.colors import COLORS, GRAY
 from jaxbody.views.scenes.meshes import (
     across,
     axes_along_lines,
@@ -27,6 +26,8 @@ from jaxbody.views.scenes.meshes import (
     sphere,
     spiral,
 )
+from jaxbody.views.scenes.pose_sequences import BUSHING
+from jaxbody.views.scenes.poses import PoseSequence, named_rows
 from jaxbody.views.scenes.shapes import axes_along
 
 STEEL, RUBBER, DAMPER, BAR = "#4a525e", "#3a3f47", "#d9a441", COLORS[3]
@@ -143,7 +144,7 @@ def _bushing(element: Any, name, ends, sequence, size, up) -> Iterator[DrawnPart
     )
     # rotation of z of the mesh to that axis
     turn = np.roll(np.eye(3), int(np.argmax(np.abs(R_b[0].T @ up))) - 2, axis=0)
-    r = 0.032 * size
+    r = BUSHING * size
     rubber = ring(0.4 * r, r, -0.62 * r, 0.62 * r)
     pin = joined(
         [

@@ -32,6 +32,10 @@ class Mesh(NamedTuple):
         length = np.linalg.norm(n, axis=-1, keepdims=True)
         return n / np.where(length > 0, length, 1.0)
 
+    def volume(self) -> float:
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        return float(np.sum(np.cross(a, b) * c)) / 6
+
     def edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the pairs of vertices (e, 2) of sharp edges and of edges of a single triangle, and
         the two triangles of each (e, 2)."""

@@ -10,8 +10,10 @@ import numpy as np
 
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.core.tables import without_dust
 from jaxbody.geometry.frames import Pose
+from jaxbody.model.elements.bushings import FramePair
+from jaxbody.model.elements.contacts import Tyre
+from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.inputs.roads import Road
 from jaxbody.model.joints.element_tables import each_element
 from jaxbody.model.joints.kinematics import frames_at_time
@@ -23,17 +25,25 @@ from jaxbody.model.storage import KindTable
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.suspension.alignment_curves import SuspensionCurves
 from jaxbody.vibration.natural_modes import ModalResult
-from jaxbody.views.plots.poses import (
+from jaxbody.views.scenes.poses import (
     SWING,
     PoseSequence,
     attaching,
     check_number,
+    coordinate_changes,
     displaced_poses,
+    mode_title,
+    named_rows,
     poses_of,
+    turns,
 )
 
 CYCLE = 40  # frames in one period of a mode
 SECONDS = 2.0  # playing time of one period of a mode
+BUSHING = 0.032  # radius of a bushing, relative to the size of the model
+# largest drawn relative displacement of the ends of a bushing, over its radius, and of those of a
+# spring or a tyre, over its length
+TOGETHER, STRETCHED = 0.8, 0.5
 TRAVEL = 4.0  # seconds in which the curves of a suspension are played
 
 
@@ -44,7 +54,13 @@ def still(model: Model, state: State | None = None) -> PoseSequence:
     return PoseSequence(model, np.zeros(1), *poses_of(model, state.q[None]))
 
 
-def along(trajectory: Trajectory, most: int, forces: bool = False) -> PoseSequence:
+def along(
+    trajectory: Trajectory,
+    most: int,
+    forces: bool = False,
+    magnify: float = 1.0,
+    about: State | None = None,
+) -> PoseSequence:
     """Return the poses at those samples of a motion that are nearest to equally spaced times,
     without samples after a failure.
 
@@ -52,6 +68,9 @@ def along(trajectory: Trajectory, most: int, forces: bool = False) -> PoseSequen
         trajectory: the motion.
         most: largest number of samples.
         forces: whether the forces of elements on bodies are computed too.
+        magnify: factor of all displacements from `about`; those of supports are from their
+            reference poses.
+        about: a state; None takes the first sample.
 
     Errors: BAD_SHAPE for a batch, NONFINITE if nothing is finite."""
     if trajectory.times.ndim > 1 or not is_concrete(trajectory.state.q):
@@ -83,6 +102,12 @@ def along(trajectory: Trajectory, most: int, forces: bool = False) -> PoseSequen
         (trajectory.times[rows], jax.tree.map(lambda x: x[rows], trajectory.state)),
     )
     frames, model = part.at_samples(_frames), trajectory.model
+    poses, notes = (np.asarray(frames.p), np.asarray(frames.R)), ()
+    if magnify != 1:
+        q, xi = (part.state.q[0] if about is None else about.q), _displacements(model, *poses)
+        deltas = magnify * coordinate_changes(model.layout, part.state.q, q)
+        poses = displaced_poses(model, q, deltas, magnify * xi)
+        notes = (f"displacements magnified {magnify:g} times",)
     exerted: dict[str, Any] = (
         of_elements(model, part.at_samples(_end_forces), axis=1) if forces else {}
     )
@@ -99,12 +124,27 @@ def along(trajectory: Trajectory, most: int, forces: bool = False) -> PoseSequen
     return PoseSequence(
         model,
         chosen,
-        np.asarray(frames.p),
-        np.asarray(frames.R),
+        *poses,
         clock=clock,
+        notes=notes,
         forces={name: np.asarray(force) for name, force in exerted.items()},
         roads=roads,
     )
+
+
+def _displacements(model: Model, p: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Return the displacements Xi (n, ns, 6) of the supports from their reference poses."""
+    rows = [
+        np.concatenate(
+            [
+                p[:, 1 + i] - np.asarray(model[name].position),
+                turns(R[:, 1 + i], np.asarray(model[name].orientation)),
+            ],
+            axis=1,
+        )
+        for i, name in enumerate(model.layout.supports)
+    ]
+    return np.stack(rows, 1) if rows else np.zeros((len(p), 0, 6))
 
 
 def vibrating(
@@ -118,7 +158,7 @@ def vibrating(
         number: number of the mode, from 1.
         state: the state about which it vibrates; None takes the reference pose.
         amplitude: the largest displacement of an attached point or center of mass [m]; None takes
-            an eighth of the model's size.
+            an eighth of the model's size, or less where the ends of an element would part.
         phase: phase of the first frame [rad].
 
     Errors: UNKNOWN_MODE, NONFINITE."""
@@ -149,19 +189,38 @@ def vibrating(
     )
     # if all points are at origins of bodies, the rotation limits the amplitude
     largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
-    factor = (SWING * size if amplitude is None else float(amplitude)) / largest
+    share, held = SWING, ""
+    for name, element in named_rows(model.attached):
+        reach, stretch = _reach(element, rest, size), _stretch(element, rest, trials) / trial
+        if amplitude is None and stretch * share * size > reach * largest:
+            share, held = reach * largest / (stretch * size), f", limited by {name}"
+    share = share if amplitude is None else float(amplitude) / size
+    factor = share * size / largest
     steps = np.arange(CYCLE) / CYCLE
     turn = np.exp(1j * (2 * np.pi * steps + phase))
     p, R = displaced_poses(model, q, factor * np.real(shape * turn[:, None]))
-    frequency = float(np.asarray(modes.frequency)[number - 1])
-    ratio = float(without_dust(modes.damping_ratio, 1.0)[number - 1])
-    title = (
-        f"mode {number}, {frequency:.4g} Hz\n"
-        + (f"damping ratio {ratio:.2g}\n" if ratio > 0 else "")
-        + modes.names[number - 1]
-    )
     clock = tuple(f"phase {round(360 * step + np.rad2deg(phase)) % 360} degrees" for step in steps)
-    return PoseSequence(model, SECONDS * steps, p, R, title, clock)
+    note = f"largest displacement {size * share:.3g} m, {share:.2g} of the model's size" + held
+    title = mode_title(modes, number)
+    return PoseSequence(
+        model, SECONDS * steps, p, R, title, clock, notes=(note,), amplitude=size * share
+    )
+
+
+def _reach(element: Any, rest: PoseSequence, size: float) -> float:
+    """Return how far the ends of an element can move relative to each other [m] before its drawing
+    comes apart: most of the radius of a bushing, half of the length of a spring or a tyre."""
+    if isinstance(element, FramePair):
+        return TOGETHER * BUSHING * size
+    ends = rest.ends(element)
+    length = np.linalg.norm(ends[1] - ends[0]) if isinstance(element, LineElement | Tyre) else 0.0
+    return STRETCHED * float(length) or np.inf
+
+
+def _stretch(element: Any, rest: PoseSequence, trials: PoseSequence) -> float:
+    """Return the largest relative displacement of the first two ends of an element [m]."""
+    (a, b, *_), (at, to, *_) = rest.ends(element), trials.ends(element)
+    return float(np.linalg.norm((to - at) - (b - a)))
 
 
 def over_travel(curves: SuspensionCurves) -> PoseSequence:

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxbody.views.plots.canvases import COLORS, GRAY
-from jaxbody.views.plots.poses import PoseSequence, placed_closures
+from jaxbody.model.elements.contacts import Tyre
 from jaxbody.views.scenes.animations import Animation, DrawnPart, NameLabel, Trail, rod
 from jaxbody.views.scenes.body_parts import (
     ground,
@@ -18,9 +17,11 @@ from jaxbody.views.scenes.body_parts import (
     up_of,
 )
 from jaxbody.views.scenes.closure_parts import is_link, parts_of_closures
+from jaxbody.views.scenes.colors import COLORS, GRAY
 from jaxbody.views.scenes.element_parts import parts_of_elements
 from jaxbody.views.scenes.meshes import arrow
-from jaxbody.views.scenes.pose_sequences import size_of_sequence
+from jaxbody.views.scenes.pose_sequences import marks, size_of_sequence
+from jaxbody.views.scenes.poses import PoseSequence, named_rows, placed_closures
 from jaxbody.views.scenes.road_parts import parts_of_roads, parts_of_wheel
 from jaxbody.views.scenes.shapes import Shape
 
@@ -61,7 +62,7 @@ def animation_of(
         *parts_of_closures(sequence, size),
         *parts_of_wheel(sequence),
     ]
-    notes = []
+    notes = list(sequence.notes)
     if sequence.forces:
         scale = LONGEST * size / longest_force
         parts += _arrows(sequence, size, scale)
@@ -84,6 +85,7 @@ def animation_of(
         seen_from,
         sequence.title,
         tuple(notes),
+        sequence.amplitude,
     )
 
 
@@ -147,14 +149,17 @@ def _names_at_middles(sequence: PoseSequence) -> list[NameLabel]:
     """Return the labels of elements and of rods at their middles; other closures have none, as they
     are near the names of bodies."""
     model = sequence.model
-    named = [("names of elements", name, model[name]) for name in model.element_names]
+    named = [
+        ("tyres" if isinstance(element, Tyre) and element.radius > 0 else "elements", name, element)
+        for name, element in named_rows(model.attached)
+    ]
     named += [
-        ("names of closures", name, closure)
-        for name, closure in placed_closures(model)
-        if is_link(closure)
+        ("closures", name, closure) for name, closure in placed_closures(model) if is_link(closure)
     ]
     return [
-        NameLabel((group, name), name, np.mean(sequence.ends(thing)[:2], 0), GRAY, "element")
+        NameLabel(
+            (group, name, "name"), name, np.mean(sequence.ends(thing)[:2], 0), GRAY, "element"
+        )
         for group, name, thing in named
     ]
 
@@ -165,7 +170,7 @@ def _right(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray:
     normal = is_flat(sequence, size, up)
     if normal is not None:
         return np.cross(up, normal)
-    spread = np.ptp(sequence.p[0], axis=0)
+    spread = np.ptp(marks(sequence)[0], axis=0)
     x, y = (i for i in range(3) if i != int(np.argmax(np.abs(up))))
     axis = np.eye(3)[x if spread[x] >= 0.5 * spread[y] else y]
     rest = axis - (axis @ up) * up

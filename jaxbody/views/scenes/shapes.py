@@ -13,13 +13,14 @@ from jaxbody.core.arrays import checked, concrete, vector
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.core.source_files import check_file
 from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, direction, matrix
-from jaxbody.views.scenes.meshes import Mesh, across, box, cylinder, hull, sphere
+from jaxbody.views.scenes.meshes import Mesh, across, box, cylinder, hull, joined, sphere
 
 THICK = 0.014  # half the thickness of a plate or rod, relative to the size of the model
 BLOCK = 0.07  # half the edge of the block for a body with a single point
 # size of the drawn box, relative to the box of equal mass and inertia; it is smaller, so that
 # attached elements stay visible
 INNER = 0.55
+TENT = 1.5  # least volume of a hull that is a tent, over those of its box and of its points
 MOST_POINTS = 4  # a quarter of this, times the spread of the points, limits half an edge
 
 
@@ -217,7 +218,8 @@ def solid_of_body(
     points: np.ndarray, com: np.ndarray, mass: float, inertia: np.ndarray, size: float
 ) -> Mesh:
     """Return the default shape of a body: the hull of its points, of its center of mass and of the
-    inner part of the box of equal mass and inertia, all thickened, so that the points lie inside.
+    inner part of the box of equal mass and inertia, all thickened, so that the points lie inside;
+    or, where that would be a tent over its points, the box with an arm to each point.
 
     Args:
         points: attachments and joints, in body axes (n, 3) [m].
@@ -235,12 +237,20 @@ def solid_of_body(
         half = np.clip(
             INNER * half, THICK * size, np.maximum(0.25 * MOST_POINTS * spread, THICK * size)
         )
-    corners = com + box(2 * half).vertices @ axes.T
-    return hull(
-        np.concatenate(
-            [corners, *(every + offset for offset in box([2 * THICK * size] * 3).vertices)]
-        )
-    )
+    block, thick = box(2 * half).placed(com, axes * np.linalg.det(axes)), THICK * size
+    offsets = box([2 * thick] * 3).vertices[:, None]
+    whole = hull(np.concatenate([block.vertices, *(every + offsets)]))
+    if len(points) < 3 or whole.volume() < TENT * (
+        block.volume() + hull(np.concatenate([*(points + offsets)])).volume()
+    ):
+        return whole
+    parts = [block]
+    for arm in points - com:
+        length = np.linalg.norm(arm)
+        if length > thick:
+            n, sides = arm / length, [2 * thick, 2 * thick, length + thick]
+            parts.append(box(sides).placed(com + 0.5 * (length + thick) * n, axes_along(n)))
+    return joined(parts)
 
 
 def _known(x: Any) -> np.ndarray:

@@ -104,14 +104,12 @@ class Seen(Exception):
     """Instead of compiling the program that is looked at."""
 
 
-class Options(tuple):
-    """Options of one name, which tell when a program is compiled by them."""
-
-    def __new__(cls, name):
-        return super().__new__(cls, ((name, True),))
+@dataclass(frozen=True)
+class Options:
+    name: str
 
     def keys(self):
-        raise Seen(self[0][0])
+        raise Seen(self.name)
 
 
 def test_options_are_for_programs_by_themselves():

@@ -4,6 +4,7 @@ a unit."""
 import itertools
 import re
 
+import numpy as np
 from matplotlib.text import Annotation, Text
 
 COUNTS = {
@@ -89,3 +90,26 @@ def units(figure):
     return [
         found.group(1) for ax in figure.axes if (found := re.search(r"\[(.+)\]$", ax.get_ylabel()))
     ]
+
+
+def pixels_at(ax, point, reach=1):
+    """The colors (n, 4) of the picture in axes around a point of its data coordinates, transparent
+    outside."""
+    (image,) = ax.images
+    left, right, bottom, top = image.get_extent()
+    picture = np.asarray(image.get_array())
+    height, width = picture.shape[:2]
+    column = int((point[0] - left) / (right - left) * width)
+    row = int((top - point[1]) / (top - bottom) * height)
+    if not (0 <= column < width and 0 <= row < height):
+        return np.zeros((1, 4))
+    near = (slice(max(x - reach, 0), x + reach + 1) for x in (row, column))
+    return picture[tuple(near)].reshape(-1, 4).astype(float)
+
+
+def has_color(ax, point, color):
+    """Whether something of this color, "#rrggbb" in any light, is drawn at a point."""
+    c = np.array([int(color[i : i + 2], 16) for i in (1, 3, 5)], float)
+    seen = pixels_at(ax, point)
+    share = np.clip(seen[:, :3] @ c / (c @ c), 0.45, 1.08)
+    return bool(((np.abs(seen[:, :3] - share[:, None] * c).max(1) < 6) & (seen[:, 3] > 0)).any())

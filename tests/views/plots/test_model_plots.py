@@ -7,14 +7,15 @@ import time
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 from matplotlib.text import Text
-from test_plots import drawn, nothing_else_is_touched  # noqa: F401
+from pictures import has_color, pixels_at
+from test_plots import nothing_else_is_touched  # noqa: F401
 
 import jaxbody as jb
 from jaxbody import plots
-from jaxbody.views.plots import model_plots
-from jaxbody.views.scenes.pose_sequences import still
+from jaxbody.views.scenes.closure_parts import ROD
+from jaxbody.views.scenes.colors import GRAY, INK
+from jaxbody.views.scenes.element_parts import STEEL
 
 CORNERS = {"fl": (1.2, 0.75), "fr": (1.2, -0.75), "rl": (-1.4, 0.75), "rr": (-1.4, -0.75)}
 
@@ -81,23 +82,25 @@ def test_a_name_stays_near_what_it_names(figure):
     assert max(far.values()) < 72  # points
 
 
-def test_tyres_are_circles_of_their_radius(figure, on_tyres):
-    ax = plots.draw_model(on_tyres, view="xz", ax=figure.subplots())
-    wheels = [patch for patch in ax.patches if isinstance(patch, Circle) and not patch.get_fill()]
-    assert sorted(tuple(np.round(wheel.center, 12).tolist()) for wheel in wheels) == sorted(
-        (x, 0.3) for x, _ in CORNERS.values()
-    )
-    assert {float(wheel.radius) for wheel in wheels} == {0.31}
-    seen_from_above = plots.draw_model(on_tyres, view="xy", ax=Figure().subplots())
-    assert all(patch.get_fill() for patch in seen_from_above.patches)
+def test_tyres_are_round_with_their_radius(figure, on_tyres):
+    ax = plots.draw_model(on_tyres, view="xz", names=False, ax=figure.subplots())
+    for x, _ in CORNERS.values():
+        for angle in np.deg2rad([-150, -90, -30]):  # below the car
+            rim = np.array([np.cos(angle), np.sin(angle)])
+            assert has_color(ax, [x, 0.3] + 0.30 * rim, INK)
+            assert not has_color(ax, [x, 0.3] + 0.32 * rim, INK)
+    above = plots.draw_model(on_tyres, view="xy", names=False, ax=Figure().subplots())
+    assert (above.get_xlabel(), above.get_ylabel()) == ("x [m]", "y [m]")
+    for y, seen in ((0.80, True), (1.0, False)):  # the car covers the rest of the wheel
+        assert has_color(above, (1.2 + 0.28, y), INK) is seen
 
 
 def test_an_oblique_view_has_its_axes_and_a_length_in_place_of_ticks(figure):
-    model = jb.presets.full_car()
-    ax = plots.draw_model(model, ax=figure.subplots())
+    """The axes have the scale of the picture: the wheels are 2.6 m apart along x."""
+    ax = plots.draw_model(jb.presets.full_car(), ax=figure.subplots())
     assert not ax.axison and ax.get_xlabel() == ""
     axes = {
-        line.get_gid(): line.get_xydata()
+        line.get_gid(): np.diff(line.get_xydata(), axis=0)[0]
         for line in ax.lines
         if (line.get_gid() or "").startswith("axis")
     }
@@ -106,17 +109,13 @@ def test_an_oblique_view_has_its_axes_and_a_length_in_place_of_ticks(figure):
         for text in ax.texts
         if text.get_text().endswith(" m")
     ]
-    scene = model_plots.Scene(still(model))
-    look = model_plots.projection(None, model, [scene])
-    for i, name in enumerate("xyz"):
-        start, end = axes[f"axis {name}"]
-        np.testing.assert_allclose(end - start, length * look[:, i], atol=1e-12)
-    wheels = [scene.centers[name] for name in ("rl", "fl")]  # 2.6 m apart along x
+    wheels = {text.get_text(): np.array(text.xy) for text in ax.texts if hasattr(text, "xy")}
     np.testing.assert_allclose(
-        (wheels[1] - wheels[0]) @ look.T,
-        2.6 / length * np.diff(axes["axis x"], axis=0)[0],
-        atol=1e-12,
+        wheels["fl"] - wheels["rl"], 2.6 / length * axes["axis x"], atol=1e-12
     )
+    # of a parallel projection: both rows of the three drawn axes have the length of an axis
+    look = np.stack([axes[f"axis {name}"] for name in "xyz"], -1) / length
+    np.testing.assert_allclose(look @ look.T, np.eye(2), atol=1e-12)
 
 
 @pytest.mark.parametrize("view", ["xz", None])
@@ -133,12 +132,32 @@ def test_the_frame_is_filled(figure, view):
 
 
 def test_a_joint_that_moves_along_axes_has_no_pivot_on_the_ground(figure):
-    """A car on its heave, pitch and roll hung from a hatched bar in its middle."""
+    """A car on its heave, pitch and roll: nothing is below its middle, a foot below each spring."""
     model = jb.presets.half_car()
     ax = plots.draw_model(model, names=False, ax=figure.subplots())
-    bars = [line for line in ax.lines if line.get_solid_capstyle() == "butt"]
-    assert len(bars) == 2  # below the two springs
-    assert drawn(ax, (1.0, 0.5), (1.0, 0.0))
+    for x in np.linspace(-1.2, 0.7, 20):
+        assert not pixels_at(ax, (x, -0.02))[:, 3].any()
+    assert has_color(ax, (1.0, -0.01), GRAY) and has_color(ax, (-1.5, -0.01), GRAY)
+    coil = [has_color(ax, (1.0 + x, 0.3), STEEL) for x in np.linspace(-0.1, 0.1, 41)]
+    assert any(coil) and not coil[0] and not coil[-1]
+
+
+def test_a_rod_of_a_loop_is_drawn_between_its_ends(figure):
+    bar = jb.Body(mass=0.5, inertia=[1e-3, 2e-3, 2e-3])
+    model = jb.Model(
+        bodies={"left": bar, "right": bar},
+        joints={
+            "left": jb.Hinge("world", axis="z"),
+            "right": jb.Hinge("world", axis="z", at=[0.5, 0, 0]),
+        },
+        closures={"rod": jb.closures.Rod(("left", [0, 0.2, 0]), ("right", [0.5, 0.3, 0]))},
+        gravity=[0, -9.81, 0],
+    )
+    ax = plots.draw_model(model, view="xy", names=False, ax=figure.subplots())
+    for share in (0.2, 0.5, 0.8):
+        point = np.array([0.5 * share, 0.2 + 0.1 * share])
+        assert has_color(ax, point, ROD)
+        assert not has_color(ax, point - np.array([0, 0.03]), ROD)
 
 
 @pytest.mark.long

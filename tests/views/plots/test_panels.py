@@ -31,7 +31,7 @@ def response(car):
 
 
 def assert_named_and_distinct(ax, count):
-    named = [text.get_text() for text in ax.get_legend().get_texts()]
+    named = [text.get_text().split(", mean ")[0] for text in ax.get_legend().get_texts()]
     looks = {
         (line.get_color(), line._dash_pattern[1] and tuple(line._dash_pattern[1]))
         for line in ax.lines
@@ -65,6 +65,17 @@ def test_the_responses_of_a_car_are_all_named_and_a_panel_has_one_unit(response)
     )
     ax = plots.plot_transmissibility(response, ax=Figure(figsize=(7, 4)).subplots())
     assert_named_and_distinct(ax, 20)
+
+
+def test_a_single_input_is_the_title_of_the_legend():
+    car = jb.presets.quarter_car(damping=1500.0)
+    road, body = {"road": jb.BaseMotion("road", "z")}, {"body": jb.Position("body", axis="z")}
+    response = jb.frequency_response(
+        jb.linearize(car, car.reference), jnp.geomspace(0.1, 50, 10), road, body
+    )
+    for plot in (plots.plot_frequency_response, plots.plot_transmissibility):
+        ax = plot(response, ax=Figure().subplots())
+        assert ax.get_legend().get_title().get_text() == "input: road"
 
 
 @pytest.mark.long
@@ -112,16 +123,18 @@ def test_moments_have_a_panel_of_their_own():
     )
     (below,) = (axes for axes in ax.figure.axes if axes is not ax)
     assert (ax.get_ylabel(), below.get_ylabel()) == (
-        "force opposing\nthe deformation [N]",
-        "moment [N m]",
+        "dynamic force opposing\nthe deformation [N]",
+        "dynamic moment [N m]",
     )
     assert (
         set(lines(below)) == {"torsion", "bushing about z"}
         and "spring" in lines(ax)
         and "torsion" not in lines(ax)
     )
-    assert abs(lines(below)["torsion"].get_ydata()[0]) == pytest.approx(6.0)
-    assert abs(lines(below)["bushing about z"].get_ydata()[0]) == pytest.approx(1.0)
+    means = dict(text.get_text().split(", mean ") for text in below.get_legend().get_texts())
+    for name, moment in (("torsion", 6.0), ("bushing about z", 1.0)):
+        mean = float(means[name].removesuffix(" N m"))
+        assert abs(mean + lines(below)[name].get_ydata()[0]) == pytest.approx(moment, rel=0.005)
 
 
 @pytest.mark.long

@@ -8,10 +8,13 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from pictures import has_color, pixels_at
 
 import jaxbody as jb
 from jaxbody import plots
-from jaxbody.views.plots import model_plots, motion_plots, symbols
+from jaxbody.views.scenes import poses
+from jaxbody.views.scenes.colors import COLORS, GRAY
+from jaxbody.views.scenes.element_parts import DAMPER, RUBBER, STEEL
 
 
 @pytest.fixture(autouse=True)
@@ -87,14 +90,6 @@ def lines(ax):
     return {line.get_label(): line for line in ax.lines}
 
 
-def drawn(ax, start, end):
-    """Whether some line goes from one point to the other."""
-    return any(
-        np.allclose(xy[0], start) and np.allclose(xy[-1], end)
-        for xy in (line.get_xydata() for line in ax.lines)
-    )
-
-
 @pytest.mark.long
 def test_a_trajectory_is_drawn_from_the_reference_pose(trajectory, ax):
     assert plots.plot_trajectory(trajectory, ax=ax) is ax
@@ -125,15 +120,18 @@ def test_turns_are_drawn_through_whole_turns():
     R = np.stack(
         [np.stack([c, -s, o], -1), np.stack([s, c, o], -1), np.stack([o, o, o + 1], -1)], -2
     )
-    np.testing.assert_allclose(
-        motion_plots._turns(R, np.array([1.0, 0, 0, 0]))[:, 2], angles, atol=1e-9
-    )
+    np.testing.assert_allclose(poses.turns(R, np.array([1.0, 0, 0, 0]))[:, 2], angles, atol=1e-9)
 
 
 def test_forces_of_springs_are_drawn(trajectory, ax):
     plots.plot_forces(trajectory, ax=ax)
-    np.testing.assert_allclose(lines(ax)["s"].get_ydata(), trajectory.forces["s"])
-    assert "[N]" in ax.get_ylabel()
+    force = np.asarray(trajectory.forces["s"])
+    np.testing.assert_allclose(
+        lines(ax)["s"].get_ydata(), force - force.mean(), atol=1e-12 * abs(force).max()
+    )
+    assert ax.get_ylabel() == "dynamic force, tension positive [N]"
+    (text,) = ax.get_legend().get_texts()
+    assert text.get_text() == f"s, mean {force.mean():.4g} N"
     with pytest.raises(jb.JaxbodyError, match="Known: s"):
         plots.plot_forces(trajectory, elements=("t",), ax=ax)
 
@@ -274,15 +272,12 @@ def test_a_history_shows_where_noise_was_estimated_again_and_what_failed(ax):
 
 def test_a_model_is_drawn_through_its_attachment_points(model, ax):
     assert plots.draw_model(model, ax=ax) is ax
-    assert drawn(ax, (-1, 1), (-1, 2)) and drawn(ax, (1, 1), (1, 2)) and drawn(ax, (0, -1), (0, -2))
-    corners = {
-        tuple(np.round(xy, 9))
-        for patch in ax.patches
-        if hasattr(patch, "get_xy")
-        for xy in patch.get_xy()
-    }
-    # of the plate; the last is the arm's hinge
-    assert {(-1.0, 1.0), (1.0, 1.0), (0.0, -1.0), (1.0, 0.0)} <= corners
+    for corner in ((-1, 1), (1, 1), (0, -1), (0.9, 0)):  # of the plate
+        assert has_color(ax, 0.9 * np.array(corner), COLORS[0])
+    for x in (-1, 1, -3):  # the springs end at y = 2, below their feet on the base
+        assert has_color(ax, (x, 1.95), DAMPER if x == -1 else STEEL)
+        assert has_color(ax, (x, 2.02), GRAY)
+    assert has_color(ax, (0.15, -2), RUBBER) and not has_color(ax, (0.3, -2), RUBBER)
     assert {text.get_text() for text in ax.texts} >= {
         "plate",
         "arm",
@@ -304,8 +299,10 @@ def test_a_model_is_drawn_where_its_state_and_its_base_are(model, ax):
         names=False,
         ax=ax,
     )
-    assert drawn(ax, (-1, 1.3), (-0.5, 2)) and drawn(ax, (0, -0.7), (0.5, -2))
-    assert drawn(ax, (-2.5, 0), (-2.5, 2))  # the weight's guide is on the base
+    assert has_color(ax, (-0.9, 1.25), COLORS[0]) and not has_color(ax, (0, -1.0), COLORS[0])
+    for x in (-0.5, 1.5, -2.5):  # the feet are on the base
+        assert has_color(ax, (x, 2.02), GRAY)
+    assert has_color(ax, (-2.1, 0.2), COLORS[2])  # the weight's guide is on the base
     assert not ax.texts
     with pytest.raises(jb.JaxbodyError, match="Did you mean 'base'"):
         plots.draw_model(model, displaced={"bass": np.zeros(6)}, ax=ax)
@@ -315,8 +312,8 @@ def test_a_model_is_drawn_where_its_state_and_its_base_are(model, ax):
 def test_a_view_names_what_is_right_and_up(model, ax, view, right, up):
     plots.draw_model(model, view=view, ax=ax)
     assert (ax.get_xlabel(), ax.get_ylabel()) == (f"{right} [m]", f"{up} [m]")
-    start, end = ({"x": x, "y": y, "z": 0} for x, y in ((-1, 1), (-1, 2)))
-    assert drawn(ax, (start[right], start[up]), (end[right], end[up]))
+    place = {"x": -3.3, "y": 0.3, "z": 0}  # on the weight
+    assert has_color(ax, (place[right], place[up]), COLORS[2])
 
 
 def test_an_unknown_view_is_refused(model, ax):
@@ -324,48 +321,28 @@ def test_an_unknown_view_is_refused(model, ax):
         plots.draw_model(model, view="xx", ax=ax)
 
 
-def test_a_mode_is_drawn_in_both_extremes(model, ax):
-    """To either side of rest, along the shape, the farthest point an eighth of the model's
-    size away."""
+def test_a_mode_is_drawn_over_the_model_at_rest(model, ax):
+    """Along its shape, as far as the bushing's pin may leave its ring: 0.8 of 0.032 of the size,
+    5 m along x; the model at rest is pale."""
     lin = SimpleNamespace(model=model, state=model.reference)
     shape = np.zeros((8, 1))
     shape[1, 0] = 2.0  # the plate along y
     modes = SimpleNamespace(
+        model=model,
         shapes=shape,
         frequency=np.array([3.0]),
         damping_ratio=np.array([0.02]),
         names=("plate along y 100 %",),
     )
-    plots.draw_mode(lin, modes, 1, ax=ax)
-    swing = 5.0 * model_plots.SWING  # everything attached lies within 5 m along x and 4 m along y
-    for dy in (-swing, 0, swing):
-        assert drawn(ax, (-1, 1 + dy), (-1, 2)), dy
-    assert ax.get_title() == "mode 1: 3 Hz, damping ratio 0.02\nplate along y 100 %"
+    plots.draw_model(model, names=False, ax=ax)
+    other = plots.draw_mode(lin, modes, 1, ax=Figure().subplots())
+    heights = np.arange(-1.3, -0.5, 0.002)
+    lowest = [next(y for y in heights if has_color(x, (0.1, y), COLORS[0])) for x in (ax, other)]
+    assert lowest[1] - lowest[0] == pytest.approx(0.8 * 0.032 * 5.0, abs=0.02)
+    below = pixels_at(other, (0.1, sum(lowest) / 2))
+    assert (below[:, 3] > 0).any() and not has_color(other, (0.1, sum(lowest) / 2), COLORS[0])
+    assert (
+        other.get_title() == "mode 1: 3 Hz, damping ratio 0.02\nkinetic energy: plate along y 100 %"
+    )
     with pytest.raises(jb.JaxbodyError, match="1 to 1"):
         plots.draw_mode(lin, modes, 2, ax=ax)
-
-
-@pytest.mark.parametrize("count", [3, 5, 30])
-def test_outlines_are_convex_hulls(rng, count):
-    """Counterclockwise, of points that are given, with no point outside."""
-    points = np.round(rng.normal(size=(count, 2)), 2)
-    hull = model_plots._hull(np.concatenate([points, points[:2]]), 1e-9)
-    assert {tuple(p) for p in hull} <= {tuple(p) for p in points}
-    for begin, end in zip(hull, np.roll(hull, -1, 0), strict=True):
-        along, past = end - begin, points - begin
-        assert (along[0] * past[:, 1] - along[1] * past[:, 0] >= -1e-12).all()
-
-
-def test_an_outline_of_points_on_a_line_is_the_line():
-    line = np.linspace([1.0, 2.0], [3.0, 0.0], 5)
-    assert model_plots._hull(line[[2, 0, 4, 1, 3]], 1e-9).tolist() == [[1, 2], [3, 0]]
-
-
-def test_a_zigzag_ends_where_the_spring_ends(rng):
-    A, B = rng.normal(size=(2, 2))
-    path = symbols.zigzag_path(A, B, 0.1)
-    np.testing.assert_allclose(path[[0, -1]], [A, B])
-    along = (B - A) / np.linalg.norm(B - A)
-    across = (path - A) @ np.array([-along[1], along[0]])
-    assert abs(np.abs(across).max() - min(0.1, np.linalg.norm(B - A) / 4)) < 1e-12
-    assert np.array_equal(symbols.zigzag_path(A, A, 0.1), [A, A])

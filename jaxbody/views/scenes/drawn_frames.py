@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from jaxbody.views.cameras import Camera
-from jaxbody.views.plots.canvases import GRAY, INK, Label, annotate, rgb
 from jaxbody.views.scenes.animations import Animation, DrawnPart, NameLabel
+from jaxbody.views.scenes.cameras import Camera
+from jaxbody.views.scenes.colors import GRAY, INK, rgb
 from jaxbody.views.scenes.meshes import Mesh
+from jaxbody.views.scenes.name_places import Label, annotate
 
 MOST = 3_000_000  # largest number of pixels that are tested at once
 # pixels in triangles: index of the pixel, 1/depth, and index of the triangle
@@ -23,6 +24,7 @@ class Raster:
         self.height, self.width = height, width
         self.colors = np.full((height * width, 3), 255, np.uint8)
         self.nearest = np.zeros(height * width, np.float32)  # 1/depth
+        self.covered = np.zeros(height * width, bool)
 
     def draw(self, corners: np.ndarray, depths: np.ndarray, colors: np.ndarray) -> None:
         """Draw opaque triangles.
@@ -35,6 +37,7 @@ class Raster:
         pixel, nearness, owner = self._fragments(corners, depths)
         np.maximum.at(self.nearest, pixel, nearness)
         seen = nearness >= self.nearest[pixel]
+        self.covered[pixel] = True
         self.colors[pixel[seen]] = np.round(255 * colors).astype(np.uint8)[owner[seen]]
 
     def blend(
@@ -47,6 +50,7 @@ class Raster:
         np.maximum.at(top, pixel, nearness)
         seen = (nearness >= top[pixel]) & (nearness > self.nearest[pixel])
         pixel, owner = pixel[seen], owner[seen]
+        self.covered[pixel] = True
         share = opacity[owner, None]
         self.colors[pixel] = np.round(
             share * 255 * colors[owner] + (1 - share) * self.colors[pixel]
@@ -118,8 +122,106 @@ SOLID = 0.75  # least opacity of a part that is drawn as opaque
 MARGIN = 0.05  # around the drawing, relative to its longer side; more where names need it
 WIDTH, TALLEST = 720, 560  # default width and largest default height of a picture [pixels]
 DPI, FINER = 100, 2  # resolution of a picture, and by which factor it is drawn finer
+FEW_EDGES = 200  # names keep off the vertices of meshes with more edges, else off every third edge
 MOST_NAMED = 7  # largest number of elements whose names are written in a picture
 RATIOS = 0.7, 1.9  # least and largest width over height
+
+
+class Renderer:
+    """Draws the parts of an animation, as a camera sees them, into rasters."""
+
+    def __init__(self, animation: Animation, camera: Camera):
+        self.animation, self.camera = animation, camera
+        fine = FINE * animation.size
+        self.meshes = [_divided(part.mesh, fine, part.scale[0]) for part in animation.parts]
+        self.edges = [_edges(part.mesh, fine) if part.edged else None for part in animation.parts]
+
+    def raster(self, i: int, low: np.ndarray, width: float, size: tuple[int, int]) -> Raster:
+        """Return the raster of all parts in frame i.
+
+        Args:
+            i: the frame.
+            low: lower left corner of the picture, in the coordinates of the camera.
+            width: width of the picture, in these coordinates.
+            size: its height and width in pixels.
+        """
+        self.low, self.fine = low, size[1] / width
+        solid, clear = [], []
+        for part, mesh, edges in zip(self.animation.parts, self.meshes, self.edges, strict=True):
+            pieces = [self._triangles(part, Mesh(part.placed(mesh.vertices, i), mesh.faces))]
+            if edges is not None:
+                ends, owners = edges
+                pieces.append(
+                    self._lines(
+                        part, part.placed(ends[self._faces_camera(part, i)[owners].any(1)], i)
+                    )
+                )
+            (solid if part.opacity >= SOLID else clear).extend(
+                (*piece, np.full(len(piece[0]), part.opacity)) for piece in pieces
+            )
+        raster = Raster(*size)
+        corners, depths, colors, _ = (np.concatenate(column) for column in zip(*solid, strict=True))
+        raster.draw(corners, depths, colors)
+        if clear:
+            raster.blend(*(np.concatenate(column) for column in zip(*clear, strict=True)))
+        return raster
+
+    def _faces_camera(self, part: DrawnPart, i: int) -> np.ndarray:
+        """Return which triangles of the undivided mesh face the camera."""
+        mesh = part.at(i)
+        return (
+            np.sum((self.camera.position - mesh.vertices[mesh.faces[:, 0]]) * mesh.normals(), -1)
+            > 0
+        )
+
+    def _triangles(self, part: DrawnPart, mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return corners (f, 3, 2) [pixels], depths (f, 3) and colors (f, 3) of the triangles that
+        face the camera."""
+        flat, depth = self.camera.project(mesh.vertices)
+        corners = (self.fine * (flat - self.low))[mesh.faces]
+        (ax, ay), (bx, by) = (
+            np.moveaxis(corners[:, 1] - corners[:, 0], 1, 0),
+            np.moveaxis(corners[:, 2] - corners[:, 0], 1, 0),
+        )
+        near = NEAR * np.linalg.norm(self.camera.position - self.camera.target)
+        seen = (ax * by - ay * bx > 0) & (depth[mesh.faces].min(1) > near)
+        n = Mesh(mesh.vertices, mesh.faces[seen]).normals() @ self.camera.axes
+        lit = np.clip(0.5 + 0.5 * n @ (LIGHT_FROM / np.linalg.norm(LIGHT_FROM)), 0, 1)
+        return (
+            corners[seen],
+            depth[mesh.faces[seen]] - part.over,
+            _colors(part, DARKEST + (BRIGHTEST - DARKEST) * lit),
+        )
+
+    def _lines(
+        self, part: DrawnPart, edges: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return corners, depths and colors, as `_triangles`, of lines along edges (e, 2, 3), drawn
+        as thin rectangles of two triangles."""
+        flat, depth = (
+            x.reshape(len(edges), 2, *x.shape[1:])
+            for x in self.camera.project(edges.reshape(-1, 3))
+        )
+        ends = self.fine * (flat - self.low)
+        d = ends[:, 1] - ends[:, 0]
+        length = np.linalg.norm(d, axis=1, keepdims=True)
+        side = (
+            np.stack([-d[:, 1], d[:, 0]], -1)
+            / np.where(length > 0, length, 1.0)
+            * 0.5
+            * EDGE
+            * FINER
+            * DPI
+            / 72
+        )
+        a, b, c, e = ends[:, 0] - side, ends[:, 1] - side, ends[:, 1] + side, ends[:, 0] + side
+        corners = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, e], 1)])
+        depths = (
+            np.concatenate([depth[:, [0, 1, 1]], depth[:, [0, 1, 0]]])
+            - OVER * self.animation.size
+            - part.over
+        )
+        return corners, depths, _colors(part, np.full(len(corners), DARK))
 
 
 class Painter:
@@ -140,6 +242,7 @@ class Painter:
         from matplotlib.figure import Figure
 
         self.animation, self.camera = animation, camera
+        self.renderer = Renderer(animation, camera)
         flat, _ = camera.project(animation.outline())
         low, high = flat.min(0), flat.max(0)
         sides = high - low + 2 * MARGIN * (high - low).max()
@@ -155,9 +258,6 @@ class Painter:
             max(sides[0] / width, sides[1] / self.height) / 2 * np.array([width, self.height]),
         )
         self._widen(1.0)
-        fine = FINE * animation.size
-        self.meshes = [_divided(part.mesh, fine, part.scale[0]) for part in animation.parts]
-        self.edges = [_edges(part.mesh, fine) if part.edged else None for part in animation.parts]
         self.background: Any = figure.figimage(
             np.full((self.height * FINER, self.width * FINER, 3), 255, np.uint8), zorder=-1
         )
@@ -198,7 +298,8 @@ class Painter:
 
     def picture(self, i: int) -> np.ndarray:
         """Return the pixels of frame i, drawn with more pixels and then reduced."""
-        self.background.set_data(self._drawn(i))
+        low, size = self.middle - self.half, self.background.get_array().shape[:2]
+        self.background.set_data(self.renderer.raster(i, low, 2 * self.half[0], size).picture())
         trails = self.animation.trails
         drawn = slice(0, i + 1) if self.animation.moves else slice(None)
         self.trails.set_segments([self.camera.project(x.points[drawn])[0] for x in trails])
@@ -230,112 +331,36 @@ class Painter:
     def _written_names(self) -> list[tuple[NameLabel, Any]]:
         """Write names beside their parts in the first frame and return them with their texts; they
         keep that offset in all frames."""
-        known, outlines = len(self.ax.texts), []
-        for part in self.animation.parts:
-            if part.framed and not part.below:
-                flat, _ = self.camera.project(part.at(0).vertices)
-                outlines += [
-                    self.ax.plot(*line.T, lw=0)[0] for line in flat[part.mesh.edges()[0][::3]]
-                ]
         elements = [label for label in self.animation.labels if label.kind == "element"]
         written = {"body", "support", "element" if len(elements) <= MOST_NAMED else ""}
-        placed = [
-            (label, self.camera.project(label.p[:1])[0][0])
-            for label in self.animation.labels
-            if label.kind in written
-        ]
-        annotate(
-            self.ax,
-            [Label(label.text, at, np.array([0.5, 1.0]), 9, label.color) for label, at in placed],
-        )
-        for outline in outlines:
-            outline.remove()
-        return [
-            (label, text) for (label, _), text in zip(placed, self.ax.texts[known:], strict=True)
-        ]
+        labels = [label for label in self.animation.labels if label.kind in written]
+        return list(zip(labels, write_names(self.ax, self.renderer, labels), strict=True))
 
-    def _drawn(self, i: int) -> np.ndarray:
-        """Return the pixels of all parts in frame i."""
-        solid, clear = [], []
-        for part, mesh, edges in zip(self.animation.parts, self.meshes, self.edges, strict=True):
-            pieces = [self._triangles(part, Mesh(part.placed(mesh.vertices, i), mesh.faces))]
-            if edges is not None:
-                ends, owners = edges
-                pieces.append(
-                    self._lines(
-                        part, part.placed(ends[self._faces_camera(part, i)[owners].any(1)], i)
-                    )
-                )
-            (solid if part.opacity >= SOLID else clear).extend(
-                (*piece, np.full(len(piece[0]), part.opacity)) for piece in pieces
-            )
-        raster = Raster(*self.background.get_array().shape[:2])
-        corners, depths, colors, _ = (np.concatenate(column) for column in zip(*solid, strict=True))
-        raster.draw(corners, depths, colors)
-        if clear:
-            raster.blend(*(np.concatenate(column) for column in zip(*clear, strict=True)))
-        return raster.picture()
 
-    def _pixels(self, flat: np.ndarray) -> np.ndarray:
-        """Return picture coordinates in fine pixels from the lower left."""
-        return (flat - self.middle + self.half) * (FINER * self.width / (2 * self.half[0]))
-
-    def _faces_camera(self, part: DrawnPart, i: int) -> np.ndarray:
-        """Return which triangles of the undivided mesh face the camera."""
-        mesh = part.at(i)
-        return (
-            np.sum((self.camera.position - mesh.vertices[mesh.faces[:, 0]]) * mesh.normals(), -1)
-            > 0
-        )
-
-    def _triangles(self, part: DrawnPart, mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return corners (f, 3, 2) [pixels], depths (f, 3) and colors (f, 3) of the triangles that
-        face the camera."""
-        flat, depth = self.camera.project(mesh.vertices)
-        corners = self._pixels(flat)[mesh.faces]
-        (ax, ay), (bx, by) = (
-            np.moveaxis(corners[:, 1] - corners[:, 0], 1, 0),
-            np.moveaxis(corners[:, 2] - corners[:, 0], 1, 0),
-        )
-        near = NEAR * np.linalg.norm(self.camera.position - self.camera.target)
-        seen = (ax * by - ay * bx > 0) & (depth[mesh.faces].min(1) > near)
-        n = Mesh(mesh.vertices, mesh.faces[seen]).normals() @ self.camera.axes
-        lit = np.clip(0.5 + 0.5 * n @ (LIGHT_FROM / np.linalg.norm(LIGHT_FROM)), 0, 1)
-        return (
-            corners[seen],
-            depth[mesh.faces[seen]] - part.over,
-            _colors(part, DARKEST + (BRIGHTEST - DARKEST) * lit),
-        )
-
-    def _lines(
-        self, part: DrawnPart, edges: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return corners, depths and colors, as `_triangles`, of lines along edges (e, 2, 3), drawn
-        as thin rectangles of two triangles."""
-        flat, depth = (
-            x.reshape(len(edges), 2, *x.shape[1:])
-            for x in self.camera.project(edges.reshape(-1, 3))
-        )
-        ends = self._pixels(flat)
-        d = ends[:, 1] - ends[:, 0]
-        length = np.linalg.norm(d, axis=1, keepdims=True)
-        side = (
-            np.stack([-d[:, 1], d[:, 0]], -1)
-            / np.where(length > 0, length, 1.0)
-            * 0.5
-            * EDGE
-            * FINER
-            * DPI
-            / 72
-        )
-        a, b, c, e = ends[:, 0] - side, ends[:, 1] - side, ends[:, 1] + side, ends[:, 0] + side
-        corners = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, e], 1)])
-        depths = (
-            np.concatenate([depth[:, [0, 1, 1]], depth[:, [0, 1, 0]]])
-            - OVER * self.animation.size
-            - part.over
-        )
-        return corners, depths, _colors(part, np.full(len(corners), DARK))
+def write_names(ax: Any, renderer: Renderer, labels: list[NameLabel]) -> list[Any]:
+    """Write names beside their parts in the first frame, off what is drawn, and return the
+    texts."""
+    known, lines, points, project = len(ax.texts), [], [np.zeros((0, 2))], renderer.camera.project
+    for part in renderer.animation.parts:
+        if part.framed and not part.below:
+            flat, _ = project(part.at(0).vertices)
+            edges = part.mesh.edges()[0]
+            if len(edges) > FEW_EDGES:
+                points.append(flat)
+            else:
+                lines += [*flat[edges[::3]]]
+    toward = np.array([0.5, 1.0])
+    places = [project(label.p[:1])[0][0] for label in labels]
+    annotate(
+        ax,
+        [
+            Label(label.text, at, toward, 9 if label.kind == "body" else 8, label.color)
+            for label, at in zip(labels, places, strict=True)
+        ],
+        lines,
+        np.concatenate(points),
+    )
+    return ax.texts[known:]
 
 
 def _colors(part: DrawnPart, brightness: np.ndarray) -> np.ndarray:

@@ -9,24 +9,34 @@ from jaxbody.views.scenes.animations import Animation
 
 ANGLE = np.deg2rad(28.0)  # vertical angle of view [rad]
 ASPECT = 1.5  # width over height of the picture for which the distance is chosen
+FAR = 100.0  # distance of the camera of a parallel projection, relative to the size of the model
 FILLED = 0.93  # share of the picture that is used
 
 
 @dataclass(frozen=True)
 class Camera:
     """A camera at `position` that looks at `target`, both in world axes [m]; the columns of `axes`
-    point right, up and from the target to the camera."""
+    point right, up and from the target to the camera. A `parallel` one has no perspective."""
 
     position: np.ndarray
     target: np.ndarray
     axes: np.ndarray
+    parallel: bool = False
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return coordinates (n, 2) to the right and up in a picture plane at distance 1 from the
-        camera, and depths (n,) [m]."""
+        camera, or in meters in parallel projection, and depths (n,) [m]."""
         x = (points - self.position) @ self.axes
         depth = -x[:, 2]
+        if self.parallel:
+            return points @ self.axes[:, :2], depth
         return x[:, :2] / np.where(depth > 0, depth, np.nan)[:, None], depth
+
+
+def parallel_camera(animation: Animation, axes: np.ndarray) -> Camera:
+    """Return the camera for a parallel projection; `axes` as in `Camera`."""
+    target = animation.outline().mean(0)
+    return Camera(target + FAR * animation.size * axes[:, 2], target, axes, parallel=True)
 
 
 def camera_for(animation: Animation, direction: np.ndarray | None = None) -> Camera:

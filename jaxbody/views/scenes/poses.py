@@ -12,11 +12,13 @@ import numpy as np
 from jaxbody.core.arrays import Array
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.tables import without_dust
 from jaxbody.geometry.closures import Closure, Coupling, Equation
 from jaxbody.geometry.frames import Pose
 from jaxbody.mechanics.free_motions import moved
 from jaxbody.model.inputs.roads import Road
 from jaxbody.model.joints.kinematics import Coordinates
+from jaxbody.model.layouts import Layout
 from jaxbody.model.models import Model
 from jaxbody.model.storage import KindTable
 from jaxbody.suspension.wheels import Wheel
@@ -34,6 +36,8 @@ class PoseSequence:
     R: np.ndarray  # (n, frames, 3, 3), orientations
     title: str = ""
     clock: tuple[str, ...] = ("",)  # text at each time
+    notes: tuple[str, ...] = ()  # how a drawn motion is scaled
+    amplitude: float = 0.0  # largest displacement of a mode [m]
     # {element: forces (n, ends, 3) on each of its ends, world axes [N]}
     forces: dict[str, np.ndarray] = field(default_factory=dict)
     roads: dict[str, Road] = field(default_factory=dict)  # {support: road under it}
@@ -69,6 +73,14 @@ def check_number(modes: Any, number: int, where: str) -> None:
         )
 
 
+def mode_title(modes: Any, number: int) -> str:
+    """Return number, frequency, damping ratio and kinetic energies of a mode, in two lines."""
+    frequency = float(np.asarray(modes.frequency)[number - 1])
+    ratio = float(without_dust(modes.damping_ratio, 1.0)[number - 1])
+    damping = f", damping ratio {ratio:.2g}" if ratio > 0 else ""
+    return f"mode {number}: {frequency:.4g} Hz{damping}\nkinetic energy: {modes.names[number - 1]}"
+
+
 def attaching(model: Model) -> list[KindTable]:
     """Return the tables of elements and of closures that have points in space."""
     return [
@@ -87,11 +99,13 @@ def placed_closures(model: Model) -> list[tuple[str, Closure]]:
     return named_rows(attaching(model)[len(model.elements) :])
 
 
-def displaced_poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def displaced_poses(
+    model: Model, q: Any, deltas: np.ndarray, xi: Any = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Return origins and orientations in the configurations q (+) Delta, where each row of `deltas`
-    is a displacement Delta from q, with closures fulfilled and supports in their reference
-    poses."""
-    return poses_of(model, _moved(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype)))
+    is a displacement Delta from q, with closures fulfilled; `xi` as in `poses_of`."""
+    rows = jnp.asarray(deltas, model.gravity.dtype)
+    return poses_of(model, _moved(model, jnp.asarray(q), rows), xi)
 
 
 @program
@@ -99,10 +113,10 @@ def _moved(model: Model, q, deltas) -> Array:
     return jax.vmap(lambda delta: moved(Coordinates(model), q, delta))(deltas)
 
 
-def poses_of(model: Model, q: Any, xi: Any = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return origins (n, frames, 3) and orientations (n, frames, 3, 3) for rows of q. `xi` (ns, 6):
-    displacements of the supports [m, rad]; None for none."""
-    xi = np.zeros((len(model.layout.supports), 6)) if xi is None else xi
+def poses_of(model: Model, q: Any, xi: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return origins (n, frames, 3) and orientations (n, frames, 3, 3) for rows of q. `xi` (ns, 6),
+    or (n, ns, 6): displacements of the supports [m, rad]."""
+    xi = np.broadcast_to(xi, (len(q), len(model.layout.supports), 6))
     frames = _at_rest(model, jnp.asarray(q), jnp.asarray(xi, model.gravity.dtype))
     return np.asarray(frames.p), np.asarray(frames.R)
 
@@ -110,5 +124,50 @@ def poses_of(model: Model, q: Any, xi: Any = None) -> tuple[np.ndarray, np.ndarr
 @program
 def _at_rest(model: Model, q, xi) -> Pose:
     coordinates, v = Coordinates(model), jnp.zeros(model.layout.nv, q.dtype)
-    supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
-    return jax.vmap(lambda q: coordinates.frames(q, v, supports).pose())(q)
+
+    def poses(q, xi):
+        return coordinates.frames(q, v, coordinates.supports_at(xi, jnp.zeros_like(xi))).pose()
+
+    return jax.vmap(poses)(q, xi)
+
+
+def coordinate_changes(layout: Layout, q: Any, start: Any) -> np.ndarray:
+    """Return the changes Delta (n, nv) from the coordinates `start` (nq,) to q (n, nq): q = start
+    (+) Delta, with rotation vectors for quaternions."""
+    q, rest, columns = np.asarray(q), np.asarray(start), []
+    for block in layout.joints:
+        own, start = q[:, layout.q_slices[block.owner]], rest[layout.q_slices[block.owner]]
+        if block.quaternion:
+            columns += [own[:, :-4] - start[:-4], turns(_matrices(own[:, -4:]), start[-4:])]
+        else:
+            columns.append(own - start)
+    return np.concatenate(columns, 1)
+
+
+def _matrices(quaternions: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    out, good = np.full((len(quaternions), 3, 3), np.nan), np.isfinite(quaternions).all(1)
+    out[good] = Rotation.from_quat(quaternions[good][:, [1, 2, 3, 0]]).as_matrix()
+    return out
+
+
+def turns(R: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Return rotation vectors of R (n, 3, 3) relative to an orientation (quaternion w, x, y, z), in
+    world axes, unwrapped through full turns."""
+    from scipy.spatial.transform import Rotation
+
+    good = np.isfinite(R).all((1, 2))
+    out = np.full((len(R), 3), np.nan)
+    if good.any():
+        out[good] = (
+            Rotation.from_matrix(R[good]) * Rotation.from_quat(start[[1, 2, 3, 0]]).inv()
+        ).as_rotvec()
+    for i in range(1, len(out)):
+        angle = np.linalg.norm(out[i])
+        if np.isfinite(angle) and angle > 0:
+            out[i] *= (
+                1
+                + 2 * np.pi * np.round((out[i - 1] @ out[i] / angle - angle) / (2 * np.pi)) / angle
+            )
+    return out
